@@ -1,0 +1,28 @@
+"""Errors that speak to the user: where, what was found, what would be right."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class InputError(ValueError):
+    """Bad input, reported as ``where: what; remedy``. The command line exits 2 on it.
+
+    Args:
+        where: file and key, or file and row, as the user would look it up.
+        found: what is wrong, quoting the value.
+        remedy: what would be right.
+    """
+
+    def __init__(self, where: str, found: str, remedy: str) -> None:
+        super().__init__(f"{where}: {found}; {remedy}")
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Say which of the known names was probably meant, or list them all."""
+    names = sorted(known)
+    close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    if close:
+        return f"did you mean '{close[0]}'?"
+    return "known here: " + (", ".join(names) or "nothing")

@@ -1,0 +1,126 @@
+"""The one place that decides solver, step control, output and failure handling.
+
+Accuracy is stated as an error of the contact force in fractions of its peak; ``plan`` turns it into a
+tolerance, ``integrate`` runs it. A few contacts with elastic or damped springs are oscillatory, not
+stiff, so explicit Runge-Kutta wins. The method is Tsit5 and not Dopri8: Tsit5 evaluates the force at the
+end of a step and weighs it in the error estimate, so a flight cannot end inside a surface unnoticed;
+Dopri8 does not, and was seen to fall through a bounce's surface at tolerances of 1e-4 to 1e-6.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from bcfj_jax.dynamics import field, initial_state, state_scales
+from bcfj_jax.errors import InputError, nearest
+from bcfj_jax.scene import Params, Scene
+
+LEVELS = {"fast": 5e-2, "balanced": 1e-2, "reference": 1e-5}
+
+# Local error per step, in units of dynamics.state_scales, per unit of force error asked for. Measured by
+# benchmarks/accuracy.py: the force error of impact and bounce stays below what was asked with this ratio.
+_TOLERANCE_PER_ERROR = 0.02
+
+_REASONS = {
+    "steps": "the step budget of {max_steps} steps was spent",
+    "not_finite": "the state stopped being finite",
+    "solver": "the solver could not go on",
+}
+OK, STEPS, NOT_FINITE, SOLVER = 0, 1, 2, 3
+
+
+class Plan(eqx.Module):
+    """How a scene will be integrated.
+
+    ``tolerance`` may be traced: changing it does not compile again; changing the budget does.
+    """
+
+    tolerance: Array
+    max_steps: int = eqx.field(static=True, default=100_000)
+
+
+class Solution(NamedTuple):
+    """Raw outcome: states (T, n) at the times asked for, NaN from a failure on; a code; where it ended."""
+
+    states: Array
+    code: Array
+    end: Array
+    accepted: Array
+    rejected: Array
+
+
+def plan(scene: Scene, accuracy: str | float = "balanced", max_steps: int = 100_000) -> Plan:
+    """Tolerance for a scene and an accuracy.
+
+    Args:
+        scene: what will be integrated; all present scenes are non-stiff.
+        accuracy: a level (``LEVELS``) or the tolerated force error as a fraction of the peak, 1e-9 to 0.5.
+        max_steps: budget of attempted steps; beyond it a run fails with that reason.
+
+    Raises:
+        InputError: for an unknown level or an error out of range.
+    """
+    del scene
+    if isinstance(accuracy, str):
+        if accuracy not in LEVELS:
+            raise InputError("accuracy", f"no level '{accuracy}'", nearest(accuracy, LEVELS))
+        accuracy = LEVELS[accuracy]
+    if not 1e-9 <= accuracy <= 0.5:
+        raise InputError("accuracy", f"force_error = {accuracy:g}", "give a fraction of the peak from 1e-9 to 0.5")
+    return Plan(jnp.asarray(_TOLERANCE_PER_ERROR * accuracy, dtype=jnp.float64), max_steps)
+
+
+def reason(code: int, max_steps: int) -> str:
+    """A failure code in words; empty when there is none."""
+    name = {STEPS: "steps", NOT_FINITE: "not_finite", SOLVER: "solver"}.get(int(code))
+    return _REASONS[name].format(max_steps=max_steps) if name else ""
+
+
+def _safe_norm(scaled_error: Array) -> Array:
+    """RMS norm in which NaN counts as infinite: a plain norm makes the controller reject for ever."""
+    norm = jnp.sqrt(jnp.mean(jnp.square(scaled_error)))
+    return jnp.where(jnp.isfinite(norm), norm, jnp.inf)
+
+
+def integrate(scene: Scene, params: Params, times: Array, how: Plan, adjoint: dfx.AbstractAdjoint) -> Solution:
+    """Integrate from time 0 and return the states at ``times`` (a time before 0 reads the initial state).
+
+    Pure: jit, vmap, and the derivatives that ``adjoint`` supports go through. Never raises for a
+    failed run: its states are NaN from there on and ``code`` says why.
+    """
+    times = jnp.maximum(times, 0.0)
+    state = initial_state(scene, params)
+    scales = jax.lax.stop_gradient(state_scales(scene, params))
+    first_step = 1e-2 * scales[0] / scales[-1]
+    controller = dfx.PIDController(
+        rtol=0.0, atol=how.tolerance * scales, pcoeff=0.2, icoeff=0.5, norm=_safe_norm, dtmin=None
+    )
+    solution = dfx.diffeqsolve(
+        dfx.ODETerm(field),
+        dfx.Tsit5(),
+        t0=0.0,
+        t1=jnp.maximum(times[-1], first_step),
+        dt0=first_step,
+        y0=state,
+        args=(scene, params),
+        saveat=dfx.SaveAt(subs=(dfx.SubSaveAt(ts=times), dfx.SubSaveAt(t1=True))),
+        stepsize_controller=controller,
+        adjoint=adjoint,
+        max_steps=how.max_steps,
+        throw=False,
+    )
+    states, _ = solution.ys
+    states = jnp.where(jnp.isfinite(states), states, jnp.nan)
+    code = jnp.where(
+        solution.result == dfx.RESULTS.successful,
+        jnp.where(jnp.all(jnp.isfinite(states)), OK, NOT_FINITE),
+        jnp.where(solution.result == dfx.RESULTS.max_steps_reached, STEPS, SOLVER),
+    )
+    stats = solution.stats
+    return Solution(states, code, solution.ts[1][0], stats["num_accepted_steps"], stats["num_rejected_steps"])

@@ -1,0 +1,41 @@
+"""Contact laws by name: an elastic part (``elastic``) inside a normal-force law (``normal``)."""
+
+from __future__ import annotations
+
+from bcfj_jax.errors import InputError, nearest
+from bcfj_jax.laws.elastic import ELASTIC as ELASTIC
+from bcfj_jax.laws.elastic import AbstractElastic as AbstractElastic
+from bcfj_jax.laws.elastic import bai_zhao_stiffness as bai_zhao_stiffness
+from bcfj_jax.laws.normal import AbstractLaw as AbstractLaw
+from bcfj_jax.laws.normal import AdamsImpact, Hertz, KelvinVoigt, MemoryFree, Restitution
+from bcfj_jax.restitution import FACTORS
+
+LAWS = ("memory_free", "hertz", "kelvin_voigt", "adams_impact", *FACTORS)
+
+
+def make(law: str = "memory_free", elastic: str | None = None) -> AbstractLaw:
+    """A normal-force law by name.
+
+    Args:
+        law: one of ``LAWS``; a name of ``restitution.FACTORS`` gives that member of the family.
+        elastic: one of ``ELASTIC``; by default ``linear`` for ``kelvin_voigt`` and ``power`` for the rest.
+
+    Raises:
+        InputError: for a name that is not known, with the nearest one that is.
+    """
+    if elastic is None:
+        elastic = "linear" if law == "kelvin_voigt" else "power"
+    if elastic not in ELASTIC:
+        raise InputError("elastic", f"no elastic part '{elastic}'", nearest(elastic, ELASTIC))
+    part = ELASTIC[elastic]
+    simple = {
+        "memory_free": MemoryFree,
+        "hertz": Hertz,
+        "kelvin_voigt": KelvinVoigt,
+        "adams_impact": AdamsImpact,
+    }
+    if law in simple:
+        return simple[law](elastic=part)
+    if law in FACTORS:
+        return Restitution(factor=FACTORS[law], elastic=part)
+    raise InputError("law", f"no law '{law}'", nearest(law, LAWS))

@@ -1,0 +1,84 @@
+"""Kink-safe primitives. Every guard against a NaN derivative in this package lives here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+
+
+def power(base: ArrayLike, exponent: ArrayLike) -> Array:
+    """``base**exponent`` where base > 0, else exactly 0, with finite derivatives of every order.
+
+    The double ``where`` keeps the untaken branch finite: a single one gives NaN in reverse mode
+    and ``maximum(base, 0)**n`` gives NaN second derivatives on the whole separated side.
+    """
+    base = jnp.asarray(base)
+    inside = base > 0
+    return jnp.where(inside, jnp.where(inside, base, 1.0) ** exponent, 0.0)
+
+
+def positive(value: ArrayLike) -> Array:
+    """``value`` where it is > 0, else exactly 0, with derivative 0 on the clipped side."""
+    value = jnp.asarray(value)
+    return jnp.where(value > 0, value, 0.0)
+
+
+def smooth_step(fraction: ArrayLike) -> Array:
+    """Cubic step s^2 (3 - 2 s) of a fraction clipped to [0, 1]; C1 (the ADAMS ``STEP``)."""
+    s = jnp.clip(fraction, 0.0, 1.0)
+    return s * s * (3.0 - 2.0 * s)
+
+
+def smooth_ramp(distance: ArrayLike, width: ArrayLike) -> tuple[Array, Array]:
+    """C2 onset of a penetration, and its slope.
+
+    With s = (d + w) / 2 w clipped to [0, 1]:  r(d) = 2 w s^3 (1 - s / 2)  for d < w,  r = d  above;
+    dr/dd = s^2 (3 - 2 s).  Exactly 0 for d <= -w, exactly d for d >= w, and max(d, 0) where w = 0.
+
+    Args:
+        distance: signed overlap d [m], positive in contact.
+        width: half-width w [m] of the blend, >= 0.
+
+    Returns:
+        r [m] and dr/dd [-], of the broadcast shape.
+    """
+    distance, width = jnp.asarray(distance), jnp.asarray(width)
+    on = width > 0
+    half = jnp.where(on, width, 1.0)
+    s = jnp.clip((distance + half) / (2.0 * half), 0.0, 1.0)
+    blend = jnp.where(distance < half, 2.0 * half * s**3 * (1.0 - 0.5 * s), distance)
+    slope = s * s * (3.0 - 2.0 * s)
+    sharp = jnp.where(distance > 0, 1.0, 0.0)
+    return jnp.where(on, blend, positive(distance)), jnp.where(on, slope, sharp)
+
+
+def newton_root(
+    residual: Callable[[Array], Array], start: ArrayLike, iterations: int = 40
+) -> Array:
+    """Root of a smooth elementwise residual by Newton, differentiated by the implicit function theorem.
+
+    The iteration stops at ``iterations`` or when the step falls to rounding; a start on the convex
+    side of the root makes it monotone, which is the caller's business.
+    """
+
+    def solve(function: Callable[[Array], Array], guess: Array) -> Array:
+        def step(carry):
+            x, _, count = carry
+            value, slope = jax.jvp(function, (x,), (jnp.ones_like(x),))
+            change = value / jnp.where(slope == 0, 1.0, slope)
+            return x - change, jnp.max(jnp.abs(change) / (jnp.abs(x) + 1e-300)), count + 1
+
+        def more(carry):
+            return (carry[1] > 1e-15) & (carry[2] < iterations)
+
+        return jax.lax.while_loop(more, step, (guess, jnp.asarray(jnp.inf), 0))[0]
+
+    def tangent_solve(linear: Callable[[Array], Array], target: Array) -> Array:
+        return target / linear(jnp.ones_like(target))
+
+    start = jnp.asarray(start, dtype=float)
+    return jax.lax.custom_root(residual, start, solve, tangent_solve)

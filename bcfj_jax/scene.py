@@ -1,0 +1,136 @@
+"""A scene lists its bodies, contacts and loads; what it does not list is not in the compiled program.
+
+Scenes are static structure: no arrays, hashable, one compiled program per distinct scene. Numbers live
+in the parameters, a flat dict of float64 scalars that may be traced, batched and differentiated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from bcfj_jax.errors import InputError, nearest
+from bcfj_jax.laws import AbstractLaw
+from bcfj_jax.quantities import CATALOGUE, Quantity
+
+Params = Mapping[str, Array]
+
+
+class Body(eqx.Module):
+    """A translating rigid body with the parameter that holds its mass and its number of coordinates."""
+
+    name: str = eqx.field(static=True)
+    mass: str = eqx.field(static=True, default="mass")
+    coordinates: int = eqx.field(static=True, default=1)
+
+
+class Contact(eqx.Module):
+    """A pair of surfaces: where they are (gap), what they do (law).
+
+    Attributes:
+        gap: (positions, params) -> signed gap [m], positive apart. Its gradient is the force's direction.
+        law: the normal-force law; its coefficients are parameters of the scene.
+        smoothed: whether the penetration has a C2 onset of width ``smoothing``.
+        approach: (positions, velocities, params) -> the speed [m/s] at the next touch, for laws that need it.
+        memory_rate: (approach, params) -> rate [1/s] at which a remembered approach speed forgets the
+            last impact while apart. None: the speed is the same for the whole run and needs no state.
+    """
+
+    name: str = eqx.field(static=True)
+    gap: Callable[[Array, Params], Array] = eqx.field(static=True)
+    law: AbstractLaw
+    smoothed: bool = eqx.field(static=True, default=True)
+    approach: Callable[[Array, Array, Params], Array] | None = eqx.field(static=True, default=None)
+    memory_rate: Callable[[Array, Params], Array] | None = eqx.field(static=True, default=None)
+
+    @property
+    def remembers(self) -> bool:
+        """Whether the contact carries a state of its own: its last approach speed."""
+        return self.memory_rate is not None and "approach_speed" in self.law.needs
+
+    @property
+    def coefficients(self) -> tuple[str, ...]:
+        """Names of the parameters the contact reads."""
+        own = tuple(name for name in self.law.needs if name != "approach_speed")
+        return own + (("smoothing",) if self.smoothed else ())
+
+
+class Load(eqx.Module):
+    """An applied force: (params) -> generalised force [N] on the coordinates."""
+
+    name: str = eqx.field(static=True)
+    force: Callable[[Params], Array] = eqx.field(static=True)
+    needs: tuple[str, ...] = eqx.field(static=True)
+
+
+class Scene(eqx.Module):
+    """Static structure of a simulation.
+
+    Attributes:
+        kind: name of the family the scene belongs to.
+        bodies, contacts, loads: what is in it, and all that is in it.
+        needs: parameters of motion and placement beside those of contacts, masses and loads.
+        defaults: every parameter's default value, SI.
+        start: (params) -> positions [m] and velocities [m/s] at time 0.
+        impact_scale: (params) -> typical mass [kg] and speed [m/s] of an impact, from which the error
+            control takes its units.
+        horizon: (params) -> a sensible end time [s] where the user gives none.
+    """
+
+    kind: str = eqx.field(static=True)
+    bodies: tuple[Body, ...]
+    contacts: tuple[Contact, ...]
+    loads: tuple[Load, ...]
+    needs: tuple[str, ...] = eqx.field(static=True)
+    defaults: tuple[tuple[str, float], ...] = eqx.field(static=True)
+    start: Callable[[Params], tuple[Array, Array]] = eqx.field(static=True)
+    impact_scale: Callable[[Params], tuple[Array, Array]] = eqx.field(static=True)
+    horizon: Callable[[Params], Array] = eqx.field(static=True)
+
+    @property
+    def quantities(self) -> dict[str, Quantity]:
+        """Every parameter the scene has, in a readable order, by name."""
+        names = [name for contact in self.contacts for name in contact.coefficients]
+        names += [body.mass for body in self.bodies]
+        names += [*self.needs, *(name for load in self.loads for name in load.needs)]
+        return {name: CATALOGUE[name] for name in dict.fromkeys(names)}
+
+    def parameters(self, values: Mapping[str, ArrayLike] | None = None, **more: ArrayLike) -> dict[str, Array]:
+        """The scene's parameters as a pytree of float64 leaves, SI.
+
+        Args:
+            values: values by name (for names with a dot in them).
+            more: values by name. A value may be a number, an array (a batch for ``vmap``) or traced.
+
+        Raises:
+            InputError: for a name the scene does not have (with the nearest it has) and for a number
+                outside its quantity's range.
+        """
+        given = {**(values or {}), **more}
+        known = self.quantities
+        for name, value in given.items():
+            if name not in known:
+                raise InputError(f"scene '{self.kind}'", f"no parameter '{name}' = {value}", nearest(name, known))
+            check_value(f"scene '{self.kind}'", known[name], value)
+        defaults = dict(self.defaults)
+        return {name: jnp.asarray(given.get(name, defaults[name]), dtype=jnp.float64) for name in known}
+
+
+def check_value(where: str, quantity: Quantity, value: ArrayLike) -> None:
+    """Refuse numbers outside the quantity's range; traced values cannot be looked at and pass.
+
+    Raises:
+        InputError: naming the place, the value and the range.
+    """
+    if isinstance(value, jax.core.Tracer):
+        return
+    for number in np.ravel(np.asarray(value, dtype=float)):
+        if not quantity.valid(float(number)):
+            found = f"{quantity.name} = {number:g} {quantity.unit} is out of range"
+            raise InputError(where, found, f"{quantity.meaning} must be {quantity.range}")

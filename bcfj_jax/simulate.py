@@ -1,0 +1,153 @@
+"""The public verbs: ``force_history`` (pure, differentiable) and ``simulate`` (a run with its story)."""
+
+from __future__ import annotations
+
+import time
+from typing import Literal, NamedTuple
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from bcfj_jax.dynamics import Reading, observe
+from bcfj_jax.errors import InputError
+from bcfj_jax.integrate import OK, Plan, Solution, integrate, plan, reason
+from bcfj_jax.scene import Params, Scene
+from bcfj_jax.two_way import two_way
+
+Mode = Literal["auto", "forward", "reverse"]
+_FORWARD, _REVERSE = dfx.ForwardMode(), dfx.RecursiveCheckpointAdjoint()
+
+
+class Run(NamedTuple):
+    """A finished simulation, as NumPy arrays.
+
+    Attributes:
+        times: (T,) [s].
+        force: per contact (T, 3): normal, axial, tangential force [N].
+        penetration, rate: per contact (T,): overlap [m] (negative: gap) and its rate [m/s].
+        status: "ok" or "failed"; a failed run is NaN from the failure on.
+        reason, failure_time: why and when [s] it failed; "" and NaN for a good run.
+        stats: steps accepted and rejected, tolerance, wall and compile seconds.
+    """
+
+    times: np.ndarray
+    force: dict[str, np.ndarray]
+    penetration: dict[str, np.ndarray]
+    rate: dict[str, np.ndarray]
+    status: str
+    reason: str
+    failure_time: float
+    stats: dict[str, float]
+
+
+def _readings(scene: Scene, params: Params, solution: Solution) -> dict[str, Reading]:
+    return jax.vmap(lambda state: observe(scene, state, params))(solution.states)
+
+
+def _forces(adjoint: dfx.AbstractAdjoint, scene: Scene, params: Params, times: Array, how: Plan) -> dict[str, Array]:
+    readings = _readings(scene, params, integrate(scene, params, times, how, adjoint))
+    return {name: reading.force for name, reading in readings.items()}
+
+
+def force_history(
+    scene: Scene,
+    params: Params,
+    times: ArrayLike,
+    *,
+    accuracy: str | float | Plan = "balanced",
+    mode: Mode = "auto",
+) -> dict[str, Array]:
+    """Contact-force histories as a pure function of parameters and times.
+
+    jit, vmap, jvp, jacfwd and grad go through. Step-size control is never differentiated. A failed run
+    is NaN from the failure on; so is then every loss built on it.
+
+    Args:
+        scene: static structure.
+        params: the scene's parameters, SI, from ``scene.parameters``.
+        times: (T,) increasing [s]; the run starts at 0, and a time before 0 reads the initial state.
+        accuracy: level, force error as a fraction of the peak, or a ``Plan`` (whose tolerance may be traced).
+        mode: "forward" (jvp, jacfwd, nested ones: fastest for some 50 parameters), "reverse" (vjp, grad:
+            checkpointed), or "auto": both, first derivatives only, for one forward run more.
+
+    Returns:
+        Per contact (T, 3) [N], or (T, k, 3) where the contact has k members: normal, axial, tangential.
+    """
+    how = accuracy if isinstance(accuracy, Plan) else plan(scene, accuracy)
+    times = jnp.asarray(times, dtype=jnp.float64)
+    if mode == "forward":
+        return _forces(_FORWARD, scene, params, times, how)
+    if mode == "reverse":
+        return _forces(_REVERSE, scene, params, times, how)
+    if mode == "auto":
+        ways = [lambda x, a=adjoint: _forces(a, scene, *x, how) for adjoint in (_FORWARD, _REVERSE)]
+        return two_way(*ways)((dict(params), times))
+    raise InputError("mode", f"no mode '{mode}'", "use auto, forward or reverse")
+
+
+@eqx.filter_jit
+def _run(scene: Scene, params: Params, times: Array, how: Plan) -> tuple[Solution, dict[str, Reading]]:
+    solution = integrate(scene, params, times, how, _FORWARD)
+    return solution, _readings(scene, params, solution)
+
+
+_compiled: dict[object, eqx.Module] = {}
+
+
+def _checked_times(times: ArrayLike) -> np.ndarray:
+    values = np.asarray(times, dtype=float)
+    if values.ndim != 1 or values.size == 0 or not np.all(np.isfinite(values)):
+        raise InputError("times", f"shape {values.shape}", "give a non-empty 1-D array of finite times [s]")
+    late = np.flatnonzero(np.diff(values) <= 0)
+    if late.size:
+        k = int(late[0])
+        raise InputError("times", f"times[{k + 1}] = {values[k + 1]:g} follows {values[k]:g}", "times must increase")
+    return values
+
+
+def simulate(
+    scene: Scene, params: Params, times: ArrayLike, *, accuracy: str | float = "balanced", max_steps: int = 100_000
+) -> Run:
+    """Simulate a scene and say how it went.
+
+    Compiles once per scene and number of times; new parameter values, times and accuracies reuse it.
+
+    Args:
+        scene, params, times, accuracy: as ``force_history``.
+        max_steps: budget of attempted steps; beyond it the run fails with that reason.
+
+    Raises:
+        InputError: for times that are not finite and increasing, and for an unknown accuracy.
+    """
+    values = _checked_times(times)
+    how = plan(scene, accuracy, max_steps)
+    arguments = (scene, dict(params), jnp.asarray(values), how)
+    key = (scene, len(values), max_steps, jax.tree.structure(params))
+    begin = time.perf_counter()
+    if key not in _compiled:
+        _compiled[key] = _run.lower(*arguments).compile()
+    compiled = time.perf_counter()
+    solution, readings = jax.device_get(_compiled[key](*arguments))
+    done = time.perf_counter()
+    failed = int(solution.code) != OK
+    return Run(
+        times=values,
+        force={name: np.asarray(r.force) for name, r in readings.items()},
+        penetration={name: np.asarray(r.penetration) for name, r in readings.items()},
+        rate={name: np.asarray(r.rate) for name, r in readings.items()},
+        status="failed" if failed else "ok",
+        reason=reason(int(solution.code), max_steps),
+        failure_time=float(solution.end) if failed else float("nan"),
+        stats={
+            "accepted": int(solution.accepted),
+            "rejected": int(solution.rejected),
+            "tolerance": float(how.tolerance),
+            "wall_s": done - compiled,
+            "compile_s": compiled - begin,
+        },
+    )
