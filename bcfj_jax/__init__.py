@@ -15,10 +15,12 @@ from bcfj_jax import laws as laws  # noqa: E402
 from bcfj_jax import restitution as restitution  # noqa: E402
 from bcfj_jax import scenes as scenes  # noqa: E402
 from bcfj_jax.errors import InputError as InputError  # noqa: E402
+from bcfj_jax.errors import nearest as nearest  # noqa: E402
 from bcfj_jax.scene import Body as Body  # noqa: E402
 from bcfj_jax.scene import Contact as Contact  # noqa: E402
 from bcfj_jax.scene import Load as Load  # noqa: E402
 from bcfj_jax.scene import Scene as Scene  # noqa: E402
+from bcfj_jax.scene import check_value as check_value  # noqa: E402
 from bcfj_jax.simulate import Run as Run  # noqa: E402
 from bcfj_jax.simulate import force_history as force_history  # noqa: E402
 from bcfj_jax.simulate import simulate as simulate  # noqa: E402

@@ -85,8 +85,8 @@ def force_history(
     if mode == "reverse":
         return _forces(_REVERSE, scene, params, times, how)
     if mode == "auto":
-        ways = [lambda x, a=adjoint: _forces(a, scene, *x, how) for adjoint in (_FORWARD, _REVERSE)]
-        return two_way(*ways)((dict(params), times))
+        ways = [lambda x, a=adjoint: _forces(a, scene, *x) for adjoint in (_FORWARD, _REVERSE)]
+        return two_way(*ways)((dict(params), times, how))
     raise InputError("mode", f"no mode '{mode}'", "use auto, forward or reverse")
 
 

@@ -77,6 +77,7 @@ mlir.register_lowering(_linear_p, mlir.lower_fun(_apply, multiple_results=True))
 def two_way(forward: Callable[[X], Y], reverse: Callable[[X], Y]) -> Callable[[X], Y]:
     """One function out of two that compute the same: one with a jvp, one with a vjp.
 
+    Both must be closed over static things only: everything traced is in their argument, arrays all.
     First derivatives only; differentiating twice raises, since ``forward`` alone can do that.
     The value is computed beside the tangents, so a jvp costs one evaluation more than ``forward``'s.
 
