@@ -34,10 +34,10 @@ def smooth_step(fraction: ArrayLike) -> Array:
 
 
 def smooth_ramp(distance: ArrayLike, width: ArrayLike) -> tuple[Array, Array]:
-    """C2 onset of a penetration, and its slope.
+    """C3 onset of a penetration, and its (C2) slope.
 
-    With s = (d + w) / 2 w clipped to [0, 1]:  r(d) = 2 w s^3 (1 - s / 2)  for d < w,  r = d  above;
-    dr/dd = s^2 (3 - 2 s).  Exactly 0 for d <= -w, exactly d for d >= w, and max(d, 0) where w = 0.
+    With s = (d + w) / 2 w clipped to [0, 1]:  r(d) = 2 w (5/2 s^4 - 3 s^5 + s^6)  for d < w,  r = d  above;
+    dr/dd = s^3 (10 - 15 s + 6 s^2).  Exactly 0 for d <= -w, exactly d for d >= w, max(d, 0) where w = 0.
 
     Args:
         distance: signed overlap d [m], positive in contact.
@@ -50,8 +50,8 @@ def smooth_ramp(distance: ArrayLike, width: ArrayLike) -> tuple[Array, Array]:
     on = width > 0
     half = jnp.where(on, width, 1.0)
     s = jnp.clip((distance + half) / (2.0 * half), 0.0, 1.0)
-    blend = jnp.where(distance < half, 2.0 * half * s**3 * (1.0 - 0.5 * s), distance)
-    slope = s * s * (3.0 - 2.0 * s)
+    blend = jnp.where(distance < half, 2.0 * half * s**4 * (2.5 + s * (s - 3.0)), distance)
+    slope = s**3 * (10.0 + s * (6.0 * s - 15.0))
     sharp = jnp.where(distance > 0, 1.0, 0.0)
     return jnp.where(on, blend, positive(distance)), jnp.where(on, slope, sharp)
 
@@ -61,7 +61,7 @@ def newton_root(
 ) -> Array:
     """Root of a smooth elementwise residual by Newton, differentiated by the implicit function theorem.
 
-    The iteration stops at ``iterations`` or when the step falls to rounding; a start on the convex
+    A NaN stays in its own lane. The iteration stops at ``iterations`` or when the step falls to rounding; a start on the convex
     side of the root makes it monotone, which is the caller's business.
     """
 
@@ -70,12 +70,12 @@ def newton_root(
             x, _, count = carry
             value, slope = jax.jvp(function, (x,), (jnp.ones_like(x),))
             change = value / jnp.where(slope == 0, 1.0, slope)
-            return x - change, jnp.max(jnp.abs(change) / (jnp.abs(x) + 1e-300)), count + 1
+            return x - change, jnp.any(jnp.abs(change) > 1e-15 * jnp.abs(x)), count + 1
 
         def more(carry):
-            return (carry[1] > 1e-15) & (carry[2] < iterations)
+            return carry[1] & (carry[2] < iterations)
 
-        return jax.lax.while_loop(more, step, (guess, jnp.asarray(jnp.inf), 0))[0]
+        return jax.lax.while_loop(more, step, (guess, jnp.asarray(True), 0))[0]
 
     def tangent_solve(linear: Callable[[Array], Array], target: Array) -> Array:
         return target / linear(jnp.ones_like(target))

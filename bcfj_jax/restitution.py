@@ -75,7 +75,8 @@ def exact(restitution: ArrayLike) -> Array:
 
 
 def _floored(restitution: ArrayLike) -> Array:
-    return jnp.maximum(jnp.asarray(restitution, dtype=float), LOWEST_RESTITUTION)
+    e = jnp.asarray(restitution, dtype=float)
+    return jnp.where(e < LOWEST_RESTITUTION, LOWEST_RESTITUTION, e)
 
 
 def hunt_crossley(restitution: ArrayLike) -> Array:

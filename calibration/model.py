@@ -63,11 +63,11 @@ class Model(eqx.Module):
 
     def values(self, point: Array, log_depth: Array) -> list[Array]:
         """Parameter values, SI, one a slot, at a unit-box point; ``log_depth`` is ln d_ref."""
-        lower, width = self._box(log_depth)
+        lower, width = self.box(log_depth)
         z = lower + point * width
         values = [jnp.exp(z[i]) if slot.log else z[i] for i, slot in enumerate(self.slots)]
         if self.referenced:
-            k, n = self._pair()
+            k, n = self.pair()
             values[k] = jnp.exp(z[k] - values[n] * log_depth)
         return values
 
@@ -75,20 +75,22 @@ class Model(eqx.Module):
         """The inverse of ``values``, for NumPy vectors."""
         z = np.array([np.log(v) if slot.log else v for v, slot in zip(values, self.slots, strict=True)])
         if self.referenced:
-            k, n = self._pair()
+            k, n = self.pair()
             z[k] += values[n] * log_depth
-        lower, width = self._box(jnp.asarray(log_depth))
+        lower, width = self.box(jnp.asarray(log_depth))
         return (z - np.asarray(lower)) / np.asarray(width)
 
-    def _pair(self) -> tuple[int, int]:
+    def pair(self) -> tuple[int, int]:
+        """Slots of the shared stiffness and exponent."""
         names = [slot.name if slot.experiment is None else "" for slot in self.slots]
         return names.index("stiffness"), names.index("exponent")
 
-    def _box(self, log_depth: Array) -> tuple[Array, Array]:
+    def box(self, log_depth: Array) -> tuple[Array, Array]:
+        """Lower bounds and widths of the coordinates on the search scale."""
         lower = jnp.array([slot.lower for slot in self.slots])
         upper = jnp.array([slot.upper for slot in self.slots])
         if self.referenced:
-            k, n = self._pair()
+            k, n = self.pair()
             exponents = [jnp.exp(b[n]) if self.slots[n].log else b[n] for b in (lower, upper)]
             shifts = jnp.stack([e * log_depth for e in exponents])
             lower, upper = lower.at[k].add(shifts.min()), upper.at[k].add(shifts.max())

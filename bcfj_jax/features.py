@@ -1,0 +1,144 @@
+"""What one contact's history amounts to: a number each, from times, normal force, penetration and its rate.
+
+All but ``onsets`` and ``period`` are pure and differentiable and take arrays of shape (T,); ``vmap`` them
+over members and batches. They see samples only: what happens between two samples is not in them.
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+UNITS = {
+    "peak": "N",
+    "mean": "N",
+    "period": "s",
+    "impulse": "N s",
+    "dissipated_work": "J",
+    "contact_fraction": "1",
+    "contact_start": "s",
+    "contact_end": "s",
+    "peak_penetration": "m",
+}
+
+
+def peak(values: ArrayLike) -> Array:
+    """Greatest sample of a force, max F [N], or of a penetration, max d [m]."""
+    return jnp.max(jnp.asarray(values))
+
+
+def impulse(times: ArrayLike, force: ArrayLike) -> Array:
+    """Impulse, the integral of F dt by the trapezoidal rule [N s]."""
+    return jnp.trapezoid(jnp.asarray(force), jnp.asarray(times))
+
+
+def mean(times: ArrayLike, force: ArrayLike) -> Array:
+    """Time average of the force, (integral of F dt)/(t_end - t_0) [N], time apart included."""
+    times = jnp.asarray(times)
+    return impulse(times, force) / (times[-1] - times[0])
+
+
+def dissipated_work(force: ArrayLike, penetration: ArrayLike) -> Array:
+    """Work kept by the contact, the integral of F dd along the history by the trapezoidal rule [J].
+
+    It is the area of the loop of force against penetration when the history starts and ends apart;
+    else it still holds the elastic energy stored at the end.
+    """
+    return jnp.trapezoid(jnp.asarray(force), jnp.asarray(penetration))
+
+
+def contact_fraction(times: ArrayLike, penetration: ArrayLike) -> Array:
+    """Share of the time with d > 0, d linear between samples [-]."""
+    times, d = jnp.asarray(times), jnp.asarray(penetration)
+    inside = jnp.maximum(d, 0.0)
+    size = jnp.abs(d[1:]) + jnp.abs(d[:-1])
+    share = (inside[1:] + inside[:-1]) / jnp.where(size == 0, 1.0, size)
+    return jnp.sum(share * jnp.diff(times)) / (times[-1] - times[0])
+
+
+def peak_time(times: ArrayLike, force: ArrayLike) -> Array:
+    """Time of the greatest force: vertex of the parabola through the greatest sample and its neighbours [s]."""
+    times, force = jnp.asarray(times), jnp.asarray(force)
+    top = jnp.argmax(force)
+    k = jnp.clip(top, 1, force.shape[0] - 2)
+    left, right = times[k] - times[k - 1], times[k + 1] - times[k]
+    rise, fall = (force[k] - force[k - 1]) / left, (force[k + 1] - force[k]) / right
+    bend = rise - fall
+    shift = 0.5 * (rise * right + fall * left) / jnp.where(bend > 0, bend, 1.0)
+    inner = (bend > 0) & (top == k)
+    return jnp.where(inner, times[k] + jnp.where(inner, shift, 0.0), times[top])
+
+
+def delay(times: ArrayLike, first: ArrayLike, second: ArrayLike) -> Array:
+    """Peak time of the second force less that of the first [s]."""
+    return peak_time(times, second) - peak_time(times, first)
+
+
+def unseen(penetration: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    """Indices k of contacts that began and ended between the samples k and k + 1.
+
+    Told by the rate: it turns from approach to departure, apart at both samples, in a jump (more than ten
+    times the median change of the rate over a sample), as no load but a contact does.
+    """
+    jump = np.abs(np.diff(rate))
+    turned = (rate[:-1] > 0) & (rate[1:] < 0) & (penetration[:-1] <= 0) & (penetration[1:] <= 0)
+    finite = jump[np.isfinite(jump)]
+    return np.flatnonzero(turned & (jump > 10.0 * np.median(finite))) if finite.size else np.empty(0, dtype=int)
+
+
+def onsets(times: ArrayLike, penetration: ArrayLike, rate: ArrayLike) -> list[tuple[float, float]]:
+    """Start and end of each contact, d > 0 between them [s]; NaN for an end after the last sample.
+
+    Roots of the cubic Hermite interpolant of d and d' in the samples' interval. A contact between two
+    samples (``unseen``) starts and ends where the neighbours' straight flights meet the surface. NumPy, not traced.
+    """
+    t, d, v = (np.asarray(x, dtype=float) for x in (times, penetration, rate))
+    found = [(float(t[0]), True)] if d[0] > 0 else []
+    found += [(_root(t, d, v, k), True) for k in np.flatnonzero((d[:-1] <= 0) & (d[1:] > 0))]
+    found += [(_root(t, d, v, k), False) for k in np.flatnonzero((d[:-1] > 0) & (d[1:] <= 0))]
+    for k in unseen(d, v):
+        start, end = t[k] - d[k] / v[k], t[k + 1] - d[k + 1] / v[k + 1]
+        # Gravity and the contact's own length make the two cross by less than they mean.
+        found += [(float(start), True), (float(max(start, end)), False)]
+    # At one instant an end sorts after its start.
+    found.sort(key=lambda event: (event[0], not event[1]))
+    starts = [time for time, starting in found if starting]
+    ends = [time for time, starting in found if not starting]
+    return [(start, ends[i] if i < len(ends) else float("nan")) for i, start in enumerate(starts)]
+
+
+def _root(t: np.ndarray, d: np.ndarray, v: np.ndarray, k: int) -> float:
+    """Root of the Hermite cubic between samples k and k + 1, which differ in sign, by bisection."""
+    h = t[k + 1] - t[k]
+    a, b, p, q = d[k], d[k + 1], h * v[k], h * v[k + 1]
+    low, high, upward = 0.0, 1.0, b > a
+    for _ in range(60):
+        s = 0.5 * (low + high)
+        value = a + s * (p + s * (3 * (b - a) - 2 * p - q + s * (2 * (a - b) + p + q)))
+        low, high = (s, high) if (value <= 0) == upward else (low, s)
+    return float(t[k] + h * 0.5 * (low + high))
+
+
+def period(times: ArrayLike, penetration: ArrayLike, rate: ArrayLike) -> float:
+    """Mean interval between the starts of contacts, (t_last - t_first)/(count - 1) [s]; NaN for fewer than 2."""
+    starts = [start for start, _ in onsets(times, penetration, rate)]
+    return (starts[-1] - starts[0]) / (len(starts) - 1) if len(starts) > 1 else float("nan")
+
+
+def summary(times: ArrayLike, force: ArrayLike, penetration: ArrayLike, rate: ArrayLike) -> dict[str, float]:
+    """Every feature of one contact, as numbers in ``UNITS``; start and end are those of the first contact."""
+    contacts = onsets(times, penetration, rate)
+    start, end = contacts[0] if contacts else (float("nan"), float("nan"))
+    return {
+        "peak": float(peak(force)),
+        "mean": float(mean(times, force)),
+        "period": period(times, penetration, rate),
+        "impulse": float(impulse(times, force)),
+        "dissipated_work": float(dissipated_work(force, penetration)),
+        "contact_fraction": float(contact_fraction(times, penetration)),
+        "contact_start": start,
+        "contact_end": end,
+        "peak_penetration": float(peak(penetration)),
+    }

@@ -1,0 +1,207 @@
+"""Result files: where they go, that none is overwritten or left half written, and what each one holds."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import hashlib
+import importlib.metadata
+import io
+import json
+import math
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bcfj_jax.errors import InputError
+
+if TYPE_CHECKING:
+    from bcfj_jax.simulate import Run
+
+_COMPONENTS = ("normal", "axial", "tangential")
+_PACKAGES = ("jax", "jaxlib", "diffrax", "equinox", "optimistix", "lineax", "numpy", "scipy", "pint", "pydantic")
+
+
+def open_folder(out: Path | None, verb: str, stem: str, will_write: Sequence[str]) -> Path:
+    """The folder for a command's results; it is created with the first file that is written.
+
+    Args:
+        out: what the user asked for; None: ``results/<verb>-<stem>``, numbered where that exists.
+        verb, stem: what was done to what.
+        will_write: names of the files to come.
+
+    Raises:
+        InputError: if the folder asked for already holds one of them, or is no folder.
+    """
+    if out is None:
+        base, number = Path("results") / f"{verb}-{stem}", 1
+        folder = base
+        while folder.exists():
+            number += 1
+            folder = base.with_name(f"{base.name}-{number}")
+        return folder
+    if out.exists() and not out.is_dir():
+        raise InputError(f"--out {out}", "this is not a folder", "name a folder")
+    there = [name for name in will_write if (out / name).exists()]
+    if there:
+        found = f"already holds {', '.join(there)}"
+        raise InputError(f"--out {out}", found, "name another folder, or remove them: nothing is overwritten")
+    return out
+
+
+@contextlib.contextmanager
+def atomic(path: Path) -> Iterator[Path]:
+    """A temporary name beside a file; the file appears whole when the block ends without error."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    os.close(handle)
+    try:
+        yield Path(name)
+        # mkstemp makes the file private; results get the mode any new file has.
+        mask = os.umask(0)
+        os.umask(mask)
+        os.chmod(name, 0o666 & ~mask)
+        os.replace(name, path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def write_text(path: Path, text: str) -> None:
+    """A UTF-8 file, atomically."""
+    with atomic(path) as temporary:
+        temporary.write_text(text, encoding="utf-8", newline="\n")
+
+
+def plain(value: Any) -> Any:
+    """A value as JSON knows it: arrays to lists, paths to texts, NaN and infinities to None."""
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [plain(v) for v in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return str(value) if isinstance(value, Path) else value
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """A JSON file, atomically; NaN and infinities become null."""
+    write_text(path, json.dumps(plain(content), indent=2, allow_nan=False) + "\n")
+
+
+def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    """A CSV file, atomically; floats in full precision, NaN as an empty cell."""
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows([_cell(value) for value in row] for row in rows)
+    write_text(path, buffer.getvalue())
+
+
+def _cell(value: Any) -> Any:
+    if isinstance(value, (float, np.floating)):
+        return "" if math.isnan(value) else repr(float(value))
+    return value
+
+
+def write_toml(path: Path, content: Mapping[str, Any], comment: str = "") -> None:
+    """A TOML file, atomically, under comment lines."""
+    import tomli_w
+
+    head = "".join(f"# {line}\n" for line in comment.splitlines())
+    write_text(path, head + tomli_w.dumps(dict(content)))
+
+
+def channels(history: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Histories by contact, members apart: (T, 6, 3) under ``seat_ball`` becomes ``seat_ball_1`` .. ``_6``.
+
+    Args:
+        history: per contact forces (T, 3) or (T, k, 3), or scalars such as the penetration (T,) or (T, k).
+    """
+    apart: dict[str, np.ndarray] = {}
+    for name, values in history.items():
+        if values.ndim == (3 if values.shape[-1:] == (3,) and values.ndim > 1 else 2):
+            apart.update({f"{name}_{k + 1}": values[:, k] for k in range(values.shape[1])})
+        else:
+            apart[name] = values
+    return apart
+
+
+def write_forces(path: Path, run: Run) -> None:
+    """``forces.csv``: time [s], then every contact's three components [N]."""
+    forces = channels(run.force)
+    header = ["time [s]", *(f"{name}.{part} [N]" for name in forces for part in _COMPONENTS)]
+    table = np.column_stack([run.times, *forces.values()])
+    write_csv(path, header, table.tolist())
+
+
+def summary(run: Run) -> dict[str, Any]:
+    """``summary.json``: status, every contact's features, what the solver did."""
+    from bcfj_jax import features
+
+    penetration, rate = channels(run.penetration), channels(run.rate)
+    stats = run.stats
+    return {
+        "status": run.status,
+        "reason": run.reason,
+        "failure_time": run.failure_time,
+        "contacts": {
+            name: features.summary(run.times, force[:, 0], penetration[name], rate[name])
+            for name, force in channels(run.force).items()
+        },
+        "units": features.UNITS | {"failure_time": "s", "wall_s": "s", "compile_s": "s"},
+        "solver": {key: stats[key] for key in ("accepted", "rejected", "tolerance")},
+        "wall_s": stats["wall_s"],
+        "compile_s": stats["compile_s"],
+    }
+
+
+def version() -> str:
+    """The version of bcfj-jax; "unknown" where it is run from a checkout that is not installed."""
+    return _version("bcfj-jax")
+
+
+def _version(package: str) -> str:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "unknown"
+
+
+def _commit() -> dict[str, Any]:
+    root = Path(__file__).resolve().parent.parent
+    # An installed package may lie inside some other repository, whose commit says nothing.
+    if not (root / ".git").exists():
+        return {"commit": None, "modified": None}
+    git = ["git", "-C", str(root)]
+    try:
+        head = subprocess.run([*git, "rev-parse", "HEAD"], capture_output=True, text=True, timeout=10, check=True)
+        state = subprocess.run([*git, "status", "--porcelain"], capture_output=True, text=True, timeout=10, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return {"commit": None, "modified": None}
+    return {"commit": head.stdout.strip(), "modified": bool(state.stdout.strip())}
+
+
+def environment(seed: int | None = None, data: Sequence[Path] = ()) -> dict[str, Any]:
+    """``environment.json``: versions, device, seed, and the SHA-256 of every data file."""
+    import jax
+
+    return {
+        "bcfj_jax": version(),
+        "git": _commit(),
+        "python": sys.version.split()[0],
+        "platform": platform.platform(),
+        "packages": {name: _version(name) for name in _PACKAGES},
+        "device": {"backend": jax.default_backend(), "devices": [str(d) for d in jax.devices()]},
+        "seed": seed,
+        "data": {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in data},
+    }

@@ -1,0 +1,200 @@
+"""Scene files: what a TOML file says, checked, in SI, with every default filled in.
+
+    [scene]        kind, the scene's options (law, elastic, smoothing), [scene.spheres] for ``impact``
+    [parameters]   values by name, SI numbers or texts with a unit
+    [time]         end, samples; the run starts at 0
+    [accuracy]     force_error or level, and max_steps
+
+Without a ``law``, a file that gives ``restitution`` gets the law ``exact``, which delivers it.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+import typing
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pydantic
+from jax import Array
+
+from bcfj_jax import laws, scenes, tables
+from bcfj_jax.errors import InputError, nearest
+from bcfj_jax.integrate import LEVELS
+from bcfj_jax.quantities import CATALOGUE
+from bcfj_jax.scene import Scene, check_value
+from bcfj_jax.scenetemplate import template as template
+from bcfj_jax.spheres import Spheres
+from bcfj_jax.units import quantity
+
+_DEFAULT_LEVEL, _DEFAULT_STEPS, _DEFAULT_SAMPLES = "balanced", 100_000, 1001
+
+
+@dataclass(frozen=True)
+class SceneFile:
+    """A scene ready to run.
+
+    Attributes:
+        scene, params, times: what ``simulate`` takes.
+        accuracy: level, or force error as a fraction of the peak.
+        resolved: the file with every default, SI numbers: what ``run.toml`` gets; loads back to the same.
+        source: the file; None for a built-in scene's defaults.
+        max_steps: budget of attempted steps.
+    """
+
+    scene: Scene
+    params: dict[str, Array]
+    times: np.ndarray
+    accuracy: str | float
+    resolved: dict[str, Any]
+    source: Path | None
+    max_steps: int = _DEFAULT_STEPS
+
+
+class _Time(tables.Table):
+    end: Any = None
+    samples: int = pydantic.Field(_DEFAULT_SAMPLES, ge=2, le=10_000_000)
+
+
+class _Accuracy(tables.Table):
+    force_error: Any = None
+    level: str | None = None
+    max_steps: int = pydantic.Field(_DEFAULT_STEPS, ge=1, le=1_000_000_000)
+
+
+class _File(tables.Table):
+    scene: dict[str, Any]
+    parameters: dict[str, Any] = {}
+    time: _Time = _Time()
+    accuracy: _Accuracy = _Accuracy()
+
+
+def load(what: str | Path) -> SceneFile:
+    """A scene file, or the name of a built-in scene, which means its defaults.
+
+    Raises:
+        InputError: for a file that is missing, is no TOML, or holds anything that is not right.
+    """
+    path = Path(what)
+    if str(what) in scenes.SCENES:
+        return from_table({"scene": {"kind": str(what)}}, None)
+    if path.suffix != ".toml" and not path.exists():
+        names = ", ".join(scenes.SCENES)
+        raise InputError(str(what), "no such file and no such scene", f"give a .toml file or a scene's name: {names}")
+    return from_table(tables.read(path), path)
+
+
+def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
+    """The scene that a file's content describes; errors as ``load``."""
+    where = str(source) if source else f"scene '{table['scene']['kind']}'"
+    file = tables.validated(_File, dict(table), where)
+    scene, spheres = _scene(file, where)
+    values = _values(scene, file.parameters, spheres, where)
+    params = scene.parameters(values)
+    end = _end(scene, params, file.time, where)
+    accuracy = _accuracy(file.accuracy, where)
+    contact = scene.contacts[0]
+    resolved = {
+        "scene": {"kind": scene.kind, "law": _law_name(file), "elastic": _elastic_name(scene)},
+        "parameters": {name: float(value) for name, value in params.items()},
+        "time": {"end": end, "samples": file.time.samples},
+        "accuracy": {
+            "level" if isinstance(accuracy, str) else "force_error": accuracy,
+            "max_steps": file.accuracy.max_steps,
+        },
+    }
+    resolved["scene"]["smoothing"] = contact.smoothed
+    times = np.linspace(0.0, end, file.time.samples)
+    return SceneFile(scene, params, times, accuracy, resolved, source, file.accuracy.max_steps)
+
+
+def _law_name(file: _File) -> str:
+    return file.scene.get("law") or ("exact" if "restitution" in file.parameters else "memory_free")
+
+
+def _elastic_name(scene: Scene) -> str:
+    part = getattr(scene.contacts[0].law, "elastic", None)
+    return next(name for name, known in laws.ELASTIC.items() if type(known) is type(part))
+
+
+def _scene(file: _File, where: str) -> tuple[Scene, Spheres | None]:
+    kind = file.scene.get("kind")
+    place = f"{where}: [scene]"
+    if kind is None:
+        raise InputError(f"{place} kind", "the key 'kind' is missing", f"give one of {', '.join(scenes.SCENES)}")
+    if not isinstance(kind, str) or kind not in scenes.SCENES:
+        raise InputError(f"{place} kind", f"no scene '{kind}'", nearest(str(kind), scenes.SCENES))
+    checked = tables.validated(_options(kind), file.scene, where, "scene")
+    options = {name: value for name, value in checked if name not in ("kind", "spheres")}
+    options["law"] = _law_name(file)
+    for name, known in (("law", laws.LAWS), ("elastic", laws.ELASTIC)):
+        if options[name] is not None and options[name] not in known:
+            raise InputError(f"{place} {name}", f"no such {name} '{options[name]}'", nearest(options[name], known))
+    scene = scenes.make(kind, **options)
+    spheres = getattr(checked, "spheres", None)
+    if spheres and _elastic_name(scene) != "power":
+        found = f"spheres with elastic = '{_elastic_name(scene)}'"
+        raise InputError(f"{place} elastic", found, "spheres are in Hertz contact: leave elastic out, or say 'power'")
+    return scene, spheres
+
+
+def _options(kind: str) -> type[tables.Table]:
+    """The keys of [scene]: the scene function's own keyword arguments."""
+    function = scenes.SCENES[kind]
+    hints = typing.get_type_hints(function)
+    fields: dict[str, Any] = {
+        name: (hints[name], parameter.default) for name, parameter in inspect.signature(function).parameters.items()
+    }
+    if kind == "impact":
+        fields["spheres"] = (Spheres | None, None)
+    return pydantic.create_model("Options", __base__=tables.Table, kind=(str, ...), **fields)
+
+
+def _values(scene: Scene, given: Mapping[str, Any], spheres: Spheres | None, where: str) -> dict[str, float]:
+    derived = spheres.derived(f"{where}: [scene.spheres]") if spheres else {}
+    known = scene.quantities
+    for name in given:
+        place = f"{where}: [parameters] {name}"
+        if name in derived:
+            raise InputError(place, f"'{name}' is given twice", "[scene.spheres] sets it too: take one of them out")
+        if name not in known:
+            # A right name in the wrong place is no misspelling: the law, or another option, does not read it.
+            hint = f"known here: {', '.join(sorted(known))}" if name in CATALOGUE else nearest(name, known)
+            raise InputError(place, f"scene '{scene.kind}' with these options has no parameter '{name}'", hint)
+    values = {name: value for name, value in derived.items() if name in known}
+    exponent = values.get("exponent", 1.0)
+    # The exponent first: the unit of a stiffness depends on it.
+    for name in sorted(given, key=lambda name: name != "exponent"):
+        place = f"{where}: [parameters] {name}"
+        if name == "stiffness" and "exponent" in known and "exponent" not in values:
+            exponent = dict(scene.defaults)["exponent"]
+        values[name] = quantity(given[name], known[name].unit, place, exponent=exponent)
+        check_value(place, known[name], values[name])
+        exponent = values.get("exponent", exponent)
+    return values
+
+
+def _end(scene: Scene, params: dict[str, Array], time: _Time, where: str) -> float:
+    end = float(scene.horizon(params)) if time.end is None else quantity(time.end, "s", f"{where}: [time] end")
+    if not (math.isfinite(end) and end > 0):
+        raise InputError(f"{where}: [time] end", f"{end:g} s is out of range", "give a time > 0")
+    return end
+
+
+def _accuracy(table: _Accuracy, where: str) -> str | float:
+    place = f"{where}: [accuracy]"
+    if table.level is not None and table.force_error is not None:
+        raise InputError(place, "both level and force_error are given", "give exactly one of them")
+    if table.force_error is None:
+        level = table.level or _DEFAULT_LEVEL
+        if level not in LEVELS:
+            raise InputError(f"{place} level", f"no level '{level}'", nearest(level, LEVELS))
+        return level
+    error = quantity(table.force_error, "1", f"{place} force_error")
+    if not 1e-9 <= error <= 0.5:
+        raise InputError(f"{place} force_error", f"{error:g}", 'give a fraction of the peak from 1e-9 to 0.5, or "1 %"')
+    return error

@@ -1,0 +1,11 @@
+"""Calibration of contact coefficients from force histories, with a verdict.
+
+Reading order: ``problem`` (plain data), ``model`` (residuals), ``search`` (optima), ``judge`` (tests), ``fit``.
+"""
+
+from calibration.fit import Fit as Fit
+from calibration.fit import fit as fit
+from calibration.problem import Channel as Channel
+from calibration.problem import Experiment as Experiment
+from calibration.problem import Free as Free
+from calibration.problem import Problem as Problem

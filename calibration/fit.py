@@ -1,0 +1,328 @@
+"""From a problem to a fit: search, covariance, tests, verdict. No interval is given that is not stood behind."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from bcfj_jax import InputError
+from calibration import judge
+from calibration.model import Model, build, make_slots, predictions, residuals_and_jacobian
+from calibration.problem import NUISANCES, Experiment, Problem
+from calibration.search import End, Search, finish, search
+
+# A free parameter must be able to move some residual by this many sigma over its whole range.
+_LEAST_REACH = 1e-2
+
+
+class AllStartsFailed(RuntimeError):
+    """No start's simulation succeeded; the command line exits 3."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One estimate.
+
+    Attributes:
+        value: SI.
+        ci95: 95 % interval, or None where no honest one exists.
+        identifiable: whether the data determine it to better than a factor of two.
+        at_bound: "lower", "upper" or "".
+        kind: how it was found: "fitted", or "derived" from the reference force and exponent.
+    """
+
+    value: float
+    unit: str
+    ci95: tuple[float, float] | None
+    identifiable: bool
+    at_bound: str
+    kind: str = "fitted"
+
+
+@dataclass(frozen=True)
+class Reference:
+    """The power law where the data are: F_ref at d_ref, with the interval of F_ref (None as in Parameter)."""
+
+    penetration: float
+    force: float
+    ci95: tuple[float, float] | None
+
+
+@dataclass(frozen=True)
+class Record:
+    """One experiment beside its prediction: times (T,), per channel data, prediction (T,) and sigma [N]."""
+
+    name: str
+    held_out: bool
+    times: np.ndarray
+    data: dict[str, np.ndarray]
+    prediction: dict[str, np.ndarray]
+    sigma: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Outcome of a calibration; ``verdict`` first."""
+
+    verdict: str
+    reasons: list[str]
+    parameters: dict[str, Parameter]
+    reference: Reference | None
+    tests: list[judge.Test]
+    starts: list[dict[str, Any]]
+    residual: dict[str, float]
+    held_out: dict[str, dict[str, float]] | None
+    correlation: np.ndarray | None
+    labels: tuple[str, ...]
+    records: list[Record]
+    values: dict[str, float]
+    seed: int
+
+    def force_at(self, penetration: float) -> float:
+        """Elastic force [N] of the fitted power law at a penetration [m]."""
+        return self.values["stiffness"] * penetration ** self.values["exponent"]
+
+
+def fit(problem: Problem, *, seed: int = 0, starts: int = 12) -> Fit:
+    """Calibrate: find the optimum from several starts and say what may be believed of it.
+
+    Args:
+        problem: what to fit, from ``Problem(...)`` or ``load``.
+        seed: of the start design; the same seed gives the same fit.
+        starts: how many starts descend, at least 4.
+
+    Raises:
+        InputError: for a free parameter that moves no residual.
+        AllStartsFailed: if no start's simulation succeeds.
+    """
+    if starts < 4:
+        raise InputError("starts", f"{starts}", "use at least 4: agreement of fewer proves nothing")
+    fitted = tuple(e for e in problem.experiments if not e.hold_out)
+    model = build(problem, fitted)
+    labels = tuple(slot.label(fitted) for slot in model.slots)
+    given = [_given_start(problem, model)] if any(f.start is not None for f in problem.free) else []
+    found = search(model, given, starts, seed)
+    _refuse_idle(problem, labels, found)
+    if found.ends[0].failure:
+        raise AllStartsFailed(f"all {len(found.ends)} starts failed: {found.ends[0].failure}")
+    return _judge(problem, model, fitted, labels, found, seed)
+
+
+def _given_start(problem: Problem, model: Model) -> np.ndarray:
+    by_name = {f.name: f for f in problem.free}
+    middle = {f.name: np.sqrt(f.lower * f.upper) if f.log else 0.5 * (f.lower + f.upper) for f in problem.free}
+    chosen = [by_name[s.name].start for s in model.slots]
+    return np.array([middle[s.name] if c is None else c for s, c in zip(model.slots, chosen, strict=True)])
+
+
+def _refuse_idle(problem: Problem, labels: tuple[str, ...], found: Search) -> None:
+    for label, reach in zip(labels, found.reach, strict=True):
+        if reach < _LEAST_REACH:
+            raise InputError(
+                f"{problem.where}: [free.{label}]",
+                f"'{label}' moves no residual by more than {reach:.1g} of the noise over its whole range",
+                "fix it in the scene, or add data that depend on it",
+            )
+
+
+def _judge(
+    problem: Problem, model: Model, fitted: tuple[Experiment, ...], labels: tuple[str, ...], found: Search, seed: int
+) -> Fit:
+    best = found.ends[0]
+    depth = jnp.asarray(found.log_depth)
+    records = _records(model, fitted, np.asarray(predictions(model, jnp.asarray(best.point), depth)), False)
+    estimated = any(c.sigma is None for e in fitted for c in e.channels)
+    seen = np.asarray(model.data.weights) > 0
+    samples = int(seen.sum())
+    spread = judge.spread(best, samples, estimated)
+    shaped = best.residuals.reshape(seen.shape)
+    series = [shaped[i, j][seen[i, j]] for i in range(seen.shape[0]) for j in range(seen.shape[1]) if seen[i, j].any()]
+    tests = judge.agreement(found.ends, spread.scale, spread.covariance)
+    verdicts = {"not_converged" for t in tests if not t.passed}
+    quality = judge.residual_tests(series, best.point.size, estimated)
+    held_out, held_records = None, []
+    if any(e.hold_out for e in problem.experiments):
+        held_out, held_records, weighted = _hold_out(problem, model, best, found.log_depth)
+        rms_in = np.sqrt(best.cost / spread.freedom)
+        quality.append(
+            judge.held_out_test(rms_in, spread.freedom, float(np.sqrt(np.mean(weighted**2))), weighted.size)
+        )
+    verdicts |= {"misfit" for t in quality if not t.passed}
+    parameters, reference, identification = _estimates(model, labels, best, found.log_depth, spread)
+    verdicts |= {"not_identified" for t in identification if not t.passed}
+    tests += quality + identification
+    verdict = judge.order(verdicts)
+    if verdict != "identified":
+        parameters = {name: replace(p, ci95=None) for name, p in parameters.items()}
+        reference = reference and replace(reference, ci95=None)
+    values = {name: float(v[0]) for name, v in model.data.fixed.items()}
+    values |= {s.name: parameters[name].value for s, name in zip(model.slots, labels, strict=True) if s.experiment is None}
+    sigma = np.sqrt(np.diag(spread.covariance)) if spread.covariance is not None else None
+    return Fit(
+        verdict=verdict,
+        reasons=[t.reason for t in tests if not t.passed],
+        parameters=parameters,
+        reference=reference,
+        tests=tests,
+        starts=[_start_row(model, labels, end, found.log_depth) for end in found.ends],
+        residual={
+            "chi2": best.cost,
+            "degrees_of_freedom": spread.freedom,
+            "reduced_chi2": best.cost / spread.freedom,
+            "samples": samples,
+            "rms_force": _rms(records),
+            "noise": "estimated" if estimated else "stated",
+        },
+        held_out=held_out,
+        correlation=None if sigma is None else spread.covariance / np.outer(sigma, sigma),
+        labels=labels,
+        records=records + held_records,
+        values=values,
+        seed=seed,
+    )
+
+
+def _rms(records: list[Record]) -> float:
+    errors = [r.prediction[c] - r.data[c] for r in records for c in r.data]
+    return float(np.sqrt(np.nanmean(np.concatenate(errors) ** 2)))
+
+
+def _start_row(model: Model, labels: tuple[str, ...], end: End, log_depth: float) -> dict[str, Any]:
+    depth = jnp.asarray(log_depth)
+    begin, finish_ = (model.values(jnp.asarray(u), depth) for u in (end.start, end.point))
+    return {
+        "chi2": end.cost if not end.failure else float("nan"),
+        "converged": end.converged,
+        "failure": end.failure,
+        "from": {name: float(v) for name, v in zip(labels, begin, strict=True)},
+        "to": {name: float(v) for name, v in zip(labels, finish_, strict=True)},
+    }
+
+
+def _estimates(
+    model: Model, labels: tuple[str, ...], best: End, log_depth: float, spread: judge.Spread
+) -> tuple[dict[str, Parameter], Reference | None, list[judge.Test]]:
+    """Values, intervals, identifiability and bounds of every coordinate, and the tests of the latter three."""
+    depth = jnp.asarray(log_depth)
+    values = [float(v) for v in model.values(jnp.asarray(best.point), depth)]
+    lower, width = (np.asarray(a) for a in model.box(depth))
+    parameters: dict[str, Parameter] = {}
+    tests: list[judge.Test] = []
+    z = lower + best.point * width
+    cov = None if spread.covariance is None else spread.covariance * np.outer(width, width)
+    reference = None
+    pair = model.pair() if model.referenced else None
+    if pair:
+        z, cov = _with_stiffness(z, cov, pair, values[pair[1]], model.slots[pair[1]].log, log_depth)
+    for i, (slot, label) in enumerate(zip(model.slots, labels, strict=True)):
+        sigma = np.inf if cov is None else float(np.sqrt(cov[i, i]))
+        half = spread.quantile * sigma
+        widest = np.log(judge.WIDEST_FACTOR) if slot.log else judge.WIDEST_SHARE * (slot.upper - slot.lower)
+        identifiable = bool(half < widest)
+        edges = (z[i] - half, z[i] + half)
+        interval = tuple(float(np.exp(e)) if slot.log else float(e) for e in edges) if identifiable else None
+        margin = 1e-3 * (slot.upper - slot.lower)
+        at_bound = "lower" if z[i] < slot.lower + margin else "upper" if z[i] > slot.upper - margin else ""
+        unit = {**model.scene.quantities, **NUISANCES}[slot.name].unit
+        kind = "derived" if pair and i == pair[0] else "fitted"
+        parameters[label] = Parameter(values[i], unit, interval, identifiable, at_bound, kind)  # type: ignore[arg-type]
+        reason = f"the data do not determine {label}: they allow a factor or share beyond the limit"
+        tests.append(judge.Test(f"{label} determined", half, widest, identifiable, reason))
+        tests.append(judge.Test(f"{label} inside its bounds", 0, 0, not at_bound, f"{label} is at its {at_bound} bound"))
+        if identifiable and not at_bound and spread.covariance is not None:
+            tests.append(judge.curvature_test(label, _curvature(model, best, depth, spread, i)))
+    if not all(t.passed for t in tests if t.name.endswith("determined")):
+        order = np.argsort(-np.abs(spread.weakest))[:2]
+        names = " and ".join(labels[k] for k in order)
+        tests.append(judge.Test("weak direction", spread.condition, 0, False, f"the weakest direction of the data is in {names}"))
+    if pair:
+        reference = _reference(model, best, spread, log_depth, pair, lower, width)
+    return parameters, reference, tests
+
+
+def _with_stiffness(
+    z: np.ndarray, cov: np.ndarray | None, pair: tuple[int, int], exponent: float, exponent_is_log: bool, log_depth: float
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """From the coordinate ln F_ref to ln K = ln F_ref - n ln d_ref, and the covariance that follows."""
+    k, n = pair
+    change = np.eye(z.size)
+    change[k, n] = -log_depth * (exponent if exponent_is_log else 1.0)
+    z = z.copy()
+    z[k] -= exponent * log_depth
+    return z, None if cov is None else change @ cov @ change.T
+
+
+def _reference(
+    model: Model, best: End, spread: judge.Spread, log_depth: float, pair: tuple[int, int], lower: np.ndarray, width: np.ndarray
+) -> Reference:
+    k, _ = pair
+    centre = lower[k] + best.point[k] * width[k]
+    interval = None
+    if spread.covariance is not None:
+        half = spread.quantile * float(np.sqrt(spread.covariance[k, k])) * width[k]
+        interval = (float(np.exp(centre - half)), float(np.exp(centre + half)))
+    return Reference(float(np.exp(log_depth)), float(np.exp(centre)), interval)
+
+
+def _curvature(model: Model, best: End, depth, spread: judge.Spread, i: int) -> float:
+    """Rise of the cost at both ends of coordinate i's interval, others following, over the quadratic rise."""
+    assert spread.covariance is not None
+    sigma = np.sqrt(spread.covariance[i, i])
+    step = spread.quantile * spread.covariance[:, i] / sigma
+    rises = []
+    for sign in (-1.0, 1.0):
+        residuals, _ = residuals_and_jacobian(model, jnp.asarray(best.point + sign * step), depth)
+        rises.append(float(jnp.sum(jnp.square(residuals))) - best.cost)
+    expected = spread.quantile**2 * spread.scale
+    worst = max(rises, key=lambda r: abs(np.log(max(r, 1e-300) / expected)) if np.isfinite(r) else np.inf)
+    return worst / expected
+
+
+def _hold_out(problem: Problem, model: Model, best: End, log_depth: float):
+    """Predict held-out records: shared parameters as fitted, each record's own nuisances fitted to it."""
+    held = tuple(e for e in problem.experiments if e.hold_out)
+    values = [float(v) for v in model.values(jnp.asarray(best.point), jnp.asarray(log_depth))]
+    shared = {s.name: v for s, v in zip(model.slots, values, strict=True) if s.experiment is None}
+    own = tuple(f for f in problem.free if f.per_experiment)
+    other = build(replace(problem, free=own or problem.free, params={**problem.params, **shared}), held)
+    if own:
+        slots = make_slots(replace(problem, free=own), len(held))
+        mean = {f.name: np.mean([v for s, v in zip(model.slots, values, strict=True) if s.name == f.name]) for f in own}
+        start = other.point(np.array([mean[s.name] for s in slots]), 0.0)
+        end = finish(other, start, np.clip(start, 1e-6, 1 - 1e-6), 0.0)
+        point, residuals = end.point, end.residuals
+    else:
+        other = Model(other.scene, (), other.channels, other.data, other.how)
+        point, residuals = np.zeros(0), np.asarray(other.residuals(jnp.zeros(0), jnp.asarray(0.0)))
+    records = _records(other, held, np.asarray(predictions(other, jnp.asarray(point), jnp.asarray(0.0))), True)
+    report = {}
+    for record in records:
+        for channel, data in record.data.items():
+            error, peak = record.prediction[channel] - data, np.nanmax(np.abs(data))
+            report[f"{record.name} {channel}"] = {
+                "max_error_of_peak": float(np.nanmax(np.abs(error)) / peak),
+                "rms_error_of_peak": float(np.sqrt(np.nanmean(error**2)) / peak),
+            }
+    return report, records, residuals[np.asarray(other.data.weights).ravel() > 0]
+
+
+def _records(model: Model, experiments: tuple[Experiment, ...], predicted: np.ndarray, held_out: bool) -> list[Record]:
+    records = []
+    weights = np.asarray(model.data.weights)
+    for i, experiment in enumerate(experiments):
+        count = experiment.times.size
+        own = {c.observes: (model.channels.index(c.observes), c.values) for c in experiment.channels}
+        records.append(
+            Record(
+                experiment.name,
+                held_out,
+                experiment.times,
+                {name: values for name, (_, values) in own.items()},
+                {name: predicted[i, j, :count] for name, (j, _) in own.items()},
+                {name: 1.0 / float(weights[i, j].max()) for name, (j, _) in own.items()},
+            )
+        )
+    return records
