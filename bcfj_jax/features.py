@@ -111,6 +111,8 @@ def onsets(times: ArrayLike, penetration: ArrayLike, rate: ArrayLike) -> list[tu
 
 def _root(t: np.ndarray, d: np.ndarray, v: np.ndarray, k: int) -> float:
     """Root of the Hermite cubic between samples k and k + 1, which differ in sign, by bisection."""
+    if d[k] == 0.0:
+        return float(t[k])
     h = t[k + 1] - t[k]
     a, b, p, q = d[k], d[k + 1], h * v[k], h * v[k + 1]
     low, high, upward = 0.0, 1.0, b > a

@@ -4,15 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import csv
-import hashlib
-import importlib.metadata
 import io
 import json
 import math
 import os
-import platform
-import subprocess
-import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -21,12 +16,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bcfj_jax.errors import InputError
+from bcfj_jax.provenance import environment as environment
 
 if TYPE_CHECKING:
     from bcfj_jax.simulate import Run
 
 _COMPONENTS = ("normal", "axial", "tangential")
-_PACKAGES = ("jax", "jaxlib", "diffrax", "equinox", "optimistix", "lineax", "numpy", "scipy", "pint", "pydantic")
 
 
 def open_folder(out: Path | None, verb: str, stem: str, will_write: Sequence[str]) -> Path:
@@ -121,15 +116,16 @@ def write_toml(path: Path, content: Mapping[str, Any], comment: str = "") -> Non
     write_text(path, head + tomli_w.dumps(dict(content)))
 
 
-def channels(history: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def channels(history: Mapping[str, np.ndarray], components: int = 0) -> dict[str, np.ndarray]:
     """Histories by contact, members apart: (T, 6, 3) under ``seat_ball`` becomes ``seat_ball_1`` .. ``_6``.
 
     Args:
-        history: per contact forces (T, 3) or (T, k, 3), or scalars such as the penetration (T,) or (T, k).
+        history: per contact (T, ...) or, with members, (T, k, ...).
+        components: number of axes after those: 1 for forces, 0 for penetrations and rates.
     """
     apart: dict[str, np.ndarray] = {}
     for name, values in history.items():
-        if values.ndim == (3 if values.shape[-1:] == (3,) and values.ndim > 1 else 2):
+        if values.ndim == 2 + components:
             apart.update({f"{name}_{k + 1}": values[:, k] for k in range(values.shape[1])})
         else:
             apart[name] = values
@@ -138,7 +134,7 @@ def channels(history: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 def write_forces(path: Path, run: Run) -> None:
     """``forces.csv``: time [s], then every contact's three components [N]."""
-    forces = channels(run.force)
+    forces = channels(run.force, 1)
     header = ["time [s]", *(f"{name}.{part} [N]" for name in forces for part in _COMPONENTS)]
     table = np.column_stack([run.times, *forces.values()])
     write_csv(path, header, table.tolist())
@@ -156,52 +152,10 @@ def summary(run: Run) -> dict[str, Any]:
         "failure_time": run.failure_time,
         "contacts": {
             name: features.summary(run.times, force[:, 0], penetration[name], rate[name])
-            for name, force in channels(run.force).items()
+            for name, force in channels(run.force, 1).items()
         },
         "units": features.UNITS | {"failure_time": "s", "wall_s": "s", "compile_s": "s"},
         "solver": {key: stats[key] for key in ("accepted", "rejected", "tolerance")},
         "wall_s": stats["wall_s"],
         "compile_s": stats["compile_s"],
-    }
-
-
-def version() -> str:
-    """The version of bcfj-jax; "unknown" where it is run from a checkout that is not installed."""
-    return _version("bcfj-jax")
-
-
-def _version(package: str) -> str:
-    try:
-        return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return "unknown"
-
-
-def _commit() -> dict[str, Any]:
-    root = Path(__file__).resolve().parent.parent
-    # An installed package may lie inside some other repository, whose commit says nothing.
-    if not (root / ".git").exists():
-        return {"commit": None, "modified": None}
-    git = ["git", "-C", str(root)]
-    try:
-        head = subprocess.run([*git, "rev-parse", "HEAD"], capture_output=True, text=True, timeout=10, check=True)
-        state = subprocess.run([*git, "status", "--porcelain"], capture_output=True, text=True, timeout=10, check=True)
-    except (OSError, subprocess.SubprocessError):
-        return {"commit": None, "modified": None}
-    return {"commit": head.stdout.strip(), "modified": bool(state.stdout.strip())}
-
-
-def environment(seed: int | None = None, data: Sequence[Path] = ()) -> dict[str, Any]:
-    """``environment.json``: versions, device, seed, and the SHA-256 of every data file."""
-    import jax
-
-    return {
-        "bcfj_jax": version(),
-        "git": _commit(),
-        "python": sys.version.split()[0],
-        "platform": platform.platform(),
-        "packages": {name: _version(name) for name in _PACKAGES},
-        "device": {"backend": jax.default_backend(), "devices": [str(d) for d in jax.devices()]},
-        "seed": seed,
-        "data": {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in data},
     }

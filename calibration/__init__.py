@@ -9,3 +9,4 @@ from calibration.problem import Channel as Channel
 from calibration.problem import Experiment as Experiment
 from calibration.problem import Free as Free
 from calibration.problem import Problem as Problem
+from calibration.problemfile import load as load

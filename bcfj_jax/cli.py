@@ -1,0 +1,158 @@
+"""The command ``bcfj``: results to stdout and a folder, progress to stderr, exit codes as documented.
+
+Verbs import what they need when they run, so that help is quick and nothing here pulls in calibration.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bcfj_jax.errors import InputError
+
+DONE, BAD_INPUT, SIMULATION_FAILED, INTERRUPTED = 0, 2, 3, 5
+
+_EPILOG = (
+    "Exit codes: 0 done, 2 bad input, 3 a simulation failed, 4 the calibration's verdict is not 'identified', "
+    "5 interrupted. Compiled programs are kept per user between runs, in the folder that BCFJ_CACHE names "
+    "(BCFJ_CACHE=off keeps none), by default the system's cache folder for bcfj-jax."
+)
+
+app = typer.Typer(
+    name="bcfj",
+    help="Differentiable contact dynamics of the ball-cage flexible joint.",
+    epilog=_EPILOG,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+Out = Annotated[Path | None, typer.Option("--out", help="Folder for the results; nothing in it is overwritten.")]
+
+
+def _log(text: str) -> None:
+    typer.echo(text, err=True)
+
+
+def _guarded(verb: Callable[..., int]) -> Callable[..., None]:
+    """A verb whose return value is the exit code, and whose bad input is a message instead of a traceback."""
+
+    @functools.wraps(verb)
+    def wrapped(*args: object, **options: object) -> None:
+        try:
+            code = verb(*args, **options)
+        except InputError as error:
+            _log(f"error: {error}")
+            code = BAD_INPUT
+        except KeyboardInterrupt:
+            _log("interrupted")
+            code = INTERRUPTED
+        raise typer.Exit(code)
+
+    return wrapped
+
+
+def use_compile_cache() -> None:
+    """Keep compiled programs between runs: ``BCFJ_CACHE``, JAX's own setting, or the user's cache folder."""
+    import jax
+    import platformdirs
+
+    folder = os.environ.get("BCFJ_CACHE") or jax.config.jax_compilation_cache_dir
+    if folder == "off":
+        return
+    folder = folder or platformdirs.user_cache_dir("bcfj-jax")
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    # JAX's own threshold of a second would leave out most of these programs.
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        from bcfj_jax.provenance import version
+
+        typer.echo(f"bcfj-jax {version()}")
+        raise typer.Exit(DONE)
+
+
+@app.callback()
+def _common(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version and stop.")
+    ] = False,
+) -> None:
+    del version
+
+
+@app.command(epilog=_EPILOG)
+@_guarded
+def simulate(
+    scene: Annotated[str, typer.Argument(help="A scene file, or a built-in scene's name for its defaults.")],
+    out: Out = None,
+) -> int:
+    """Run a scene: forces.csv, summary.json, pictures and report.html."""
+    from bcfj_jax import simulation_results
+    from bcfj_jax.outputs import open_folder
+    from bcfj_jax.scenefile import load
+    from bcfj_jax.simulate import simulate as run_scene
+
+    given = load(scene)
+    stem = given.source.stem if given.source else scene
+    folder = open_folder(out, "simulate", stem, simulation_results.FILES)
+    use_compile_cache()
+    _log(f"simulating {scene}: {len(given.times)} samples to {given.times[-1]:.6g} s")
+    run = run_scene(given.scene, given.params, given.times, accuracy=given.accuracy, max_steps=given.max_steps)
+    text, warnings = simulation_results.write(folder, given, run, stem)
+    for warning in warnings:
+        _log(f"warning: {warning}")
+    typer.echo(text)
+    typer.echo(f"results in {folder}")
+    if run.status == "ok":
+        return DONE
+    _log(f"error: {simulation_results.verdict(run)}")
+    return SIMULATION_FAILED
+
+
+@app.command(epilog=_EPILOG)
+@_guarded
+def calibrate(
+    problem: Annotated[Path, typer.Argument(help="A calibration file.")],
+    out: Out = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the starting points.")] = 0,
+    starts: Annotated[int, typer.Option(min=1, help="Number of starting points.")] = 12,
+) -> int:
+    """Fit parameters to measured forces: fit.json, pictures and report.html."""
+    from calibration import command
+
+    use_compile_cache()
+    return command.run(problem, out, seed, starts)
+
+
+@app.command(epilog=_EPILOG)
+@_guarded
+def init(
+    scene: Annotated[str, typer.Argument(help="A built-in scene's name.")],
+    out: Annotated[Path | None, typer.Option("--out", help="Folder for SCENE.toml; by default this one.")] = None,
+) -> int:
+    """Write a commented scene file to start from."""
+    from bcfj_jax.outputs import open_folder, write_text
+    from bcfj_jax.scenetemplate import template
+
+    text, name = template(scene), f"{scene}.toml"
+    path = open_folder(out or Path("."), "init", scene, [name]) / name
+    write_text(path, text)
+    typer.echo(f"wrote {path}")
+    return DONE
+
+
+def main() -> None:
+    """Entry point of the command ``bcfj``."""
+    try:
+        app()
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED)

@@ -1,0 +1,113 @@
+"""What ``bcfj simulate`` leaves behind, and what it says about a run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bcfj_jax import features, outputs, plots, report
+from bcfj_jax.scenefile import SceneFile
+from bcfj_jax.simulate import Run
+from bcfj_jax.units import format_si
+
+FILES = (
+    "forces.csv",
+    "summary.json",
+    "forces.png",
+    "force_penetration.png",
+    "report.html",
+    "run.toml",
+    "environment.json",
+)
+_FEW_SAMPLES = 10
+
+
+def verdict(run: Run) -> str:
+    """How the run went, in a sentence."""
+    if run.status == "ok":
+        return f"The simulation reached {format_si(float(run.times[-1]), 's')}."
+    return f"The simulation failed at {format_si(run.failure_time, 's')}: {run.reason}."
+
+
+def resolution_warnings(run: Run) -> list[str]:
+    """Contacts that the samples do not resolve, so that peaks and impulses taken from them are wrong."""
+    found = []
+    penetration, rate = outputs.channels(run.penetration), outputs.channels(run.rate)
+    for name, depth in penetration.items():
+        missed = len(features.unseen(depth, rate[name]))
+        if missed:
+            found.append(
+                f"{name}: contacts that lie between two samples: {missed}; peak, mean, impulse and work leave them "
+                "out: raise [time] samples"
+            )
+        pressed = np.concatenate([[False], depth > 0, [False]]).astype(int)
+        lengths = np.flatnonzero(np.diff(pressed) < 0) - np.flatnonzero(np.diff(pressed) > 0)
+        if lengths.size and lengths.min() < _FEW_SAMPLES and run.status == "ok":
+            found.append(
+                f"{name}: the shortest contact has {lengths.min()} sample(s) only; peak, impulse and work are coarse: "
+                "raise [time] samples"
+            )
+    return found
+
+
+def _contacts(contacts: dict[str, dict[str, float]]) -> list[list[str]]:
+    """Rows for people: features down, contacts across; the other way round where there are many."""
+    rows = [["", *contacts]]
+    for name, unit in features.UNITS.items():
+        values = (format_si(contact[name], unit) for contact in contacts.values())
+        rows.append([name.replace("_", " "), *values])
+    return [list(row) for row in zip(*rows, strict=True)] if len(contacts) > 3 else rows
+
+
+def _text(rows: Sequence[Sequence[str]]) -> str:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = ("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in rows)
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def _input_rows(given: SceneFile) -> list[list[str]]:
+    resolved: dict[str, Any] = given.resolved
+    rows = [["", "value", "meaning"]]
+    rows += [[f"scene: {key}", str(value), ""] for key, value in resolved["scene"].items()]
+    for name, quantity in given.scene.quantities.items():
+        unit = "" if quantity.unit == "1" else f" {quantity.unit}"
+        rows.append([name, f"{resolved['parameters'][name]:.8g}{unit}", quantity.meaning])
+    rows += [["time: end", format_si(resolved["time"]["end"], "s"), ""]]
+    rows += [["time: samples", str(resolved["time"]["samples"]), ""]]
+    rows += [[f"accuracy: {key}", str(value), ""] for key, value in resolved["accuracy"].items()]
+    return rows
+
+
+def _solver_rows(run: Run) -> list[list[str]]:
+    stats = run.stats
+    return [
+        ["", "value"],
+        ["steps accepted", str(stats["accepted"])],
+        ["steps rejected", str(stats["rejected"])],
+        ["wall time", format_si(stats["wall_s"], "s")],
+        ["compile time", format_si(stats["compile_s"], "s")],
+    ]
+
+
+def write(folder: Path, given: SceneFile, run: Run, stem: str) -> tuple[str, list[str]]:
+    """Write every file of ``FILES``.
+
+    Returns:
+        The results as a text table, and what to warn of.
+    """
+    summary, warnings = outputs.summary(run), resolution_warnings(run)
+    source = str(given.source) if given.source else f"the built-in scene '{stem}'"
+    outputs.write_toml(folder / "run.toml", given.resolved, f"{source}, as it was run: every default, SI")
+    outputs.write_json(folder / "environment.json", outputs.environment(data=[given.source] if given.source else []))
+    outputs.write_forces(folder / "forces.csv", run)
+    outputs.write_json(folder / "summary.json", summary | {"warnings": warnings})
+    plots.forces(run, folder / "forces.png")
+    plots.loops(run, folder / "force_penetration.png")
+    rows = _contacts(summary["contacts"])
+    tables = [("Contacts", rows), ("Input", _input_rows(given)), ("Solver", _solver_rows(run))]
+    pictures = [folder / "forces.png", folder / "force_penetration.png"]
+    report.write(folder, f"Simulation of {stem}", verdict(run), tables, pictures, warnings)
+    return f"{verdict(run)}\n\n{_text(rows)}\n", warnings

@@ -1,0 +1,82 @@
+"""Pictures of a fit: data over prediction with a residual strip, force against penetration, where starts ended."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from bcfj_jax import simulate
+from bcfj_jax.plots import COLOURS, engineering, figure, label, loops, save, style
+from calibration.fit import Fit, Record
+from calibration.problem import Problem
+
+
+def records(fit: Fit, path: Path) -> None:
+    """Every record: data over prediction, and below it the residuals in standard deviations."""
+    panels = [(record, channel) for record in fit.records for channel in record.data]
+    columns = min(len(panels), 2)
+    rows = -(-len(panels) // columns)
+    with style():
+        drawing, axes = figure(2 * rows, columns, width=6.0 * columns + 1.0, height=2.4)
+        grid = np.array(axes).reshape(2 * rows, columns)
+        for axis in axes:
+            axis.set_visible(False)
+        for k, (record, channel) in enumerate(panels):
+            row, column = divmod(k, columns)
+            _panel(grid[2 * row, column], grid[2 * row + 1, column], record, channel, fit)
+        save(drawing, path)
+
+
+def _panel(upper, lower, record: Record, channel: str, fit: Fit) -> None:
+    time_scale, time_prefix = engineering(record.times)
+    data, prediction = record.data[channel], record.prediction[channel]
+    scale, prefix = engineering(data)
+    upper.set_visible(True)
+    lower.set_visible(True)
+    upper.plot(record.times * time_scale, data * scale, "o", ms=3.5, color=COLOURS[5], label="data")
+    name = "prediction" if record.held_out else "fit"
+    upper.plot(record.times * time_scale, prediction * scale, color=COLOURS[1 if record.held_out else 0], label=name)
+    upper.set_title(f"{record.name}: {channel}" + (" (held out)" if record.held_out else ""))
+    upper.set_ylabel(label("force", "N", prefix))
+    upper.legend(loc="upper right")
+    sigma = record.sigma[channel]
+    unit = "standard deviations"
+    if fit.residual["noise"] == "estimated":
+        sigma *= np.sqrt(fit.residual["reduced_chi2"])
+    strip = (data - prediction) / sigma
+    lower.axhspan(-2, 2, color="#e8eef6", lw=0)
+    lower.vlines(record.times * time_scale, 0.0, strip, color=COLOURS[5], lw=1)
+    lower.plot(record.times * time_scale, strip, "o", ms=3, color=COLOURS[5])
+    lower.set_xlabel(label("time", "s", time_prefix))
+    lower.set_ylabel(f"data - {name}\n[{unit}]", fontsize=8)
+    lower.sharex(upper)
+
+
+def force_penetration(fit: Fit, problem: Problem, path: Path) -> None:
+    """The loop of the first fitted experiment at the fitted values, with the energy it dissipates."""
+    values = {name: value for name, value in fit.values.items() if name in problem.scene.quantities}
+    record = fit.records[0]
+    for name in problem.scene.quantities:
+        own = fit.parameters.get(f"{name}[{record.name}]")
+        values |= {name: own.value} if own else {}
+    end = float(record.times[-1])
+    run = simulate(problem.scene, problem.scene.parameters(values), np.linspace(0.0, end, 2001), accuracy=1e-4)
+    loops(run, path)
+
+
+def starts(fit: Fit, path: Path) -> None:
+    """Waterfall: the cost at which each start ended, best first."""
+    costs = np.array([row["chi2"] for row in fit.starts], dtype=float)
+    with style():
+        drawing, (axis,) = figure(1)
+        good = np.isfinite(costs)
+        # Differences below a millionth of a sigma squared are the optimiser's own tolerance.
+        axis.semilogy(np.flatnonzero(good) + 1, np.maximum(costs[good] - costs[good].min(), 1e-6), "o")
+        for k in np.flatnonzero(~good):
+            axis.axvline(k + 1, color=COLOURS[1], lw=1, ls=":")
+        axis.set_title(f"{int(good.sum())} of {costs.size} starts ended, best first (dotted: failed)")
+        axis.set_xlabel("start")
+        axis.set_ylabel("cost above the best\n[weighted squares, floor 1e-6]")
+        axis.set_xlim(0.5, costs.size + 0.5)
+        save(drawing, path)
