@@ -63,7 +63,8 @@ def use_compile_cache() -> None:
     import jax
     import platformdirs
 
-    folder = os.environ.get("BCFJ_CACHE") or jax.config.jax_compilation_cache_dir
+    own = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
+    folder = os.environ.get("BCFJ_CACHE") or own
     if folder == "off":
         return
     folder = folder or platformdirs.user_cache_dir("bcfj-jax")

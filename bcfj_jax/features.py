@@ -109,7 +109,7 @@ def onsets(times: ArrayLike, penetration: ArrayLike, rate: ArrayLike) -> list[tu
     return [(start, ends[i] if i < len(ends) else float("nan")) for i, start in enumerate(starts)]
 
 
-def _root(t: np.ndarray, d: np.ndarray, v: np.ndarray, k: int) -> float:
+def _root(t: np.ndarray, d: np.ndarray, v: np.ndarray, k: np.integer) -> float:
     """Root of the Hermite cubic between samples k and k + 1, which differ in sign, by bisection."""
     if d[k] == 0.0:
         return float(t[k])
@@ -126,6 +126,8 @@ def _root(t: np.ndarray, d: np.ndarray, v: np.ndarray, k: int) -> float:
 def period(times: ArrayLike, penetration: ArrayLike, rate: ArrayLike) -> float:
     """Mean interval between the starts of contacts, (t_last - t_first)/(count - 1) [s]; NaN for fewer than 2."""
     starts = [start for start, _ in onsets(times, penetration, rate)]
+    # What is pressed at the first sample began before it.
+    starts = starts[1:] if np.asarray(penetration)[0] > 0 else starts
     return (starts[-1] - starts[0]) / (len(starts) - 1) if len(starts) > 1 else float("nan")
 
 

@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from bcfj_jax.simulate import Run
 
+_FEW_SAMPLES = 10
 COLOURS = ("#1f5fa8", "#c4501b", "#2d7d46", "#8a4fa3", "#a8891f", "#4a4a4a")
 
 
@@ -33,7 +34,7 @@ def style() -> Iterator[None]:
     import matplotlib
     from cycler import cycler
 
-    look = {
+    look: dict[Any, Any] = {
         "font.size": 10.0,
         "axes.titlesize": 11.0,
         "axes.titlelocation": "left",
@@ -123,27 +124,39 @@ def _loop(axis: Axes, members: dict[str, tuple[np.ndarray, np.ndarray]], title: 
     depths = np.concatenate([depth for depth, _ in members.values()])
     deepest = np.nanmax(depths, initial=0.0)
     depth_scale, depth_prefix = engineering([deepest])
-    force_scale, force_prefix = engineering(np.concatenate([force for _, force in members.values()]))
+    pushes = np.concatenate([force for _, force in members.values()])
+    force_scale, force_prefix = engineering(pushes)
     axis.set_title(title)
     axis.set_xlabel(label("penetration", "m", depth_prefix))
     axis.set_ylabel(label("force", "N", force_prefix))
     if deepest <= 0.0:
         axis.text(0.5, 0.5, "no contact at any sample", transform=axis.transAxes, ha="center", va="center")
         return
-    work = 0.0
+    work, coarse = 0.0, False
     for member, (depth, force) in members.items():
         # Flights are far longer than contacts are deep: show the surface's own neighbourhood.
         near = depth >= -0.04 * deepest
         x = np.where(near, depth, np.nan) * depth_scale
-        (line,) = axis.plot(x, force * force_scale, label=member)
         pressed = depth > 0
+        few = np.count_nonzero(pressed) < _FEW_SAMPLES
+        coarse = coarse or few
+        (line,) = axis.plot(x, force * force_scale, marker="o" if few else "", label=member)
         corners = (np.append(depth[pressed], 0.0) * depth_scale, np.append(force[pressed], 0.0) * force_scale)
         axis.fill(*corners, color=line.get_color(), alpha=0.15, linewidth=0)
         work += float(features.dissipated_work(force, depth))
     axis.set_xlim(-0.04 * deepest * depth_scale, 1.05 * deepest * depth_scale)
     axis.set_ylim(bottom=0.0)
     # Upper left is free: the force rises with the penetration.
-    text = f"dissipated: {format_si(work, 'J').replace(' u', ' µ')}" if math.isfinite(work) else "not finished"
-    axis.text(0.04, 0.95, text, transform=axis.transAxes, ha="left", va="top")
+    text = "not resolved: too few samples" if coarse else _dissipated(work, 1e-6 * deepest * np.nanmax(pushes))
+    axis.text(0.04, 0.95, f"dissipated: {text}", transform=axis.transAxes, ha="left", va="top")
     if len(members) > 1:
         axis.legend(fontsize=8, loc="center left")
+
+
+def _dissipated(work: float, noise: float) -> str:
+    """The energy in words; below a millionth of the contact's own energy it is the integration's error."""
+    if not math.isfinite(work):
+        return "unknown, the run failed"
+    if abs(work) < noise:
+        return f"none (below {format_si(noise, 'J', 2)})".replace(" u", " µ")
+    return format_si(work, "J", 4).replace(" u", " µ")

@@ -57,18 +57,18 @@ class SceneFile:
 
 class _Time(tables.Table):
     end: Any = None
-    samples: int = pydantic.Field(_DEFAULT_SAMPLES, ge=2, le=10_000_000)
+    samples: int = pydantic.Field(default=_DEFAULT_SAMPLES, ge=2, le=10_000_000)
 
 
 class _Accuracy(tables.Table):
     force_error: Any = None
     level: str | None = None
-    max_steps: int = pydantic.Field(_DEFAULT_STEPS, ge=1, le=1_000_000_000)
+    max_steps: int = pydantic.Field(default=_DEFAULT_STEPS, ge=1, le=1_000_000_000)
 
 
 class _File(tables.Table):
     scene: dict[str, Any]
-    parameters: dict[str, Any] = {}
+    parameters: dict[str, Any] = pydantic.Field(default_factory=dict)
     time: _Time = _Time()
     accuracy: _Accuracy = _Accuracy()
 

@@ -9,7 +9,7 @@ import functools
 import math
 import re
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bcfj_jax.errors import InputError
 
@@ -107,7 +107,7 @@ def _stiffness_factor(unit_text: str, where: str, exponent: float | None, given:
     shown = 1.5 if exponent is None else exponent
     remedy = f'a stiffness such as "1e10 N/m^{shown:g}"'
     unit = _unit(unit_text, where, given, remedy)
-    dimensions = dict(unit.dimensionality)
+    dimensions: dict[str, Any] = dict(unit.dimensionality)
     found = 1.0 - float(dimensions.pop("[length]", 0))
     if dimensions != {"[mass]": 1, "[time]": -2} or found <= 0:
         raise InputError(where, f"'{given}' is not in a unit of force over length to the exponent", f"give {remedy}")
@@ -166,13 +166,13 @@ def engineering(values: Iterable[float]) -> tuple[float, str]:
     return float(f"1e{-power}"), _PREFIXES[power]
 
 
-def format_si(value: float | None, unit: str) -> str:
+def format_si(value: float | None, unit: str, digits: int = 6) -> str:
     """A value for people: (1.2345678e4, "N") -> "12.3457 kN"; "-" for None and NaN."""
     if value is None or math.isnan(value):
         return "-"
     if unit == "1":
-        return f"{value:.6g}"
+        return f"{value:.{digits}g}"
     if unit == "kg":
-        return f"{value * 1e3:.6g} g" if 0 < abs(value) < 1 else f"{value:.6g} kg"
+        return f"{value * 1e3:.{digits}g} g" if 0 < abs(value) < 1 else f"{value:.{digits}g} kg"
     scale, prefix = engineering([value]) if unit in _PREFIXABLE else (1.0, "")
-    return f"{value * scale:.6g} {prefix}{unit}"
+    return f"{value * scale:.{digits}g} {prefix}{unit}"

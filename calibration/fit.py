@@ -138,8 +138,7 @@ def _judge(
     seen = np.asarray(model.data.weights) > 0
     samples = int(seen.sum())
     spread = judge.spread(best, samples, estimated)
-    shaped = best.residuals.reshape(seen.shape)
-    series = [shaped[i, j][seen[i, j]] for i in range(seen.shape[0]) for j in range(seen.shape[1]) if seen[i, j].any()]
+    series = _series(model, best, np.asarray(predictions(model, jnp.asarray(best.point), depth)))
     tests = judge.agreement(found.ends, spread.scale, spread.covariance)
     verdicts = {"not_converged" for t in tests if not t.passed}
     quality = judge.residual_tests(series, best.point.size, estimated)
@@ -183,6 +182,19 @@ def _judge(
         values=values,
         seed=seed,
     )
+
+
+def _series(model: Model, best: End, predicted: np.ndarray) -> list[judge.Series]:
+    """Residuals by record and channel; in contact is where the model's force exceeds 2 % of its peak."""
+    weights = np.asarray(model.data.weights)
+    shaped = best.residuals.reshape(weights.shape)
+    series = []
+    for i, j in np.argwhere((weights > 0).any(axis=2)):
+        seen = weights[i, j] > 0
+        force = np.abs(predicted[i, j] - predicted[i, j].min())[seen]
+        touching = force > 0.02 * force.max()
+        series.append(judge.Series(shaped[i, j][seen], touching, 1.0 / float(weights[i, j].max() * force.max())))
+    return series
 
 
 def _rms(records: list[Record]) -> float:
