@@ -102,10 +102,11 @@ def simulate(
     from bcfj_jax.scenefile import load
     from bcfj_jax.simulate import simulate as run_scene
 
+    # First: JAX decides at its first compilation, which reading a scene may be, whether there is a cache.
+    use_compile_cache()
     given = load(scene)
     stem = given.source.stem if given.source else scene
     folder = open_folder(out, "simulate", stem, simulation_results.FILES)
-    use_compile_cache()
     _log(f"simulating {scene}: {len(given.times)} samples to {given.times[-1]:.6g} s")
     run = run_scene(given.scene, given.params, given.times, accuracy=given.accuracy, max_steps=given.max_steps)
     text, warnings = simulation_results.write(folder, given, run, stem)
@@ -128,9 +129,9 @@ def calibrate(
     starts: Annotated[int, typer.Option(min=1, help="Number of starting points.")] = 12,
 ) -> int:
     """Fit parameters to measured forces: fit.json, pictures and report.html."""
+    use_compile_cache()
     from calibration import command
 
-    use_compile_cache()
     return command.run(problem, out, seed, starts)
 
 

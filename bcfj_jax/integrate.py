@@ -25,7 +25,7 @@ LEVELS = {"fast": 5e-2, "balanced": 1e-2, "reference": 1e-5}
 
 # Local error per step, in units of dynamics.state_scales, per unit of force error asked for. Measured by
 # benchmarks/accuracy.py: the force error of impact and bounce stays below what was asked with this ratio.
-_TOLERANCE_PER_ERROR = 0.02
+_TOLERANCE_PER_ERROR = 0.002
 
 _REASONS = {
     "steps": "the step budget of {max_steps} steps was spent",

@@ -57,6 +57,7 @@ def figure(rows: int, columns: int = 1, width: float = 7.5, height: float = 3.2)
     from matplotlib.figure import Figure
 
     drawing = Figure(figsize=(width, height * rows), layout="constrained")
+    drawing.get_layout_engine().set(h_pad=0.1, w_pad=0.08)  # type: ignore[union-attr]
     return drawing, list(np.ravel(drawing.subplots(rows, columns, squeeze=False)))
 
 
@@ -142,12 +143,14 @@ def _loop(axis: Axes, members: dict[str, tuple[np.ndarray, np.ndarray]], title: 
         coarse = coarse or few
         (line,) = axis.plot(x, force * force_scale, marker="o" if few else "", label=member)
         corners = (np.append(depth[pressed], 0.0) * depth_scale, np.append(force[pressed], 0.0) * force_scale)
-        axis.fill(*corners, color=line.get_color(), alpha=0.15, linewidth=0)
-        work += float(features.dissipated_work(force, depth))
+        taken = float(features.dissipated_work(force, depth))
+        if math.isfinite(taken):
+            axis.fill(*corners, color=line.get_color(), alpha=0.15 / len(members), linewidth=0)
+        work += taken
     axis.set_xlim(-0.04 * deepest * depth_scale, 1.05 * deepest * depth_scale)
     axis.set_ylim(bottom=0.0)
     # Upper left is free: the force rises with the penetration.
-    text = "not resolved: too few samples" if coarse else _dissipated(work, 1e-6 * deepest * np.nanmax(pushes))
+    text = "not resolved (too few samples)" if coarse else _dissipated(work, 1e-6 * deepest * np.nanmax(pushes))
     axis.text(0.04, 0.95, f"dissipated: {text}", transform=axis.transAxes, ha="left", va="top")
     if len(members) > 1:
         axis.legend(fontsize=8, loc="center left")

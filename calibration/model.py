@@ -17,7 +17,7 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax import force_history
-from bcfj_jax.integrate import Plan
+from bcfj_jax.integrate import Plan, plan
 from bcfj_jax.scene import Scene
 from calibration.problem import COMPONENTS, NUISANCES, Experiment, Problem
 
@@ -178,7 +178,7 @@ def build(problem: Problem, experiments: tuple[Experiment, ...], slots: tuple[Sl
         for name, value in problem.params.items()
     }
     data = Data(jnp.asarray(times), jnp.asarray(values), jnp.asarray(weights), fixed)
-    how = Plan(jnp.asarray(0.02 * problem.accuracy), max_steps=20_000)
+    how = plan(problem.scene, problem.accuracy, max_steps=20_000)
     return Model(problem.scene, slots or make_slots(problem, len(experiments)), channels, data, how)
 
 

@@ -85,7 +85,7 @@ class Problem:
     params: dict[str, float]
     experiments: tuple[Experiment, ...]
     free: tuple[Free, ...]
-    accuracy: float = 1e-6
+    accuracy: float = 1e-5
     where: str = "problem"
 
     def __post_init__(self) -> None:

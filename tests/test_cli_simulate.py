@@ -206,7 +206,7 @@ def test_compile_cache_is_per_user_unless_told(variable, here, monkeypatch):
 def test_as_a_process(here):
     root = str(Path(__file__).parent.parent)
     command = [sys.executable, "-W", "error", "-m", "bcfj_jax"]
-    environment = os.environ | {"PYTHONPATH": root}
+    environment = os.environ | {"PYTHONPATH": root, "BCFJ_CACHE": str(here / "cache")}
     helped = subprocess.run([*command, "--help"], capture_output=True, text=True, env=environment, check=True)
     assert "BCFJ_CACHE" in helped.stdout
     done = subprocess.run(
@@ -214,4 +214,5 @@ def test_as_a_process(here):
     )
     assert done.returncode == 0, done.stderr
     assert "1.70907 kN" in done.stdout
+    assert any((here / "cache").iterdir())
     assert set(FILES) == {p.name for p in (here / "out").iterdir()}

@@ -1,0 +1,44 @@
+# Every target does its own set-up: a fresh clone and a Python >= 3.11 are enough.
+PYTHON ?= python3
+BIN := .venv/bin
+RUNTIME := build/.installed
+TOOLS := build/.installed-test
+
+.PHONY: demo test fast lint types bench clean
+
+demo: $(RUNTIME)
+	rm -rf build/demo
+	$(BIN)/bcfj calibrate examples/chung_ooi_fit.toml --out build/demo
+	$(BIN)/python examples/compare_with_hertz.py build/demo
+
+test: lint types
+	$(BIN)/python -m pytest -n 2
+
+fast: $(TOOLS)
+	$(BIN)/python -m pytest -n 2 -m "not slow"
+
+lint: $(TOOLS)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(TOOLS)
+	$(BIN)/pyright
+
+bench: $(RUNTIME)
+	$(BIN)/python benchmarks/times.py
+	$(BIN)/python benchmarks/accuracy.py
+
+clean:
+	rm -rf .venv build
+
+.venv:
+	$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'bcfj-jax needs Python 3.11 or newer: make PYTHON=python3.12')"
+	$(PYTHON) -m venv .venv
+
+$(RUNTIME): pyproject.toml constraints.txt | .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .
+	mkdir -p build && touch $@
+
+$(TOOLS): pyproject.toml constraints.txt | .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[test]"
+	mkdir -p build && touch $(RUNTIME) $@

@@ -1,0 +1,229 @@
+"""Derivatives of force histories: forward = reverse = differences = closed forms, and finite where it hurts.
+
+A reverse program takes some ten seconds to compile, so each is compiled once and used by many tests.
+"""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bcfj_jax import force_history, scenes
+from bcfj_jax.restitution import undamped_duration, undamped_peak
+from bcfj_jax.two_way import two_way
+
+ACCURACY = 1e-9
+NAMES = ("stiffness", "exponent", "damping", "mass", "approach_speed", "clearance_contact", "smoothing")
+AT = dict(zip(NAMES, (1e10, 1.5, 0.1, 0.02, 1.5, 2e-6, 1e-6), strict=True))
+IMPACT = scenes.impact("memory_free")
+HERTZ = scenes.impact("hertz", smoothing=False)
+# Long soft contacts, so that a step of a difference is short beside them.
+SOFT = {"stiffness": 1e4, "damping": 0.05, "drop_height": 0.1}
+BOUNCE = scenes.bounce("memory_free", smoothing=False)
+BOUNCE_TIMES = (0.1457, 0.1500, 0.398, 0.402)
+
+
+def impact_force(theta, mode="auto"):
+    """Normal force at the times theta[7:] under the parameters theta[:7]."""
+    values = IMPACT.parameters(dict(zip(NAMES, theta[:7], strict=True)))
+    return force_history(IMPACT, values, theta[7:], accuracy=ACCURACY, mode=mode)["contact"][:, 0]
+
+
+def bounce_force(theta):
+    """Normal force within the first and the second bounce."""
+    values = BOUNCE.parameters(dict(zip(SOFT, theta, strict=True)))
+    return force_history(BOUNCE, values, jnp.array(BOUNCE_TIMES), accuracy=ACCURACY)["contact"][:, 0]
+
+
+def point(times, **changes):
+    """theta of ``impact_force``."""
+    return jnp.array([*({**AT, **changes}.values()), *times])
+
+
+def contact_time(**changes):
+    """Undamped duration of a contact [s] at the given speed, or at 1.5 m/s where that is 0."""
+    v = {**AT, **changes}
+    return float(undamped_duration(v["stiffness"], v["exponent"], v["mass"], v["approach_speed"] or 1.5))
+
+
+POINT = point(AT["clearance_contact"] / 1.5 + contact_time() * np.array([0.2, 0.45, 0.7]))
+
+
+@pytest.fixture(scope="module")
+def impact():
+    """The compiled programs of one impact: value, Jacobians by direction, and gradients of a batch."""
+
+    def loss(theta):
+        return jnp.sum(jnp.square(impact_force(theta) / 1e3))
+
+    return SimpleNamespace(
+        force=jax.jit(impact_force),
+        forward=jax.jit(jax.jacfwd(impact_force)),
+        reverse=jax.jit(jax.jacrev(impact_force)),
+        only_forward=jax.jit(jax.jacfwd(lambda x: impact_force(x, "forward"))),
+        only_reverse=jax.jit(jax.jacrev(lambda x: impact_force(x, "reverse"))),
+        batched_gradients=jax.jit(jax.vmap(jax.grad(loss))),
+        gradient_of_batch=jax.jit(jax.grad(lambda x: jnp.sum(jax.vmap(loss)(x)))),
+        gradient=jax.jit(jax.grad(loss)),
+    )
+
+
+def differences(function, theta, relative):
+    """Fourth-order central differences, in relative changes: columns d f / d ln theta."""
+    columns = []
+    for k in range(theta.size):
+        step = jnp.zeros(theta.size).at[k].set(relative * theta[k])
+        near = function(theta + step) - function(theta - step)
+        far = function(theta + 2 * step) - function(theta - 2 * step)
+        columns.append((8 * near - far) / (12 * relative))
+    return np.stack(columns, axis=1)
+
+
+def close(found, expected, relative):
+    """Equal to a tolerance in units of each column's largest entry."""
+    found, expected = np.asarray(found), np.asarray(expected)
+    size = np.abs(expected).max(axis=0)
+    assert np.all(np.abs(found - expected) <= relative * size), (np.abs(found - expected) / size).max()
+
+
+def test_all_directions_agree(impact):
+    # The same discrete solution differentiated twice: rounding over some 500 steps.
+    expected = impact.only_forward(POINT)
+    for way in (impact.forward, impact.reverse, impact.only_reverse):
+        close(way(POINT), expected, 1e-9)
+
+
+def test_impact_against_differences(impact):
+    # Noise: a force error of 1e-9 over a step of 1e-3. Truncation: (1e-3)^4. Both are well below 1e-5.
+    close(impact.forward(POINT) * POINT, differences(impact.force, POINT, 1e-3), 1e-5)
+
+
+def test_times_against_an_offset(impact):
+    jacobian = impact.forward(POINT)
+    by_time = np.diag(jacobian[:, 7:])
+    assert not np.any(jacobian[:, 7:] - np.diag(by_time))  # a force depends on its own time alone
+    start = jnp.zeros(POINT.size).at[7:].set(1.0)
+
+    def delayed(offset):
+        return impact_force(POINT - offset * start)
+
+    by_offset = jax.jit(jax.jacfwd(delayed))(0.0)
+    assert np.asarray(by_offset) == pytest.approx(-by_time, rel=1e-12)
+    h = 1e-3 * contact_time()
+    slope = (impact.force(POINT + h * start) - impact.force(POINT - h * start)) / (2 * h)
+    # Second order: (pi h)^2 / 6 of the largest slope, 2e-6, and more near the onset where F''' is large.
+    assert np.asarray(slope) == pytest.approx(by_time, abs=5e-5 * np.abs(by_time).max())
+
+
+@pytest.fixture(scope="module")
+def bounce():
+    return SimpleNamespace(
+        force=jax.jit(bounce_force), forward=jax.jit(jax.jacfwd(bounce_force)), reverse=jax.jit(jax.jacrev(bounce_force))
+    )
+
+
+def test_bounces(bounce):
+    theta = jnp.array(list(SOFT.values()))
+    forward = bounce.forward(theta)
+    assert np.all(bounce.force(theta) > 1.0)  # every time is inside a contact
+    close(bounce.reverse(theta), forward, 1e-9)
+    # A drop 3e-4 higher comes 1 % of a contact later at the second bounce: truncation 1e-8, noise 1e-6.
+    close(forward * theta, differences(bounce.force, theta, 3e-4), 1e-5)
+
+
+CASES = {
+    "touching at time 0": {"clearance_contact": 0.0},
+    "touching at time 0, sharp": {"clearance_contact": 0.0, "smoothing": 0.0},
+    "sharp": {"smoothing": 0.0},
+    "undamped, sharp": {"damping": 0.0, "clearance_contact": 0.0, "smoothing": 0.0},
+    "at rest": {"approach_speed": 0.0, "clearance_contact": 0.0},
+    "at rest, sharp": {"approach_speed": 0.0, "clearance_contact": 0.0, "smoothing": 0.0},
+    "never in contact": {"clearance_contact": 1.0},
+    "never in contact, sharp": {"clearance_contact": 1.0, "smoothing": 0.0},
+}
+
+
+@pytest.mark.parametrize("n", [1.0, 1.5, 2.0, 3.0])
+@pytest.mark.parametrize("case", CASES)
+def test_finite(impact, case, n):
+    changes = {"stiffness": 1e10 * 1e-5 ** (1.5 - n), "exponent": n, **CASES[case]}
+    # Time 0 and, undamped and sharp, the very instant of separation.
+    theta = point([0.0, 0.5 * contact_time(**changes), contact_time(**changes)], **changes)
+    forward, reverse = np.asarray(impact.forward(theta)), np.asarray(impact.reverse(theta))
+    assert np.all(np.isfinite(impact.force(theta))) and np.all(np.isfinite(forward)) and np.all(np.isfinite(reverse))
+    if "never" in case:
+        assert not np.any(forward) and not np.any(reverse)
+
+
+def test_gradients_of_batches(impact):
+    lanes = POINT * jnp.linspace(0.99, 1.01, 3)[:, None]
+    one_by_one = np.stack([impact.gradient(lane) for lane in lanes]) * lanes
+    # Other programs round otherwise and rounding may move a step: the accuracy asked for, with a margin.
+    close(impact.batched_gradients(lanes) * lanes, one_by_one, 1e-7)
+    close(impact.gradient_of_batch(lanes) * lanes, one_by_one, 1e-7)
+
+
+def logarithmic_peak(logs, mode="forward"):
+    """Logarithm of the undamped peak, from the force at its time, over those of stiffness and mass."""
+    stiffness, mass = jnp.exp(logs)
+    values = HERTZ.parameters(stiffness=stiffness, exponent=1.5, mass=mass, approach_speed=1.5)
+    time = undamped_duration(stiffness, 1.5, mass, 1.5) / 2
+    return jnp.log(force_history(HERTZ, values, time[None], accuracy=ACCURACY, mode=mode)["contact"][0, 0])
+
+
+def test_peak_against_its_closed_form():
+    # F0 = K^(1/(n+1)) ((n+1) m v^2 / 2)^(n/(n+1)): constant slopes of its logarithm, and no curvature.
+    logs = jnp.log(jnp.array([1e10, 0.02]))
+    assert float(logarithmic_peak(logs)) == pytest.approx(np.log(undamped_peak(1e10, 1.5, 0.02, 1.5)), abs=1e-8)
+    gradient = np.asarray(jax.jit(jax.jacfwd(logarithmic_peak))(logs))
+    assert gradient == pytest.approx([0.4, 0.6], abs=1e-5)
+
+
+def test_second_derivatives():
+    def peak(stiffness):
+        return jnp.exp(logarithmic_peak(jnp.log(jnp.stack([stiffness, jnp.asarray(0.02)]))))
+
+    found = jax.jit(jax.jacfwd(jax.jacfwd(peak)))(1e10)
+    # d2F/dK2 = F (1/(n+1)) (1/(n+1) - 1) / K^2. The interpolation's second derivative costs most of the 1e-3.
+    assert float(found) == pytest.approx(undamped_peak(1e10, 1.5, 0.02, 1.5) * 0.4 * -0.6 / 1e20, rel=1e-3)
+    with pytest.raises(RuntimeError, match="mode='forward'"):
+        jax.jit(jax.jacfwd(jax.jacfwd(lambda logs: logarithmic_peak(logs, "auto"))))(jnp.log(jnp.array([1e10, 0.02])))
+
+
+def toy(x):
+    """Two outputs of two inputs."""
+    return {"sum": jnp.sin(x["a"]) * x["b"], "product": x["b"] ** 2}
+
+
+def test_two_way_on_a_toy():
+    both = two_way(toy, toy)
+    x = {"a": jnp.array([0.3, 0.4]), "b": jnp.array([2.0, -1.0])}
+    dx = {"a": jnp.array([1.0, -2.0]), "b": jnp.array([0.5, 3.0])}
+    batch = jax.tree.map(lambda leaf: jnp.stack([leaf, 2 * leaf, 3 * leaf]), x)
+    push = lambda f: lambda p, v: jax.jvp(f, (p,), (v,))[1]  # noqa: E731
+    pull = lambda f: lambda p, v: jax.vjp(f, p)[1](v)[0]  # noqa: E731
+    uses = {
+        "value": (lambda f: f(x)),
+        "jit": (lambda f: jax.jit(f)(x)),
+        "jvp": (lambda f: push(f)(x, dx)),
+        "vjp": (lambda f: pull(f)(x, toy(dx))),
+        "jit vjp": (lambda f: jax.jit(pull(f))(x, toy(dx))),
+        "vmap": (lambda f: jax.vmap(f)(batch)),
+        "vmap jvp over points": (lambda f: jax.vmap(push(f), (0, None))(batch, dx)),
+        "vmap jvp over vectors": (lambda f: jax.vmap(push(f), (None, 0))(x, batch)),
+        "vmap vjp over points": (lambda f: jax.vmap(pull(f), (0, None))(batch, toy(x))),
+        "vmap vjp over vectors": (lambda f: jax.vmap(pull(f), (None, 0))(x, batch_out)),
+        "jacfwd of vmap": (lambda f: jax.jit(jax.jacfwd(jax.vmap(f)))(batch)),
+        "jacrev of vmap": (lambda f: jax.jit(jax.jacrev(jax.vmap(f)))(batch)),
+        "vmap of jacrev": (lambda f: jax.vmap(jax.jacrev(f))(batch)),
+        "one leaf": (lambda f: jax.grad(lambda a: jnp.sum(f({**x, "a": a})["sum"]))(x["a"])),
+    }
+    batch_out = jax.tree.map(lambda leaf: jnp.stack([leaf, 2 * leaf, 3 * leaf]), toy(dx))
+    for name, use in uses.items():
+        # Plain JAX on the toy is the oracle; the same arithmetic in another order.
+        same = jax.tree.map(lambda p, q: np.allclose(p, q, rtol=1e-13, atol=1e-15), use(both), use(toy))
+        assert jax.tree.all(same), name
