@@ -102,7 +102,7 @@ def integrate(scene: Scene, params: Params, times: Array, how: Plan, adjoint: df
         rtol=0.0, atol=how.tolerance * scales, pcoeff=0.2, icoeff=0.5, norm=_safe_norm, dtmin=None
     )
     solution = dfx.diffeqsolve(
-        dfx.ODETerm(field),
+        dfx.ODETerm(field),  # pyright: ignore[reportArgumentType]
         dfx.Tsit5(),
         t0=0.0,
         t1=jnp.maximum(times[-1], first_step),
@@ -115,6 +115,8 @@ def integrate(scene: Scene, params: Params, times: Array, how: Plan, adjoint: df
         max_steps=how.max_steps,
         throw=False,
     )
+    assert solution.ys is not None
+    assert solution.ts is not None
     states, _ = solution.ys
     states = jnp.where(jnp.isfinite(states), states, jnp.nan)
     code = jnp.where(

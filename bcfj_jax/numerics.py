@@ -56,13 +56,11 @@ def smooth_ramp(distance: ArrayLike, width: ArrayLike) -> tuple[Array, Array]:
     return jnp.where(on, blend, positive(distance)), jnp.where(on, slope, sharp)
 
 
-def newton_root(
-    residual: Callable[[Array], Array], start: ArrayLike, iterations: int = 40
-) -> Array:
+def newton_root(residual: Callable[[Array], Array], start: ArrayLike, iterations: int = 40) -> Array:
     """Root of a smooth elementwise residual by Newton, differentiated by the implicit function theorem.
 
-    A NaN stays in its own lane. The iteration stops at ``iterations`` or when the step falls to rounding; a start on the convex
-    side of the root makes it monotone, which is the caller's business.
+    A NaN stays in its own lane. The iteration stops at ``iterations`` or when the step falls to rounding; a start on
+    the convex side of the root makes it monotone, which is the caller's business.
     """
 
     def solve(function: Callable[[Array], Array], guess: Array) -> Array:

@@ -151,9 +151,7 @@ FACTORS: dict[str, Callable[[ArrayLike], Array]] = {
 }  # fmt: skip
 
 
-def undamped_penetration(
-    stiffness: ArrayLike, exponent: ArrayLike, mass: ArrayLike, speed: ArrayLike
-) -> Array:
+def undamped_penetration(stiffness: ArrayLike, exponent: ArrayLike, mass: ArrayLike, speed: ArrayLike) -> Array:
     """Greatest penetration of F = K d^n:  d0 = [(n + 1) m v0^2 / (2 K)]^(1/(n+1))  [m].
 
     Args:
@@ -166,16 +164,12 @@ def undamped_penetration(
     return power((n + 1.0) * mass * jnp.square(speed) / (2.0 * jnp.asarray(stiffness)), 1.0 / (n + 1.0))
 
 
-def undamped_peak(
-    stiffness: ArrayLike, exponent: ArrayLike, mass: ArrayLike, speed: ArrayLike
-) -> Array:
+def undamped_peak(stiffness: ArrayLike, exponent: ArrayLike, mass: ArrayLike, speed: ArrayLike) -> Array:
     """Peak force F0 = K d0^n [N] of an undamped impact. Arguments as ``undamped_penetration``."""
     return jnp.asarray(stiffness) * undamped_penetration(stiffness, exponent, mass, speed) ** exponent
 
 
-def undamped_duration(
-    stiffness: ArrayLike, exponent: ArrayLike, mass: ArrayLike, speed: ArrayLike
-) -> Array:
+def undamped_duration(stiffness: ArrayLike, exponent: ArrayLike, mass: ArrayLike, speed: ArrayLike) -> Array:
     """Duration T0 = (d0/v0) 2 sqrt(pi) G(1 + 1/(n+1)) / G(1/2 + 1/(n+1)) [s], G the gamma function."""
     p = 1.0 / (jnp.asarray(exponent, dtype=float) + 1.0)
     ratio = jnp.exp(gammaln(1.0 + p) - gammaln(0.5 + p))
@@ -198,9 +192,7 @@ def damped_penetration(
     return d0 * shape ** (1.0 / (jnp.asarray(exponent) + 1.0))
 
 
-def damped_peak(
-    chi: ArrayLike, stiffness: ArrayLike, exponent: ArrayLike, mass: ArrayLike, speed: ArrayLike
-) -> Array:
+def damped_peak(chi: ArrayLike, stiffness: ArrayLike, exponent: ArrayLike, mass: ArrayLike, speed: ArrayLike) -> Array:
     """Peak force [N] of K d^n (1 + chi d'/v0).
 
     Solves (1 - u) - n u / (n + 1) = ln((1 + chi)/(1 + chi u)) / chi for the rate u = d'/v0 at the peak,
@@ -214,4 +206,4 @@ def damped_peak(
 
     u = newton_root(balance, jnp.zeros_like(chi))
     d = power(n * mass * jnp.square(speed) * u / (chi * stiffness), 1.0 / (n + 1.0))
-    return stiffness * d**n * (1.0 + chi * u)
+    return jnp.asarray(stiffness) * d**n * (1.0 + chi * u)

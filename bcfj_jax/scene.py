@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from bcfj_jax.errors import InputError, nearest
@@ -128,7 +128,7 @@ def check_value(where: str, quantity: Quantity, value: ArrayLike) -> None:
     Raises:
         InputError: naming the place, the value and the range.
     """
-    if isinstance(value, jax.core.Tracer):
+    if isinstance(value, Tracer):
         return
     for number in np.ravel(np.asarray(value, dtype=float)):
         if not quantity.valid(float(number)):

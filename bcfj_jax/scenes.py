@@ -153,5 +153,3 @@ def make(kind: str, **options: object) -> Scene:
     if kind not in SCENES:
         raise InputError("scene", f"no scene '{kind}'", nearest(kind, SCENES))
     return SCENES[kind](**options)
-
-

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import Literal, NamedTuple
 
 import diffrax as dfx
@@ -96,7 +97,7 @@ def _run(scene: Scene, params: Params, times: Array, how: Plan) -> tuple[Solutio
     return solution, _readings(scene, params, solution)
 
 
-_compiled: dict[object, eqx.Module] = {}
+_compiled: dict[object, Callable[..., tuple[Solution, dict[str, Reading]]]] = {}
 
 
 def _checked_times(times: ArrayLike) -> np.ndarray:

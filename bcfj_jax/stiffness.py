@@ -53,7 +53,7 @@ def sphere_sphere(effective_modulus: ArrayLike, radius_1: ArrayLike, radius_2: A
     Returns:
         K [N/m^1.5]; NaN for a negative effective radius.
     """
-    return 4.0 / 3.0 * effective_modulus * jnp.sqrt(effective_radius(radius_1, radius_2))
+    return 4.0 / 3.0 * jnp.asarray(effective_modulus) * jnp.sqrt(effective_radius(radius_1, radius_2))
 
 
 def sphere_plane(effective_modulus: ArrayLike, radius: ArrayLike) -> Array:
@@ -82,7 +82,7 @@ def sphere_in_socket(effective_modulus: ArrayLike, socket_radius: ArrayLike, bal
     """
     socket, ball = jnp.asarray(socket_radius, dtype=float), jnp.asarray(ball_radius, dtype=float)
     # Not 1/(1/Rb - 1/Rs): the difference of the radii themselves is exact for a small clearance.
-    return 4.0 / 3.0 * effective_modulus * jnp.sqrt(socket * ball / (socket - ball))
+    return 4.0 / 3.0 * jnp.asarray(effective_modulus) * jnp.sqrt(socket * ball / (socket - ball))
 
 
 def cylinder_limit(effective_modulus: ArrayLike, length: ArrayLike, radius_difference: ArrayLike) -> Array:
@@ -228,6 +228,7 @@ def groove_radii(
     Returns:
         Rx, Ry [m].
     """
+    ball_radius = jnp.asarray(ball_radius, dtype=float)
     g = ball_radius * jnp.cos(contact_angle) / track_radius
     double = 2.0 * jnp.asarray(conformity, dtype=float)
     return ball_radius * (1.0 + jnp.where(outer, g, -g)), ball_radius * double / (double - 1.0)

@@ -13,6 +13,7 @@ from typing import TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
@@ -31,13 +32,12 @@ def _apply(*operands, points, push, pull, shapes):
 
 def _abstract(*operands, points, push, pull, shapes):
     del operands, points, push, pull
-    return [jax.core.ShapedArray(s.shape, s.dtype) for s in shapes[1]]
+    return [ShapedArray(s.shape, s.dtype) for s in shapes[1]]
 
 
 def _transpose(cotangents, *operands, points, push, pull, shapes):
     dense = [
-        jnp.zeros(s.shape, s.dtype) if isinstance(c, ad.Zero) else c
-        for c, s in zip(cotangents, shapes[1], strict=True)
+        jnp.zeros(s.shape, s.dtype) if isinstance(c, ad.Zero) else c for c, s in zip(cotangents, shapes[1], strict=True)
     ]
     out = _linear_p.bind(*operands[:points], *dense, points=points, push=pull, pull=push, shapes=shapes[::-1])
     linear = [ad.is_undefined_primal(x) for x in operands[points:]]
@@ -53,9 +53,7 @@ def _batch(operands, axes, *, points, push, pull, shapes):
         jnp.broadcast_to(x, (size, *x.shape)) if a is batching.not_mapped else x
         for x, a in zip(moved[points:], axes[points:], strict=True)
     ]
-    batched = tuple(
-        tuple(jax.ShapeDtypeStruct((size, *s.shape), s.dtype) for s in side) for side in shapes
-    )
+    batched = tuple(tuple(jax.ShapeDtypeStruct((size, *s.shape), s.dtype) for s in side) for side in shapes)
     out = _linear_p.bind(
         *moved[:points],
         *vectors,

@@ -113,11 +113,26 @@ def bounce_errors(error: float) -> tuple[float, float, float]:
 
 def table(result: dict[str, Any]) -> str:
     rows = [
-        ["asked", "impact: peak", "impulse", "history", "steps", f"bounce, {result['bounces']} contacts: peak", "impulse", "steps"]
+        [
+            "asked",
+            "impact: peak",
+            "impulse",
+            "history",
+            "steps",
+            f"bounce, {result['bounces']} contacts: peak",
+            "impulse",
+            "steps",
+        ]
     ]
     for row in result["rows"]:
         i, b = row["impact"], row["bounce"]
-        cells = [f"{row['asked']:.0e}", *(f"{x:.1e}" for x in i[:3]), f"{i[3]:.0f}", *(f"{x:.1e}" for x in b[:2]), f"{b[2]:.0f}"]
+        cells = [
+            f"{row['asked']:.0e}",
+            *(f"{x:.1e}" for x in i[:3]),
+            f"{i[3]:.0f}",
+            *(f"{x:.1e}" for x in b[:2]),
+            f"{b[2]:.0f}",
+        ]
         rows.append(cells)
     return markdown(rows)
 

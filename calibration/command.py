@@ -52,11 +52,13 @@ def text(result: Fit) -> str:
             f"force at {format_si(result.reference.penetration, 'm')}: {_interval(result.reference, 'N')}"
             " (the power law where the data are; the stiffness is derived from it)",
         ]
-    lines += ["", f"residual: {format_si(result.residual['rms_force'], 'N')} rms over {result.residual['samples']} samples"]
+    lines += [
+        "",
+        f"residual: {format_si(result.residual['rms_force'], 'N')} rms over {result.residual['samples']} samples",
+    ]
     for name, errors in (result.held_out or {}).items():
-        lines.append(
-            f"held out, {name}: at most {errors['max_error_of_peak']:.2%} of the peak, {errors['rms_error_of_peak']:.2%} rms"
-        )
+        worst, rms = errors["max_error_of_peak"], errors["rms_error_of_peak"]
+        lines.append(f"held out, {name}: at most {worst:.2%} of the peak, {rms:.2%} rms")
     return "\n".join(lines)
 
 
@@ -122,11 +124,13 @@ def as_json(result: Fit) -> dict[str, Any]:
 
 def _write(folder: Path, path: Path, problem: Problem, result: Fit, seconds: float) -> None:
     outputs.write_json(folder / "fit.json", {**as_json(result), "wall_s": seconds})
-    plots.records(result, folder / "fit.png")
+    plots.records(result, problem, folder / "fit.png")
     plots.force_penetration(result, problem, folder / "force_penetration.png")
     plots.starts(result, folder / "starts.png")
     _write_scene(folder / "fitted_scene.toml", path, problem, result)
-    outputs.write_toml(folder / "run.toml", _resolved(path, problem, result), f"resolved input of bcfj calibrate {path.name}")
+    outputs.write_toml(
+        folder / "run.toml", _resolved(path, problem, result), f"resolved input of bcfj calibrate {path.name}"
+    )
     data = sources(path)
     outputs.write_json(folder / "environment.json", outputs.environment(seed=result.seed, data=data))
     tables = [
@@ -134,7 +138,9 @@ def _write(folder: Path, path: Path, problem: Problem, result: Fit, seconds: flo
         ("Tests", [["test", "value", "limit", "passed"], *[_test_row(t) for t in result.tests]]),
     ]
     if result.held_out:
-        rows = [[n, f"{e['max_error_of_peak']:.2%}", f"{e['rms_error_of_peak']:.2%}"] for n, e in result.held_out.items()]
+        rows = [
+            [n, f"{e['max_error_of_peak']:.2%}", f"{e['rms_error_of_peak']:.2%}"] for n, e in result.held_out.items()
+        ]
         tables.append(("Held out", [["record", "largest error of the peak", "rms of the peak"], *rows]))
     pictures = [folder / name for name in FILES if name.endswith(".png")]
     report.write(folder, f"Calibration of {path.name}", result.verdict, tables, pictures, result.reasons)

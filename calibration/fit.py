@@ -53,7 +53,10 @@ class Reference:
 
 @dataclass(frozen=True)
 class Record:
-    """One experiment beside its prediction: times (T,), per channel data, prediction (T,) and sigma [N]."""
+    """One experiment beside its prediction: times (T,), per channel data, prediction (T,) and sigma [N].
+
+    ``params`` are the scene's parameters and the nuisances that the prediction was made with.
+    """
 
     name: str
     held_out: bool
@@ -61,6 +64,7 @@ class Record:
     data: dict[str, np.ndarray]
     prediction: dict[str, np.ndarray]
     sigma: dict[str, float]
+    params: dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -73,7 +77,7 @@ class Fit:
     reference: Reference | None
     tests: list[judge.Test]
     starts: list[dict[str, Any]]
-    residual: dict[str, float]
+    residual: dict[str, Any]
     held_out: dict[str, dict[str, float]] | None
     correlation: np.ndarray | None
     labels: tuple[str, ...]
@@ -133,7 +137,7 @@ def _judge(
 ) -> Fit:
     best = found.ends[0]
     depth = jnp.asarray(found.log_depth)
-    records = _records(model, fitted, np.asarray(predictions(model, jnp.asarray(best.point), depth)), False)
+    records = _records(model, fitted, best.point, found.log_depth, False)
     estimated = any(c.sigma is None for e in fitted for c in e.channels)
     seen = np.asarray(model.data.weights) > 0
     samples = int(seen.sum())
@@ -146,9 +150,7 @@ def _judge(
     if any(e.hold_out for e in problem.experiments):
         held_out, held_records, weighted = _hold_out(problem, model, best, found.log_depth)
         rms_in = np.sqrt(best.cost / spread.freedom)
-        quality.append(
-            judge.held_out_test(rms_in, spread.freedom, float(np.sqrt(np.mean(weighted**2))), weighted.size)
-        )
+        quality.append(judge.held_out_test(rms_in, spread.freedom, float(np.sqrt(np.mean(weighted**2))), weighted.size))
     verdicts |= {"misfit" for t in quality if not t.passed}
     parameters, reference, identification = _estimates(model, labels, best, found.log_depth, spread)
     verdicts |= {"not_identified" for t in identification if not t.passed}
@@ -158,7 +160,9 @@ def _judge(
         parameters = {name: replace(p, ci95=None) for name, p in parameters.items()}
         reference = reference and replace(reference, ci95=None)
     values = {name: float(v[0]) for name, v in model.data.fixed.items()}
-    values |= {s.name: parameters[name].value for s, name in zip(model.slots, labels, strict=True) if s.experiment is None}
+    values |= {
+        s.name: parameters[name].value for s, name in zip(model.slots, labels, strict=True) if s.experiment is None
+    }
     sigma = np.sqrt(np.diag(spread.covariance)) if spread.covariance is not None else None
     return Fit(
         verdict=verdict,
@@ -243,20 +247,29 @@ def _estimates(
         parameters[label] = Parameter(values[i], unit, interval, identifiable, at_bound, kind)  # type: ignore[arg-type]
         reason = f"the data do not determine {label}: they allow a factor or share beyond the limit"
         tests.append(judge.Test(f"{label} determined", half, widest, identifiable, reason))
-        tests.append(judge.Test(f"{label} inside its bounds", 0, 0, not at_bound, f"{label} is at its {at_bound} bound"))
+        tests.append(
+            judge.Test(f"{label} inside its bounds", 0, 0, not at_bound, f"{label} is at its {at_bound} bound")
+        )
         if identifiable and not at_bound and spread.covariance is not None:
             tests.append(judge.curvature_test(label, _curvature(model, best, depth, spread, i)))
     if not all(t.passed for t in tests if t.name.endswith("determined")):
         order = np.argsort(-np.abs(spread.weakest))[:2]
         names = " and ".join(labels[k] for k in order)
-        tests.append(judge.Test("weak direction", spread.condition, 0, False, f"the weakest direction of the data is in {names}"))
+        tests.append(
+            judge.Test("weak direction", spread.condition, 0, False, f"the weakest direction of the data is in {names}")
+        )
     if pair:
         reference = _reference(model, best, spread, log_depth, pair, lower, width)
     return parameters, reference, tests
 
 
 def _with_stiffness(
-    z: np.ndarray, cov: np.ndarray | None, pair: tuple[int, int], exponent: float, exponent_is_log: bool, log_depth: float
+    z: np.ndarray,
+    cov: np.ndarray | None,
+    pair: tuple[int, int],
+    exponent: float,
+    exponent_is_log: bool,
+    log_depth: float,
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """From the coordinate ln F_ref to ln K = ln F_ref - n ln d_ref, and the covariance that follows."""
     k, n = pair
@@ -268,7 +281,13 @@ def _with_stiffness(
 
 
 def _reference(
-    model: Model, best: End, spread: judge.Spread, log_depth: float, pair: tuple[int, int], lower: np.ndarray, width: np.ndarray
+    model: Model,
+    best: End,
+    spread: judge.Spread,
+    log_depth: float,
+    pair: tuple[int, int],
+    lower: np.ndarray,
+    width: np.ndarray,
 ) -> Reference:
     k, _ = pair
     centre = lower[k] + best.point[k] * width[k]
@@ -309,7 +328,7 @@ def _hold_out(problem: Problem, model: Model, best: End, log_depth: float):
     else:
         other = Model(other.scene, (), other.channels, other.data, other.how)
         point, residuals = np.zeros(0), np.asarray(other.residuals(jnp.zeros(0), jnp.asarray(0.0)))
-    records = _records(other, held, np.asarray(predictions(other, jnp.asarray(point), jnp.asarray(0.0))), True)
+    records = _records(other, held, point, 0.0, True)
     report = {}
     for record in records:
         for channel, data in record.data.items():
@@ -321,20 +340,28 @@ def _hold_out(problem: Problem, model: Model, best: End, log_depth: float):
     return report, records, residuals[np.asarray(other.data.weights).ravel() > 0]
 
 
-def _records(model: Model, experiments: tuple[Experiment, ...], predicted: np.ndarray, held_out: bool) -> list[Record]:
-    records = []
+def _records(
+    model: Model, experiments: tuple[Experiment, ...], point: np.ndarray, log_depth: float, held_out: bool
+) -> list[Record]:
+    predicted = np.asarray(predictions(model, jnp.asarray(point), jnp.asarray(log_depth)))
+    values = [float(v) for v in model.values(jnp.asarray(point), jnp.asarray(log_depth))]
     weights = np.asarray(model.data.weights)
+    records = []
     for i, experiment in enumerate(experiments):
         count = experiment.times.size
         own = {c.observes: (model.channels.index(c.observes), c.values) for c in experiment.channels}
+        params = {"time_offset": 0.0, "force_offset": 0.0, "gain": 1.0}
+        params |= {name: float(v[i]) for name, v in model.data.fixed.items()}
+        params |= {s.name: v for s, v in zip(model.slots, values, strict=True) if s.experiment in (None, i)}
         records.append(
             Record(
-                experiment.name,
-                held_out,
-                experiment.times,
-                {name: values for name, (_, values) in own.items()},
-                {name: predicted[i, j, :count] for name, (j, _) in own.items()},
-                {name: 1.0 / float(weights[i, j].max()) for name, (j, _) in own.items()},
+                name=experiment.name,
+                held_out=held_out,
+                times=experiment.times,
+                data={name: values for name, (_, values) in own.items()},
+                prediction={name: predicted[i, j, :count] for name, (j, _) in own.items()},
+                sigma={name: 1.0 / float(weights[i, j].max()) for name, (j, _) in own.items()},
+                params=params,
             )
         )
     return records

@@ -33,7 +33,8 @@ class Test(NamedTuple):
 
 class Series(NamedTuple):
     """Weighted residuals of one record and channel in time order, whether each sample is in contact, and what
-    one unit of them is as a share of the record's peak."""
+    one unit of them is as a share of the record's peak.
+    """
 
     weighted: np.ndarray
     touching: np.ndarray
@@ -114,12 +115,19 @@ def residual_tests(series: list[Series], parameters: int, estimated: bool) -> li
     for place, inside in (("in contact", True), ("apart", False)):
         parts = [s.weighted[s.touching == inside] for s in series]
         p = _runs_p([part - np.median(part) if estimated and part.size else part for part in parts])
-        share = max((float(np.sqrt(np.mean(part**2))) * s.share for part, s in zip(parts, series, strict=True) if part.size), default=0.0)
-        reason = f"{place}, residuals of one sign follow each other: the model misses a shape ({share:.2g} of the peak, rms)"
+        share = max(
+            (float(np.sqrt(np.mean(part**2))) * s.share for part, s in zip(parts, series, strict=True) if part.size),
+            default=0.0,
+        )
+        reason = (
+            f"{place}, residuals of one sign follow each other: the model misses a shape ({share:.2g} of the peak, rms)"
+        )
         tests.append(Test(f"order of residuals {place}", p, LEVEL / 2, p > LEVEL / 2, reason))
     worst = float(np.max(np.abs(together)) / sigma) if sigma > 0 else 0.0
     limit = float(stats.norm.isf(LEVEL / (2 * together.size)))
-    tests.append(Test("no outlier", worst, limit, worst < limit, f"a residual is {worst:.3g} sigma: the model misses an event"))
+    tests.append(
+        Test("no outlier", worst, limit, worst < limit, f"a residual is {worst:.3g} sigma: the model misses an event")
+    )
     return tests
 
 
@@ -144,7 +152,13 @@ def _runs_p(series: list[np.ndarray]) -> float:
 def held_out_test(rms_in: float, freedom_in: int, rms_out: float, samples_out: int) -> Test:
     """Whether the weighted residuals of held-out records are no larger than those of the fit (F test)."""
     p = float(stats.f.sf((rms_out / rms_in) ** 2, samples_out, freedom_in)) if rms_in > 0 else 1.0
-    return Test("held-out prediction", p, LEVEL, p > LEVEL, f"held-out residuals are {rms_out / rms_in:.3g} times those of the fit")
+    return Test(
+        "held-out prediction",
+        p,
+        LEVEL,
+        p > LEVEL,
+        f"held-out residuals are {rms_out / rms_in:.3g} times those of the fit",
+    )
 
 
 def curvature_test(label: str, ratio: float) -> Test:

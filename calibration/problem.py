@@ -90,7 +90,9 @@ class Problem:
 
     def __post_init__(self) -> None:
         if not self.free:
-            raise InputError(self.where, "no free parameter", "add a table such as [free.stiffness] with lower and upper")
+            raise InputError(
+                self.where, "no free parameter", "add a table such as [free.stiffness] with lower and upper"
+            )
         if not any(not e.hold_out for e in self.experiments):
             raise InputError(self.where, "no experiment to fit", "give at least one [[experiment]] without hold_out")
         for parameter in self.free:
@@ -119,7 +121,9 @@ class Problem:
         if not f.lower < f.upper:
             raise InputError(where, f"lower = {f.lower:g} is not below upper = {f.upper:g}", "swap the bounds")
         if f.start is not None and not f.lower <= f.start <= f.upper:
-            raise InputError(where, f"start = {f.start:g} is outside [{f.lower:g}, {f.upper:g}]", "start within the bounds")
+            raise InputError(
+                where, f"start = {f.start:g} is outside [{f.lower:g}, {f.upper:g}]", "start within the bounds"
+            )
         if f.log and f.lower <= 0:
             raise InputError(where, f"scale = log with lower = {f.lower:g}", "use positive bounds or scale = 'linear'")
 
@@ -130,7 +134,9 @@ def _check_experiment(experiment: Experiment, contacts: list[str]) -> None:
     if late.size:
         k = int(late[0])
         found = f"time {experiment.times[k + 1]:g} s follows {experiment.times[k]:g} s in {experiment.name}"
-        raise InputError(where, found, "times must increase: sort the rows, or split the runs with rows = { column = ... }")
+        raise InputError(
+            where, found, "times must increase: sort the rows, or split the runs with rows = { column = ... }"
+        )
     for channel in experiment.channels:
         contact, _, component = channel.observes.partition(".")
         if contact not in contacts:

@@ -1,10 +1,10 @@
 """Calibration files: a TOML problem becomes a ``Problem``, every mistake named by file and key.
 
-    scene = "impact.toml"            a scene file (relative to this one) or a built-in scene's name
-    [[experiment]]                   file, time, rows, observe, noise, hold_out; parameters (known for it alone);
-                                     align = "onset" puts time 0 where the force first exceeds a tenth of its
-                                     peak; window = [from, to] keeps those times (after aligning)
-    [free.NAME]                      lower, upper, start, scale; each = true gives every experiment its own
+scene = "impact.toml"            a scene file (relative to this one) or a built-in scene's name
+[[experiment]]                   file, time, rows, observe, noise, hold_out; parameters (known for it alone);
+                                 align = "onset" puts time 0 where the force first exceeds a tenth of its
+                                 peak; window = [from, to] keeps those times (after aligning)
+[free.NAME]                      lower, upper, start, scale; each = true gives every experiment its own
 """
 
 from __future__ import annotations
@@ -124,7 +124,9 @@ def _experiment(entry: _Experiment, name: str, part: Table, where: str, fixed: d
         first, last = (quantity(w, "s", f"{where} window") for w in entry.window)
         keep = (times >= first) & (times <= last)
         if np.count_nonzero(keep) < 3:
-            raise InputError(f"{where} window", f"{np.count_nonzero(keep)} samples of {name} lie in it", "widen the window")
+            raise InputError(
+                f"{where} window", f"{np.count_nonzero(keep)} samples of {name} lie in it", "widen the window"
+            )
     channels = tuple(
         Channel(observes, values[keep], _noise(entry.noise, values[keep], f"{where} noise"))
         for observes, values in columns.items()
@@ -149,5 +151,7 @@ def _noise(noise: object, values: np.ndarray, where: str) -> float | None:
     share = isinstance(noise, str) and noise.strip().endswith("%")
     sigma = quantity(noise, "1", where) * largest if share else quantity(noise, "N", where)
     if not sigma > 0:
-        raise InputError(where, f"noise = {noise} gives a deviation of {sigma:g} N", 'give "2 %", "0.1 kN" or "estimate"')
+        raise InputError(
+            where, f"noise = {noise} gives a deviation of {sigma:g} N", 'give "2 %", "0.1 kN" or "estimate"'
+        )
     return sigma

@@ -66,13 +66,15 @@ def search(model: Model, starts: list[np.ndarray], count: int, seed: int) -> Sea
         seed: of the Sobol scrambling; the same seed gives the same result.
     """
     log_depth = 0.0
-    design = qmc.Sobol(len(model.slots), seed=seed).random_base2(3 + int(np.ceil(np.log2(count))))
+    design = qmc.Sobol(len(model.slots), rng=seed).random_base2(3 + int(np.ceil(np.log2(count))))
     costs, reach = _screen(model, design, count)
     log.info("%d of %d Sobol points simulate", np.isfinite(costs).sum(), len(design))
     values = [np.asarray(model.values(jnp.asarray(u), jnp.asarray(log_depth))) for u in _spread(design, costs, count)]
     values = [*starts, *values][: max(count, len(starts))]
     if model.referenced:
-        log_depth = _reference_depth(model, design[int(np.nanargmin(costs))], log_depth) if np.isfinite(costs).any() else 0.0
+        log_depth = (
+            _reference_depth(model, design[int(np.nanargmin(costs))], log_depth) if np.isfinite(costs).any() else 0.0
+        )
     points = np.clip([model.point(v, log_depth) for v in values], 1e-3, 1 - 1e-3)
     rough = _descend(model, points, log_depth)
     if model.referenced:
@@ -147,7 +149,7 @@ def _descend(model: Model, points: np.ndarray, log_depth: float) -> np.ndarray:
         better = cost < best_cost
         best, best_cost = jnp.where(better[:, None], at, best), jnp.where(better, cost, best_cost)
         step, state = optimiser.update(slope, state, at)
-        at = jnp.clip(at + step, 1e-6, 1.0 - 1e-6)
+        at = jnp.clip(jnp.asarray(optax.apply_updates(at, step)), 1e-6, 1.0 - 1e-6)
     return np.asarray(best)
 
 
@@ -169,7 +171,7 @@ def finish(model: Model, start: np.ndarray, point: np.ndarray, log_depth: float)
     result = least_squares(
         lambda u: evaluate(u)[0],
         point,
-        jac=lambda u: evaluate(u)[1],
+        jac=lambda u: evaluate(u)[1],  # pyright: ignore[reportArgumentType]
         bounds=(0.0, 1.0),
         x_scale="jac",
         xtol=1e-10,

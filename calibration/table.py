@@ -60,7 +60,11 @@ class Table:
                 values[i] = np.nan
             if not np.isfinite(values[i]):
                 place = f"{self.path}: line {self.lines[i]}, column '{self.header[position]}'"
-                raise InputError(place, f"'{text}' is not a finite number", "correct the cell, or leave it blank if it was not measured")
+                raise InputError(
+                    place,
+                    f"'{text}' is not a finite number",
+                    "correct the cell, or leave it blank if it was not measured",
+                )
         return values * scale
 
     def where(self, keep: list[bool]) -> Table:
@@ -82,7 +86,9 @@ def read(path: Path, where: str) -> Table:
     except FileNotFoundError:
         raise InputError(where, f"no file {path}", "give a path relative to the problem file") from None
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(where, f"{path} cannot be read as CSV ({error})", "give a CSV file in UTF-8 with a header") from None
+        raise InputError(
+            where, f"{path} cannot be read as CSV ({error})", "give a CSV file in UTF-8 with a header"
+        ) from None
     if len(numbered) < 2:
         raise InputError(str(path), "has no rows below a header", "give a CSV file with a header and data")
     header = numbered[0][1]

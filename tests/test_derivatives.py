@@ -24,7 +24,7 @@ HERTZ = scenes.impact("hertz", smoothing=False)
 # Long soft contacts, so that a step of a difference is short beside them.
 SOFT = {"stiffness": 1e4, "damping": 0.05, "drop_height": 0.1}
 BOUNCE = scenes.bounce("memory_free", smoothing=False)
-BOUNCE_TIMES = (0.1457, 0.1500, 0.398, 0.402)
+BOUNCE_TIMES = (0.1457, 0.1500, 0.434, 0.438)
 
 
 def impact_force(theta, mode="auto"):
@@ -84,17 +84,21 @@ def differences(function, theta, relative):
 
 
 def close(found, expected, relative):
-    """Equal to a tolerance in units of each column's largest entry."""
+    """Derivatives over relative changes, equal to a tolerance in units of each column's largest entry.
+
+    A column below 1 % of the largest of all counts as 1 %: smoothing changes next to nothing, by design,
+    and what it does change is below the accuracy of the run.
+    """
     found, expected = np.asarray(found), np.asarray(expected)
-    size = np.abs(expected).max(axis=0)
+    size = np.maximum(np.abs(expected).max(axis=0), 1e-2 * np.abs(expected).max())
     assert np.all(np.abs(found - expected) <= relative * size), (np.abs(found - expected) / size).max()
 
 
 def test_all_directions_agree(impact):
     # The same discrete solution differentiated twice: rounding over some 500 steps.
-    expected = impact.only_forward(POINT)
+    expected = impact.only_forward(POINT) * POINT
     for way in (impact.forward, impact.reverse, impact.only_reverse):
-        close(way(POINT), expected, 1e-9)
+        close(way(POINT) * POINT, expected, 1e-9)
 
 
 def test_impact_against_differences(impact):
@@ -122,7 +126,9 @@ def test_times_against_an_offset(impact):
 @pytest.fixture(scope="module")
 def bounce():
     return SimpleNamespace(
-        force=jax.jit(bounce_force), forward=jax.jit(jax.jacfwd(bounce_force)), reverse=jax.jit(jax.jacrev(bounce_force))
+        force=jax.jit(bounce_force),
+        forward=jax.jit(jax.jacfwd(bounce_force)),
+        reverse=jax.jit(jax.jacrev(bounce_force)),
     )
 
 
@@ -130,7 +136,7 @@ def test_bounces(bounce):
     theta = jnp.array(list(SOFT.values()))
     forward = bounce.forward(theta)
     assert np.all(bounce.force(theta) > 1.0)  # every time is inside a contact
-    close(bounce.reverse(theta), forward, 1e-9)
+    close(bounce.reverse(theta) * theta, forward * theta, 1e-9)
     # A drop 3e-4 higher comes 1 % of a contact later at the second bounce: truncation 1e-8, noise 1e-6.
     close(forward * theta, differences(bounce.force, theta, 3e-4), 1e-5)
 
@@ -175,10 +181,13 @@ def logarithmic_peak(logs, mode="forward"):
     return jnp.log(force_history(HERTZ, values, time[None], accuracy=ACCURACY, mode=mode)["contact"][0, 0])
 
 
+PEAK = float(undamped_peak(1e10, 1.5, 0.02, 1.5))
+
+
 def test_peak_against_its_closed_form():
     # F0 = K^(1/(n+1)) ((n+1) m v^2 / 2)^(n/(n+1)): constant slopes of its logarithm, and no curvature.
     logs = jnp.log(jnp.array([1e10, 0.02]))
-    assert float(logarithmic_peak(logs)) == pytest.approx(np.log(undamped_peak(1e10, 1.5, 0.02, 1.5)), abs=1e-8)
+    assert float(logarithmic_peak(logs)) == pytest.approx(float(jnp.log(PEAK)), abs=1e-8)
     gradient = np.asarray(jax.jit(jax.jacfwd(logarithmic_peak))(logs))
     assert gradient == pytest.approx([0.4, 0.6], abs=1e-5)
 
@@ -189,7 +198,7 @@ def test_second_derivatives():
 
     found = jax.jit(jax.jacfwd(jax.jacfwd(peak)))(1e10)
     # d2F/dK2 = F (1/(n+1)) (1/(n+1) - 1) / K^2. The interpolation's second derivative costs most of the 1e-3.
-    assert float(found) == pytest.approx(undamped_peak(1e10, 1.5, 0.02, 1.5) * 0.4 * -0.6 / 1e20, rel=1e-3)
+    assert float(found) == pytest.approx(PEAK * 0.4 * -0.6 / 1e20, rel=1e-3, abs=0.0)
     with pytest.raises(RuntimeError, match="mode='forward'"):
         jax.jit(jax.jacfwd(jax.jacfwd(lambda logs: logarithmic_peak(logs, "auto"))))(jnp.log(jnp.array([1e10, 0.02])))
 

@@ -20,7 +20,12 @@ from bcfj_jax.laws.elastic import ELASTIC, bai_zhao_stiffness
 from bcfj_jax.laws.normal import KelvinVoigt
 from bcfj_jax.numerics import smooth_ramp
 from bcfj_jax.restitution import (
-    FACTORS, damped_penetration, delivered_restitution, undamped_duration, undamped_peak, undamped_penetration,
+    FACTORS,
+    damped_penetration,
+    delivered_restitution,
+    undamped_duration,
+    undamped_peak,
+    undamped_penetration,
 )
 from bcfj_jax.scene import Contact
 
@@ -112,7 +117,8 @@ def elastic(name, depth=DEPTHS, **changed):
 
 
 def test_elastic_formulas():
-    e, length, radius, gap = (COEFFICIENTS[k] for k in ("effective_modulus", "contact_length", "radius", "radius_difference"))  # fmt: skip
+    names = ("effective_modulus", "contact_length", "radius", "radius_difference")
+    e, length, radius, gap = (COEFFICIENTS[k] for k in names)
     d = DEPTHS
     expected = {
         "power": 3e10 * d**1.5,
@@ -123,7 +129,8 @@ def test_elastic_formulas():
     for name, force in expected.items():
         assert np.allclose(elastic(name), force, rtol=1e-14, atol=0.0), name
     for n in (1.0, 1.5, 2.2):  # the two forms of the power law, K = F_ref/d_ref^n
-        assert np.allclose(elastic("reference", exponent=n), elastic("power", stiffness=2e4 / 8e-5**n, exponent=n), rtol=1e-13)  # fmt: skip
+        power = elastic("power", stiffness=2e4 / 8e-5**n, exponent=n)
+        assert np.allclose(elastic("reference", exponent=n), power, rtol=1e-13)
 
 
 def test_bai_zhao_stiffness_is_the_slope_of_liu():
@@ -287,7 +294,9 @@ def test_smooth_ramp_joins_its_neighbours(width):
     ramp, rise, autodiff, bend = by_distance(width * np.array([-0.7, 0.0, 0.4]), width)
     s = np.array([0.15, 0.5, 0.7])
     assert np.allclose(ramp, 2.0 * width * (2.5 * s**4 - 3.0 * s**5 + s**6), rtol=1e-13)
-    assert np.allclose(rise, s**3 * (10.0 - 15.0 * s + 6.0 * s**2), rtol=1e-13) and np.allclose(autodiff, rise, rtol=1e-13)
+    assert np.allclose(rise, s**3 * (10.0 - 15.0 * s + 6.0 * s**2), rtol=1e-13) and np.allclose(
+        autodiff, rise, rtol=1e-13
+    )
     assert np.allclose(bend, 15.0 * s**2 * (1.0 - s) ** 2 / width, rtol=1e-12)
     far = width * np.array([1.0, 1.5, 100.0])
     assert not np.any(smooth_ramp(-far, width)) and np.all(smooth_ramp(far, width)[0] == far)
