@@ -1,26 +1,55 @@
 """Differentiable contact dynamics of the ball-cage flexible joint.
 
 Reading order: ``laws`` (what a contact does), ``scene`` and ``scenes`` (what there is), ``dynamics`` (the
-ODE and the instruments), ``integrate`` (the one place that solves), ``simulate`` (the public verbs).
+ODE and the instruments), ``integrate`` (the one place that solves), ``simulation`` (the public verbs).
 
 Importing this package switches JAX to 64-bit numbers, for the whole process: penetrations of micrometres
-over metres of travel mean nothing in 32 bits. That is its only side effect.
+over metres of travel mean nothing in 32 bits. That is its only side effect. Names load on first use, so
+that the command line answers ``--help`` without loading a solver.
 """
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING
 
 import jax as _jax
 
 _jax.config.update("jax_enable_x64", True)
 
-from bcfj_jax import laws as laws  # noqa: E402
-from bcfj_jax import restitution as restitution  # noqa: E402
-from bcfj_jax import scenes as scenes  # noqa: E402
-from bcfj_jax.errors import InputError as InputError  # noqa: E402
-from bcfj_jax.errors import nearest as nearest  # noqa: E402
-from bcfj_jax.scene import Body as Body  # noqa: E402
-from bcfj_jax.scene import Contact as Contact  # noqa: E402
-from bcfj_jax.scene import Load as Load  # noqa: E402
-from bcfj_jax.scene import Scene as Scene  # noqa: E402
-from bcfj_jax.scene import check_value as check_value  # noqa: E402
-from bcfj_jax.simulate import Run as Run  # noqa: E402
-from bcfj_jax.simulate import force_history as force_history  # noqa: E402
-from bcfj_jax.simulate import simulate as simulate  # noqa: E402
+if TYPE_CHECKING:
+    from bcfj_jax import laws as laws
+    from bcfj_jax import restitution as restitution
+    from bcfj_jax import scenes as scenes
+    from bcfj_jax import stiffness as stiffness
+    from bcfj_jax.errors import InputError as InputError
+    from bcfj_jax.errors import nearest as nearest
+    from bcfj_jax.scene import Body as Body
+    from bcfj_jax.scene import Contact as Contact
+    from bcfj_jax.scene import Load as Load
+    from bcfj_jax.scene import Scene as Scene
+    from bcfj_jax.scene import check_value as check_value
+    from bcfj_jax.simulation import Run as Run
+    from bcfj_jax.simulation import force_history as force_history
+    from bcfj_jax.simulation import simulate as simulate
+
+# Public names by the module that holds them; a module's own name stands for the module.
+_PUBLIC = {
+    **{module: module for module in ("laws", "restitution", "scenes", "stiffness")},
+    **{name: "errors" for name in ("InputError", "nearest")},
+    **{name: "scene" for name in ("Body", "Contact", "Load", "Scene", "check_value")},
+    **{name: "simulation" for name in ("Run", "force_history", "simulate")},
+}
+
+
+def __getattr__(name: str) -> object:
+    if name not in _PUBLIC:
+        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+    module = importlib.import_module(f"{__name__}.{_PUBLIC[name]}")
+    value = module if _PUBLIC[name] == name else getattr(module, name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_PUBLIC])

@@ -63,6 +63,9 @@ def use_compile_cache() -> None:
     import jax
     import platformdirs
 
+    # JAX keeps no program that calls back to the host, as diffrax's checks do to raise. Here they give NaN instead,
+    # which a run reports as its failure. Read when equinox is first imported, so it must be set before.
+    os.environ.setdefault("EQX_ON_ERROR", "nan")
     own = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
     folder = os.environ.get("BCFJ_CACHE") or own
     if folder == "off":
@@ -97,13 +100,13 @@ def simulate(
     out: Out = None,
 ) -> int:
     """Run a scene: forces.csv, summary.json, pictures and report.html."""
+    # First: JAX decides at its first compilation, which reading a scene may be, whether there is a cache.
+    use_compile_cache()
     from bcfj_jax import simulation_results
     from bcfj_jax.outputs import open_folder
     from bcfj_jax.scenefile import load
-    from bcfj_jax.simulate import simulate as run_scene
+    from bcfj_jax.simulation import simulate as run_scene
 
-    # First: JAX decides at its first compilation, which reading a scene may be, whether there is a cache.
-    use_compile_cache()
     given = load(scene)
     stem = given.source.stem if given.source else scene
     folder = open_folder(out, "simulate", stem, simulation_results.FILES)

@@ -104,6 +104,8 @@ def observe(scene: Scene, state: Array, params: Params) -> dict[str, Reading]:
         remembered = memory[slot] if contact.remembers else memory
         slot += contact.remembers
         normal = normal_force(contact, -gap, rate, _approach(contact, q, v, remembered, params), params)
+        # A law clips NaN to no force; a state that failed must not read as one that is merely apart.
+        normal = jnp.where(jnp.isnan(gap + rate), jnp.nan, normal)
         force = jnp.stack([normal, jnp.zeros_like(normal), jnp.zeros_like(normal)])
         readings[contact.name] = Reading(force, -gap, rate)
     return readings

@@ -19,7 +19,7 @@ from bcfj_jax.errors import InputError
 from bcfj_jax.provenance import environment as environment
 
 if TYPE_CHECKING:
-    from bcfj_jax.simulate import Run
+    from bcfj_jax.simulation import Run
 
 _COMPONENTS = ("normal", "axial", "tangential")
 

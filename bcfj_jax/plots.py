@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from bcfj_jax.simulate import Run
+    from bcfj_jax.simulation import Run
 
 _FEW_SAMPLES = 10
 COLOURS = ("#1f5fa8", "#c4501b", "#2d7d46", "#8a4fa3", "#a8891f", "#4a4a4a")

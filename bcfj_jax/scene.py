@@ -81,6 +81,7 @@ class Scene(eqx.Module):
         impact_scale: (params) -> typical mass [kg] and speed [m/s] of an impact, from which the error
             control takes its units.
         horizon: (params) -> a sensible end time [s] where the user gives none.
+        samples: a number of output times over that horizon that resolves a contact.
     """
 
     kind: str = eqx.field(static=True)
@@ -92,6 +93,7 @@ class Scene(eqx.Module):
     start: Callable[[Params], tuple[Array, Array]] = eqx.field(static=True)
     impact_scale: Callable[[Params], tuple[Array, Array]] = eqx.field(static=True)
     horizon: Callable[[Params], Array] = eqx.field(static=True)
+    samples: int = eqx.field(static=True, default=1001)
 
     @property
     def quantities(self) -> dict[str, Quantity]:

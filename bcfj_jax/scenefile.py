@@ -31,7 +31,7 @@ from bcfj_jax.scenetemplate import template as template
 from bcfj_jax.spheres import Spheres
 from bcfj_jax.units import quantity
 
-_DEFAULT_LEVEL, _DEFAULT_STEPS, _DEFAULT_SAMPLES = "balanced", 100_000, 1001
+_DEFAULT_LEVEL, _DEFAULT_STEPS = "balanced", 100_000
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class SceneFile:
 
 class _Time(tables.Table):
     end: Any = None
-    samples: int = pydantic.Field(default=_DEFAULT_SAMPLES, ge=2, le=10_000_000)
+    samples: int | None = pydantic.Field(default=None, ge=2, le=10_000_000)
 
 
 class _Accuracy(tables.Table):
@@ -96,19 +96,20 @@ def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
     values = _values(scene, file.parameters, spheres, where)
     params = scene.parameters(values)
     end = _end(scene, params, file.time, where)
+    samples = file.time.samples or scene.samples
     accuracy = _accuracy(file.accuracy, where)
     contact = scene.contacts[0]
     resolved = {
         "scene": {"kind": scene.kind, "law": _law_name(file), "elastic": _elastic_name(scene)},
         "parameters": {name: float(value) for name, value in params.items()},
-        "time": {"end": end, "samples": file.time.samples},
+        "time": {"end": end, "samples": samples},
         "accuracy": {
             "level" if isinstance(accuracy, str) else "force_error": accuracy,
             "max_steps": file.accuracy.max_steps,
         },
     }
     resolved["scene"]["smoothing"] = contact.smoothed
-    times = np.linspace(0.0, end, file.time.samples)
+    times = np.linspace(0.0, end, samples)
     return SceneFile(scene, params, times, accuracy, resolved, source, file.accuracy.max_steps)
 
 

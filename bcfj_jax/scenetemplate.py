@@ -46,7 +46,7 @@ smoothing = true  # false takes the smooth onset of penetration, and its paramet
 
 [time]
 # end = "{format_si(float(scene.horizon(scene.parameters())), "s")}"  # by default long enough for this scene
-samples = 1001  # equally spaced, the first at 0
+samples = {scene.samples}  # equally spaced, the first at 0
 
 [accuracy]
 level = "balanced"  # fast (5 % of the peak force), balanced (1 %), reference (0.001 %)

@@ -10,7 +10,7 @@ import numpy as np
 
 from bcfj_jax import features, outputs, plots, report
 from bcfj_jax.scenefile import SceneFile
-from bcfj_jax.simulate import Run
+from bcfj_jax.simulation import Run
 from bcfj_jax.units import format_si
 
 FILES = (

@@ -25,6 +25,7 @@ PROCESSES, WARM_CALLS = 3, 20
 
 def worker() -> None:
     begin = time.perf_counter()
+    os.environ["EQX_ON_ERROR"] = "nan"
     import jax
 
     jax.config.update("jax_compilation_cache_dir", os.environ["BCFJ_CACHE"])

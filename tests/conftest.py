@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
-import jax
-from hypothesis import settings
+# Before equinox is imported: JAX keeps no program with host callbacks, which diffrax's checks are (see the CLI).
+os.environ.setdefault("EQX_ON_ERROR", "nan")
+
+import jax  # noqa: E402
+from hypothesis import settings  # noqa: E402
 
 BUILD = Path(__file__).resolve().parent.parent / "build"
 

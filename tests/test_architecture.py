@@ -50,12 +50,19 @@ WITHIN = {
 PHYSICS = {"laws", "numerics", "restitution", "elliptic", "stiffness", "dynamics", "integrate", "simulate", "two_way"}
 PHYSICS |= {"scene", "scenes", "quantities", "errors", "features"}
 TOOLS = {"pint", "pydantic", "typer", "matplotlib", "calibration"}
+# What fulfils a documented abstract method or property of a law is documented there.
+INHERITED = {"force", "needs"}
 SOURCES = sorted(path for package in FLOORS for path in (ROOT / package).rglob("*.py"))
 
 
 def room(path: Path) -> str:
     """The module or sub-package a file belongs to."""
     return path.relative_to(ROOT).with_suffix("").parts[1]
+
+
+def named(path: Path) -> str:
+    """A test's name."""
+    return str(path.relative_to(ROOT))
 
 
 def imports(path: Path, everywhere: bool = True):
@@ -72,10 +79,6 @@ def imports(path: Path, everywhere: bool = True):
 FRONT = [path for path in SOURCES if room(path) not in ("__init__", "__main__")]
 
 
-def named(path: Path) -> str:
-    return str(path.relative_to(ROOT))
-
-
 @pytest.mark.parametrize("path", FRONT, ids=named)
 def test_imports_point_down(path):
     package, here = path.relative_to(ROOT).parts[0], room(path)
@@ -86,13 +89,7 @@ def test_imports_point_down(path):
         # ``from bcfj_jax import simulate`` names a public function of the front door, which is no room below it.
         if first != package or second not in floor or second == here:
             continue
-        if (package, here) in TYPE_ONLY.get(second, ()):
-            continue
         assert floor[second] < floor[here] or (here, second) in WITHIN, f"{here} may not import {second}"
-
-
-# Imports that only a type checker sees.
-TYPE_ONLY: dict[str, set[tuple[str, str]]] = {}
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=named)
@@ -118,7 +115,6 @@ def test_files_are_short_and_say_what_they_are(path):
         for node in body:
             if not isinstance(node, (ast.FunctionDef, ast.ClassDef)) or node.name.startswith("_"):
                 continue
-            # What fulfils a documented abstract method or property is documented there.
             if not ast.get_docstring(node) and not (prefix and node.name in INHERITED):
                 missing.append(prefix + node.name)
             if isinstance(node, ast.ClassDef):
@@ -126,6 +122,3 @@ def test_files_are_short_and_say_what_they_are(path):
 
     look(tree.body)
     assert not missing
-
-
-INHERITED = {"force", "needs"}

@@ -107,6 +107,7 @@ def test_parameters_are_64_bit():
 
 _PROBE = """
 import jax, sys
+import diffrax  # a dependency may have settings of its own
 before = dict(jax.config.values)
 import bcfj_jax
 after = dict(jax.config.values)

@@ -203,7 +203,6 @@ def test_compile_cache_is_per_user_unless_told(variable, here, monkeypatch):
     assert kept.get("jax_compilation_cache_dir") == wanted
 
 
-@pytest.mark.xfail(strict=True, reason="diffrax's error checks are host callbacks, which JAX keeps in no cache")
 def test_compiled_scene_is_kept_between_runs(here):
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parent.parent), "BCFJ_CACHE": str(here / "cache")}
     command = [sys.executable, "-m", "bcfj_jax", "simulate", "impact"]

@@ -7,6 +7,7 @@ from collections import Counter
 import jax
 import jax.numpy as jnp
 import pytest
+from jax.extend.core import jaxprs_in_params
 
 from bcfj_jax import scenes
 from bcfj_jax.dynamics import field, initial_state, state_scales
@@ -20,7 +21,7 @@ def operations(scene) -> Counter:
 
     def walk(jaxpr):
         for equation in jaxpr.eqns:
-            inner = list(jax.core.jaxprs_in_params(equation.params))
+            inner = list(jaxprs_in_params(equation.params))
             count[equation.primitive.name] += not inner
             for nested in inner:
                 walk(nested)

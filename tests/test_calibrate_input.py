@@ -1,0 +1,227 @@
+"""What calibrate reads: every bad input is named with its remedy and leaves nothing behind; what a table may hold."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import BUILD
+from typer.testing import CliRunner
+
+from bcfj_jax import InputError
+from bcfj_jax.cli import app
+from calibration import command
+from calibration.problemfile import load
+
+pytestmark = pytest.mark.filterwarnings("error")
+
+# A small smooth pulse of 100 N over 1 ms; none of these tests asks whether a law fits it.
+TIMES = np.linspace(0.0, 1.2, 13)
+FORCES = 100.0 * np.clip(np.sin(np.pi * TIMES), 0.0, None)
+TABLE = "time [ms],force [N]\n" + "".join(f"{t:.3f},{f:.6f}\n" for t, f in zip(TIMES, FORCES, strict=True))
+SCENE = '[scene]\nkind = "impact"\n[parameters]\nmass = 0.1\napproach_speed = 1.0\nstiffness = 1e8\n'
+PROBLEM = """scene = "s.toml"
+[[experiment]]
+file = "d.csv"
+time = "time [ms]"
+observe = { "contact.normal" = "force [N]" }
+noise = "1 N"
+[free.stiffness]
+lower = 1e6
+upper = 1e10
+"""
+FREE = PROBLEM[PROBLEM.index("[free") :]
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """Each test in its own folder, with a good problem in it."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("BCFJ_CACHE", str(BUILD / "jax-cache"))
+    for name, text in (("p.toml", PROBLEM), ("s.toml", SCENE), ("d.csv", TABLE)):
+        Path(name).write_text(text)
+    return tmp_path
+
+
+def swap(old: str, new: str, file: str = "p.toml"):
+    """A change of one of the files, which must indeed change it."""
+
+    def change():
+        text = Path(file).read_text()
+        assert old in text
+        Path(file).write_text(text.replace(old, new, 1))
+
+    return change
+
+
+def drop(file: str):
+    return lambda: Path(file).unlink()
+
+
+def lines(change) -> None:
+    """Change the data's lines, the header being line 1."""
+
+    def apply():
+        rows = Path("d.csv").read_text().splitlines()
+        Path("d.csv").write_text("\n".join(change(rows)) + "\n")
+
+    return apply
+
+
+def refused(*parts: str) -> None:
+    """The command refuses with these words, by exception and by exit code 2, and leaves the folder as it was."""
+    before = {p: p.read_bytes() for p in Path(".").rglob("*") if p.is_file()}
+    with pytest.raises(InputError) as caught:
+        command.run(Path("p.toml"), Path("out"), 0, 4)
+    for out in ([], ["--out", "out"]):
+        done = CliRunner().invoke(app, ["calibrate", "p.toml", "--starts", "4", *out])
+        assert done.exit_code == 2
+        assert done.stdout == ""
+        for part in parts:
+            assert part in done.stderr
+            assert part in str(caught.value)
+        assert {p: p.read_bytes() for p in Path(".").rglob("*") if p.is_file()} == before
+        assert not Path("out").exists() and not Path("results").exists()
+
+
+BAD = {
+    "no problem": (drop("p.toml"), ["p.toml", "there is no such file", "give the path"]),
+    "no data": (drop("d.csv"), ["p.toml: [[experiment]] 1 file", "no file d.csv", "relative to the problem file"]),
+    "no scene": (drop("s.toml"), ["p.toml: scene", "no file s.toml", "relative to this file"]),
+    "scene name": (swap('"s.toml"', '"impakt"'), ["impakt", "did you mean 'impact'?"]),
+    "no TOML": (swap('"d.csv"', "d.csv"), ["p.toml, line 3", "not TOML"]),
+    "top key": (swap("scene =", "scen ="), ["p.toml: scen", "unknown key 'scen'", "did you mean 'scene'?"]),
+    "experiment key": (
+        swap("noise =", "nose ="),
+        ["p.toml: [experiment.0] nose", "unknown key 'nose'", "did you mean 'noise'?"],
+    ),
+    "free key": (
+        swap("lower", "lowest"),
+        ["p.toml: [free.stiffness] lowest", "unknown key 'lowest'", "did you mean 'lower'?"],
+    ),
+    "missing key": (swap("upper = 1e10\n", ""), ["p.toml: [free.stiffness] upper", "is missing"]),
+    "scene file's key": (
+        swap("stiffness", "stifness", "s.toml"),
+        ["s.toml: [parameters] stifness", "did you mean 'stiffness'?"],
+    ),
+    "bounds' unit": (
+        swap(FREE, '[free.time_offset]\nlower = "-1 mm"\nupper = "1 ms"\n'),
+        ["p.toml: [free.time_offset] lower", "'-1 mm'", "converts to s"],
+    ),
+    "noise's unit": (swap("1 N", "1 mm"), ["p.toml: [[experiment]] 1 noise", "'1 mm'", "converts to N"]),
+    "no noise": (swap("1 N", "0 N"), ["noise", "0 N", '"estimate"']),
+    "header's unit": (
+        lines(lambda r: ["time [ms],force [mm]", *r[1:]]),
+        ["d.csv: column 'force [mm]'", "'mm'", "converts to N"],
+    ),
+    "NaN": (
+        lines(lambda r: [*r[:4], r[4].split(",")[0] + ",nan", *r[5:]]),
+        ["d.csv: line 5, column 'force [N]'", "'nan'", "not a finite number", "blank"],
+    ),
+    "blank time": (lines(lambda r: [*r[:4], ",1.0", *r[5:]]), ["d.csv: line 5, column 'time [ms]'", "''"]),
+    "short row": (lines(lambda r: [*r[:4], "0.3", *r[5:]]), ["d.csv: line 5", "1 cells under 2 headers"]),
+    "no rows": (lines(lambda r: r[:1]), ["d.csv", "no rows below a header"]),
+    "unsorted": (
+        lines(lambda r: [*r[:5], r[6], r[5], *r[7:]]),
+        ["d.csv: line 7, column 'time [ms]'", "follows", "sort the rows"],
+    ),
+    "column": (
+        swap('"force [N]"', '"fors [N]"'),
+        ["p.toml: [[experiment]] 1 observe", "no column 'fors [N]' in d.csv", "did you mean 'force [N]'?"],
+    ),
+    "channel": (swap("contact.normal", "contat.normal"), ["no contact 'contat'", "did you mean 'contact'?"]),
+    "component": (swap("contact.normal", "contact.norml"), ["contact.norml", "did you mean 'normal'?"]),
+    "rows": (
+        swap("noise", 'rows = { "force [N]" = 7 }\nnoise'),
+        ["p.toml: [[experiment]] 1: rows", "no row has force [N] = 7", "values there: 0.000000"],
+    ),
+    "bounds swapped": (
+        swap("1e6\nupper = 1e10", "1e10\nupper = 1e6"),
+        ["p.toml: [free.stiffness]", "lower = 1e+10 is not below upper = 1e+06", "swap"],
+    ),
+    "bounds out of range": (swap("1e6", "-1e6"), ["p.toml: [free.stiffness]", "-1e+06", "must be"]),
+    "start": (
+        swap("1e10\n", "1e10\nstart = 1e5\n"),
+        ["p.toml: [free.stiffness]", "start = 100000 is outside [1e+06, 1e+10]", "within the bounds"],
+    ),
+    "free name": (
+        swap("free.stiffness", "free.stifness"),
+        ["p.toml: [free.stifness]", "no parameter 'stifness'", "did you mean 'stiffness'?"],
+    ),
+    "own parameter's name": (
+        swap("noise", "parameters = { masss = 1 }\nnoise"),
+        ["p.toml: [[experiment]] 1 parameters", "no parameter 'masss'", "mass"],
+    ),
+    "few samples": (
+        lambda: (lines(lambda r: r[:2])(), swap("1e10\n", "1e10\n[free.exponent]\nlower = 1\nupper = 2\n")()),
+        ["p.toml", "1 samples for 2 free parameters", "free fewer"],
+    ),
+    "never positive": (
+        lambda: (swap('"force', '"-force')(), swap("noise", 'align = "onset"\nnoise')()),
+        ["p.toml: [[experiment]] 1 observe", "never positive", "flip its sign"],
+    ),
+    "window": (swap("noise", 'window = ["5 ms", "6 ms"]\nnoise'), ["[[experiment]] 1 window", "0 samples", "widen"]),
+    "no free": (swap(FREE, ""), ["p.toml: free", "the key 'free' is missing"]),
+    "only held out": (swap("noise", "hold_out = true\nnoise"), ["p.toml", "no experiment to fit", "without hold_out"]),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_input_exits_2_and_writes_nothing(name, here):
+    change, parts = BAD[name]
+    change()
+    refused(*parts)
+
+
+def test_a_parameter_that_moves_nothing_is_refused(here):
+    # 10 mm away at 1 m/s, the body touches 10 ms after the start; the record ends at 1.2 ms.
+    swap("mass", "clearance_contact = 0.01\nmass", "s.toml")()
+    refused("p.toml: [free.stiffness]", "'stiffness' moves no residual", "fix it in the scene, or add data")
+
+
+def loaded(table: str, entry: str = "") -> tuple:
+    Path("d.csv").write_text(table, encoding="utf-8")
+    swap("noise", entry + "\nnoise")()
+    return load("p.toml").experiments
+
+
+def test_tables_may_quote_lead_with_a_mark_and_leave_blanks(here):
+    text = '\ufeff"time [ms]","force, filtered [kN]",note\r\n"0","0.5","a, b"\r\n\r\n1,,\r\n2," 0.25 ",\r\n'
+    swap("force [N]", "-force, filtered [kN]")()
+    (one,) = loaded(text)
+    np.testing.assert_array_equal(one.times, [0.0, 1e-3, 2e-3])
+    np.testing.assert_array_equal(one.channels[0].values, [-500.0, np.nan, -250.0])
+    assert one.channels[0].sigma == 1.0
+
+
+RUNS = "{0},time [ms],force [N]\n" + "".join(f"{r},{t},{10 * r + t}\n" for r in (1, 2, 3) for t in range(4))
+
+
+@pytest.mark.parametrize(
+    ("column", "entry", "names", "firsts"),
+    [
+        ("run", "", ["run 1", "run 2", "run 3"], [10, 20, 30]),
+        ("shot", "rows = { shot = [1, 3] }", ["shot 1", "shot 3"], [10, 30]),
+        ("shot", "rows = { shot = 2 }", ["d"], [20]),
+        ("run", "rows = { run = [2, 3] }", ["run 2", "run 3"], [20, 30]),
+    ],
+    ids=["run column", "list", "one", "some runs"],
+)
+def test_runs_and_lists_of_rows_become_experiments(column, entry, names, firsts, here):
+    experiments = loaded(RUNS.format(column), entry)
+    assert [e.name for e in experiments] == names
+    for experiment, first in zip(experiments, firsts, strict=True):
+        np.testing.assert_array_equal(experiment.channels[0].values, first + np.arange(4.0))
+
+
+def test_onset_and_window(here):
+    # The pulse first exceeds a tenth of its peak at 0.1 ms (sin 18 deg = 0.31): that becomes time 0.
+    (one,) = loaded(TABLE, 'align = "onset"\nwindow = ["-0.05 ms", "0.45 ms"]')
+    np.testing.assert_allclose(one.times, [0.0, 1e-4, 2e-4, 3e-4, 4e-4], atol=1e-18)
+    np.testing.assert_allclose(one.channels[0].values, FORCES[1:6], rtol=1e-7)
+
+
+def test_noise_is_a_share_of_the_largest_reading(here):
+    swap("1 N", "2 %")()
+    assert load("p.toml").experiments[0].channels[0].sigma == pytest.approx(0.02 * FORCES.max(), rel=1e-6)
