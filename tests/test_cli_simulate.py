@@ -147,7 +147,8 @@ def test_bad_input_exits_2_and_writes_nothing(text, parts, here):
 
 
 def test_unresolved_contacts_are_warned_of(here):
-    done = bcfj("simulate", "bounce", "--out", "out")
+    Path("coarse.toml").write_text('[scene]\nkind = "bounce"\n[time]\nsamples = 1001\n')
+    done = bcfj("simulate", "coarse.toml", "--out", "out")
     assert done.exit_code == 0
     assert "warning: contact: the shortest contact has 1 sample(s) only" in done.stderr
     assert "raise [time] samples" in json.loads((here / "out/summary.json").read_text())["warnings"][0]
