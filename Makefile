@@ -25,6 +25,7 @@ types: $(TOOLS)
 	$(BIN)/pyright
 
 bench: $(RUNTIME)
+	$(BIN)/python benchmarks/demo.py
 	$(BIN)/python benchmarks/times.py
 	$(BIN)/python benchmarks/accuracy.py
 

@@ -6,6 +6,7 @@ Verbs import what they need when they run, so that help is quick and nothing her
 from __future__ import annotations
 
 import functools
+import logging
 import os
 import sys
 from collections.abc import Callable
@@ -133,6 +134,9 @@ def calibrate(
 ) -> int:
     """Fit parameters to measured forces: fit.json, pictures and report.html."""
     use_compile_cache()
+    progress = logging.getLogger("calibration")
+    progress.setLevel(logging.INFO)
+    progress.addHandler(logging.StreamHandler(sys.stderr))
     from calibration import command
 
     return command.run(problem, out, seed, starts)

@@ -17,7 +17,7 @@ FLOORS = {
         {"scene"},
         {"scenes", "dynamics"},
         {"integrate", "two_way"},
-        {"simulate"},
+        {"simulation"},
         {"features", "units", "tables", "spheres", "scenetemplate", "scenefile", "provenance"},
         {"outputs", "plots", "report"},
         {"simulation_results"},
@@ -47,7 +47,7 @@ WITHIN = {
     ("plots", "outputs"),
     ("report", "outputs"),
 }
-PHYSICS = {"laws", "numerics", "restitution", "elliptic", "stiffness", "dynamics", "integrate", "simulate", "two_way"}
+PHYSICS = {"laws", "numerics", "restitution", "elliptic", "stiffness", "dynamics", "integrate", "simulation", "two_way"}
 PHYSICS |= {"scene", "scenes", "quantities", "errors", "features"}
 TOOLS = {"pint", "pydantic", "typer", "matplotlib", "calibration"}
 # What fulfils a documented abstract method or property of a law is documented there.

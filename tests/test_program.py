@@ -16,7 +16,11 @@ from bcfj_jax.dynamics import field, initial_state, state_scales
 def operations(scene) -> Counter:
     """Primitives of the scene's right-hand side by name, those of nested programs included."""
     params = scene.parameters()
-    program = jax.make_jaxpr(lambda state, p: field(jnp.asarray(0.0), state, (scene, p)))(initial_state(scene, params), params)
+
+    def motion(state, p):
+        return field(jnp.asarray(0.0), state, (scene, p))
+
+    program = jax.make_jaxpr(motion)(initial_state(scene, params), params)
     count: Counter = Counter()
 
     def walk(jaxpr):
@@ -51,7 +55,7 @@ def test_only_what_asks_for_a_root_solves_for_one():
 
 
 @pytest.mark.parametrize(
-    "scene, states",
+    ("scene", "states"),
     [
         (scenes.impact("exact"), 2),
         (scenes.bounce("exact"), 3),

@@ -46,7 +46,7 @@ def test_chung_and_ooi_1():
     assert times[force > 0][-1] == within(40.339e-6, 1e-3)  # and one sample is 0.1 % of two durations
 
 
-@pytest.mark.parametrize("scene, value", [(MEMORY_FREE, {"damping": 0.02}), (EXACT, {"restitution": 0.6})])
+@pytest.mark.parametrize(("scene", "value"), [(MEMORY_FREE, {"damping": 0.02}), (EXACT, {"restitution": 0.6})])
 def test_the_impulse_is_that_of_the_rebound(scene, value):
     times, force = strike(scene, until=3.0, **value)
     e = value.get("restitution") or float(delivered_restitution(value["damping"] * 20.0))
@@ -121,7 +121,7 @@ def test_the_force_error_is_what_was_asked_for(e, n, asked):
 
 
 @pytest.mark.parametrize(
-    "times, said",
+    ("times", "said"),
     [
         ([], "non-empty"),
         ([[0.0, 1.0]], "1-D"),
@@ -137,7 +137,7 @@ def test_wrong_times(times, said):
 
 
 @pytest.mark.parametrize(
-    "call, said",
+    ("call", "said"),
     [
         (lambda: HERTZ.parameters(stifness=1.0), "did you mean 'stiffness'"),
         (lambda: HERTZ.parameters(exponent=0.5), r"exponent = 0.5 .*>= 1 and <= 3"),

@@ -1,0 +1,42 @@
+"""The README says what was measured, and its examples run."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import accuracy
+import demo
+import pytest
+import times
+from _common import load
+
+ROOT = Path(__file__).resolve().parent.parent
+README = (ROOT / "README.md").read_text()
+
+
+@pytest.mark.parametrize("benchmark", [accuracy, demo, times])
+def test_tables_are_those_of_the_kept_results(benchmark):
+    assert benchmark.table(load(benchmark.__name__)) in README
+
+
+def test_the_promised_force_error_was_kept():
+    """README: "ask for a force error": peak and impulse of every benchmark case are within what was asked for."""
+    for row in load("accuracy")["rows"]:
+        assert max(*row["impact"][:3], *row["bounce"][:2]) < row["asked"]
+
+
+def test_commands_and_links_exist():
+    assert "make demo" in README
+    assert "make test" in README
+    for target in re.findall(r"\]\(([^)#:]+)\)", README):
+        assert (ROOT / target).exists(), target
+    for command in re.findall(r"^bcfj \w+ (examples/\S+)", README, re.MULTILINE):
+        assert (ROOT / command).exists(), command
+
+
+@pytest.mark.slow
+def test_python_examples_run(monkeypatch):
+    monkeypatch.chdir(ROOT)
+    for block in re.findall(r"```python\n(.*?)```", README, re.DOTALL):
+        exec(compile(block, "README.md", "exec"), {})
