@@ -9,6 +9,7 @@ millisecond show among flights of a tenth of a second.
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 
 import jax.numpy as jnp
@@ -155,4 +156,8 @@ def make(kind: str, **options: object) -> Scene:
     """
     if kind not in SCENES:
         raise InputError("scene", f"no scene '{kind}'", nearest(kind, SCENES))
+    known = inspect.signature(SCENES[kind]).parameters
+    for name, value in options.items():
+        if name not in known:
+            raise InputError(f"scene '{kind}'", f"no option '{name}' = {value}", nearest(name, known))
     return SCENES[kind](**options)

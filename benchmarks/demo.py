@@ -1,6 +1,6 @@
 """The demo's fit for ten seeds beside theory; keeps the result, the README's table and its picture.
 
-    python benchmarks/demo.py
+python benchmarks/demo.py
 """
 
 from __future__ import annotations

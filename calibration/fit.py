@@ -10,9 +10,10 @@ import numpy as np
 
 from bcfj_jax import InputError
 from calibration import judge
-from calibration.model import Model, build, make_slots, predictions, residuals_and_jacobian
+from calibration.model import Model, build, predictions, residuals_and_jacobian
 from calibration.problem import NUISANCES, Experiment, Problem
-from calibration.search import End, Search, finish, search
+from calibration.records import Record, hold_out, records_of, rms, series_of
+from calibration.search import End, Search, search
 
 # A free parameter must be able to move some residual by this many sigma over its whole range.
 _LEAST_REACH = 1e-2
@@ -49,22 +50,6 @@ class Reference:
     penetration: float
     force: float
     ci95: tuple[float, float] | None
-
-
-@dataclass(frozen=True)
-class Record:
-    """One experiment beside its prediction: times (T,), per channel data, prediction (T,) and sigma [N].
-
-    ``params`` are the scene's parameters and the nuisances that the prediction was made with.
-    """
-
-    name: str
-    held_out: bool
-    times: np.ndarray
-    data: dict[str, np.ndarray]
-    prediction: dict[str, np.ndarray]
-    sigma: dict[str, float]
-    params: dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -137,18 +122,18 @@ def _judge(
 ) -> Fit:
     best = found.ends[0]
     depth = jnp.asarray(found.log_depth)
-    records = _records(model, fitted, best.point, found.log_depth, False)
+    records = records_of(model, fitted, best.point, found.log_depth, False)
     estimated = any(c.sigma is None for e in fitted for c in e.channels)
     seen = np.asarray(model.data.weights) > 0
     samples = int(seen.sum())
     spread = judge.spread(best, samples, estimated)
-    series = _series(model, best, np.asarray(predictions(model, jnp.asarray(best.point), depth)))
+    series = series_of(model, best, np.asarray(predictions(model, jnp.asarray(best.point), depth)))
     tests = judge.agreement(found.ends, spread.scale, spread.covariance)
     verdicts = {"not_converged" for t in tests if not t.passed}
     quality = judge.residual_tests(series, best.point.size, estimated)
     held_out, held_records = None, []
     if any(e.hold_out for e in problem.experiments):
-        held_out, held_records, weighted = _hold_out(problem, model, best, found.log_depth)
+        held_out, held_records, weighted = hold_out(problem, model, best, found.log_depth)
         rms_in = np.sqrt(best.cost / spread.freedom)
         quality.append(judge.held_out_test(rms_in, spread.freedom, float(np.sqrt(np.mean(weighted**2))), weighted.size))
     verdicts |= {"misfit" for t in quality if not t.passed}
@@ -176,7 +161,7 @@ def _judge(
             "degrees_of_freedom": spread.freedom,
             "reduced_chi2": best.cost / spread.freedom,
             "samples": samples,
-            "rms_force": _rms(records),
+            "rms_force": rms(records),
             "noise": "estimated" if estimated else "stated",
         },
         held_out=held_out,
@@ -186,24 +171,6 @@ def _judge(
         values=values,
         seed=seed,
     )
-
-
-def _series(model: Model, best: End, predicted: np.ndarray) -> list[judge.Series]:
-    """Residuals by record and channel; in contact is where the model's force exceeds 2 % of its peak."""
-    weights = np.asarray(model.data.weights)
-    shaped = best.residuals.reshape(weights.shape)
-    series = []
-    for i, j in np.argwhere((weights > 0).any(axis=2)):
-        seen = weights[i, j] > 0
-        force = np.abs(predicted[i, j] - predicted[i, j].min())[seen]
-        touching = force > 0.02 * force.max()
-        series.append(judge.Series(shaped[i, j][seen], touching, 1.0 / float(weights[i, j].max() * force.max())))
-    return series
-
-
-def _rms(records: list[Record]) -> float:
-    errors = [r.prediction[c] - r.data[c] for r in records for c in r.data]
-    return float(np.sqrt(np.nanmean(np.concatenate(errors) ** 2)))
 
 
 def _start_row(model: Model, labels: tuple[str, ...], end: End, log_depth: float) -> dict[str, Any]:
@@ -310,58 +277,3 @@ def _curvature(model: Model, best: End, depth, spread: judge.Spread, i: int) -> 
     expected = spread.quantile**2 * spread.scale
     worst = max(rises, key=lambda r: abs(np.log(max(r, 1e-300) / expected)) if np.isfinite(r) else np.inf)
     return worst / expected
-
-
-def _hold_out(problem: Problem, model: Model, best: End, log_depth: float):
-    """Predict held-out records: shared parameters as fitted, each record's own nuisances fitted to it."""
-    held = tuple(e for e in problem.experiments if e.hold_out)
-    values = [float(v) for v in model.values(jnp.asarray(best.point), jnp.asarray(log_depth))]
-    shared = {s.name: v for s, v in zip(model.slots, values, strict=True) if s.experiment is None}
-    own = tuple(f for f in problem.free if f.per_experiment)
-    other = build(replace(problem, free=own or problem.free, params={**problem.params, **shared}), held)
-    if own:
-        slots = make_slots(replace(problem, free=own), len(held))
-        mean = {f.name: np.mean([v for s, v in zip(model.slots, values, strict=True) if s.name == f.name]) for f in own}
-        start = other.point(np.array([mean[s.name] for s in slots]), 0.0)
-        end = finish(other, start, np.clip(start, 1e-6, 1 - 1e-6), 0.0)
-        point, residuals = end.point, end.residuals
-    else:
-        other = Model(other.scene, (), other.channels, other.data, other.how)
-        point, residuals = np.zeros(0), np.asarray(other.residuals(jnp.zeros(0), jnp.asarray(0.0)))
-    records = _records(other, held, point, 0.0, True)
-    report = {}
-    for record in records:
-        for channel, data in record.data.items():
-            error, peak = record.prediction[channel] - data, np.nanmax(np.abs(data))
-            report[f"{record.name} {channel}"] = {
-                "max_error_of_peak": float(np.nanmax(np.abs(error)) / peak),
-                "rms_error_of_peak": float(np.sqrt(np.nanmean(error**2)) / peak),
-            }
-    return report, records, residuals[np.asarray(other.data.weights).ravel() > 0]
-
-
-def _records(
-    model: Model, experiments: tuple[Experiment, ...], point: np.ndarray, log_depth: float, held_out: bool
-) -> list[Record]:
-    predicted = np.asarray(predictions(model, jnp.asarray(point), jnp.asarray(log_depth)))
-    values = [float(v) for v in model.values(jnp.asarray(point), jnp.asarray(log_depth))]
-    weights = np.asarray(model.data.weights)
-    records = []
-    for i, experiment in enumerate(experiments):
-        count = experiment.times.size
-        own = {c.observes: (model.channels.index(c.observes), c.values) for c in experiment.channels}
-        params = {"time_offset": 0.0, "force_offset": 0.0, "gain": 1.0}
-        params |= {name: float(v[i]) for name, v in model.data.fixed.items()}
-        params |= {s.name: v for s, v in zip(model.slots, values, strict=True) if s.experiment in (None, i)}
-        records.append(
-            Record(
-                name=experiment.name,
-                held_out=held_out,
-                times=experiment.times,
-                data={name: values for name, (_, values) in own.items()},
-                prediction={name: predicted[i, j, :count] for name, (j, _) in own.items()},
-                sigma={name: 1.0 / float(weights[i, j].max()) for name, (j, _) in own.items()},
-                params=params,
-            )
-        )
-    return records

@@ -9,8 +9,9 @@ import numpy as np
 
 from bcfj_jax import Run, simulate
 from bcfj_jax.plots import COLOURS, engineering, figure, label, loops, save, style
-from calibration.fit import Fit, Record
+from calibration.fit import Fit
 from calibration.problem import COMPONENTS, Problem
+from calibration.records import Record
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

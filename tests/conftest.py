@@ -8,8 +8,8 @@ from pathlib import Path
 # Before equinox is imported: JAX keeps no program with host callbacks, which diffrax's checks are (see the CLI).
 os.environ.setdefault("EQX_ON_ERROR", "nan")
 
-import jax  # noqa: E402
-from hypothesis import settings  # noqa: E402
+import jax
+from hypothesis import settings
 
 BUILD = Path(__file__).resolve().parent.parent / "build"
 

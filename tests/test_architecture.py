@@ -28,6 +28,7 @@ FLOORS = {
         {"model"},
         {"search"},
         {"judge"},
+        {"records"},
         {"fit"},
         {"table"},
         {"problemfile", "plots"},

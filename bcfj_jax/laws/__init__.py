@@ -10,7 +10,13 @@ from bcfj_jax.laws.normal import AbstractLaw as AbstractLaw
 from bcfj_jax.laws.normal import AdamsImpact, Hertz, KelvinVoigt, MemoryFree, Restitution
 from bcfj_jax.restitution import FACTORS
 
-LAWS = ("memory_free", "hertz", "kelvin_voigt", "adams_impact", *FACTORS)
+_CLASSES = {
+    "memory_free": MemoryFree,
+    "hertz": Hertz,
+    "kelvin_voigt": KelvinVoigt,
+    "adams_impact": AdamsImpact,
+}
+LAWS = (*_CLASSES, *FACTORS)
 
 
 def make(law: str = "memory_free", elastic: str | None = None) -> AbstractLaw:
@@ -28,14 +34,8 @@ def make(law: str = "memory_free", elastic: str | None = None) -> AbstractLaw:
     if elastic not in ELASTIC:
         raise InputError("elastic", f"no elastic part '{elastic}'", nearest(elastic, ELASTIC))
     part = ELASTIC[elastic]
-    simple = {
-        "memory_free": MemoryFree,
-        "hertz": Hertz,
-        "kelvin_voigt": KelvinVoigt,
-        "adams_impact": AdamsImpact,
-    }
-    if law in simple:
-        return simple[law](elastic=part)
+    if law in _CLASSES:
+        return _CLASSES[law](elastic=part)
     if law in FACTORS:
         return Restitution(factor=FACTORS[law], elastic=part)
     raise InputError("law", f"no law '{law}'", nearest(law, LAWS))

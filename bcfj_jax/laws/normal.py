@@ -4,7 +4,7 @@ A law is an elastic part with a way to lose energy. It takes one scalar contact 
 shape) and knows nothing of geometry, bodies or time. The force is pushing only: every law is clipped
 at zero, since a formula with damping turns tensile just before separation.
 
-To add a law: a final module with ``needs`` and ``force``, and a line in ``laws.make``.
+To add a law: a final module with ``needs`` and ``force``, and a line in ``laws._CLASSES``.
 """
 
 from __future__ import annotations
