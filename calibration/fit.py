@@ -13,7 +13,7 @@ from calibration import judge
 from calibration.model import Model, build, predictions, residuals_and_jacobian
 from calibration.problem import NUISANCES, Experiment, Problem
 from calibration.records import Record, hold_out, records_of, rms, series_of
-from calibration.search import End, Search, search
+from calibration.search import End, Screen, Search, screen, search
 
 # A free parameter must be able to move some residual by this many sigma over its whole range.
 _LEAST_REACH = 1e-2
@@ -93,8 +93,9 @@ def fit(problem: Problem, *, seed: int = 0, starts: int = 12) -> Fit:
     model = build(problem, fitted)
     labels = tuple(slot.label(fitted) for slot in model.slots)
     given = [_given_start(problem, model)] if any(f.start is not None for f in problem.free) else []
-    found = search(model, given, starts, seed)
-    _refuse_idle(problem, labels, found)
+    screened = screen(model, starts, seed)
+    _refuse_idle(problem, labels, screened)
+    found = search(model, screened, given, starts)
     if found.ends[0].failure:
         raise AllStartsFailed(f"all {len(found.ends)} starts failed: {found.ends[0].failure}")
     return _judge(problem, model, fitted, labels, found, seed)
@@ -107,8 +108,8 @@ def _given_start(problem: Problem, model: Model) -> np.ndarray:
     return np.array([middle[s.name] if c is None else c for s, c in zip(model.slots, chosen, strict=True)])
 
 
-def _refuse_idle(problem: Problem, labels: tuple[str, ...], found: Search) -> None:
-    for label, reach in zip(labels, found.reach, strict=True):
+def _refuse_idle(problem: Problem, labels: tuple[str, ...], screened: Screen) -> None:
+    for label, reach in zip(labels, screened.reach, strict=True):
         if reach < _LEAST_REACH:
             raise InputError(
                 f"{problem.where}: [free.{label}]",

@@ -46,29 +46,53 @@ class End:
 
 
 @dataclass(frozen=True)
-class Search:
-    """All starts' ends, best first, the reference penetration used, and the sensitivity of the residuals."""
+class Screen:
+    """A Sobol design (unit-box points), its costs (NaN: failed), and the most any residual moves over each coordinate."""
 
-    ends: tuple[End, ...]
-    log_depth: float
+    design: np.ndarray
+    costs: np.ndarray
     reach: np.ndarray
 
 
-def search(model: Model, starts: list[np.ndarray], count: int, seed: int) -> Search:
-    """Search the unit box from ``count`` starts.
+@dataclass(frozen=True)
+class Search:
+    """All starts' ends, best first, and the logarithm of the reference penetration used."""
 
-    A Sobol design some eight times as large is evaluated first and the best spread of it descends.
+    ends: tuple[End, ...]
+    log_depth: float
+
+
+def screen(model: Model, count: int, seed: int) -> Screen:
+    """Evaluate a scrambled Sobol design some eight times as large as the number of starts, in one batched program.
 
     Args:
         model: residual function.
+        count: number of starts to come, which is also the number of lanes.
+        seed: of the scrambling.
+    """
+    design = qmc.Sobol(len(model.slots), rng=seed).random_base2(3 + int(np.ceil(np.log2(count))))
+    costs, reach = [], np.zeros(design.shape[1])
+    # Blocks of one size, the last one filled up, so that screening and descent share one program.
+    for first in range(0, len(design), count):
+        block = design[np.arange(first, first + count) % len(design)]
+        residuals, jacobians = (np.asarray(a) for a in batch(model, jnp.asarray(block), jnp.asarray(0.0)))
+        costs.extend(np.sum(residuals**2, axis=1)[: len(design) - first])
+        finite = np.where(np.isfinite(jacobians), np.abs(jacobians), 0.0)
+        reach = np.maximum(reach, finite.max(axis=(0, 1), initial=0.0))
+    log.info("%d of %d Sobol points simulate", np.isfinite(costs).sum(), len(design))
+    return Screen(design, np.array(costs), reach)
+
+
+def search(model: Model, screened: Screen, starts: list[np.ndarray], count: int) -> Search:
+    """Descend to optima from the best spread of a screened design.
+
+    Args:
+        model: residual function.
+        screened: the design, from ``screen``.
         starts: parameter values (SI, one a slot) that must be among the starts.
         count: number of starts that descend to the end, >= 2.
-        seed: of the Sobol scrambling; the same seed gives the same result.
     """
-    log_depth = 0.0
-    design = qmc.Sobol(len(model.slots), rng=seed).random_base2(3 + int(np.ceil(np.log2(count))))
-    costs, reach = _screen(model, design, count)
-    log.info("%d of %d Sobol points simulate", np.isfinite(costs).sum(), len(design))
+    log_depth, design, costs = 0.0, screened.design, screened.costs
     values = [np.asarray(model.values(jnp.asarray(u), jnp.asarray(log_depth))) for u in _spread(design, costs, count)]
     values = [*starts, *values][: max(count, len(starts))]
     if model.referenced:
@@ -87,20 +111,7 @@ def search(model: Model, starts: list[np.ndarray], count: int, seed: int) -> Sea
         ends.append(finish(model, first, point, log_depth))
         log.info("start %d of %d: chi2 %.6g %s", i + 1, len(rough), ends[-1].cost, ends[-1].failure)
     ends.sort(key=lambda end: (bool(end.failure), end.cost))
-    return Search(tuple(ends), log_depth, reach)
-
-
-def _screen(model: Model, design: np.ndarray, lanes: int) -> tuple[np.ndarray, np.ndarray]:
-    """Cost of each design point (NaN: failed), and per coordinate the largest change of a residual over the box."""
-    costs, reach = [], np.zeros(design.shape[1])
-    # Blocks of one size, the last one filled up, so that screening and descent share one program.
-    for first in range(0, len(design), lanes):
-        block = design[np.arange(first, first + lanes) % len(design)]
-        residuals, jacobians = (np.asarray(a) for a in batch(model, jnp.asarray(block), jnp.asarray(0.0)))
-        costs.extend(np.sum(residuals**2, axis=1)[: len(design) - first])
-        finite = np.where(np.isfinite(jacobians), np.abs(jacobians), 0.0)
-        reach = np.maximum(reach, finite.max(axis=(0, 1), initial=0.0))
-    return np.array(costs), reach
+    return Search(tuple(ends), log_depth)
 
 
 def _spread(design: np.ndarray, costs: np.ndarray, count: int) -> np.ndarray:

@@ -92,10 +92,7 @@ BAD = {
     "experiment key": (swap("noise =", "nose ="), ["p.toml: [experiment.0] nose", "did you mean 'noise'?"]),
     "free key": (swap("lower", "lowest"), ["p.toml: [free.stiffness] lowest", "did you mean 'lower'?"]),
     "missing key": (swap("upper = 1e10\n", ""), ["p.toml: [free.stiffness] upper", "is missing"]),
-    "scene file's key": (
-        swap("stiffness", "stifness", "s.toml"),
-        ["s.toml: [parameters] stifness", "did you mean 'stiffness'?"],
-    ),
+    "scene key": (swap("stiffness", "stifnes", "s.toml"), ["s.toml: [parameters] stifnes", "mean 'stiffness'?"]),
     "bounds' unit": (
         swap(FREE, '[free.time_offset]\nlower = "-1 mm"\nupper = "1 ms"\n'),
         ["p.toml: [free.time_offset] lower", "'-1 mm'", "converts to s"],
@@ -113,10 +110,7 @@ BAD = {
     "blank time": (lines(lambda r: [*r[:4], ",1.0", *r[5:]]), ["d.csv: line 5, column 'time [ms]'", "''"]),
     "short row": (lines(lambda r: [*r[:4], "0.3", *r[5:]]), ["d.csv: line 5", "1 cells under 2 headers"]),
     "no rows": (lines(lambda r: r[:1]), ["d.csv", "no rows below a header"]),
-    "unsorted": (
-        lines(lambda r: [*r[:5], r[6], r[5], *r[7:]]),
-        ["d.csv: line 7, column 'time [ms]'", "follows", "sort the rows"],
-    ),
+    "unsorted": (lines(lambda r: [*r[:5], r[6], r[5], *r[7:]]), ["d.csv: line 7, column 'time [ms]'", "sort the rows"]),
     "column": (
         swap('"force [N]"', '"fors [N]"'),
         ["p.toml: [[experiment]] 1 observe", "no column 'fors [N]' in d.csv", "did you mean 'force [N]'?"],
@@ -127,19 +121,13 @@ BAD = {
         swap("noise", 'rows = { "force [N]" = 7 }\nnoise'),
         ["p.toml: [[experiment]] 1: rows", "no row has force [N] = 7", "values there: 0.000000"],
     ),
-    "bounds swapped": (
-        swap("1e6\nupper = 1e10", "1e10\nupper = 1e6"),
-        ["p.toml: [free.stiffness]", "lower = 1e+10 is not below", "swap"],
-    ),
+    "bounds swapped": (swap("= 1e6", "= 1e11"), ["p.toml: [free.stiffness]", "lower = 1e+11 is not below", "swap"]),
     "bounds out of range": (swap("1e6", "-1e6"), ["p.toml: [free.stiffness]", "-1e+06", "must be"]),
     "start": (
         swap("1e10\n", "1e10\nstart = 1e5\n"),
         ["p.toml: [free.stiffness]", "start = 100000 is outside [1e+06, 1e+10]", "within the bounds"],
     ),
-    "free name": (
-        swap("free.stiffness", "free.stifness"),
-        ["p.toml: [free.stifness]", "no parameter 'stifness'", "did you mean 'stiffness'?"],
-    ),
+    "free name": (swap("stiffness", "stifnes"), ["p.toml: [free.stifnes]", "no parameter 'stifnes'", "'stiffness'?"]),
     "own parameter's name": (
         swap("noise", "parameters = { masss = 1 }\nnoise"),
         ["[[experiment]] 1 parameters", "no parameter 'masss'", "mass"],
