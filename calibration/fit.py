@@ -94,6 +94,8 @@ def fit(problem: Problem, *, seed: int = 0, starts: int = 12) -> Fit:
     labels = tuple(slot.label(fitted) for slot in model.slots)
     given = [_given_start(problem, model)] if any(f.start is not None for f in problem.free) else []
     screened = screen(model, starts, seed)
+    if not np.isfinite(screened.costs).any():
+        raise AllStartsFailed(f"none of {len(screened.costs)} starting points simulates")
     _refuse_idle(problem, labels, screened)
     found = search(model, screened, given, starts)
     if found.ends[0].failure:
@@ -130,13 +132,14 @@ def _judge(
     spread = judge.spread(best, samples, estimated)
     series = series_of(model, best, np.asarray(predictions(model, jnp.asarray(best.point), depth)))
     tests = judge.agreement(found.ends, spread.scale, spread.covariance)
-    verdicts = {"not_converged" for t in tests if not t.passed}
+    # A rival that fits as well is another answer, not a failed search.
+    kinds = ("not_converged", "not_identified")
+    verdicts = {kind for t, kind in zip(tests, kinds, strict=True) if not t.passed}
     quality = judge.residual_tests(series, best.point.size, estimated)
     held_out, held_records = None, []
     if any(e.hold_out for e in problem.experiments):
-        held_out, held_records, weighted = hold_out(problem, model, best, found.log_depth)
-        rms_in = np.sqrt(best.cost / spread.freedom)
-        quality.append(judge.held_out_test(rms_in, spread.freedom, float(np.sqrt(np.mean(weighted**2))), weighted.size))
+        held_out, held_records, cost, freedom = hold_out(problem, model, best, found.log_depth)
+        quality.append(judge.held_out_test(cost, freedom, spread.scale, spread.freedom, estimated))
     verdicts |= {"misfit" for t in quality if not t.passed}
     parameters, reference, identification = _estimates(model, labels, best, found.log_depth, spread)
     verdicts |= {"not_identified" for t in identification if not t.passed}
@@ -262,7 +265,8 @@ def _reference(
     interval = None
     if spread.covariance is not None:
         half = spread.quantile * float(np.sqrt(spread.covariance[k, k])) * width[k]
-        interval = (float(np.exp(centre - half)), float(np.exp(centre + half)))
+        if half < np.log(judge.WIDEST_FACTOR):
+            interval = (float(np.exp(centre - half)), float(np.exp(centre + half)))
     return Reference(float(np.exp(log_depth)), float(np.exp(centre)), interval)
 
 

@@ -73,17 +73,16 @@ def agreement(ends: tuple[End, ...], scale: float, covariance: np.ndarray | None
     good = [end for end in ends if not end.failure]
     best = good[0]
     sigma = np.sqrt(np.diag(covariance)) if covariance is not None else np.full(best.point.size, 1e-3)
-    near = [np.all(np.abs(e.point - best.point) < np.maximum(0.2 * sigma, 1e-6)) for e in good]
-    same = [n and e.cost - best.cost < 0.1 * scale for n, e in zip(near, good, strict=True)]
-    rivals = [
-        e for e, s in zip(good, same, strict=True)
-        if not s and e.cost - best.cost < RIVAL_COST * scale and np.any(np.abs(e.point - best.point) > 4.0 * sigma)
-    ]  # fmt: skip
+    # By cost: along a direction that the data leave free, starts that found the optimum lie apart.
+    same = [e.cost - best.cost < 0.1 * scale for e in good]
+    close = [e for e in good if e.converged and e.cost - best.cost < RIVAL_COST * scale]
+    rivals = [e for e in close if np.any(np.abs(e.point - best.point) > 4.0 * sigma)]
     count = int(sum(same))
     return [
         Test(
             "agreement of starts", count, AGREEING_STARTS, count >= AGREEING_STARTS and best.converged,
-            f"only {count} of {len(ends)} starts reached the best optimum; {AGREEING_STARTS} must",
+            f"only {count} of {len(ends)} starts reached the best optimum; {AGREEING_STARTS} must"
+            if best.converged else "the best start stopped before it converged",
         ),
         Test(
             "no rival optimum", len(rivals), 0, not rivals,
@@ -114,7 +113,7 @@ def residual_tests(series: list[Series], parameters: int, estimated: bool) -> li
         tests.append(Test("residual size", p, LEVEL, p > LEVEL, reason))
     for place, inside in (("in contact", True), ("apart", False)):
         parts = [s.weighted[s.touching == inside] for s in series]
-        p = _runs_p([part - np.median(part) if estimated and part.size else part for part in parts])
+        p = _changes_p([part - np.median(part) if estimated and part.size else part for part in parts])
         share = max(
             (float(np.sqrt(np.mean(part**2))) * s.share for part, s in zip(parts, series, strict=True) if part.size),
             default=0.0,
@@ -131,34 +130,36 @@ def residual_tests(series: list[Series], parameters: int, estimated: bool) -> li
     return tests
 
 
-def _runs_p(series: list[np.ndarray]) -> float:
-    """One-sided Wald-Wolfowitz test for too few runs of sign, pooled over records."""
-    runs = expected = variance = 0.0
+def _changes_p(series: list[np.ndarray]) -> float:
+    """One-sided test for too few changes of sign, pooled over records: binomial(n - 1, 1/2) for white residuals.
+
+    Unlike the runs test it is not conditional on the number of signs, so residuals all of one sign fail it.
+    """
+    changes = chances = 0
     for s in series:
         signs = s[s != 0] > 0
-        plus, minus = int(signs.sum()), int((~signs).sum())
-        n = plus + minus
-        if n < 2:
-            continue
-        runs += 1 + np.count_nonzero(np.diff(signs))
-        mean = 1 + 2.0 * plus * minus / n
-        expected += mean
-        variance += (mean - 1) * (mean - 2) / (n - 1)
-    if variance <= 0:
-        return 1.0 if runs >= expected else 0.0
-    return float(stats.norm.cdf((runs - expected + 0.5) / np.sqrt(variance)))
+        changes += int(np.count_nonzero(np.diff(signs)))
+        chances += max(signs.size - 1, 0)
+    return float(stats.binom.cdf(changes, chances, 0.5)) if chances else 1.0
 
 
-def held_out_test(rms_in: float, freedom_in: int, rms_out: float, samples_out: int) -> Test:
-    """Whether the weighted residuals of held-out records are no larger than those of the fit (F test)."""
-    p = float(stats.f.sf((rms_out / rms_in) ** 2, samples_out, freedom_in)) if rms_in > 0 else 1.0
-    return Test(
-        "held-out prediction",
-        p,
-        LEVEL,
-        p > LEVEL,
-        f"held-out residuals are {rms_out / rms_in:.3g} times those of the fit",
-    )
+def held_out_test(cost: float, freedom: int, scale: float, freedom_in: int, estimated: bool) -> Test:
+    """Whether held-out residuals are no larger than the noise: chi-square for stated noise, else F with the fit's.
+
+    The uncertainty of the fitted parameters in the prediction is not allowed for, so the true level is up to
+    twice ``LEVEL`` where the held-out data are no fewer than the fitted.
+
+    Args:
+        cost: sum of squared weighted held-out residuals.
+        freedom: their number less the nuisances fitted to them.
+        scale: noise variance of the fit in units of the weights (1 for stated noise).
+        freedom_in: degrees of freedom of the fit.
+        estimated: whether ``scale`` was estimated.
+    """
+    ratio = cost / max(freedom, 1) / scale if scale > 0 else np.inf
+    p = float(stats.f.sf(ratio, freedom, freedom_in) if estimated else stats.chi2.sf(cost, freedom))
+    reason = f"held-out residuals are {np.sqrt(ratio):.3g} times the noise"
+    return Test("held-out prediction", p, LEVEL, p > LEVEL, reason)
 
 
 def curvature_test(label: str, ratio: float) -> Test:

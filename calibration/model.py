@@ -2,7 +2,7 @@
 
 A point is a vector of unit-box coordinates: 0 and 1 are a parameter's bounds, in its logarithm where
 its scale is logarithmic. Where stiffness K and exponent n are both free, the coordinate of K is that of
-F_ref = K d_ref^n at a penetration d_ref inside the data, which the data determine independently of n.
+F_ref = K d_ref^n at a penetration d_ref inside the data, which the data determine far better than K.
 """
 
 from __future__ import annotations

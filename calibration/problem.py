@@ -100,10 +100,21 @@ class Problem:
         contacts = [contact.name for contact in self.scene.contacts]
         for experiment in self.experiments:
             _check_experiment(experiment, contacts)
-        samples = sum(np.isfinite(c.values).sum() for e in self.experiments if not e.hold_out for c in e.channels)
-        if samples <= len(self.free):
-            found = f"{samples} samples for {len(self.free)} free parameters"
+        fitted = [e for e in self.experiments if not e.hold_out]
+        samples = sum(np.isfinite(c.values).sum() for e in fitted for c in e.channels)
+        unknowns = sum(len(fitted) if f.per_experiment else 1 for f in self.free)
+        if samples <= unknowns:
+            found = f"{samples} samples for {unknowns} free parameters"
             raise InputError(self.where, found, "free fewer parameters or give more data")
+        if len({c.sigma is None for e in self.experiments for c in e.channels}) > 1:
+            raise InputError(
+                self.where, "some noise is stated and some is 'estimate'", "state all of it, or estimate all"
+            )
+        for e in self.experiments:
+            for f in self.free:
+                if f.name in e.fixed:
+                    found = f"'{f.name}' is free, and known to be {e.fixed[f.name]:g} in {e.name}"
+                    raise InputError(self.where, found, "take one of them out")
 
     def unit(self, name: str) -> str:
         """SI unit of a scene's parameter or nuisance."""

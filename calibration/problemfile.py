@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 import pydantic
 
-from bcfj_jax import InputError, scenefile, tables
+from bcfj_jax import InputError, nearest, scenefile, scenes, tables
 from bcfj_jax.quantities import Quantity
 from bcfj_jax.units import quantity
 from calibration.problem import NUISANCES, Channel, Experiment, Free, Problem
@@ -59,6 +59,8 @@ def load(path: str | Path) -> Problem:
     beside = path.parent / file.scene
     if file.scene.endswith(".toml") and not beside.exists():
         raise InputError(f"{path}: scene", f"no file {beside}", "give a path relative to this file, or a scene's name")
+    if not file.scene.endswith(".toml") and file.scene not in scenes.SCENES:
+        raise InputError(f"{path}: scene", f"no scene '{file.scene}'", nearest(file.scene, scenes.SCENES))
     base = scenefile.load(beside if file.scene.endswith(".toml") else file.scene)
     known = base.scene.quantities
     experiments: list[Experiment] = []
@@ -145,6 +147,8 @@ def _onset(times: np.ndarray, values: np.ndarray, where: str) -> float:
 
 def _noise(noise: object, values: np.ndarray, where: str) -> float | None:
     """Standard deviation [N]: a force, or a percentage of the channel's largest reading; None to estimate it."""
+    if not np.nanmax(np.abs(values), initial=0.0) > 0:
+        raise InputError(where, "the record holds no force at all", "choose another column, or widen the window")
     if noise == "estimate":
         return None
     largest = float(np.nanmax(np.abs(values)))

@@ -31,11 +31,12 @@ class Record:
 
 def hold_out(
     problem: Problem, model: Model, best: End, log_depth: float
-) -> tuple[dict[str, dict[str, float]], list[Record], np.ndarray]:
+) -> tuple[dict[str, dict[str, float]], list[Record], float, int]:
     """Predict held-out records: shared parameters as fitted, each record's own nuisances fitted to it.
 
     Returns:
-        Errors by record and channel as fractions of the peak, the records, and all weighted residuals.
+        Errors by record and channel as fractions of the peak, the records, the sum of squared weighted residuals
+        and their degrees of freedom.
     """
     held = tuple(e for e in problem.experiments if e.hold_out)
     values = [float(v) for v in model.values(jnp.asarray(best.point), jnp.asarray(log_depth))]
@@ -60,7 +61,8 @@ def hold_out(
                 "max_error_of_peak": float(np.nanmax(np.abs(error)) / peak),
                 "rms_error_of_peak": float(np.sqrt(np.nanmean(error**2)) / peak),
             }
-    return report, records, residuals[np.asarray(other.data.weights).ravel() > 0]
+    samples = int(np.count_nonzero(np.asarray(other.data.weights)))
+    return report, records, float(np.sum(residuals**2)), samples - point.size
 
 
 def records_of(

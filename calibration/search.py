@@ -47,7 +47,7 @@ class End:
 
 @dataclass(frozen=True)
 class Screen:
-    """A Sobol design (unit-box points), its costs (NaN: failed), and the most any residual moves over each coordinate."""
+    """A Sobol design of unit-box points, its costs (NaN: failed), and how far each coordinate moves any residual."""
 
     design: np.ndarray
     costs: np.ndarray

@@ -41,7 +41,7 @@ class Table:
         return [row[position] for row in self.rows]
 
     def numbers(self, name: str, si_unit: str, where: str, blank: bool) -> np.ndarray:
-        """A column in SI. The unit is the header's, or that in ``name`` itself; without one it is SI.
+        """A column in SI. The unit is the header's; without one it is SI.
 
         Raises:
             InputError: for a cell that is no finite number (a blank one is NaN where ``blank`` allows it).
@@ -60,11 +60,8 @@ class Table:
                 values[i] = np.nan
             if not np.isfinite(values[i]):
                 place = f"{self.path}: line {self.lines[i]}, column '{self.header[position]}'"
-                raise InputError(
-                    place,
-                    f"'{text}' is not a finite number",
-                    "correct the cell, or leave it blank if it was not measured",
-                )
+                remedy = "correct the cell" + (", or leave it blank if it was not measured" if blank else "")
+                raise InputError(place, f"'{text}' is not a finite number", remedy)
         return values * scale
 
     def where(self, keep: list[bool]) -> Table:

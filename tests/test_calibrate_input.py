@@ -86,7 +86,7 @@ BAD = {
     "no problem": (drop("p.toml"), ["p.toml", "there is no such file", "give the path"]),
     "no data": (drop("d.csv"), ["p.toml: [[experiment]] 1 file", "no file d.csv", "relative to the problem file"]),
     "no scene": (drop("s.toml"), ["p.toml: scene", "no file s.toml", "relative to this file"]),
-    "scene name": (swap('"s.toml"', '"impakt"'), ["impakt", "no such scene", "impact"]),
+    "scene name": (swap('"s.toml"', '"impakt"'), ["p.toml: scene", "no scene 'impakt'", "impact"]),
     "no TOML": (swap('"d.csv"', "d.csv"), ["p.toml, line 3", "not TOML"]),
     "top key": (swap("scene =", "scen ="), ["p.toml: scen", "unknown key 'scen'", "did you mean 'scene'?"]),
     "experiment key": (swap("noise =", "nose ="), ["p.toml: [experiment.0] nose", "did you mean 'noise'?"]),
@@ -133,8 +133,8 @@ BAD = {
         ["[[experiment]] 1 parameters", "no parameter 'masss'", "mass"],
     ),
     "few samples": (
-        lambda: (lines(lambda r: r[:2])(), swap("1e10\n", "1e10\n[free.exponent]\nlower = 1\nupper = 2\n")()),
-        ["p.toml", "1 samples for 2 free parameters", "free fewer"],
+        lambda: (lines(lambda r: r[:3])(), swap("1e10\n", "1e10\n[free.exponent]\nlower = 1\nupper = 2\n")()),
+        ["p.toml", "2 samples for 2 free parameters", "free fewer"],
     ),
     "never positive": (
         lambda: (swap('"force', '"-force')(), swap("noise", 'align = "onset"\nnoise')()),
