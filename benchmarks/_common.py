@@ -42,7 +42,8 @@ def put_in_readme(name: str, table: str) -> None:
     """Replace the README's text between the markers of a table."""
     path = ROOT / "README.md"
     text = path.read_text()
-    begin, end = f"<!-- {name}: begin -->\n", f"\n<!-- {name}: end -->"
-    head, _, rest = text.partition(begin)
-    _, _, tail = rest.partition(end)
-    path.write_text(head + begin + table + end + tail)
+    begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
+    if text.count(begin) != 1 or text.count(end) != 1:
+        raise ValueError(f"README.md: the markers '{begin}' and '{end}' must stand there once each")
+    head, rest = text.split(begin)
+    path.write_text(f"{head}{begin}\n{table}\n{end}{rest.split(end)[1]}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import _common
 import accuracy
 import demo
 import pytest
@@ -40,3 +41,15 @@ def test_python_examples_run(monkeypatch):
     monkeypatch.chdir(ROOT)
     for block in re.findall(r"```python\n(.*?)```", README, re.DOTALL):
         exec(compile(block, "README.md", "exec"), {})
+
+
+def test_a_table_is_put_between_its_markers_and_nowhere_else(tmp_path, monkeypatch):
+    monkeypatch.setattr(_common, "ROOT", tmp_path)
+    readme = tmp_path / "README.md"
+    readme.write_text("before\n<!-- x: begin -->\n<!-- x: end -->\nafter\n")
+    for table in ("first", "second"):
+        _common.put_in_readme("x", table)
+        assert readme.read_text() == f"before\n<!-- x: begin -->\n{table}\n<!-- x: end -->\nafter\n"
+    with pytest.raises(ValueError, match="y: begin"):
+        _common.put_in_readme("y", "lost")
+    assert "second" in readme.read_text()
