@@ -27,12 +27,12 @@ LEVELS = {"fast": 5e-2, "balanced": 1e-2, "reference": 1e-5}
 # benchmarks/accuracy.py: the force error of impact and bounce stays below what was asked with this ratio.
 _TOLERANCE_PER_ERROR = 0.002
 
-_REASONS = {
-    "steps": "the step budget of {max_steps} steps was spent",
-    "not_finite": "the state stopped being finite",
-    "solver": "the solver could not go on",
-}
 OK, STEPS, NOT_FINITE, SOLVER = 0, 1, 2, 3
+_REASONS = {
+    STEPS: "the step budget of {max_steps} steps was spent",
+    NOT_FINITE: "the state stopped being finite",
+    SOLVER: "the solver could not go on",
+}
 
 
 class Plan(eqx.Module):
@@ -78,8 +78,7 @@ def plan(scene: Scene, accuracy: str | float = "balanced", max_steps: int = 100_
 
 def reason(code: int, max_steps: int) -> str:
     """A failure code in words; empty when there is none."""
-    name = {STEPS: "steps", NOT_FINITE: "not_finite", SOLVER: "solver"}.get(int(code))
-    return _REASONS[name].format(max_steps=max_steps) if name else ""
+    return _REASONS.get(int(code), "").format(max_steps=max_steps)
 
 
 def _safe_norm(scaled_error: Array) -> Array:

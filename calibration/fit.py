@@ -222,7 +222,12 @@ def _estimates(
             judge.Test(f"{label} inside its bounds", 0, 0, not at_bound, f"{label} is at its {at_bound} bound")
         )
         if identifiable and not at_bound and spread.covariance is not None:
-            tests.append(judge.curvature_test(label, _curvature(model, best, depth, spread, i)))
+            slope = np.eye(len(values))[i]
+            if pair and i == pair[0]:  # the coordinate is F_ref's, the interval K's
+                n = pair[1]
+                exponent = values[n] if model.slots[n].log else 1.0
+                slope[n] = -log_depth * exponent * width[n] / width[i]
+            tests.append(judge.curvature_test(label, _curvature(model, best, depth, spread, slope)))
     if not all(t.passed for t in tests if t.name.endswith("determined")):
         order = np.argsort(-np.abs(spread.weakest))[:2]
         names = " and ".join(labels[k] for k in order)
@@ -270,11 +275,14 @@ def _reference(
     return Reference(float(np.exp(log_depth)), float(np.exp(centre)), interval)
 
 
-def _curvature(model: Model, best: End, depth, spread: judge.Spread, i: int) -> float:
-    """Rise of the cost at both ends of coordinate i's interval, others following, over the quadratic rise."""
+def _curvature(model: Model, best: End, depth, spread: judge.Spread, slope: np.ndarray) -> float:
+    """Rise of the cost at both ends of an interval, the other parameters following, over the quadratic rise.
+
+    The interval is that of the combination of coordinates with this slope, up to a factor.
+    """
     assert spread.covariance is not None
-    sigma = np.sqrt(spread.covariance[i, i])
-    step = spread.quantile * spread.covariance[:, i] / sigma
+    along = spread.covariance @ slope
+    step = spread.quantile * along / np.sqrt(slope @ along)
     rises = []
     for sign in (-1.0, 1.0):
         residuals, _ = residuals_and_jacobian(model, jnp.asarray(best.point + sign * step), depth)
