@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from bcfj_jax.numerics import smooth_ramp
+from bcfj_jax.laws import onset_force
 from bcfj_jax.scene import Contact, Params, Scene
 
 
@@ -44,23 +44,12 @@ def initial_state(scene: Scene, params: Params) -> Array:
 
 
 def normal_force(contact: Contact, penetration: Array, rate: Array, approach: Array | None, params: Params) -> Array:
-    """Normal force [N] of a contact from its penetration d [m] and rate d' [m/s].
-
-    With a smoothed onset r(d) of width w (``numerics.smooth_ramp``) the force is  F = r'(d) law(r(d), d'):
-    the law's own energy stored along r instead of d. Whatever lies beyond d = w is then exactly the
-    sharp law's: for every law f(d) (1 + chi d'/v0), peak force, greatest penetration, restitution and
-    hence impulse do not change at all where the peak is beyond w, and the contact lasts 2 w / v0 longer
-    (first order in w over the greatest penetration). Only the first and last 2 w of the loop differ.
-    A body that starts nearer than w has not felt the onset's beginning: from touching, d = 0, the peak of an
-    undamped impact is higher by the fraction n/(n+1) (0.15625 w/d0)^(n+1), the energy not yet stored.
-    """
+    """Normal force [N] of a contact from its penetration d [m] and rate d' [m/s], ``laws.onset_force``."""
     coefficients = {name: params[name] for name in contact.law.needs if name != "approach_speed"}
     if approach is not None:
         coefficients["approach_speed"] = approach
-    if not contact.smoothed:
-        return contact.law.force(penetration, rate, coefficients)
-    ramp, slope = smooth_ramp(penetration, params["smoothing"])
-    return slope * contact.law.force(ramp, rate, coefficients)
+    width = params["smoothing"] if contact.smoothed else None
+    return onset_force(contact.law, penetration, rate, coefficients, width)
 
 
 def _approach(contact: Contact, q: Array, v: Array, memory: Array, params: Params) -> Array | None:

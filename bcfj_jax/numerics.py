@@ -33,6 +33,12 @@ def smooth_step(fraction: ArrayLike) -> Array:
     return s * s * (3.0 - 2.0 * s)
 
 
+def smooth_rise(fraction: ArrayLike) -> Array:
+    """Quintic step s^3 (10 - 15 s + 6 s^2) of a fraction clipped to [0, 1]; C2."""
+    s = jnp.clip(fraction, 0.0, 1.0)
+    return s**3 * (10.0 + s * (6.0 * s - 15.0))
+
+
 def smooth_ramp(distance: ArrayLike, width: ArrayLike) -> tuple[Array, Array]:
     """C3 onset of a penetration, and its (C2) slope.
 
@@ -51,7 +57,7 @@ def smooth_ramp(distance: ArrayLike, width: ArrayLike) -> tuple[Array, Array]:
     half = jnp.where(on, width, 1.0)
     s = jnp.clip((distance + half) / (2.0 * half), 0.0, 1.0)
     blend = jnp.where(distance < half, 2.0 * half * s**4 * (2.5 + s * (s - 3.0)), distance)
-    slope = s**3 * (10.0 + s * (6.0 * s - 15.0))
+    slope = smooth_rise(s)
     sharp = jnp.where(distance > 0, 1.0, 0.0)
     return jnp.where(on, blend, positive(distance)), jnp.where(on, slope, sharp)
 

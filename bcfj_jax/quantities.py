@@ -58,11 +58,48 @@ CATALOGUE: dict[str, Quantity] = {
         _not_negative("dashpot", "N s/m", "viscous coefficient c (Kelvin-Voigt), c_max (ADAMS IMPACT)"),
         _positive("damping_depth", "m", "penetration at which the ADAMS dashpot is fully in"),
         _not_negative("smoothing", "m", "half-width of the C2 onset of penetration; 0 is the sharp onset"),
+        # coefficients of the friction laws
+        Quantity("friction_static", "1", "friction coefficient mu_s at break-away", 0.0, 2.0, open_low=True),
+        _not_negative("friction_dynamic", "1", "friction coefficient mu_d of fast sliding"),
+        _positive("friction_speed", "m/s", "transition speed of friction: v_t, or v_s of the static peak"),
+        _positive("bristle_stiffness", "1/m", "sigma0 of LuGre: tangential stiffness over normal force"),
+        _not_negative("bristle_damping", "s/m", "sigma1 of LuGre: bristle damping over normal force"),
         # bodies, motion, loads
         _positive("mass", "kg", "mass of the moving body (effective mass m1 m2/(m1 + m2) of two)"),
         _not_negative("approach_speed", "m/s", "speed towards the surface at time 0"),
         _not_negative("clearance_contact", "m", "gap between body and surface at time 0"),
         _not_negative("drop_height", "m", "height of the body's lowest point at time 0, at rest"),
         _not_negative("gravity", "m/s^2", "gravitational acceleration towards the surface"),
+        # the ball-cage flexible joint
+        Quantity("drive_speed", "rad/s", "speed of the seat"),
+        Quantity("load_torque", "N m", "resisting torque on the head, against the drive's sense"),
+        _positive("load_ramp", "s", "time over which the torque is raised"),
+        Quantity("axial_load", "N", "force on the head along its axis, towards the seat (weight on bit)"),
+        Quantity("joint_angle", "rad", "deflection: 180 degrees less the included angle", 0.0, 1.5),
+        _positive("seat_radius", "m", "radius of the seat's hollow sphere"),
+        _positive("head_radius", "m", "radius of the head's sphere"),
+        _positive("ball_radius", "m", "radius of a ball"),
+        _positive("pitch_radius", "m", "distance of the balls from the axis in the undeflected joint"),
+        _not_negative("offset", "m", "distance of either track's centre from the joint's centre"),
+        Quantity("contact_angle", "rad", "angle of the flank contact from the radial direction", 0.0, 1.5707, True),
+        Quantity("conformity", "1", "groove section radius over ball diameter", 0.5, 2.0, True),
+        *(
+            _not_negative(f"clearance_{name}", "m", meaning)
+            for name, meaning in (
+                ("seat_cage", "radial clearance between seat sphere and cage"),
+                ("head_cage", "radial clearance between cage and head sphere"),
+                ("cage_ball", "gap of a centred ball to either window face"),
+                ("seat_ball", "clearance of the ball to the seat's groove, normal to a flank"),
+                ("head_ball", "clearance of the ball to the head's groove, normal to a flank"),
+            )
+        ),
+        _positive("ball_mass", "kg", "mass of a ball"),
+        _positive("head_mass", "kg", "mass of the head and what shifts with it"),
+        _positive("head_inertia", "kg m^2", "inertia of the head about its axis"),
+        _positive("cage_mass", "kg", "mass of the cage"),
+        _positive("cage_inertia", "kg m^2", "inertia of the cage about any axis through its centre"),
+        _positive("seat_inertia", "kg m^2", "inertia of the seat about its axis"),
+        _positive("drive_stiffness", "N m/rad", "torsional stiffness between drive and seat"),
+        _not_negative("drive_damping", "N m s/rad", "torsional damping between drive and seat"),
     )
 }

@@ -7,6 +7,7 @@ in the parameters, a flat dict of float64 scalars that may be traced, batched an
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -69,7 +70,51 @@ class Load(eqx.Module):
     needs: tuple[str, ...] = eqx.field(static=True)
 
 
-class Scene(eqx.Module):
+class AbstractScene:
+    """What every kind of scene says about itself, and the making of its parameters. Every scene is a static module.
+
+    Attributes:
+        kind: name of the family the scene belongs to.
+        contacts: what touches; each has a ``name`` and a ``law``.
+        defaults: default value of every parameter that has one, SI.
+        samples: a number of output times over the horizon that resolves a contact.
+        horizon: (params) -> a sensible end time [s] where the user gives none.
+        quantities: every parameter the scene has, in a readable order, by name.
+    """
+
+    kind: str
+    contacts: tuple[Any, ...]
+    samples: int
+    defaults: Any
+    horizon: Any
+    quantities: Any
+
+    def parameters(self, values: Mapping[str, ArrayLike] | None = None, **more: ArrayLike) -> dict[str, Array]:
+        """The scene's parameters as a pytree of float64 leaves, SI; those without a default only where given.
+
+        Args:
+            values: values by name (for names with a dot in them).
+            more: values by name. A value may be a number, an array (a batch for ``vmap``) or traced.
+
+        Raises:
+            InputError: for a name the scene does not have (with the nearest it has) and for a number
+                outside its quantity's range.
+        """
+        given = {**(values or {}), **more}
+        known = self.quantities
+        for name, value in given.items():
+            if name not in known:
+                raise InputError(f"scene '{self.kind}'", f"no parameter '{name}' = {value}", nearest(name, known))
+            check_value(f"scene '{self.kind}'", known[name], value)
+        defaults = dict(self.defaults)
+        return {
+            name: jnp.asarray(given[name] if name in given else defaults[name], dtype=jnp.float64)
+            for name in known
+            if name in given or name in defaults
+        }
+
+
+class Scene(AbstractScene, eqx.Module):
     """Static structure of a simulation.
 
     Attributes:
@@ -93,7 +138,7 @@ class Scene(eqx.Module):
     start: Callable[[Params], tuple[Array, Array]] = eqx.field(static=True)
     impact_scale: Callable[[Params], tuple[Array, Array]] = eqx.field(static=True)
     horizon: Callable[[Params], Array] = eqx.field(static=True)
-    samples: int = eqx.field(static=True, default=1001)
+    samples: int = eqx.field(static=True)
 
     @property
     def quantities(self) -> dict[str, Quantity]:
@@ -102,26 +147,6 @@ class Scene(eqx.Module):
         names += [body.mass for body in self.bodies]
         names += [*self.needs, *(name for load in self.loads for name in load.needs)]
         return {name: CATALOGUE[name] for name in dict.fromkeys(names)}
-
-    def parameters(self, values: Mapping[str, ArrayLike] | None = None, **more: ArrayLike) -> dict[str, Array]:
-        """The scene's parameters as a pytree of float64 leaves, SI.
-
-        Args:
-            values: values by name (for names with a dot in them).
-            more: values by name. A value may be a number, an array (a batch for ``vmap``) or traced.
-
-        Raises:
-            InputError: for a name the scene does not have (with the nearest it has) and for a number
-                outside its quantity's range.
-        """
-        given = {**(values or {}), **more}
-        known = self.quantities
-        for name, value in given.items():
-            if name not in known:
-                raise InputError(f"scene '{self.kind}'", f"no parameter '{name}' = {value}", nearest(name, known))
-            check_value(f"scene '{self.kind}'", known[name], value)
-        defaults = dict(self.defaults)
-        return {name: jnp.asarray(given.get(name, defaults[name]), dtype=jnp.float64) for name in known}
 
 
 def check_value(where: str, quantity: Quantity, value: ArrayLike) -> None:

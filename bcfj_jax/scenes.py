@@ -86,6 +86,7 @@ def impact(law: str = "memory_free", elastic: str | None = None, smoothing: bool
         start=_impact_start,
         impact_scale=_impact_scale,
         horizon=_impact_horizon,
+        samples=1001,
     )
 
 

@@ -1,4 +1,4 @@
-"""Contact laws by name: an elastic part (``elastic``) inside a normal-force law (``normal``)."""
+"""Contact laws by name: an elastic part (``elastic``) in a normal-force law (``normal``); friction (``friction``)."""
 
 from __future__ import annotations
 
@@ -6,7 +6,11 @@ from bcfj_jax.errors import InputError, nearest
 from bcfj_jax.laws.elastic import ELASTIC as ELASTIC
 from bcfj_jax.laws.elastic import AbstractElastic as AbstractElastic
 from bcfj_jax.laws.elastic import bai_zhao_stiffness as bai_zhao_stiffness
+from bcfj_jax.laws.friction import FRICTION as FRICTION
+from bcfj_jax.laws.friction import AbstractFriction as AbstractFriction
+from bcfj_jax.laws.friction import make_friction as make_friction
 from bcfj_jax.laws.normal import AbstractLaw as AbstractLaw
+from bcfj_jax.laws.normal import onset_force as onset_force
 from bcfj_jax.laws.normal import AdamsImpact, Hertz, KelvinVoigt, MemoryFree, Restitution
 from bcfj_jax.restitution import FACTORS
 

@@ -1,0 +1,1 @@
+"""The ball-cage flexible joint: its geometry, what may be built, its statics."""

@@ -1,0 +1,121 @@
+"""From the scene's parameters to what the equations of motion read, computed once a run."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import Array
+
+from bcfj_jax.joint import geometry
+from bcfj_jax.joint.contacts import Groove
+from bcfj_jax.joint.scene import Joint
+from bcfj_jax.joint.skin import Skin, SkinPair
+from bcfj_jax.scene import Params
+
+
+class Constants(eqx.Module):
+    """Numbers of one run, in the shapes in which they are used.
+
+    Attributes:
+        axes: (2, 3) unit axes of seat and head; ``radial`` and ``tangent``: where track 0 lies at turn 0.
+        bisector: normal of the bisecting plane.
+        ball_lightness: (twist,) and border_lightness (border,): inverse masses and inertias.
+    """
+
+    groove: Groove
+    groove_skin: Skin | SkinPair
+    window_skin: Skin | None
+    window_clearance: Array
+    pilot_skin: Skin | SkinPair | None
+    pilot_clearance: Array
+    pilot_hollow: Array
+    axes: Array
+    radial: Array
+    tangent: Array
+    bisector: Array
+    ball_lightness: Array
+    border_lightness: Array
+    drive_speed: Array
+    drive_stiffness: Array
+    drive_damping: Array
+    load_torque: Array
+    load_ramp: Array
+    axial_load: Array
+
+
+def skin_of(scene: Joint, params: Params, name: str) -> Skin:
+    """The laws of a contact with its coefficients: its own where given, else the shared ones."""
+    contact = scene.contact(name)
+    coefficients = {key: scene.coefficient(params, name, key) for key in contact.needs}
+    smoothing = scene.coefficient(params, name, "smoothing") if scene.smoothing else None
+    return Skin(contact.law, contact.friction, coefficients, smoothing)
+
+
+def _side_by_side(scene: Joint, params: Params, names: tuple[str, ...]) -> Skin | SkinPair:
+    """One skin for two contacts where their laws agree, its coefficients along axis -2 of (..., contact, face)."""
+    skins = [skin_of(scene, params, name) for name in names]
+    if len(skins) == 1:
+        return skins[0]
+    first, second = skins
+    if (first.law, first.friction) != (second.law, second.friction):
+        return SkinPair(first, second, axis=-2)
+    both = {key: jnp.stack([first.coefficients[key], second.coefficients[key]])[:, None] for key in first.coefficients}
+    smoothing = None
+    if first.smoothing is not None and second.smoothing is not None:
+        smoothing = jnp.stack([first.smoothing, second.smoothing])[:, None]
+    return Skin(first.law, first.friction, both, smoothing)
+
+
+def constants(scene: Joint, params: Params) -> Constants:
+    """Everything ``system`` reads, from the parameters [SI]."""
+    p = params
+    zero, one = jnp.zeros(()), jnp.ones(())
+    angle = p["joint_angle"]
+    gothic = scene.track == "gothic"
+    flank = p["ball_radius"] * (2.0 * p["conformity"] - 1.0) if gothic else zero
+    groove = Groove(
+        radius=geometry.track_radius(p["pitch_radius"], p["offset"]),
+        offset=jnp.stack([p["offset"], -p["offset"]]),
+        side=jnp.array([1.0, -1.0]),
+        flank=flank,
+        sine=jnp.sin(p["contact_angle"]) if gothic else zero,
+        cosine=jnp.cos(p["contact_angle"]) if gothic else one,
+        clearance=jnp.stack([p["clearance_seat_ball"], p["clearance_head_ball"]]),
+        ball=p["ball_radius"],
+        gothic=jnp.array([1.0, -1.0]) if gothic else jnp.array([0.0]),
+    )
+    hollow = {"seat_cage": p["seat_radius"]}
+    clearance = {}
+    for name in scene.pilots:
+        clearance[name] = p[f"clearance_{name}"]
+        hollow["head_cage"] = p["head_radius"] + clearance.get("head_cage", zero)
+    lightness = {"head": 1.0 / p["head_mass"] * jnp.ones(3), "head_turn": 1.0 / p["head_inertia"][None]}
+    if scene.cage == "free":
+        lightness |= {"cage": 1.0 / p["cage_mass"] * jnp.ones(3), "cage_turn": 1.0 / p["cage_inertia"] * jnp.ones(3)}
+    flexible = scene.drive == "flexible"
+    lightness["seat_turn"] = 1.0 / p["seat_inertia"][None] if flexible else jnp.zeros(1)
+    ball = 1.0 / p["ball_mass"] * jnp.ones(3)
+    if scene.spin:
+        # A solid sphere: 2/5 m r^2.
+        ball = jnp.concatenate([ball, 2.5 / (p["ball_mass"] * p["ball_radius"] ** 2) * jnp.ones(3)])
+    return Constants(
+        groove=groove,
+        groove_skin=_side_by_side(scene, params, ("seat_ball", "head_ball")),
+        window_skin=skin_of(scene, params, "cage_ball") if scene.has("cage_ball") else None,
+        window_clearance=p["clearance_cage_ball"] if scene.has("cage_ball") else zero,
+        pilot_skin=_side_by_side(scene, params, scene.pilots) if scene.pilots else None,
+        pilot_clearance=jnp.stack([clearance[name] for name in scene.pilots]) if scene.pilots else jnp.zeros(0),
+        pilot_hollow=jnp.stack([hollow[name] for name in scene.pilots]) if scene.pilots else jnp.zeros(0),
+        axes=jnp.stack([jnp.array([0.0, 0.0, 1.0]), geometry.head_axis(angle)]),
+        radial=jnp.stack([jnp.array([1.0, 0.0, 0.0]), jnp.stack([jnp.cos(angle), zero, -jnp.sin(angle)])]),
+        tangent=jnp.array([[0.0, 1.0, 0.0], [0.0, 1.0, 0.0]]),
+        bisector=geometry.bisector(angle),
+        ball_lightness=ball,
+        border_lightness=jnp.concatenate([lightness[name] for name, slot in scene.slots.items() if slot is not None]),
+        drive_speed=p["drive_speed"],
+        drive_stiffness=p["drive_stiffness"] if flexible else zero,
+        drive_damping=p["drive_damping"] if flexible else zero,
+        load_torque=p["load_torque"],
+        load_ramp=p["load_ramp"],
+        axial_load=p["axial_load"],
+    )

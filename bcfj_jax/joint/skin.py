@@ -1,0 +1,71 @@
+"""What two surfaces of the joint do to each other once geometry has said how deep and how fast.
+
+A skin is a normal-force law and a friction law with their coefficients, ready for arrays of contacts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import Array
+
+from bcfj_jax.laws import AbstractFriction, AbstractLaw, onset_force
+from bcfj_jax.numerics import smooth_step
+
+
+class Skin(eqx.Module):
+    """One law and one friction law over any broadcast shape of contacts.
+
+    Attributes:
+        law, friction: static; no friction law, no friction operations.
+        coefficients: by the laws' names; scalars, or arrays that broadcast against the contacts.
+        smoothing: half-width of the penetration's onset [m]; None for the sharp one.
+    """
+
+    law: AbstractLaw
+    friction: AbstractFriction | None
+    coefficients: Mapping[str, Array]
+    smoothing: Array | None
+
+    def normal(self, penetration: Array, rate: Array) -> Array:
+        """Normal force [N] >= 0 from penetration [m] and its rate [m/s]."""
+        return onset_force(self.law, penetration, rate, self.coefficients, self.smoothing)
+
+    def mobility(self, slip_squared: Array) -> Array:
+        """mu(|v|)/|v| [s/m]: the traction is  -N mobility v."""
+        assert self.friction is not None
+        return self.friction.mobility(slip_squared, self.coefficients)
+
+
+class SkinPair(eqx.Module):
+    """Two unlike skins side by side: the first along index 0 of axis ``axis``, the second along index 1."""
+
+    first: Skin
+    second: Skin
+    axis: int = eqx.field(static=True)
+
+    @property
+    def friction(self) -> AbstractFriction | None:
+        """A friction law where either has one."""
+        return self.first.friction or self.second.friction
+
+    def normal(self, penetration: Array, rate: Array) -> Array:
+        """As ``Skin.normal``."""
+        a, b = (jnp.take(penetration, jnp.array([i]), self.axis) for i in (0, 1))
+        p, q = (jnp.take(rate, jnp.array([i]), self.axis) for i in (0, 1))
+        return jnp.concatenate([self.first.normal(a, p), self.second.normal(b, q)], self.axis)
+
+    def mobility(self, slip_squared: Array) -> Array:
+        """As ``Skin.mobility``; 0 for the one without friction."""
+        parts = []
+        for index, skin in enumerate((self.first, self.second)):
+            slip = jnp.take(slip_squared, jnp.array([index]), self.axis)
+            parts.append(skin.mobility(slip) if skin.friction is not None else jnp.zeros_like(slip))
+        return jnp.concatenate(parts, self.axis)
+
+
+def sector(cosine: Array) -> Array:
+    """1 where a flank faces its ball, 0 where the ball is on the far side of the groove's middle; C1 between."""
+    return smooth_step(20.0 * cosine)

@@ -1,0 +1,232 @@
+"""Newton's law for the bodies of the joint: state in, contact wrenches and accelerations out.
+
+World axes throughout: the seat's axis is z, the head's lies in the x-z plane at the joint angle. The
+border (everything that is not a ball) is, in this order and as far as the scene has it:
+
+    head place (3)   head turn (1)   cage place (3)   cage axis or spin (3)   seat turn (1)
+
+The state is flat: ball places, border places, ball twists (velocity, and spin where balls spin), border
+velocities. The cage is a body of revolution whose window planes know nothing of its own turn, so a unit axis is all its
+attitude, and its inertia is that of a spherical shell (isotropic): no quaternion, no gyroscopic term.
+A prescribed seat is a seat of infinite inertia, so that its turn is a state like any other and nothing depends on time
+but the load.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from bcfj_jax.joint.constants import Constants
+from bcfj_jax.joint.contacts import Touch, grooves, pilots, windows
+from bcfj_jax.joint.scene import Joint
+from bcfj_jax.numerics import smooth_rise
+
+
+class State(NamedTuple):
+    """A named view of the flat state. Velocities in world axes."""
+
+    ball_place: Array
+    ball_velocity: Array
+    ball_spin: Array | None
+    head_place: Array
+    head_velocity: Array
+    head_turn: Array
+    head_spin: Array
+    cage_place: Array
+    cage_velocity: Array
+    cage_axis: Array
+    cage_spin: Array
+    seat_turn: Array
+    seat_spin: Array
+
+
+class Touches(NamedTuple):
+    """All contacts: grooves (balls, 2 races), windows (balls,), pilots (k,) with moments about the two centres."""
+
+    grooves: Touch
+    windows: Touch | None
+    pilots: Touch | None
+    outer_moments: Array | None
+    inner_moments: Array | None
+
+
+def view(scene: Joint, c: Constants, y: Array) -> State:
+    """Names for the parts of a flat state; what the scene fixes comes from the constants."""
+    n, k = scene.balls, scene.twist
+    places, twists = y[: 3 * n].reshape(n, 3), y[3 * n + scene.border :][: k * n].reshape(n, k)
+    at, rates = y[3 * n : 3 * n + scene.border], y[(3 + k) * n + scene.border :]
+    where = scene.slots
+    zero = jnp.zeros(3)
+    head, turn, cage, tilt, seat = (where[name] for name in ("head", "head_turn", "cage", "cage_turn", "seat_turn"))
+    axis = c.bisector if tilt is None else at[tilt]
+    return State(
+        ball_place=places,
+        ball_velocity=twists[:, :3],
+        ball_spin=twists[:, 3:] if scene.spin else None,
+        head_place=zero if head is None else at[head],
+        head_velocity=zero if head is None else rates[head],
+        head_turn=at[turn][0],
+        head_spin=rates[turn][0],
+        cage_place=zero if cage is None else at[cage],
+        cage_velocity=zero if cage is None else rates[cage],
+        cage_axis=axis if tilt is None else axis / jnp.sqrt(axis @ axis),
+        cage_spin=c.drive_speed * c.bisector if tilt is None else rates[tilt],
+        seat_turn=at[seat][0],
+        seat_spin=rates[seat][0],
+    )
+
+
+class Motion(NamedTuple):
+    """Motion of the balls relative to a body; shapes (balls, ..., 3)."""
+
+    arm: Array
+    velocity: Array
+    spin: Array | None
+
+
+def relative(state: State, place: Array, velocity: Array, spin: Array) -> Motion:
+    """Motion of the balls relative to bodies at ``place`` (..., 3): arm from the body's centre, and rates."""
+    shape = (slice(None),) + (None,) * (place.ndim - 1)
+    arm = state.ball_place[shape] - place
+    rate = state.ball_velocity[shape] - velocity - jnp.cross(spin, arm)
+    return Motion(arm, rate, None if state.ball_spin is None else state.ball_spin[shape] - spin)
+
+
+def races(c: Constants, state: State) -> tuple[Motion, Array, Array]:
+    """Balls relative to (seat, head); the track planes' normals (balls, 2, 3); angular velocities (2, 3)."""
+    zero = jnp.zeros(3)
+    spins = jnp.stack([state.seat_spin, state.head_spin])[:, None] * c.axes
+    motion = relative(
+        state, jnp.stack([zero, state.head_place]), jnp.stack([zero, state.head_velocity]), spins
+    )
+    turns = jnp.stack([state.seat_turn, state.head_turn])
+    cosine, sine = jnp.cos(turns)[:, None], jnp.sin(turns)[:, None]
+    radial, tangent = cosine * c.radial + sine * c.tangent, cosine * c.tangent - sine * c.radial
+    around = 2 * np.pi * np.arange(state.ball_place.shape[0]) / state.ball_place.shape[0]
+    across = np.cos(around)[:, None, None] * tangent - np.sin(around)[:, None, None] * radial
+    return motion, across, spins
+
+
+def touches(scene: Joint, c: Constants, state: State) -> Touches:
+    """Every contact of the scene in one state."""
+    motion, across, _ = races(c, state)
+    place = motion.arm - c.groove.offset[:, None] * c.axes
+    groove = grooves(c.groove, c.groove_skin, place, motion.velocity, motion.spin, across)
+    window = None
+    if c.window_skin is not None:
+        motion = relative(state, state.cage_place, state.cage_velocity, state.cage_spin)
+        window = windows(
+            c.window_skin, c.window_clearance, c.groove.ball, motion.arm, motion.velocity, motion.spin, state.cage_axis
+        )
+    if c.pilot_skin is None:
+        return Touches(groove, window, None, None, None)
+    return Touches(groove, window, *pilot_touches(scene, c, state))
+
+
+def pilot_touches(scene: Joint, c: Constants, state: State) -> tuple[Touch, Array, Array]:
+    """The sphere-in-sphere contacts the scene has, in the order (seat_cage, head_cage)."""
+    assert c.pilot_skin is not None
+    place = {"seat_cage": state.cage_place, "head_cage": state.head_place - state.cage_place}
+    velocity = {"seat_cage": state.cage_velocity, "head_cage": state.head_velocity - state.cage_velocity}
+    seat_spin, head_spin = state.seat_spin * c.axes[0], state.head_spin * c.axes[1]
+    outer = {"seat_cage": seat_spin, "head_cage": state.cage_spin}
+    inner = {"seat_cage": state.cage_spin, "head_cage": head_spin}
+    names = scene.pilots
+    return pilots(
+        c.pilot_skin,
+        c.pilot_clearance,
+        c.pilot_hollow,
+        *(jnp.stack([table[name] for name in names]) for table in (place, velocity, outer, inner)),
+        state.cage_axis,
+    )
+
+
+def border_forces(scene: Joint, c: Constants, pilot: Touch, outer: Array, inner: Array) -> Array:
+    """Generalised forces of the pilots on the border, (border,)."""
+    total = {"head": jnp.zeros(3), "head_turn": jnp.zeros(1), "cage": jnp.zeros(3), "cage_turn": jnp.zeros(3)}
+    total["seat_turn"] = jnp.zeros(1)
+    for index, name in enumerate(scene.pilots):
+        force = pilot.force[index]
+        if name == "seat_cage":
+            total["cage"] = total["cage"] + force
+            total["cage_turn"] = total["cage_turn"] + inner[index]
+            total["seat_turn"] = total["seat_turn"] + outer[index] @ c.axes[0]
+        else:
+            total["head"] = total["head"] + force
+            total["head_turn"] = total["head_turn"] + inner[index] @ c.axes[1]
+            total["cage"] = total["cage"] - force
+            total["cage_turn"] = total["cage_turn"] + outer[index]
+    return jnp.concatenate([total[name] for name, slot in scene.slots.items() if slot is not None])
+
+
+def load_torque(c: Constants, t: Array) -> Array:
+    """Resisting torque on the head [N m], raised from 0 over the load ramp with continuous second derivative."""
+    return c.load_torque * smooth_rise(t / c.load_ramp)
+
+
+def applied(scene: Joint, c: Constants, t: Array, state: State) -> Array:
+    """Generalised forces of loads and drive on the border, (border,)."""
+    parts = {"head": -c.axial_load * c.axes[1], "head_turn": -load_torque(c, t)[None]}
+    parts |= {"cage": jnp.zeros(3), "cage_turn": jnp.zeros(3), "seat_turn": drive_torque(scene, c, t, state)[None]}
+    return jnp.concatenate([parts[name] for name, slot in scene.slots.items() if slot is not None])
+
+
+def drive_torque(scene: Joint, c: Constants, t: Array, state: State) -> Array:
+    """Torque of a flexible drive on the seat [N m]; 0 where the speed is prescribed."""
+    if scene.drive != "flexible":
+        return jnp.zeros(())
+    lag = c.drive_speed * t - state.seat_turn
+    return c.drive_stiffness * lag + c.drive_damping * (c.drive_speed - state.seat_spin)
+
+
+def wrench(touch: Touch) -> Array:
+    """Force, and moment of a spinning ball, side by side."""
+    return touch.force if touch.moment is None else jnp.concatenate([touch.force, touch.moment], -1)
+
+
+def on_bodies(scene: Joint, c: Constants, state: State, found: Touches) -> tuple[Array, Array]:
+    """Contact wrenches on the balls (balls, twist) and generalised contact forces on the border (border,)."""
+    rings = wrench(found.grooves)
+    ball = jnp.sum(rings, axis=1)
+    force = found.grooves.force
+    arm = state.ball_place[:, None] - jnp.stack([jnp.zeros(3), state.head_place])
+    torque = jnp.cross(arm, force)
+    if scene.spin:
+        torque = torque + found.grooves.moment
+    turning = -jnp.sum(jnp.sum(torque, 0) * c.axes, -1)
+    parts = {"head": -jnp.sum(force[:, 1], 0), "head_turn": turning[1:], "seat_turn": turning[:1]}
+    parts |= {"cage": jnp.zeros(3), "cage_turn": jnp.zeros(3)}
+    if found.windows is not None:
+        ball = ball + wrench(found.windows)
+        push = found.windows.force
+        twist = jnp.cross(state.ball_place - state.cage_place, push)
+        if found.windows.moment is not None:
+            twist = twist + found.windows.moment
+        parts["cage"], parts["cage_turn"] = -jnp.sum(push, 0), -jnp.sum(twist, 0)
+    border = jnp.concatenate([parts[name] for name, slot in scene.slots.items() if slot is not None])
+    if found.pilots is not None and found.outer_moments is not None and found.inner_moments is not None:
+        border = border + border_forces(scene, c, found.pilots, found.outer_moments, found.inner_moments)
+    return ball, border
+
+
+def field(t: Array, y: Array, args: tuple[Joint, Constants]) -> Array:
+    """Time derivative of the flat state."""
+    scene, c = args
+    state = view(scene, c, y)
+    ball, border = on_bodies(scene, c, state, touches(scene, c, state))
+    border = border + applied(scene, c, t, state)
+    n = scene.balls
+    rates = y[(3 + scene.twist) * n + scene.border :]
+    if scene.slots["cage_turn"] is not None:
+        tilt = scene.slots["cage_turn"]
+        axis = y[3 * n : 3 * n + scene.border][tilt]
+        moving = rates.at[tilt].set(jnp.cross(state.cage_spin, axis))
+    else:
+        moving = rates
+    return jnp.concatenate(
+        [state.ball_velocity.ravel(), moving, (ball * c.ball_lightness).ravel(), border * c.border_lightness]
+    )

@@ -1,0 +1,58 @@
+"""What an implicit solver asks of a problem: to factor  I/s - J  and to solve with it.
+
+J is the Jacobian of the field. A problem that knows its sparsity answers in its own way (the joint: an
+arrowhead, ``joint.arrowhead``); ``Dense`` answers for any other.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+
+class AbstractStructure(eqx.Module):
+    """The linear algebra of one family of fields ``field(t, y, args) -> dy/dt`` over a flat state."""
+
+    @abstractmethod
+    def field(self, t: Array, y: Array, args: Any) -> Array:
+        """Time derivative of the state."""
+
+    @abstractmethod
+    def factor(self, t: Array, y: Array, args: Any, scale: Array) -> Any:
+        """Everything that solving with  I/scale - J(t, y)  needs; J exact, or the order is lost."""
+
+    @abstractmethod
+    def solve(self, factors: Any, right: Array) -> Array:
+        """The x of  (I/scale - J) x = right."""
+
+    @abstractmethod
+    def time_derivative(self, t: Array, y: Array, args: Any) -> Array:
+        """Partial derivative of the field with respect to time."""
+
+
+class Dense(AbstractStructure):
+    """Any field: Jacobian by forward differentiation, LU."""
+
+    function: Any = eqx.field(static=True)
+
+    def field(self, t: Array, y: Array, args: Any) -> Array:
+        """The function itself."""
+        return self.function(t, y, args)
+
+    def factor(self, t: Array, y: Array, args: Any, scale: Array) -> Any:
+        """LU of the dense matrix."""
+        jacobian = jax.jacfwd(lambda y: self.function(t, y, args))(y)
+        return jax.scipy.linalg.lu_factor(jnp.eye(y.size) / scale - jacobian)
+
+    def solve(self, factors: Any, right: Array) -> Array:
+        """Forward and back substitution."""
+        return jax.scipy.linalg.lu_solve(factors, right)
+
+    def time_derivative(self, t: Array, y: Array, args: Any) -> Array:
+        """By forward differentiation."""
+        return jax.jvp(lambda t: self.function(t, y, args), (t,), (jnp.ones_like(t),))[1]
