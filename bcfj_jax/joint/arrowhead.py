@@ -4,8 +4,8 @@ Balls touch only seat, head and cage, so with the places eliminated (they are in
 I/s - J  is  one (twist x twist) block a ball, bordered by head, cage and seat. Blocks are eliminated ball by
 ball; what is left is one matrix of the border's size, whose inverse is kept.
 
-The local derivatives come from forward differentiation of ``contacts`` by relative place and relative twist. The
-chain to the coordinates, for a wrench W on a ball from a body with arm r, relative twist h and angular velocity w:
+The local derivatives, by relative place and relative twist, are those of ``contacts.slopes``. The chain to the
+coordinates, for a wrench W on a ball from a body with arm r, relative twist h and angular velocity w:
 
     ball place p:      A = K - C_v [w]x            body place:    -A
     ball twist:        C                           body twist:    -C B,  B = (I, -[r]x; 0, I)
@@ -20,13 +20,13 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from bcfj_jax.joint import system
 from bcfj_jax.joint.constants import Constants
-from bcfj_jax.joint.contacts import grooves, windows
+from bcfj_jax.joint.contacts import grooves, pilots, slopes, windows
 from bcfj_jax.joint.scene import Joint
+from bcfj_jax.solvers.small import inverse, inverse3, inverse6
 from bcfj_jax.solvers.structure import AbstractStructure
 
 
@@ -60,21 +60,6 @@ class Factors(NamedTuple):
     axis: Array
     spin: Array
     c: Constants
-
-
-def _local(function: Any, place: Array, velocity: Array, spin: Array | None) -> tuple[Array, Array, Array]:
-    """Wrench (..., k), and its derivatives by relative place (..., k, 3) and relative twist (..., k, k)."""
-    twist = velocity if spin is None else jnp.concatenate([velocity, spin], -1)
-
-    def of(x):
-        place, twist = x[..., :3], x[..., 3:]
-        return system.wrench(function(place, twist[..., :3], None if spin is None else twist[..., 3:]))
-
-    x = jnp.concatenate([place, twist], -1)
-    directions = jnp.eye(x.shape[-1])
-    value, push = jax.linearize(of, x)
-    slopes = jax.vmap(lambda d: push(jnp.broadcast_to(d, x.shape)), out_axes=-1)(directions)
-    return value, slopes[..., :3], slopes[..., 3:]
 
 
 class _Body(NamedTuple):
@@ -131,26 +116,34 @@ def _chain(
     )
 
 
-def _border_of_pilots(scene: Joint, c: Constants, y: Array, t: Array) -> tuple[Array, Array]:
-    """Derivatives of pilot and applied forces by border displacement and border rate."""
-    n, b = scene.balls, scene.border
-    start, rates = 3 * n, (3 + scene.twist) * n + b
+def _border_alone(scene: Joint, c: Constants, state: system.State, t: Array) -> tuple[Array, Array]:
+    """Derivatives of pilot and drive forces by border displacement and border rate.
 
-    def forces(change):
-        moved = y.at[start : start + b].add(change[:b]).at[rates : rates + b].add(change[b:])
-        state = system.view(scene, c, moved)
-        total = system.applied(scene, c, t, state)
-        if not scene.pilots:
-            return total
-        touch, outer, inner = system.pilot_touches(scene, c, state)
-        return total + system.border_forces(scene, c, touch, outer, inner)
-
-    slopes = jax.jacfwd(forces)(jnp.zeros(2 * b))
-    place = slopes[:, :b]
-    if scene.slots["cage_turn"] is not None:
-        # Pilot forces do not depend on the cage's axis (it only names tangents): no chain from axis to rotation.
-        place = place.at[:, scene.slots["cage_turn"]].set(0.0)
-    return place, slopes[:, b:]
+    Spheres have no axes, so only the centres' distance p and the relative twist count:  dv = ... - w_outer x dp.
+    """
+    b = scene.border
+    place, rate = jnp.zeros((b, b)), jnp.zeros((b, b))
+    if c.pilot_skin is not None:
+        motion, spin = system.guided(scene, c, state)
+        at = pilots(c.pilot_clearance, c.pilot_hollow, motion.arm)
+        value, by_place, by_twist = slopes(c.pilot_skin, at, motion.velocity, motion.spin)
+        maps = system.guide_maps(scene, c, motion.arm)
+        moves = system.centre_maps(scene)
+        back = jnp.swapaxes(maps, -1, -2)
+        pushed = (by_place - jnp.cross(by_twist[..., :3], spin[:, None, :])) @ moves
+        place = place + jnp.sum(back @ pushed, 0)
+        rate = rate + jnp.sum(back @ by_twist @ maps, 0)
+        # The outer body's moment is -p x f, and p moves.
+        for index, name in enumerate(scene.pilots):
+            arm = jnp.cross(jnp.eye(3), value[index, :3]) @ moves[index]
+            if name == "seat_cage":
+                place = place.at[_slot(scene, "seat_turn")].add((c.axes[0] @ arm)[None])
+            elif scene.cage == "free":
+                place = place.at[_slot(scene, "cage_turn")].add(arm)
+    if scene.drive == "flexible":
+        seat = _slot(scene, "seat_turn")
+        place, rate = place.at[seat, seat].add(-c.drive_stiffness), rate.at[seat, seat].add(-c.drive_damping)
+    return place, rate
 
 
 def blocks(scene: Joint, c: Constants, t: Array, y: Array) -> Blocks:
@@ -158,10 +151,8 @@ def blocks(scene: Joint, c: Constants, t: Array, y: Array) -> Blocks:
     state = system.view(scene, c, y)
     n, b, k = scene.balls, scene.border, scene.twist
     motion, across, spins = system.races(c, state)
-    place = motion.arm - c.groove.offset[:, None] * c.axes
-    value, by_place, by_twist = _local(
-        lambda p, v, w: grooves(c.groove, c.groove_skin, p, v, w, across), place, motion.velocity, motion.spin
-    )
+    at = grooves(c.groove, motion.arm - c.groove.offset[:, None] * c.axes, across)
+    value, by_place, by_twist = slopes(c.groove_skin, at, motion.velocity, motion.spin)
     bodies: list[tuple[list[str], _Body]] = []
     for index, (names, moves) in enumerate(((["seat_turn"], False), (["head", "head_turn"], scene.head == "free"))):
         side = jax.tree.map(lambda x, i=index: x[:, i], motion)
@@ -169,19 +160,14 @@ def blocks(scene: Joint, c: Constants, t: Array, y: Array) -> Blocks:
         body = _chain(value[:, index], by_place[:, index], by_twist[:, index], side, spins[index], moves, turn)
         bodies.append((names if moves or len(names) == 1 else names[1:], body))
     if c.window_skin is not None:
-        skin = c.window_skin
         motion = system.relative(state, state.cage_place, state.cage_velocity, state.cage_spin)
-        local = _local(
-            lambda p, v, w: windows(skin, c.window_clearance, c.groove.ball, p, v, w, state.cage_axis),
-            motion.arm,
-            motion.velocity,
-            motion.spin,
-        )
+        at = windows(c.window_clearance, c.groove.ball, motion.arm, state.cage_axis)
+        local = slopes(c.window_skin, at, motion.velocity, motion.spin)
         body = _chain(*local, motion, state.cage_spin, True, jnp.eye(3))
         bodies.append((["cage", "cage_turn"] if scene.cage == "free" else [], body))
     column_place, column_rate = jnp.zeros((n, k, b)), jnp.zeros((n, k, b))
     row_place, row_rate = jnp.zeros((n, b, 3)), jnp.zeros((n, b, k))
-    border_place, border_rate = _border_of_pilots(scene, c, y, t)
+    border_place, border_rate = _border_alone(scene, c, state, t)
     for names, body in bodies:
         if not names:
             continue
@@ -248,10 +234,10 @@ class Arrowhead(AbstractStructure):
         weight = c.border_lightness[:, None]
         row = -weight * (d.row_rate.at[..., :3].add(scale * d.row_place))
         border = jnp.eye(scene.border) / scale - weight * (d.border_rate + border_place)
-        inverse = jnp.linalg.inv(ball)
-        column = inverse @ column
+        ball_inverse = inverse3(ball) if k == 3 else inverse6(ball)
+        column = ball_inverse @ column
         schur = border - jnp.sum(row @ column, 0)
-        return Factors(d, scale, inverse, column, row, jnp.linalg.inv(schur), state.cage_axis, state.cage_spin, c)
+        return Factors(d, scale, ball_inverse, column, row, inverse(schur), state.cage_axis, state.cage_spin, c)
 
     @staticmethod
     def _turn(axis: Array, spin: Array, scale: Array) -> Array:

@@ -1,47 +1,69 @@
-"""Geometry and force of the joint's contacts, from the motion of one body relative to another.
+"""Geometry of the joint's contacts, and the one way in which all of them act.
 
-Every function here is frame-indifferent: it takes relative position and velocity and directions fixed to the
-bodies, and gives the force in the same axes. So it is differentiated locally, by relative motion, and the
-chain to the bodies' coordinates (``arrowhead``) is the same for all. Normal force acts along the
-gradient of the gap (physics sheet 5.3); traction acts against the sliding velocity.
+A contact is a penetration d, its direction n (= grad d: the way in which the second body, the ball or the inner sphere, has
+moved into the first) and the lever l n from the second body's centre to the point of contact. The relative place p
+of the centres decides them; the relative twist (v, w) decides the rest:
 
-A contact acts at the ball's centre unless the ball spins (``spin`` given): a ball without spin is a particle, so
-that force, moment and power balance exactly in either case.
+    rate  d' = n . v        sliding  u = v + w x l n - d' n        force  f = -N n - D u,   D = N mu(|u|)/|u|
+
+with N from the normal-force law. Everything is frame-indifferent: force in the axes of its arguments.
+Gaps and normals: physics sheet 5.3. A contact acts at the ball's centre unless the ball spins (w given): a ball
+without spin is a particle, so that force, moment and power balance exactly in either case.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.joint.skin import Skin, SkinPair, sector
 
 
-class Touch(NamedTuple):
-    """What one kind of contact does; leading axes are those of the contacts.
+class Geometry(NamedTuple):
+    """Where contacts are; f faces (or flanks) each.
 
     Attributes:
-        force: (..., 3) on the second body (ball; inner sphere) [N].
-        moment: (..., 3) on a spinning ball about its centre [N m]; None without spin.
-        normal: (..., f) normal force of each face or flank [N] >= 0.
-        traction: (..., 2) friction on the second body along the contact's two tangents [N].
-        penetration, rate: (..., f) [m], [m/s].
-        slip: (..., f) sliding speed [m/s]; of frictionless contacts too.
+        penetration: (..., f) [m], positive in contact.
+        normal: (..., f, 3).
+        lever: (..., f) l [m].
+        gate: (..., f) 1 where the face is there, 0 beyond its edge; None for a face without edges.
+        bends: [(unit vector (..., f, 3), 1/m)] the Hessian of d as a sum of dyads  e e' / R.
+        gate_slope: (..., f, 3) derivative of ``gate`` by p; None without gate.
+        lever_slope: dl/dd: -1 between spheres, whose lever shortens as they part; 0 elsewhere.
+    """
+
+    penetration: Array
+    normal: Array
+    lever: Array
+    gate: Array | None
+    bends: tuple[tuple[Array, Array], ...]
+    gate_slope: Array | None = None
+    lever_slope: float = 0.0
+
+
+class Touch(NamedTuple):
+    """What contacts do.
+
+    Attributes:
+        force, moment: (..., 3) on the second body and about its centre [N], [N m]; moment None without spin.
+        drag: (..., 3) the part of ``force`` that is friction.
+        normal, penetration, rate, slip: (..., f) of each face: [N] >= 0, [m], [m/s], sliding speed [m/s].
     """
 
     force: Array
     moment: Array | None
+    drag: Array
     normal: Array
-    traction: Array
     penetration: Array
     rate: Array
     slip: Array
 
 
 class Groove(NamedTuple):
-    """Shape of the tracks of both races; the axis -1 of arrays is (seat, head).
+    """Shape of the tracks of both races; axes of length 2 are (seat, head).
 
     Attributes:
         radius: track centre circle R_c [m].
@@ -65,147 +87,175 @@ class Groove(NamedTuple):
     gothic: Array
 
 
-def _dot(a: Array, b: Array) -> Array:
+def dot(a: Array, b: Array) -> Array:
+    """Inner product along the last axis."""
     return jnp.sum(a * b, axis=-1)
 
 
-def grooves(
-    shape: Groove, skin: Skin | SkinPair, place: Array, velocity: Array, spin: Array | None, across: Array
-) -> Touch:
-    """Balls in the tracks of both races: torus of circular or gothic section (physics sheet 5.3, rows 4, 5).
+def grooves(shape: Groove, place: Array, across: Array) -> Geometry:
+    """Balls in the tracks of both races: torus of circular or gothic section (physics sheet 5.3, rows 4 and 5).
 
-    With t = place . across, a = (distance from the race's axis through the track's centre, in the track's plane) - R_c:
-    flank s = +-1 has its circle's centre at  -(r_g - r)(s sin(alpha), side cos(alpha))  in (t, a);
-    penetration  |(t, a) - centre| - (r_g - r) - clearance.  Tangents: along the track, across the groove.
+    In the section, t across the track's plane and a outward of the track circle, flank s = +-1 has its circle's
+    centre at  -(r_g - r)(s sin(alpha), side cos(alpha))  and  d = |(t, a) - centre| - (r_g - r) - clearance.
 
     Args:
         place: (..., 2, 3) ball centre less track-circle centre [m].
-        velocity: (..., 2, 3) of the ball's centre relative to the race's material there [m/s].
-        spin: (..., 2, 3) ball's angular velocity less the race's [1/s], or None.
         across: (..., 2, 3) unit normal of the track's plane.
     """
-    t = _dot(place, across)
+    t = dot(place, across)
     plane = place - t[..., None] * across
-    distance = jnp.sqrt(_dot(plane, plane))
-    radial = plane / distance[..., None]
-    along = jnp.cross(radial, across)
+    distance = jnp.sqrt(dot(plane, plane))
+    radial = (plane / distance[..., None])[..., None, :]
+    across = across[..., None, :]
     y_t = t[..., None] + shape.gothic * (shape.flank * shape.sine)
     y_a = (distance - shape.radius + shape.side * (shape.flank * shape.cosine))[..., None]
     # 1e-12 m: a ball exactly in the middle of a circular groove has no direction, and no force.
     length = jnp.sqrt(y_t * y_t + y_a * y_a + 1e-24)
     n_t, n_a = y_t / length, y_a / length
-    v_t, v_a, v_s = _dot(velocity, across)[..., None], _dot(velocity, radial)[..., None], _dot(velocity, along)[..., None]
-    penetration = length - (shape.flank + shape.clearance[:, None])
-    rate = n_t * v_t + n_a * v_a
-    normal = skin.normal(penetration, rate)
+    normal = n_t[..., None] * across + n_a[..., None] * radial
+    upward = n_a[..., None] * across - n_t[..., None] * radial
+    along = jnp.cross(radial, across)
+    bends = ((upward, 1.0 / length), (along, n_a / distance[..., None]))
+    gate = slope = None
     if shape.gothic.size == 2:
-        normal = normal * sector(shape.gothic * n_t)
-    v_c = n_a * v_t - n_t * v_a
-    if spin is not None:
-        w_t, w_a, w_s = (_dot(spin, axis)[..., None] for axis in (across, radial, along))
-        v_c = v_c + shape.ball * w_s
-        v_s = v_s + shape.ball * (w_a * n_t - w_t * n_a)
-    slip_squared = v_c * v_c + v_s * v_s
-    f_t, f_a = -normal * n_t, -normal * n_a
-    moment = None
-    traction = jnp.zeros(t.shape + (2,))
-    if skin.friction is not None:
-        drag = normal * skin.mobility(slip_squared)
-        q_c, q_s = -drag * v_c, -drag * v_s
-        f_t, f_a = f_t + q_c * n_a, f_a - q_c * n_t
-        f_s = jnp.sum(q_s, -1)
-        traction = jnp.stack([f_s, jnp.sum(q_c, -1)], -1)
-        force = f_s[..., None] * along
-        if spin is not None:
-            m_t, m_a, m_s = (jnp.sum(m, -1)[..., None] for m in (-q_s * n_a, q_s * n_t, q_c))
-            moment = shape.ball * (m_t * across + m_a * radial + m_s * along)
-    else:
-        force = 0.0
-        moment = None if spin is None else jnp.zeros_like(place)
-    force = force + jnp.sum(f_t, -1)[..., None] * across + jnp.sum(f_a, -1)[..., None] * radial
-    return Touch(force, moment, normal, traction, penetration, rate, jnp.sqrt(slip_squared))
+        gate, gate_rate = jax.jvp(sector, (shape.gothic * n_t,), (shape.gothic * n_a / length,))
+        slope = gate_rate[..., None] * upward
+    penetration = length - (shape.flank + shape.clearance[:, None])
+    return Geometry(penetration, normal, jnp.broadcast_to(shape.ball, t.shape + (1,)), gate, bends, slope)
 
 
-def windows(
-    skin: Skin, clearance: Array, ball: Array, place: Array, velocity: Array, spin: Array | None, axis: Array
-) -> Touch:
-    """Balls between the two plane faces of their cage windows (physics sheet 5.3, row 3).
+def windows(clearance: Array, ball: Array, place: Array, axis: Array) -> Geometry:
+    """Balls between the plane faces of their cage windows (physics sheet 5.3, row 3):  d = +-p . axis - clearance.
 
-    Penetration of the faces at +axis and -axis:  +-place . axis - clearance.  Tangents: radially outward, around the
-    cage (axis x outward). A window has no ends around the cage.
+    A window has no ends around the cage.
 
     Args:
         clearance: gap of a centred ball to either face [m].
+        ball: ball radius [m].
         place: (..., 3) ball centre less cage centre [m].
-        velocity: (..., 3) of the ball's centre relative to the cage's material there [m/s].
-        spin: (..., 3) ball's angular velocity less the cage's [1/s], or None.
         axis: (3,) the cage's unit axis.
     """
     sides = jnp.array([1.0, -1.0])
-    height, climb = _dot(place, axis)[..., None], _dot(velocity, axis)[..., None]
-    penetration, rate = sides * height - clearance, sides * climb
-    normal = skin.normal(penetration, rate)
-    force = -jnp.sum(sides * normal, -1)[..., None] * axis
-    slide = (velocity - climb * axis)[..., None, :]
-    if spin is not None:
-        slide = slide + (ball * sides)[:, None] * jnp.cross(spin, axis)[..., None, :]
-    slip_squared = _dot(slide, slide)
-    moment = None if spin is None else jnp.zeros_like(place)
-    traction = jnp.zeros(place.shape[:-1] + (2,))
-    if skin.friction is not None:
-        drag = -(normal * skin.mobility(slip_squared))[..., None] * slide
-        pull = jnp.sum(drag, -2)
-        outward = place - height * axis
-        outward = outward / jnp.sqrt(_dot(outward, outward))[..., None]
-        traction = jnp.stack([_dot(pull, outward), _dot(pull, jnp.cross(axis, outward))], -1)
-        force = force + pull
-        if spin is not None:
-            moment = jnp.cross(ball * axis, jnp.sum(sides[:, None] * drag, -2))
-    return Touch(force, moment, normal, traction, penetration, rate, jnp.sqrt(slip_squared))
+    penetration = sides * dot(place, axis)[..., None] - clearance
+    normal = jnp.broadcast_to(sides[:, None] * axis, penetration.shape + (3,))
+    return Geometry(penetration, normal, jnp.broadcast_to(ball, penetration.shape), None, ())
 
 
-def pilots(
-    skin: Skin | SkinPair,
-    clearance: Array,
-    hollow: Array,
-    place: Array,
-    velocity: Array,
-    outer_spin: Array,
-    inner_spin: Array,
-    axis: Array,
-) -> tuple[Touch, Array, Array]:
-    """Spheres in hollow spheres (physics sheet 5.3, rows 1 and 2): penetration  |place| - clearance.
+def pilots(clearance: Array, hollow: Array, place: Array) -> Geometry:
+    """Spheres in hollow spheres (physics sheet 5.3, rows 1 and 2):  d = |p| - clearance.
 
-    Tangents: the part of ``axis`` (the cage's) across the normal, and normal x that; both zero where the normal is the
-    axis. Full spheres: a real pilot is a band, whose edge carries an axial load a little off the pole.
+    Full spheres: a real pilot is a band, whose edge carries an axial load a little off the pole.
 
     Args:
         clearance: (k,) radial clearance [m].
         hollow: (k,) radius of the hollow sphere [m].
-        place, velocity: (k, 3) inner centre less outer centre and its rate [m], [m/s].
-        outer_spin, inner_spin: (k, 3) angular velocities [1/s].
-        axis: (3,) reference for the tangents.
-
-    Returns:
-        The touch (force on the inner sphere), and the moments (k, 3) about the outer and inner centres.
+        place: (k, 3) inner centre less outer centre [m].
     """
-    distance = jnp.sqrt(_dot(place, place) + 1e-24)[..., None]
-    normal_way = place / distance
-    rate = jnp.sum(velocity * normal_way, -1, keepdims=True)
-    penetration = distance - clearance[:, None]
-    normal = skin.normal(penetration, rate)
-    force = -normal * normal_way
-    outer_arm = hollow[:, None] * normal_way
-    inner_arm = outer_arm - place
-    slide = velocity + jnp.cross(inner_spin, inner_arm) - jnp.cross(outer_spin, outer_arm)
-    slide = slide - jnp.sum(slide * normal_way, -1, keepdims=True) * normal_way
-    slip_squared = jnp.sum(slide * slide, -1, keepdims=True)
-    traction = jnp.zeros(place.shape[:-1] + (2,))
+    distance = jnp.sqrt(dot(place, place) + 1e-24)[:, None]
+    normal = (place / distance)[:, None, :]
+    across = jnp.eye(3) - normal * jnp.swapaxes(normal, -1, -2)
+    # I - n n' is the sum of its own columns' dyads.
+    bends = tuple((across[:, None, :, i], 1.0 / distance) for i in range(3))
+    return Geometry(distance - clearance[:, None], normal, hollow[:, None] - distance, None, bends, None, -1.0)
+
+
+def act(skin: Skin | SkinPair, at: Geometry, velocity: Array, spin: Array | None) -> Touch:
+    """Forces of contacts (module docstring).
+
+    Args:
+        velocity: (..., 3) v of the second centre relative to the first body's material there [m/s].
+        spin: (..., 3) w, relative angular velocity [1/s]; None for a body that is a particle.
+    """
+    velocity = velocity[..., None, :]
+    rate = dot(at.normal, velocity)
+    normal = skin.normal(at.penetration, rate)
+    if at.gate is not None:
+        normal = normal * at.gate
+    slide = velocity - rate[..., None] * at.normal
+    if spin is not None:
+        slide = slide + jnp.cross(spin[..., None, :], at.lever[..., None] * at.normal)
+    slip_squared = dot(slide, slide)
+    force = -jnp.sum(normal[..., None] * at.normal, -2)
+    drag = moment = jnp.zeros_like(force)
     if skin.friction is not None:
-        drag = -normal * skin.mobility(slip_squared) * slide
-        axial = axis - _dot(normal_way, axis)[..., None] * normal_way
-        axial = axial / jnp.sqrt(_dot(axial, axial) + 1e-24)[..., None]
-        traction = jnp.stack([_dot(drag, axial), _dot(drag, jnp.cross(normal_way, axial))], -1)
+        drags = -(normal * skin.mobility(slip_squared))[..., None] * slide
+        drag = jnp.sum(drags, -2)
         force = force + drag
-    touch = Touch(force, None, normal, traction, penetration, rate, jnp.sqrt(slip_squared))
-    return touch, -jnp.cross(outer_arm, force), jnp.cross(inner_arm, force)
+        moment = jnp.sum(jnp.cross(at.lever[..., None] * at.normal, drags), -2)
+    slip = jnp.sqrt(slip_squared)
+    return Touch(force, None if spin is None else moment, drag, normal, at.penetration, rate, slip)
+
+
+def slopes(skin: Skin | SkinPair, at: Geometry, velocity: Array, spin: Array | None) -> tuple[Array, Array, Array]:
+    """Wrench (..., k) of ``act``, and its derivatives by place (..., k, 3) and by twist (..., k, k), k = 3 or 6.
+
+    With H the Hessian of d, g = H v and the laws' slopes N_d, N_r, D_2 = N d(mu/|u|)/d(u.u):
+
+        dN = (N_d n + N_r g) . dp + N_r n . dv        du = (I - nn') dv - (n g' + d' H) dp    (no spin)
+        df = -n dN - N H dp - u dD - D du             dD = (mu/|u|) dN + 2 D_2 u . du
+
+    and with spin the lever's sweep  w x d(l n) + dw x l n  in du, and the moment  l n x (-D u).
+    """
+    v, n = velocity[..., None, :], at.normal
+    rate = dot(n, v)
+    normal, by_depth = jax.jvp(lambda d: skin.normal(d, rate), (at.penetration,), (jnp.ones_like(at.penetration),))
+    by_rate = jax.jvp(lambda r: skin.normal(at.penetration, r), (rate,), (jnp.ones_like(rate),))[1]
+    hessian = sum(((e * curve[..., None])[..., :, None] * e[..., None, :] for e, curve in at.bends), jnp.zeros(()))
+    curved = len(at.bends) > 0
+    drift = sum(((e * (curve * dot(e, v))[..., None]) for e, curve in at.bends), jnp.zeros(3))
+    load_place = by_depth[..., None] * n + by_rate[..., None] * drift
+    if at.gate is not None:
+        load_place = at.gate[..., None] * load_place + normal[..., None] * at.gate_slope
+        normal, by_rate = normal * at.gate, by_rate * at.gate
+    load_twist = by_rate[..., None] * n
+    by_place = -_dyad(n, load_place) - (normal[..., None, None] * hessian if curved else 0.0)
+    by_twist = -_dyad(n, load_twist)
+    force = -normal[..., None] * n
+    if skin.friction is None:
+        k = 3 if spin is None else 6
+        wide = [(0, 0)] * (by_place.ndim - 3)
+        value, by_place, by_twist = jnp.sum(force, -2), jnp.sum(by_place, -3), jnp.sum(by_twist, -3)
+        value = jnp.pad(value, [*wide, (0, k - 3)])
+        return value, jnp.pad(by_place, [*wide, (0, k - 3), (0, 0)]), jnp.pad(by_twist, [*wide, *[(0, k - 3)] * 2])
+    slide = v - rate[..., None] * n
+    plane = jnp.eye(3) - _dyad(n, n)
+    slide_place = -(_dyad(n, drift) + rate[..., None, None] * hessian) if curved else jnp.zeros_like(plane)
+    slide_twist = plane
+    lever = at.lever[..., None]
+    if spin is not None:
+        w = spin[..., None, :]
+        slide = slide + jnp.cross(w, lever * n)
+        sweep = lever[..., None] * hessian + at.lever_slope * _dyad(n, n) if curved else jnp.zeros_like(plane)
+        slide_place = slide_place + _cross_columns(w, sweep)
+        slide_twist = jnp.concatenate([plane, -jnp.cross(lever[..., None] * n[..., None, :], jnp.eye(3)).swapaxes(-1, -2)], -1)
+        load_twist = jnp.concatenate([load_twist, jnp.zeros_like(load_twist)], -1)
+        by_twist = jnp.concatenate([by_twist, jnp.zeros_like(by_twist)], -1)
+    squared = dot(slide, slide)
+    mobility, bend = jax.jvp(skin.mobility, (squared,), (jnp.ones_like(squared),))
+    drag, pull = normal * mobility, (2.0 * normal * bend)[..., None] * slide
+    drag_place = mobility[..., None] * load_place + _row(pull, slide_place)
+    drag_twist = mobility[..., None] * load_twist + _row(pull, slide_twist)
+    rub = -drag[..., None] * slide
+    rub_place = -_dyad(slide, drag_place) - drag[..., None, None] * slide_place
+    rub_twist = -_dyad(slide, drag_twist) - drag[..., None, None] * slide_twist
+    value, by_place, by_twist = force + rub, by_place + rub_place, by_twist + rub_twist
+    if spin is not None:
+        arm = lever * n
+        value = jnp.concatenate([value, jnp.cross(arm, rub)], -1)
+        moment_place = _cross_columns(arm, rub_place) - _cross_columns(rub, sweep)
+        by_place = jnp.concatenate([by_place, moment_place], -2)
+        by_twist = jnp.concatenate([by_twist, _cross_columns(arm, rub_twist)], -2)
+    return jnp.sum(value, -2), jnp.sum(by_place, -3), jnp.sum(by_twist, -3)
+
+
+def _dyad(a: Array, b: Array) -> Array:
+    return a[..., :, None] * b[..., None, :]
+
+
+def _row(a: Array, matrix: Array) -> Array:
+    return jnp.sum(a[..., :, None] * matrix, -2)
+
+
+def _cross_columns(a: Array, matrix: Array) -> Array:
+    """a x (each column of the matrix)."""
+    return jnp.cross(a[..., None, :], matrix.swapaxes(-1, -2)).swapaxes(-1, -2)

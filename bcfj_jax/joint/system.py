@@ -21,7 +21,7 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.joint.constants import Constants
-from bcfj_jax.joint.contacts import Touch, grooves, pilots, windows
+from bcfj_jax.joint.contacts import Touch, act, grooves, pilots, windows
 from bcfj_jax.joint.scene import Joint
 from bcfj_jax.numerics import smooth_rise
 
@@ -45,13 +45,15 @@ class State(NamedTuple):
 
 
 class Touches(NamedTuple):
-    """All contacts: grooves (balls, 2 races), windows (balls,), pilots (k,) with moments about the two centres."""
+    """All contacts: grooves (balls, 2 races), windows (balls,), pilots (k,), as far as the scene has them."""
 
     grooves: Touch
     windows: Touch | None
     pilots: Touch | None
-    outer_moments: Array | None
-    inner_moments: Array | None
+
+
+# Which sphere is in which: (outer, inner).
+GUIDES = {"seat_cage": ("seat", "cage"), "head_cage": ("cage", "head")}
 
 
 def view(scene: Joint, c: Constants, y: Array) -> State:
@@ -114,53 +116,64 @@ def races(c: Constants, state: State) -> tuple[Motion, Array, Array]:
 def touches(scene: Joint, c: Constants, state: State) -> Touches:
     """Every contact of the scene in one state."""
     motion, across, _ = races(c, state)
-    place = motion.arm - c.groove.offset[:, None] * c.axes
-    groove = grooves(c.groove, c.groove_skin, place, motion.velocity, motion.spin, across)
-    window = None
+    at = grooves(c.groove, motion.arm - c.groove.offset[:, None] * c.axes, across)
+    groove = act(c.groove_skin, at, motion.velocity, motion.spin)
+    window = pilot = None
     if c.window_skin is not None:
         motion = relative(state, state.cage_place, state.cage_velocity, state.cage_spin)
-        window = windows(
-            c.window_skin, c.window_clearance, c.groove.ball, motion.arm, motion.velocity, motion.spin, state.cage_axis
-        )
-    if c.pilot_skin is None:
-        return Touches(groove, window, None, None, None)
-    return Touches(groove, window, *pilot_touches(scene, c, state))
+        at = windows(c.window_clearance, c.groove.ball, motion.arm, state.cage_axis)
+        window = act(c.window_skin, at, motion.velocity, motion.spin)
+    if c.pilot_skin is not None:
+        motion, _ = guided(scene, c, state)
+        pilot = act(c.pilot_skin, pilots(c.pilot_clearance, c.pilot_hollow, motion.arm), motion.velocity, motion.spin)
+    return Touches(groove, window, pilot)
 
 
-def pilot_touches(scene: Joint, c: Constants, state: State) -> tuple[Touch, Array, Array]:
-    """The sphere-in-sphere contacts the scene has, in the order (seat_cage, head_cage)."""
-    assert c.pilot_skin is not None
-    place = {"seat_cage": state.cage_place, "head_cage": state.head_place - state.cage_place}
-    velocity = {"seat_cage": state.cage_velocity, "head_cage": state.head_velocity - state.cage_velocity}
+def guided(scene: Joint, c: Constants, state: State) -> tuple[Motion, Array]:
+    """Inner spheres relative to outer ones, (pilots, 3), and the outer ones' angular velocities, as ``scene.pilots``."""
     seat_spin, head_spin = state.seat_spin * c.axes[0], state.head_spin * c.axes[1]
-    outer = {"seat_cage": seat_spin, "head_cage": state.cage_spin}
-    inner = {"seat_cage": state.cage_spin, "head_cage": head_spin}
-    names = scene.pilots
-    return pilots(
-        c.pilot_skin,
-        c.pilot_clearance,
-        c.pilot_hollow,
-        *(jnp.stack([table[name] for name in names]) for table in (place, velocity, outer, inner)),
-        state.cage_axis,
-    )
+    zero = jnp.zeros(3)
+    bodies = {
+        "seat": (zero, zero, seat_spin),
+        "cage": (state.cage_place, state.cage_velocity, state.cage_spin),
+        "head": (state.head_place, state.head_velocity, head_spin),
+    }
+    pairs = [GUIDES[name] for name in scene.pilots]
+    outer = [jnp.stack(part) for part in zip(*(bodies[first] for first, _ in pairs), strict=True)]
+    inner = [jnp.stack(part) for part in zip(*(bodies[second] for _, second in pairs), strict=True)]
+    arm, spin = inner[0] - outer[0], outer[2]
+    return Motion(arm, inner[1] - outer[1] - jnp.cross(spin, arm), inner[2] - spin), spin
 
 
-def border_forces(scene: Joint, c: Constants, pilot: Touch, outer: Array, inner: Array) -> Array:
-    """Generalised forces of the pilots on the border, (border,)."""
-    total = {"head": jnp.zeros(3), "head_turn": jnp.zeros(1), "cage": jnp.zeros(3), "cage_turn": jnp.zeros(3)}
-    total["seat_turn"] = jnp.zeros(1)
+def guide_maps(scene: Joint, c: Constants, arm: Array) -> Array:
+    """(pilots, 6, border): twist of the inner sphere relative to the outer one's material, by border velocities."""
+    eye, zero = jnp.eye(3), jnp.zeros((3, 3))
+    rows = []
     for index, name in enumerate(scene.pilots):
-        force = pilot.force[index]
-        if name == "seat_cage":
-            total["cage"] = total["cage"] + force
-            total["cage_turn"] = total["cage_turn"] + inner[index]
-            total["seat_turn"] = total["seat_turn"] + outer[index] @ c.axes[0]
-        else:
-            total["head"] = total["head"] + force
-            total["head_turn"] = total["head_turn"] + inner[index] @ c.axes[1]
-            total["cage"] = total["cage"] - force
-            total["cage_turn"] = total["cage_turn"] + outer[index]
-    return jnp.concatenate([total[name] for name, slot in scene.slots.items() if slot is not None])
+        columns = {key: jnp.zeros((6, slot.stop - slot.start)) for key, slot in scene.slots.items() if slot is not None}
+        for sign, body in zip((-1.0, 1.0), GUIDES[name], strict=True):
+            # The outer body carries its material at the inner centre, arm r away:  -[r]x w.
+            lever = -jnp.cross(eye, arm[index]) if sign < 0 else zero
+            turning = jnp.concatenate([lever, eye])
+            turn = f"{body}_turn"
+            if turn in columns:
+                turning = turning if body == "cage" else turning @ c.axes[0 if body == "seat" else 1][:, None]
+                columns[turn] = columns[turn] + sign * turning
+            if body in columns:
+                columns[body] = columns[body] + sign * jnp.concatenate([eye, zero])
+        rows.append(jnp.concatenate([columns[name] for name in columns], -1))
+    return jnp.stack(rows)
+
+
+def centre_maps(scene: Joint) -> Array:
+    """(pilots, 3, border): how far the inner centre moves from the outer one, by border displacements."""
+    maps = np.zeros((len(scene.pilots), 3, scene.border))
+    for index, name in enumerate(scene.pilots):
+        for sign, body in zip((-1.0, 1.0), GUIDES[name], strict=True):
+            slot = scene.slots.get(body)
+            if slot is not None:
+                maps[index, :, slot] += sign * np.eye(3)
+    return jnp.asarray(maps)
 
 
 def load_torque(c: Constants, t: Array) -> Array:
@@ -208,8 +221,9 @@ def on_bodies(scene: Joint, c: Constants, state: State, found: Touches) -> tuple
             twist = twist + found.windows.moment
         parts["cage"], parts["cage_turn"] = -jnp.sum(push, 0), -jnp.sum(twist, 0)
     border = jnp.concatenate([parts[name] for name, slot in scene.slots.items() if slot is not None])
-    if found.pilots is not None and found.outer_moments is not None and found.inner_moments is not None:
-        border = border + border_forces(scene, c, found.pilots, found.outer_moments, found.inner_moments)
+    if found.pilots is not None:
+        maps = guide_maps(scene, c, guided(scene, c, state)[0].arm)
+        border = border + jnp.einsum("pkb,pk->b", maps, wrench(found.pilots))
     return ball, border
 
 

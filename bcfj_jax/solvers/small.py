@@ -1,0 +1,42 @@
+"""Inverses of small matrices without LAPACK: a library call costs microseconds, more than a step's arithmetic."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+
+def inverse3(matrix: Array) -> Array:
+    """Inverse of (..., 3, 3) by cross products."""
+    a, b, c = matrix[..., 0, :], matrix[..., 1, :], matrix[..., 2, :]
+    adjugate = jnp.stack([jnp.cross(b, c), jnp.cross(c, a), jnp.cross(a, b)], -1)
+    return adjugate / jnp.sum(a * adjugate[..., 0], -1)[..., None, None]
+
+
+def inverse6(matrix: Array) -> Array:
+    """Inverse of (..., 6, 6) by its 3 x 3 blocks; the upper left one must be regular."""
+    a, b, c, d = matrix[..., :3, :3], matrix[..., :3, 3:], matrix[..., 3:, :3], matrix[..., 3:, 3:]
+    first = inverse3(a)
+    right, left = first @ b, c @ first
+    last = inverse3(d - c @ right)
+    top = jnp.concatenate([first + right @ last @ left, -right @ last], -1)
+    return jnp.concatenate([top, jnp.concatenate([-last @ left, last], -1)], -2)
+
+
+def inverse(matrix: Array) -> Array:
+    """Inverse of one (n, n) matrix by Gauss-Jordan elimination in place, without pivoting.
+
+    For matrices  I/s - J  whose diagonal dominates where the step is short, and whose symmetric part is positive where
+    it is long; the step-size control rejects what a small pivot spoils.
+    """
+    index = jnp.arange(matrix.shape[0])
+
+    def eliminate(k, a):
+        here = index == k
+        row = jnp.where(here, 1.0, a[k]) / a[k, k]
+        column = jnp.where(here, 0.0, a[:, k])
+        rest = jnp.where(here[None, :], 0.0, a) - column[:, None] * row[None, :]
+        return jnp.where(here[:, None], row[None, :], rest)
+
+    return jax.lax.fori_loop(0, matrix.shape[0], eliminate, matrix)
