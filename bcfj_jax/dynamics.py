@@ -24,11 +24,13 @@ class Reading(NamedTuple):
         force: (..., 3) normal, axial, tangential force [N] on the body; 1-D contacts have only the first.
         penetration: (...,) overlap of the undeformed surfaces [m]; negative is the gap.
         rate: (...,) rate of the penetration [m/s], positive while approaching.
+        slip: (...,) sliding speed [m/s]; None in scenes that only approach.
     """
 
     force: Array
     penetration: Array
     rate: Array
+    slip: Array | None = None
 
 
 def coordinates(scene: Scene) -> int:

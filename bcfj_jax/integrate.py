@@ -1,15 +1,25 @@
 """The one place that decides solver, step control, output and failure handling.
 
 Accuracy is stated as an error of the contact force in fractions of its peak; ``plan`` turns it into a
-tolerance, ``integrate`` runs it. A few contacts with elastic or damped springs are oscillatory, not
-stiff, so explicit Runge-Kutta wins. The method is Tsit5 and not Dopri8: Tsit5 evaluates the force at the
-end of a step and weighs it in the error estimate, so a flight cannot end inside a surface unnoticed;
-Dopri8 does not, and was seen to fall through a bounce's surface at tolerances of 1e-4 to 1e-6.
+tolerance, ``integrate`` runs it. Which solver a scene gets:
+
+| scene | solver | why |
+|---|---|---|
+| ``impact``, ``bounce`` | Tsit5 | a few elastic or damped springs are oscillatory, not stiff: explicit wins |
+| ``joint``, values | RODAS on the arrowhead | friction is stiff; no iteration, so no lane of a batch waits |
+| ``joint``, derivatives | SDIRK2 on the arrowhead | every stage implicit and converged: tangents stay bounded |
+| ``joint``, quasistatic or kinematic | none | each instant on its own: equilibrium, or closed form |
+
+Tsit5 and not Dopri8: Tsit5 evaluates the force at the end of a step and weighs it in the error estimate, so a
+flight cannot end inside a surface unnoticed; Dopri8 does not, and was seen to fall through a bounce's
+surface at tolerances of 1e-4 to 1e-6. Tangents through RODAS would carry the derivative of its Jacobian and were
+seen to reach 1e19 N.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import diffrax as dfx
 import equinox as eqx
@@ -19,7 +29,18 @@ from jax import Array
 
 from bcfj_jax.dynamics import field, initial_state, state_scales
 from bcfj_jax.errors import InputError, nearest
-from bcfj_jax.scene import Params, Scene
+from bcfj_jax.joint.arrowhead import Arrowhead
+from bcfj_jax.joint.constants import constants
+from bcfj_jax.joint.kinematic import kinematic_states
+from bcfj_jax.joint.quasistatic import quasistatic
+from bcfj_jax.joint.scales import scales as joint_scales
+from bcfj_jax.joint.scales import tolerance as joint_tolerance
+from bcfj_jax.joint.scene import Joint
+from bcfj_jax.joint.start import nominal
+from bcfj_jax.joint.system import field as joint_field
+from bcfj_jax.scene import AbstractScene, Params, Scene
+from bcfj_jax.solvers.rodas import Rodas
+from bcfj_jax.solvers.sdirk import Sdirk
 
 LEVELS = {"fast": 5e-2, "balanced": 1e-2, "reference": 1e-5}
 
@@ -27,11 +48,12 @@ LEVELS = {"fast": 5e-2, "balanced": 1e-2, "reference": 1e-5}
 # benchmarks/accuracy.py: the force error of impact and bounce stays below what was asked with this ratio.
 _TOLERANCE_PER_ERROR = 0.002
 
-OK, STEPS, NOT_FINITE, SOLVER = 0, 1, 2, 3
+OK, STEPS, NOT_FINITE, SOLVER, UNBALANCED = range(5)
 _REASONS = {
     STEPS: "the step budget of {max_steps} steps was spent",
     NOT_FINITE: "the state stopped being finite",
     SOLVER: "the solver could not go on",
+    UNBALANCED: "no equilibrium was found",
 }
 
 
@@ -55,25 +77,25 @@ class Solution(NamedTuple):
     rejected: Array
 
 
-def plan(scene: Scene, accuracy: str | float = "balanced", max_steps: int = 100_000) -> Plan:
+def plan(scene: AbstractScene, accuracy: str | float = "balanced", max_steps: int = 100_000) -> Plan:
     """Tolerance for a scene and an accuracy.
 
     Args:
-        scene: what will be integrated; all present scenes are non-stiff.
+        scene: what will be integrated.
         accuracy: a level (``LEVELS``) or the tolerated force error as a fraction of the peak, 1e-9 to 0.5.
         max_steps: budget of attempted steps; beyond it a run fails with that reason.
 
     Raises:
         InputError: for an unknown level or an error out of range.
     """
-    del scene
     if isinstance(accuracy, str):
         if accuracy not in LEVELS:
             raise InputError("accuracy", f"no level '{accuracy}'", nearest(accuracy, LEVELS))
         accuracy = LEVELS[accuracy]
     if not 1e-9 <= accuracy <= 0.5:
         raise InputError("accuracy", f"force_error = {accuracy:g}", "give a fraction of the peak from 1e-9 to 0.5")
-    return Plan(jnp.asarray(_TOLERANCE_PER_ERROR * accuracy, dtype=jnp.float64), max_steps)
+    tolerance = joint_tolerance(accuracy) if isinstance(scene, Joint) else _TOLERANCE_PER_ERROR * accuracy
+    return Plan(jnp.asarray(tolerance, dtype=jnp.float64), max_steps)
 
 
 def reason(code: int, max_steps: int) -> str:
@@ -87,27 +109,70 @@ def _safe_norm(scaled_error: Array) -> Array:
     return jnp.where(jnp.isfinite(norm), norm, jnp.inf)
 
 
-def integrate(scene: Scene, params: Params, times: Array, how: Plan, adjoint: dfx.AbstractAdjoint) -> Solution:
+class _Problem(NamedTuple):
+    """A scene as diffrax takes it."""
+
+    field: Callable
+    args: Any
+    start: Array
+    scales: Array
+    first_step: Array
+    solver: dfx.AbstractSolver
+
+
+def _problem(scene: AbstractScene, params: Params, how: Plan, differentiable: bool) -> _Problem:
+    if isinstance(scene, Joint):
+        c = constants(scene, params)
+        scales = jax.lax.stop_gradient(joint_scales(scene, params))
+        solver = Sdirk(Arrowhead(), how.tolerance * scales) if differentiable else Rodas(Arrowhead())
+        start = nominal(scene, params, jnp.zeros(()))
+        return _Problem(joint_field, (scene, c), start, scales, jnp.asarray(1e-6), solver)
+    assert isinstance(scene, Scene)
+    scales = jax.lax.stop_gradient(state_scales(scene, params))
+    start = initial_state(scene, params)
+    return _Problem(field, (scene, params), start, scales, 1e-2 * scales[0] / scales[-1], dfx.Tsit5())
+
+
+def _without_inertia(scene: Joint, params: Params, times: Array) -> Solution:
+    """States of the fidelities that have no history: each instant on its own."""
+    if scene.fidelity == "kinematic":
+        return Solution(kinematic_states(scene, params, times), jnp.asarray(OK), times[-1], *[jnp.asarray(0)] * 2)
+    found = quasistatic(scene, params, times)
+    good = jnp.all(found.converged)
+    end = jnp.where(good, times[-1], times[jnp.argmin(found.converged)])
+    work = jnp.sum(found.iterations)
+    return Solution(found.states, jnp.where(good, OK, UNBALANCED), end, work, jnp.asarray(0))
+
+
+def integrate(
+    scene: AbstractScene,
+    params: Params,
+    times: Array,
+    how: Plan,
+    adjoint: dfx.AbstractAdjoint,
+    differentiable: bool = False,
+) -> Solution:
     """Integrate from time 0 and return the states at ``times`` (a time before 0 reads the initial state).
 
-    Pure: jit, vmap, and the derivatives that ``adjoint`` supports go through. Never raises for a
-    failed run: its states are NaN from there on and ``code`` says why.
+    Pure: jit, vmap, and the derivatives that ``adjoint`` supports go through; those of a joint only where
+    ``differentiable`` asks for the solver that is meant for them. Never raises for a failed run: its states are NaN
+    from there on and ``code`` says why.
     """
     times = jnp.maximum(times, 0.0)
-    state = initial_state(scene, params)
-    scales = jax.lax.stop_gradient(state_scales(scene, params))
-    first_step = 1e-2 * scales[0] / scales[-1]
+    if isinstance(scene, Joint) and scene.fidelity != "dynamic":
+        return _without_inertia(scene, params, times)
+    problem = _problem(scene, params, how, differentiable)
     controller = dfx.PIDController(
-        rtol=0.0, atol=how.tolerance * scales, pcoeff=0.2, icoeff=0.5, norm=_safe_norm, dtmin=None
+        rtol=0.0, atol=how.tolerance * problem.scales, pcoeff=0.2, icoeff=0.5, norm=_safe_norm, dtmin=None
     )
     solution = dfx.diffeqsolve(
-        dfx.ODETerm(field),  # pyright: ignore[reportArgumentType]
-        dfx.Tsit5(),
+        dfx.ODETerm(problem.field),  # pyright: ignore[reportArgumentType]
+        problem.solver,
         t0=0.0,
-        t1=jnp.maximum(times[-1], first_step),
-        dt0=first_step,
-        y0=state,
-        args=(scene, params),
+        t1=jnp.maximum(times[-1], problem.first_step),
+        dt0=problem.first_step,
+        y0=problem.start,
+        args=problem.args,
         saveat=dfx.SaveAt(subs=(dfx.SubSaveAt(ts=times), dfx.SubSaveAt(t1=True))),
         stepsize_controller=controller,
         adjoint=adjoint,

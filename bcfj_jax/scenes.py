@@ -10,15 +10,16 @@ millisecond show among flights of a tenth of a second.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 
 import jax.numpy as jnp
 from jax import Array
 
-from bcfj_jax import laws
+from bcfj_jax import laws as normal_laws
 from bcfj_jax.errors import InputError, nearest
+from bcfj_jax.joint.scene import CAGES, CONTACTS, DRIVES, FIDELITIES, HEADS, TRACKS, Joint, JointContact
 from bcfj_jax.restitution import undamped_duration
-from bcfj_jax.scene import Body, Contact, Load, Params, Scene
+from bcfj_jax.scene import AbstractScene, Body, Contact, Load, Params, Scene
 
 _STEEL_BALL = {
     "stiffness": 1.3476e10,
@@ -75,7 +76,7 @@ def impact(law: str = "memory_free", elastic: str | None = None, smoothing: bool
         elastic: name of its elastic part (``laws.ELASTIC``).
         smoothing: whether the onset of penetration can be smoothed; False takes it out of the program.
     """
-    contact = Contact("contact", _impact_gap, laws.make(law, elastic), smoothing, _approach_speed)
+    contact = Contact("contact", _impact_gap, normal_laws.make(law, elastic), smoothing, _approach_speed)
     return Scene(
         kind="impact",
         bodies=(Body("body"),),
@@ -131,7 +132,7 @@ def bounce(law: str = "memory_free", elastic: str | None = None, smoothing: bool
     Args:
         law, elastic, smoothing: as ``impact``.
     """
-    contact = Contact("contact", _bounce_gap, laws.make(law, elastic), smoothing, _fall_speed, _forget)
+    contact = Contact("contact", _bounce_gap, normal_laws.make(law, elastic), smoothing, _fall_speed, _forget)
     return Scene(
         kind="bounce",
         bodies=(Body("body"),),
@@ -146,10 +147,79 @@ def bounce(law: str = "memory_free", elastic: str | None = None, smoothing: bool
     )
 
 
-SCENES: dict[str, Callable[..., Scene]] = {"impact": impact, "bounce": bounce}
+def joint(
+    law: str = "memory_free",
+    elastic: str | None = None,
+    smoothing: bool = True,
+    friction: bool | str = True,
+    laws: Mapping[str, str] | None = None,
+    frictions: Mapping[str, bool | str] | None = None,
+    contacts: Sequence[str] | None = None,
+    track: str = "gothic",
+    spin: bool = False,
+    cage: str = "free",
+    head: str = "free",
+    drive: str = "prescribed",
+    fidelity: str = "dynamic",
+    balls: int = 6,
+) -> Joint:
+    """The ball-cage flexible joint: a driven seat, a loaded head, a cage and balls (physics sheet 5).
+
+    What an option takes out is not in the program. Force components: ``joint.observe``.
+
+    Args:
+        law, elastic, smoothing: as ``impact``, for every contact. A law stated by restitution takes the parameter
+            ``approach_speed`` for all impacts, as the paper does.
+        friction: False for none, True for Brown-McPhee, or a name of ``laws.FRICTION``.
+        laws, frictions: other normal-force and friction laws for contacts by name.
+        contacts: those in the program (``joint.scene.CONTACTS``); by default all, but seat_cage where the cage is fixed.
+        track: "gothic" or "circular" section of the tracks.
+        spin: whether balls turn, and so roll; without, a ball is a particle at its centre.
+        cage: "free", or "fixed" to the bisecting plane.
+        head: "free" to shift, or "fixed" at the centre; it turns either way.
+        drive: "prescribed" speed of the seat, or "flexible".
+        fidelity: "dynamic"; "quasistatic": equilibrium at each angle; "kinematic": closed-form load sharing.
+        balls: their number, at least 3.
+
+    Raises:
+        InputError: for a name that is not known, and for contacts that do not make a joint.
+    """
+    where = "scene 'joint'"
+    choices = {"track": TRACKS, "cage": CAGES, "head": HEADS, "drive": DRIVES, "fidelity": FIDELITIES}
+    given = {"track": track, "cage": cage, "head": head, "drive": drive, "fidelity": fidelity}
+    for name, value in given.items():
+        if value not in choices[name]:
+            raise InputError(f"{where} {name}", f"no {name} '{value}'", nearest(value, choices[name]))
+    if balls < 3:
+        raise InputError(f"{where} balls", f"{balls} balls", "give 3 or more")
+    names = tuple(contacts) if contacts is not None else CONTACTS[1:] if cage == "fixed" else CONTACTS
+    for group, what in ((names, "contacts"), (laws or {}, "laws"), (frictions or {}, "frictions")):
+        for name in group:
+            if name not in CONTACTS:
+                raise InputError(f"{where} {what}", f"no contact '{name}'", nearest(name, CONTACTS))
+            if name not in names:
+                raise InputError(f"{where} {what}", f"'{name}' is not among the contacts", f"there are {', '.join(names)}")
+    missing = [name for name in ("seat_ball", "head_ball") if name not in names]
+    if missing:
+        raise InputError(f"{where} contacts", f"without {missing[0]}", "balls need both tracks to carry torque")
+    if cage == "fixed" and "seat_cage" in names:
+        raise InputError(f"{where} contacts", "seat_cage with a fixed cage", "leave it out: the two never touch")
+    ordered = [name for name in CONTACTS if name in names]
+    made = tuple(
+        JointContact(
+            name,
+            normal_laws.make((laws or {}).get(name, law), elastic),
+            normal_laws.make_friction((frictions or {}).get(name, friction)),
+        )
+        for name in ordered
+    )
+    return Joint(made, balls, track, spin, cage, head, drive, smoothing, fidelity)
 
 
-def make(kind: str, **options: object) -> Scene:
+SCENES: dict[str, Callable[..., AbstractScene]] = {"impact": impact, "bounce": bounce, "joint": joint}
+
+
+def make(kind: str, **options: object) -> AbstractScene:
     """A built-in scene by name, with its options.
 
     Raises:

@@ -17,7 +17,12 @@ from jax.typing import ArrayLike
 from bcfj_jax.dynamics import Reading, observe
 from bcfj_jax.errors import InputError
 from bcfj_jax.integrate import OK, Plan, Solution, integrate, plan, reason
-from bcfj_jax.scene import Params, Scene
+from bcfj_jax.joint.constants import constants
+from bcfj_jax.joint.kinematic import kinematic_readings
+from bcfj_jax.joint.observe import observe as observe_joint
+from bcfj_jax.joint.observe import observe_at_rest
+from bcfj_jax.joint.scene import Joint
+from bcfj_jax.scene import AbstractScene, Params, Scene
 from bcfj_jax.two_way import two_way
 
 Mode = Literal["auto", "forward", "reverse"]
@@ -30,7 +35,9 @@ class Run(NamedTuple):
     Attributes:
         times: (T,) [s].
         force: per contact (T, 3): normal, axial, tangential force [N].
+            Contacts with six members have (T, 6, 3) here and (T, 6) below.
         penetration, rate: per contact (T,): overlap [m] (negative: gap) and its rate [m/s].
+        slip: per contact (T,): sliding speed [m/s]; empty for scenes that only approach.
         status: "ok" or "failed"; a failed run is NaN from the failure on.
         reason, failure_time: why and when [s] it failed; "" and NaN for a good run.
         stats: steps accepted and rejected, tolerance, wall and compile seconds.
@@ -40,23 +47,40 @@ class Run(NamedTuple):
     force: dict[str, np.ndarray]
     penetration: dict[str, np.ndarray]
     rate: dict[str, np.ndarray]
+    slip: dict[str, np.ndarray]
     status: str
     reason: str
     failure_time: float
     stats: dict[str, float]
 
 
-def _readings(scene: Scene, params: Params, solution: Solution) -> dict[str, Reading]:
-    return jax.vmap(lambda state: observe(scene, state, params))(solution.states)
+def _outcome(
+    scene: AbstractScene,
+    params: Params,
+    times: Array,
+    how: Plan,
+    adjoint: dfx.AbstractAdjoint,
+    differentiable: bool = False,
+) -> tuple[Solution, dict[str, Reading]]:
+    solution = integrate(scene, params, times, how, adjoint, differentiable)
+    if isinstance(scene, Joint):
+        if scene.fidelity == "kinematic":
+            return solution, kinematic_readings(scene, params, times)
+        c, look = constants(scene, params), observe_at_rest if scene.fidelity == "quasistatic" else observe_joint
+        return solution, jax.vmap(lambda state: look(scene, c, state))(solution.states)
+    assert isinstance(scene, Scene)
+    return solution, jax.vmap(lambda state: observe(scene, state, params))(solution.states)
 
 
-def _forces(adjoint: dfx.AbstractAdjoint, scene: Scene, params: Params, times: Array, how: Plan) -> dict[str, Array]:
-    readings = _readings(scene, params, integrate(scene, params, times, how, adjoint))
+def _forces(
+    adjoint: dfx.AbstractAdjoint, scene: AbstractScene, params: Params, times: Array, how: Plan, differentiable: bool
+) -> dict[str, Array]:
+    _, readings = _outcome(scene, params, times, how, adjoint, differentiable)
     return {name: reading.force for name, reading in readings.items()}
 
 
 def force_history(
-    scene: Scene,
+    scene: AbstractScene,
     params: Params,
     times: ArrayLike,
     *,
@@ -82,19 +106,18 @@ def force_history(
     how = accuracy if isinstance(accuracy, Plan) else plan(scene, accuracy)
     times = jnp.asarray(times, dtype=jnp.float64)
     if mode == "forward":
-        return _forces(_FORWARD, scene, params, times, how)
+        return _forces(_FORWARD, scene, params, times, how, True)
     if mode == "reverse":
-        return _forces(_REVERSE, scene, params, times, how)
+        return _forces(_REVERSE, scene, params, times, how, True)
     if mode == "auto":
-        ways = [lambda x, a=adjoint: _forces(a, scene, *x) for adjoint in (_FORWARD, _REVERSE)]
-        return two_way(*ways)((dict(params), times, how))
+        ways = [lambda x, a=adjoint: _forces(a, scene, *x, True) for adjoint in (_FORWARD, _REVERSE)]
+        return two_way(*ways, lambda x: _forces(_FORWARD, scene, *x, False))((dict(params), times, how))
     raise InputError("mode", f"no mode '{mode}'", "use auto, forward or reverse")
 
 
 @eqx.filter_jit
-def _run(scene: Scene, params: Params, times: Array, how: Plan) -> tuple[Solution, dict[str, Reading]]:
-    solution = integrate(scene, params, times, how, _FORWARD)
-    return solution, _readings(scene, params, solution)
+def _run(scene: AbstractScene, params: Params, times: Array, how: Plan) -> tuple[Solution, dict[str, Reading]]:
+    return _outcome(scene, params, times, how, _FORWARD)
 
 
 _compiled: dict[object, Callable[..., tuple[Solution, dict[str, Reading]]]] = {}
@@ -112,7 +135,7 @@ def _checked_times(times: ArrayLike) -> np.ndarray:
 
 
 def simulate(
-    scene: Scene, params: Params, times: ArrayLike, *, accuracy: str | float = "balanced", max_steps: int = 100_000
+    scene: AbstractScene, params: Params, times: ArrayLike, *, accuracy: str | float = "balanced", max_steps: int = 100_000
 ) -> Run:
     """Simulate a scene and say how it went.
 
@@ -141,6 +164,7 @@ def simulate(
         force={name: np.asarray(r.force) for name, r in readings.items()},
         penetration={name: np.asarray(r.penetration) for name, r in readings.items()},
         rate={name: np.asarray(r.rate) for name, r in readings.items()},
+        slip={name: np.asarray(r.slip) for name, r in readings.items() if r.slip is not None},
         status="failed" if failed else "ok",
         reason=reason(int(solution.code), max_steps),
         failure_time=float(solution.end) if failed else float("nan"),

@@ -72,7 +72,9 @@ batching.primitive_batchers[_linear_p] = _batch
 mlir.register_lowering(_linear_p, mlir.lower_fun(_apply, multiple_results=True))
 
 
-def two_way(forward: Callable[[X], Y], reverse: Callable[[X], Y]) -> Callable[[X], Y]:
+def two_way(
+    forward: Callable[[X], Y], reverse: Callable[[X], Y], value: Callable[[X], Y] | None = None
+) -> Callable[[X], Y]:
     """One function out of two that compute the same: one with a jvp, one with a vjp.
 
     Both must be closed over static things only: everything traced is in their argument, arrays all.
@@ -82,18 +84,20 @@ def two_way(forward: Callable[[X], Y], reverse: Callable[[X], Y]) -> Callable[[X
     Args:
         forward: the function, supporting ``jax.jvp``.
         reverse: the same function, supporting ``jax.vjp``.
+        value: the same function where no derivative is asked for, if another way to it is cheaper.
     """
+    value = forward if value is None else value
 
     @jax.custom_jvp
     def function(x: X) -> Y:
-        return forward(x)
+        return value(x)
 
     @function.defjvp
     def _(primals, tangents):
         point = eqx.internal.nondifferentiable(
             primals[0], msg="only first derivatives go through mode='auto'; use mode='forward' for higher ones"
         )
-        values = forward(point)
+        values = value(point)
         leaves, structure = jax.tree.flatten(point)
         vectors = jax.tree.leaves(tangents[0])
         out_leaves, out_structure = jax.tree.flatten(values)

@@ -1,23 +1,24 @@
 """Other people's solvers on the joint's field: SciPy's LSODA and Radau, and diffrax as shipped.
 
-All take the state in units of ``scales``, z = y/scales, and ``tol`` in those units, and return ``Peer``: states (T, n) at
-the times, the wall time of the solve, accepted steps (SciPy: steps), and what was compiled before.
+All take the state in units of ``scales``, z = y/scales, and ``tol`` in those units, and return ``Peer``: states (T, n)
+at the times, the wall time of the solve, accepted steps, and what was compiled before.
 """
 
 from __future__ import annotations
 
+import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from joint_casadi import Peer, cvodes, default_scales, default_scene
-from optimistix import rms_norm
+import optimistix as optx
+from joint_casadi import Peer, build, cvodes, default_scales, default_scene, require_defaults
 from scipy.integrate import LSODA, Radau
 
 from bcfj_jax.joint import system
@@ -27,7 +28,7 @@ from bcfj_jax.joint.start import nominal
 
 # SciPy asks for a relative tolerance above 0. Scaled states reach 5e3, so this share of tol does not count.
 RELATIVE = 1e-6
-MAX_WALL_S, MAX_STEPS, MAX_IMPLICIT_STEPS = 60.0, 300_000, 40_000
+MAX_WALL_S, MAX_STEPS, MAX_IMPLICIT_STEPS = 60.0, 300_000, 20_000
 
 
 def _field(t, z, args):
@@ -40,18 +41,27 @@ def _jacobian(t, z, args):
 
 
 class _Compiled:
-    """Field and Jacobian of one set of numbers, called with NumPy arrays.
+    """Field and Jacobian of one set of numbers as functions (t, z) of NumPy arrays.
 
-    The numbers are closed over: a hundred small arrays as arguments cost a hundred times the field in every call.
+    From JAX the numbers are closed over: a hundred small arrays as arguments cost a hundred times the field. Its
+    dispatch still costs several times the field; "casadi" is the C of ``joint_casadi``.
     """
 
-    def __init__(self, scene: Joint, params: Mapping[str, Any], scales: np.ndarray):
+    def __init__(self, scene: Joint, params: Mapping[str, Any], scales: np.ndarray, source: str):
         begin = time.perf_counter()
-        args = (scene, constants(scene, dict(params)), jnp.asarray(scales))
-        self.field = jax.jit(lambda t, z: _field(t, z, args))
-        self.jacobian = jax.jit(lambda t, z: _jacobian(t, z, args))
         z = np.asarray(nominal(scene, dict(params), jnp.zeros(()))) / scales
-        jax.block_until_ready((self.field(0.0, z), self.jacobian(0.0, z)))
+        if source == "casadi":
+            require_defaults(scene)
+            made = build(params, scales)
+            self.field, self.jacobian = made.callables()
+            self.compile_s = made.compile_s
+            return
+        args = (scene, constants(scene, dict(params)), jnp.asarray(scales))
+        field, jacobian = jax.jit(lambda t, z: _field(t, z, args)), jax.jit(lambda t, z: _jacobian(t, z, args))
+        self.field = lambda t, z: np.asarray(field(t, z))
+        self.jacobian = lambda t, z: np.asarray(jacobian(t, z))
+        self.field(0.0, z)
+        self.jacobian(0.0, z)
         self.compile_s = time.perf_counter() - begin
 
 
@@ -62,28 +72,24 @@ def _scipy(
     method: type,
     scene: Joint,
     params: Mapping[str, Any],
-    times: Sequence[float],
+    times: np.ndarray,
     tol: float,
     scales: np.ndarray,
+    source: str = "jax",
     max_wall_s: float = MAX_WALL_S,
 ) -> Peer:
-    key = (scene, tuple((name, float(value)) for name, value in params.items()), np.asarray(scales).tobytes())
+    numbers = tuple((name, float(value)) for name, value in params.items())
+    key = (scene, numbers, np.asarray(scales).tobytes(), source)
     if key not in _COMPILED:
-        _COMPILED[key] = _Compiled(scene, params, scales)
+        _COMPILED[key] = _Compiled(scene, params, scales, source)
     made = _COMPILED[key]
     grid = np.asarray(times, dtype=float)
     start = np.asarray(nominal(scene, dict(params), jnp.zeros(()))) / scales
     out = np.full((grid.size, start.size), np.nan)
     out[0], filled, steps, failed = start, 1, 0, None
 
-    def field(t, z):
-        return np.asarray(made.field(t, z))
-
-    def jacobian(t, z):
-        return np.asarray(made.jacobian(t, z))
-
     begin = time.perf_counter()
-    solver = method(field, grid[0], start, grid[-1], rtol=RELATIVE * tol, atol=tol, jac=jacobian)
+    solver = method(made.field, grid[0], start, grid[-1], rtol=RELATIVE * tol, atol=tol, jac=made.jacobian)
     if isinstance(solver, Radau):
         # SciPy takes Newton's tolerance from rtol, which says nothing here: the same formula of tol.
         solver.newton_tol = max(10 * np.finfo(float).eps / tol, min(0.03, tol**0.5))
@@ -105,7 +111,7 @@ def _scipy(
 
 
 def _norm(z):
-    size = rms_norm(z)
+    size = optx.rms_norm(z)
     return jnp.where(jnp.isfinite(size), size, jnp.inf)
 
 
@@ -134,22 +140,19 @@ _SOLVES: dict[Any, tuple[Any, float]] = {}
 
 
 def _diffrax(
-    solver: type,
+    solver: Callable[[float], Any],
     scene: Joint,
     params: Mapping[str, Any],
-    times: Sequence[float],
+    times: np.ndarray,
     tol: float,
     scales: np.ndarray,
-    max_steps: int = MAX_STEPS,
+    max_steps: int | None = None,
 ) -> Peer:
-    implicit = issubclass(solver, dfx.AbstractImplicitSolver)
-    if implicit:
-        # The default root finder takes rtol = 0 from the controller; these are the controller's, with a floor.
-        made = solver(root_finder=dfx.VeryChord(rtol=RELATIVE * tol, atol=tol, norm=_norm))
-    else:
-        made = solver()
+    made = solver(tol)
+    if max_steps is None:
+        max_steps = MAX_IMPLICIT_STEPS if isinstance(made, dfx.AbstractImplicitSolver) else MAX_STEPS
     arguments = (made, scene, dict(params), jnp.asarray(times), jnp.asarray(tol), jnp.asarray(scales), max_steps)
-    key = (solver, scene, len(times), tol if implicit else None, max_steps)
+    key = (made, scene, len(times), max_steps)
     if key not in _SOLVES:
         begin = time.perf_counter()
         _SOLVES[key] = (_solve.lower(*arguments).compile(), time.perf_counter() - begin)
@@ -159,19 +162,35 @@ def _diffrax(
     wall = time.perf_counter() - begin
     failed = None if bool(result == dfx.RESULTS.successful) else f"{dfx.RESULTS[result]}"
     if failed is not None:
-        failed = f"not finished after {int(steps)} steps and {int(rejected)} rejected: {failed}"
+        reached = times[int(np.sum(np.all(np.isfinite(states), axis=1))) - 1]
+        failed = f"at {reached:.3f} s after {int(steps)} steps and {int(rejected)} rejected: {failed.split('.')[0]}"
     return Peer(np.asarray(states), wall, int(steps), compile_s, failed)
+
+
+def _tsit5(tol: float) -> dfx.Tsit5:
+    del tol
+    return dfx.Tsit5()
+
+
+def _implicit(solver: type, finder: type, tol: float) -> Any:
+    """Kvaerno's methods: shipped with ``VeryChord`` at the controller's tolerances, given here with rtol above 0.
+
+    Its frozen Jacobian seldom converges on these contacts; with full Newton iterations the same methods finish.
+    """
+    return solver(root_finder=finder(rtol=RELATIVE * tol, atol=tol, norm=_norm))
 
 
 SOLVERS: dict[str, Callable[..., Peer]] = {
     "CVODES (CasADi)": cvodes,
-    "LSODA (SciPy)": partial(_scipy, LSODA),
-    "Radau (SciPy)": partial(_scipy, Radau),
-    "Tsit5 (diffrax)": partial(_diffrax, dfx.Tsit5),
-    "Kvaerno3 (diffrax)": partial(_diffrax, dfx.Kvaerno3, max_steps=MAX_IMPLICIT_STEPS),
-    "Kvaerno5 (diffrax)": partial(_diffrax, dfx.Kvaerno5, max_steps=MAX_IMPLICIT_STEPS),
+    "LSODA (SciPy, JAX field)": partial(_scipy, LSODA),
+    "LSODA (SciPy, C field)": partial(_scipy, LSODA, source="casadi"),
+    "Radau (SciPy, C field)": partial(_scipy, Radau, source="casadi"),
+    "Tsit5 (diffrax)": partial(_diffrax, _tsit5),
+    "Kvaerno3 (diffrax, Newton)": partial(_diffrax, partial(_implicit, dfx.Kvaerno3, optx.Newton)),
+    "Kvaerno5 (diffrax, Newton)": partial(_diffrax, partial(_implicit, dfx.Kvaerno5, optx.Newton)),
+    "Kvaerno3 (diffrax, as shipped)": partial(_diffrax, partial(_implicit, dfx.Kvaerno3, dfx.VeryChord)),
+    "Kvaerno5 (diffrax, as shipped)": partial(_diffrax, partial(_implicit, dfx.Kvaerno5, dfx.VeryChord)),
 }
-lsoda, radau, tsit5, kvaerno3, kvaerno5 = (SOLVERS[name] for name in list(SOLVERS)[1:])
 
 
 def groove_forces(scene: Joint, params: Mapping[str, Any], states: np.ndarray) -> np.ndarray:
@@ -184,18 +203,44 @@ def groove_forces(scene: Joint, params: Mapping[str, Any], states: np.ndarray) -
     return np.asarray(jax.jit(jax.vmap(one))(jnp.asarray(states)))
 
 
+class Errors(NamedTuple):
+    """Against a reference [N]: rms of all; rms of the loaded flanks; the median over time of each sample's rms.
+
+    An unloaded ball rattles in its clearance with up to 50 N, and forgets how it began only when it is loaded
+    again. There two solvers agree on no digit, at whatever tolerance: a floor of 0.3 to 0.9 N under the rms of all.
+    """
+
+    rms: float
+    loaded: float
+    median: float
+
+
+LOADED_N = 200.0
+
+
+def errors(found: np.ndarray, reference: np.ndarray) -> Errors:
+    """How far forces (T, ...) are from a reference."""
+    square = (found - reference) ** 2
+    samples = np.sqrt(np.mean(square.reshape(len(square), -1), axis=1))
+    loaded = reference > LOADED_N
+    return Errors(float(np.sqrt(np.mean(square))), float(np.sqrt(np.mean(square[loaded]))), float(np.median(samples)))
+
+
 def main() -> None:
-    """A rough table: error against CVODES at 1e-9, steps, wall."""
+    """A rough table: errors against CVODES at 1e-9, steps, wall. With an argument: only solvers of that name."""
     scene = default_scene()
     params, scales, times = scene.parameters(), default_scales(scene), np.linspace(0.0, 0.6, 301)
     reference = groove_forces(scene, params, cvodes(scene, params, times, 1e-9, scales).states)
     print(f"rms {np.sqrt(np.mean(reference**2)):.0f} N, peak {reference.max():.0f} N")
     for name, solve in SOLVERS.items():
+        if len(sys.argv) > 1 and sys.argv[1] not in name:
+            continue
         for tol in (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6):
             found = solve(scene, params, times, tol, scales)
-            error = np.sqrt(np.mean((groove_forces(scene, params, found.states) - reference) ** 2))
-            what = found.failed or f"{found.steps:7d} steps  {error:9.3f} N"
-            print(f"{name:20s} {tol:.0e}  {found.wall_s:7.3f} s  {what}", flush=True)
+            error = errors(groove_forces(scene, params, found.states), reference)
+            what = f"rms {error.rms:9.3f}  loaded {error.loaded:9.3f}  median {error.median:9.4f} N"
+            cost = f"{found.wall_s:7.3f} s  {found.steps:7d} steps  compile {found.compile_s:4.1f} s"
+            print(f"{name:30s} {tol:.0e}  {cost}  {found.failed or what}", flush=True)
             if found.wall_s > MAX_WALL_S / 3:
                 # A tighter one takes longer still.
                 break

@@ -24,7 +24,7 @@ from jax import Array
 
 from bcfj_jax.joint import system
 from bcfj_jax.joint.constants import Constants
-from bcfj_jax.joint.contacts import grooves, pilots, slopes, windows
+from bcfj_jax.joint.contacts import dot, grooves, pilots, slopes, windows
 from bcfj_jax.joint.scene import Joint
 from bcfj_jax.solvers.small import inverse, inverse3, inverse6
 from bcfj_jax.solvers.structure import AbstractStructure
@@ -62,64 +62,83 @@ class Factors(NamedTuple):
     c: Constants
 
 
-class _Body(NamedTuple):
-    """A body's part of the blocks, its columns in the order place, turn."""
+class _Part(NamedTuple):
+    """What places or turns of one body add: columns (n, k, m) by place and rate, rows (n, m, 3 | k), and  -B' (n, m, k)."""
 
-    ball_place: Array
-    ball_rate: Array
     column_place: Array
     column_rate: Array
     row_place: Array
     row_rate: Array
-    border_place: Array
-    border_rate: Array
+    back: Array
 
 
-def _chain(
-    value: Array, by_place: Array, by_twist: Array, motion: system.Motion, spin: Array, moves: bool, turn: Array
-) -> _Body:
-    """The chain of the module's docstring for one body; ``turn`` (3, m): the rotations it is capable of."""
-    k = value.shape[-1]
-    at_ball = by_place - jnp.cross(by_twist[..., :3], spin)
-    arm = motion.arm[:, None, :]
-    force = value[:, None, :3]
+BODIES = (("head", "head_turn"), ("cage", "cage_turn"), ("seat_turn",))
+
+
+def _turning(
+    value: Array, by_place: Array, at_ball: Array, by_twist: Array, motion: system.Motion, axes: Array
+) -> tuple[_Part, _Part]:
+    """Turns of seat and head about their axes a:  G a,  -C B a,  -(B a)' A + (a x f)',  -(B a)' C."""
+    swept = jnp.cross(axes, motion.arm)
+    twist, frame, carried = swept, jnp.cross(axes, motion.velocity), jnp.cross(axes, value[..., :3])
+    if motion.spin is not None:
+        twist = jnp.concatenate([swept, jnp.broadcast_to(axes, swept.shape)], -1)
+        frame = jnp.concatenate([frame, jnp.cross(axes, motion.spin)], -1)
+        carried = jnp.concatenate([carried, jnp.cross(axes, value[..., 3:])], -1)
+    column_place = carried - dot(by_place, swept[..., None, :]) - dot(by_twist, frame[..., None, :])
+    row_place = jnp.cross(axes, value[..., :3]) - jnp.sum(twist[..., :, None] * at_ball, -2)
+    row_rate = -jnp.sum(twist[..., :, None] * by_twist, -2)
+    column_rate = -dot(by_twist, twist[..., None, :])
+    columns, rows = (column_place, column_rate), (row_place, row_rate, -twist)
+    seat, head = (_Part(*(x[:, i, :, None] for x in columns), *(x[:, i, None] for x in rows)) for i in (0, 1))
+    return seat, head
+
+
+def _shifted(at_ball: Array, by_twist: Array) -> _Part:
+    """A body's own place: minus what the balls' places do."""
+    n, k = at_ball.shape[:2]
+    back = -jnp.broadcast_to(jnp.eye(3, k), (n, 3, k))
+    return _Part(-at_ball, -by_twist[..., :3], -at_ball[:, :3], -by_twist[:, :3], back)
+
+
+def _nothing(n: int, k: int) -> _Part:
+    """A cage that touches no ball."""
+    return _Part(jnp.zeros((n, k, 3)), jnp.zeros((n, k, 3)), jnp.zeros((n, 3, 3)), *[jnp.zeros((n, 3, k))] * 2)
+
+
+def _corner(parts: dict[str, _Part], names: list[str]) -> tuple[Array, Array] | None:
+    """A body's own block: its turn through the wrenches, its place as minus all the balls' places."""
+    if not names:
+        return None
+    row_place, row_rate, back = (jnp.concatenate([parts[x][i] for x in names], 1) for i in (2, 3, 4))
+    turn = parts[names[-1]]
+    place, rate = jnp.sum(back @ turn.column_place, 0), jnp.sum(back @ turn.column_rate, 0)
+    if len(names) == 1:
+        return place, rate
+    shift_place, shift_rate = -jnp.sum(row_place, 0), -jnp.sum(row_rate[..., :3], 0)
+    return jnp.concatenate([shift_place, place], -1), jnp.concatenate([shift_rate, rate], -1)
+
+
+def _tilting(value: Array, by_place: Array, at_ball: Array, by_twist: Array, motion: system.Motion) -> _Part:
+    """Rotations of the cage about any axis; shapes (n, k, 3) for columns, (n, 3, k) for rows."""
+    eye = jnp.eye(3)
+    arm, force = motion.arm[:, None, :], value[:, None, :3]
     frame = jnp.cross(by_place, arm) + jnp.cross(by_twist[..., :3], motion.velocity[:, None, :])
-    turning = -jnp.cross(jnp.eye(3), force)
-    lever = -jnp.cross(jnp.eye(3), arm)
+    carried, lever = jnp.cross(force, eye), jnp.cross(arm, eye)
     if motion.spin is not None:
         frame = frame + jnp.cross(by_twist[..., 3:], motion.spin[:, None, :])
-        turning = jnp.concatenate([turning, -jnp.cross(jnp.eye(3), value[:, None, 3:])], -2)
-        lever = jnp.concatenate([lever, jnp.broadcast_to(jnp.eye(3), lever.shape)], -2)
-    columns, twists = [(frame + turning) @ turn], [lever @ turn]
-    # The arm of the moment moves with the ball and with the body's own place: [f]x, projected on the turns.
-    arm_moves = jnp.swapaxes(turn, 0, 1) @ jnp.cross(jnp.eye(3), force)
-    shift = [arm_moves]
-    if moves:
-        columns.insert(0, -at_ball)
-        twists.insert(0, jnp.broadcast_to(jnp.eye(k, 3), (value.shape[0], k, 3)))
-        shift.insert(0, jnp.zeros((value.shape[0], 3, 3)))
-    column_place, twists, shift = (jnp.concatenate(x, axis) for x, axis in ((columns, -1), (twists, -1), (shift, -2)))
-    back = -jnp.swapaxes(twists, -1, -2)
-    column_rate = -by_twist @ twists
-    border_place = jnp.sum(back @ column_place, 0)
-    if moves:
-        border_place = border_place.at[:, :3].add(-jnp.sum(shift, 0))
-    return _Body(
-        at_ball,
-        by_twist,
-        column_place,
-        column_rate,
-        back @ at_ball + shift,
-        back @ by_twist,
-        border_place,
-        jnp.sum(back @ column_rate, 0),
-    )
+        carried = jnp.concatenate([carried, jnp.cross(value[:, None, 3:], eye)], -2)
+        lever = jnp.concatenate([lever, jnp.broadcast_to(eye, lever.shape)], -2)
+    back = -jnp.swapaxes(lever, -1, -2)
+    moved = jnp.cross(eye, force)
+    return _Part(frame + carried, -by_twist @ lever, back @ at_ball + moved, back @ by_twist, back)
 
 
-def _border_alone(scene: Joint, c: Constants, state: system.State, t: Array) -> tuple[Array, Array]:
-    """Derivatives of pilot and drive forces by border displacement and border rate.
+def _alone(scene: Joint, c: Constants, state: system.State) -> tuple[Array, Array]:
+    """Derivatives of pilot and drive forces by border displacement and border rate, (b, b).
 
-    Spheres have no axes, so only the centres' distance p and the relative twist count:  dv = ... - w_outer x dp.
+    Spheres have no axes, so only the distance p of the centres and the relative twist count, and
+    dv = ... - w_outer x dp; the forces' map moves with p too.
     """
     b = scene.border
     place, rate = jnp.zeros((b, b)), jnp.zeros((b, b))
@@ -127,66 +146,58 @@ def _border_alone(scene: Joint, c: Constants, state: system.State, t: Array) -> 
         motion, spin = system.guided(scene, c, state)
         at = pilots(c.pilot_clearance, c.pilot_hollow, motion.arm)
         value, by_place, by_twist = slopes(c.pilot_skin, at, motion.velocity, motion.spin)
-        maps = system.guide_maps(scene, c, motion.arm)
-        moves = system.centre_maps(scene)
-        back = jnp.swapaxes(maps, -1, -2)
-        pushed = (by_place - jnp.cross(by_twist[..., :3], spin[:, None, :])) @ moves
-        place = place + jnp.sum(back @ pushed, 0)
-        rate = rate + jnp.sum(back @ by_twist @ maps, 0)
-        # The outer body's moment is -p x f, and p moves.
-        for index, name in enumerate(scene.pilots):
-            arm = jnp.cross(jnp.eye(3), value[index, :3]) @ moves[index]
-            if name == "seat_cage":
-                place = place.at[_slot(scene, "seat_turn")].add((c.axes[0] @ arm)[None])
-            elif scene.cage == "free":
-                place = place.at[_slot(scene, "cage_turn")].add(arm)
+        back = jnp.swapaxes(system.guide_maps(c, motion.arm), -1, -2)
+        moved = back @ (by_place - jnp.cross(by_twist[..., :3], spin[:, None, :]))
+        moved = moved + jnp.einsum("pikb,pk->pbi", c.guides.lever, value)
+        place = jnp.einsum("pbi,pic->bc", moved, c.guides.moves)
+        rate = jnp.sum(back @ by_twist @ jnp.swapaxes(back, -1, -2), 0)
     if scene.drive == "flexible":
         seat = _slot(scene, "seat_turn")
         place, rate = place.at[seat, seat].add(-c.drive_stiffness), rate.at[seat, seat].add(-c.drive_damping)
     return place, rate
 
 
-def blocks(scene: Joint, c: Constants, t: Array, y: Array) -> Blocks:
+def blocks(scene: Joint, c: Constants, y: Array) -> Blocks:
     """All derivatives of contact wrenches and border forces in one state."""
     state = system.view(scene, c, y)
-    n, b, k = scene.balls, scene.border, scene.twist
+    n, k = scene.balls, scene.twist
     motion, across, spins = system.races(c, state)
     at = grooves(c.groove, motion.arm - c.groove.offset[:, None] * c.axes, across)
     value, by_place, by_twist = slopes(c.groove_skin, at, motion.velocity, motion.spin)
-    bodies: list[tuple[list[str], _Body]] = []
-    for index, (names, moves) in enumerate(((["seat_turn"], False), (["head", "head_turn"], scene.head == "free"))):
-        side = jax.tree.map(lambda x, i=index: x[:, i], motion)
-        turn = c.axes[index][:, None]
-        body = _chain(value[:, index], by_place[:, index], by_twist[:, index], side, spins[index], moves, turn)
-        bodies.append((names if moves or len(names) == 1 else names[1:], body))
+    at_ball = by_place - jnp.cross(by_twist[..., :3], spins[:, None, :])
+    seat, head = _turning(value, by_place, at_ball, by_twist, motion, c.axes)
+    ball_place, ball_rate = jnp.sum(at_ball, 1), jnp.sum(by_twist, 1)
+
+    # Columns and rows of each part of the border that the balls feel; a body's own place is minus all balls' places.
+    parts: dict[str, _Part] = {
+        "head": _shifted(at_ball[:, 1], by_twist[:, 1]),
+        "head_turn": head,
+        "seat_turn": seat,
+    }
     if c.window_skin is not None:
         motion = system.relative(state, state.cage_place, state.cage_velocity, state.cage_spin)
         at = windows(c.window_clearance, c.groove.ball, motion.arm, state.cage_axis)
-        local = slopes(c.window_skin, at, motion.velocity, motion.spin)
-        body = _chain(*local, motion, state.cage_spin, True, jnp.eye(3))
-        bodies.append((["cage", "cage_turn"] if scene.cage == "free" else [], body))
-    column_place, column_rate = jnp.zeros((n, k, b)), jnp.zeros((n, k, b))
-    row_place, row_rate = jnp.zeros((n, b, 3)), jnp.zeros((n, b, k))
-    border_place, border_rate = _border_alone(scene, c, state, t)
-    for names, body in bodies:
-        if not names:
-            continue
-        at = slice(_slot(scene, names[0]).start, _slot(scene, names[-1]).stop)
-        column_place = column_place.at[..., at].set(body.column_place)
-        column_rate = column_rate.at[..., at].set(body.column_rate)
-        row_place = row_place.at[:, at].set(body.row_place)
-        row_rate = row_rate.at[:, at].set(body.row_rate)
-        border_place = border_place.at[at, at].add(body.border_place)
-        border_rate = border_rate.at[at, at].add(body.border_rate)
+        value, by_place, by_twist = slopes(c.window_skin, at, motion.velocity, motion.spin)
+        at_ball = by_place - jnp.cross(by_twist[..., :3], state.cage_spin)
+        ball_place, ball_rate = ball_place + at_ball, ball_rate + by_twist
+        parts["cage"] = _shifted(at_ball, by_twist)
+        parts["cage_turn"] = _tilting(value, by_place, at_ball, by_twist, motion)
+    else:
+        parts |= {"cage": _nothing(n, k), "cage_turn": _nothing(n, k)}
+    names = [name for name, slot in scene.slots.items() if slot is not None]
+    column_place, column_rate = (jnp.concatenate([parts[x][i] for x in names], -1) for i in (0, 1))
+    row_place, row_rate = (jnp.concatenate([parts[x][i] for x in names], -2) for i in (2, 3))
+    place, rate = _alone(scene, c, state)
+    corners = [_corner(parts, [x for x in body if x in names]) for body in BODIES]
     return Blocks(
-        sum(body.ball_place for _, body in bodies),
-        sum(body.ball_rate for _, body in bodies),
+        ball_place,
+        ball_rate,
         column_place,
         column_rate,
         row_place,
         row_rate,
-        border_place,
-        border_rate,
+        place + jax.scipy.linalg.block_diag(*(corner[0] for corner in corners if corner is not None)),
+        rate + jax.scipy.linalg.block_diag(*(corner[1] for corner in corners if corner is not None)),
     )
 
 
@@ -219,7 +230,7 @@ class Arrowhead(AbstractStructure):
     def factor(self, t: Array, y: Array, args: Any, scale: Array) -> Factors:
         """Blocks, the balls' inverses, the border's Schur complement inverted."""
         scene, c = args
-        d = blocks(scene, c, t, y)
+        d = blocks(scene, c, y)
         k = scene.twist
         state = system.view(scene, c, y)
         lift = c.ball_lightness[:, None]

@@ -8,6 +8,7 @@ from jax import Array
 
 from bcfj_jax.joint import geometry
 from bcfj_jax.joint.contacts import Groove
+from bcfj_jax.joint.guides import Guides, guides
 from bcfj_jax.joint.scene import Joint
 from bcfj_jax.joint.skin import Skin, SkinPair
 from bcfj_jax.scene import Params
@@ -29,6 +30,7 @@ class Constants(eqx.Module):
     pilot_skin: Skin | SkinPair | None
     pilot_clearance: Array
     pilot_hollow: Array
+    guides: Guides
     axes: Array
     radial: Array
     tangent: Array
@@ -98,6 +100,7 @@ def constants(scene: Joint, params: Params) -> Constants:
     if scene.spin:
         # A solid sphere: 2/5 m r^2.
         ball = jnp.concatenate([ball, 2.5 / (p["ball_mass"] * p["ball_radius"] ** 2) * jnp.ones(3)])
+    axes = jnp.stack([jnp.array([0.0, 0.0, 1.0]), geometry.head_axis(angle)])
     return Constants(
         groove=groove,
         groove_skin=_side_by_side(scene, params, ("seat_ball", "head_ball")),
@@ -106,7 +109,8 @@ def constants(scene: Joint, params: Params) -> Constants:
         pilot_skin=_side_by_side(scene, params, scene.pilots) if scene.pilots else None,
         pilot_clearance=jnp.stack([clearance[name] for name in scene.pilots]) if scene.pilots else jnp.zeros(0),
         pilot_hollow=jnp.stack([hollow[name] for name in scene.pilots]) if scene.pilots else jnp.zeros(0),
-        axes=jnp.stack([jnp.array([0.0, 0.0, 1.0]), geometry.head_axis(angle)]),
+        guides=guides(scene, axes),
+        axes=axes,
         radial=jnp.stack([jnp.array([1.0, 0.0, 0.0]), jnp.stack([jnp.cos(angle), zero, -jnp.sin(angle)])]),
         tangent=jnp.array([[0.0, 1.0, 0.0], [0.0, 1.0, 0.0]]),
         bisector=geometry.bisector(angle),

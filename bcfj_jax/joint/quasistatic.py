@@ -3,15 +3,16 @@
 At time t the seat stands at drive_speed t, the head bears its load, and every contact bears  skin.normal(d, 0).
 Unknown are the balls' places and, as far as the scene frees them, the head's place and turn, the cage's place and tilt.
 Clearances leave play, in which nothing decides where a part floats: weak springs to the zero-clearance position
-do (``GROUND``). All unknowns are displacements from it in metres; angles are times the pitch radius.
+(``start.nominal``) do, see ``GROUND``.
 
-Newton's method on all instants at once. Arrays have the instants along their last axis, so that the processor's lanes are
-instants; a scan from one instant to the next would pay a call for each of many small operations. The matrix is an
-arrowhead: balls are eliminated one by one, each a 3 x 3 block, and a border of 9 is left.
+Newton's method with a line search on the slope (forces are all that is known; their energy is not). A pool of lanes
+works through the instants, coarse ones first, so that the others start between solved neighbours; a lane that has
+converged takes the next instant, and none waits for the slowest. Derivatives are those of the implicit function.
 """
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -20,23 +21,26 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.joint import system
-from bcfj_jax.joint.constants import Constants, constants, skin_of
+from bcfj_jax.joint.balance import Matrix, Places, Problem, balance, slots_of, solve, tilted_axis
+from bcfj_jax.joint.constants import constants, skin_of
 from bcfj_jax.joint.scene import Joint
-from bcfj_jax.joint.skin import Skin
 from bcfj_jax.joint.start import nominal
-from bcfj_jax.numerics import smooth_step
 from bcfj_jax.scene import Params
 
 # Stiffness of the grounding springs, in ball loads T/(z Rp) + |axial load| per metre (and 1e-3 N/m, so that no load
 # is no singular matrix): a play of 100 um takes 1e-6 of a ball's load.
 GROUND = 1e-2
 # Longest step of any unknown [m], about the range over which a contact's stiffness is what it was.
-_REACH = 2e-5
+_REACH = 5e-5
 # A Newton step shorter than this [m] is the last: its square over any penetration is below rounding.
 _CLOSE = 1e-10
-_ITERATIONS = 100
-# Every 24th instant is solved from the zero-clearance position, every 4th from those, the rest from these.
-_STRIDES = (24, 4, 1)
+# A step is cut where the slope along it has turned and grown by this factor; down to the shortest fraction.
+_TURNED, _SHORTEST = 3.0, 0.01
+# Evaluations an instant may take, and lanes in the pool.
+_TRIALS = 150
+_LANES = 48
+# Every so many instants one starts from the zero-clearance position; a power of two.
+_STRIDE = 16
 
 
 class QuasistaticSolution(NamedTuple):
@@ -44,9 +48,9 @@ class QuasistaticSolution(NamedTuple):
 
     Attributes:
         states: (T, scene.states) as ``system`` reads them; NaN where not converged. Velocities are the equilibrium's
-            own rates of change. A ball's spin is the cage's.
+            own rates of change; a ball spins as the cage does.
         converged: (T,) whether Newton's method did.
-        iterations: (T,) evaluations of the contacts it took.
+        iterations: (T,) evaluations of the forces it took.
     """
 
     states: Array
@@ -54,239 +58,208 @@ class QuasistaticSolution(NamedTuple):
     iterations: Array
 
 
-class _Problem(NamedTuple):
-    """What equilibrium depends on, differentiable; instants along the last axis."""
-
-    c: Constants
-    skins: dict[str, Skin]
-    ball: Array
-    border: dict[str, Array]
-    seat: Array
-    torque: Array
-    spring: Array
-    lever: Array
+def quasistatic_states(scene: Joint, params: Params, times: Array) -> Array:
+    """States of ``quasistatic`` alone, (T, scene.states)."""
+    return quasistatic(scene, params, times).states
 
 
-class _Places(NamedTuple):
-    """Displacements [m] from the zero-clearance position: balls (3, n, T), border (b, T)."""
+@partial(jax.jit, static_argnums=0)
+def quasistatic(scene: Joint, params: Params, times: Array) -> QuasistaticSolution:
+    """Equilibrium at each time. Compiled once a scene and number of times.
 
-    ball: Array
-    border: Array
+    Differentiable in ``params`` and ``times``, forward and reverse, to any order, by the implicit function theorem;
+    ``vmap`` over ``params`` works. A kink (a contact that just touches) has the derivative of one side.
 
-
-class _Matrix(NamedTuple):
-    """Derivative of the unbalanced forces: ball (3, 3, n, T), column (3, b, n, T), row (b, 3, n, T), border (b, b, T)."""
-
-    ball: Array
-    column: Array
-    row: Array
-    border: Array
-
-
-def _slots(scene: Joint) -> dict[str, slice]:
-    """Where the unknowns of the border are; the cage's tilt has two, a turn about its own axis does nothing."""
-    sizes = {"head": 3 * (scene.head == "free"), "turn": 1}
-    sizes |= {"cage": 3, "tilt": 2} if scene.cage == "free" else {}
-    ends = np.cumsum(list(sizes.values()))
-    return {name: slice(int(end) - size, int(end)) for (name, size), end in zip(sizes.items(), ends, strict=True) if size}
-
-
-def _dot(a: Any, b: Any) -> Array:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def _law(skin: Skin, penetration: Array) -> tuple[Array, Array]:
-    """Normal force and stiffness at rest."""
-    still = jnp.zeros_like(penetration)
-    return jax.jvp(lambda d: skin.normal(d, still), (penetration,), (jnp.ones_like(penetration),))
-
-
-class _Race(NamedTuple):
-    """Forces of one race's grooves, as a gradient: of the ball (3, n, T), of the race's turn (n, T); derivatives."""
-
-    ball: Array
-    turn: Array
-    by_ball: Array
-    column: Array
-    row: Array
-    by_turn: Array
-
-
-def _race(scene: Joint, c: Constants, skin: Skin, race: int, place: Array, turn: Array) -> _Race:
-    """``contacts.grooves`` at rest with its derivatives, for balls at ``place`` (3, n, T) in a race turned by ``turn``.
-
-    In the track's own axes (across, radial at mid-track, the race's axis) the place is (t, x, z); with D = |(x, z)|
-    the forces depend on (t, D) alone, and a turn of the race changes (t, x) by (-x, t).
+    Args:
+        scene: any joint; its friction, damping, masses and drive compliance are not read.
+        params: its parameters [SI].
+        times: (T,) [s], in any order, fastest where neighbours are near; the load ramp is read at them.
     """
-    g = c.groove
-    around = 2 * np.pi * np.arange(scene.balls) / scene.balls
-    cosine, sine = np.cos(around)[:, None], np.sin(around)[:, None]
-    cosine, sine = cosine * jnp.cos(turn) - sine * jnp.sin(turn), sine * jnp.cos(turn) + cosine * jnp.sin(turn)
-    radial, tangent, axis = (v[:, None, None] for v in (c.radial[race], c.tangent[race], c.axes[race]))
-    mid, across = cosine * radial + sine * tangent, cosine * tangent - sine * radial
-    frame = (across, mid, axis)
-    place = place - g.offset[race] * axis
-    t, x, z = (_dot(place, e) for e in frame)
-    distance = jnp.sqrt(x * x + z * z)
-    r_x, r_z = x / distance, z / distance
-    g_t = g_a = j_tt = j_ta = j_at = j_aa = jnp.zeros_like(t)
-    y_a = distance - g.radius + g.side[race] * (g.flank * g.cosine)
-    for index in range(g.gothic.size):
-        sign = g.gothic[index]
-        y_t = t + sign * (g.flank * g.sine)
-        length = jnp.sqrt(y_t * y_t + y_a * y_a + 1e-24)
-        n_t, n_a = y_t / length, y_a / length
-        force, stiff = _law(skin, length - g.flank - g.clearance[race])
-        edge = jnp.zeros_like(force)
-        if g.gothic.size == 2:
-            share, slope = jax.jvp(lambda s: smooth_step(20.0 * s), (sign * n_t,), (jnp.ones_like(n_t),))
-            edge = sign * slope * force / length
-            force, stiff = share * force, share * stiff
-        bend = force / length
-        stiff = stiff - bend
-        g_t, g_a = g_t + force * n_t, g_a + force * n_a
-        e_t, e_a = edge * (1.0 - n_t * n_t), -edge * n_t * n_a
-        j_tt, j_ta = j_tt + stiff * n_t * n_t + bend + n_t * e_t, j_ta + stiff * n_t * n_a + n_t * e_a
-        j_at, j_aa = j_at + stiff * n_t * n_a + n_a * e_t, j_aa + stiff * n_a * n_a + bend + n_a * e_a
-    around = g_a / distance
-    j_xz = (j_aa - around) * r_x * r_z
-    j_xx, j_zz = j_aa * r_x * r_x + around * r_z * r_z, j_aa * r_z * r_z + around * r_x * r_x
-    local = ((j_tt, j_ta * r_x, j_ta * r_z), (j_at * r_x, j_xx, j_xz), (j_at * r_z, j_xz, j_zz))
-    g_x = g_a * r_x
-    swing = t * g_x - x * g_t
-    moves = [j[1] * t - j[0] * x for j in local]
-    pulls = [local[1][k] * t - local[0][k] * x for k in range(3)]
-    drift = g_x * across - g_t * mid
-    return _Race(
-        g_t * across + g_x * mid + g_a * r_z * axis,
-        swing,
-        sum(e[:, None] * sum(j * f for j, f in zip(row, frame, strict=True)) for e, row in zip(frame, local, strict=True)),
-        sum(m * e for m, e in zip(moves, frame, strict=True)) + drift,
-        sum(m * e for m, e in zip(pulls, frame, strict=True)) + drift,
-        moves[1] * t - moves[0] * x - t * g_t - x * g_x,
+    times = jnp.asarray(times, dtype=float)
+    fixed = jax.lax.stop_gradient((params, times))
+    found, converged, iterations = _search(scene, _problem(scene, *fixed), fixed[1])
+    # From zero where the search failed: a NaN would spoil the others' derivatives in reverse mode.
+    found = jax.tree.map(lambda x: jax.lax.stop_gradient(jnp.where(converged, x, 0.0)), found)
+
+    def state(params: Params, times: Array) -> Array:
+        problem = _problem(scene, params, times)
+        return _flat(scene, problem, _equilibrium(scene)(problem, found))
+
+    # Places, and their rates; the velocities that ``state`` itself returns are spins that places do not tell.
+    value, rate = jax.jvp(lambda t: state(params, t), (times,), (jnp.ones_like(times),))
+    states = _with_rates(scene, constants(scene, params), value, rate)
+    return QuasistaticSolution(jnp.where(converged[:, None], states, jnp.nan), converged, iterations)
+
+
+def _problem(scene: Joint, params: Params, times: Array) -> Problem:
+    p, n = params, scene.balls
+    c = constants(scene, params)
+    seat = p["drive_speed"] * times
+    places = jax.vmap(lambda angle: nominal(scene, params, angle)[: 3 * n])(seat)
+    return Problem(
+        c,
+        {contact.name: skin_of(scene, params, contact.name) for contact in scene.contacts},
+        jnp.transpose(places.reshape(-1, n, 3), (2, 1, 0)),
+        seat,
+        jax.vmap(lambda t: system.load_torque(c, t))(times),
+        GROUND * (jnp.abs(p["load_torque"]) / (n * p["pitch_radius"]) + jnp.abs(p["axial_load"])) + 1e-3,
+        p["pitch_radius"],
     )
 
 
-def _axis(c: Constants, tilt: Array) -> tuple[Array, list[Array], list[list[Array]]]:
-    """Unit axis of the cage (3, T) tilted by (u, v) [rad], b + u e + v f made unit; its derivatives."""
-    across = jnp.array([0.0, 1.0, 0.0])
-    ways = [v[:, None] for v in (jnp.cross(across, c.bisector), across)]
-    long = c.bisector[:, None] + tilt[0] * ways[0] + tilt[1] * ways[1]
-    size = jnp.sqrt(_dot(long, long))
-    axis = long / size
-    along = [_dot(axis, e) for e in ways]
-    first = [(e - s * axis) / size for e, s in zip(ways, along, strict=True)]
-    second = [
-        [-(first[j] * along[i] + axis * _dot(first[j], ways[i]) + first[i] * along[j]) / size for j in (0, 1)]
-        for i in (0, 1)
-    ]
-    return axis, first, second
-
-
-def _balance(scene: Joint, p: _Problem, at: _Places) -> tuple[_Places, _Matrix]:
-    """Unbalanced generalised forces (those that resist, as a gradient; 0 in equilibrium) and their derivative."""
-    c, slots = p.c, _slots(scene)
-    size, shape = at.border.shape[0], at.ball.shape[1:]
-    ball = p.ball + at.ball
-    rest: dict[str, Array] = {name: p.spring * at.border[slot] for name, slot in slots.items()}
-    eye = jnp.eye(3)[:, :, None]
-    pairs: dict[tuple[str, str], Array] = {}
-    column: dict[str, Array] = {}
-    row: dict[str, Array] = {}
-
-    def add(one: str, other: str, block: Array) -> None:
-        pairs[one, other] = pairs[one, other] + block if (one, other) in pairs else block
-
-    turn = p.seat + at.border[slots["turn"]][0] / p.lever
-    head = at.border[slots["head"]] if "head" in slots else jnp.zeros((3, shape[1]))
-    seat = _race(scene, c, p.skins["seat_ball"], 0, ball, p.seat)
-    race = _race(scene, c, p.skins["head_ball"], 1, ball - head[:, None], turn)
-    force = p.spring * at.ball + seat.ball + race.ball
-    block = p.spring * eye[..., None] + seat.by_ball + race.by_ball
-    column["turn"], row["turn"] = race.column[:, None] / p.lever, race.row[None] / p.lever
-    rest["turn"] += (jnp.sum(race.turn, 0) + p.torque)[None] / p.lever
-    add("turn", "turn", jnp.sum(race.by_turn, 0)[None, None] / p.lever**2)
+def _flat(scene: Joint, problem: Problem, at: Places) -> Array:
+    """Places of the flat state (T, 3 n + border)."""
+    slots, seat = slots_of(scene), problem.seat
+    parts = {"head_turn": (seat + at.border[slots["turn"]][0] / problem.lever)[None], "seat_turn": seat[None]}
     if "head" in slots:
-        rest["head"] += c.axial_load * c.axes[1][:, None] - jnp.sum(race.ball, 1)
-        column["head"] = row["head"] = -race.by_ball
-        add("head", "head", jnp.sum(race.by_ball, 2))
-        add("head", "turn", -jnp.sum(column["turn"], 2))
-        add("turn", "head", -jnp.sum(row["turn"], 2))
-    cage = at.border[slots["cage"]] if "cage" in slots else jnp.zeros((3, shape[1]))
-    if "cage_ball" in p.skins:
-        tilt = at.border[slots["tilt"]] / p.lever if "tilt" in slots else jnp.zeros((2, shape[1]))
-        axis, first, second = _axis(c, tilt)
-        arm = ball - cage[:, None]
-        height = _dot(arm, axis)
-        (up, stiff_up), (down, stiff_down) = (_law(p.skins["cage_ball"], s * height - c.window_clearance) for s in (1, -1))
-        push, stiff = up - down, stiff_up + stiff_down
-        face = stiff * (axis[:, None] * axis[None])[:, :, None]
-        force, block = force + push * axis[:, None], block + face
-        if "cage" in slots:
-            reach = [_dot(arm, a[:, None]) for a in first]
-            rest["cage"] -= jnp.sum(push, 0) * axis
-            rest["tilt"] += jnp.stack([jnp.sum(push * r, 0) for r in reach]) / p.lever
-            cross = [(stiff * r) * axis[:, None] + push * a[:, None] for r, a in zip(reach, first, strict=True)]
-            column["cage"] = row["cage"] = -face
-            column["tilt"] = jnp.stack(cross, 1) / p.lever
-            row["tilt"] = jnp.stack(cross) / p.lever
-            add("cage", "cage", jnp.sum(face, 2))
-            add("cage", "tilt", -jnp.sum(column["tilt"], 2))
-            add("tilt", "cage", -jnp.sum(row["tilt"], 2))
-            bend = [
-                [jnp.sum(stiff * reach[i] * reach[j] + push * _dot(arm, second[i][j][:, None]), 0) for j in (0, 1)]
-                for i in (0, 1)
-            ]
-            add("tilt", "tilt", jnp.stack([jnp.stack(b) for b in bend]) / p.lever**2)
-    for name, way in {"seat_cage": ("cage",), "head_cage": ("head", "cage")}.items():
-        if name not in p.skins:
-            continue
-        signs = {part: 1.0 if part == way[0] else -1.0 for part in way if part in slots}
-        place = cage if name == "seat_cage" else head - cage
-        distance = jnp.sqrt(_dot(place, place) + 1e-24)
-        normal = place / distance
-        clearance = c.pilot_clearance[scene.pilots.index(name)]
-        push, stiff = _law(p.skins[name], distance - clearance)
-        bend = push / distance
-        spring = (stiff - bend) * normal[:, None] * normal[None] + bend * eye
-        for one, sign in signs.items():
-            rest[one] += sign * push * normal
-            for other, back in signs.items():
-                add(one, other, sign * back * spring)
-    zero = jnp.zeros((size, size, shape[1]))
-    border = zero + p.spring * jnp.eye(size)[:, :, None]
-    for (one, other), part in pairs.items():
-        border = border.at[slots[one], slots[other]].add(part)
-    names = list(slots)
-    columns = [column.get(k, jnp.zeros((3, slots[k].stop - slots[k].start, *shape))) for k in names]
-    rows = [row.get(k, jnp.zeros((slots[k].stop - slots[k].start, 3, *shape))) for k in names]
-    residual = _Places(force, jnp.concatenate([rest[k] for k in names]))
-    return residual, _Matrix(block, jnp.concatenate(columns, 1), jnp.concatenate(rows), border)
+        parts["head"] = at.border[slots["head"]]
+    if "cage" in slots:
+        parts["cage"] = at.border[slots["cage"]]
+        parts["cage_turn"] = tilted_axis(problem.c, at.border[slots["tilt"]] / problem.lever)[0]
+    ball = jnp.transpose(problem.ball + at.ball, (2, 1, 0)).reshape(seat.size, -1)
+    border = [parts[name] for name, slot in scene.slots.items() if slot is not None]
+    return jnp.concatenate([ball, jnp.concatenate(border).T], 1)
 
 
-def _inverse3(m: Array) -> Array:
-    """Inverse of (3, 3, ...) by cross products."""
-    a, b, c = m[0], m[1], m[2]
-    cross = [jnp.cross(x, y, axis=0) for x, y in ((b, c), (c, a), (a, b))]
-    return jnp.stack(cross, 1) / _dot(a, cross[0])
+def _with_rates(scene: Joint, c: Any, value: Array, rate: Array) -> Array:
+    """Flat states from places and their rates; the cage turns about its axis at the drive's speed."""
+    n, count = scene.balls, value.shape[0]
+    tilt = scene.slots["cage_turn"]
+    spin = jnp.broadcast_to(c.drive_speed * c.bisector, (count, 3))
+    if tilt is not None:
+        at = slice(3 * n + tilt.start, 3 * n + tilt.stop)
+        axis = value[:, at]
+        spin = jnp.cross(axis, rate[:, at]) + c.drive_speed * axis
+        rate = rate.at[:, at].set(spin)
+    balls = rate[:, : 3 * n].reshape(count, n, 3)
+    if scene.spin:
+        balls = jnp.concatenate([balls, jnp.broadcast_to(spin[:, None], (count, n, 3))], -1)
+    return jnp.concatenate([value, balls.reshape(count, -1), rate[:, 3 * n :]], 1)
 
 
-def _solve(m: _Matrix, right: _Places) -> _Places:
-    """The arrowhead's solution: balls eliminated, the border by Gauss without pivoting, and back. Linear in ``right``."""
-    inverse = _inverse3(m.ball)
-    column = sum(inverse[:, j, None] * m.column[j] for j in range(3))
-    ball = sum(inverse[:, j] * right.ball[j] for j in range(3))
-    a = m.border - jnp.sum(sum(m.row[:, j, None] * column[j] for j in range(3)), 2)
-    b = right.border - jnp.sum(sum(m.row[:, j] * ball[j] for j in range(3)), 1)
-    upper, known = [], []
-    for _ in range(b.shape[0]):
-        pivot = a[0] / a[0, 0]
-        here = b[0] / a[0, 0]
-        upper.append(pivot[1:])
-        known.append(here)
-        a, b = a[1:, 1:] - a[1:, :1] * pivot[1:], b[1:] - a[1:, 0] * here
-    border: list[Array] = []
-    for line, here in zip(reversed(upper), reversed(known), strict=True):
-        border.insert(0, here - sum((u * x for u, x in zip(line, border, strict=True)), jnp.zeros_like(here)))
-    border_ = jnp.stack(border)
-    return _Places(ball - jnp.sum(column * border_[:, None], 1), border_)
+def _equilibrium(scene: Joint) -> Any:
+    """The solution as a function of the problem, given where it is: the implicit function theorem and nothing else."""
+
+    @jax.custom_jvp
+    def at(problem: Problem, found: Places) -> Places:
+        del problem
+        return found
+
+    @at.defjvp
+    def rule(primals: Any, tangents: Any) -> tuple[Places, Places]:
+        problem, found = primals
+        # Not ``found``: so that the rule itself is differentiated right.
+        here = at(problem, found)
+        (_, matrix), (out, _) = jax.jvp(lambda p: balance(scene, p, here), (problem,), (tangents[0],))
+        return here, jax.tree.map(jnp.negative, solve(matrix, out))
+
+    return at
+
+
+def _queue(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Order of the instants, coarse ones first, and of each the solved neighbours to start from; -1 for none."""
+    order = list(range(0, count, _STRIDE))
+    left, right = np.full(count, -1), np.full(count, -1)
+    half = _STRIDE // 2
+    while half:
+        for i in range(half, count, 2 * half):
+            left[i], right[i] = i - half, i + half if i + half < count else i - half
+            order.append(i)
+        half //= 2
+    return np.array(order), left, right
+
+
+class _Lanes(NamedTuple):
+    """The pool: instants in work (T where idle), last accepted places, step from them, slope, fraction, evaluations."""
+
+    index: Array
+    base: Array
+    step: Array
+    slope: Array
+    part: Array
+    trials: Array
+
+
+def _search(scene: Joint, problem: Problem, times: Array) -> tuple[Places, Array, Array]:
+    """Newton's method at every instant: places, whether converged, evaluations."""
+    count, n = times.size, scene.balls
+    size = 3 * n + sum(slot.stop - slot.start for slot in slots_of(scene).values())
+    lanes = min(_LANES, count)
+    order, left, right = (jnp.asarray(x) for x in _queue(count))
+    order = jnp.concatenate([order, jnp.full(lanes, count)])
+    span = times[right] - times[left]
+    weight = jnp.where(span == 0, 0.5, (times - times[left]) / jnp.where(span == 0, 1.0, span))
+
+    def split(x: Array) -> Places:
+        return Places(x[: 3 * n].reshape(3, n, -1), x[3 * n :])
+
+    def forces(index: Array, x: Array) -> tuple[Places, Matrix]:
+        i = jnp.minimum(index, count - 1)
+        here = problem._replace(ball=problem.ball[:, :, i], seat=problem.seat[i], torque=problem.torque[i])
+        return balance(scene, here, split(x))
+
+    def join(at: Places) -> Array:
+        return jnp.concatenate([at.ball.reshape(3 * n, -1), at.border])
+
+    def more(carry: Any) -> Array:
+        return jnp.any(carry[0].index < count) | (carry[3] == 0)
+
+    def body(carry: Any) -> Any:
+        # Forces come over from the round before: in one round with the solution the compiler would compute them
+        # again for every reader.
+        pool, x, (out, matrix), taken, known, state, spent = carry
+        out, step = join(out), join(solve(matrix, out))
+        trials = pool.trials + 1
+        slope = jnp.sum(out * pool.step, 0)
+        turned = (slope < -_TURNED * pool.slope) & (pool.slope > 0) & (pool.part > _SHORTEST)
+        longest = jnp.max(jnp.abs(step), 0)
+        good = ~turned & (longest < _CLOSE)
+        ended = good | (trials >= _TRIALS) | ~jnp.isfinite(longest)
+        cut = jnp.clip(pool.slope / (pool.slope - slope), 0.1, 0.7)
+        pool = _Lanes(
+            pool.index,
+            jnp.where(turned, pool.base, x),
+            jnp.where(turned, pool.step, step),
+            jnp.where(turned, pool.slope, jnp.sum(out * step, 0)),
+            jnp.where(turned, pool.part * cut, jnp.minimum(1.0, _REACH / longest)),
+            trials,
+        )
+        busy = pool.index < count
+        where = jnp.where(ended & busy, pool.index, count)
+        known = known.at[:, where].set(x - step, mode="drop")
+        # 1: converged, 2: given up, 0: not yet.
+        state = state.at[where].set(jnp.where(good, 1, 2), mode="drop")
+        spent = spent.at[where].set(trials, mode="drop")
+        # Idle lanes look at the next of the queue in turn; each waits for its own neighbours.
+        idle = ended | ~busy
+        nth = taken + jnp.cumsum(idle) - 1
+        candidate = jnp.where(idle, order[jnp.minimum(nth, count)], count)
+        i = jnp.minimum(candidate, count - 1)
+        ready = (left[i] < 0) | ((state[left[i]] > 0) & (state[right[i]] > 0))
+        # In order: what stands behind one that waits, waits.
+        blocked = jnp.cumsum(idle & ~ready & (candidate < count)) > 0
+        candidate = jnp.where(blocked, count, candidate)
+        taken = taken + jnp.sum(idle & (candidate < count))
+        # Between the neighbours; from one where the other failed; from zero where there is none.
+        first, last = ((left[i] >= 0) & (state[s[i]] == 1) for s in (left, right))
+        share = jnp.where(first & last, weight[i], jnp.where(last, 1.0, 0.0))
+        a, b = (jnp.where(k, known[:, s[i]], 0.0) for k, s in ((first, left), (last, right)))
+        guess = a + share * (b - a)
+        fresh = _Lanes(candidate, guess, jnp.zeros_like(x), jnp.zeros(lanes), jnp.ones(lanes), jnp.zeros(lanes, int))
+        pool = jax.tree.map(lambda new, old: jnp.where(idle, new, old), fresh, pool)
+        x = pool.base - pool.part * pool.step
+        return pool, x, forces(pool.index, x), taken, known, state, spent
+
+    def empty(rows: int) -> Array:
+        return jnp.zeros((rows, lanes))
+
+    nobody = _Lanes(
+        jnp.full(lanes, count), empty(size), empty(size), jnp.zeros(lanes), jnp.ones(lanes), jnp.zeros(lanes, int)
+    )
+    flat = jax.eval_shape(forces, nobody.index, nobody.base)
+    # Every lane is idle in the first round: what it solves is thrown away.
+    nothing = jax.tree.map(lambda s: jnp.ones(s.shape), flat)
+    results = (jnp.zeros((size, count)), jnp.zeros(count, int), jnp.zeros(count, int))
+    start = (nobody, nobody.base, nothing, jnp.asarray(0), *results)
+    *_, known, state, spent = jax.lax.while_loop(more, body, start)
+    return split(known), state == 1, spent

@@ -19,6 +19,9 @@ from bcfj_jax.scene import AbstractScene, Params
 CONTACTS = ("seat_cage", "head_cage", "cage_ball", "seat_ball", "head_ball")
 SIX = ("cage_ball", "seat_ball", "head_ball")
 FIDELITIES = ("kinematic", "quasistatic", "dynamic")
+TRACKS = ("gothic", "circular")
+CAGES = HEADS = ("free", "fixed")
+DRIVES = ("prescribed", "flexible")
 
 
 class JointContact(eqx.Module):

@@ -22,6 +22,7 @@ from jax import Array
 
 from bcfj_jax.joint.constants import Constants
 from bcfj_jax.joint.contacts import Touch, act, grooves, pilots, windows
+from bcfj_jax.joint.guides import GUIDES
 from bcfj_jax.joint.scene import Joint
 from bcfj_jax.numerics import smooth_rise
 
@@ -50,10 +51,6 @@ class Touches(NamedTuple):
     grooves: Touch
     windows: Touch | None
     pilots: Touch | None
-
-
-# Which sphere is in which: (outer, inner).
-GUIDES = {"seat_cage": ("seat", "cage"), "head_cage": ("cage", "head")}
 
 
 def view(scene: Joint, c: Constants, y: Array) -> State:
@@ -145,35 +142,9 @@ def guided(scene: Joint, c: Constants, state: State) -> tuple[Motion, Array]:
     return Motion(arm, inner[1] - outer[1] - jnp.cross(spin, arm), inner[2] - spin), spin
 
 
-def guide_maps(scene: Joint, c: Constants, arm: Array) -> Array:
-    """(pilots, 6, border): twist of the inner sphere relative to the outer one's material, by border velocities."""
-    eye, zero = jnp.eye(3), jnp.zeros((3, 3))
-    rows = []
-    for index, name in enumerate(scene.pilots):
-        columns = {key: jnp.zeros((6, slot.stop - slot.start)) for key, slot in scene.slots.items() if slot is not None}
-        for sign, body in zip((-1.0, 1.0), GUIDES[name], strict=True):
-            # The outer body carries its material at the inner centre, arm r away:  -[r]x w.
-            lever = -jnp.cross(eye, arm[index]) if sign < 0 else zero
-            turning = jnp.concatenate([lever, eye])
-            turn = f"{body}_turn"
-            if turn in columns:
-                turning = turning if body == "cage" else turning @ c.axes[0 if body == "seat" else 1][:, None]
-                columns[turn] = columns[turn] + sign * turning
-            if body in columns:
-                columns[body] = columns[body] + sign * jnp.concatenate([eye, zero])
-        rows.append(jnp.concatenate([columns[name] for name in columns], -1))
-    return jnp.stack(rows)
-
-
-def centre_maps(scene: Joint) -> Array:
-    """(pilots, 3, border): how far the inner centre moves from the outer one, by border displacements."""
-    maps = np.zeros((len(scene.pilots), 3, scene.border))
-    for index, name in enumerate(scene.pilots):
-        for sign, body in zip((-1.0, 1.0), GUIDES[name], strict=True):
-            slot = scene.slots.get(body)
-            if slot is not None:
-                maps[index, :, slot] += sign * np.eye(3)
-    return jnp.asarray(maps)
+def guide_maps(c: Constants, arm: Array) -> Array:
+    """Twists of the inner spheres relative to the outer ones' material, by border velocities, (pilots, 6, border)."""
+    return c.guides.still + jnp.einsum("pi,pikb->pkb", arm, c.guides.lever)
 
 
 def load_torque(c: Constants, t: Array) -> Array:
@@ -222,7 +193,7 @@ def on_bodies(scene: Joint, c: Constants, state: State, found: Touches) -> tuple
         parts["cage"], parts["cage_turn"] = -jnp.sum(push, 0), -jnp.sum(twist, 0)
     border = jnp.concatenate([parts[name] for name, slot in scene.slots.items() if slot is not None])
     if found.pilots is not None:
-        maps = guide_maps(scene, c, guided(scene, c, state)[0].arm)
+        maps = guide_maps(c, guided(scene, c, state)[0].arm)
         border = border + jnp.einsum("pkb,pk->b", maps, wrench(found.pilots))
     return ball, border
 

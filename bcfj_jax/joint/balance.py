@@ -1,0 +1,268 @@
+"""Forces out of balance in the joint at rest, and their derivative: what ``quasistatic`` solves.
+
+Massless parts, no friction, no damping. Arrays have the instants along their last axis, so that the processor's
+lanes are instants. Unknown are displacements from the zero-clearance position [m]; angles are times the pitch
+radius. The derivative is an arrowhead: a 3 x 3 block a ball, bordered by head and cage. It is the exact one, not
+symmetric where a flank's sector ends (``skin.sector``).
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from bcfj_jax.joint.constants import Constants
+from bcfj_jax.joint.scene import Joint
+from bcfj_jax.joint.skin import Skin
+from bcfj_jax.numerics import smooth_step
+
+
+class Problem(NamedTuple):
+    """What equilibrium depends on, differentiable.
+
+    Attributes:
+        skins: of the contacts there are, by name.
+        ball: (3, n, T) zero-clearance places.
+        seat, torque: (T,) angle of the seat, load on the head.
+        spring: stiffness of the grounding [N/m].
+        lever: length [m] that an unknown angle is times.
+    """
+
+    c: Constants
+    skins: dict[str, Skin]
+    ball: Array
+    seat: Array
+    torque: Array
+    spring: Array
+    lever: Array
+
+
+class Places(NamedTuple):
+    """Displacements [m] from the zero-clearance position: balls (3, n, T), border (b, T)."""
+
+    ball: Array
+    border: Array
+
+
+class Matrix(NamedTuple):
+    """Derivative of the forces: ball (3, 3, n, T), column (3, b, n, T), row (b, 3, n, T), border (b, b, T)."""
+
+    ball: Array
+    column: Array
+    row: Array
+    border: Array
+
+
+def slots_of(scene: Joint) -> dict[str, slice]:
+    """Where the unknowns of the border are; the cage's tilt has two, a turn about its own axis does nothing."""
+    sizes = {"head": 3 * (scene.head == "free"), "turn": 1}
+    sizes |= {"cage": 3, "tilt": 2} if scene.cage == "free" else {}
+    ends = np.cumsum(list(sizes.values())).tolist()
+    return {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True) if size}
+
+
+def _dot(a: Any, b: Any) -> Array:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _law(skin: Skin, penetration: Array) -> tuple[Array, Array]:
+    """Normal force and stiffness at rest."""
+    still = jnp.zeros_like(penetration)
+    return jax.jvp(lambda d: skin.normal(d, still), (penetration,), (jnp.ones_like(penetration),))
+
+
+class _Race(NamedTuple):
+    """Forces of one race's grooves, as a gradient: of the ball (3, n, T), of the race's turn (n, T); derivatives."""
+
+    ball: Array
+    turn: Array
+    by_ball: Array
+    column: Array
+    row: Array
+    by_turn: Array
+
+
+def _race(scene: Joint, c: Constants, skin: Skin, race: int, place: Array, turn: Array) -> _Race:
+    """``contacts.grooves`` at rest with its derivatives, for balls at ``place`` (3, n, T) in a race turned by ``turn``.
+
+    In the track's own axes (across, radial at mid-track, the race's axis) the place is (t, x, z); with D = |(x, z)|
+    the forces depend on (t, D) alone, and a turn of the race changes (t, x) by (-x, t).
+    """
+    g = c.groove
+    around = 2 * np.pi * np.arange(scene.balls) / scene.balls
+    cosine, sine = np.cos(around)[:, None], np.sin(around)[:, None]
+    cosine, sine = cosine * jnp.cos(turn) - sine * jnp.sin(turn), sine * jnp.cos(turn) + cosine * jnp.sin(turn)
+    radial, tangent, axis = (v[:, None, None] for v in (c.radial[race], c.tangent[race], c.axes[race]))
+    mid, across = cosine * radial + sine * tangent, cosine * tangent - sine * radial
+    frame = (across, mid, axis)
+    place = place - g.offset[race] * axis
+    t, x, z = (_dot(place, e) for e in frame)
+    distance = jnp.sqrt(x * x + z * z)
+    r_x, r_z = x / distance, z / distance
+    g_t = g_a = j_tt = j_ta = j_at = j_aa = jnp.zeros_like(t)
+    y_a = distance - g.radius + g.side[race] * (g.flank * g.cosine)
+    for index in range(g.gothic.size):
+        sign = g.gothic[index]
+        y_t = t + sign * (g.flank * g.sine)
+        length = jnp.sqrt(y_t * y_t + y_a * y_a + 1e-24)
+        n_t, n_a = y_t / length, y_a / length
+        force, stiff = _law(skin, length - g.flank - g.clearance[race])
+        edge = jnp.zeros_like(force)
+        if g.gothic.size == 2:
+            share, slope = jax.jvp(lambda s: smooth_step(20.0 * s), (sign * n_t,), (jnp.ones_like(n_t),))
+            edge = sign * slope * force / length
+            force, stiff = share * force, share * stiff
+        bend = force / length
+        stiff = stiff - bend
+        g_t, g_a = g_t + force * n_t, g_a + force * n_a
+        e_t, e_a = edge * (1.0 - n_t * n_t), -edge * n_t * n_a
+        j_tt, j_ta = j_tt + stiff * n_t * n_t + bend + n_t * e_t, j_ta + stiff * n_t * n_a + n_t * e_a
+        j_at, j_aa = j_at + stiff * n_t * n_a + n_a * e_t, j_aa + stiff * n_a * n_a + bend + n_a * e_a
+    around = g_a / distance
+    j_xz = (j_aa - around) * r_x * r_z
+    j_xx, j_zz = j_aa * r_x * r_x + around * r_z * r_z, j_aa * r_z * r_z + around * r_x * r_x
+    local = ((j_tt, j_ta * r_x, j_ta * r_z), (j_at * r_x, j_xx, j_xz), (j_at * r_z, j_xz, j_zz))
+    g_x = g_a * r_x
+    swing = t * g_x - x * g_t
+    moves = [j[1] * t - j[0] * x for j in local]
+    pulls = [local[1][k] * t - local[0][k] * x for k in range(3)]
+    drift = g_x * across - g_t * mid
+    world = [sum(j * f for j, f in zip(row, frame, strict=True)) for row in local]
+    return _Race(
+        g_t * across + g_x * mid + g_a * r_z * axis,
+        swing,
+        sum(e[:, None] * row for e, row in zip(frame, world, strict=True)),
+        sum(m * e for m, e in zip(moves, frame, strict=True)) + drift,
+        sum(m * e for m, e in zip(pulls, frame, strict=True)) + drift,
+        moves[1] * t - moves[0] * x - t * g_t - x * g_x,
+    )
+
+
+def tilted_axis(c: Constants, tilt: Array) -> tuple[Array, list[Array], list[list[Array]]]:
+    """Unit axis of the cage (3, T) tilted by (u, v) [rad], b + u e + v f made unit; its derivatives."""
+    across = jnp.array([0.0, 1.0, 0.0])
+    ways = [v[:, None] for v in (jnp.cross(across, c.bisector), across)]
+    long = c.bisector[:, None] + tilt[0] * ways[0] + tilt[1] * ways[1]
+    size = jnp.sqrt(_dot(long, long))
+    axis = long / size
+    along = [_dot(axis, e) for e in ways]
+    first = [(e - s * axis) / size for e, s in zip(ways, along, strict=True)]
+    second = [
+        [-(first[j] * along[i] + axis * _dot(first[j], ways[i]) + first[i] * along[j]) / size for j in (0, 1)]
+        for i in (0, 1)
+    ]
+    return axis, first, second
+
+
+def balance(scene: Joint, p: Problem, at: Places) -> tuple[Places, Matrix]:
+    """Unbalanced generalised forces (those that resist, as a gradient; 0 in equilibrium) and their derivative."""
+    c, slots = p.c, slots_of(scene)
+    size, shape = at.border.shape[0], at.ball.shape[1:]
+    ball = p.ball + at.ball
+    rest: dict[str, Array] = {name: p.spring * at.border[slot] for name, slot in slots.items()}
+    eye = jnp.eye(3)[:, :, None]
+    pairs: dict[tuple[str, str], Array] = {}
+    column: dict[str, Array] = {}
+    row: dict[str, Array] = {}
+
+    def add(one: str, other: str, block: Array) -> None:
+        pairs[one, other] = pairs[one, other] + block if (one, other) in pairs else block
+
+    turn = p.seat + at.border[slots["turn"]][0] / p.lever
+    head = at.border[slots["head"]] if "head" in slots else jnp.zeros((3, shape[1]))
+    seat = _race(scene, c, p.skins["seat_ball"], 0, ball, p.seat)
+    race = _race(scene, c, p.skins["head_ball"], 1, ball - head[:, None], turn)
+    force = p.spring * at.ball + seat.ball + race.ball
+    block = p.spring * eye[..., None] + seat.by_ball + race.by_ball
+    column["turn"], row["turn"] = race.column[:, None] / p.lever, race.row[None] / p.lever
+    rest["turn"] += (jnp.sum(race.turn, 0) + p.torque)[None] / p.lever
+    add("turn", "turn", jnp.sum(race.by_turn, 0)[None, None] / p.lever**2)
+    if "head" in slots:
+        rest["head"] += c.axial_load * c.axes[1][:, None] - jnp.sum(race.ball, 1)
+        column["head"] = row["head"] = -race.by_ball
+        add("head", "head", jnp.sum(race.by_ball, 2))
+        add("head", "turn", -jnp.sum(column["turn"], 2))
+        add("turn", "head", -jnp.sum(row["turn"], 2))
+    cage = at.border[slots["cage"]] if "cage" in slots else jnp.zeros((3, shape[1]))
+    if "cage_ball" in p.skins:
+        tilt = at.border[slots["tilt"]] / p.lever if "tilt" in slots else jnp.zeros((2, shape[1]))
+        axis, first, second = tilted_axis(c, tilt)
+        arm = ball - cage[:, None]
+        height = _dot(arm, axis)
+        skin = p.skins["cage_ball"]
+        (up, stiff_up), (down, stiff_down) = (_law(skin, s * height - c.window_clearance) for s in (1, -1))
+        push, stiff = up - down, stiff_up + stiff_down
+        face = stiff * (axis[:, None] * axis[None])[:, :, None]
+        force, block = force + push * axis[:, None], block + face
+        if "cage" in slots:
+            reach = [_dot(arm, a[:, None]) for a in first]
+            rest["cage"] -= jnp.sum(push, 0) * axis
+            rest["tilt"] += jnp.stack([jnp.sum(push * r, 0) for r in reach]) / p.lever
+            cross = [(stiff * r) * axis[:, None] + push * a[:, None] for r, a in zip(reach, first, strict=True)]
+            column["cage"] = row["cage"] = -face
+            column["tilt"] = jnp.stack(cross, 1) / p.lever
+            row["tilt"] = jnp.stack(cross) / p.lever
+            add("cage", "cage", jnp.sum(face, 2))
+            add("cage", "tilt", -jnp.sum(column["tilt"], 2))
+            add("tilt", "cage", -jnp.sum(row["tilt"], 2))
+            bend = [
+                [jnp.sum(stiff * reach[i] * reach[j] + push * _dot(arm, second[i][j][:, None]), 0) for j in (0, 1)]
+                for i in (0, 1)
+            ]
+            add("tilt", "tilt", jnp.stack([jnp.stack(b) for b in bend]) / p.lever**2)
+    for name, way in {"seat_cage": ("cage",), "head_cage": ("head", "cage")}.items():
+        if name not in p.skins:
+            continue
+        signs = {part: 1.0 if part == way[0] else -1.0 for part in way if part in slots}
+        place = cage if name == "seat_cage" else head - cage
+        distance = jnp.sqrt(_dot(place, place) + 1e-24)
+        normal = place / distance
+        clearance = c.pilot_clearance[scene.pilots.index(name)]
+        push, stiff = _law(p.skins[name], distance - clearance)
+        bend = push / distance
+        spring = (stiff - bend) * normal[:, None] * normal[None] + bend * eye
+        for one, sign in signs.items():
+            rest[one] += sign * push * normal
+            for other, back in signs.items():
+                add(one, other, sign * back * spring)
+    zero = jnp.zeros((size, size, shape[1]))
+    border = zero + p.spring * jnp.eye(size)[:, :, None]
+    for (one, other), part in pairs.items():
+        border = border.at[slots[one], slots[other]].add(part)
+    names = list(slots)
+    columns = [column.get(k, jnp.zeros((3, slots[k].stop - slots[k].start, *shape))) for k in names]
+    rows = [row.get(k, jnp.zeros((slots[k].stop - slots[k].start, 3, *shape))) for k in names]
+    residual = Places(force, jnp.concatenate([rest[k] for k in names]))
+    return residual, Matrix(block, jnp.concatenate(columns, 1), jnp.concatenate(rows), border)
+
+
+def _inverse3(m: Array) -> Array:
+    """Inverse of (3, 3, ...) by cross products."""
+    a, b, c = m[0], m[1], m[2]
+    cross = [jnp.cross(x, y, axis=0) for x, y in ((b, c), (c, a), (a, b))]
+    return jnp.stack(cross, 1) / _dot(a, cross[0])
+
+
+def solve(m: Matrix, right: Places) -> Places:
+    """The arrowhead's solution, linear in ``right``: balls eliminated, the border by Gauss without pivoting, back."""
+    inverse = _inverse3(m.ball)
+    column = sum(inverse[:, j, None] * m.column[j] for j in range(3))
+    ball = sum(inverse[:, j] * right.ball[j] for j in range(3))
+    a = m.border - jnp.sum(sum(m.row[:, j, None] * column[j] for j in range(3)), 2)
+    b = right.border - jnp.sum(sum(m.row[:, j] * ball[j] for j in range(3)), 1)
+    upper, known = [], []
+    for _ in range(b.shape[0]):
+        pivot = a[0] / a[0, 0]
+        here = b[0] / a[0, 0]
+        upper.append(pivot[1:])
+        known.append(here)
+        a, b = a[1:, 1:] - a[1:, :1] * pivot[1:], b[1:] - a[1:, 0] * here
+    border: list[Array] = []
+    for line, here in zip(reversed(upper), reversed(known), strict=True):
+        border.insert(0, here - sum((u * x for u, x in zip(line, border, strict=True)), jnp.zeros_like(here)))
+    borders = jnp.stack(border)
+    return Places(ball - jnp.sum(column * borders[:, None], 1), borders)

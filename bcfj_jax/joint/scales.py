@@ -1,0 +1,42 @@
+"""Natural sizes of the joint's states, and the tolerance in these units that a force error asks for."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from bcfj_jax.joint.scene import Joint
+from bcfj_jax.scene import Params
+
+
+def scales(scene: Joint, params: Params) -> Array:
+    """Size of each state: a place by the penetration of a ball that carries its share of the torque, a velocity
+    by friction's transition speed; turns by these over the pitch radius.
+
+    An error of a place in these units is about that fraction (times n) of a ball's force. An error of a
+    velocity is that fraction of the friction of a sticking contact. Without friction a quarter of the rim speed
+    stands in: only damping reads velocities then.
+    """
+    p = params
+    load = jnp.abs(p["load_torque"]) / (scene.balls * p["pitch_radius"]) + jnp.abs(p["axial_load"]) / scene.balls + 10.0
+    law = scene.contact("seat_ball").law
+    coefficients = {name: scene.coefficient(p, "seat_ball", name) for name in law.needs}
+    trial = jnp.logspace(-8, -3, 51)
+    force = law.force(trial, jnp.zeros(51), {k: jnp.broadcast_to(v, (51,)) for k, v in coefficients.items()})
+    place = jnp.clip(jnp.interp(load, force, trial), 1e-7, 1e-3)
+    speeds = [scene.coefficient(p, x.name, "friction_speed") for x in scene.contacts if x.friction is not None]
+    speed = jnp.min(jnp.stack(speeds)) if speeds else 0.25 * jnp.abs(p["drive_speed"]) * p["pitch_radius"] + 1e-3
+    turning = [name.endswith("turn") for name, slot in scene.slots.items() if slot for _ in range(slot.stop - slot.start)]
+    border = jnp.where(np.array(turning), 1.0 / p["pitch_radius"], 1.0)
+    ball = jnp.ones((scene.balls, scene.twist)).at[:, 3:].set(1.0 / p["ball_radius"])
+    return jnp.concatenate([jnp.full(3 * scene.balls, place), place * border, speed * ball.ravel(), speed * border])
+
+
+def tolerance(force_error: float) -> float:
+    """Local error per step in units of ``scales``, measured by benchmarks/joint.py.
+
+    Looser than 0.02 saves no steps: a Rosenbrock method does not see a contact ahead, and steps that jump into one
+    are rejected; the force error is then 1e-4 of the peak already.
+    """
+    return min(0.02, 100.0 * force_error)
