@@ -25,8 +25,10 @@ from jax import Array
 from bcfj_jax import laws, scenes, tables
 from bcfj_jax.errors import InputError, nearest
 from bcfj_jax.integrate import LEVELS
+from bcfj_jax.joint.checks import check_geometry
+from bcfj_jax.joint.scene import Joint
 from bcfj_jax.quantities import CATALOGUE
-from bcfj_jax.scene import Scene, check_value
+from bcfj_jax.scene import AbstractScene, check_value
 from bcfj_jax.scenetemplate import template as template
 from bcfj_jax.spheres import Spheres
 from bcfj_jax.units import quantity
@@ -46,7 +48,7 @@ class SceneFile:
         max_steps: budget of attempted steps.
     """
 
-    scene: Scene
+    scene: AbstractScene
     params: dict[str, Array]
     times: np.ndarray
     accuracy: str | float
@@ -95,12 +97,13 @@ def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
     scene, spheres = _scene(file, where)
     values = _values(scene, file.parameters, spheres, where)
     params = scene.parameters(values)
+    if isinstance(scene, Joint):
+        check_geometry({name: float(value) for name, value in params.items()} | {"balls": scene.balls}, where)
     end = _end(scene, params, file.time, where)
     samples = file.time.samples or scene.samples
     accuracy = _accuracy(file.accuracy, where)
-    contact = scene.contacts[0]
     resolved = {
-        "scene": {"kind": scene.kind, "law": _law_name(file), "elastic": _elastic_name(scene)},
+        "scene": _resolved_options(scene, file),
         "parameters": {name: float(value) for name, value in params.items()},
         "time": {"end": end, "samples": samples},
         "accuracy": {
@@ -108,21 +111,30 @@ def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
             "max_steps": file.accuracy.max_steps,
         },
     }
-    resolved["scene"]["smoothing"] = contact.smoothed
     times = np.linspace(0.0, end, samples)
     return SceneFile(scene, params, times, accuracy, resolved, source, file.accuracy.max_steps)
+
+
+def _resolved_options(scene: AbstractScene, file: _File) -> dict[str, Any]:
+    """The scene's options with every default; what TOML has no word for (nothing) is left out."""
+    function = inspect.signature(scenes.SCENES[scene.kind]).parameters
+    options = {name: file.scene.get(name, parameter.default) for name, parameter in function.items()}
+    options |= {"law": _law_name(file), "elastic": _elastic_name(scene)}
+    if "contacts" in options:
+        options["contacts"] = [contact.name for contact in scene.contacts]
+    return {"kind": scene.kind} | {name: value for name, value in options.items() if value is not None}
 
 
 def _law_name(file: _File) -> str:
     return file.scene.get("law") or ("exact" if "restitution" in file.parameters else "memory_free")
 
 
-def _elastic_name(scene: Scene) -> str:
+def _elastic_name(scene: AbstractScene) -> str:
     part = getattr(scene.contacts[0].law, "elastic", None)
     return next(name for name, known in laws.ELASTIC.items() if type(known) is type(part))
 
 
-def _scene(file: _File, where: str) -> tuple[Scene, Spheres | None]:
+def _scene(file: _File, where: str) -> tuple[AbstractScene, Spheres | None]:
     kind = file.scene.get("kind")
     place = f"{where}: [scene]"
     if kind is None:
@@ -155,7 +167,7 @@ def _options(kind: str) -> type[tables.Table]:
     return pydantic.create_model("Options", __base__=tables.Table, kind=(str, ...), **fields)
 
 
-def _values(scene: Scene, given: Mapping[str, Any], spheres: Spheres | None, where: str) -> dict[str, float]:
+def _values(scene: AbstractScene, given: Mapping[str, Any], spheres: Spheres | None, where: str) -> dict[str, float]:
     derived = spheres.derived(f"{where}: [scene.spheres]") if spheres else {}
     known = scene.quantities
     for name in given:
@@ -167,19 +179,18 @@ def _values(scene: Scene, given: Mapping[str, Any], spheres: Spheres | None, whe
             hint = f"known here: {', '.join(sorted(known))}" if name in CATALOGUE else nearest(name, known)
             raise InputError(place, f"scene '{scene.kind}' with these options has no parameter '{name}'", hint)
     values = {name: value for name, value in derived.items() if name in known}
-    exponent = values.get("exponent", 1.0)
-    # The exponent first: the unit of a stiffness depends on it.
-    for name in sorted(given, key=lambda name: name != "exponent"):
+    defaults = dict(scene.defaults)
+    # Exponents first: the unit of a stiffness depends on its contact's, or else on the shared one.
+    for name in sorted(given, key=lambda name: not name.endswith("exponent")):
         place = f"{where}: [parameters] {name}"
-        if name == "stiffness" and "exponent" in known and "exponent" not in values:
-            exponent = dict(scene.defaults)["exponent"]
+        own = f"{name.rpartition('.')[0]}.exponent"
+        exponent = next((d[key] for key in (own, "exponent") for d in (values, defaults) if key in d), 1.0)
         values[name] = quantity(given[name], known[name].unit, place, exponent=exponent)
         check_value(place, known[name], values[name])
-        exponent = values.get("exponent", exponent)
     return values
 
 
-def _end(scene: Scene, params: dict[str, Array], time: _Time, where: str) -> float:
+def _end(scene: AbstractScene, params: dict[str, Array], time: _Time, where: str) -> float:
     end = float(scene.horizon(params)) if time.end is None else quantity(time.end, "s", f"{where}: [time] end")
     if not (math.isfinite(end) and end > 0):
         raise InputError(f"{where}: [time] end", f"{end:g} s is out of range", "give a time > 0")

@@ -159,6 +159,8 @@ def simulate(
     solution, readings = jax.device_get(_compiled[key](*arguments))
     done = time.perf_counter()
     failed = int(solution.code) != OK
+    # JAX gives dictionaries back in the order of their keys.
+    readings = {contact.name: readings[contact.name] for contact in scene.contacts}
     return Run(
         times=values,
         force={name: np.asarray(r.force) for name, r in readings.items()},

@@ -73,6 +73,8 @@ def _input_rows(given: SceneFile) -> list[list[str]]:
     rows = [["", "value", "meaning"]]
     rows += [[f"scene: {key}", str(value), ""] for key, value in resolved["scene"].items()]
     for name, quantity in given.scene.quantities.items():
+        if name not in resolved["parameters"]:
+            continue
         unit = "" if quantity.unit == "1" else f" {quantity.unit}"
         rows.append([name, f"{resolved['parameters'][name]:.8g}{unit}", quantity.meaning])
     rows += [["time: end", format_si(resolved["time"]["end"], "s"), ""]]
