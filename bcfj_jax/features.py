@@ -186,7 +186,7 @@ def onsets(times: ArrayLike, penetration: ArrayLike, rate: ArrayLike) -> list[tu
     found += [(_root(t, d, v, k), True) for k in np.flatnonzero((d[:-1] <= 0) & (d[1:] > 0))]
     found += [(_root(t, d, v, k), False) for k in np.flatnonzero((d[:-1] > 0) & (d[1:] <= 0))]
     for k in unseen(d, v):
-        start, end = t[k] - d[k] / v[k], t[k + 1] - d[k + 1] / v[k + 1]
+        start, end = np.clip((t[k] - d[k] / v[k], t[k + 1] - d[k + 1] / v[k + 1]), t[k], t[k + 1])
         # Gravity and the contact's own length make the two cross by less than they mean.
         found += [(float(start), True), (float(max(start, end)), False)]
     # At one instant an end sorts after its start.

@@ -141,19 +141,28 @@ def write_forces(path: Path, run: Run) -> None:
 
 
 def summary(run: Run) -> dict[str, Any]:
-    """``summary.json``: status, every contact's features, what the solver did."""
-    from bcfj_jax import features
+    """``summary.json``: status, every contact's features, what the solver did.
+
+    The period of a scene that turns is that of its force history, of the last two thirds; else that of its contacts.
+    """
+    from bcfj_jax import features, histories
 
     penetration, rate = channels(run.penetration), channels(run.rate)
     stats = run.stats
+    contacts = {
+        name: features.summary(run.times, force[:, 0], penetration[name], rate[name])
+        for name, force in channels(run.force, 1).items()
+    }
+    if run.slip:
+        settled = (float(run.times[-1]) / 3.0, float(run.times[-1]))
+        for name, force in channels(run.force, 1).items():
+            enough = np.count_nonzero(run.times >= settled[0]) > 10 and run.status == "ok"
+            contacts[name]["period"] = histories.period(run.times, force[:, 0], settled) if enough else float("nan")
     return {
         "status": run.status,
         "reason": run.reason,
         "failure_time": run.failure_time,
-        "contacts": {
-            name: features.summary(run.times, force[:, 0], penetration[name], rate[name])
-            for name, force in channels(run.force, 1).items()
-        },
+        "contacts": contacts,
         "units": features.UNITS | {"failure_time": "s", "wall_s": "s", "compile_s": "s"},
         "solver": {key: stats[key] for key in ("accepted", "rejected", "tolerance")},
         "wall_s": stats["wall_s"],

@@ -102,7 +102,8 @@ def forces(run: Run, path: Path) -> None:
             axis.set_xlabel(label("time", "s", time_prefix))
             axis.set_ylabel(label("force", "N", prefix))
             axis.set_xlim(run.times[0] * time_scale, run.times[-1] * time_scale)
-            axis.set_ylim(bottom=0.0)
+            if not any(np.nanmin(force, initial=0.0) < 0 for _, force in members.values()):
+                axis.set_ylim(bottom=0.0)
             if len(members) > 1:
                 axis.legend(ncols=len(members), fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.22))
         save(drawing, path)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,23 +34,32 @@ def verdict(run: Run) -> str:
 
 def resolution_warnings(run: Run) -> list[str]:
     """Contacts that the samples do not resolve, so that peaks and impulses taken from them are wrong."""
-    found = []
+    missed, shortest = {}, {}
     penetration, rate = outputs.channels(run.penetration), outputs.channels(run.rate)
     for name, depth in penetration.items():
-        missed = len(features.unseen(depth, rate[name]))
-        if missed:
-            found.append(
-                f"{name}: contacts that lie between two samples: {missed}; peak, mean, impulse and work leave them "
-                "out: raise [time] samples"
-            )
+        missed[name] = len(features.unseen(depth, rate[name]))
         pressed = np.concatenate([[False], depth > 0, [False]]).astype(int)
         lengths = np.flatnonzero(np.diff(pressed) < 0) - np.flatnonzero(np.diff(pressed) > 0)
         if lengths.size and lengths.min() < _FEW_SAMPLES and run.status == "ok":
-            found.append(
-                f"{name}: the shortest contact has {lengths.min()} sample(s) only; peak, impulse and work are coarse: "
-                "raise [time] samples"
-            )
+            shortest[name] = int(lengths.min())
+    found = []
+    missed = {name: count for name, count in missed.items() if count}
+    if missed:
+        found.append(
+            f"{_several(missed)}: contacts that lie between two samples: {sum(missed.values())}; peak, mean, impulse "
+            "and work leave them out: raise [time] samples"
+        )
+    if shortest:
+        found.append(
+            f"{_several(shortest)}: the shortest contact has {min(shortest.values())} sample(s) only; peak, impulse "
+            "and work are coarse: raise [time] samples"
+        )
     return found
+
+
+def _several(names: Iterable[str]) -> str:
+    first, *more = names
+    return f"{first} and {len(more)} more" if len(more) > 2 else ", ".join([first, *more])
 
 
 def _contacts(contacts: dict[str, dict[str, float]]) -> list[list[str]]:

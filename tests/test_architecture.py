@@ -15,12 +15,15 @@ FLOORS = {
         {"restitution", "elliptic", "stiffness"},
         {"laws"},
         {"scene"},
-        {"scenes", "dynamics"},
+        {"dynamics", "solvers"},
+        {"joint"},
+        {"scenes"},
         {"integrate", "two_way"},
+        {"ledger"},
         {"simulation"},
-        {"features", "units", "tables", "spheres", "scenetemplate", "scenefile", "provenance"},
+        {"features", "histories", "units", "tables", "spheres", "scenetemplate", "scenefile", "provenance"},
         {"outputs", "plots", "report"},
-        {"simulation_results"},
+        {"simulation_results", "reproduction"},
         {"cli"},
     ),
     "calibration": (
@@ -38,6 +41,7 @@ FLOORS = {
 WITHIN = {
     ("quantities", "errors"),
     ("stiffness", "elliptic"),
+    ("histories", "features"),
     ("spheres", "units"),
     ("spheres", "tables"),
     ("scenetemplate", "units"),
@@ -49,10 +53,13 @@ WITHIN = {
     ("report", "outputs"),
 }
 PHYSICS = {"laws", "numerics", "restitution", "elliptic", "stiffness", "dynamics", "integrate", "simulation", "two_way"}
-PHYSICS |= {"scene", "scenes", "quantities", "errors", "features"}
+PHYSICS |= {"scene", "scenes", "quantities", "errors", "features", "histories", "joint", "solvers", "ledger"}
 TOOLS = {"pint", "pydantic", "typer", "matplotlib", "calibration"}
-# What fulfils a documented abstract method or property of a law is documented there.
-INHERITED = {"force", "needs"}
+# What fulfils a documented abstract method or property is documented there: of a law, of diffrax's solvers and
+# interpolations, of a structure.
+INHERITED = {"force", "needs", "mobility"}
+INHERITED |= {"order", "error_order", "init", "func", "step", "evaluate"}
+INHERITED |= {"field", "factor", "solve", "time_derivative"}
 SOURCES = sorted(path for package in FLOORS for path in (ROOT / package).rglob("*.py"))
 
 

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import inspect
 import math
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+import tomli_w
 
-from bcfj_jax import laws, scenefile
+from bcfj_jax import laws, scenefile, scenes
 from bcfj_jax.errors import InputError
+from bcfj_jax.joint.defaults import DEFAULTS
+from bcfj_jax.joint.scene import CAGES, CONTACTS, DRIVES, FIDELITIES, HEADS, TRACKS
 from bcfj_jax.scenefile import from_table, load, template
 from bcfj_jax.tables import read
 
 pytestmark = pytest.mark.filterwarnings("error")
 
 IMPACT = '[scene]\nkind = "impact"\n'
+JOINT = '[scene]\nkind = "joint"\n'
 SPHERES = '[scene.spheres]\nradius = ["10 mm", inf]\nyoungs_modulus = ["70 GPa", inf]\npoisson = [0.3, 0.3]\n'
 SPHERES += "density = [2699, 2699]\n"
 
@@ -26,7 +32,7 @@ def written(folder: Path, text: str) -> Path:
     return path
 
 
-@pytest.mark.parametrize("kind", ["impact", "bounce"])
+@pytest.mark.parametrize("kind", ["impact", "bounce", "joint"])
 def test_template_loads_back_to_the_defaults(tmp_path, kind):
     named, filed = load(kind), load(written(tmp_path, template(kind)))
     assert filed.resolved == named.resolved
@@ -36,6 +42,37 @@ def test_template_loads_back_to_the_defaults(tmp_path, kind):
         assert "GUESS" in next(line for line in template(kind).splitlines() if line.startswith("damping"))
 
 
+def test_template_of_the_joint_says_what_every_number_is_and_where_it_is_from():
+    scene, text = load("joint").scene, template("joint")
+    lines = {line.lstrip("# ").partition(" = ")[0].strip('"'): line for line in text.splitlines() if " = " in line}
+    for name in inspect.signature(scenes.joint).parameters:
+        assert name in lines
+    for name, quantity in scene.quantities.items():
+        unit = "-" if quantity.unit == "1" else quantity.unit
+        assert f"# [{unit}] {quantity.range}. {quantity.meaning}." in lines[name]
+        if name in DEFAULTS:
+            value, source = DEFAULTS[name]
+            assert lines[name].lstrip('"').startswith(name) and f" = {value!r} " in lines[name]
+            assert lines[name].endswith(f". {source}.")
+        else:
+            assert lines[name].startswith(f'# "{name}" = {DEFAULTS[name.rpartition(".")[2]][0]!r} ')
+    assert "GUESS" in lines["offset"] and "paper" in lines["friction_static"]
+    for choices in (TRACKS, CAGES, HEADS, DRIVES, FIDELITIES, laws.FRICTION, CONTACTS):
+        assert ", ".join(choices) in text.replace('"', "")
+
+
+def test_template_of_the_joint_with_all_its_own_coefficients_is_the_same_joint(tmp_path):
+    # What stands behind the comment sign is good too: the shared values, contact by contact.
+    text = re.sub(r'(?m)^# ("\w+\.\w+" = )', r"\1", template("joint"))
+    given, named = load(written(tmp_path, text)), load("joint")
+    own = set(given.params) - set(named.params)
+    assert own == {name for name in named.scene.quantities if "." in name and name not in DEFAULTS}
+    for contact in named.scene.contacts:
+        for name in contact.needs:
+            values = [float(named.scene.coefficient(x.params, contact.name, name)) for x in (given, named)]
+            assert values[0] == values[1]
+
+
 @pytest.mark.parametrize("name", ["chung_ooi_test1", "chung_ooi_test2"])
 def test_resolved_input_loads_back_to_itself(name):
     first = load(Path(__file__).parent.parent / "examples" / f"{name}.toml")
@@ -43,6 +80,63 @@ def test_resolved_input_loads_back_to_itself(name):
     assert again.resolved == first.resolved
     assert np.array_equal(again.times, first.times)
     assert {k: float(v) for k, v in again.params.items()} == {k: float(v) for k, v in first.params.items()}
+
+
+JOINTS = {
+    "defaults": "",
+    "cage": 'cage = "fixed"\n',
+    "frictions": 'friction = "step"\nfrictions = { cage_ball = false }\n',
+    "contacts": 'contacts = ["seat_ball", "head_ball"]\nhead = "fixed"\nballs = 3\ntrack = "circular"\n',
+    "own": 'fidelity = "quasistatic"\n[parameters]\n"seat_ball.stiffness" = "4e10 N/m^1.5"\nrestitution = 0.9\n',
+    "laws": 'laws = { cage_ball = "hertz" }\nelastic = "linear"\n',
+}
+
+
+@pytest.mark.parametrize("text", JOINTS.values(), ids=JOINTS.keys())
+def test_resolved_joint_loads_back_to_itself(tmp_path, text):
+    first = load(written(tmp_path, JOINT + text))
+    again = from_table(read_back(first.resolved, tmp_path), Path("run.toml"))
+    assert again.resolved == first.resolved and again.scene == first.scene
+    assert {k: float(v) for k, v in again.params.items()} == {k: float(v) for k, v in first.params.items()}
+
+
+# The resolved elastic part is the first contact's: with kelvin_voigt for some contacts it is not that of the others.
+@pytest.mark.xfail(strict=True, reason="scenefile._resolved_options states one elastic part for unlike contacts")
+@pytest.mark.parametrize("contact", ["cage_ball", "seat_cage"])
+def test_resolved_joint_with_unlike_elastic_parts_loads_back_to_itself(tmp_path, contact):
+    first = load(written(tmp_path, JOINT + f'laws = {{ {contact} = "kelvin_voigt" }}\n'))
+    again = from_table(first.resolved, Path("run.toml"))
+    assert again.scene == first.scene
+
+
+def read_back(table: dict, folder: Path) -> dict:
+    """A resolved table through a file, as ``run.toml``."""
+    path = folder / "run.toml"
+    path.write_text(tomli_w.dumps(table), encoding="utf-8")
+    return read(path)
+
+
+def test_joint_in_units(tmp_path):
+    text = '[parameters]\ndrive_speed = "100 r/min"\nload_torque = "1.8 kN m"\njoint_angle = "23 deg"\n'
+    text += 'clearance_seat_cage = "30 um"\n"cage_ball.stiffness" = "1e5 N/mm^1.5"\n'
+    given, named = load(written(tmp_path, JOINT + text)), load("joint")
+    for name in ("drive_speed", "load_torque", "joint_angle"):
+        assert float(given.params[name]) == pytest.approx(float(named.params[name]), rel=1e-12)
+    assert float(given.params["clearance_seat_cage"]) == 30e-6
+    assert float(given.params["cage_ball.stiffness"]) == pytest.approx(1e5 * 1000**1.5)
+
+
+def test_stiffness_of_one_contact_goes_by_its_own_exponent(tmp_path):
+    text = JOINT + '[parameters]\n"seat_ball.exponent" = 1.0\n"seat_ball.stiffness" = "1e5 N/mm"\n'
+    given = load(written(tmp_path, text + 'stiffness = "1e5 N/mm^1.5"\n'))
+    assert float(given.params["seat_ball.stiffness"]) == pytest.approx(1e8)
+    assert float(given.params["stiffness"]) == pytest.approx(1e5 * 1000**1.5)
+
+
+@pytest.mark.xfail(strict=True, reason="scenefile._values takes the shared exponent for a contact that reads none")
+def test_stiffness_of_one_linear_contact_has_exponent_one(tmp_path):
+    text = JOINT + 'laws = { seat_ball = "kelvin_voigt" }\n[parameters]\n"seat_ball.stiffness" = "2 N/um"\n'
+    assert float(load(written(tmp_path, text)).params["seat_ball.stiffness"]) == pytest.approx(2e6)
 
 
 def test_units_times_and_accuracy(tmp_path):
@@ -114,6 +208,24 @@ BAD = [
     (IMPACT + SPHERES.replace('"70 GPa"', '"70 GN"'), ["[scene.spheres] youngs_modulus", "'70 GN'", '"207 GPa"']),
     (IMPACT + 'elastic = "liu"\n' + SPHERES, ["[scene] elastic", "'liu'", "power"]),
     (IMPACT.replace("impact", "bounce") + SPHERES, ["[scene] spheres", "unknown key"]),
+    (JOINT + "contact = []\n", ["[scene] contact", "unknown key", "did you mean 'contacts'?"]),
+    (JOINT + "balls = 6.5\n", ["[scene] balls", "6.5", "integer"]),
+    (JOINT + "[scene.spheres]\nradius = [1, 1]\n", ["[scene] spheres", "unknown key"]),
+    (JOINT + 'law = "herz"\n', ["[scene] law", "'herz'", "did you mean 'hertz'?"]),
+    (JOINT + "[parameters]\nclearance_seat_ball = -1e-5\n", ["[parameters] clearance_seat_ball", "-1e-05 m", ">= 0"]),
+    (JOINT + '[parameters]\nclearance_cage_ball = "-1 um"\n', ["clearance_cage_ball: ", "window face", ">= 0"]),
+    (JOINT + '[parameters]\njoint_angle = "95 deg"\n', ["[parameters] joint_angle", "1.65806 rad", "<= 1.5"]),
+    (JOINT + "[parameters]\nconformity = 0.5\n", ["[parameters] conformity", "0.5", "> 0.5"]),
+    (JOINT + '[parameters]\nload_torque = "1.8 kN"\n', ["[parameters] load_torque", "'1.8 kN'", '"1.8 kN m"']),
+    (JOINT + '[parameters]\n"seat_bal.stiffness" = 1\n', ["[parameters] seat_bal.stiffness", "'seat_ball.stiffness'"]),
+    (JOINT + '[parameters]\n"seat_ball.stiffness" = "1e5 N/mm"\n', ["seat_ball.stiffness", "exponent is 1.5"]),
+    (JOINT + "[parameters]\nseat_inertia = 1\n", ["[parameters] seat_inertia", "with these options", "known here:"]),
+    (JOINT + "friction = false\n[parameters]\nfriction_static = 0.1\n", ["friction_static", "known here:"]),
+    (JOINT + '[parameters]\nball_radius = "4 mm"\n', ["ball_radius", "0.004 m", "both tracks", "more than 0.0045 m"]),
+    (JOINT + '[parameters]\npitch_radius = "45 mm"\n', ["pitch_radius", "short of the head's track", "or less"]),
+    (JOINT + '[parameters]\nhead_radius = "41 mm"\n', ["seat_radius", "does not enclose the head"]),
+    (JOINT + '[parameters]\nclearance_seat_cage = "10 mm"\n', ["clearance_seat_cage", "a wall of", "give smaller"]),
+    (JOINT + "balls = 14\n", ["balls", "14 balls", "overlap", "give fewer"]),
     ("[scene\n", [", line 1", "not TOML"]),
     (IMPACT + "law = hertz\n", [", line 3", "not TOML"]),
 ]
@@ -122,6 +234,28 @@ BAD = [
 @pytest.mark.parametrize(("text", "parts"), BAD, ids=[str(i) for i in range(len(BAD))])
 def test_bad_files_name_file_key_value_and_remedy(tmp_path, text, parts):
     path = written(tmp_path, text)
+    with pytest.raises(InputError) as caught:
+        load(path)
+    for part in [str(path), *parts]:
+        assert part in str(caught.value)
+
+
+# What the scene itself refuses names neither the file nor the table.
+PLACELESS = [
+    ('track = "gothik"\n', ["[scene] track", "did you mean 'gothic'?"]),
+    ('friction = "brown"\n', ["[scene] friction", "did you mean 'brown_mcphee'?"]),
+    ("friction = 3\n", ["[scene] friction:", "3"]),
+    ('laws = { cage_ball = "herz" }\n', ["[scene] laws", "cage_ball", "did you mean 'hertz'?"]),
+    ('laws = { cage_bal = "hertz" }\n', ["[scene] laws", "did you mean 'cage_ball'?"]),
+    ('contacts = ["seat_ball"]\n', ["[scene] contacts", "without head_ball"]),
+    ("balls = 2\n", ["[scene] balls", "3 or more"]),
+]
+
+
+@pytest.mark.xfail(strict=True, reason="scenefile does not tell scenes.joint where its options are from")
+@pytest.mark.parametrize(("text", "parts"), PLACELESS, ids=[str(i) for i in range(len(PLACELESS))])
+def test_bad_options_of_the_joint_name_file_and_key(tmp_path, text, parts):
+    path = written(tmp_path, JOINT + text)
     with pytest.raises(InputError) as caught:
         load(path)
     for part in [str(path), *parts]:

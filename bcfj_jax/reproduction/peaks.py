@@ -1,0 +1,88 @@
+"""The peaks that the calibration reads, of the quasistatic joint without friction, with exact derivatives.
+
+Two small programs instead of one large one, which takes minutes to compile: the search for equilibrium, and forces as
+functions of the parameters about the places found, by the implicit function theorem. Neither computes velocities.
+"""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from bcfj_jax.joint import quasistatic as equilibrium
+from bcfj_jax.joint.balance import Places
+from bcfj_jax.joint.constants import constants
+from bcfj_jax.joint.observe import observe_at_rest
+from bcfj_jax.joint.scene import Joint
+from bcfj_jax.scene import Params
+from bcfj_jax.scenes import joint
+
+# The numbers fitted, in this order, and the claims they are of; Q23 is a range, and so two numbers.
+TARGETS = ("Q20", "Q21", "Q23 least", "Q23 greatest", "Q26", "Q27")
+_INSTANTS = 24
+
+
+def still_scene() -> Joint:
+    """The joint of the calibration: equilibrium at each instant, no friction."""
+    return joint(fidelity="quasistatic", friction=False)
+
+
+def instants(params: Params, balls: int) -> np.ndarray:
+    """Times over one passage of a ball [s], well past the load ramp: equal balls repeat what the joint does."""
+    turn = 2.0 * np.pi / float(params["drive_speed"])
+    first = turn * np.ceil(2.0 * float(params["load_ramp"]) / turn)
+    return first + turn / balls * np.arange(_INSTANTS) / _INSTANTS
+
+
+@eqx.filter_jit
+def places(scene: Joint, params: Params, times: Array) -> tuple[Places, Array]:
+    """Equilibrium at each time, and whether it was found."""
+    found, converged, _ = equilibrium._search(scene, equilibrium._problem(scene, params, times), times)
+    return found, converged
+
+
+def _peaks(scene: Joint, params: Params, times: Array, found: Places) -> Array:
+    problem = equilibrium._problem(scene, params, times)
+    at = equilibrium._flat(scene, problem, equilibrium._equilibrium(scene)(problem, found))
+    c = constants(scene, params)
+    states = equilibrium._with_rates(scene, c, at, jnp.zeros_like(at))
+    force = {name: reading.force[..., 0] for name, reading in jax.vmap(lambda y: observe_at_rest(scene, c, y))(states).items()}
+    return jnp.stack(
+        [
+            jnp.max(force["seat_cage"]),
+            jnp.max(force["head_cage"]),
+            jnp.min(force["cage_ball"]),
+            jnp.max(force["cage_ball"]),
+            jnp.max(force["seat_ball"]),
+            jnp.max(force["head_ball"]),
+        ]
+    )
+
+
+@eqx.filter_jit
+def _slopes(scene: Joint, params: Params, free: Params, times: Array, found: Places) -> tuple[Array, Params]:
+    def at(free: Params) -> tuple[Array, Array]:
+        peaks = _peaks(scene, {**params, **free}, times, found)
+        return peaks, peaks
+
+    slopes, peaks = jax.jacfwd(at, has_aux=True)(free)
+    return peaks, slopes
+
+
+def peaks(scene: Joint, params: Params, free: Params) -> tuple[np.ndarray, dict[str, np.ndarray], bool]:
+    """The numbers of ``TARGETS`` [N], their derivatives by each free parameter, and whether equilibrium was found.
+
+    Args:
+        scene: ``still_scene``.
+        params: all parameters.
+        free: those to differentiate by, which replace the ones in ``params``.
+    """
+    times = jnp.asarray(instants(params, scene.balls))
+    free = {name: jnp.asarray(value, dtype=float) for name, value in free.items()}
+    found, converged = places(scene, {**params, **free}, times)
+    values, slopes = _slopes(scene, dict(params), free, times, found)
+    good = bool(jnp.all(converged)) and bool(jnp.all(jnp.isfinite(values)))
+    return np.asarray(values), {name: np.asarray(slope) for name, slope in slopes.items()}, good

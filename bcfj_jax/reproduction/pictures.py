@@ -1,0 +1,133 @@
+"""Pictures in the manner of the paper's figures 8 to 14: a force history a contact, and with and without clearance."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bcfj_jax import features, plots
+from bcfj_jax.reproduction.claims import claim
+from bcfj_jax.reproduction.measures import ORDER, WINDOW_AXIAL, WINDOW_NORMAL, resultant
+from bcfj_jax.simulation import Run
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+FILES = (
+    "point_1_seat_cage.png",
+    "point_2_head_cage.png",
+    "point_3_cage_ball.png",
+    "point_4_seat_ball.png",
+    "point_5_head_ball.png",
+    "no_clearance_fit.png",
+    "small_clearances.png",
+)
+_PARTS = ("normal", "axial", "tangential")
+_WIDE = 9.0
+_THIN = {"linewidth": 0.9}
+_PAPER = {"color": "#222222", "linewidth": 1.0, "linestyle": (0, (5, 3))}
+
+
+def draw(folder: Path, runs: dict[str, Run], tight: Run | None) -> list[Path]:
+    """Write every picture there are runs for; runs by name ("as given", "calibrated"), the first of them leading."""
+    written = [_guide(folder / FILES[0], runs, 1, "seat_cage", "Q20"), _guide(folder / FILES[1], runs, 2, "head_cage", "Q21")]
+    for name, point, contact, claims in (
+        (FILES[2], 3, "cage_ball", "Q23"), (FILES[3], 4, "seat_ball", "Q26"), (FILES[4], 5, "head_ball", "Q27"),
+    ):  # fmt: skip
+        written.append(_balls(folder / name, runs, point, contact, claims))
+    first = next(iter(runs.values()))
+    if first.times[-1] >= WINDOW_AXIAL[1]:
+        written.append(_smooth(folder / FILES[5], first))
+    if tight is not None:
+        written.append(_tight(folder / FILES[6], first, tight))
+    return written
+
+
+def _axis(axis: Axes, run: Run, title: str, what: str) -> None:
+    axis.set_title(title)
+    axis.set_xlabel("time [s]")
+    axis.set_ylabel(f"{what} [kN]")
+    axis.set_xlim(run.times[0], run.times[-1])
+
+
+def _paper(axis: Axes, id: str) -> None:
+    """The paper's peaks as dashed lines."""
+    row = claim(id)
+    for number, value in enumerate(row.values):
+        axis.axhline(value / 1e3, label=f"paper, {id}: {row.printed}" if number == 0 else None, **_PAPER)  # type: ignore[arg-type]
+
+
+def _legend(axis: Axes, columns: int) -> None:
+    axis.legend(ncols=columns, fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.2))
+
+
+def _guide(path: Path, runs: dict[str, Run], point: int, contact: str, id: str) -> Path:
+    """Three components of a sphere in a sphere, the runs on top of each other."""
+    with plots.style():
+        drawing, axes = plots.figure(3, width=_WIDE, height=2.5)
+        for part, axis in enumerate(axes):
+            for name, run in runs.items():
+                axis.plot(run.times, run.force[contact][:, part] / 1e3, label=name, **_THIN)
+                _axis(axis, run, f"Point {point}, {contact}: {_PARTS[part]}", "force")
+            if part == 0:
+                _paper(axis, id)
+        _legend(axes[0], len(runs) + 1)
+        plots.save(drawing, path)
+    return path
+
+
+def _balls(path: Path, runs: dict[str, Run], point: int, contact: str, id: str) -> Path:
+    """Six balls on top of each other, a panel a run."""
+    what = "normal force" if contact == "cage_ball" else "resultant"
+    with plots.style():
+        drawing, axes = plots.figure(len(runs), width=_WIDE, height=3.1)
+        for (name, run), axis in zip(runs.items(), axes, strict=True):
+            force = run.force[contact]
+            values = force[..., 0] if contact == "cage_ball" else resultant(force)
+            for ball in range(values.shape[1]):
+                axis.plot(run.times, values[:, ball] / 1e3, label=f"ball {ball + 1}", **_THIN)
+            _axis(axis, run, f"Point {point}, {contact}, {name}", what)
+            _paper(axis, id)
+            low = claim(id).values[0]
+            axis.set_ylim(bottom=1.12 * low / 1e3 if low < 0 else 0.0)
+        _legend(axes[-1], 7)
+        plots.save(drawing, path)
+    return path
+
+
+def _smooth(path: Path, run: Run) -> Path:
+    """Force of the cage on the seat, the polynomial "without clearance" over the paper's windows, and what is left."""
+    with plots.style():
+        drawing, axes = plots.figure(4, width=_WIDE, height=2.3)
+        for row, (part, window) in enumerate(((0, WINDOW_NORMAL), (1, WINDOW_AXIAL))):
+            force = run.force["seat_cage"][:, part]
+            fit = features.no_clearance_fit(run.times, force, window, ORDER)
+            at = features.within(run.times, window)
+            above, below = axes[2 * row], axes[2 * row + 1]
+            above.plot(run.times[at], force[at] / 1e3, label="model, with clearance", **_THIN)
+            above.plot(fit.times, np.asarray(fit.fitted) / 1e3, label=f"polynomial of order {ORDER}")
+            _axis(above, run, f"Point 1, seat_cage: {_PARTS[part]}, as given", "force")
+            below.plot(fit.times, np.asarray(fit.residual) / 1e3, color=plots.COLOURS[3], **_THIN)
+            _axis(below, run, "left over", "force")
+            for axis in (above, below):
+                axis.set_xlim(*window)
+            above.legend(ncols=2, fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 0.98))
+        plots.save(drawing, path)
+    return path
+
+
+def _tight(path: Path, run: Run, tight: Run) -> Path:
+    """One turn with the clearances as given and with small ones, normal forces; ball 1 where there are six."""
+    with plots.style():
+        drawing, axes = plots.figure(len(run.force), width=_WIDE, height=2.2)
+        for axis, name in zip(axes, run.force, strict=True):
+            for label, which in (("clearances as given", run), ("a tenth of them", tight)):
+                force = which.force[name][..., 0]
+                axis.plot(which.times, (force if force.ndim == 1 else force[:, 0]) / 1e3, label=label, **_THIN)
+            _axis(axis, run, name if run.force[name].ndim == 2 else f"{name}, ball 1", "normal force")
+            axis.set_xlim(0.0, min(0.8, run.times[-1]))
+        axes[0].legend(ncols=2, fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 0.98))
+        plots.save(drawing, path)
+    return path

@@ -1,0 +1,511 @@
+"""The joint's equations of motion, their linear algebra and solvers, and what options take out of the program."""
+
+from __future__ import annotations
+
+import functools
+
+import diffrax as dfx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from conftest import BUILD
+from jax.extend.core import ClosedJaxpr, Jaxpr
+from oracles import within
+from scipy.integrate import solve_ivp
+from typer.testing import CliRunner
+
+from bcfj_jax import scenes, simulation
+from bcfj_jax.cli import app
+from bcfj_jax.errors import InputError
+from bcfj_jax.joint import geometry, system
+from bcfj_jax.joint.arrowhead import Arrowhead
+from bcfj_jax.joint.constants import constants
+from bcfj_jax.joint.scene import CONTACTS
+from bcfj_jax.joint.skin import SkinPair
+from bcfj_jax.joint.start import nominal
+from bcfj_jax.scenefile import load
+from bcfj_jax.solvers.rodas import Rodas
+from bcfj_jax.solvers.sdirk import Sdirk
+from bcfj_jax.solvers.small import inverse, inverse3, inverse6
+from bcfj_jax.solvers.structure import Dense
+
+UNLIKE = {"head_ball": "kelvin_voigt", "head_cage": "hertz"}
+GROOVES = ("seat_ball", "head_ball")
+OPTIONS = {
+    "all": {},
+    "spin": {"spin": True},
+    "frictionless": {"friction": False},
+    "cage": {"cage": "fixed"},
+    "circular": {"track": "circular"},
+    "head": {"head": "fixed"},
+    "flexible": {"drive": "flexible"},
+    "unlike": {"laws": UNLIKE, "frictions": {"seat_ball": "coulomb", "seat_cage": False}, "spin": True},
+    "grooves": {"contacts": GROOVES, "cage": "fixed", "head": "fixed"},
+    "windowless": {"contacts": ("seat_cage", "head_cage", *GROOVES)},
+    "pilotless": {"contacts": ("cage_ball", *GROOVES)},
+    "one pilot": {"contacts": ("seat_cage", "cage_ball", *GROOVES), "balls": 3, "smoothing": False},
+}
+EACH = pytest.mark.parametrize("options", OPTIONS.values(), ids=OPTIONS.keys())
+
+
+def made(options):
+    scene = scenes.joint(**options)
+    params = scene.parameters()
+    return scene, params, jax.jit(constants, static_argnums=0)(scene, params)
+
+
+def disturbed(scene, params, seed: int = 0) -> jax.Array:
+    """A state some 30 um and 0.3 m/s off the nominal one, turned by 0.3 rad; the cage's axis is a unit vector."""
+    rng = np.random.default_rng(seed)
+    y = np.array(nominal(scene, params, jnp.asarray(0.3)))
+    places = 3 * scene.balls + scene.border
+    y += np.r_[3e-5 * rng.normal(size=places), 0.3 * rng.normal(size=y.size - places)]
+    if scene.slots["cage_turn"] is not None:
+        axis = y[3 * scene.balls :][scene.slots["cage_turn"]]
+        axis /= np.linalg.norm(axis)
+    return jnp.asarray(y)
+
+
+# --- linear algebra
+
+
+@EACH
+def test_arrowhead_solves_with_the_exact_jacobian(options):
+    scene, params, c = made(options)
+    assert isinstance(c.groove_skin, SkinPair) == ("laws" in options)
+    y, t, places = disturbed(scene, params), jnp.asarray(0.02), 3 * scene.balls + scene.border
+    right = np.random.default_rng(1).normal(size=y.size) * np.where(np.arange(y.size) < places, 1.0, 1e4)
+    structure = Arrowhead()
+
+    @jax.jit
+    def both(y, right, scale, c):
+        jacobian = jax.jacfwd(lambda y: system.field(t, y, (scene, c)))(y)
+        return structure.solve(structure.factor(t, y, (scene, c), scale), right), jacobian
+
+    for scale in (2e-5, 1e-3):
+        got, jacobian = both(y, right, scale, c)
+        wanted = np.linalg.solve(np.eye(y.size) / scale - np.asarray(jacobian), right)
+        for part in (slice(0, places), slice(places, None)):
+            assert abs(np.asarray(got) - wanted)[part].max() <= 1e-9 * abs(wanted[part]).max()
+
+
+def test_time_derivative_is_that_of_load_and_drive():
+    for options in ({}, {"drive": "flexible"}):
+        scene, params, c = made(options)
+        y, t, h = disturbed(scene, params), 0.02, 1e-5
+        got = Arrowhead().time_derivative(jnp.asarray(t), y, (scene, c))
+        up, down = (np.asarray(system.field(jnp.asarray(x), y, (scene, c))) for x in (t + h, t - h))
+        assert np.allclose(got, (up - down) / (2 * h), rtol=1e-4, atol=1e-6 * abs(np.asarray(got)).max())
+        assert np.count_nonzero(got) == (2 if options else 1)
+
+
+def test_small_inverses():
+    rng = np.random.default_rng(2)
+    for size, function in ((3, inverse3), (6, inverse6)):
+        many = rng.normal(size=(20, size, size)) + 4.0 * np.eye(size)
+        assert np.allclose(jax.jit(function)(many), np.linalg.inv(many), rtol=0, atol=1e-12)
+    one = rng.normal(size=(11, 11)) + 8.0 * np.eye(11)
+    assert np.allclose(inverse(jnp.asarray(one)), np.linalg.inv(one), rtol=0, atol=1e-12)
+
+
+# --- start
+
+
+@EACH
+def test_start_is_assembled_and_consistent(options):
+    scene, params, c = made(options)
+    turn = jnp.asarray(0.3)
+    y = nominal(scene, params, turn)
+    assert y.shape == (scene.states,)
+    state = system.view(scene, c, y)
+    found = system.touches(scene, c, state)
+    # Gaps, none negative but for rounding; on the tracks exactly (circular: up to the 1e-12 m that keeps it smooth).
+    assert np.allclose(found.grooves.penetration, -1e-5, rtol=0, atol=2e-12 if scene.track == "circular" else 1e-15)
+    if found.windows is not None:
+        assert np.allclose(found.windows.penetration, -1e-5, rtol=0, atol=1e-15)
+    if found.pilots is not None:
+        assert np.allclose(found.pilots.penetration, -5e-5, rtol=0, atol=2e-12)
+    for touch in (x for x in found if x is not None):
+        assert np.all(np.asarray(touch.normal) == 0.0)
+    # Velocities are those of the nominal motion.
+    places, h = 3 * scene.balls + scene.border, 1e-4
+    up, down = (np.asarray(nominal(scene, params, turn + s * h)) for s in (1.0, -1.0))
+    rates = float(params["drive_speed"]) * (up - down)[:places] / (2 * h)
+    moving = np.asarray(system.field(jnp.asarray(0.0), y, (scene, c)))[:places]
+    assert np.allclose(moving, rates, rtol=0, atol=1e-7)
+    # No load yet: nothing is accelerated. (A free ball of a nominal motion would be, but nothing holds it.)
+    assert np.all(np.asarray(system.field(jnp.asarray(0.0), y, (scene, c)))[places:] == 0.0)
+
+
+def test_start_without_any_clearance():
+    scene, _, _ = made({})
+    params = scene.parameters({f"clearance_{name}": 0.0 for name in CONTACTS})
+    c = constants(scene, params)
+    for turn in (0.0, 1.0):
+        found = system.touches(scene, c, system.view(scene, c, nominal(scene, params, jnp.asarray(turn))))
+        for touch in found:
+            assert np.all(abs(np.asarray(touch.penetration)) <= 2e-12)
+    beta, radius = params["joint_angle"], geometry.track_radius(params["pitch_radius"], params["offset"])
+    y = nominal(scene, params, jnp.asarray(0.0))
+    assert np.allclose(y[:3], geometry.ball_centre(0.0, beta, radius, params["offset"]), rtol=1e-14)
+
+
+# --- forces on bodies
+
+
+def test_forces_balance():
+    # All contact forces are internal: with the reactions of the seat, their sum and moment vanish.
+    scene, params, c = made({"spin": True})
+    state = system.view(scene, c, disturbed(scene, params))
+    found = system.touches(scene, c, state)
+    ball, border = system.on_bodies(scene, c, state, found)
+    seat = -np.sum(np.asarray(found.grooves.force[:, 0]), 0) - np.asarray(found.pilots.force[0])
+    at = {name: np.asarray(border[slot]) for name, slot in scene.slots.items()}
+    total = np.sum(np.asarray(ball[:, :3]), 0) + at["head"] + at["cage"] + seat
+    assert np.allclose(total, 0.0, rtol=0, atol=1e-9 * abs(np.asarray(ball)).max())
+    # Power of all generalised forces is what contacts take on their relative twists.
+    y = disturbed(scene, params)
+    rates = np.asarray(y[(3 + scene.twist) * scene.balls + scene.border :])
+    twists = np.concatenate([state.ball_velocity, state.ball_spin], -1)
+    power = np.sum(np.asarray(ball) * twists) + np.asarray(border) @ rates
+    motion, _, _ = system.races(c, state)
+    window = system.relative(state, state.cage_place, state.cage_velocity, state.cage_spin)
+    pilot, _ = system.guided(scene, c, state)
+    pairs = ((found.grooves, motion), (found.windows, window), (found.pilots, pilot))
+    taken = sum(jnp.sum(touch.force * move.velocity) + jnp.sum(touch.moment * move.spin) for touch, move in pairs)
+    assert power == within(float(taken), 1e-10)
+
+
+# --- options
+
+
+def primitives(jaxpr: Jaxpr) -> list[str]:
+    """Names of all primitives, inside calls and loops too."""
+    names = []
+    for equation in jaxpr.eqns:
+        names.append(equation.primitive.name)
+        for value in equation.params.values():
+            for inner in value if isinstance(value, (tuple, list)) else (value,):
+                if isinstance(inner, ClosedJaxpr):
+                    names += primitives(inner.jaxpr)
+                elif isinstance(inner, Jaxpr):
+                    names += primitives(inner)
+    return names
+
+
+@functools.cache
+def program(**options) -> tuple[int, tuple[str, ...]]:
+    scene = scenes.joint(**options)
+    params = scene.parameters()
+    y = jax.ShapeDtypeStruct((scene.states,), jnp.float64)
+    c = jax.eval_shape(functools.partial(constants, scene), params)
+    traced = jax.make_jaxpr(lambda t, y, c: system.field(t, y, (scene, c)))(0.0, y, c)
+    return scene.states, tuple(primitives(traced.jaxpr))
+
+
+SMALLER = [
+    ({}, {"friction": False}),
+    ({}, {"smoothing": False}),
+    ({}, {"cage": "fixed"}),
+    ({}, {"head": "fixed"}),
+    ({}, {"track": "circular"}),
+    ({}, {"law": "hertz"}),
+    ({"spin": True}, {}),
+    ({"drive": "flexible"}, {}),
+    ({}, {"contacts": ("head_cage", "cage_ball", *GROOVES)}),
+    ({}, {"contacts": ("cage_ball", *GROOVES)}),
+    ({}, {"contacts": ("seat_cage", "head_cage", *GROOVES)}),
+]
+
+
+@pytest.mark.parametrize(("full", "less"), SMALLER, ids=[str(less or f"no {full}") for full, less in SMALLER])
+def test_what_an_option_takes_out_is_not_in_the_program(full, less):
+    assert len(program(**less)[1]) < len(program(**full)[1])
+
+
+def test_a_frictionless_joint_has_no_friction_and_a_fixed_cage_no_state():
+    assert "tanh" in program()[1]
+    assert "tanh" not in program(friction=False)[1]
+    assert program(friction=False)[0] == program()[0] == 2 * (18 + 11)
+    assert program(cage="fixed")[0] == 2 * (18 + 5)
+    assert program(head="fixed")[0] == 2 * (18 + 8)
+    assert program(spin=True)[0] == 3 * 18 + 18 + 2 * 11
+    assert program(balls=3)[0] == 2 * (9 + 11)
+    for name, needed in (("friction_static", "friction"), ("smoothing", "smoothing")):
+        assert name in scenes.joint().quantities and name not in scenes.joint(**{needed: False}).quantities
+    assert "cage_mass" not in scenes.joint(cage="fixed").quantities
+    assert "clearance_seat_cage" not in scenes.joint(cage="fixed").quantities
+    assert "contact_angle" not in scenes.joint(track="circular").quantities
+    assert "drive_stiffness" in scenes.joint(drive="flexible").quantities
+
+
+# --- solvers
+
+
+def pol(t, y, mu):
+    """Van der Pol, driven: nonlinear, depends on time."""
+    return jnp.stack([y[1], mu * ((1 - y[0] ** 2) * y[1]) - y[0] + jnp.sin(3 * t)])
+
+
+def run(solver, function, args, y0, end, steps, times=None, adjoint=None):
+    """Equal steps."""
+    save = dfx.SaveAt(t1=True) if times is None else dfx.SaveAt(ts=times)
+    return dfx.diffeqsolve(
+        dfx.ODETerm(function), solver, 0.0, end, end / steps, y0, args, saveat=save, max_steps=2 * steps,
+        stepsize_controller=dfx.ConstantStepSize(), adjoint=adjoint or dfx.ForwardMode(),
+    ).ys  # fmt: skip
+
+
+def sdirk(function, size: int = 2) -> Sdirk:
+    return Sdirk(Dense(function), jnp.full(size, 1e-11))
+
+
+INSIDE = jnp.linspace(0.011, 1.987, 150)
+
+
+@functools.cache
+def reference():
+    def right(t, y):
+        return [y[1], 2 * ((1 - y[0] ** 2) * y[1]) - y[0] + np.sin(3 * t)]
+
+    times = np.r_[np.asarray(INSIDE), 2.0]
+    return solve_ivp(right, (0, 2), [2.0, 0.0], rtol=1e-12, atol=1e-13, method="DOP853", t_eval=times).y.T
+
+
+@pytest.mark.parametrize(("solver", "order"), [(Rodas(Dense(pol)), 4), (sdirk(pol), 2)], ids=["rodas", "sdirk"])
+def test_orders_of_convergence(solver, order):
+    errors = {"end": [], "inside": []}
+    for steps in (40, 80, 160):
+        states = run(solver, pol, jnp.asarray(2.0), jnp.array([2.0, 0.0]), 2.0, steps, jnp.append(INSIDE, 2.0))
+        error = abs(np.asarray(states) - reference()).max(1)
+        errors["end"].append(error[-1])
+        errors["inside"].append(error[:-1].max())
+    rates = {name: np.log2(np.array(e[:-1]) / e[1:]) for name, e in errors.items()}
+    assert np.all(rates["end"] > order - 0.35) and np.all(rates["end"] < order + 0.8)
+    assert np.all(rates["inside"] > min(order, 3) - 0.35)
+    assert errors["end"][-1] < (1e-6 if order == 4 else 1e-3)
+    assert solver.order(None) == order
+
+
+def stiff(t, y, rate):
+    return -rate * (y - jnp.cos(t))
+
+
+@pytest.mark.parametrize("solver", [Rodas(Dense(stiff)), sdirk(stiff, 1)], ids=["rodas", "sdirk"])
+def test_l_stability(solver):
+    # The slow solution is followed, and what is off it is gone after one step.
+    for rate in (1e4, 1e8, 1e12):
+        # Rosenbrock methods of order 4 keep some h/rate of it.
+        for steps, bound in ((1, 0.2), (20, 1e-2)):
+            end = run(solver, stiff, jnp.asarray(rate), jnp.array([1e3]), 1.0, steps)
+            assert abs(float(end[0, 0]) - np.cos(1.0)) < max(bound * 1e4 / rate, 2e-2 if steps == 1 else 1e-3)
+
+
+def spun(t, y, rate):
+    del t
+    return rate * jnp.stack([y[1], -y[0]])
+
+
+@pytest.mark.parametrize("solver", [Rodas(Dense(spun)), sdirk(spun)], ids=["rodas", "sdirk"])
+def test_a_stability_on_the_imaginary_axis(solver):
+    step = jax.jit(lambda rate: run(solver, spun, rate, jnp.array([1.0, 0.0]), 1.0, 1)[0])
+    sizes = np.array([float(jnp.linalg.norm(step(rate))) for rate in 10.0 ** np.arange(-2, 7)])
+    assert np.all(sizes <= 1.0 + 1e-9)
+    assert sizes[-1] < 1e-3
+
+
+def test_tangents_of_sdirk_are_those_of_its_values():
+    solver = sdirk(pol)
+
+    def final(x, adjoint=None):
+        return run(solver, pol, x[2], x[:2], 2.0, 60, adjoint=adjoint)[0]
+
+    x = jnp.array([2.0, 0.3, 2.0])
+    value = jax.jit(final)
+    forward = np.asarray(jax.jit(jax.jacfwd(final))(x))
+    reverse = np.asarray(jax.jit(jax.jacrev(lambda x: final(x, dfx.RecursiveCheckpointAdjoint())))(x))
+    h = 1e-4
+    for k in range(3):
+        up, down = (np.asarray(value(x.at[k].add(s * h))) for s in (1, -1))
+        assert np.allclose(forward[:, k], (up - down) / (2 * h), rtol=1e-7, atol=1e-7 * abs(forward).max())
+    assert np.allclose(forward, reverse, rtol=1e-10, atol=1e-12)
+
+
+def test_tangents_of_sdirk_are_bounded_however_stiff():
+    # h J = -1e6: the state follows sin(p t) + start's remainder; its tangents follow t cos(p t) and nothing.
+    def follow(t, y, p):
+        return -1e7 * (y - jnp.sin(p * t)) * (1.0 + 0.1 * y * y)
+
+    solver = sdirk(follow, 1)
+
+    def final(x):
+        return run(solver, follow, x[1], x[:1], 1.0, 10)[0, 0]
+
+    value, tangent = jax.jit(lambda x: (final(x), jax.jacfwd(final)(x)))(jnp.array([0.5, 1.3]))
+    assert float(value) == pytest.approx(np.sin(1.3), abs=1e-5)
+    assert abs(float(tangent[0])) < 1e-5
+    assert float(tangent[1]) == pytest.approx(np.cos(1.3), abs=1e-4)
+
+
+# --- runs
+
+# The smallest joint that runs, so that it compiles quickly; what is tested here does not depend on its options.
+LITTLE = {"friction": False, "cage": "fixed", "contacts": GROOVES, "head": "fixed", "balls": 3}
+BUDGET = 120
+SHORT = np.linspace(0.0, 2e-3, 5)
+
+
+@functools.cache
+def little():
+    scene = scenes.joint(**LITTLE)
+    return scene, scene.parameters(load_ramp=1e-3, load_torque=200.0)
+
+
+def simulated(params, times=SHORT):
+    return simulation.simulate(little()[0], params, times, max_steps=BUDGET)
+
+
+def test_failures_say_why_and_when():
+    scene, params = little()
+    good = simulated(params)
+    assert good.status == "ok" and good.reason == "" and np.isnan(good.failure_time)
+    assert set(good.force) == set(GROOVES) and good.force["seat_ball"].shape == (5, 3, 3)
+    assert good.force["seat_ball"][-1].max() > 100.0
+    assert good.stats["accepted"] > 0
+    # Times and parameters are no part of the program: none of these compiles again.
+    long = simulated(params, np.linspace(0.0, 1.0, 5))
+    assert long.status == "failed" and f"the step budget of {BUDGET} steps was spent" in long.reason
+    assert 0 < long.failure_time < 1.0 and long.stats["accepted"] + long.stats["rejected"] == BUDGET
+    assert np.all(np.isnan(long.force["seat_ball"][-1])) and np.all(np.isfinite(long.force["seat_ball"][0]))
+    assert long.stats["compile_s"] < 0.1
+    for name in ("stiffness", "ball_mass", "load_torque", "joint_angle"):
+        bad = simulated({**params, name: jnp.asarray(jnp.nan)})
+        assert bad.status == "failed" and bad.reason and bad.failure_time == 0.0
+        for contact in bad.force.values():
+            assert np.all(np.isnan(contact[1:]))
+    del scene
+
+
+def test_a_batch_equals_its_members_and_is_traced_once():
+    scene, params = little()
+    how = simulation.plan(scene, "balanced", BUDGET)
+    traces = []
+
+    def forces(clearance):
+        traces.append(clearance)
+        return simulation.force_history(scene, {**params, "clearance_seat_ball": clearance}, SHORT, accuracy=how)
+
+    clearances = np.array([5e-6, 1e-5, 4e-5])
+    batch = jax.jit(jax.vmap(forces))
+    together = jax.device_get(batch(clearances))
+    for i, clearance in enumerate(clearances):
+        alone = simulated({**params, "clearance_seat_ball": jnp.asarray(clearance)})
+        for name, force in alone.force.items():
+            assert np.allclose(together[name][i], force, rtol=1e-6, atol=1e-6 * abs(force).max())
+    again = batch(clearances[::-1].copy())
+    assert np.allclose(again["seat_ball"][::-1], together["seat_ball"], rtol=1e-12)
+    assert len(traces) == 1
+
+
+@pytest.mark.slow
+def test_derivatives_go_both_ways():
+    scene = scenes.joint()
+    params = scene.parameters(load_ramp=5e-3, load_torque=300.0)
+    free = ("stiffness", "damping", "friction_static", "clearance_seat_ball", "cage_mass", "load_torque")
+    x = jnp.array([float(params[name]) for name in free])
+    times = np.linspace(0.0, 0.01, 5)
+
+    def forces(x):
+        values = {**params, **dict(zip(free, x, strict=True))}
+        return simulation.force_history(scene, values, times, accuracy="fast")
+
+    rng = np.random.default_rng(8)
+    direction = x * rng.normal(size=x.shape)
+    shape = jax.eval_shape(forces, x)
+    weights = {name: rng.normal(size=leaf.shape) for name, leaf in shape.items()}
+
+    @jax.jit
+    def both(x):
+        _, tangent = jax.jvp(forces, (x,), (direction,))
+        (cotangent,) = jax.vjp(forces, x)[1](weights)
+        return tangent, cotangent
+
+    tangent, cotangent = jax.device_get(both(x))
+    assert all(np.all(np.isfinite(part)) for part in tangent.values()) and np.all(np.isfinite(cotangent))
+    parts = np.concatenate([np.ravel(weights[name] * tangent[name]) for name in tangent])
+    assert abs(parts).max() > 1.0
+    assert parts.sum() == pytest.approx(cotangent @ direction, rel=1e-9, abs=1e-9 * abs(parts).max())
+
+
+# --- bad input
+
+
+REFUSED = [
+    ({"track": "gothik"}, ["scene 'joint' track", "'gothik'", "did you mean 'gothic'?"]),
+    ({"cage": "free-floating"}, ["scene 'joint' cage", "'free-floating'", "free"]),
+    ({"head": "loose"}, ["scene 'joint' head", "'loose'", "fixed, free"]),
+    ({"drive": "prescibed"}, ["scene 'joint' drive", "did you mean 'prescribed'?"]),
+    ({"fidelity": "static"}, ["scene 'joint' fidelity", "did you mean 'quasistatic'?"]),
+    ({"balls": 2}, ["scene 'joint' balls", "2 balls", "3 or more"]),
+    ({"law": "herz"}, ["law", "'herz'", "did you mean 'hertz'?"]),
+    ({"friction": "brown"}, ["friction", "'brown'", "did you mean 'brown_mcphee'?"]),
+    ({"elastic": "liuu"}, ["elastic", "'liuu'", "did you mean 'liu'?"]),
+    ({"laws": {"cage_bal": "hertz"}}, ["scene 'joint' laws", "no contact 'cage_bal'", "did you mean 'cage_ball'?"]),
+    ({"frictions": {"ball": False}}, ["scene 'joint' frictions", "no contact 'ball'"]),
+    ({"laws": {"cage_ball": "hertz"}, "contacts": GROOVES}, ["joint' laws", "not among the contacts", "seat_ball"]),
+    ({"contacts": ("seat_ball", "headball")}, ["scene 'joint' contacts", "no contact 'headball'", "'head_ball'"]),
+    ({"contacts": ("seat_ball",)}, ["scene 'joint' contacts", "without head_ball", "both tracks"]),
+    ({"contacts": ("seat_cage", *GROOVES), "cage": "fixed"}, ["seat_cage with a fixed cage", "leave it out"]),
+]
+
+
+@pytest.mark.parametrize(("options", "parts"), REFUSED, ids=[",".join(o) + str(i) for i, (o, _) in enumerate(REFUSED)])
+def test_options_that_are_refused(options, parts):
+    with pytest.raises(InputError) as caught:
+        scenes.joint(**options)
+    for part in parts:
+        assert part in str(caught.value)
+
+
+def test_parameters_that_are_refused():
+    scene = scenes.joint()
+    for values, parts in (
+        ({"clearance_seat_bal": 1e-5}, ["no parameter 'clearance_seat_bal'", "did you mean 'clearance_seat_ball'?"]),
+        ({"seat_ball.dashpot": 1.0}, ["no parameter 'seat_ball.dashpot'", "seat_ball.damping"]),
+        ({"clearance_cage_ball": -1e-6}, ["clearance_cage_ball = -1e-06 m", ">= 0"]),
+        ({"joint_angle": 1.6}, ["joint_angle = 1.6 rad", "<= 1.5"]),
+        ({"seat_ball.stiffness": np.nan}, ["seat_ball.stiffness = nan", "of seat_ball alone"]),
+    ):
+        with pytest.raises(InputError) as caught:
+            scene.parameters(values)
+        for part in parts:
+            assert part in str(caught.value)
+
+
+JOINT = '[scene]\nkind = "joint"\n'
+BAD = [
+    (JOINT + "[parameters]\nclearance_seat_ball = -1e-5\n", ["[parameters] clearance_seat_ball", "-1e-05 m", ">= 0"]),
+    (JOINT + '[parameters]\nball_radius = "4 mm"\n', ["ball_radius", "0.004 m", "does not reach both tracks"]),
+    (JOINT + '[parameters]\npitch_radius = "45 mm"\n', ["pitch_radius", "short of the head's track", "or less"]),
+    (JOINT + "track = 3\n", ["[scene] track", "3 is"]),
+]
+
+
+@pytest.mark.parametrize(("text", "parts"), BAD, ids=["negative", "ball", "pitch", "option"])
+def test_bad_joint_files_exit_2_and_write_nothing(text, parts, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("BCFJ_CACHE", str(BUILD / "jax-cache"))
+    (tmp_path / "s.toml").write_text(text, encoding="utf-8")
+    for out in ([], ["--out", "out"]):
+        done = CliRunner().invoke(app, ["simulate", "s.toml", *out])
+        assert done.exit_code == 2 and done.stdout == ""
+        for part in ["error: s.toml", *parts]:
+            assert part in done.stderr
+        assert [path.name for path in tmp_path.iterdir()] == ["s.toml"]
+
+
+def test_init_joint_writes_a_file_of_the_defaults(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert CliRunner().invoke(app, ["init", "joint"]).exit_code == 0
+    assert load("joint.toml").resolved == load("joint").resolved
