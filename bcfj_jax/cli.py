@@ -144,6 +144,18 @@ def calibrate(
 
 @app.command(epilog=_EPILOG)
 @_guarded
+def reproduce(out: Out = None) -> int:
+    """Run the paper's case: its claims beside the model's values, as given and calibrated, with pictures."""
+    use_compile_cache()
+    from bcfj_jax.reproduction import command
+
+    text, good = command.run(out, _log)
+    typer.echo(text)
+    return DONE if good else SIMULATION_FAILED
+
+
+@app.command(epilog=_EPILOG)
+@_guarded
 def init(
     scene: Annotated[str, typer.Argument(help="A built-in scene's name.")],
     out: Annotated[Path | None, typer.Option("--out", help="Folder for SCENE.toml; by default this one.")] = None,

@@ -16,8 +16,7 @@ from oracles import within
 import bcfj_jax as bj
 from bcfj_jax import ledger
 from bcfj_jax.errors import InputError
-from bcfj_jax.integrate import integrate, plan
-from bcfj_jax.joint import energy, geometry, system
+from bcfj_jax.joint import energy, system
 from bcfj_jax.joint.arrowhead import Arrowhead
 from bcfj_jax.joint.constants import constants
 from bcfj_jax.joint.guides import GUIDES
@@ -28,7 +27,6 @@ from bcfj_jax.solvers.rodas import Rodas
 SEEDS = st.integers(0, 2**31 - 1)
 JOINT = bj.scenes.joint()
 # Neither drive nor load: the spring is too weak to notice, and there must be one.
-FREE = bj.scenes.joint(drive="flexible")
 FREED = {"drive_stiffness": 1e-12, "drive_damping": 0.0, "load_torque": 0.0, "joint_angle": 0.0}
 
 
@@ -57,16 +55,19 @@ def noisy(scene, params, seed, places=3e-5, speeds=0.3):
 
 VARIANTS = {
     "default": ({}, {"axial_load": 2e3}),
-    "spin": ({"spin": True}, {}),
     "flexible": ({"drive": "flexible", "spin": True}, {}),
-    "fixed cage": ({"cage": "fixed", "spin": True}, {}),
-    "fixed": ({"cage": "fixed", "head": "fixed", "drive": "flexible", "friction": False}, {}),
-    "circular": ({"track": "circular", "friction": "coulomb"}, {}),
-    "sharp": ({"smoothing": False}, {}),
-    "unlike": ({"laws": {"seat_ball": "adams_impact", "head_cage": "kelvin_voigt"}, "elastic": "power"}, {}),
-    "liu": ({"elastic": "liu"}, {}),
-    "no pilots": ({"contacts": ["cage_ball", "seat_ball", "head_ball"], "friction": False}, {"exponent": 1.1}),
+    "fixed cage": ({"cage": "fixed", "spin": True, "track": "circular"}, {}),
+    "unlike": (
+        {"laws": {"seat_ball": "adams_impact", "head_cage": "kelvin_voigt"}, "elastic": "power", "smoothing": False},
+        {},
+    ),
+    "bare": (
+        {"contacts": ["cage_ball", "seat_ball", "head_ball"], "head": "fixed", "friction": False, "elastic": "liu"},
+        {},
+    ),
 }
+# Lightly optimised: these run a few hundred times, once.
+QUICK = {"xla_backend_optimization_level": 0}
 
 
 @functools.cache
@@ -77,7 +78,7 @@ def flows(name):
     params = scene.parameters(values)
     c = constants(scene, params)
 
-    @jax.jit
+    @functools.partial(jax.jit, compiler_options=QUICK)
     def read(t, y):
         flow = energy.power(scene, c, t, y)
         drift = system.field(t, y, (scene, c))
@@ -101,14 +102,14 @@ def test_power_is_the_rate_of_what_is_stored(name, seed, t):
 
 
 @pytest.mark.parametrize("name", VARIANTS)
-@given(seed=SEEDS, places=st.floats(1e-6, 1e-4), speeds=st.floats(0.0, 3.0))
+@given(seed=SEEDS, places=st.floats(3e-5, 1e-4), speeds=st.floats(0.0, 3.0))
 @settings(max_examples=25)
 def test_contacts_never_create_energy(name, seed, places, speeds):
     read, scene, params = flows(name)
     flow, store, _ = read(0.05, noisy(scene, params, seed, places, speeds))
     assert float(flow.friction) >= 0.0 and float(flow.damping) >= 0.0
-    assert (float(flow.friction) > 0.0) == (scene.contact("seat_ball").friction is not None)
-    assert min(store) >= 0.0
+    assert scene.contact("seat_ball").friction is not None or float(flow.friction) == 0.0
+    assert min(store) >= 0.0 and float(store.elastic) > 0.0
 
 
 def test_flank_ends_are_accounted_for():
@@ -200,14 +201,26 @@ def test_simpson_over_uneven_intervals():
 # --- Newton's law of the cage, and what is transmitted ---
 
 
+def solved(scene, params, start, times, tolerance):
+    """States at the times from any start."""
+    c = constants(scene, params)
+    control = dfx.PIDController(rtol=0.0, atol=tolerance * scales(scene, params), pcoeff=0.2, icoeff=0.5)
+    solution = dfx.diffeqsolve(
+        dfx.ODETerm(system.field), Rodas(Arrowhead()), 0.0, times[-1], 1e-7, start, (scene, c),
+        saveat=dfx.SaveAt(ts=times), stepsize_controller=control, adjoint=dfx.ForwardMode(), max_steps=100_000,
+    )  # fmt: skip
+    return solution.ys
+
+
+_solved = jax.jit(solved, static_argnums=0)
+
+
 @functools.cache
-def run():
-    """Times and states of the default joint over an eighth of a turn with an axial load."""
+def run(turn=0.0):
+    """Parameters, times and states of the default joint from an angle on, under an axial load."""
     params = JOINT.parameters(axial_load=1e3)
     times = jnp.linspace(0.0, 0.075, 1501)
-    how = plan(JOINT, "balanced")
-    solve = jax.jit(lambda p: integrate(JOINT, p, times, how, dfx.ForwardMode()).states)
-    return params, times, solve(params)
+    return params, times, _solved(JOINT, params, nominal(JOINT, params, jnp.asarray(turn)), times, 1e-3)
 
 
 def test_cage_is_in_dynamic_equilibrium_at_every_instant():
@@ -255,7 +268,7 @@ def wrenches(scene):
     params = scene.parameters()
     c = constants(scene, params)
 
-    @jax.jit
+    @functools.partial(jax.jit, compiler_options=QUICK)
     def read(y):
         state = system.view(scene, c, y)
         found = system.touches(scene, c, state)
@@ -265,12 +278,14 @@ def wrenches(scene):
         def add(body, force, point, moment=0.0):
             total[body] = total[body] + jnp.stack([force, jnp.cross(point, force) + moment])
 
-        for i in range(scene.balls):
-            for j, body in enumerate(("seat", "head")):
-                moment = 0.0 if found.grooves.moment is None else found.grooves.moment[i, j]
-                add(body, -found.grooves.force[i, j], state.ball_place[i], -moment)
-            moment = 0.0 if found.windows.moment is None else found.windows.moment[i]
-            add("cage", -found.windows.force[i], state.ball_place[i], -moment)
+        rings, push = found.grooves, found.windows
+        for j, body in enumerate(("seat", "head")):
+            moment = 0.0 if rings.moment is None else jnp.sum(rings.moment[:, j], 0)
+            moment = moment + jnp.sum(jnp.cross(state.ball_place, rings.force[:, j]), 0)
+            add(body, -jnp.sum(rings.force[:, j], 0), jnp.zeros(3), -moment)
+        moment = 0.0 if push.moment is None else jnp.sum(push.moment, 0)
+        moment = moment + jnp.sum(jnp.cross(state.ball_place, push.force), 0)
+        add("cage", -jnp.sum(push.force, 0), jnp.zeros(3), -moment)
         places = {"seat": jnp.zeros(3), "cage": state.cage_place, "head": state.head_place}
         for k, name in enumerate(scene.pilots):
             outer, inner = GUIDES[name]
@@ -341,12 +356,59 @@ def spin_about_z(scene, params, y):
     return sum(parts), sum(abs(x) for x in parts)
 
 
-def solved(scene, params, start, times, tolerance):
-    """States at the times from any start."""
+@pytest.mark.parametrize("spin", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_a_free_joint_keeps_its_spin_and_loses_energy(spin):
+    scene = bj.scenes.joint(drive="flexible", spin=spin)
+    params = scene.parameters(**FREED)
     c = constants(scene, params)
-    control = dfx.PIDController(rtol=0.0, atol=tolerance * scales(scene, params), pcoeff=0.2, icoeff=0.5)
-    solution = dfx.diffeqsolve(
-        dfx.ODETerm(system.field), Rodas(Arrowhead()), 0.0, times[-1], 1e-7, start, (scene, c),
-        saveat=dfx.SaveAt(ts=times), stepsize_controller=control, max_steps=200_000,
-    )  # fmt: skip
-    return solution.ys, solution.stats["num_accepted_steps"]
+    start, times = noisy(scene, params, 1, 2e-5), jnp.linspace(0.0, 0.02, 4001)
+    states = _solved(scene, params, start, times, 1e-5)
+    momentum, size = jax.lax.map(lambda y: spin_about_z(scene, params, y), states, batch_size=512)
+    assert np.abs(momentum - momentum[0]).max() < 1e-9 * size[0]
+    flow, store = jax.lax.map(
+        lambda at: (energy.power(scene, c, *at), energy.stored(scene, c, *at)), (times, states), batch_size=512
+    )
+    total = np.asarray(store.total)
+    assert np.diff(total).max() < 1e-9 * total[0]
+    assert total[-1] < 0.5 * total[0]
+    # Where it went: the stored energy lost is what friction and damping took.
+    lost = np.asarray(flow.lost)
+    taken = (lost[0] + lost[-1] + 4.0 * lost[1::2].sum() + 2.0 * lost[2:-1:2].sum()) * float(times[1]) / 3.0
+    assert total[0] - total[-1] == within(taken, 1e-3)
+    assert np.abs(flow.drive).max() < 1e-9 and not np.asarray(flow.load).any()
+
+
+# --- Symmetry: a sixth of a turn renumbers the balls ---
+
+
+def renumbered(scene, y, turn):
+    """The state with each ball called by the number before, all tracks turned on by as much."""
+    n, b, k = scene.balls, scene.border, scene.twist
+    places, at, twists, rates = np.split(np.array(y), [3 * n, 3 * n + b, (3 + k) * n + b])
+    for name in ("head_turn", "seat_turn"):
+        at[scene.slots[name]] += turn
+    return np.concatenate([np.roll(x.reshape(n, -1), -1, 0).ravel() if i % 2 == 0 else x
+                           for i, x in enumerate((places, at, twists, rates))])
+
+
+@pytest.mark.parametrize("spin", [False, True])
+def test_sixfold_symmetry_of_the_field(spin):
+    scene = bj.scenes.joint(spin=spin)
+    params = scene.parameters()
+    c = constants(scene, params)
+    field = jax.jit(lambda y: system.field(0.05, y, (scene, c)), compiler_options=QUICK)
+    for seed in range(20):
+        y = noisy(scene, params, seed)
+        expected = renumbered(scene, field(y), 0.0)
+        found = np.asarray(field(renumbered(scene, y, np.pi / 3)))
+        for part in np.split(np.arange(y.size), np.cumsum([3 * scene.balls, scene.border, scene.twist * scene.balls])):
+            assert np.abs(found - expected)[part].max() < 1e-12 * np.abs(expected[part]).max()
+
+
+def test_sixfold_symmetry_of_a_run():
+    params, times, states = run()
+    _, _, turned = run(np.pi / 3)
+    expected = np.array([renumbered(JOINT, y, np.pi / 3) for y in np.asarray(states)])
+    early = np.asarray(times) <= 0.03
+    off = np.abs(np.asarray(turned) - expected)[early] / np.asarray(scales(JOINT, params))
+    assert off.max() < 1e-2

@@ -1,1 +1,1 @@
-"""The paper's run beside the model: its claims as data, the model's values for them, a fit to its peaks, the command."""
+"""The paper's run beside the model: claims as data, the model's values for them, a fit to the peaks, the command."""

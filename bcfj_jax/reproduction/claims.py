@@ -21,7 +21,7 @@ class Claim(NamedTuple):
         section: where it stands in the paper.
         kind: "input" (what the paper's simulation was given), "figure" (what it gave), "statement" (neither).
         values: the printed numbers in SI, as the paper must have meant them; empty where there are none.
-        unit: of ``values``; "1" for none.
+        unit: of ``values``; "1" for none, "%" for a share shown as one.
         remark: how it is read, and what contradicts it.
     """
 
@@ -98,7 +98,7 @@ CLAIMS: tuple[Claim, ...] = (
     Claim("Q26", "peak resultant, point 4, balls 2 and 5", "39.84 kN", "4.1.4", FIGURE, (39.84e3,), "N",
           "on the inner side of the deflection"),
     Claim("Q27", "peak, point 5, ball 5", "38.76 kN", "4.1.5", FIGURE, (38.76e3,), "N"),
-    Claim("Q28", "load lost in transfer", "2.71 %", "4.1.5", FIGURE, (0.0271,), "1",
+    Claim("Q28", "load lost in transfer", "2.71 %", "4.1.5", FIGURE, (0.0271,), "%",
           "(39.84 - 38.76)/39.84 = 2.711 %: right"),
     Claim("Q29", "delay of point 5 behind point 4", "0.04 s (0.042 to 0.082 s)", "4.1.5, 4.2.1", FIGURE, (0.04,), "s"),
     Claim("Q30", "end of the start-up impacts", "0 to 0.042 s", "4.2.1", FIGURE, (0.042,), "s"),

@@ -1,9 +1,9 @@
 """Unknowns of the joint fitted to the paper's five peaks, and what those peaks can tell of them.
 
 Least squares on relative residuals r_i = F_i/paper_i - 1 of the six numbers that the five peaks are (Q23 has two), over
-the logarithms of the unknowns in a box. The loss is Huber's at ``ERROR``: a number that the model cannot reach counts by its
-size and not its square, so that it does not drag the others along. Forces are those of the quasistatic joint without
-friction, whose derivatives are exact and cheap. ``calibration.fit`` takes histories over time, not peaks.
+the logarithms of the unknowns in a box. The loss is Huber's at ``ERROR``: a number that the model cannot reach counts
+by its size and not its square, so that it does not drag the others along. Forces are those of the quasistatic joint
+without friction, whose derivatives are exact and cheap. ``calibration.fit`` takes histories over time, not peaks.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import qmc
@@ -21,7 +22,7 @@ from bcfj_jax.scene import Params
 
 # What a peak of the paper is taken to be known to: a share of it. A GUESS; the paper states no error.
 ERROR = 0.05
-_SCREENED, _STARTS = 32, 5
+_SCREENED, _STARTS = 16, 4
 _FAILED = 1e2
 # Within this share of its range an unknown is at its bound.
 _EDGE = 1e-3
@@ -44,7 +45,7 @@ UNKNOWNS = (
             "towards 90 for circular ones; 20 to 70 searched"),
     Unknown("offset", 0.5e-3, 6e-3, "m", "2.8 to 5 mm usual for this pitch radius, 0 for concentric tracks"),
     Unknown("stiffness", 1e10, 1e11, "N/m^1.5", "elliptic Hertz gives 2.9e10 to 6.2e10 for the usual conformities"),
-    Unknown("cage_ball.stiffness", 3e9, 6e10, "N/m^1.5", "Hertz gives 1.3e10 for a flat window; a bar of it may be softer"),
+    Unknown("cage_ball.stiffness", 3e9, 6e10, "N/m^1.5", "Hertz gives 1.3e10 for a flat window; its bar may be softer"),
     Unknown("clearance_seat_cage", 5e-6, 200e-6, "m", "20 to 100 um usual"),
     Unknown("clearance_head_cage", 5e-6, 200e-6, "m", "20 to 100 um usual"),
 )  # fmt: skip
@@ -79,6 +80,7 @@ class PeakFit(NamedTuple):
         directions: (k, unknowns), the combination each belongs to.
         combinations: how many of them the data determine: singular value above 1.
         costs: of every start's end, least first; infinite for one that failed.
+        reach: (2, numbers) least and greatest of each peak at any point evaluated [N].
         agreeing: starts that ended within a hundredth of the least cost.
         evaluations: of the model and its derivatives.
     """
@@ -90,6 +92,7 @@ class PeakFit(NamedTuple):
     directions: np.ndarray
     combinations: int
     costs: tuple[float, ...]
+    reach: np.ndarray
     agreeing: int
     evaluations: int
 
@@ -109,6 +112,7 @@ class _Model:
         self.low = np.log([u.lower for u in unknowns])
         self.span = np.log([u.upper for u in unknowns]) - self.low
         self.evaluations = 0
+        self.reach = np.array([np.full(wanted.size, np.inf), np.full(wanted.size, -np.inf)])
         self._last: tuple[bytes, tuple[np.ndarray, np.ndarray, np.ndarray]] | None = None
 
     def values(self, point: np.ndarray) -> dict[str, float]:
@@ -121,12 +125,14 @@ class _Model:
         key = np.asarray(point).tobytes()
         if self._last is None or self._last[0] != key:
             free = self.values(point)
-            found, slopes, good = peaks(self.scene, self.params, {k: np.asarray(v) for k, v in free.items()})  # type: ignore[dict-item]
+            found, slopes, good = peaks(self.scene, self.params, {k: jnp.asarray(v) for k, v in free.items()})
             slope = np.stack([slopes[name] * free[name] for name in free], -1) * self.span / self.wanted[:, None]
             residual = found / self.wanted - 1.0
             if not (good and np.isfinite(slope).all()):
+                found = np.full_like(found, np.nan)
                 residual, slope = np.full(self.wanted.size, _FAILED), np.zeros((self.wanted.size, len(free)))
             self.evaluations += 1
+            self.reach = np.array([np.fmin(self.reach[0], found), np.fmax(self.reach[1], found)])
             self._last = key, (residual, slope, found)
         return self._last[1]
 
@@ -161,7 +167,7 @@ def fit(
     for number, start in enumerate(starts):
         result = least_squares(
             lambda u: model(u)[0], start, jac=lambda u: model(u)[1],  # pyright: ignore[reportArgumentType]
-            bounds=(0.0, 1.0), x_scale=1.0, loss="huber", f_scale=ERROR, xtol=1e-6, ftol=1e-6, gtol=1e-8, max_nfev=50,
+            bounds=(0.0, 1.0), x_scale=1.0, loss="huber", f_scale=ERROR, xtol=1e-6, ftol=1e-6, gtol=1e-8, max_nfev=30,
         )  # fmt: skip
         residual, _, _ = model(result.x)
         ends.append((np.inf if np.all(residual == _FAILED) else _cost(residual), result.x))
@@ -179,14 +185,26 @@ def _judge(model: _Model, ends: list[tuple[float, np.ndarray]]) -> PeakFit:
     covariance = np.linalg.inv(slope.T @ slope / ERROR**2 + 12.0 * np.eye(point.size))
     factors = np.exp(1.96 * np.sqrt(np.diag(covariance)) * model.span)
     estimates = {}
-    for unknown, place, factor, value in zip(model.unknowns, point, factors, model.values(point).values(), strict=True):
+    each = zip(model.unknowns, point, factors, model.values(point).values(), model.span, strict=True)
+    for unknown, place, factor, value, width in each:
         at_bound = not _EDGE < place < 1.0 - _EDGE
-        verdict = "at bound" if at_bound else "determined" if factor < WIDEST_FACTOR else "not determined"
+        # A narrow box must not pass for knowledge: the data must have halved it too.
+        known = factor < min(WIDEST_FACTOR, float(np.exp(0.5 * 1.96 * np.sqrt(1.0 / 12.0) * width)))
+        verdict = "at bound" if at_bound else "determined" if known else "not determined"
         estimates[unknown.name] = Estimate(value, float(factor), verdict)
     costs = tuple(cost for cost, _ in ends)
     agreeing = sum(cost <= 1.01 * best for cost in costs)
     return PeakFit(
-        estimates, found, residual, singular, directions, int(np.sum(singular > 1.0)), costs, agreeing, model.evaluations
+        estimates,
+        found,
+        residual,
+        singular,
+        directions,
+        int(np.sum(singular > 1.0)),
+        costs,
+        model.reach,
+        agreeing,
+        model.evaluations,
     )
 
 

@@ -1,7 +1,7 @@
 """The model's value for every figure of the paper that a run of the model can give.
 
-Each is read from the run exactly as the paper's was printed: output every millisecond, peaks over the whole run, start-up
-included; periods and delays over its later part.
+Read from the run as the paper read its own: output every millisecond, peaks over the whole run, start-up included;
+periods and delays over its later part.
 """
 
 from __future__ import annotations
@@ -139,7 +139,9 @@ def _start(run: Run, turn: float) -> dict[str, Measured]:
         begun = settled = [math.nan]
     return {
         "Q30": Measured((min(begun),), "first ball at half its settled peak; set by load_ramp, a GUESS"),
-        "Q31": Measured((max(settled),), f"every ball repeats itself within {SETTLED_WITHIN:.0%} of its peak from there"),
+        "Q31": Measured(
+            (max(settled),), f"every ball repeats itself within {SETTLED_WITHIN:.0%} of its peak from there"
+        ),
     }
 
 

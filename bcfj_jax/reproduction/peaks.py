@@ -49,7 +49,10 @@ def _peaks(scene: Joint, params: Params, times: Array, found: Places) -> Array:
     at = equilibrium._flat(scene, problem, equilibrium._equilibrium(scene)(problem, found))
     c = constants(scene, params)
     states = equilibrium._with_rates(scene, c, at, jnp.zeros_like(at))
-    force = {name: reading.force[..., 0] for name, reading in jax.vmap(lambda y: observe_at_rest(scene, c, y))(states).items()}
+    force = {
+        name: reading.force[..., 0]
+        for name, reading in jax.vmap(lambda y: observe_at_rest(scene, c, y))(states).items()
+    }
     return jnp.stack(
         [
             jnp.max(force["seat_cage"]),

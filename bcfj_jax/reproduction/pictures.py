@@ -26,13 +26,15 @@ FILES = (
 )
 _PARTS = ("normal", "axial", "tangential")
 _WIDE = 9.0
-_THIN = {"linewidth": 0.9}
-_PAPER = {"color": "#222222", "linewidth": 1.0, "linestyle": (0, (5, 3))}
+_THIN = 0.9
 
 
 def draw(folder: Path, runs: dict[str, Run], tight: Run | None) -> list[Path]:
     """Write every picture there are runs for; runs by name ("as given", "calibrated"), the first of them leading."""
-    written = [_guide(folder / FILES[0], runs, 1, "seat_cage", "Q20"), _guide(folder / FILES[1], runs, 2, "head_cage", "Q21")]
+    written = [
+        _guide(folder / FILES[0], runs, 1, "seat_cage", "Q20"),
+        _guide(folder / FILES[1], runs, 2, "head_cage", "Q21"),
+    ]
     for name, point, contact, claims in (
         (FILES[2], 3, "cage_ball", "Q23"), (FILES[3], 4, "seat_ball", "Q26"), (FILES[4], 5, "head_ball", "Q27"),
     ):  # fmt: skip
@@ -56,7 +58,8 @@ def _paper(axis: Axes, id: str) -> None:
     """The paper's peaks as dashed lines."""
     row = claim(id)
     for number, value in enumerate(row.values):
-        axis.axhline(value / 1e3, label=f"paper, {id}: {row.printed}" if number == 0 else None, **_PAPER)  # type: ignore[arg-type]
+        name = f"paper, {id}: {row.printed}" if number == 0 else None
+        axis.axhline(value / 1e3, label=name, color="#222222", linewidth=1.0, linestyle="--")
 
 
 def _legend(axis: Axes, columns: int) -> None:
@@ -69,11 +72,11 @@ def _guide(path: Path, runs: dict[str, Run], point: int, contact: str, id: str) 
         drawing, axes = plots.figure(3, width=_WIDE, height=2.5)
         for part, axis in enumerate(axes):
             for name, run in runs.items():
-                axis.plot(run.times, run.force[contact][:, part] / 1e3, label=name, **_THIN)
+                axis.plot(run.times, run.force[contact][:, part] / 1e3, label=name, linewidth=_THIN)
                 _axis(axis, run, f"Point {point}, {contact}: {_PARTS[part]}", "force")
             if part == 0:
                 _paper(axis, id)
-        _legend(axes[0], len(runs) + 1)
+        axes[0].legend(ncols=len(runs) + 1, fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 0.98))
         plots.save(drawing, path)
     return path
 
@@ -87,7 +90,7 @@ def _balls(path: Path, runs: dict[str, Run], point: int, contact: str, id: str) 
             force = run.force[contact]
             values = force[..., 0] if contact == "cage_ball" else resultant(force)
             for ball in range(values.shape[1]):
-                axis.plot(run.times, values[:, ball] / 1e3, label=f"ball {ball + 1}", **_THIN)
+                axis.plot(run.times, values[:, ball] / 1e3, label=f"ball {ball + 1}", linewidth=_THIN)
             _axis(axis, run, f"Point {point}, {contact}, {name}", what)
             _paper(axis, id)
             low = claim(id).values[0]
@@ -106,11 +109,11 @@ def _smooth(path: Path, run: Run) -> Path:
             fit = features.no_clearance_fit(run.times, force, window, ORDER)
             at = features.within(run.times, window)
             above, below = axes[2 * row], axes[2 * row + 1]
-            above.plot(run.times[at], force[at] / 1e3, label="model, with clearance", **_THIN)
+            above.plot(run.times[at], force[at] / 1e3, label="model, with clearance", linewidth=_THIN)
             above.plot(fit.times, np.asarray(fit.fitted) / 1e3, label=f"polynomial of order {ORDER}")
             _axis(above, run, f"Point 1, seat_cage: {_PARTS[part]}, as given", "force")
-            below.plot(fit.times, np.asarray(fit.residual) / 1e3, color=plots.COLOURS[3], **_THIN)
-            _axis(below, run, "left over", "force")
+            below.plot(fit.times, np.asarray(fit.residual) / 1e3, color=plots.COLOURS[3], linewidth=_THIN)
+            _axis(below, run, "what the polynomial leaves over", "force")
             for axis in (above, below):
                 axis.set_xlim(*window)
             above.legend(ncols=2, fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 0.98))
@@ -125,7 +128,7 @@ def _tight(path: Path, run: Run, tight: Run) -> Path:
         for axis, name in zip(axes, run.force, strict=True):
             for label, which in (("clearances as given", run), ("a tenth of them", tight)):
                 force = which.force[name][..., 0]
-                axis.plot(which.times, (force if force.ndim == 1 else force[:, 0]) / 1e3, label=label, **_THIN)
+                axis.plot(which.times, (force if force.ndim == 1 else force[:, 0]) / 1e3, label=label, linewidth=_THIN)
             _axis(axis, run, name if run.force[name].ndim == 2 else f"{name}, ball 1", "normal force")
             axis.set_xlim(0.0, min(0.8, run.times[-1]))
         axes[0].legend(ncols=2, fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 0.98))

@@ -1,0 +1,218 @@
+"""``bcfj reproduce``: the paper's run beside the model, in a folder and in a few lines."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+
+from bcfj_jax import outputs, report
+from bcfj_jax.joint.scene import Joint
+from bcfj_jax.reproduction import pictures, tables
+from bcfj_jax.reproduction.claims import CLAIMS, FIGURE
+from bcfj_jax.reproduction.fit import ERROR, PeakFit, fit, targets
+from bcfj_jax.reproduction.measures import Inequality, Measured, inequalities, measure
+from bcfj_jax.reproduction.peaks import TARGETS
+from bcfj_jax.reproduction.record import ACCURACY, END, STEP, Record, record
+from bcfj_jax.scene import Params
+from bcfj_jax.scenes import joint
+from bcfj_jax.simulation import Run
+from bcfj_jax.units import format_si
+
+FILES = ("reproduce.json", "reproduce.md", "report.html", "environment.json", "run.toml", *pictures.FILES)
+TITLE = "The paper's run beside the model"
+# Clearances of the run "without": small, not none, as the laws of the guides divide by theirs.
+TIGHT = 0.1
+GIVEN, CALIBRATED, SMALL = "as given", "calibrated", "small clearances"
+
+Say = Callable[[str], None]
+
+
+def tightened(params: Params) -> Params:
+    """The same joint with small clearances."""
+    return {name: value * TIGHT if name.startswith("clearance_") else value for name, value in params.items()}
+
+
+def run(out: Path | None, say: Say, end: float = END) -> tuple[str, bool]:
+    """Run the paper's case, fit, measure, draw and write.
+
+    Args:
+        out: folder for the results, None for one made up.
+        say: is told of the progress.
+        end: time simulated [s]; the paper's, but for tests.
+
+    Returns:
+        The results in words, and whether every simulation ended well.
+
+    Raises:
+        InputError: where something would be overwritten.
+    """
+    folder = outputs.open_folder(out, "reproduce", "joint", FILES)
+    begin = time.perf_counter()
+    scene = joint()
+    params = scene.parameters()
+    records: dict[str, Record] = {}
+
+    def simulate(name: str, with_params: Params) -> None:
+        say(f"simulating the joint to {end:g} s, {name}")
+        records[name] = record(scene, with_params, end)
+        done = records[name].run
+        stats = (
+            f"{done.stats['accepted']} steps, {done.stats['wall_s']:.1f} s, compiled in {done.stats['compile_s']:.1f} s"
+        )
+        say(stats if done.status == "ok" else f"failed at {format_si(done.failure_time, 's')}: {done.reason}")
+
+    simulate(GIVEN, params)
+    simulate(SMALL, tightened(params))
+    say(f"fitting {tables.FITTED_TO} in the quasistatic model")
+    found = fit(params, say=say)
+    fitted = {**params, **{name: jnp.asarray(value) for name, value in found.values.items()}}
+    simulate(CALIBRATED, fitted)
+    text = _write(folder, scene, params, fitted, records, found, end, time.perf_counter() - begin)
+    return f"{text}\n\nresults and pictures: {folder}", all(r.run.status == "ok" for r in records.values())
+
+
+def _good(records: Mapping[str, Record]) -> dict[str, Run]:
+    return {name: r.run for name, r in records.items() if r.run.status == "ok"}
+
+
+def verdict(found: PeakFit, records: Mapping[str, Record]) -> str:
+    """The outcome in two sentences, failures first."""
+    failed = [f"the run {name} failed at {format_si(r.run.failure_time, 's')} ({r.run.reason})"
+              for name, r in records.items() if r.run.status != "ok"]  # fmt: skip
+    missed = [
+        f"{name} by {miss:+.0%}" for name, miss in zip(TARGETS, found.residuals, strict=True) if abs(miss) > ERROR
+    ]
+    count = sum(e.verdict == "determined" for e in found.estimates.values())
+    reached = (
+        f"The peaks {tables.FITTED_TO} are reached within {ERROR:.0%} by the fit."
+        if not missed
+        else f"Misfit: no start found values within the bounds that give all peaks; the best miss {', '.join(missed)}."
+    )
+    told = (
+        f"The peaks determine {found.combinations} of the {len(found.estimates)} combinations of unknowns, and {count} "
+        f"unknown(s) by themselves{'' if not missed else ', were the model right'}."
+    )
+    return " ".join([*(f"{f[0].upper()}{f[1:]}." for f in failed), reached, told])
+
+
+def _write(
+    folder: Path,
+    scene: Joint,
+    params: Params,
+    fitted: Params,
+    records: Mapping[str, Record],
+    found: PeakFit,
+    end: float,
+    seconds: float,
+) -> str:
+    """Every file of ``FILES``; the results in words."""
+    turn = float(2.0 * jnp.pi / params["drive_speed"])
+    runs = _good(records)
+    measured = {n: measure(runs[n], records[n].balance, turn) for n in (GIVEN, CALIBRATED) if n in runs}
+    tests: dict[str, list[Inequality]] = {}
+    for name in measured:
+        # The run with small clearances is that of the values as given.
+        tests[name] = inequalities(runs[name], turn, runs.get(SMALL) if name == GIVEN else None)
+    inputs = tables.used(params, end, STEP, scene.balls)
+    given, calibrated = measured.get(GIVEN), measured.get(CALIBRATED)
+    main = tables.rows(inputs, given, calibrated, tests)
+    parts: list[tuple[str, Sequence[Sequence[str]]]] = [
+        ("Claims", main),
+        ("Peaks fitted: not predictions", tables.peak_rows(given, found, calibrated)),
+        ("Unknowns", tables.unknown_rows(params, found)),
+        (f"Combinations of the unknowns that peaks known to {ERROR:.0%} determine", tables.combination_rows(found)),
+        ("Qualitative claims", tables.inequality_rows(tests)),
+        ("Runs", _run_rows(records, seconds)),
+    ]
+    said = verdict(found, records)
+    notes = [tables.AS_GIVEN, tables.CALIBRATED]
+    outputs.write_toml(folder / "run.toml", _resolved(scene, params, fitted, end), "what bcfj reproduce ran, SI")
+    outputs.write_json(folder / "environment.json", outputs.environment(data=[]))
+    outputs.write_json(
+        folder / "reproduce.json", _json(main, measured, tests, found, params, records, said, notes, seconds, end)
+    )
+    outputs.write_text(folder / "reproduce.md", tables.markdown(TITLE, said, notes, parts))
+    shown = {name: runs[name] for name in (GIVEN, CALIBRATED) if name in runs}
+    drawn = pictures.draw(folder, shown, runs.get(SMALL)) if GIVEN in runs else []
+    report.write(folder, TITLE, said, parts, drawn, notes)
+    figures = {row.id for row in CLAIMS if row.kind == FIGURE}
+    brief = [main[0][:5]] + [row[:5] for row in main[1:] if row[0] in figures]
+    brief = [[row[0], _short(row[1]), _short(row[2]), *row[3:]] for row in brief]
+    return "\n\n".join([said, _columns(brief), *notes])
+
+
+def _short(text: str, most: int = 44) -> str:
+    return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
+def _columns(table: Sequence[Sequence[str]]) -> str:
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    return "\n".join("  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in table)
+
+
+def _run_rows(records: Mapping[str, Record], seconds: float) -> list[list[str]]:
+    table = [["run", "status", "steps accepted", "rejected", "wall time", "compile time"]]
+    for name, r in records.items():
+        stats = r.run.stats
+        status = r.run.status if r.run.status == "ok" else f"failed at {r.run.failure_time:.4g} s: {r.run.reason}"
+        numbers = [
+            str(stats["accepted"]),
+            str(stats["rejected"]),
+            *(f"{stats[k]:.2f} s" for k in ("wall_s", "compile_s")),
+        ]
+        table.append([name, status, *numbers])
+    return [*table, ["in all", "", "", "", f"{seconds:.1f} s", ""]]
+
+
+def _resolved(scene: Joint, params: Params, fitted: Params, end: float) -> dict[str, Any]:
+    names = [name for name in scene.quantities if name in params] + [n for n in params if n not in scene.quantities]
+    return {
+        "scene": {"kind": "joint", "friction": True},
+        "time": {"end": end, "step": STEP},
+        "accuracy": {"force_error": ACCURACY},
+        "small_clearances": TIGHT,
+        "as_given": {name: float(params[name]) for name in names},
+        "calibrated": {name: float(fitted[name]) for name in names},
+    }
+
+
+def _json(
+    main: Sequence[Sequence[str]],
+    measured: Mapping[str, Mapping[str, Measured]],
+    tests: Mapping[str, Sequence[Inequality]],
+    found: PeakFit,
+    params: Params,
+    records: Mapping[str, Record],
+    said: str,
+    notes: Sequence[str],
+    seconds: float,
+    end: float,
+) -> dict[str, Any]:
+    """``reproduce.json``: the table in numbers, the fit, the runs."""
+    claims = []
+    for row, cells in zip(CLAIMS, main[1:], strict=True):
+        entry: dict[str, Any] = row._asdict() | {
+            "remark": cells[5],
+            "fitted_to": row.id in tables.FITTED_TO.split(", "),
+        }
+        for name, column in ((GIVEN, 3), (CALIBRATED, 4)):
+            value = measured.get(name, {}).get(row.id)
+            entry[name.replace(" ", "_")] = {"values": value.values if value else None, "text": cells[column]}
+        claims.append(entry)
+    return {
+        "verdict": said,
+        "notes": notes,
+        "claims": claims,
+        "qualitative": {name: [t._asdict() for t in each] for name, each in tests.items()},
+        "fit": tables.fit_json(found, params) | {"paper": targets()},
+        "options": {"end": end, "step": STEP, "accuracy": ACCURACY, "small_clearances": TIGHT},
+        "runs": {
+            name: {"status": r.run.status, "reason": r.run.reason, "failure_time": r.run.failure_time, **r.run.stats}
+            for name, r in records.items()
+        },
+        "seconds": seconds,
+    }

@@ -1,0 +1,195 @@
+"""The claims beside the model's values, as rows for people and as JSON."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from bcfj_jax.joint.defaults import DEFAULTS
+from bcfj_jax.reproduction.claims import CLAIMS, FIGURE, INPUT, Claim
+from bcfj_jax.reproduction.fit import ERROR, UNKNOWNS, PeakFit, combination
+from bcfj_jax.reproduction.measures import Inequality, Measured
+from bcfj_jax.reproduction.peaks import TARGETS
+from bcfj_jax.scene import Params
+from bcfj_jax.units import format_si
+
+HEAD = ["id", "quantity", "paper", "as given", "calibrated", "remark"]
+FITTED_TO = "Q20, Q21, Q23, Q26, Q27"
+AS_GIVEN = (
+    "As given: the scene's defaults, nothing fitted. The paper states speed, torque, angle, friction and exponent; the "
+    "others are sizes of the same group's joint, derived from them, or guesses marked GUESS in "
+    "bcfj_jax/joint/defaults.py."
+)
+CALIBRATED = (
+    f"Calibrated: {len(UNKNOWNS)} unknowns fitted to {FITTED_TO}; not a prediction for these rows. They were fitted in "
+    "the quasistatic model without friction; the column is what the dynamic model with friction gives at the fitted "
+    "values."
+)
+SEVERAL = "as the paper's"
+
+
+def shown(values: Sequence[float], unit: str) -> str:
+    """Numbers for people; units apart by a comma belong to one number each."""
+    units = unit.split(", ")
+    units = units if len(units) == len(values) else units * len(values)
+    return ", ".join(f"{v:.3%}" if u == "%" else format_si(v, u, 4) for v, u in zip(values, units, strict=True))
+
+
+def used(params: Params, end: float, step: float, balls: int) -> dict[str, str]:
+    """What the model takes for each input of the paper."""
+    p = {name: float(value) for name, value in params.items()}
+    modulus = format_si(DEFAULTS["effective_modulus"][0], "Pa", 4)
+    return {
+        "Q3": "not in the model",
+        "Q4": format_si(end, "s"),
+        "Q5": f"output every {format_si(step, 's')}; the solver's steps are its own",
+        "Q6": f"ball of {format_si(p['ball_mass'], 'kg', 4)}",
+        "Q7": f"in the derived stiffnesses ({modulus} effective)",
+        "Q8": "in the derived stiffnesses",
+        "Q9": f"{p['friction_static']:g}, {p['friction_dynamic']:g}",
+        "Q10": "not read by the law used",
+        "Q11": "not read by the law used",
+        "Q12": f"{p['exponent']:g}",
+        "Q13": f"{180 - math.degrees(p['joint_angle']):g} deg",
+        "Q14": f"{p['drive_speed'] * 30 / math.pi:g} r/min",
+        "Q15": format_si(p["load_torque"], "N m"),
+        "Q16": str(balls),
+        "Q32": SEVERAL,
+        "Q33": SEVERAL,
+        "Q34": SEVERAL,
+    }
+
+
+def _cell(row: Claim, found: Mapping[str, Measured] | None, tests: Sequence[Inequality] | None) -> str:
+    if row.id == "Q37" and tests is not None:
+        return f"{sum(t.holds is True for t in tests)} of {len(tests)} hold"
+    if row.kind != FIGURE or found is None or row.id not in found:
+        return "-"
+    return shown(found[row.id].values, row.unit)
+
+
+def rows(
+    inputs: Mapping[str, str],
+    given: Mapping[str, Measured] | None,
+    calibrated: Mapping[str, Measured] | None,
+    tests: Mapping[str, Sequence[Inequality]],
+) -> list[list[str]]:
+    """The table, its titles first."""
+    table = [HEAD]
+    for row in CLAIMS:
+        if row.kind == INPUT:
+            model = [inputs[row.id]] * 2
+        else:
+            model = [_cell(row, given, tests.get("as given")), _cell(row, calibrated, tests.get("calibrated"))]
+        remarks = [row.remark] if row.remark else []
+        if row.id in FITTED_TO.split(", "):
+            remarks.append("calibrated: fitted to this, no prediction")
+        remark = given[row.id].remark if given is not None and row.id in given else ""
+        table.append(
+            [
+                row.id,
+                row.quantity,
+                row.printed,
+                *model,
+                "; ".join([*remarks, *([f"model: {remark}"] if remark else [])]),
+            ]
+        )
+    return table
+
+
+def inequality_rows(tests: Mapping[str, Sequence[Inequality]]) -> list[list[str]]:
+    """The qualitative claims, a line each and run."""
+    words = {True: "holds", False: "does not hold", None: "cannot tell"}
+    return [["run", "claim (Q37)", "verdict", "numbers"]] + [
+        [name, test.text, words[test.holds], test.numbers] for name, each in tests.items() for test in each
+    ]
+
+
+def unknown_rows(params: Params, fit: PeakFit) -> list[list[str]]:
+    """The unknowns: as given, fitted, bounds, and whether the data can tell."""
+    table = [["unknown", "as given", "fitted", "known to a factor of", "verdict", "bounds", "why these"]]
+    for u in UNKNOWNS:
+        e = fit.estimates[u.name]
+        numbers = [format_si(v, u.unit, 4) for v in (float(params[u.name]), e.value)]
+        bounds = f"{format_si(u.lower, u.unit, 4)} to {format_si(u.upper, u.unit, 4)}"
+        table.append([u.name, *numbers, f"{e.factor95:.2g}", e.verdict, bounds, u.reason])
+    return table
+
+
+def peak_rows(
+    given: Mapping[str, Measured] | None, fit: PeakFit, calibrated: Mapping[str, Measured] | None
+) -> list[list[str]]:
+    """The numbers fitted: paper, quasistatic at the fit, dynamic at the fit and as given."""
+    table = [
+        [
+            "fitted to",
+            "paper",
+            "fit, quasistatic",
+            "miss",
+            "same values, dynamic",
+            "miss",
+            "as given, dynamic",
+            "least and greatest met in the search",
+        ]
+    ]
+    wanted = [value for row in CLAIMS if row.id in FITTED_TO.split(", ") for value in row.values]
+    for k, name in enumerate(TARGETS):
+        id, part = name.split()[0], int(name.endswith("greatest"))
+        dynamic = math.nan if calibrated is None else calibrated[id].values[part]
+        plain = math.nan if given is None else given[id].values[part]
+        misses = [f"{value / wanted[k] - 1:+.1%}" if math.isfinite(value) else "-" for value in (fit.peaks[k], dynamic)]
+        cells = [format_si(float(v), "N", 4) for v in (wanted[k], fit.peaks[k], dynamic, plain)]
+        table.append(
+            [name, cells[0], cells[1], misses[0], cells[2], misses[1], cells[3], shown(fit.reach[:, k].tolist(), "N")]
+        )
+    return table
+
+
+def combination_rows(fit: PeakFit) -> list[list[str]]:
+    """What the peaks can tell: combinations of the unknowns (in the unit box), best known first."""
+    names = tuple(fit.estimates)
+    return [["singular value", "combination of logarithms", "verdict"]] + [
+        [f"{s:.3g}", combination(d, names), "determined" if s > 1.0 else "not determined"]
+        for s, d in zip(fit.singular, fit.directions, strict=True)
+    ]
+
+
+def fit_json(fit: PeakFit, params: Params) -> dict[str, Any]:
+    """The fit in full."""
+    return {
+        "fitted_to": list(TARGETS),
+        "model": "quasistatic, without friction",
+        "loss": f"Huber at {ERROR:g} of relative residuals",
+        "assumed_error": ERROR,
+        "unknowns": {
+            u.name: {
+                "as_given": float(params[u.name]), "unit": u.unit, "bounds": [u.lower, u.upper], "reason": u.reason,
+                "fitted": fit.estimates[u.name].value, "factor95_if_model_right": fit.estimates[u.name].factor95,
+                "verdict": fit.estimates[u.name].verdict,
+            }
+            for u in UNKNOWNS
+        },
+        "peaks": dict(zip(TARGETS, fit.peaks.tolist(), strict=True)),
+        "least_and_greatest_met": dict(zip(TARGETS, fit.reach.T.tolist(), strict=True)),
+        "residuals": dict(zip(TARGETS, fit.residuals.tolist(), strict=True)),
+        "singular_values": fit.singular, "directions": fit.directions, "combinations_determined": fit.combinations,
+        "costs": fit.costs, "agreeing_starts": fit.agreeing, "evaluations": fit.evaluations,
+    }  # fmt: skip
+
+
+def markdown(
+    title: str, verdict: str, notes: Sequence[str], tables: Sequence[tuple[str, Sequence[Sequence[str]]]]
+) -> str:
+    """A document of tables, the verdict first."""
+    lines = [f"# {title}", "", f"**{verdict}**", ""]
+    lines += [line for note in notes for line in (note, "")]
+    for heading, table in tables:
+        lines += [f"## {heading}", "", *_markdown(table), ""]
+    return "\n".join(lines)
+
+
+def _markdown(table: Sequence[Sequence[str]]) -> list[str]:
+    cells = [[cell.replace("|", "\\|") for cell in row] for row in table]
+    lines = [f"| {' | '.join(row)} |" for row in cells]
+    return [lines[0], "|" + "---|" * len(cells[0]), *lines[1:]]
