@@ -2,8 +2,8 @@
 
     work of drive and hold = work of load and axial + losses of friction, damping and edge + change of the store
 
-The powers are read from the run's own states between the times asked for, and integrated by Simpson's rule; the store is a
-function of the state. So ``closure`` sees the errors of solver, interpolation, quadrature and equations alike.
+The powers are read from the run's own states between the times asked for, and integrated by Simpson's rule; the
+store is a function of the state. So ``closure`` sees errors of solver, interpolation, quadrature and equations alike.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Ledger(NamedTuple):
         drive, hold, load, axial, friction, damping, edge: (T,) work since the first time, as ``energy.Power``.
         stored: kinetic, elastic and spring energy (T,), as they are, not as they changed.
         residual: (T,) in less out, less lost, less the store's change: 0 for exact books.
-        closure: largest residual over the work done by or on the run's largest term [-]. NaN for a failed run.
+        closure: largest |residual| over the largest |work| of a term or change of the store [-]; NaN for a failed run.
     """
 
     times: np.ndarray
@@ -113,8 +113,8 @@ def balance(
     instants, panels = _instants(t, step)
     flow, store = jax.device_get(_flows(scene, dict(params), jnp.asarray(instants), how))
     work = {name: _work(np.asarray(value), t, panels) for name, value in flow._asdict().items()}
-    held = Stored(*(np.asarray(part)[::panels] for part in store))
-    net = Power(**work).net
+    held = Stored(*(jnp.asarray(part)[::panels] for part in store))
+    net = Power(**{name: jnp.asarray(value) for name, value in work.items()}).net
     residual = np.asarray(net - (held.total - held.total[0]))
     done = max(float(np.max(np.abs(value))) for value in (*work.values(), held.total - held.total[0]))
     closure = float(np.max(np.abs(residual))) / done if done > 0 else float(np.max(np.abs(residual)))

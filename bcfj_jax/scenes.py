@@ -172,7 +172,7 @@ def joint(
             ``approach_speed`` for all impacts, as the paper does.
         friction: False for none, True for Brown-McPhee, or a name of ``laws.FRICTION``.
         laws, frictions: other normal-force and friction laws for contacts by name.
-        contacts: those in the program (``joint.scene.CONTACTS``); by default all, but seat_cage where the cage is fixed.
+        contacts: those in the program (``joint.scene.CONTACTS``); by default all, less seat_cage if the cage is fixed.
         track: "gothic" or "circular" section of the tracks.
         spin: whether balls turn, and so roll; without, a ball is a particle at its centre.
         cage: "free", or "fixed" to the bisecting plane.
@@ -198,7 +198,8 @@ def joint(
             if name not in CONTACTS:
                 raise InputError(f"{where} {what}", f"no contact '{name}'", nearest(name, CONTACTS))
             if name not in names:
-                raise InputError(f"{where} {what}", f"'{name}' is not among the contacts", f"there are {', '.join(names)}")
+                found = f"'{name}' is not among the contacts"
+                raise InputError(f"{where} {what}", found, f"there are {', '.join(names)}")
     missing = [name for name in ("seat_ball", "head_ball") if name not in names]
     if missing:
         raise InputError(f"{where} contacts", f"without {missing[0]}", "balls need both tracks to carry torque")

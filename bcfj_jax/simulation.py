@@ -110,8 +110,12 @@ def force_history(
     if mode == "reverse":
         return _forces(_REVERSE, scene, params, times, how, True)
     if mode == "auto":
-        ways = [lambda x, a=adjoint: _forces(a, scene, *x, True) for adjoint in (_FORWARD, _REVERSE)]
-        return two_way(*ways, lambda x: _forces(_FORWARD, scene, *x, False))((dict(params), times, how))
+
+        def way(adjoint: dfx.AbstractAdjoint, differentiable: bool) -> Callable[[tuple], dict[str, Array]]:
+            return lambda x: _forces(adjoint, scene, x[0], x[1], x[2], differentiable)
+
+        ways = way(_FORWARD, True), way(_REVERSE, True), way(_FORWARD, False)
+        return two_way(*ways)((dict(params), times, how))
     raise InputError("mode", f"no mode '{mode}'", "use auto, forward or reverse")
 
 
@@ -135,7 +139,12 @@ def _checked_times(times: ArrayLike) -> np.ndarray:
 
 
 def simulate(
-    scene: AbstractScene, params: Params, times: ArrayLike, *, accuracy: str | float = "balanced", max_steps: int = 100_000
+    scene: AbstractScene,
+    params: Params,
+    times: ArrayLike,
+    *,
+    accuracy: str | float = "balanced",
+    max_steps: int = 100_000,
 ) -> Run:
     """Simulate a scene and say how it went.
 

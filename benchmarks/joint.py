@@ -1,10 +1,10 @@
 """The joint: cost of each part, work against error beside other people's solvers, a batch, and what options save.
 
-    python benchmarks/joint.py            all, some ten minutes on a quiet machine; needs the extra ``bench`` and a C compiler
+    python benchmarks/joint.py            all, some ten minutes on a quiet machine; needs the extra ``bench`` and cc
     python benchmarks/joint.py costs      or any of: costs, precision, seconds, batch, options
 
-Wall times are medians, one thread of XLA, everything compiled before. Forces: normal forces of flank 1 at both races, 0.6 s of the
-default joint, 301 outputs. ``loaded`` leaves out samples below 200 N: a free ball rattles in its clearance, and its
+Wall times are medians, one thread of XLA, everything compiled before. Forces: normal forces of flank 1 at both races,
+0.6 s of the default joint, 301 outputs. ``loaded`` leaves out samples below 200 N: a free ball rattles in its clearance, and its
 impacts of some 50 N are beyond prediction (a start shaken by 5e-15 m moves them), so nothing converges below 1 N there.
 """
 
@@ -131,7 +131,10 @@ def precision() -> dict[str, Any]:
     ):
         solve = SOLVERS[name]
         for tol in tolerances:
-            runs = [solve(scene, params, times, tol, sizes) for _ in range(3 if "C field" in name or "CVODES" in name else 1)]
+            runs = [
+                solve(scene, params, times, tol, sizes)
+                for _ in range(3 if "C field" in name or "CVODES" in name else 1)
+            ]
             wall = float(np.median([run.wall_s for run in runs]))
             add(name, tol, runs[0].states, wall, runs[0].steps, runs[0].failed)
     return {"rows": rows}
@@ -162,7 +165,9 @@ def batch() -> dict[str, Any]:
     params, times = scene.parameters(), jnp.linspace(0.0, 0.6, 301)
     how = plan(scene, 1e-2)
     clearance = jnp.linspace(20e-6, 100e-6, 64)
-    lanes = {name: jnp.broadcast_to(value, (64,)) for name, value in params.items()} | {"clearance_seat_cage": clearance}
+    lanes = {name: jnp.broadcast_to(value, (64,)) for name, value in params.items()} | {
+        "clearance_seat_cage": clearance
+    }
     many = jax.jit(jax.vmap(lambda p: integrate(scene, p, times, how, _FORWARD).states))
     alone = jax.jit(lambda p: integrate(scene, p, times, how, _FORWARD).states)
     jax.block_until_ready((many(lanes), alone(params)))
@@ -173,9 +178,15 @@ def batch() -> dict[str, Any]:
 def _operations(jaxpr: Any) -> int:
     count = 0
     for equation in jaxpr.eqns:
-        inner = [x for x in jax.tree.leaves(list(equation.params.values())) if hasattr(x, "eqns") or hasattr(x, "jaxpr")]
+        inner = [
+            x for x in jax.tree.leaves(list(equation.params.values())) if hasattr(x, "eqns") or hasattr(x, "jaxpr")
+        ]
         count += sum(_operations(getattr(x, "jaxpr", x)) for x in inner) if inner else 1
     return count
+
+
+def _nudge(solver: Rodas, t: Any, h: Any, args: Any, y: jax.Array) -> jax.Array:
+    return y + 1e-15 * solver.step(None, t, t + h, y, args, None, False)[0]
 
 
 def options() -> dict[str, Any]:
@@ -198,7 +209,7 @@ def options() -> dict[str, Any]:
         y = loaded_state(scene, params)
         t, h = jnp.asarray(0.13), jnp.asarray(1e-4)
         jaxpr = jax.make_jaxpr(lambda y, c=c, scene=scene: system.field(0.0, y, (scene, c)))(y)
-        step = microseconds(lambda y: y + 1e-15 * Rodas(a).step(None, t, t + h, y, (scene, c), None, False)[0], y, 500)
+        step = microseconds(partial(_nudge, Rodas(a), t, h, (scene, c)), y, 500)
         rows[name] = {"operations": _operations(jaxpr.jaxpr), "states": scene.states, "step_us": step}
     return rows
 

@@ -18,7 +18,7 @@ from jax import Array
 
 from bcfj_jax import force_history
 from bcfj_jax.integrate import Plan, plan
-from bcfj_jax.scene import Scene
+from bcfj_jax.scene import AbstractScene
 from calibration.problem import COMPONENTS, NUISANCES, Experiment, Problem
 
 
@@ -49,7 +49,7 @@ class Data(eqx.Module):
 class Model(eqx.Module):
     """The residual function of a problem's experiments, ready to be compiled once."""
 
-    scene: Scene
+    scene: AbstractScene
     slots: tuple[Slot, ...] = eqx.field(static=True)
     channels: tuple[str, ...] = eqx.field(static=True)
     data: Data

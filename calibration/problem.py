@@ -7,8 +7,9 @@ from typing import Literal
 
 import numpy as np
 
-from bcfj_jax import InputError, Scene, check_value, nearest
+from bcfj_jax import InputError, check_value, nearest
 from bcfj_jax.quantities import Quantity
+from bcfj_jax.scene import AbstractScene
 
 # Nuisance parameters of the measuring chain: reading(t) = gain F(t - time_offset) + force_offset.
 NUISANCES = {
@@ -81,7 +82,7 @@ class Problem:
             that do not increase, fewer samples than free parameters.
     """
 
-    scene: Scene
+    scene: AbstractScene
     params: dict[str, float]
     experiments: tuple[Experiment, ...]
     free: tuple[Free, ...]

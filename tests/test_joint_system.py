@@ -364,8 +364,9 @@ def test_tangents_of_sdirk_are_bounded_however_stiff():
 
 # --- runs
 
-BUDGET = 400
-SHORT = np.linspace(0.0, 2e-3, 5)
+BUDGET = 200
+# Impacts multiply a difference by ten within some 200 us: longer runs would compare rounding.
+SHORT = np.linspace(0.0, 1e-3, 5)
 
 
 @functools.cache
@@ -383,7 +384,7 @@ def test_failures_say_why_and_when():
     good = simulated(params)
     assert good.status == "ok" and good.reason == "" and np.isnan(good.failure_time)
     assert set(good.force) == set(GROOVES) and good.force["seat_ball"].shape == (5, 3, 3)
-    assert good.force["seat_ball"][-1].max() > 100.0
+    assert good.force["seat_ball"].max() > 100.0
     assert good.stats["accepted"] > 0
     # Times and parameters are no part of the program: none of these compiles again.
     long = simulated(params, np.linspace(0.0, 1.0, 5))
@@ -419,34 +420,39 @@ def test_a_batch_equals_its_members_and_is_traced_once():
     assert len(traces) == 1
 
 
-@pytest.mark.slow
-def test_derivatives_go_both_ways():
-    scene = scenes.joint()
-    params = scene.parameters(load_ramp=5e-3, load_torque=300.0)
-    free = ("stiffness", "damping", "friction_static", "clearance_seat_ball", "cage_mass", "load_torque")
-    x = jnp.array([float(params[name]) for name in free])
+@functools.cache
+def derivatives():
+    """Both directions of the derivative of 10 ms of a dynamic joint with friction, compiled; values; weights."""
+    scene = scenes.joint(**LITTLE | {"friction": True})
+    params = scene.parameters()
+    free = ("stiffness", "damping", "friction_static", "clearance_seat_ball", "ball_mass", "load_torque")
     times = np.linspace(0.0, 0.01, 5)
 
     def forces(x):
         values = {**params, **dict(zip(free, x, strict=True))}
         return simulation.force_history(scene, values, times, accuracy="fast")
 
+    x = jnp.array([float(params[name]) for name in free])
     rng = np.random.default_rng(8)
-    direction = x * rng.normal(size=x.shape)
-    shape = jax.eval_shape(forces, x)
-    weights = {name: rng.normal(size=leaf.shape) for name, leaf in shape.items()}
+    weights = {name: rng.normal(size=leaf.shape) for name, leaf in jax.eval_shape(forces, x).items()}
 
-    @jax.jit
-    def both(x):
+    def both(x, direction, weights):
         _, tangent = jax.jvp(forces, (x,), (direction,))
-        (cotangent,) = jax.vjp(forces, x)[1](weights)
-        return tangent, cotangent
+        return tangent, jax.vjp(forces, x)[1](weights)[0]
 
-    tangent, cotangent = jax.device_get(both(x))
+    return jax.jit(both), x, weights
+
+
+@pytest.mark.slow
+def test_derivatives_go_both_ways():
+    both, x, weights = derivatives()
+    x = x.at[-1].set(100.0)
+    direction = np.asarray(x) * np.random.default_rng(9).normal(size=x.shape)
+    tangent, cotangent = jax.device_get(both(x, direction, weights))
     assert all(np.all(np.isfinite(part)) for part in tangent.values()) and np.all(np.isfinite(cotangent))
     parts = np.concatenate([np.ravel(weights[name] * tangent[name]) for name in tangent])
     assert abs(parts).max() > 1.0
-    assert parts.sum() == pytest.approx(cotangent @ direction, rel=1e-9, abs=1e-9 * abs(parts).max())
+    assert abs(parts.sum() - cotangent @ direction) <= 1e-9 * abs(parts).max()
 
 
 # --- bad input

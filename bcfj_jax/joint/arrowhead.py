@@ -63,7 +63,7 @@ class Factors(NamedTuple):
 
 
 class _Part(NamedTuple):
-    """What places or turns of one body add: columns (n, k, m) by place and rate, rows (n, m, 3 | k), and  -B' (n, m, k)."""
+    """What places or turns of a body add: columns (n, k, m) by place and rate, rows (n, m, 3 | k),  -B' (n, m, k)."""
 
     column_place: Array
     column_rate: Array
@@ -216,18 +216,18 @@ def _cayley(vector: Array, spin: Array, scale: Array) -> Array:
 class Arrowhead(AbstractStructure):
     """The joint's field with its structure; ``args`` is (scene, constants)."""
 
-    def field(self, t: Array, y: Array, args: Any) -> Array:
+    def field(self, t: Any, y: Array, args: Any) -> Array:
         """``system.field``."""
         return system.field(t, y, args)
 
-    def time_derivative(self, t: Array, y: Array, args: Any) -> Array:
+    def time_derivative(self, t: Any, y: Array, args: Any) -> Array:
         """Of load and drive, the only things that depend on time."""
         scene, c = args
         state = system.view(scene, c, y)
         rate = jax.jvp(lambda t: system.applied(scene, c, t, state), (t,), (jnp.ones_like(t),))[1]
         return jnp.concatenate([jnp.zeros(scene.states - scene.border), rate * c.border_lightness])
 
-    def factor(self, t: Array, y: Array, args: Any, scale: Array) -> Factors:
+    def factor(self, t: Any, y: Array, args: Any, scale: Any) -> Factors:
         """Blocks, the balls' inverses, the border's Schur complement inverted."""
         scene, c = args
         d = blocks(scene, c, y)
@@ -272,16 +272,12 @@ class Arrowhead(AbstractStructure):
         ball = twist + c.ball_lightness * (
             jnp.einsum("nkj,nj->nk", d.ball_place, s * place) + jnp.einsum("nkb,b->nk", d.column_place, shift)
         )
-        border = rate + c.border_lightness * (
-            jnp.einsum("nbj,nj->b", d.row_place, s * place) + d.border_place @ shift
-        )
+        border = rate + c.border_lightness * (jnp.einsum("nbj,nj->b", d.row_place, s * place) + d.border_place @ shift)
         ball = jnp.einsum("nkl,nl->nk", factors.ball_inverse, ball)
         rates = factors.border_inverse @ (border - jnp.einsum("nbk,nk->b", factors.row, ball))
         twists = ball - jnp.einsum("nkb,b->nk", factors.column, rates)
         places = s * (place + twists[:, :3])
         moved = s * (at + rates)
         if tilted:
-            moved = moved.at[tilt].set(
-                known - s * _cayley(jnp.cross(factors.axis, rates[tilt]), factors.spin, s)
-            )
+            moved = moved.at[tilt].set(known - s * _cayley(jnp.cross(factors.axis, rates[tilt]), factors.spin, s))
         return jnp.concatenate([places.ravel(), moved, twists.ravel(), rates])

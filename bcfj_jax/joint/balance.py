@@ -135,7 +135,7 @@ def _race(scene: Joint, c: Constants, skin: Skin, race: int, place: Array, turn:
     return _Race(
         g_t * across + g_x * mid + g_a * r_z * axis,
         swing,
-        sum(e[:, None] * row for e, row in zip(frame, world, strict=True)),
+        sum((e[:, None] * row for e, row in zip(frame, world, strict=True)), jnp.zeros(())),
         sum(m * e for m, e in zip(moves, frame, strict=True)) + drift,
         sum(m * e for m, e in zip(pulls, frame, strict=True)) + drift,
         moves[1] * t - moves[0] * x - t * g_t - x * g_x,
@@ -250,8 +250,9 @@ def _inverse3(m: Array) -> Array:
 def solve(m: Matrix, right: Places) -> Places:
     """The arrowhead's solution, linear in ``right``: balls eliminated, the border by Gauss without pivoting, back."""
     inverse = _inverse3(m.ball)
-    column = sum(inverse[:, j, None] * m.column[j] for j in range(3))
-    ball = sum(inverse[:, j] * right.ball[j] for j in range(3))
+    none = jnp.zeros(())
+    column = sum((inverse[:, j, None] * m.column[j] for j in range(3)), none)
+    ball = sum((inverse[:, j] * right.ball[j] for j in range(3)), none)
     a = m.border - jnp.sum(sum(m.row[:, j, None] * column[j] for j in range(3)), 2)
     b = right.border - jnp.sum(sum(m.row[:, j] * ball[j] for j in range(3)), 1)
     upper, known = [], []

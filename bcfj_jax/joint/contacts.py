@@ -1,7 +1,7 @@
 """Geometry of the joint's contacts, and the one way in which all of them act.
 
-A contact is a penetration d, its direction n (= grad d: the way in which the second body, the ball or the inner sphere, has
-moved into the first) and the lever l n from the second body's centre to the point of contact. The relative place p
+A contact is a penetration d, its direction n (= grad d: the way in which the second body, the ball or the inner sphere,
+has moved into the first) and the lever l n from the second body's centre to the point of contact. The relative place p
 of the centres decides them; the relative twist (v, w) decides the rest:
 
     rate  d' = n . v        sliding  u = v + w x l n - d' n        force  f = -N n - D u,   D = N mu(|u|)/|u|
@@ -227,7 +227,8 @@ def slopes(skin: Skin | SkinPair, at: Geometry, velocity: Array, spin: Array | N
         slide = slide + jnp.cross(w, lever * n)
         sweep = lever[..., None] * hessian + at.lever_slope * _dyad(n, n) if curved else jnp.zeros_like(plane)
         slide_place = slide_place + _cross_columns(w, sweep)
-        slide_twist = jnp.concatenate([plane, -jnp.cross(lever[..., None] * n[..., None, :], jnp.eye(3)).swapaxes(-1, -2)], -1)
+        turned = -jnp.cross(lever[..., None] * n[..., None, :], jnp.eye(3)).swapaxes(-1, -2)
+        slide_twist = jnp.concatenate([plane, turned], -1)
         load_twist = jnp.concatenate([load_twist, jnp.zeros_like(load_twist)], -1)
         by_twist = jnp.concatenate([by_twist, jnp.zeros_like(by_twist)], -1)
     squared = dot(slide, slide)

@@ -1,7 +1,8 @@
 """The joint's default numbers, each with where it is from. Nothing here is a measurement of the paper's joint.
 
-"paper": Zhu et al., Machines 2023, 11(4), 466. "group": sizes of the optimised joint of the same group (Energies 2022, 15,
-7591), read as sphere diameters. "derived": computed from these. "GUESS": chosen within the ranges usual for such joints.
+"paper": Zhu et al., Machines 2023, 11(4), 466. "group": sizes of the optimised joint of the same group (Energies
+2022, 15, 7591), read as sphere diameters. "derived": computed from these. "GUESS": within the ranges usual for such
+joints.
 """
 
 from __future__ import annotations
@@ -32,10 +33,10 @@ DEFAULTS: dict[str, tuple[float, str]] = {
     "head_cage.stiffness": (6.606e11, "derived: Lankarani-Nikravesh, sphere in socket, 50 um"),
     "exponent": (1.5, "paper: nonlinear index 1.5"),
     "damping": (0.111, "GUESS: restitution 0.9 at 1.5 m/s"),
-    "smoothing": (1e-6, "GUESS: onset of penetration; see the figure of its price in docs/joint.md"),
+    "smoothing": (5e-6, "chosen: changes forces by 2e-4 of the peak at half the cost; figure in docs/joint.md"),
     "friction_static": (0.12, "paper"),
     "friction_dynamic": (0.03, "paper"),
-    "friction_speed": (0.1, "GUESS: transition speed; see the figure of its price in docs/joint.md"),
+    "friction_speed": (0.1, "GUESS: usual in multibody work; its price is in docs/joint.md"),
     "bristle_stiffness": (1e5, "GUESS: micro-slip of 1 um at a tenth of the static friction"),
     "bristle_damping": (1.0, "GUESS"),
     "ball_mass": (0.016731, "derived: steel sphere, 7801 kg/m^3"),

@@ -126,7 +126,10 @@ def _acting(scene: Joint, c: Constants, state: system.State) -> dict[str, _Actin
     if c.pilot_skin is not None:
         motion, _ = system.guided(scene, c, state)
         found["pilots"] = c.pilot_skin, pilots(c.pilot_clearance, c.pilot_hollow, motion.arm), motion
-    return {name: _Acting(*part, act(part[0], part[1], part[2].velocity, part[2].spin)) for name, part in found.items()}
+    return {
+        name: _Acting(skin, at, motion, act(skin, at, motion.velocity, motion.spin))
+        for name, (skin, at, motion) in found.items()
+    }
 
 
 def _elastic(skin: Skin | SkinPair, penetration: Array) -> Array:
@@ -186,7 +189,7 @@ def _contact_torque(scene: Joint, c: Constants, state: system.State) -> Array:
 
 
 def torque_in(scene: Joint, c: Constants, t: Array, y: Array) -> Array:
-    """Torque on the seat [N m]: a flexible drive's; else what holds the prescribed speed, minus that of the contacts."""
+    """Torque on the seat [N m]: a flexible drive's; else minus the contacts', to hold the speed."""
     state = system.view(scene, c, y)
     if scene.drive == "flexible":
         return system.drive_torque(scene, c, t, state)

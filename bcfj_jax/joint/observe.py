@@ -2,17 +2,20 @@
 
 Components of a force (the last axis, normal, axial, tangential); friction is that on the second body named here:
 
-| contact                | normal                                           | axial                    | tangential          |
-|------------------------|--------------------------------------------------|--------------------------|---------------------|
-| seat_ball, head_ball   | sum of both flanks' normal forces on the ball    | along the track          | around the section  |
-| cage_ball              | force on the cage along its axis, either sign    | outward from cage centre | around the cage     |
-| seat_cage, head_cage   | normal force between the spheres, on the inner   | along the cage's axis    | around that axis    |
+| contact                | normal                                       | axial                   | tangential         |
+|------------------------|----------------------------------------------|-------------------------|--------------------|
+| seat_ball, head_ball   | sum of both flanks' normal forces            | along the track         | around the section |
+| cage_ball              | force on the cage along its axis, either sign| outward from its centre | around the cage    |
+| seat_cage, head_cage   | normal force between the spheres             | along the cage's axis   | around that axis   |
 
 Axial and tangential are friction alone: normal, axial and tangential directions are at right angles.
 """
 
 from __future__ import annotations
 
+from typing import Any
+
+import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -54,14 +57,14 @@ def observe(scene: Joint, c: Constants, y: Array) -> dict[str, Reading]:
     readings: dict[str, Reading] = {}
     if found.pilots is not None:
         reading = _read(found.pilots, jnp.sum(found.pilots.normal, -1), state.cage_axis)
-        readings = {name: Reading(*(part[i] for part in reading)) for i, name in enumerate(scene.pilots)}
+        readings = {name: _member(reading, i) for i, name in enumerate(scene.pilots)}
     if found.windows is not None:
         normal = found.windows.normal[..., 0] - found.windows.normal[..., 1]
         readings["cage_ball"] = _read(found.windows, normal, state.ball_place - state.cage_place)
     along = _along(c, state)
     reading = _read(found.grooves, jnp.sum(found.grooves.normal, -1), along)
     for i, name in enumerate(("seat_ball", "head_ball")):
-        readings[name] = Reading(*(part[:, i] for part in reading))
+        readings[name] = _member(reading, (slice(None), i))
     return {contact.name: readings[contact.name] for contact in scene.contacts}
 
 
@@ -70,6 +73,10 @@ def observe_at_rest(scene: Joint, c: Constants, y: Array) -> dict[str, Reading]:
     velocities = jnp.arange(y.size) >= 3 * scene.balls + scene.border
     moving, still = observe(scene, c, y), observe(scene, c, jnp.where(velocities, 0.0, y))
     return {name: still[name]._replace(rate=moving[name].rate, slip=moving[name].slip) for name in moving}
+
+
+def _member(reading: Reading, index: Any) -> Reading:
+    return jax.tree.map(lambda part: part[index], reading)
 
 
 def _along(c: Constants, state: State) -> Array:

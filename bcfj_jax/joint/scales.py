@@ -27,8 +27,11 @@ def scales(scene: Joint, params: Params) -> Array:
     place = jnp.clip(jnp.interp(load, force, trial), 1e-7, 1e-3)
     speeds = [scene.coefficient(p, x.name, "friction_speed") for x in scene.contacts if x.friction is not None]
     speed = jnp.min(jnp.stack(speeds)) if speeds else 0.25 * jnp.abs(p["drive_speed"]) * p["pitch_radius"] + 1e-3
-    turning = [name.endswith("turn") for name, slot in scene.slots.items() if slot for _ in range(slot.stop - slot.start)]
-    border = jnp.where(np.array(turning), 1.0 / p["pitch_radius"], 1.0)
+    turning = np.zeros(scene.border, bool)
+    for name, slot in scene.slots.items():
+        if slot is not None and name.endswith("turn"):
+            turning[slot] = True
+    border = jnp.where(turning, 1.0 / p["pitch_radius"], 1.0)
     ball = jnp.ones((scene.balls, scene.twist)).at[:, 3:].set(1.0 / p["ball_radius"])
     return jnp.concatenate([jnp.full(3 * scene.balls, place), place * border, speed * ball.ravel(), speed * border])
 

@@ -99,14 +99,12 @@ def races(c: Constants, state: State) -> tuple[Motion, Array, Array]:
     """Balls relative to (seat, head); the track planes' normals (balls, 2, 3); angular velocities (2, 3)."""
     zero = jnp.zeros(3)
     spins = jnp.stack([state.seat_spin, state.head_spin])[:, None] * c.axes
-    motion = relative(
-        state, jnp.stack([zero, state.head_place]), jnp.stack([zero, state.head_velocity]), spins
-    )
+    motion = relative(state, jnp.stack([zero, state.head_place]), jnp.stack([zero, state.head_velocity]), spins)
     turns = jnp.stack([state.seat_turn, state.head_turn])
     cosine, sine = jnp.cos(turns)[:, None], jnp.sin(turns)[:, None]
     radial, tangent = cosine * c.radial + sine * c.tangent, cosine * c.tangent - sine * c.radial
     around = 2 * np.pi * np.arange(state.ball_place.shape[0]) / state.ball_place.shape[0]
-    across = np.cos(around)[:, None, None] * tangent - np.sin(around)[:, None, None] * radial
+    across = jnp.cos(around)[:, None, None] * tangent - jnp.sin(around)[:, None, None] * radial
     return motion, across, spins
 
 
@@ -127,7 +125,7 @@ def touches(scene: Joint, c: Constants, state: State) -> Touches:
 
 
 def guided(scene: Joint, c: Constants, state: State) -> tuple[Motion, Array]:
-    """Inner spheres relative to outer ones, (pilots, 3), and the outer ones' angular velocities, as ``scene.pilots``."""
+    """Inner spheres relative to outer ones, and the outer ones' angular velocities; (pilots, 3) each."""
     seat_spin, head_spin = state.seat_spin * c.axes[0], state.head_spin * c.axes[1]
     zero = jnp.zeros(3)
     bodies = {
@@ -179,7 +177,7 @@ def on_bodies(scene: Joint, c: Constants, state: State, found: Touches) -> tuple
     force = found.grooves.force
     arm = state.ball_place[:, None] - jnp.stack([jnp.zeros(3), state.head_place])
     torque = jnp.cross(arm, force)
-    if scene.spin:
+    if found.grooves.moment is not None:
         torque = torque + found.grooves.moment
     turning = -jnp.sum(jnp.sum(torque, 0) * c.axes, -1)
     parts = {"head": -jnp.sum(force[:, 1], 0), "head_turn": turning[1:], "seat_turn": turning[:1]}

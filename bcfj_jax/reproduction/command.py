@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 
 from bcfj_jax import outputs, report
 from bcfj_jax.joint.scene import Joint
@@ -130,6 +131,8 @@ def _write(
     ]
     said = verdict(found, records)
     notes = [tables.AS_GIVEN, tables.CALIBRATED]
+    if np.max(np.abs(found.residuals)) > ERROR:
+        notes.append(tables.MISFIT)
     outputs.write_toml(folder / "run.toml", _resolved(scene, params, fitted, end), "what bcfj reproduce ran, SI")
     outputs.write_json(folder / "environment.json", outputs.environment(data=[]))
     outputs.write_json(

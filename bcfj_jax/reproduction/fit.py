@@ -28,6 +28,8 @@ _FAILED = 1e2
 _EDGE = 1e-3
 # An unknown known to worse than this factor at 95 % is not determined, as in ``calibration``.
 WIDEST_FACTOR = 2.0
+# A box alone knows each unit coordinate to sqrt(1/12); to halve that takes a singular value s with s^2 + 12 > 4 x 12.
+KNOWN = 6.0
 
 
 class Unknown(NamedTuple):
@@ -78,10 +80,10 @@ class PeakFit(NamedTuple):
         residuals: peaks/paper - 1.
         singular: singular values of the residuals' derivative by the unknowns in the unit box, over ``ERROR``.
         directions: (k, unknowns), the combination each belongs to.
-        combinations: how many of them the data determine: singular value above 1.
+        combinations: how many of them the data determine: singular value above ``KNOWN``.
         costs: of every start's end, least first; infinite for one that failed.
         reach: (2, numbers) least and greatest of each peak at any point evaluated [N].
-        agreeing: starts that ended within a hundredth of the least cost.
+        agreeing: starts that ended within a hundredth of the least cost (or of one miss by ``ERROR``, if that is more).
         evaluations: of the model and its derivatives.
     """
 
@@ -193,14 +195,14 @@ def _judge(model: _Model, ends: list[tuple[float, np.ndarray]]) -> PeakFit:
         verdict = "at bound" if at_bound else "determined" if known else "not determined"
         estimates[unknown.name] = Estimate(value, float(factor), verdict)
     costs = tuple(cost for cost, _ in ends)
-    agreeing = sum(cost <= 1.01 * best for cost in costs)
+    agreeing = sum(cost <= best + 0.01 * max(best, 0.5 * ERROR**2) for cost in costs)
     return PeakFit(
         estimates,
         found,
         residual,
         singular,
         directions,
-        int(np.sum(singular > 1.0)),
+        int(np.sum(singular > KNOWN)),
         costs,
         model.reach,
         agreeing,

@@ -8,7 +8,7 @@ from typing import Any
 
 from bcfj_jax.joint.defaults import DEFAULTS
 from bcfj_jax.reproduction.claims import CLAIMS, FIGURE, INPUT, Claim
-from bcfj_jax.reproduction.fit import ERROR, UNKNOWNS, PeakFit, combination
+from bcfj_jax.reproduction.fit import ERROR, KNOWN, UNKNOWNS, PeakFit, combination
 from bcfj_jax.reproduction.measures import Inequality, Measured
 from bcfj_jax.reproduction.peaks import TARGETS
 from bcfj_jax.scene import Params
@@ -25,6 +25,10 @@ CALIBRATED = (
     f"Calibrated: {len(UNKNOWNS)} unknowns fitted to {FITTED_TO}; not a prediction for these rows. They were fitted in "
     "the quasistatic model without friction; the column is what the dynamic model with friction gives at the fitted "
     "values."
+)
+MISFIT = (
+    "The fit misses part of what it was fitted to: its values estimate no real joint, and the rest of the calibrated "
+    "column is what this model does at them, nothing more."
 )
 SEVERAL = "as the paper's"
 
@@ -150,7 +154,7 @@ def combination_rows(fit: PeakFit) -> list[list[str]]:
     """What the peaks can tell: combinations of the unknowns (in the unit box), best known first."""
     names = tuple(fit.estimates)
     return [["singular value", "combination of logarithms", "verdict"]] + [
-        [f"{s:.3g}", combination(d, names), "determined" if s > 1.0 else "not determined"]
+        [f"{s:.3g}", combination(d, names), "determined" if s > KNOWN else "not determined"]
         for s, d in zip(fit.singular, fit.directions, strict=True)
     ]
 

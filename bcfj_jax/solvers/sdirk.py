@@ -79,7 +79,7 @@ class Sdirk(dfx.AbstractAdaptiveSolver):
         error = jnp.where(good & also, error, jnp.inf)
         return y1, error, dict(y0=y0, y1=y1, k0=h * first, k1=h * last), last, dfx.RESULTS.successful
 
-    def _stage(self, t: Array, base: Array, guess: Array, s: Array, args: Any) -> tuple[Array, Array]:
+    def _stage(self, t: Any, base: Array, guess: Array, s: Any, args: Any) -> tuple[Array, Array]:
         """The y of  y = base + s f(t, y),  and whether Newton got there."""
         arrays, static = eqx.partition(args, eqx.is_array)
         structure = self.structure
@@ -106,7 +106,7 @@ class Sdirk(dfx.AbstractAdaptiveSolver):
         def solve(t, base, guess, s, arrays, tolerance):
             return newton(t, base, guess, s, arrays, tolerance)
 
-        @solve.defjvp
+        @solve.defjvp  # pyright: ignore[reportArgumentType]
         def _(primals, tangents):
             t, base, _, s, arrays, _ = primals
             y, good = newton(*primals)

@@ -19,11 +19,11 @@ class AbstractStructure(eqx.Module):
     """The linear algebra of one family of fields ``field(t, y, args) -> dy/dt`` over a flat state."""
 
     @abstractmethod
-    def field(self, t: Array, y: Array, args: Any) -> Array:
+    def field(self, t: Any, y: Array, args: Any) -> Array:
         """Time derivative of the state."""
 
     @abstractmethod
-    def factor(self, t: Array, y: Array, args: Any, scale: Array) -> Any:
+    def factor(self, t: Any, y: Array, args: Any, scale: Any) -> Any:
         """Everything that solving with  I/scale - J(t, y)  needs; J exact, or the order is lost."""
 
     @abstractmethod
@@ -31,7 +31,7 @@ class AbstractStructure(eqx.Module):
         """The x of  (I/scale - J) x = right."""
 
     @abstractmethod
-    def time_derivative(self, t: Array, y: Array, args: Any) -> Array:
+    def time_derivative(self, t: Any, y: Array, args: Any) -> Array:
         """Partial derivative of the field with respect to time."""
 
 
@@ -40,11 +40,11 @@ class Dense(AbstractStructure):
 
     function: Any = eqx.field(static=True)
 
-    def field(self, t: Array, y: Array, args: Any) -> Array:
+    def field(self, t: Any, y: Array, args: Any) -> Array:
         """The function itself."""
         return self.function(t, y, args)
 
-    def factor(self, t: Array, y: Array, args: Any, scale: Array) -> Any:
+    def factor(self, t: Any, y: Array, args: Any, scale: Any) -> Any:
         """LU of the dense matrix."""
         jacobian = jax.jacfwd(lambda y: self.function(t, y, args))(y)
         return jax.scipy.linalg.lu_factor(jnp.eye(y.size) / scale - jacobian)
@@ -53,6 +53,6 @@ class Dense(AbstractStructure):
         """Forward and back substitution."""
         return jax.scipy.linalg.lu_solve(factors, right)
 
-    def time_derivative(self, t: Array, y: Array, args: Any) -> Array:
+    def time_derivative(self, t: Any, y: Array, args: Any) -> Array:
         """By forward differentiation."""
         return jax.jvp(lambda t: self.function(t, y, args), (t,), (jnp.ones_like(t),))[1]
