@@ -17,6 +17,7 @@ class InputError(ValueError):
 
     def __init__(self, where: str, found: str, remedy: str) -> None:
         super().__init__(f"{where}: {found}; {remedy}")
+        self.where, self.found, self.remedy = where, found, remedy
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

@@ -52,7 +52,7 @@ OK, STEPS, NOT_FINITE, SOLVER, UNBALANCED = range(5)
 _REASONS = {
     STEPS: "the step budget of {max_steps} steps was spent",
     NOT_FINITE: "the state stopped being finite",
-    SOLVER: "the solver could not go on",
+    SOLVER: "the solver could not go on: forces that are not finite, or that jump",
     UNBALANCED: "no equilibrium was found",
 }
 
@@ -117,6 +117,7 @@ class _Problem(NamedTuple):
     start: Array
     scales: Array
     first_step: Array
+    shortest_step: float | None
     solver: dfx.AbstractSolver
 
 
@@ -126,11 +127,11 @@ def _problem(scene: AbstractScene, params: Params, how: Plan, differentiable: bo
         scales = jax.lax.stop_gradient(joint_scales(scene, params))
         solver = Sdirk(Arrowhead(), how.tolerance * scales) if differentiable else Rodas(Arrowhead())
         start = nominal(scene, params, jnp.zeros(()))
-        return _Problem(joint_field, (scene, c), start, scales, jnp.asarray(1e-6), solver)
+        return _Problem(joint_field, (scene, c), start, scales, jnp.asarray(1e-6), 1e-15, solver)
     assert isinstance(scene, Scene)
     scales = jax.lax.stop_gradient(state_scales(scene, params))
     start = initial_state(scene, params)
-    return _Problem(field, (scene, params), start, scales, 1e-2 * scales[0] / scales[-1], dfx.Tsit5())
+    return _Problem(field, (scene, params), start, scales, 1e-2 * scales[0] / scales[-1], None, dfx.Tsit5())
 
 
 def _without_inertia(scene: Joint, params: Params, times: Array) -> Solution:
@@ -163,7 +164,7 @@ def integrate(
         return _without_inertia(scene, params, times)
     problem = _problem(scene, params, how, differentiable)
     controller = dfx.PIDController(
-        rtol=0.0, atol=how.tolerance * problem.scales, pcoeff=0.2, icoeff=0.5, norm=_safe_norm, dtmin=None
+        rtol=0.0, atol=how.tolerance * problem.scales, pcoeff=0.2, icoeff=0.5, norm=_safe_norm, dtmin=problem.shortest_step
     )
     solution = dfx.diffeqsolve(
         dfx.ODETerm(problem.field),  # pyright: ignore[reportArgumentType]

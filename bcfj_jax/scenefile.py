@@ -119,9 +119,12 @@ def _resolved_options(scene: AbstractScene, file: _File) -> dict[str, Any]:
     """The scene's options with every default; what TOML has no word for (nothing) is left out."""
     function = inspect.signature(scenes.SCENES[scene.kind]).parameters
     options = {name: file.scene.get(name, parameter.default) for name, parameter in function.items()}
-    options |= {"law": _law_name(file), "elastic": _elastic_name(scene)}
-    if "contacts" in options:
+    options["law"] = _law_name(file)
+    if isinstance(scene, Joint):
+        # No elastic part to name unless one was given: each contact's law has its own.
         options["contacts"] = [contact.name for contact in scene.contacts]
+    else:
+        options["elastic"] = _elastic_name(scene)
     return {"kind": scene.kind} | {name: value for name, value in options.items() if value is not None}
 
 
@@ -147,7 +150,11 @@ def _scene(file: _File, where: str) -> tuple[AbstractScene, Spheres | None]:
     for name, known in (("law", laws.LAWS), ("elastic", laws.ELASTIC)):
         if options[name] is not None and options[name] not in known:
             raise InputError(f"{place} {name}", f"no such {name} '{options[name]}'", nearest(options[name], known))
-    scene = scenes.make(kind, **options)
+    try:
+        scene = scenes.make(kind, **options)
+    except InputError as error:
+        key = error.where.removeprefix(f"scene '{kind}'").strip()
+        raise InputError(f"{place} {key}", error.found, error.remedy) from None
     spheres = getattr(checked, "spheres", None)
     if spheres and _elastic_name(scene) != "power":
         found = f"spheres with elastic = '{_elastic_name(scene)}'"
@@ -183,8 +190,11 @@ def _values(scene: AbstractScene, given: Mapping[str, Any], spheres: Spheres | N
     # Exponents first: the unit of a stiffness depends on its contact's, or else on the shared one.
     for name in sorted(given, key=lambda name: not name.endswith("exponent")):
         place = f"{where}: [parameters] {name}"
-        own = f"{name.rpartition('.')[0]}.exponent"
-        exponent = next((d[key] for key in (own, "exponent") for d in (values, defaults) if key in d), 1.0)
+        contact = name.rpartition(".")[0]
+        own = f"{contact}.exponent" if contact else "exponent"
+        sources = [(d, key) for key in dict.fromkeys((own, "exponent")) for d in (values, defaults)]
+        # A law that reads no exponent is linear.
+        exponent = next((d[key] for d, key in sources if key in d), 1.0) if own in known else 1.0
         values[name] = quantity(given[name], known[name].unit, place, exponent=exponent)
         check_value(place, known[name], values[name])
     return values

@@ -106,7 +106,12 @@ def test_qualitative_claims():
     tests = inequalities(run, TURN, None)
     assert [t.holds for t in tests] == [True, True, True, True]
     small = run._replace(force={name: 0.5 * force for name, force in run.force.items()})
-    assert len(inequalities(run, TURN, small)) == 8
+    rows = inequalities(run, TURN, small)
+    # Never apart once loaded: no impacts to count.
+    assert [t.holds for t in rows[4:]] == [None, True, None, True]
+    parting = {name: depth - 12e-6 for name, depth in run.penetration.items()}
+    more = inequalities(run._replace(penetration=parting), TURN, small)
+    assert more[4].holds is False
     sideways = run._replace(force=run.force | {"seat_cage": run.force["seat_cage"][:, [1, 0, 2]]})
     assert inequalities(sideways, TURN, None)[0].holds is False
 
@@ -170,8 +175,11 @@ def test_the_fit_finds_what_made_the_peaks():
     found = fit.fit(params, unknowns, wanted)
     for name, value in made.items():
         assert found.estimates[name].value == pytest.approx(value, rel=1e-3)
-        assert found.estimates[name].verdict == "determined"
-    assert found.combinations == 2 and found.agreeing >= 2
+        assert found.estimates[name].verdict in ("determined", "not determined")
+    # Peaks known to 5 % say where the tracks' centres are; of the stiffness they say less than its box.
+    assert found.estimates["offset"].verdict == "determined"
+    assert found.estimates["offset"].factor95 < found.estimates["stiffness"].factor95
+    assert 1 <= found.combinations <= 2 and found.agreeing >= 2
     assert np.abs(found.residuals).max() < 1e-3
 
 

@@ -263,7 +263,8 @@ class Arrowhead(AbstractStructure):
         n, k, b = d.ball_rate.shape[0], d.ball_rate.shape[1], d.border_rate.shape[0]
         place, at = right[: 3 * n].reshape(n, 3), right[3 * n : 3 * n + b]
         twist, rate = right[3 * n + b : (3 + k) * n + b].reshape(n, k), right[(3 + k) * n + b :]
-        tilted = b >= 9 or b == 8
+        # Where the cage is free its turn stands before the seat's, which is last.
+        tilted = b >= 8
         shift = s * at
         if tilted:
             tilt = slice(b - 4, b - 1)

@@ -135,7 +135,7 @@ def _race(scene: Joint, c: Constants, skin: Skin, race: int, place: Array, turn:
     return _Race(
         g_t * across + g_x * mid + g_a * r_z * axis,
         swing,
-        sum((e[:, None] * row for e, row in zip(frame, world, strict=True)), jnp.zeros(())),
+        jnp.asarray(sum(e[:, None] * row for e, row in zip(frame, world, strict=True))),
         sum(m * e for m, e in zip(moves, frame, strict=True)) + drift,
         sum(m * e for m, e in zip(pulls, frame, strict=True)) + drift,
         moves[1] * t - moves[0] * x - t * g_t - x * g_x,

@@ -214,12 +214,18 @@ def _wear(run: Run, turn: float) -> Inequality:
 def _clearance(run: Run, tight: Run) -> list[Inequality]:
     rows = []
     for name in ("seat_cage", "head_cage"):
-        counts = [len(features.onsets(r.times, r.penetration[name], r.rate[name])) for r in (run, tight)]
+        counts = []
+        for r in (run, tight):
+            # While the load rises the spheres chatter, a sample long: chance, and not what is claimed.
+            late = features.within(r.times, later(r.times))
+            pressed = r.penetration[name][late] > 0
+            counts.append(int(np.sum(pressed[1:] & ~pressed[:-1])))
         peaks = [float(np.max(r.force[name][:, 0])) for r in (run, tight)]
         rows.append(
             Inequality(
-                f"{name}: larger clearance gives fewer contacts", counts[0] < counts[1],
-                f"{counts[0]} against {counts[1]} with a tenth of the clearances",
+                f"{name}: larger clearance gives fewer contacts", counts[0] < counts[1] if any(counts) else None,
+                f"{counts[0]} against {counts[1]} with a tenth of the clearances" if any(counts)
+                else "once loaded, the spheres do not part with either",
             )
         )  # fmt: skip
         rows.append(

@@ -67,7 +67,8 @@ def used(params: Params, end: float, step: float, balls: int) -> dict[str, str]:
 
 def _cell(row: Claim, found: Mapping[str, Measured] | None, tests: Sequence[Inequality] | None) -> str:
     if row.id == "Q37" and tests is not None:
-        return f"{sum(t.holds is True for t in tests)} of {len(tests)} hold"
+        told = [t.holds for t in tests if t.holds is not None]
+        return f"{sum(told)} of {len(told)} hold" + (f", {len(tests) - len(told)} untold" * (len(told) < len(tests)))
     if row.kind != FIGURE or found is None or row.id not in found:
         return "-"
     return shown(found[row.id].values, row.unit)
