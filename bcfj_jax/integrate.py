@@ -164,7 +164,12 @@ def integrate(
         return _without_inertia(scene, params, times)
     problem = _problem(scene, params, how, differentiable)
     controller = dfx.PIDController(
-        rtol=0.0, atol=how.tolerance * problem.scales, pcoeff=0.2, icoeff=0.5, norm=_safe_norm, dtmin=problem.shortest_step
+        rtol=0.0,
+        atol=how.tolerance * problem.scales,
+        pcoeff=0.2,
+        icoeff=0.5,
+        norm=_safe_norm,
+        dtmin=problem.shortest_step,
     )
     solution = dfx.diffeqsolve(
         dfx.ODETerm(problem.field),  # pyright: ignore[reportArgumentType]

@@ -200,6 +200,9 @@ def joint(
             if name not in names:
                 found = f"'{name}' is not among the contacts"
                 raise InputError(f"{where} {what}", found, f"there are {', '.join(names)}")
+    for name, value in (laws or {}).items():
+        if value not in normal_laws.LAWS:
+            raise InputError(f"{where} laws", f"{name}: no law '{value}'", nearest(value, normal_laws.LAWS))
     missing = [name for name in ("seat_ball", "head_ball") if name not in names]
     if missing:
         raise InputError(f"{where} contacts", f"without {missing[0]}", "balls need both tracks to carry torque")

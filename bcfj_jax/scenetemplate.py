@@ -56,7 +56,7 @@ def template(kind: str) -> str:
 kind = "{kind}"
 law = "memory_free"  # {_wrapped(laws.LAWS)}
 # Without a law, giving restitution below selects the law exact, which delivers it. Each law has its own parameters.
-elastic = "power"  # {_wrapped(laws.ELASTIC)}
+{"# " if kind == "joint" else ""}elastic = "power"  # {_wrapped(laws.ELASTIC)}
 smoothing = true  # false takes the smooth onset of penetration, and its parameter, out
 {_joint_options() if joint else _SPHERES if kind == "impact" else ""}
 [parameters]
