@@ -170,6 +170,7 @@ def integrate(
         icoeff=0.5,
         norm=_safe_norm,
         dtmin=problem.shortest_step,
+        force_dtmin=False,
     )
     solution = dfx.diffeqsolve(
         dfx.ODETerm(problem.field),  # pyright: ignore[reportArgumentType]

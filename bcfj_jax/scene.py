@@ -138,7 +138,7 @@ class Scene(AbstractScene, eqx.Module):
     start: Callable[[Params], tuple[Array, Array]] = eqx.field(static=True)
     impact_scale: Callable[[Params], tuple[Array, Array]] = eqx.field(static=True)
     horizon: Callable[[Params], Array] = eqx.field(static=True)
-    samples: int = eqx.field(static=True)
+    samples: int = eqx.field(static=True, default=1001)
 
     @property
     def quantities(self) -> dict[str, Quantity]:
