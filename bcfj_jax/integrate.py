@@ -12,8 +12,8 @@ tolerance, ``integrate`` runs it. Which solver a scene gets:
 
 Tsit5 and not Dopri8: Tsit5 evaluates the force at the end of a step and weighs it in the error estimate, so a
 flight cannot end inside a surface unnoticed; Dopri8 does not, and was seen to fall through a bounce's
-surface at tolerances of 1e-4 to 1e-6. Tangents through RODAS would carry the derivative of its Jacobian and were
-seen to reach 1e19 N.
+surface at tolerances of 1e-4 to 1e-6. Tangents through RODAS would carry the derivative of its Jacobian; those of a
+prototype's Rosenbrock method reached 1e19 N (shared numerics notes).
 """
 
 from __future__ import annotations

@@ -167,23 +167,35 @@ def simulate(
     compiled = time.perf_counter()
     solution, readings = jax.device_get(_compiled[key](*arguments))
     done = time.perf_counter()
+    walls = {"wall_s": done - compiled, "compile_s": compiled - begin}
+    return story(scene, values, solution, readings, how, walls)
+
+
+def story(
+    scene: AbstractScene,
+    times: np.ndarray,
+    solution: Solution,
+    readings: dict[str, Reading],
+    how: Plan,
+    walls: dict[str, float],
+) -> Run:
+    """A run from what the program gave back, fetched to the host."""
     failed = int(solution.code) != OK
     # JAX gives dictionaries back in the order of their keys.
     readings = {contact.name: readings[contact.name] for contact in scene.contacts}
     return Run(
-        times=values,
+        times=times,
         force={name: np.asarray(r.force) for name, r in readings.items()},
         penetration={name: np.asarray(r.penetration) for name, r in readings.items()},
         rate={name: np.asarray(r.rate) for name, r in readings.items()},
         slip={name: np.asarray(r.slip) for name, r in readings.items() if r.slip is not None},
         status="failed" if failed else "ok",
-        reason=reason(int(solution.code), max_steps),
+        reason=reason(int(solution.code), how.max_steps),
         failure_time=float(solution.end) if failed else float("nan"),
         stats={
             "accepted": int(solution.accepted),
             "rejected": int(solution.rejected),
             "tolerance": float(how.tolerance),
-            "wall_s": done - compiled,
-            "compile_s": compiled - begin,
+            **walls,
         },
     )

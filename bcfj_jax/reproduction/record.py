@@ -13,13 +13,13 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.dynamics import Reading
-from bcfj_jax.integrate import OK, Plan, Solution, integrate, plan, reason
+from bcfj_jax.integrate import Plan, Solution, integrate, plan
 from bcfj_jax.joint.constants import constants
 from bcfj_jax.joint.observe import observe
 from bcfj_jax.joint.scene import Joint
 from bcfj_jax.joint.system import on_bodies, touches, view
 from bcfj_jax.scene import Params
-from bcfj_jax.simulation import Run
+from bcfj_jax.simulation import Run, story
 
 END, STEP, INSTANT = 3.0, 1e-3, 1.51
 # Of a force error in fractions of the peak, as ``simulate`` takes it.
@@ -79,26 +79,10 @@ def record(scene: Joint, params: Params, end: float = END, step: float = STEP) -
     compiled = time.perf_counter()
     solution, readings, forces, velocity = jax.device_get(_compiled[key](*arguments))  # type: ignore[operator]
     done = time.perf_counter()
-    failed = int(solution.code) != OK
     keep = np.searchsorted(times, regular - 1e-9)
-    found = {contact.name: readings[contact.name] for contact in scene.contacts}
-    run = Run(
-        times=regular,
-        force={name: np.asarray(r.force)[keep] for name, r in found.items()},
-        penetration={name: np.asarray(r.penetration)[keep] for name, r in found.items()},
-        rate={name: np.asarray(r.rate)[keep] for name, r in found.items()},
-        slip={name: np.asarray(r.slip)[keep] for name, r in found.items()},
-        status="failed" if failed else "ok",
-        reason=reason(int(solution.code), _MAX_STEPS),
-        failure_time=float(solution.end) if failed else float("nan"),
-        stats={
-            "accepted": int(solution.accepted),
-            "rejected": int(solution.rejected),
-            "tolerance": float(how.tolerance),
-            "wall_s": done - compiled,
-            "compile_s": compiled - begin,
-        },
-    )
+    readings = jax.tree.map(lambda part: part[keep], readings)
+    walls = {"wall_s": done - compiled, "compile_s": compiled - begin}
+    run = story(scene, regular, solution, readings, how, walls)
     low, middle, high = np.searchsorted(times, at - 1e-9)
     pace = np.asarray(velocity)
     rate = (pace[high] - pace[low]) / (times[high] - times[low])
