@@ -6,13 +6,13 @@ tolerance, ``integrate`` runs it. Which solver a scene gets:
 | scene | solver | why |
 |---|---|---|
 | ``impact``, ``bounce`` | Tsit5 | a few elastic or damped springs are oscillatory, not stiff: explicit wins |
-| ``joint``, values | RODAS on the arrowhead | friction is stiff; no iteration, so no lane of a batch waits |
+| ``joint``, values | RODAS3 on the arrowhead | friction is stiff; no iteration, so no lane of a batch waits |
 | ``joint``, derivatives | SDIRK2 on the arrowhead | every stage implicit and converged: tangents stay bounded |
 | ``joint``, quasistatic or kinematic | none | each instant on its own: equilibrium, or closed form |
 
 Tsit5 and not Dopri8: Tsit5 evaluates the force at the end of a step and weighs it in the error estimate, so a
 flight cannot end inside a surface unnoticed; Dopri8 does not, and was seen to fall through a bounce's
-surface at tolerances of 1e-4 to 1e-6. Tangents through RODAS would carry the derivative of its Jacobian; those of a
+surface at tolerances of 1e-4 to 1e-6. Tangents through RODAS3 would carry the derivative of its Jacobian; those of a
 prototype's Rosenbrock method reached 1e19 N (shared numerics notes).
 """
 
@@ -110,7 +110,7 @@ def _safe_norm(scaled_error: Array) -> Array:
 
 
 class _Problem(NamedTuple):
-    """A scene as diffrax takes it."""
+    """A scene as diffrax takes it. ``gains``: proportional and integral, of the step control."""
 
     field: Callable
     args: Any
@@ -118,6 +118,7 @@ class _Problem(NamedTuple):
     scales: Array
     first_step: Array
     shortest_step: float | None
+    gains: tuple[float, float]
     solver: dfx.AbstractSolver
 
 
@@ -127,11 +128,11 @@ def _problem(scene: AbstractScene, params: Params, how: Plan, differentiable: bo
         scales = jax.lax.stop_gradient(joint_scales(scene, params))
         solver = Sdirk(Arrowhead(), how.tolerance * scales) if differentiable else Rodas(Arrowhead())
         start = nominal(scene, params, jnp.zeros(()))
-        return _Problem(joint_field, (scene, c), start, scales, jnp.asarray(1e-6), 1e-15, solver)
+        return _Problem(joint_field, (scene, c), start, scales, jnp.asarray(1e-6), 1e-15, (0.4, 0.3), solver)
     assert isinstance(scene, Scene)
     scales = jax.lax.stop_gradient(state_scales(scene, params))
     start = initial_state(scene, params)
-    return _Problem(field, (scene, params), start, scales, 1e-2 * scales[0] / scales[-1], None, dfx.Tsit5())
+    return _Problem(field, (scene, params), start, scales, 1e-2 * scales[0] / scales[-1], None, (0.2, 0.5), dfx.Tsit5())
 
 
 def _without_inertia(scene: Joint, params: Params, times: Array) -> Solution:
@@ -166,8 +167,8 @@ def integrate(
     controller = dfx.PIDController(
         rtol=0.0,
         atol=how.tolerance * problem.scales,
-        pcoeff=0.2,
-        icoeff=0.5,
+        pcoeff=problem.gains[0],
+        icoeff=problem.gains[1],
         norm=_safe_norm,
         dtmin=problem.shortest_step,
         force_dtmin=False,

@@ -117,7 +117,7 @@ def test_flank_ends_are_accounted_for():
     read, scene, params = flows("default")
     c = constants(scene, params)
     y = noisy(scene, params, 5)
-    _, across, _ = system.races(c, system.view(scene, c, y))
+    across = system.around(scene, c, system.view(scene, c, y)).across
     side = np.asarray(across[0, 0])
     outward = y[:3] - (y[:3] @ side) * side
     outward /= np.linalg.norm(outward)

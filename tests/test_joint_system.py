@@ -168,7 +168,7 @@ def test_forces_balance():
     rates = np.asarray(y[(3 + scene.twist) * scene.balls + scene.border :])
     twists = np.concatenate([state.ball_velocity, state.ball_spin], -1)
     power = np.sum(np.asarray(ball) * twists) + np.asarray(border) @ rates
-    motion, _, _ = system.races(c, state)
+    motion = jax.tree.map(lambda x: x[:, :2], system.around(scene, c, state).motion)
     window = system.relative(state, state.cage_place, state.cage_velocity, state.cage_spin)
     pilot, _ = system.guided(scene, c, state)
     pairs = ((found.grooves, motion), (found.windows, window), (found.pilots, pilot))
@@ -180,10 +180,10 @@ def test_forces_balance():
 
 
 def primitives(jaxpr: Jaxpr) -> list[str]:
-    """Names of all primitives, inside calls and loops too."""
+    """Names of all primitives, inside calls and loops too, once for each number that comes out."""
     names = []
     for equation in jaxpr.eqns:
-        names.append(equation.primitive.name)
+        names += [equation.primitive.name] * sum(x.aval.size for x in equation.outvars)
         for value in equation.params.values():
             for inner in value if isinstance(value, (tuple, list)) else (value,):
                 if isinstance(inner, ClosedJaxpr):

@@ -50,7 +50,7 @@ def reference():
     return solve_ivp(right, (0, 2), [2.0, 0.0], rtol=1e-12, atol=1e-13, method="DOP853", dense_output=True)
 
 
-@pytest.mark.parametrize(("solver", "order"), [(Rodas(Dense(pol)), 4), (sdirk(pol), 2)], ids=["rodas", "sdirk"])
+@pytest.mark.parametrize(("solver", "order"), [(Rodas(Dense(pol)), 3), (sdirk(pol), 2)], ids=["rodas", "sdirk"])
 def test_orders_of_convergence(solver, order):
     ends, insides = [], []
     for steps in (40, 80, 160):
@@ -61,8 +61,8 @@ def test_orders_of_convergence(solver, order):
         insides.append(abs(np.asarray(inside) - wanted).max())
     rates = {name: np.log2(np.array(e[:-1]) / e[1:]) for name, e in (("end", ends), ("inside", insides))}
     assert np.all(rates["end"] > order - 0.35) and np.all(rates["end"] < order + 0.8)
-    assert np.all(rates["inside"] > min(order, 3) - 0.35)
-    assert ends[-1] < (1e-6 if order == 4 else 1e-3)
+    assert np.all(rates["inside"] > order - 0.35)
+    assert ends[-1] < (1e-5 if order == 3 else 1e-3)
     assert solver.order(None) == order
 
 

@@ -24,7 +24,7 @@ from jax import Array
 
 from bcfj_jax.joint import system
 from bcfj_jax.joint.constants import Constants
-from bcfj_jax.joint.contacts import dot, grooves, pilots, slopes, windows
+from bcfj_jax.joint.contacts import dot, pilots, slopes
 from bcfj_jax.joint.scene import Joint
 from bcfj_jax.solvers.small import inverse, inverse3, inverse6
 from bcfj_jax.solvers.structure import AbstractStructure
@@ -62,76 +62,27 @@ class Factors(NamedTuple):
     c: Constants
 
 
-class _Part(NamedTuple):
-    """What places or turns of a body add: columns (n, k, m) by place and rate, rows (n, m, 3 | k),  -B' (n, m, k)."""
-
-    column_place: Array
-    column_rate: Array
-    row_place: Array
-    row_rate: Array
-    back: Array
-
-
-BODIES = (("head", "head_turn"), ("cage", "cage_turn"), ("seat_turn",))
+def _felt(arm: Array, wrench: Array) -> Array:
+    """Wrenches on the balls (n, m, k, j) as seen from the bodies' centres (n, m, 6, j): (f, r x f + moment)."""
+    force = wrench[..., :3, :]
+    moment = jnp.cross(arm[..., None, :], jnp.swapaxes(force, -1, -2)).swapaxes(-1, -2)
+    if wrench.shape[-2] == 6:
+        moment = moment + wrench[..., 3:, :]
+    return jnp.concatenate([force, moment], -2)
 
 
-def _turning(
-    value: Array, by_place: Array, at_ball: Array, by_twist: Array, motion: system.Motion, axes: Array
-) -> tuple[_Part, _Part]:
-    """Turns of seat and head about their axes a:  G a,  -C B a,  -(B a)' A + (a x f)',  -(B a)' C."""
-    swept = jnp.cross(axes, motion.arm)
-    twist, frame, carried = swept, jnp.cross(axes, motion.velocity), jnp.cross(axes, value[..., :3])
-    if motion.spin is not None:
-        twist = jnp.concatenate([swept, jnp.broadcast_to(axes, swept.shape)], -1)
-        frame = jnp.concatenate([frame, jnp.cross(axes, motion.spin)], -1)
-        carried = jnp.concatenate([carried, jnp.cross(axes, value[..., 3:])], -1)
-    column_place = carried - dot(by_place, swept[..., None, :]) - dot(by_twist, frame[..., None, :])
-    row_place = jnp.cross(axes, value[..., :3]) - jnp.sum(twist[..., :, None] * at_ball, -2)
-    row_rate = -jnp.sum(twist[..., :, None] * by_twist, -2)
-    column_rate = -dot(by_twist, twist[..., None, :])
-    columns, rows = (column_place, column_rate), (row_place, row_rate, -twist)
-    seat, head = (_Part(*(x[:, i, :, None] for x in columns), *(x[:, i, None] for x in rows)) for i in (0, 1))
-    return seat, head
-
-
-def _shifted(at_ball: Array, by_twist: Array) -> _Part:
-    """A body's own place: minus what the balls' places do."""
-    n, k = at_ball.shape[:2]
-    back = -jnp.broadcast_to(jnp.eye(3, k), (n, 3, k))
-    return _Part(-at_ball, -by_twist[..., :3], -at_ball[:, :3], -by_twist[:, :3], back)
-
-
-def _nothing(n: int, k: int) -> _Part:
-    """A cage that touches no ball."""
-    return _Part(jnp.zeros((n, k, 3)), jnp.zeros((n, k, 3)), jnp.zeros((n, 3, 3)), *[jnp.zeros((n, 3, k))] * 2)
-
-
-def _corner(parts: dict[str, _Part], names: list[str]) -> tuple[Array, Array] | None:
-    """A body's own block: its turn through the wrenches, its place as minus all the balls' places."""
-    if not names:
-        return None
-    row_place, row_rate, back = (jnp.concatenate([parts[x][i] for x in names], 1) for i in (2, 3, 4))
-    turn = parts[names[-1]]
-    place, rate = jnp.sum(back @ turn.column_place, 0), jnp.sum(back @ turn.column_rate, 0)
-    if len(names) == 1:
-        return place, rate
-    shift_place, shift_rate = -jnp.sum(row_place, 0), -jnp.sum(row_rate[..., :3], 0)
-    return jnp.concatenate([shift_place, place], -1), jnp.concatenate([shift_rate, rate], -1)
-
-
-def _tilting(value: Array, by_place: Array, at_ball: Array, by_twist: Array, motion: system.Motion) -> _Part:
-    """Rotations of the cage about any axis; shapes (n, k, 3) for columns, (n, 3, k) for rows."""
-    eye = jnp.eye(3)
-    arm, force = motion.arm[:, None, :], value[:, None, :3]
-    frame = jnp.cross(by_place, arm) + jnp.cross(by_twist[..., :3], motion.velocity[:, None, :])
-    carried, lever = jnp.cross(force, eye), jnp.cross(arm, eye)
-    if motion.spin is not None:
-        frame = frame + jnp.cross(by_twist[..., 3:], motion.spin[:, None, :])
-        carried = jnp.concatenate([carried, jnp.cross(value[:, None, 3:], eye)], -2)
-        lever = jnp.concatenate([lever, jnp.broadcast_to(eye, lever.shape)], -2)
-    back = -jnp.swapaxes(lever, -1, -2)
-    moved = jnp.cross(eye, force)
-    return _Part(frame + carried, -by_twist @ lever, back @ at_ball + moved, back @ by_twist, back)
+def _spread(scene: Joint, c: Constants, x: Array) -> Array:
+    """From displacements and rotations of the bodies (..., m, j, 6) to border coordinates (..., j, border)."""
+    seat, head = x[..., 0, :, :], x[..., 1, :, :]
+    cage = x[..., 2, :, :] if x.shape[-3] == 3 else jnp.zeros_like(head)
+    parts = {
+        "head": head[..., :3],
+        "head_turn": dot(head[..., 3:], c.axes[1])[..., None],
+        "cage": cage[..., :3],
+        "cage_turn": cage[..., 3:],
+        "seat_turn": dot(seat[..., 3:], c.axes[0])[..., None],
+    }
+    return jnp.concatenate([parts[name] for name, slot in scene.slots.items() if slot is not None], -1)
 
 
 def _alone(scene: Joint, c: Constants, state: system.State) -> tuple[Array, Array]:
@@ -160,44 +111,51 @@ def _alone(scene: Joint, c: Constants, state: system.State) -> tuple[Array, Arra
 def blocks(scene: Joint, c: Constants, y: Array) -> Blocks:
     """All derivatives of contact wrenches and border forces in one state."""
     state = system.view(scene, c, y)
-    n, k = scene.balls, scene.twist
-    motion, across, spins = system.races(c, state)
-    at = grooves(c.groove, motion.arm - c.groove.offset[:, None] * c.axes, across)
-    value, by_place, by_twist = slopes(c.groove_skin, at, motion.velocity, motion.spin)
-    at_ball = by_place - jnp.cross(by_twist[..., :3], spins[:, None, :])
-    seat, head = _turning(value, by_place, at_ball, by_twist, motion, c.axes)
-    ball_place, ball_rate = jnp.sum(at_ball, 1), jnp.sum(by_twist, 1)
+    k = scene.twist
+    around = system.around(scene, c, state)
+    found = [slopes(skin, at, motion.velocity, motion.spin) for skin, at, motion in around.parts()]
+    value, by_place, by_twist = (jnp.concatenate(x, 1) for x in zip(*found, strict=True))
+    motion, eye = around.motion, jnp.eye(3)
+    arm, velocity = motion.arm[..., None, :], motion.velocity[..., None, :]
 
-    # Columns and rows of each part of the border that the balls feel; a body's own place is minus all balls' places.
-    parts: dict[str, _Part] = {
-        "head": _shifted(at_ball[:, 1], by_twist[:, 1]),
-        "head_turn": head,
-        "seat_turn": seat,
-    }
-    if c.window_skin is not None:
-        motion = system.relative(state, state.cage_place, state.cage_velocity, state.cage_spin)
-        at = windows(c.window_clearance, c.groove.ball, motion.arm, state.cage_axis)
-        value, by_place, by_twist = slopes(c.window_skin, at, motion.velocity, motion.spin)
-        at_ball = by_place - jnp.cross(by_twist[..., :3], state.cage_spin)
-        ball_place, ball_rate = ball_place + at_ball, ball_rate + by_twist
-        parts["cage"] = _shifted(at_ball, by_twist)
-        parts["cage_turn"] = _tilting(value, by_place, at_ball, by_twist, motion)
-    else:
-        parts |= {"cage": _nothing(n, k), "cage_turn": _nothing(n, k)}
-    names = [name for name, slot in scene.slots.items() if slot is not None]
-    column_place, column_rate = (jnp.concatenate([parts[x][i] for x in names], -1) for i in (0, 1))
-    row_place, row_rate = (jnp.concatenate([parts[x][i] for x in names], -2) for i in (2, 3))
+    # By displacement and by rotation of the body, (n, m, k, 3) each: A, G by place, C_v and C B by rate.
+    at_ball = by_place - jnp.cross(by_twist[..., :3], around.spins[:, None, :])
+    turned = jnp.cross(by_place, arm) + jnp.cross(by_twist[..., :3], velocity)
+    carried = jnp.cross(value[..., None, :3], eye)
+    swung = jnp.cross(by_twist[..., :3], arm)
+    if motion.spin is not None:
+        turned = turned + jnp.cross(by_twist[..., 3:], motion.spin[..., None, :])
+        carried = jnp.concatenate([carried, jnp.cross(value[..., None, 3:], eye)], -2)
+        swung = swung - by_twist[..., 3:]
+    turned = turned + carried
+    columns = jnp.concatenate(
+        [jnp.concatenate([-at_ball, turned], -1), jnp.concatenate([-by_twist[..., :3], swung], -1)], -2
+    )
+
+    # What the bodies feel of it, (n, m, 6, .); the arm, too, moves with the ball.
+    felt = -_felt(motion.arm, jnp.concatenate([at_ball, by_twist, turned, swung], -1))
+    lifted = jnp.cross(eye, value[..., None, :3])
+    row_place = felt[..., :3] + jnp.concatenate([jnp.zeros_like(lifted), lifted], -2)
+    row_rate, felt_turned, felt_swung = felt[..., 3 : 3 + k], felt[..., 3 + k : 6 + k], felt[..., 6 + k :]
+    rows = jnp.swapaxes(jnp.concatenate([row_place, row_rate], -1), -1, -2)
+    spread = _spread(scene, c, jnp.concatenate([columns, rows], -2))
+
+    # A body's own block: its place is minus all the balls' places.
+    own = jnp.concatenate([-row_place, felt_turned, -row_rate[..., :3], felt_swung], -1)
+    own = jnp.sum(own, 0).reshape(*own.shape[1:3], 2, 6)
+    maps = c.body_maps[: own.shape[0]]
+    corner = jnp.einsum("mib,mipj,mjd->pbd", maps, own, maps)
     place, rate = _alone(scene, c, state)
-    corners = [_corner(parts, [x for x in body if x in names]) for body in BODIES]
+    row = jnp.swapaxes(spread[:, 2 * k :], -1, -2)
     return Blocks(
-        ball_place,
-        ball_rate,
-        column_place,
-        column_rate,
-        row_place,
-        row_rate,
-        place + jax.scipy.linalg.block_diag(*(corner[0] for corner in corners if corner is not None)),
-        rate + jax.scipy.linalg.block_diag(*(corner[1] for corner in corners if corner is not None)),
+        jnp.sum(at_ball, 1),
+        jnp.sum(by_twist, 1),
+        spread[:, :k],
+        spread[:, k : 2 * k],
+        row[..., :3],
+        row[..., 3:],
+        place + corner[0],
+        rate + corner[1],
     )
 
 

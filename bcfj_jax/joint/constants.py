@@ -8,10 +8,13 @@ from jax import Array
 
 from bcfj_jax.joint import geometry
 from bcfj_jax.joint.contacts import Groove
-from bcfj_jax.joint.guides import Guides, guides
+from bcfj_jax.joint.guides import Guides, body_maps, guides
 from bcfj_jax.joint.scene import Joint
 from bcfj_jax.joint.skin import Skin, SkinPair
 from bcfj_jax.scene import Params
+
+# What the balls touch, in the order of every array over bodies; the last only where there are windows.
+BALLS = ("seat_ball", "head_ball", "cage_ball")
 
 
 class Constants(eqx.Module):
@@ -20,17 +23,20 @@ class Constants(eqx.Module):
     Attributes:
         axes: (2, 3) unit axes of seat and head; ``radial`` and ``tangent``: where track 0 lies at turn 0.
         bisector: normal of the bisecting plane.
+        ball_skin: one for seat, head and cage (3, 1), where laws and numbers of faces agree: quicker than two.
         ball_lightness: (twist,) and border_lightness (border,): inverse masses and inertias.
     """
 
     groove: Groove
     groove_skin: Skin | SkinPair
     window_skin: Skin | None
+    ball_skin: Skin | None
     window_clearance: Array
     pilot_skin: Skin | SkinPair | None
     pilot_clearance: Array
     pilot_hollow: Array
     guides: Guides
+    body_maps: Array
     axes: Array
     radial: Array
     tangent: Array
@@ -54,18 +60,21 @@ def skin_of(scene: Joint, params: Params, name: str) -> Skin:
 
 
 def _side_by_side(scene: Joint, params: Params, names: tuple[str, ...]) -> Skin | SkinPair:
-    """One skin for two contacts where their laws agree, its coefficients along axis -2 of (..., contact, face)."""
+    """One skin for one contact or two; coefficients of two along axis -2 of (..., contact, face)."""
     skins = [skin_of(scene, params, name) for name in names]
     if len(skins) == 1:
         return skins[0]
-    first, second = skins
-    if (first.law, first.friction) != (second.law, second.friction):
-        return SkinPair(first, second, axis=-2)
-    both = {key: jnp.stack([first.coefficients[key], second.coefficients[key]])[:, None] for key in first.coefficients}
-    smoothing = None
-    if first.smoothing is not None and second.smoothing is not None:
-        smoothing = jnp.stack([first.smoothing, second.smoothing])[:, None]
-    return Skin(first.law, first.friction, both, smoothing)
+    return _as_one(skins) or SkinPair(*skins, axis=-2)
+
+
+def _as_one(skins: list[Skin]) -> Skin | None:
+    """Skins of one kind with their coefficients side by side (m, 1); None where they differ in law."""
+    first = skins[0]
+    if any((skin.law, skin.friction) != (first.law, first.friction) for skin in skins):
+        return None
+    together = {key: jnp.stack([skin.coefficients[key] for skin in skins])[:, None] for key in first.coefficients}
+    widths = [skin.smoothing for skin in skins if skin.smoothing is not None]
+    return Skin(first.law, first.friction, together, jnp.stack(widths)[:, None] if widths else None)
 
 
 def constants(scene: Joint, params: Params) -> Constants:
@@ -105,11 +114,13 @@ def constants(scene: Joint, params: Params) -> Constants:
         groove=groove,
         groove_skin=_side_by_side(scene, params, ("seat_ball", "head_ball")),
         window_skin=skin_of(scene, params, "cage_ball") if scene.has("cage_ball") else None,
+        ball_skin=_as_one([skin_of(scene, params, x) for x in BALLS]) if gothic and scene.has("cage_ball") else None,
         window_clearance=p["clearance_cage_ball"] if scene.has("cage_ball") else zero,
         pilot_skin=_side_by_side(scene, params, scene.pilots) if scene.pilots else None,
         pilot_clearance=jnp.stack([clearance[name] for name in scene.pilots]) if scene.pilots else jnp.zeros(0),
         pilot_hollow=jnp.stack([hollow[name] for name in scene.pilots]) if scene.pilots else jnp.zeros(0),
         guides=guides(scene, axes),
+        body_maps=body_maps(scene, axes),
         axes=axes,
         radial=jnp.stack([jnp.array([1.0, 0.0, 0.0]), jnp.stack([jnp.cos(angle), zero, -jnp.sin(angle)])]),
         tangent=jnp.array([[0.0, 1.0, 0.0], [0.0, 1.0, 0.0]]),

@@ -159,6 +159,35 @@ def pilots(clearance: Array, hollow: Array, place: Array) -> Geometry:
     return Geometry(distance - clearance[:, None], normal, hollow[:, None] - distance, None, bends, None, -1.0)
 
 
+def join(first: Geometry, second: Geometry) -> Geometry:
+    """Contacts with two groups of bodies side by side, (n, m, f) and (n, f), as one (n, m + 1, f).
+
+    The second is without edges, curvature or change of lever, as a window is.
+    """
+    second = jax.tree.map(lambda x: x[:, None], second._replace(lever_slope=None))
+    flat = second.normal
+    bends = tuple(
+        (
+            jnp.concatenate([jnp.broadcast_to(unit, first.normal.shape), flat], 1),
+            jnp.concatenate([jnp.broadcast_to(curve, first.normal.shape[:-1]), jnp.zeros_like(second.lever)], 1),
+        )
+        for unit, curve in first.bends
+    )
+    gate = slope = None
+    if first.gate is not None:
+        gate = jnp.concatenate([first.gate, jnp.ones_like(second.lever)], 1)
+        slope = jnp.concatenate([_given(first.gate_slope), jnp.zeros_like(flat)], 1)
+    lever = jnp.broadcast_to(first.lever, first.normal.shape[:-1])
+    return Geometry(
+        jnp.concatenate([first.penetration, second.penetration], 1),
+        jnp.concatenate([first.normal, flat], 1),
+        jnp.concatenate([lever, second.lever], 1),
+        gate,
+        bends,
+        slope,
+    )
+
+
 def act(skin: Skin | SkinPair, at: Geometry, velocity: Array, spin: Array | None) -> Touch:
     """Forces of contacts (module docstring).
 
@@ -247,6 +276,11 @@ def slopes(skin: Skin | SkinPair, at: Geometry, velocity: Array, spin: Array | N
         by_place = jnp.concatenate([by_place, moment_place], -2)
         by_twist = jnp.concatenate([by_twist, _cross_columns(arm, rub_twist)], -2)
     return jnp.sum(value, -2), jnp.sum(by_place, -3), jnp.sum(by_twist, -3)
+
+
+def _given(array: Array | None) -> Array:
+    assert array is not None
+    return array
 
 
 def _dyad(a: Array, b: Array) -> Array:

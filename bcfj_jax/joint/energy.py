@@ -21,7 +21,7 @@ from jax import Array
 from bcfj_jax.errors import InputError
 from bcfj_jax.joint import system
 from bcfj_jax.joint.constants import Constants, constants
-from bcfj_jax.joint.contacts import Geometry, Touch, act, dot, grooves, pilots, windows
+from bcfj_jax.joint.contacts import Geometry, Touch, act, dot, pilots
 from bcfj_jax.joint.guides import GUIDES
 from bcfj_jax.joint.scene import Joint
 from bcfj_jax.joint.skin import Skin, SkinPair
@@ -114,15 +114,9 @@ class _Acting(NamedTuple):
 
 
 def _acting(scene: Joint, c: Constants, state: system.State) -> dict[str, _Acting]:
-    """Every kind of contact by the names of ``system.Touches``."""
-    found: dict[str, tuple] = {}
-    motion, across, _ = system.races(c, state)
-    place = motion.arm - c.groove.offset[:, None] * c.axes
-    found["grooves"] = c.groove_skin, grooves(c.groove, place, across), motion
-    if c.window_skin is not None:
-        motion = system.relative(state, state.cage_place, state.cage_velocity, state.cage_spin)
-        at = windows(c.window_clearance, c.groove.ball, motion.arm, state.cage_axis)
-        found["windows"] = c.window_skin, at, motion
+    """Every group of contacts that is evaluated together."""
+    parts = system.around(scene, c, state).parts()
+    found: dict[str, tuple] = dict(zip(("balls", "windows"), parts, strict=False))
     if c.pilot_skin is not None:
         motion, _ = system.guided(scene, c, state)
         found["pilots"] = c.pilot_skin, pilots(c.pilot_clearance, c.pilot_hollow, motion.arm), motion
@@ -168,16 +162,21 @@ def _edge(part: _Acting) -> Array:
     return -jnp.sum(_elastic(part.skin, part.at.penetration) * gate_rate)
 
 
-def _hold(scene: Joint, state: system.State, found: dict[str, _Acting]) -> Array:
+def _hold(scene: Joint, c: Constants, state: system.State) -> Array:
     """Power [W] that turns a fixed cage against its contacts."""
     hold = jnp.zeros(())
     if scene.cage != "fixed":
         return hold
-    for part in (found[name] for name in ("windows", "pilots") if name in found):
-        # Minus the moment about its centre of all forces on the cage, the outer body in all of its contacts.
-        twist = jnp.cross(part.motion.arm, part.touch.force)
-        twist = twist if part.touch.moment is None else twist + part.touch.moment
-        hold = hold + jnp.sum(twist, 0) @ state.cage_spin
+    found = system.touches(scene, c, state)
+    arms = {"windows": state.ball_place - state.cage_place}
+    if found.pilots is not None:
+        arms["pilots"] = system.guided(scene, c, state)[0].arm
+    for name, arm in arms.items():
+        touch = getattr(found, name)
+        if touch is not None:
+            # Minus the moment about its centre of all forces on the cage, the outer body in all of its contacts.
+            twist = jnp.cross(arm, touch.force) + (0.0 if touch.moment is None else touch.moment)
+            hold = hold + jnp.sum(twist, 0) @ state.cage_spin
     return hold
 
 
@@ -205,7 +204,7 @@ def power(scene: Joint, c: Constants, t: Array, y: Array) -> Power:
     slip = c.drive_speed - state.seat_spin
     return Power(
         drive=torque_in(scene, c, t, y) * speed,
-        hold=_hold(scene, state, found),
+        hold=_hold(scene, c, state),
         load=system.load_torque(c, t) * state.head_spin,
         axial=c.axial_load * (state.head_velocity @ c.axes[1]),
         friction=sum((_friction(part) for part in found.values()), jnp.zeros(())),

@@ -49,3 +49,15 @@ def guides(scene: Joint, axes: Array) -> Guides:
                 swept = jnp.cross(ways.T[None], eye[:, None])
                 lever = lever.at[index, :, :3, turn].add(sign * jnp.swapaxes(swept, 1, 2))
     return Guides(still, lever, jnp.asarray(moves))
+
+
+def body_maps(scene: Joint, axes: Array) -> Array:
+    """Velocity and angular velocity of seat, head and cage by the border's velocities, (3, 6, border)."""
+    maps = jnp.zeros((3, 6, scene.border))
+    for index, body in enumerate(("seat", "head", "cage")):
+        place, turn = scene.slots.get(body), scene.slots[f"{body}_turn"]
+        if place is not None:
+            maps = maps.at[index, :3, place].set(jnp.eye(3))
+        if turn is not None:
+            maps = maps.at[index, 3:, turn].set(jnp.eye(3) if body == "cage" else axes[index][:, None])
+    return maps

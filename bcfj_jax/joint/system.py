@@ -16,14 +16,16 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from bcfj_jax.joint.constants import Constants
-from bcfj_jax.joint.contacts import Touch, act, grooves, pilots, windows
+from bcfj_jax.joint.contacts import Geometry, Touch, act, grooves, join, pilots, windows
 from bcfj_jax.joint.guides import GUIDES
 from bcfj_jax.joint.scene import Joint
+from bcfj_jax.joint.skin import Skin, SkinPair
 from bcfj_jax.numerics import smooth_rise
 
 
@@ -95,29 +97,59 @@ def relative(state: State, place: Array, velocity: Array, spin: Array) -> Motion
     return Motion(arm, rate, None if state.ball_spin is None else state.ball_spin[shape] - spin)
 
 
-def races(c: Constants, state: State) -> tuple[Motion, Array, Array]:
-    """Balls relative to (seat, head); the track planes' normals (balls, 2, 3); angular velocities (2, 3)."""
-    zero = jnp.zeros(3)
-    spins = jnp.stack([state.seat_spin, state.head_spin])[:, None] * c.axes
-    motion = relative(state, jnp.stack([zero, state.head_place]), jnp.stack([zero, state.head_velocity]), spins)
+class Around(NamedTuple):
+    """The bodies around the balls, m of them: seat, head and, where there are windows, cage.
+
+    Attributes:
+        motion: of the balls relative to them, (balls, m, 3); spins: their angular velocities (m, 3).
+        across: normals of the track planes (balls, 2, 3).
+        contacts: skins and geometries, of all bodies together (balls, m, f) or one after the other.
+    """
+
+    motion: Motion
+    spins: Array
+    across: Array
+    contacts: tuple[tuple[Skin | SkinPair, Geometry], ...]
+
+    def parts(self) -> list[tuple[Skin | SkinPair, Geometry, Motion]]:
+        """Each skin and geometry with the motion that goes with it."""
+        found, first = [], 0
+        for skin, at in self.contacts:
+            last = first + at.penetration.shape[1]
+            found.append((skin, at, jax.tree.map(lambda x, i=first, j=last: x[:, i:j], self.motion)))
+            first = last
+        return found
+
+
+def around(scene: Joint, c: Constants, state: State) -> Around:
+    """Where the balls are, and how they move, relative to the bodies that they touch."""
+    zero, windowed = jnp.zeros(3), c.window_skin is not None
+    place = jnp.stack([zero, state.head_place, *([state.cage_place] if windowed else [])])
+    velocity = jnp.stack([zero, state.head_velocity, *([state.cage_velocity] if windowed else [])])
+    races = [state.seat_spin * c.axes[0], state.head_spin * c.axes[1]]
+    spins = jnp.stack([*races, *([state.cage_spin] if windowed else [])])
+    motion = relative(state, place, velocity, spins)
     turns = jnp.stack([state.seat_turn, state.head_turn])
     cosine, sine = jnp.cos(turns)[:, None], jnp.sin(turns)[:, None]
     radial, tangent = cosine * c.radial + sine * c.tangent, cosine * c.tangent - sine * c.radial
-    around = 2 * np.pi * np.arange(state.ball_place.shape[0]) / state.ball_place.shape[0]
-    across = jnp.cos(around)[:, None, None] * tangent - jnp.sin(around)[:, None, None] * radial
-    return motion, across, spins
+    angle = 2 * np.pi * np.arange(scene.balls) / scene.balls
+    across = jnp.cos(angle)[:, None, None] * tangent - jnp.sin(angle)[:, None, None] * radial
+    at = grooves(c.groove, motion.arm[:, :2] - c.groove.offset[:, None] * c.axes, across)
+    if c.window_skin is None:
+        return Around(motion, spins, across, ((c.groove_skin, at),))
+    window = windows(c.window_clearance, c.groove.ball, motion.arm[:, 2], state.cage_axis)
+    if c.ball_skin is not None:
+        return Around(motion, spins, across, ((c.ball_skin, join(at, window)),))
+    alone = jax.tree.map(lambda x: x[:, None], window._replace(lever_slope=None))._replace(lever_slope=0.0)
+    return Around(motion, spins, across, ((c.groove_skin, at), (c.window_skin, alone)))
 
 
 def touches(scene: Joint, c: Constants, state: State) -> Touches:
     """Every contact of the scene in one state."""
-    motion, across, _ = races(c, state)
-    at = grooves(c.groove, motion.arm - c.groove.offset[:, None] * c.axes, across)
-    groove = act(c.groove_skin, at, motion.velocity, motion.spin)
-    window = pilot = None
-    if c.window_skin is not None:
-        motion = relative(state, state.cage_place, state.cage_velocity, state.cage_spin)
-        at = windows(c.window_clearance, c.groove.ball, motion.arm, state.cage_axis)
-        window = act(c.window_skin, at, motion.velocity, motion.spin)
+    acted = [act(skin, at, motion.velocity, motion.spin) for skin, at, motion in around(scene, c, state).parts()]
+    groove = jax.tree.map(lambda x: x[:, :2], acted[0])
+    window = None if c.window_skin is None else jax.tree.map(lambda x: x[:, -1], acted[-1])
+    pilot = None
     if c.pilot_skin is not None:
         motion, _ = guided(scene, c, state)
         pilot = act(c.pilot_skin, pilots(c.pilot_clearance, c.pilot_hollow, motion.arm), motion.velocity, motion.spin)
@@ -172,28 +204,23 @@ def wrench(touch: Touch) -> Array:
 
 def on_bodies(scene: Joint, c: Constants, state: State, found: Touches) -> tuple[Array, Array]:
     """Contact wrenches on the balls (balls, twist) and generalised contact forces on the border (border,)."""
-    rings = wrench(found.grooves)
-    ball = jnp.sum(rings, axis=1)
-    force = found.grooves.force
-    arm = state.ball_place[:, None] - jnp.stack([jnp.zeros(3), state.head_place])
-    torque = jnp.cross(arm, force)
-    if found.grooves.moment is not None:
-        torque = torque + found.grooves.moment
-    turning = -jnp.sum(jnp.sum(torque, 0) * c.axes, -1)
-    parts = {"head": -jnp.sum(force[:, 1], 0), "head_turn": turning[1:], "seat_turn": turning[:1]}
-    parts |= {"cage": jnp.zeros(3), "cage_turn": jnp.zeros(3)}
+    wrenches, places = wrench(found.grooves), [jnp.zeros(3), state.head_place]
     if found.windows is not None:
-        ball = ball + wrench(found.windows)
-        push = found.windows.force
-        twist = jnp.cross(state.ball_place - state.cage_place, push)
-        if found.windows.moment is not None:
-            twist = twist + found.windows.moment
-        parts["cage"], parts["cage_turn"] = -jnp.sum(push, 0), -jnp.sum(twist, 0)
+        wrenches = jnp.concatenate([wrenches, wrench(found.windows)[:, None]], 1)
+        places.append(state.cage_place)
+    force = wrenches[..., :3]
+    torque = jnp.cross(state.ball_place[:, None] - jnp.stack(places), force)
+    if scene.spin:
+        torque = torque + wrenches[..., 3:]
+    push, twist = -jnp.sum(force, 0), -jnp.sum(torque, 0)
+    turning = jnp.sum(twist[:2] * c.axes, -1)
+    cage = (push[2], twist[2]) if found.windows is not None else (jnp.zeros(3), jnp.zeros(3))
+    parts = {"head": push[1], "head_turn": turning[1:], "cage": cage[0], "cage_turn": cage[1], "seat_turn": turning[:1]}
     border = jnp.concatenate([parts[name] for name, slot in scene.slots.items() if slot is not None])
     if found.pilots is not None:
         maps = guide_maps(c, guided(scene, c, state)[0].arm)
         border = border + jnp.einsum("pkb,pk->b", maps, wrench(found.pilots))
-    return ball, border
+    return jnp.sum(wrenches, 1), border
 
 
 def field(t: Array, y: Array, args: tuple[Joint, Constants]) -> Array:
