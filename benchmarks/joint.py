@@ -82,7 +82,7 @@ def costs() -> dict[str, Any]:
         "Jacobian": lambda y: y + 1e-30 * _sum(blocks(scene, c, y)),
         "Jacobian and factorisation": lambda y: y + 1e-30 * _sum(a.factor(t, y, args, 0.25 * h)),
         "solve": lambda y: y + 1e-15 * a.solve(factors, y),
-        "RODAS step": lambda y: y + 1e-15 * rodas.step(None, t, t + h, y, args, None, False)[0],
+        "RODAS3 step": lambda y: y + 1e-15 * rodas.step(None, t, t + h, y, args, None, False)[0],
         "SDIRK2 step": lambda y: y + 1e-15 * sdirk.step(None, t, t + h, y, args, slope, False)[0],
         "dense Jacobian (jacfwd)": lambda y: y + 1e-30 * jnp.sum(jax.jacfwd(lambda y: a.field(t, y, args))(y)),
         "dense factorisation and solve": lambda y: y + 1e-30 * jnp.linalg.solve(jnp.eye(y.size) + y[0], y),
@@ -100,7 +100,7 @@ def _run(scene: Any, params: Any, times: jax.Array, how: Plan, differentiable: b
 
 
 def precision() -> dict[str, Any]:
-    """Work against error: RODAS and SDIRK2 here, CVODES, LSODA, Radau and diffrax as shipped."""
+    """Work against error: RODAS3 and SDIRK2 here, CVODES, LSODA, Radau and diffrax as shipped."""
     from joint_peers import SOLVERS, cvodes, errors, groove_forces
 
     scene = bj.scenes.joint()
@@ -115,7 +115,7 @@ def precision() -> dict[str, Any]:
         print(rows[-1], file=sys.stderr, flush=True)
 
     for name, differentiable, tolerances in (
-        ("RODAS, arrowhead", False, (2e-2, 3e-3, 1e-3, 1e-4, 1e-5)),
+        ("RODAS3, arrowhead", False, (5e-2, 2e-2, 5e-3, 1e-3, 2e-4)),
         ("SDIRK2, arrowhead", True, (5e-2, 2e-2, 1e-2, 3e-3, 1e-3)),
     ):
         for tol in tolerances:

@@ -37,9 +37,10 @@ def scales(scene: Joint, params: Params) -> Array:
 
 
 def tolerance(force_error: float) -> float:
-    """Local error per step in units of ``scales``, measured by benchmarks/joint.py.
+    """Local error per step in units of ``scales``, measured by benchmarks/joint.py and joint_reference.py.
 
     Looser than 0.02 saves no steps: a Rosenbrock method does not see a contact ahead, and steps that jump into one
-    are rejected; the force error is then 1e-4 of the peak already.
+    are rejected; larger errors make free balls rattle more, which costs more. The force error is then 1e-4 of
+    the peak already.
     """
     return min(0.02, 100.0 * force_error)
