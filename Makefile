@@ -12,10 +12,10 @@ demo: $(RUNTIME)
 	$(BIN)/python examples/compare_with_hertz.py build/demo
 
 test: lint types
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 fast: $(TOOLS)
-	$(BIN)/python -m pytest -n 2 -m "not slow"
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not slow"
 
 lint: $(TOOLS)
 	$(BIN)/ruff check .

@@ -110,7 +110,7 @@ def simulate(
 
     given = load(scene)
     stem = given.source.stem if given.source else scene
-    folder = open_folder(out, "simulate", stem, simulation_results.FILES)
+    folder = open_folder(out, "simulate", stem, simulation_results.files(given.scene))
     _log(f"simulating {scene}: {len(given.times)} samples to {given.times[-1]:.6g} s")
     run = run_scene(given.scene, given.params, given.times, accuracy=given.accuracy, max_steps=given.max_steps)
     text, warnings = simulation_results.write(folder, given, run, stem)

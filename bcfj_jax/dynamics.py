@@ -11,10 +11,15 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from bcfj_jax.laws import onset_force
 from bcfj_jax.scene import Contact, Params, Scene
+
+APART, TOUCHING, STICKING, SLIDING = range(4)
+STATES = ("apart", "touching", "sticking", "sliding")
+UNKNOWN = -1
 
 
 class Reading(NamedTuple):
@@ -31,6 +36,26 @@ class Reading(NamedTuple):
     penetration: Array
     rate: Array
     slip: Array | None = None
+
+
+def contact_state(normal: np.ndarray, slip: np.ndarray | None = None, transition: float | None = None) -> np.ndarray:
+    """What a contact is doing, as codes that count ``STATES``, of the shape of its normal force; ``UNKNOWN`` where NaN.
+
+    Apart: no normal force, be it for a gap or because damping lets go in a rebound; a smoothed onset bears force
+    from ``smoothing`` before the surfaces meet. Touching: a force, without friction. With friction: sticking
+    where it slides slower than friction's transition speed (these laws creep under load, so nothing ever stands),
+    sliding from there on.
+
+    Args:
+        normal: normal force [N] of either sign.
+        slip, transition: sliding speed and friction's transition speed [m/s]; none without friction.
+    """
+    state = np.where(normal == 0.0, APART, TOUCHING)
+    unknown = np.isnan(normal)
+    if slip is not None and transition is not None:
+        state = np.where(state == APART, APART, np.where(slip < transition, STICKING, SLIDING))
+        unknown = unknown | np.isnan(slip)
+    return np.where(unknown, UNKNOWN, state).astype(np.int8)
 
 
 def coordinates(scene: Scene) -> int:

@@ -1,13 +1,11 @@
 """What one contact's history amounts to: a number each, from times, normal force, penetration and its rate.
 
-All but ``onsets`` and ``period`` are pure and differentiable and take arrays of shape (T,); ``vmap`` them
-over members and batches. They see samples only: what happens between two samples is not in them.
-``histories`` holds them against time and against each other.
+The features are ``peak``, ``mean``, ``impulse``, ``period``, ``dissipated_work``, ``residual_oscillation`` and
+``contact_fraction``, and of a pair ``delay``; ``period`` and ``delay`` are those of ``histories``, which says what a
+window is and which errors those that take one raise.
 
-A window is a pair (start, end) [s], both ends included, None for all times. What takes one needs times that are
-known numbers (close over them under ``jit`` or ``vmap``; the force may be traced) and raises ``InputError`` where they
-are traced, fewer than two, not finite or do not increase, where a history has another length, and where the window has
-no length, leaves the times or holds fewer than two samples. A history with NaN in it gives NaN.
+All but ``onsets`` and what counts them are pure and differentiable and take arrays of shape (T,); ``vmap`` them
+over members and batches. They see samples only: what happens between two samples is not in them.
 """
 
 from __future__ import annotations
@@ -18,14 +16,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.core import Tracer
 from jax.typing import ArrayLike
 from numpy.polynomial.chebyshev import chebvander
 
 from bcfj_jax.errors import InputError
+from bcfj_jax.histories import Window, samples
+from bcfj_jax.histories import delay as delay
+from bcfj_jax.histories import period as period
+from bcfj_jax.histories import within as within
 from bcfj_jax.numerics import power
-
-Window = tuple[float, float] | None
 
 UNITS = {
     "peak": "N",
@@ -92,24 +91,6 @@ def contact_fraction(times: ArrayLike, penetration: ArrayLike) -> Array:
     return jnp.sum(share * jnp.diff(times)) / (times[-1] - times[0])
 
 
-def peak_time(times: ArrayLike, force: ArrayLike) -> Array:
-    """Time of the greatest force: vertex of the parabola through the greatest sample and its neighbours [s]."""
-    times, force = jnp.asarray(times), jnp.asarray(force)
-    top = jnp.argmax(force)
-    k = jnp.clip(top, 1, force.shape[0] - 2)
-    left, right = times[k] - times[k - 1], times[k + 1] - times[k]
-    rise, fall = (force[k] - force[k - 1]) / left, (force[k + 1] - force[k]) / right
-    bend = rise - fall
-    shift = 0.5 * (rise * right + fall * left) / jnp.where(bend > 0, bend, 1.0)
-    inner = (bend > 0) & (top == k)
-    return jnp.where(inner, times[k] + jnp.where(inner, shift, 0.0), times[top])
-
-
-def delay(times: ArrayLike, first: ArrayLike, second: ArrayLike) -> Array:
-    """Peak time of the second force less that of the first [s]."""
-    return peak_time(times, second) - peak_time(times, first)
-
-
 def transfer_loss(force_in: ArrayLike, force_out: ArrayLike) -> Array:
     """Share of the peak force that is not passed on, (max F_in - max F_out)/max F_in [-]; NaN where max F_in <= 0.
 
@@ -129,7 +110,7 @@ def no_clearance_fit(times: ArrayLike, force: ArrayLike, window: Window, order: 
     Samples weigh alike. The window should span one period of a normal force, two of an axial one.
 
     Raises:
-        InputError: see the top of the file; or an order < 0, or fewer than order + 1 samples in the window.
+        InputError: see ``histories``; or an order < 0, or fewer than order + 1 samples in the window.
     """
     if order < 0 or order != int(order):
         raise InputError("order", f"{order}", "give a whole number, 0 or more")
@@ -145,8 +126,16 @@ def no_clearance_fit(times: ArrayLike, force: ArrayLike, window: Window, order: 
     return NoClearanceFit(t, jax.scipy.linalg.solve_triangular(triangle, along), fitted, f - fitted)
 
 
-def residual_oscillation(times: ArrayLike, force: ArrayLike, window: Window, order: int = 9) -> Oscillation:
-    """What the clearance adds to a force in a window: size of the residual r of ``no_clearance_fit``.
+def residual_oscillation(times: ArrayLike, force: ArrayLike, window: Window = None, order: int = 9) -> Array:
+    """What the clearance adds to a force in a window: amplitude (max r - min r)/2 of ``oscillation`` [N].
+
+    The paper's "maximum amplitude" of a residual.
+    """
+    return oscillation(times, force, window, order).amplitude
+
+
+def oscillation(times: ArrayLike, force: ArrayLike, window: Window, order: int = 9) -> Oscillation:
+    """Size of the residual r of ``no_clearance_fit``, in four ways.
 
     max|r| [N], rms = sqrt(mean r^2) [N], (max r - min r)/2 [N], rms/mean|fit| [-] (NaN without load); means over
     samples. The derivative of rms is 0 where r = 0.
@@ -210,7 +199,7 @@ def _root(t: np.ndarray, d: np.ndarray, v: np.ndarray, k: np.integer) -> float:
     return float(t[k] + h * 0.5 * (low + high))
 
 
-def period(times: ArrayLike, penetration: ArrayLike, rate: ArrayLike) -> float:
+def contact_interval(times: ArrayLike, penetration: ArrayLike, rate: ArrayLike) -> float:
     """Mean interval between the starts of contacts, (t_last - t_first)/(count - 1) [s]; NaN for fewer than 2."""
     starts = [start for start, _ in onsets(times, penetration, rate)]
     # What is pressed at the first sample began before it.
@@ -225,7 +214,7 @@ def summary(times: ArrayLike, force: ArrayLike, penetration: ArrayLike, rate: Ar
     return {
         "peak": float(peak(force)),
         "mean": float(mean(times, force)),
-        "period": period(times, penetration, rate),
+        "period": contact_interval(times, penetration, rate),
         "impulse": float(impulse(times, force)),
         "dissipated_work": float(dissipated_work(force, penetration)),
         "contact_fraction": float(contact_fraction(times, penetration)),
@@ -233,49 +222,3 @@ def summary(times: ArrayLike, force: ArrayLike, penetration: ArrayLike, rate: Ar
         "contact_end": end,
         "peak_penetration": float(peak(penetration)),
     }
-
-
-def within(times: ArrayLike, window: Window) -> slice:
-    """Slice of the samples of a window, to restrict a feature that takes none: ``peak(force[within(...)])``.
-
-    A sample counts as inside up to 1e-9 of the whole span past an end, so that 1.18 holds its own rounding.
-
-    Raises:
-        InputError: see the top of the file.
-    """
-    t = _known(times)
-    if window is None:
-        return slice(0, t.size)
-    start, end, slack = float(window[0]), float(window[1]), 1e-9 * float(t[-1] - t[0])
-    if not start < end:
-        raise InputError("window", f"{start:g} s to {end:g} s", "give a start before the end")
-    if start < t[0] - slack or end > t[-1] + slack:
-        raise InputError("window", f"{start:g} s to {end:g} s", f"stay inside the history, {t[0]:g} s to {t[-1]:g} s")
-    return slice(int(np.searchsorted(t, start - slack)), int(np.searchsorted(t, end + slack, side="right")))
-
-
-def samples(times: ArrayLike, window: Window, *values: ArrayLike) -> tuple[np.ndarray, list[Array]]:
-    """Times and histories of a window, checked: see the top of the file."""
-    t = _known(times)
-    arrays = [jnp.asarray(x, dtype=float) for x in values]
-    for x in arrays:
-        if x.shape != t.shape:
-            raise InputError("history", f"shape {x.shape} over times of shape {t.shape}", "give one sample a time")
-    part = within(t, window)
-    if part.stop - part.start < 2:
-        raise InputError("window", f"{part.stop - part.start} samples", "take a wider window, of at least 2 samples")
-    return t[part], [x[part] for x in arrays]
-
-
-def _known(times: ArrayLike) -> np.ndarray:
-    """The times as checked numbers."""
-    if isinstance(times, Tracer):
-        raise InputError("times", "traced by JAX", "close over the times instead of passing them through jit or vmap")
-    t = np.asarray(times, dtype=float)
-    if t.ndim != 1 or t.size < 2 or not np.isfinite(t).all():
-        raise InputError("times", f"shape {t.shape}", "give a 1-D array of two or more finite times [s]")
-    late = np.flatnonzero(np.diff(t) <= 0)
-    if late.size:
-        k = int(late[0])
-        raise InputError("times", f"times[{k + 1}] = {t[k + 1]:g} follows {t[k]:g}", "times must increase")
-    return t

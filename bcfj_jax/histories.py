@@ -1,28 +1,73 @@
-"""Histories of the joint held against time and against each other: periods, delays, start-up, settling, work.
+"""Histories held against time and against each other: windows, periods, delays, start-up, settling.
 
-``features`` reads one contact, and has the window and the checks: see there for both, and for the errors that every
-function here raises. A history is an array of shape (T,) over times of shape (T,) [s]. ``period``, ``frequency``,
-``start_up_time`` and ``settling_time`` are NumPy and give a float; the others are JAX, differentiable in the histories.
-Names that ``features`` has too mean the same quantity, read from other histories.
+A history is an array of shape (T,) over times of shape (T,) [s]. ``period``, ``frequency``, ``start_up_time`` and
+``settling_time`` are NumPy and give a float; ``delay`` is JAX, differentiable in the histories.
+
+A window is a pair (start, end) [s], both ends included, None for all times. What takes one needs times that are
+known numbers (close over them under ``jit`` or ``vmap``; the force may be traced) and raises ``InputError`` where they
+are traced, fewer than two, not finite or do not increase, where a history has another length, and where the window has
+no length, leaves the times or holds fewer than two samples. A history with NaN in it gives NaN.
 """
 
 from __future__ import annotations
 
+import math
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.core import Tracer
 from jax.typing import ArrayLike
 
-from bcfj_jax import features
 from bcfj_jax.errors import InputError
-from bcfj_jax.features import Window, samples
 from bcfj_jax.numerics import power
+from bcfj_jax.quantities import increasing
+
+Window = tuple[float, float] | None
 
 # Shares of a correlation's greatest value: above the first a crest equals it, below the second a crest is over.
 _EQUAL, _OVER = 0.9, 0.8
+
+
+def within(times: ArrayLike, window: Window) -> slice:
+    """Slice of the samples of a window, to restrict a feature that takes none: ``peak(force[within(...)])``.
+
+    A sample counts as inside up to 1e-9 of the whole span past an end, so that 1.18 holds its own rounding.
+
+    Raises:
+        InputError: see the top of the file.
+    """
+    t = _known(times)
+    if window is None:
+        return slice(0, t.size)
+    start, end, slack = float(window[0]), float(window[1]), 1e-9 * float(t[-1] - t[0])
+    if not start < end:
+        raise InputError("window", f"{start:g} s to {end:g} s", "give a start before the end")
+    if start < t[0] - slack or end > t[-1] + slack:
+        raise InputError("window", f"{start:g} s to {end:g} s", f"stay inside the history, {t[0]:g} s to {t[-1]:g} s")
+    return slice(int(np.searchsorted(t, start - slack)), int(np.searchsorted(t, end + slack, side="right")))
+
+
+def samples(times: ArrayLike, window: Window, *values: ArrayLike) -> tuple[np.ndarray, list[Array]]:
+    """Times and histories of a window, checked: see the top of the file."""
+    t = _known(times)
+    arrays = [jnp.asarray(x, dtype=float) for x in values]
+    for x in arrays:
+        if x.shape != t.shape:
+            raise InputError("history", f"shape {x.shape} over times of shape {t.shape}", "give one sample a time")
+    part = within(t, window)
+    if part.stop - part.start < 2:
+        raise InputError("window", f"{part.stop - part.start} samples", "take a wider window, of at least 2 samples")
+    return t[part], [x[part] for x in arrays]
+
+
+def _known(times: ArrayLike) -> np.ndarray:
+    """The times as checked numbers."""
+    if isinstance(times, Tracer):
+        raise InputError("times", "traced by JAX", "close over the times instead of passing them through jit or vmap")
+    return increasing(times, 2)
 
 
 def period(times: ArrayLike, values: ArrayLike, window: Window = None) -> float:
@@ -38,10 +83,10 @@ def period(times: ArrayLike, values: ArrayLike, window: Window = None) -> float:
     what repeats itself by less than half (n < 0.5: noise, one impact, a start-up that outweighs the rest: leave it out
     of the window) have none: NaN. So do lags whose overlap holds less than a quarter of its share of sum x^2. A history
     that nearly repeats itself sooner, with n within 10 % of the greatest, has that for its period.
-    ``features.period`` counts onsets instead.
+    ``features.contact_interval`` counts onsets instead.
 
     Raises:
-        InputError: see ``features``; or fewer than 8 samples in the window.
+        InputError: see the top of the file; or fewer than 8 samples in the window.
     """
     t, (x,) = samples(times, window, values)
     if t.size < 8:
@@ -58,17 +103,26 @@ def frequency(times: ArrayLike, values: ArrayLike, window: Window = None) -> flo
     return 1.0 / period(times, values, window)
 
 
-def delay(times: ArrayLike, first: ArrayLike, second: ArrayLike, period: float, window: Window = None) -> Array:
+def delay(
+    times: ArrayLike, first: ArrayLike, second: ArrayLike, period: float | None = None, window: Window = None
+) -> Array:
     """Shift of the second history against the first at their best correlation [s]; > 0 where the second comes later.
 
     argmax over |s| <= period/2 of the correlation coefficient (Pearson) of first(t) and second(t + s) over the times
     that both have, so that neither scale nor offset matters; between samples by a least-squares quartic over the crest.
-    NaN where one is constant or nothing correlates. ``features.delay`` is between two peaks instead.
+    Without a period given, that of the first history is taken, or the window where it does not repeat itself.
+    NaN where one is constant or nothing correlates.
 
     Raises:
-        InputError: see ``features``; or a period that is not > 0, shorter than 4 steps or longer than the window.
+        InputError: see the top of the file; or a period that is not > 0, shorter than 4 steps or longer than the
+            window; or none where the first history is traced.
     """
     t, (a, b) = samples(times, window, first, second)
+    if period is None:
+        if isinstance(a, Tracer):
+            raise InputError("period", "none, of a history traced by JAX", "give the period")
+        cycle = _repeat(t, np.asarray(a)) if t.size >= 8 else math.nan
+        period = cycle if math.isfinite(cycle) else float(t[-1] - t[0])
     _check_period(t, period)
     even = np.linspace(t[0], t[-1], t.size)
     step = even[1] - even[0]
@@ -87,7 +141,7 @@ def start_up_time(times: ArrayLike, force: ArrayLike, level: float = 0.5, period
     period or a load.
 
     Raises:
-        InputError: see ``features``; or a level outside ]0, 1], a period not > 0 or longer than the history, or
+        InputError: see the top of the file; or a level outside ]0, 1], a period not > 0 or longer than the history, or
             fewer than 16 samples without a period.
     """
     t, (f,) = samples(times, None, force)
@@ -118,7 +172,7 @@ def settling_time(times: ArrayLike, force: ArrayLike, period: float, tolerance: 
     long never repeat to a few per cent: sample them finely.
 
     Raises:
-        InputError: see ``features``; or a tolerance or period not > 0, or a history shorter than two periods.
+        InputError: see the top of the file; or a tolerance or period not > 0, or a history shorter than two periods.
     """
     t, (f,) = samples(times, None, force)
     f = np.asarray(f)
@@ -132,52 +186,6 @@ def settling_time(times: ArrayLike, force: ArrayLike, period: float, tolerance: 
     apart = np.abs(np.interp(t[early] + period, t, f) - f[early]) > tolerance * _settled_peak(t, np.abs(f), period)
     settled = int(np.flatnonzero(apart)[-1]) + 1 if apart.any() else 0
     return float(t[settled]) if t[settled] <= t[-1] - 2 * period + slack else float("nan")
-
-
-def contact_fraction(times: ArrayLike, force: ArrayLike, threshold: float = 0.0, window: Window = None) -> Array:
-    """Share of the time with |F| > threshold [N], |F| linear between samples [-].
-
-    At threshold 0 a step with one loaded end counts whole: up to a step too much at each end of a contact. A few
-    per mille of the peak avoids it, and so does ``features.contact_fraction``, which reads the penetration.
-
-    Raises:
-        InputError: see ``features``; or a threshold < 0.
-    """
-    t, (f,) = samples(times, window, force)
-    if not threshold >= 0:
-        raise InputError("threshold", f"{threshold:g} N", "give a force of 0 or more: |F| is held against it")
-    return features.contact_fraction(t, jnp.abs(f) - threshold)
-
-
-def dissipated_work(
-    times: ArrayLike,
-    normal: ArrayLike,
-    rate: ArrayLike,
-    slip: ArrayLike | None = None,
-    traction: ArrayLike | None = None,
-) -> Array:
-    """Work that a contact keeps, the integral of (F_n d' - F_t . v_t) dt by the trapezoidal rule [J].
-
-    F_n the normal force [N], > 0 when pressing; d' the rate of the penetration [m/s]. v_t the slip of one body over
-    the other [m/s] and F_t the traction on that body [N], against v_t, both (T,) or both (T, components). Of a history
-    that starts and ends apart (a closed loop) the normal part is >= 0 for every law that creates no energy; else it
-    still holds the elastic energy stored between the first sample and the last.
-
-    Raises:
-        InputError: see ``features``; or one of slip and traction without the other, or of another shape.
-    """
-    t, (f, v) = samples(times, None, normal, rate)
-    power_in = f * v
-    if (slip is None) != (traction is None):
-        missing = "slip" if slip is None else "traction"
-        raise InputError("dissipated_work", f"no {missing}", "give slip and traction, or neither")
-    if slip is not None and traction is not None:
-        slip, traction = jnp.asarray(slip), jnp.asarray(traction)
-        if slip.shape != traction.shape or slip.ndim > 2 or slip.shape[:1] != t.shape:
-            found = f"slip of shape {slip.shape}, traction of shape {traction.shape}"
-            raise InputError("dissipated_work", found, f"give both ({t.size},) or ({t.size}, components)")
-        power_in = power_in - jnp.sum((slip * traction).reshape(t.size, -1), axis=1)
-    return jnp.trapezoid(power_in, t)
 
 
 # --- shared parts

@@ -1,9 +1,19 @@
-"""What every parameter name means: its unit, its range and one sentence. Units are metadata, not magic."""
+"""What every parameter name means: its unit, its range and one sentence. Units are metadata, not magic.
+
+Beside it what is refused of values, of values beside each other, and of times.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Mapping
 from typing import NamedTuple
+
+import numpy as np
+from jax.core import Tracer
+from jax.typing import ArrayLike
+
+from bcfj_jax.errors import InputError
 
 
 class Quantity(NamedTuple):
@@ -24,6 +34,10 @@ class Quantity(NamedTuple):
         """Whether a value lies in the range; NaN and infinities never do."""
         above = value > self.low if self.open_low else value >= self.low
         return math.isfinite(value) and above and value <= self.high
+
+    def text(self, value: float, digits: int = 6) -> str:
+        """A value as people read it, with its unit where it has one."""
+        return f"{value:.{digits}g}" if self.unit == "1" else f"{value:.{digits}g} {self.unit}"
 
     @property
     def range(self) -> str:
@@ -103,3 +117,61 @@ CATALOGUE: dict[str, Quantity] = {
         _not_negative("drive_damping", "N m s/rad", "torsional damping between drive and seat"),
     )
 }
+
+
+# The first must not be more than the second, in every contact that reads both.
+_ORDERED = (("friction_dynamic", "friction_static"),)
+
+
+def check_value(where: str, quantity: Quantity, value: ArrayLike) -> None:
+    """Refuse numbers outside the quantity's range; traced values cannot be looked at and pass.
+
+    Raises:
+        InputError: naming the place, the value and the range.
+    """
+    if isinstance(value, Tracer):
+        return
+    for number in np.ravel(np.asarray(value, dtype=float)):
+        if not quantity.valid(float(number)):
+            found = f"{quantity.name} = {quantity.text(float(number))} is out of range"
+            raise InputError(where, found, f"{quantity.meaning} must be {quantity.range}")
+
+
+def check_order(where: str, known: Collection[str], values: Mapping[str, ArrayLike]) -> None:
+    """Refuse a sliding friction above the static one, in any contact whose law reads both; traced values pass.
+
+    Args:
+        where: place, for the message.
+        known: the scene's parameters: what ``contact.name`` is in it, that contact reads.
+        values: those given and the defaults; a contact reads its own ``contact.name`` before the shared ``name``.
+
+    Raises:
+        InputError: naming the keys and their values.
+    """
+    for low, high in _ORDERED:
+        places = {name.removesuffix(low) for name in known if name.endswith(low)}
+        # A scene that names its contacts' own coefficients reads the shared ones through them.
+        for place in sorted(places - {""} or places):
+            keys = [place + name if place + name in values else name for name in (low, high)]
+            if place + high not in known or any(isinstance(values.get(key), (Tracer, type(None))) for key in keys):
+                continue
+            less, more = (np.asarray(values[key], dtype=float) for key in keys)
+            if np.any(less > more):
+                found = f"{keys[0]} = {np.max(less):g} is more than {keys[1]} = {np.min(more):g}"
+                raise InputError(where, found, f"give {keys[0]} <= {keys[1]}: sliding does not hold more than sticking")
+
+
+def increasing(times: ArrayLike, fewest: int = 1) -> np.ndarray:
+    """Times as checked numbers: (T,) float64 [s].
+
+    Raises:
+        InputError: for fewer than ``fewest``, another shape, and times that are not finite or do not increase.
+    """
+    t = np.asarray(times, dtype=float)
+    if t.ndim != 1 or t.size < fewest or not np.isfinite(t).all():
+        raise InputError("times", f"shape {t.shape}", f"give a 1-D array of {fewest} or more finite times [s]")
+    late = np.flatnonzero(np.diff(t) <= 0)
+    if late.size:
+        k = int(late[0])
+        raise InputError("times", f"times[{k + 1}] = {t[k + 1]:g} follows {t[k]:g}", "times must increase")
+    return t

@@ -11,14 +11,13 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
-from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from bcfj_jax.errors import InputError, nearest
 from bcfj_jax.laws import AbstractLaw
-from bcfj_jax.quantities import CATALOGUE, Quantity
+from bcfj_jax.quantities import CATALOGUE, Quantity, check_order
+from bcfj_jax.quantities import check_value as check_value
 
 Params = Mapping[str, Array]
 
@@ -107,6 +106,7 @@ class AbstractScene:
                 raise InputError(f"scene '{self.kind}'", f"no parameter '{name}' = {value}", nearest(name, known))
             check_value(f"scene '{self.kind}'", known[name], value)
         defaults = dict(self.defaults)
+        check_order(f"scene '{self.kind}'", known, {**defaults, **given})
         return {
             name: jnp.asarray(given[name] if name in given else defaults[name], dtype=jnp.float64)
             for name in known
@@ -147,17 +147,3 @@ class Scene(AbstractScene, eqx.Module):
         names += [body.mass for body in self.bodies]
         names += [*self.needs, *(name for load in self.loads for name in load.needs)]
         return {name: CATALOGUE[name] for name in dict.fromkeys(names)}
-
-
-def check_value(where: str, quantity: Quantity, value: ArrayLike) -> None:
-    """Refuse numbers outside the quantity's range; traced values cannot be looked at and pass.
-
-    Raises:
-        InputError: naming the place, the value and the range.
-    """
-    if isinstance(value, Tracer):
-        return
-    for number in np.ravel(np.asarray(value, dtype=float)):
-        if not quantity.valid(float(number)):
-            found = f"{quantity.name} = {number:g} {quantity.unit} is out of range"
-            raise InputError(where, found, f"{quantity.meaning} must be {quantity.range}")

@@ -27,8 +27,8 @@ from bcfj_jax.errors import InputError, nearest
 from bcfj_jax.integrate import LEVELS
 from bcfj_jax.joint.checks import check_geometry
 from bcfj_jax.joint.scene import Joint
-from bcfj_jax.quantities import CATALOGUE
-from bcfj_jax.scene import AbstractScene, check_value
+from bcfj_jax.quantities import CATALOGUE, check_order, check_value
+from bcfj_jax.scene import AbstractScene
 from bcfj_jax.scenetemplate import template as template
 from bcfj_jax.spheres import Spheres
 from bcfj_jax.units import quantity
@@ -197,6 +197,7 @@ def _values(scene: AbstractScene, given: Mapping[str, Any], spheres: Spheres | N
         exponent = next((d[key] for d, key in sources if key in d), 1.0) if own in known else 1.0
         values[name] = quantity(given[name], known[name].unit, place, exponent=exponent)
         check_value(place, known[name], values[name])
+    check_order(f"{where}: [parameters]", known, {**defaults, **values})
     return values
 
 

@@ -14,14 +14,15 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from bcfj_jax.dynamics import Reading, observe
+from bcfj_jax.dynamics import Reading, contact_state, observe
 from bcfj_jax.errors import InputError
 from bcfj_jax.integrate import OK, Plan, Solution, integrate, plan, reason
 from bcfj_jax.joint.constants import constants
 from bcfj_jax.joint.kinematic import kinematic_readings
+from bcfj_jax.joint.observe import contact_states, observe_at_rest
 from bcfj_jax.joint.observe import observe as observe_joint
-from bcfj_jax.joint.observe import observe_at_rest
 from bcfj_jax.joint.scene import Joint
+from bcfj_jax.quantities import increasing
 from bcfj_jax.scene import AbstractScene, Params, Scene
 from bcfj_jax.two_way import two_way
 
@@ -41,6 +42,9 @@ class Run(NamedTuple):
         status: "ok" or "failed"; a failed run is NaN from the failure on.
         reason, failure_time: why and when [s] it failed; "" and NaN for a good run.
         stats: steps accepted and rejected, tolerance, wall and compile seconds.
+        state: per contact (T,): codes of ``dynamics.contact_state`` that count ``dynamics.STATES`` (apart, touching,
+            sticking, sliding), -1 where the run failed; empty for a run that ``simulate`` did not make.
+        trajectory: (T, n) the flat states themselves, as ``dynamics`` and ``joint.system`` read them; None likewise.
     """
 
     times: np.ndarray
@@ -52,6 +56,8 @@ class Run(NamedTuple):
     reason: str
     failure_time: float
     stats: dict[str, float]
+    state: dict[str, np.ndarray] = {}
+    trajectory: np.ndarray | None = None
 
 
 def _outcome(
@@ -127,17 +133,6 @@ def _run(scene: AbstractScene, params: Params, times: Array, how: Plan) -> tuple
 _compiled: dict[object, Callable[..., tuple[Solution, dict[str, Reading]]]] = {}
 
 
-def _checked_times(times: ArrayLike) -> np.ndarray:
-    values = np.asarray(times, dtype=float)
-    if values.ndim != 1 or values.size == 0 or not np.all(np.isfinite(values)):
-        raise InputError("times", f"shape {values.shape}", "give a non-empty 1-D array of finite times [s]")
-    late = np.flatnonzero(np.diff(values) <= 0)
-    if late.size:
-        k = int(late[0])
-        raise InputError("times", f"times[{k + 1}] = {values[k + 1]:g} follows {values[k]:g}", "times must increase")
-    return values
-
-
 def simulate(
     scene: AbstractScene,
     params: Params,
@@ -157,7 +152,7 @@ def simulate(
     Raises:
         InputError: for times that are not finite and increasing, and for an unknown accuracy.
     """
-    values = _checked_times(times)
+    values = increasing(times)
     how = plan(scene, accuracy, max_steps)
     arguments = (scene, dict(params), jnp.asarray(values), how)
     key = (scene, len(values), max_steps, jax.tree.structure(params))
@@ -168,7 +163,14 @@ def simulate(
     solution, readings = jax.device_get(_compiled[key](*arguments))
     done = time.perf_counter()
     walls = {"wall_s": done - compiled, "compile_s": compiled - begin}
-    return story(scene, values, solution, readings, how, walls)
+    run = story(scene, values, solution, readings, how, walls)
+    return run._replace(state=_contact_states(scene, params, readings), trajectory=np.asarray(solution.states))
+
+
+def _contact_states(scene: AbstractScene, params: Params, readings: dict[str, Reading]) -> dict[str, np.ndarray]:
+    if isinstance(scene, Joint):
+        return contact_states(scene, params, readings)
+    return {contact.name: contact_state(np.asarray(readings[contact.name].force)[:, 0]) for contact in scene.contacts}
 
 
 def story(

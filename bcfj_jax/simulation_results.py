@@ -6,15 +6,20 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
 from bcfj_jax import features, outputs, plots, report
+from bcfj_jax.joint.observe import whole
+from bcfj_jax.joint.scene import Joint
+from bcfj_jax.scene import AbstractScene
 from bcfj_jax.scenefile import SceneFile
 from bcfj_jax.simulation import Run
 from bcfj_jax.units import format_si
 
 FILES = (
     "forces.csv",
+    "contacts.csv",
     "summary.json",
     "forces.png",
     "force_penetration.png",
@@ -23,6 +28,15 @@ FILES = (
     "environment.json",
 )
 _FEW_SAMPLES = 10
+
+
+def files(scene: AbstractScene) -> tuple[str, ...]:
+    """Names of the files that ``write`` leaves for a scene."""
+    return (*FILES, "resultants.csv") if _moves_as_a_whole(scene) else FILES
+
+
+def _moves_as_a_whole(scene: AbstractScene) -> bool:
+    return isinstance(scene, Joint) and scene.fidelity == "dynamic"
 
 
 def verdict(run: Run) -> str:
@@ -84,8 +98,7 @@ def _input_rows(given: SceneFile) -> list[list[str]]:
     for name, quantity in given.scene.quantities.items():
         if name not in resolved["parameters"]:
             continue
-        unit = "" if quantity.unit == "1" else f" {quantity.unit}"
-        rows.append([name, f"{resolved['parameters'][name]:.8g}{unit}", quantity.meaning])
+        rows.append([name, quantity.text(resolved["parameters"][name], 8), quantity.meaning])
     rows += [["time: end", format_si(resolved["time"]["end"], "s"), ""]]
     rows += [["time: samples", str(resolved["time"]["samples"]), ""]]
     rows += [[f"accuracy: {key}", str(value), ""] for key, value in resolved["accuracy"].items()]
@@ -104,7 +117,7 @@ def _solver_rows(run: Run) -> list[list[str]]:
 
 
 def write(folder: Path, given: SceneFile, run: Run, stem: str) -> tuple[str, list[str]]:
-    """Write every file of ``FILES``.
+    """Write every one of ``files``.
 
     Returns:
         The results as a text table, and what to warn of.
@@ -114,6 +127,11 @@ def write(folder: Path, given: SceneFile, run: Run, stem: str) -> tuple[str, lis
     outputs.write_toml(folder / "run.toml", given.resolved, f"{source}, as it was run: every default, SI")
     outputs.write_json(folder / "environment.json", outputs.environment(data=[given.source] if given.source else []))
     outputs.write_forces(folder / "forces.csv", run)
+    outputs.write_contacts(folder / "contacts.csv", run)
+    if _moves_as_a_whole(given.scene):
+        found = jax.device_get(whole(given.scene, dict(given.params), run.times, run.trajectory))
+        outputs.write_resultants(folder / "resultants.csv", run, found.resultants)
+        summary |= outputs.joint_summary(run.times, found)
     outputs.write_json(folder / "summary.json", summary | {"warnings": warnings})
     plots.forces(run, folder / "forces.png")
     plots.loops(run, folder / "force_penetration.png")

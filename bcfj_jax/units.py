@@ -96,7 +96,8 @@ def _factor(unit_text: str, si_unit: str, where: str, exponent: float | None, gi
     unit = _unit("" if unit_text == "1" else unit_text, where, given, _remedy(si_unit))
     target = _registry().parse_units("" if si_unit == "1" else si_unit)
     if unit.dimensionality != target.dimensionality:
-        raise InputError(where, f"'{given}' is not in a unit that converts to {si_unit}", right)
+        wrong = "has a unit" if si_unit == "1" else f"is not in a unit that converts to {si_unit}"
+        raise InputError(where, f"'{given}' {wrong}", right)
     quantity = _registry().Quantity
     if quantity(0.0, unit).to(target).magnitude != 0.0:
         raise InputError(where, f"'{given}' is in a unit with an offset", right)

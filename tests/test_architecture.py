@@ -41,7 +41,7 @@ FLOORS = {
 WITHIN = {
     ("quantities", "errors"),
     ("stiffness", "elliptic"),
-    ("histories", "features"),
+    ("features", "histories"),
     ("spheres", "units"),
     ("spheres", "tables"),
     ("scenetemplate", "units"),

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.integrate import solve_ivp, trapezoid
 from scipy.signal import correlate
 
-from bcfj_jax import features, histories
+from bcfj_jax import histories
 from bcfj_jax.errors import InputError
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -163,7 +162,7 @@ def test_delay_is_near_the_greatest_of_scipys_correlation():
     found = float(histories.delay(TIMES, first, second, 1.0))
     assert found == pytest.approx(lag * STEP, abs=0.6 * STEP)
     assert found == pytest.approx(0.12034, abs=0.05 * STEP)
-    assert found == pytest.approx(float(features.delay(TIMES, first, second)), abs=0.05 * STEP)
+    assert found == pytest.approx(float(histories.delay(TIMES, first, second)), abs=0.05 * STEP)
 
 
 def test_delay_is_the_greatest_of_numpys_correlation_coefficients():
@@ -287,92 +286,3 @@ def test_what_never_settles_has_no_settling_time():
 def test_settling_needs_two_periods_and_a_tolerance(turn, tolerance, says):
     with pytest.raises(InputError, match=says):
         histories.settling_time(TIMES, TIMES, turn, tolerance)
-
-
-# --- share of contact and work
-
-
-@pytest.mark.parametrize("threshold", [0.1, 0.5, 0.9])
-def test_contact_fraction_of_a_triangle(threshold):
-    """|F| = |1 - |t - 1|| over 2 s is above a threshold for 1 - threshold of the time."""
-    times = np.linspace(0.0, 2.0, 38)
-    force = 1 - np.abs(times - 1)
-    found = histories.contact_fraction(times, force, threshold)
-    # The tip lies between two samples.
-    assert float(found) == pytest.approx(1 - threshold, abs=1e-12)
-    assert float(histories.contact_fraction(times, -force, threshold)) == float(found)
-    slope = jax.grad(lambda s: histories.contact_fraction(times, s * force, threshold))(1.0)
-    assert float(slope) == pytest.approx(threshold, rel=1e-9)
-
-
-def test_contact_fraction_of_half_sines():
-    force = 1e4 * np.maximum(0.0, np.sin(2 * np.pi * TIMES / 0.6))
-    assert float(histories.contact_fraction(TIMES, force)) == pytest.approx(0.5, abs=10 * STEP / 3)
-    assert float(histories.contact_fraction(TIMES, force, 1.0)) == pytest.approx(0.5, abs=1e-4)
-    assert float(histories.contact_fraction(TIMES, force, 1.0, (0.6, 0.9))) == pytest.approx(1.0, abs=1e-3)
-    assert float(histories.contact_fraction(TIMES, 0 * force)) == 0.0
-    with pytest.raises(InputError, match="threshold: -1 N"):
-        histories.contact_fraction(TIMES, force, -1.0)
-
-
-def test_dissipated_work_of_a_damped_loop():
-    """F = K d + C d' over a whole period of d = A sin(w t) keeps pi C w A^2."""
-    angle = 2 * np.pi * TIMES / 3.0
-    depth, rate = 2e-4 * np.sin(angle), 2e-4 * 2 * np.pi / 3.0 * np.cos(angle)
-    wanted = math.pi * 700.0 * (2 * np.pi / 3.0) * 2e-4**2
-    found = histories.dissipated_work(TIMES, 1e5 * depth + 700.0 * rate, rate)
-    assert float(found) == pytest.approx(wanted, rel=1e-9)
-    assert float(found) == pytest.approx(float(features.dissipated_work(1e5 * depth + 700.0 * rate, depth)), rel=1e-5)
-    assert float(histories.dissipated_work(TIMES, 1e5 * depth, rate)) == pytest.approx(0.0, abs=1e-12)
-
-
-def test_dissipated_work_of_an_impact_is_the_kinetic_energy_lost():
-    """m d'' = -F with Hunt and Crossley's damping, from SciPy: (m/2) (v0^2 - v1^2)."""
-
-    def force(d, v):
-        return np.maximum(0.0, 1e9 * np.maximum(d, 0.0) ** 1.5 * (1 + 0.8 * v))
-
-    gone = lambda t, y: y[0] + 1e-12  # noqa: E731
-    gone.terminal, gone.direction = True, -1
-    run = solve_ivp(
-        lambda t, y: [y[1], -force(*y)], (0, 1), [0.0, 1.0], events=gone, rtol=1e-10, atol=1e-14, max_step=2e-6
-    )
-    work = float(histories.dissipated_work(run.t, force(*run.y), run.y[1]))
-    assert work == pytest.approx(0.5 * (1 - run.y[1, -1] ** 2), rel=1e-5)
-    assert work > 0.1
-
-
-def test_friction_adds_its_power():
-    rng = np.random.default_rng(2)
-    slip = rng.standard_normal((3001, 3))
-    normal = 1e3 + 100 * np.sin(TIMES)
-    traction = -0.12 * normal[:, None] * slip / np.linalg.norm(slip, axis=1)[:, None]
-    still = np.zeros_like(TIMES)
-    found = histories.dissipated_work(TIMES, normal, still, slip, traction)
-    assert float(found) == pytest.approx(trapezoid(0.12 * normal * np.linalg.norm(slip, axis=1), TIMES), rel=1e-12)
-    line = histories.dissipated_work(TIMES, normal, still, slip[:, 0], -5.0 * slip[:, 0])
-    assert float(line) == pytest.approx(trapezoid(5.0 * slip[:, 0] ** 2, TIMES), rel=1e-12)
-    assert float(histories.dissipated_work(TIMES, normal, still)) == 0.0
-
-
-def test_work_is_differentiable():
-    def value(c):
-        rate = jnp.cos(TIMES)
-        return histories.dissipated_work(TIMES, c * rate, rate, rate, -c * c * rate)
-
-    half = trapezoid(np.cos(TIMES) ** 2, TIMES)
-    assert float(jax.grad(value)(3.0)) == pytest.approx(half * (1 + 6.0), rel=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("slip", "traction", "says"),
-    [
-        (None, TIMES, "no slip; give slip and traction, or neither"),
-        (TIMES, None, "no traction"),
-        (TIMES, TIMES[:, None], "slip of shape"),
-        (TIMES[:5], TIMES[:5], r"give both \(3001,\)"),
-    ],
-)
-def test_half_a_friction_is_refused(slip, traction, says):
-    with pytest.raises(InputError, match=says):
-        histories.dissipated_work(TIMES, TIMES, TIMES, slip, traction)

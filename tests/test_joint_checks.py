@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from oracles import within
 
 from bcfj_jax.errors import InputError
-from bcfj_jax.joint import checks, geometry
+from bcfj_jax.joint import checks, deflection, geometry
 from bcfj_jax.joint.checks import check_geometry
 
 CLEARANCES = [f"clearance_{pair}" for pair in ("seat_cage", "head_cage", "cage_ball", "seat_ball", "head_ball")]
@@ -63,7 +63,7 @@ REFUSED = [
     ({"ball_radius": 0.0045}, "ball_radius", "0.0045 m", "give more than 0.0045 m"),
     ({"pitch_radius": 0.032}, "pitch_radius", "0.032 m", "give about 0.0328"),
     ({"pitch_radius": 0.0385}, "pitch_radius", "0.0385 m", "give about 0.0380"),
-    ({"offset": 0.03}, "pitch_radius", "seat's track", "smaller joint_angle"),
+    ({"offset": 0.03}, "pitch_radius", "seat's track", "or a joint_angle of at most 0.2467 rad (14.135 deg)"),
     ({"clearance_seat_cage": 0.004}, "pitch_radius", "out of its window", "or less"),
     ({"balls": 14}, "balls", "14 balls", "fewer or smaller balls"),
     ({"window_length": 0.032}, "window_length", "0.032 m", "fewer balls"),
@@ -75,6 +75,8 @@ REFUSED = [
     ({"seat_track_angle": 0.3}, "seat_track_angle", "0.3 rad", "give at least 0.324257 rad"),
     ({"head_track_angle": 0.3}, "head_track_angle", "0.3 rad", "give at least 0.324257 rad"),
     ({"seat_mouth": 0.008}, "seat_mouth", "0.008 m", "give more than 0.0088"),
+    ({"joint_angle": math.radians(80.0)}, "joint_angle", "80 deg", "or a joint_angle of at most"),
+    ({"joint_angle": 1.3, "contact_angle": 1.57, "offset": 0.0}, "joint_angle", "1.3 rad", "of at most 1.0"),
     ({"conformity": 0.5}, "conformity", "0.5", "ratio > 0.5"),
     ({"contact_angle": 0.0}, "contact_angle", "0 rad", "between 0 and 90 deg"),
     ({"contact_angle": math.pi / 2}, "contact_angle", "90 deg", "between 0 and 90 deg"),
@@ -137,11 +139,11 @@ def test_plain_formulas_are_those_of_the_geometry(rp, ratio, beta):
     rc = float(geometry.track_radius(rp, e))
     p = np.asarray(geometry.ball_centre(AROUND, beta, rc, e))
     reach = np.linalg.norm(p, axis=-1)
-    assert checks._distances(rp, e, beta) == within((reach.min(), reach.max()), 1e-12)
+    assert deflection.distances(rp, e, beta) == within((reach.min(), reach.max()), 1e-12)
     # Travel along the seat's track about its centre, and along the head's.
     axis = np.asarray(geometry.head_axis(beta))
     on_seat, on_head = np.arcsin((p[:, 2] - e) / rc), np.arcsin((p @ axis + e) / rc)
-    need = checks._track_travel(rp, e, beta)
+    need = deflection.track_travel(rp, e, beta)
     for swing in (on_seat, on_head):
         assert need == pytest.approx(abs(swing).max(), abs=1e-7)
 
@@ -155,7 +157,7 @@ def test_balls_are_refused_exactly_where_they_overlap(rp, ratio, beta, balls, ra
     nearest = np.linalg.norm(p - q, axis=-1).min()
     # The grid misses the nearest place by up to an eighth of a degree.
     assume(abs(nearest - 2.0 * radius) > 1e-4 * rp)
-    assert (checks._apart(balls, radius, rp, e, beta) is None) == (nearest > 2.0 * radius)
+    assert (deflection.apart(balls, radius, rp, e, beta) is None) == (nearest > 2.0 * radius)
 
 
 @given(**SHAPES, alpha=st.floats(0.1, 1.4), radius=st.floats(0.002, 0.02))
@@ -164,8 +166,8 @@ def test_mouth_is_asked_to_hold_every_contact(rp, ratio, beta, alpha, radius):
     rc = float(geometry.track_radius(rp, e))
     p = np.asarray(geometry.ball_centre(AROUND, beta, rc, e))
     height = abs(p[:, 2] + radius * np.cos(alpha) * (p[:, 2] - e) / rc).max()
-    assert checks._in_mouth(height * (1.0 + 1e-9) + 1e-12, radius, rp, e, alpha, beta) is None
-    fault = checks._in_mouth(height * (1.0 - 1e-9), radius, rp, e, alpha, beta)
+    assert deflection.in_mouth(height * (1.0 + 1e-9) + 1e-12, radius, rp, e, alpha, beta) is None
+    fault = deflection.in_mouth(height * (1.0 - 1e-9), radius, rp, e, alpha, beta)
     assert fault is not None or height == 0.0
 
 
@@ -176,8 +178,35 @@ def test_windows_shorter_than_the_travel_are_refused_and_none_that_the_ball_leav
     limit = 2.0 * (0.0355 * float(geometry.window_deviation(beta)) + 0.008)
     # Necessary: the first-order limit is below the exact one, by less than 15 um.
     assert 0.0 < 2.0 * (travel + 0.008) - limit < 15e-6
-    assert checks._window_length(limit, 0.008, 0.0355, beta) is None
-    assert checks._window_length(limit - 1e-7, 0.008, 0.0355, beta) is not None
+    assert deflection.window_length(limit, 0.008, 0.0355, beta) is None
+    assert deflection.window_length(limit - 1e-7, 0.008, 0.0355, beta) is not None
+
+
+@given(**SHAPES, alpha=st.floats(0.1, 1.5), radius=st.floats(0.002, 0.02), thick=st.floats(1.0, 1.3))
+def test_a_deflection_is_refused_exactly_where_no_mouth_is_left(rp, ratio, beta, alpha, radius, thick):
+    """A mouth whose edge the shaft's axis does not reach, and the contacts of all balls on its side behind it."""
+    e, seat = abs(ratio) * rp, thick * rp
+    rc = float(geometry.track_radius(rp, e))
+    p = np.asarray(geometry.ball_centre(AROUND, beta, rc, e))
+    height = p[:, 2] + radius * np.cos(alpha) * (p[:, 2] - e) / rc
+    mouths = np.linspace(0.0, seat, 2001)
+    behind = (mouths > height.max()) | (mouths > -height.min())
+    free = np.arctan2(np.sqrt(seat**2 - mouths**2), mouths) > beta
+    room = seat * np.cos(beta) - min(height.max(), -height.min())
+    assume(abs(room) > seat / 2000)
+    assert (deflection.mouth_open(seat, radius, rp, e, alpha, beta) is None) == bool(np.any(behind & free))
+
+
+@pytest.mark.parametrize("alpha", [40.0, None])
+def test_the_largest_deflection_named_is_one_that_passes(alpha):
+    joint = {k: v for k, v in JOINT.items() if alpha is not None or k != "contact_angle"}
+    with pytest.raises(InputError) as caught:
+        check_geometry({**joint, "joint_angle": math.radians(80.0)})
+    named = float(str(caught.value).rpartition("at most ")[2].split()[0])
+    assert 50.0 < math.degrees(named) < 65.0
+    check_geometry({**joint, "joint_angle": named})
+    with pytest.raises(InputError, match="joint_angle"):
+        check_geometry({**joint, "joint_angle": named + 2e-4})
 
 
 def test_body_length_is_the_one_of_the_geometry():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax
 import numpy as np
 import pytest
 from conftest import BUILD
@@ -10,6 +11,7 @@ from typer.testing import CliRunner
 from bcfj_jax import scenes
 from bcfj_jax.cli import app
 from bcfj_jax.errors import InputError
+from bcfj_jax.quantities import check_order
 from bcfj_jax.scenefile import load
 
 GROOVES = ("seat_ball", "head_ball")
@@ -63,10 +65,15 @@ BAD = [
     (JOINT + '[parameters]\nball_radius = "4 mm"\n', ["ball_radius", "0.004 m", "does not reach both tracks"]),
     (JOINT + '[parameters]\npitch_radius = "45 mm"\n', ["pitch_radius", "short of the head's track", "or less"]),
     (JOINT + "track = 3\n", ["[scene] track", "3 is"]),
+    (JOINT + '[parameters]\njoint_angle = "80 deg"\n', ["joint_angle", "80 deg", "into the seat", "at most"]),
+    (JOINT + "[parameters]\nfriction_dynamic = 0.2\n", ["friction_dynamic = 0.2", "friction_static = 0.12", "<="]),
+    (JOINT + "[parameters]\nfriction_static = -1\n", ["friction_static = -1 is out of range"]),
 ]
 
 
-@pytest.mark.parametrize(("text", "parts"), BAD, ids=["negative", "ball", "pitch", "option"])
+@pytest.mark.parametrize(
+    ("text", "parts"), BAD, ids=["negative", "ball", "pitch", "option", "angle", "friction", "plain number"]
+)
 def test_bad_joint_files_exit_2_and_write_nothing(text, parts, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("BCFJ_CACHE", str(BUILD / "jax-cache"))
@@ -77,6 +84,29 @@ def test_bad_joint_files_exit_2_and_write_nothing(text, parts, tmp_path, monkeyp
         for part in ["error: s.toml", *parts]:
             assert part in done.stderr
         assert [path.name for path in tmp_path.iterdir()] == ["s.toml"]
+
+
+def refused(known, values):
+    with pytest.raises(InputError) as caught:
+        check_order("here", known, values)
+    return str(caught.value)
+
+
+def test_sliding_friction_above_static_is_refused_where_a_contact_reads_both():
+    shared = ("friction_static", "friction_dynamic")
+    own = tuple(f"seat_ball.{name}" for name in shared)
+    good = {"friction_static": 0.12, "friction_dynamic": 0.12}
+    check_order("here", shared + own, good)
+    assert refused(shared, good | {"friction_dynamic": 0.2}).startswith("here: friction_dynamic = 0.2 is more than")
+    # A contact's own number beside the shared one; a batch; what is traced cannot be looked at.
+    assert "seat_ball.friction_dynamic = 0.2" in refused(shared + own, good | {own[1]: 0.2})
+    assert "give friction_dynamic <= seat_ball.friction_static" in refused(shared + own, good | {own[0]: 0.1})
+    assert "= 0.3 is" in refused(shared, good | {"friction_dynamic": np.array([0.1, 0.3])})
+    jax.jit(lambda x: check_order("here", shared, good | {"friction_dynamic": x}))(0.2)
+    # Coulomb's law reads no static coefficient.
+    check_order(
+        "here", ("friction_dynamic", "seat_ball.friction_dynamic", "friction_static"), {"friction_dynamic": 1.0}
+    )
 
 
 def test_init_joint_writes_a_file_of_the_defaults(tmp_path, monkeypatch):

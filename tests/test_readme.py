@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
@@ -19,6 +20,16 @@ README = (ROOT / "README.md").read_text()
 @pytest.mark.parametrize("benchmark", [accuracy, demo, times])
 def test_tables_are_those_of_the_kept_results(benchmark):
     assert benchmark.table(load(benchmark.__name__)) in README
+
+
+def test_the_joints_table_is_that_of_the_kept_results(monkeypatch):
+    # The benchmark asks for one thread where it is imported: of itself alone.
+    for name in ("XLA_FLAGS", "EQX_ON_ERROR"):
+        monkeypatch.setenv(name, os.environ.get(name, ""))
+    import joint
+
+    shown = re.search(r"<!-- joint: begin -->\n(.*?)\n<!-- joint: end -->", README, re.DOTALL)
+    assert shown and shown[1] == joint.readme()
 
 
 def test_the_promised_force_error_was_kept():

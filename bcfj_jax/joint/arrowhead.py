@@ -59,7 +59,8 @@ class Factors(NamedTuple):
     border_inverse: Array
     axis: Array
     spin: Array
-    c: Constants
+    ball_lightness: Array
+    border_lightness: Array
 
 
 def _felt(arm: Array, wrench: Array) -> Array:
@@ -206,7 +207,18 @@ class Arrowhead(AbstractStructure):
         ball_inverse = inverse3(ball) if k == 3 else inverse6(ball)
         column = ball_inverse @ column
         schur = border - jnp.sum(row @ column, 0)
-        return Factors(d, scale, ball_inverse, column, row, inverse(schur), state.cage_axis, state.cage_spin, c)
+        return Factors(
+            d,
+            scale,
+            ball_inverse,
+            column,
+            row,
+            inverse(schur),
+            state.cage_axis,
+            state.cage_spin,
+            c.ball_lightness,
+            c.border_lightness,
+        )
 
     @staticmethod
     def _turn(axis: Array, spin: Array, scale: Array) -> Array:
@@ -217,7 +229,7 @@ class Arrowhead(AbstractStructure):
 
     def solve(self, factors: Factors, right: Array) -> Array:
         """Places eliminated, balls eliminated, border solved, and back."""
-        d, s, c = factors.blocks, factors.scale, factors.c
+        d, s = factors.blocks, factors.scale
         n, k, b = d.ball_rate.shape[0], d.ball_rate.shape[1], d.border_rate.shape[0]
         place, at = right[: 3 * n].reshape(n, 3), right[3 * n : 3 * n + b]
         twist, rate = right[3 * n + b : (3 + k) * n + b].reshape(n, k), right[(3 + k) * n + b :]
@@ -228,10 +240,12 @@ class Arrowhead(AbstractStructure):
             tilt = slice(b - 4, b - 1)
             known = s * _cayley(at[tilt], factors.spin, s)
             shift = shift.at[tilt].set(jnp.cross(factors.axis, known))
-        ball = twist + c.ball_lightness * (
+        ball = twist + factors.ball_lightness * (
             jnp.einsum("nkj,nj->nk", d.ball_place, s * place) + jnp.einsum("nkb,b->nk", d.column_place, shift)
         )
-        border = rate + c.border_lightness * (jnp.einsum("nbj,nj->b", d.row_place, s * place) + d.border_place @ shift)
+        border = rate + factors.border_lightness * (
+            jnp.einsum("nbj,nj->b", d.row_place, s * place) + d.border_place @ shift
+        )
         ball = jnp.einsum("nkl,nl->nk", factors.ball_inverse, ball)
         rates = factors.border_inverse @ (border - jnp.einsum("nbk,nk->b", factors.row, ball))
         twists = ball - jnp.einsum("nkb,b->nk", factors.column, rates)

@@ -3,7 +3,8 @@
 Massless parts, no friction, no damping. Arrays have the instants along their last axis, so that the processor's
 lanes are instants. Unknown are displacements from the zero-clearance position [m]; angles are times the pitch
 radius. The derivative is an arrowhead: a 3 x 3 block a ball, bordered by head and cage. It is the exact one, not
-symmetric where a flank's sector ends (``skin.sector``).
+symmetric where a flank's sector ends (``skin.sector``). Races, flanks, faces and pilots are axes of arrays and not
+copies of the program, which would take the compiler as many times as long.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from jax import Array
 
 from bcfj_jax.joint.constants import Constants
 from bcfj_jax.joint.scene import Joint
-from bcfj_jax.joint.skin import Skin
+from bcfj_jax.joint.skin import Skin, SkinPair
 from bcfj_jax.numerics import smooth_step
 
 
@@ -25,7 +26,6 @@ class Problem(NamedTuple):
     """What equilibrium depends on, differentiable.
 
     Attributes:
-        skins: of the contacts there are, by name.
         ball: (3, n, T) zero-clearance places.
         seat, torque: (T,) angle of the seat, load on the head.
         spring: stiffness of the grounding [N/m].
@@ -33,7 +33,6 @@ class Problem(NamedTuple):
     """
 
     c: Constants
-    skins: dict[str, Skin]
     ball: Array
     seat: Array
     torque: Array
@@ -49,12 +48,16 @@ class Places(NamedTuple):
 
 
 class Matrix(NamedTuple):
-    """Derivative of the forces: ball (3, 3, n, T), column (3, b, n, T), row (b, 3, n, T), border (b, b, T)."""
+    """Derivative of the forces: ball (3, 3, n, T), column (3, b, n, T), row (b, 3, n, T), border (b, b, T).
+
+    seat: (3, n, T), that of the balls' forces by the seat's angle where nothing else moves.
+    """
 
     ball: Array
     column: Array
     row: Array
     border: Array
+    seat: Array
 
 
 def slots_of(scene: Joint) -> dict[str, slice]:
@@ -69,14 +72,14 @@ def _dot(a: Any, b: Any) -> Array:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def _law(skin: Skin, penetration: Array) -> tuple[Array, Array]:
+def _law(skin: Skin | SkinPair, penetration: Array) -> tuple[Array, Array]:
     """Normal force and stiffness at rest."""
     still = jnp.zeros_like(penetration)
     return jax.jvp(lambda d: skin.normal(d, still), (penetration,), (jnp.ones_like(penetration),))
 
 
-class _Race(NamedTuple):
-    """Forces of one race's grooves, as a gradient: of the ball (3, n, T), of the race's turn (n, T); derivatives."""
+class _Grooves(NamedTuple):
+    """Forces of both races' grooves, as a gradient: of ball (3, 2, n, T), of turn (2, n, T); their derivatives."""
 
     ball: Array
     turn: Array
@@ -86,45 +89,49 @@ class _Race(NamedTuple):
     by_turn: Array
 
 
-def _race(scene: Joint, c: Constants, skin: Skin, race: int, place: Array, turn: Array) -> _Race:
-    """``contacts.grooves`` at rest with its derivatives, for balls at ``place`` (3, n, T) in a race turned by ``turn``.
+def _grooves(scene: Joint, c: Constants, place: Array, turn: Array) -> _Grooves:
+    """``contacts.grooves`` at rest with its derivatives, for balls at ``place`` (3, 2, n, T) in races that are turned.
 
     In the track's own axes (across, radial at mid-track, the race's axis) the place is (t, x, z); with D = |(x, z)|
-    the forces depend on (t, D) alone, and a turn of the race changes (t, x) by (-x, t).
+    the forces depend on (t, D) alone, and a turn (2, T) of the race changes (t, x) by (-x, t).
     """
     g = c.groove
     around = 2 * np.pi * np.arange(scene.balls) / scene.balls
     cosine, sine = np.cos(around)[:, None], np.sin(around)[:, None]
-    cosine, sine = cosine * jnp.cos(turn) - sine * jnp.sin(turn), sine * jnp.cos(turn) + cosine * jnp.sin(turn)
-    radial, tangent, axis = (v[:, None, None] for v in (c.radial[race], c.tangent[race], c.axes[race]))
-    mid, across = cosine * radial + sine * tangent, cosine * tangent - sine * radial
-    frame = (across, mid, axis)
-    place = place - g.offset[race] * axis
+    far, near = jnp.cos(turn)[:, None], jnp.sin(turn)[:, None]
+    cosine, sine = cosine * far - sine * near, sine * far + cosine * near
+    radial, tangent, axis = (v.T[:, :, None, None] for v in (c.radial, c.tangent, c.axes))
+    frame = (cosine * tangent - sine * radial, cosine * radial + sine * tangent, axis)
+    across, mid, _ = frame
+    place = place - g.offset[:, None, None] * axis
     t, x, z = (_dot(place, e) for e in frame)
     distance = jnp.sqrt(x * x + z * z)
     r_x, r_z = x / distance, z / distance
-    g_t = g_a = j_tt = j_ta = j_at = j_aa = jnp.zeros_like(t)
-    y_a = distance - g.radius + g.side[race] * (g.flank * g.cosine)
-    for index in range(g.gothic.size):
-        sign = g.gothic[index]
-        y_t = t + sign * (g.flank * g.sine)
-        length = jnp.sqrt(y_t * y_t + y_a * y_a + 1e-24)
-        n_t, n_a = y_t / length, y_a / length
-        force, stiff = _law(skin, length - g.flank - g.clearance[race])
-        edge = jnp.zeros_like(force)
-        if g.gothic.size == 2:
-            share, slope = jax.jvp(lambda s: smooth_step(20.0 * s), (sign * n_t,), (jnp.ones_like(n_t),))
-            edge = sign * slope * force / length
-            force, stiff = share * force, share * stiff
-        bend = force / length
-        stiff = stiff - bend
-        g_t, g_a = g_t + force * n_t, g_a + force * n_a
-        e_t, e_a = edge * (1.0 - n_t * n_t), -edge * n_t * n_a
-        j_tt, j_ta = j_tt + stiff * n_t * n_t + bend + n_t * e_t, j_ta + stiff * n_t * n_a + n_t * e_a
-        j_at, j_aa = j_at + stiff * n_t * n_a + n_a * e_t, j_aa + stiff * n_a * n_a + bend + n_a * e_a
-    around = g_a / distance
-    j_xz = (j_aa - around) * r_x * r_z
-    j_xx, j_zz = j_aa * r_x * r_x + around * r_z * r_z, j_aa * r_z * r_z + around * r_x * r_x
+    # Flanks along the first axis.
+    sign = g.gothic[:, None, None, None]
+    y_t = t + sign * (g.flank * g.sine)
+    y_a = distance - g.radius + g.side[:, None, None] * (g.flank * g.cosine)
+    length = jnp.sqrt(y_t * y_t + y_a * y_a + 1e-24)
+    n_t, n_a = y_t / length, y_a / length
+    depth = length - g.flank - g.clearance[:, None, None]
+    # ``groove_skin`` has the races along the last axis but one.
+    law = _law(c.groove_skin, depth.reshape(*depth.shape[:2], -1))
+    force, stiff = (part.reshape(depth.shape) for part in law)
+    edge = jnp.zeros_like(force)
+    if g.gothic.size == 2:
+        share, slope = jax.jvp(lambda s: smooth_step(20.0 * s), (sign * n_t,), (jnp.ones_like(n_t),))
+        edge = sign * slope * force / length
+        force, stiff = share * force, share * stiff
+    bend = force / length
+    stiff = stiff - bend
+    e_t, e_a = edge * (1.0 - n_t * n_t), -edge * n_t * n_a
+    g_t, g_a = jnp.sum(force * n_t, 0), jnp.sum(force * n_a, 0)
+    j_tt = jnp.sum(stiff * n_t * n_t + bend + n_t * e_t, 0)
+    j_ta, j_at = (jnp.sum(stiff * n_t * n_a + e, 0) for e in (n_t * e_a, n_a * e_t))
+    j_aa = jnp.sum(stiff * n_a * n_a + bend + n_a * e_a, 0)
+    hoop = g_a / distance
+    j_xz = (j_aa - hoop) * r_x * r_z
+    j_xx, j_zz = j_aa * r_x * r_x + hoop * r_z * r_z, j_aa * r_z * r_z + hoop * r_x * r_x
     local = ((j_tt, j_ta * r_x, j_ta * r_z), (j_at * r_x, j_xx, j_xz), (j_at * r_z, j_xz, j_zz))
     g_x = g_a * r_x
     swing = t * g_x - x * g_t
@@ -132,7 +139,7 @@ def _race(scene: Joint, c: Constants, skin: Skin, race: int, place: Array, turn:
     pulls = [local[1][k] * t - local[0][k] * x for k in range(3)]
     drift = g_x * across - g_t * mid
     world = [sum(j * f for j, f in zip(row, frame, strict=True)) for row in local]
-    return _Race(
+    return _Grooves(
         g_t * across + g_x * mid + g_a * r_z * axis,
         swing,
         jnp.asarray(sum(e[:, None] * row for e, row in zip(frame, world, strict=True))),
@@ -173,29 +180,30 @@ def balance(scene: Joint, p: Problem, at: Places) -> tuple[Places, Matrix]:
         pairs[one, other] = pairs[one, other] + block if (one, other) in pairs else block
 
     turn = p.seat + at.border[slots["turn"]][0] / p.lever
-    head = at.border[slots["head"]] if "head" in slots else jnp.zeros((3, shape[1]))
-    seat = _race(scene, c, p.skins["seat_ball"], 0, ball, p.seat)
-    race = _race(scene, c, p.skins["head_ball"], 1, ball - head[:, None], turn)
-    force = p.spring * at.ball + seat.ball + race.ball
-    block = p.spring * eye[..., None] + seat.by_ball + race.by_ball
-    column["turn"], row["turn"] = race.column[:, None] / p.lever, race.row[None] / p.lever
-    rest["turn"] += (jnp.sum(race.turn, 0) + p.torque)[None] / p.lever
-    add("turn", "turn", jnp.sum(race.by_turn, 0)[None, None] / p.lever**2)
+    still = jnp.zeros((3, shape[1]))
+    head = at.border[slots["head"]] if "head" in slots else still
+    cage = at.border[slots["cage"]] if "cage" in slots else still
+    centres = jnp.array([0.0, 1.0])[:, None, None] * head[:, None, None]
+    race = _grooves(scene, c, ball[:, None] - centres, jnp.stack([p.seat, turn]))
+    force = p.spring * at.ball + jnp.sum(race.ball, 1)
+    block = p.spring * eye[..., None] + jnp.sum(race.by_ball, 2)
+    column["turn"], row["turn"] = race.column[:, None, 1] / p.lever, race.row[None, :, 1] / p.lever
+    rest["turn"] += (jnp.sum(race.turn[1], 0) + p.torque)[None] / p.lever
+    add("turn", "turn", jnp.sum(race.by_turn[1], 0)[None, None] / p.lever**2)
     if "head" in slots:
-        rest["head"] += c.axial_load * c.axes[1][:, None] - jnp.sum(race.ball, 1)
-        column["head"] = row["head"] = -race.by_ball
-        add("head", "head", jnp.sum(race.by_ball, 2))
+        rest["head"] += c.axial_load * c.axes[1][:, None] - jnp.sum(race.ball[:, 1], 1)
+        column["head"] = row["head"] = -race.by_ball[:, :, 1]
+        add("head", "head", jnp.sum(race.by_ball[:, :, 1], 2))
         add("head", "turn", -jnp.sum(column["turn"], 2))
         add("turn", "head", -jnp.sum(row["turn"], 2))
-    cage = at.border[slots["cage"]] if "cage" in slots else jnp.zeros((3, shape[1]))
-    if "cage_ball" in p.skins:
+    if c.window_skin is not None:
         tilt = at.border[slots["tilt"]] / p.lever if "tilt" in slots else jnp.zeros((2, shape[1]))
         axis, first, second = tilted_axis(c, tilt)
         arm = ball - cage[:, None]
         height = _dot(arm, axis)
-        skin = p.skins["cage_ball"]
-        (up, stiff_up), (down, stiff_down) = (_law(skin, s * height - c.window_clearance) for s in (1, -1))
-        push, stiff = up - down, stiff_up + stiff_down
+        faces = jnp.array([1.0, -1.0])[:, None, None]
+        pushes, stiffs = _law(c.window_skin, faces * height - c.window_clearance)
+        push, stiff = pushes[0] - pushes[1], stiffs[0] + stiffs[1]
         face = stiff * (axis[:, None] * axis[None])[:, :, None]
         force, block = force + push * axis[:, None], block + face
         if "cage" in slots:
@@ -214,30 +222,29 @@ def balance(scene: Joint, p: Problem, at: Places) -> tuple[Places, Matrix]:
                 for i in (0, 1)
             ]
             add("tilt", "tilt", jnp.stack([jnp.stack(b) for b in bend]) / p.lever**2)
-    for name, way in {"seat_cage": ("cage",), "head_cage": ("head", "cage")}.items():
-        if name not in p.skins:
-            continue
-        signs = {part: 1.0 if part == way[0] else -1.0 for part in way if part in slots}
-        place = cage if name == "seat_cage" else head - cage
+    if c.pilot_skin is not None:
+        ways = [("cage",) if name == "seat_cage" else ("head", "cage") for name in scene.pilots]
+        place = jnp.stack([cage if way == ("cage",) else head - cage for way in ways], 1)
         distance = jnp.sqrt(_dot(place, place) + 1e-24)
         normal = place / distance
-        clearance = c.pilot_clearance[scene.pilots.index(name)]
-        push, stiff = _law(p.skins[name], distance - clearance)
+        push, stiff = _law(c.pilot_skin, distance - c.pilot_clearance[:, None])
         bend = push / distance
-        spring = (stiff - bend) * normal[:, None] * normal[None] + bend * eye
-        for one, sign in signs.items():
-            rest[one] += sign * push * normal
-            for other, back in signs.items():
-                add(one, other, sign * back * spring)
-    zero = jnp.zeros((size, size, shape[1]))
-    border = zero + p.spring * jnp.eye(size)[:, :, None]
-    for (one, other), part in pairs.items():
-        border = border.at[slots[one], slots[other]].add(part)
-    names = list(slots)
-    columns = [column.get(k, jnp.zeros((3, slots[k].stop - slots[k].start, *shape))) for k in names]
-    rows = [row.get(k, jnp.zeros((slots[k].stop - slots[k].start, 3, *shape))) for k in names]
+        spring = (stiff - bend) * normal[:, None] * normal[None] + bend * eye[..., None]
+        for index, way in enumerate(ways):
+            signs = {part: 1.0 if part == way[0] else -1.0 for part in way if part in slots}
+            for one, sign in signs.items():
+                rest[one] += sign * (push * normal)[:, index]
+                for other, back in signs.items():
+                    add(one, other, sign * back * spring[:, :, index])
+    names, sizes = list(slots), {name: slot.stop - slot.start for name, slot in slots.items()}
+    lines = [
+        [pairs.get((one, other), jnp.zeros((sizes[one], sizes[other], shape[1]))) for other in names] for one in names
+    ]
+    border = jnp.concatenate([jnp.concatenate(line, 1) for line in lines]) + p.spring * jnp.eye(size)[:, :, None]
+    columns = [column.get(k, jnp.zeros((3, sizes[k], *shape))) for k in names]
+    rows = [row.get(k, jnp.zeros((sizes[k], 3, *shape))) for k in names]
     residual = Places(force, jnp.concatenate([rest[k] for k in names]))
-    return residual, Matrix(block, jnp.concatenate(columns, 1), jnp.concatenate(rows), border)
+    return residual, Matrix(block, jnp.concatenate(columns, 1), jnp.concatenate(rows), border, race.column[:, 0])
 
 
 def _inverse3(m: Array) -> Array:
@@ -247,23 +254,25 @@ def _inverse3(m: Array) -> Array:
     return jnp.stack(cross, 1) / _dot(a, cross[0])
 
 
-def solve(m: Matrix, right: Places) -> Places:
-    """The arrowhead's solution, linear in ``right``: balls eliminated, the border by Gauss without pivoting, back."""
+def solve(m: Matrix, *rights: Places) -> list[Places]:
+    """The arrowhead's solutions, linear in ``rights``: balls eliminated, the border by Gauss-Jordan, no pivoting."""
     inverse = _inverse3(m.ball)
     none = jnp.zeros(())
     column = sum((inverse[:, j, None] * m.column[j] for j in range(3)), none)
-    ball = sum((inverse[:, j] * right.ball[j] for j in range(3)), none)
-    a = m.border - jnp.sum(sum(m.row[:, j, None] * column[j] for j in range(3)), 2)
-    b = right.border - jnp.sum(sum(m.row[:, j] * ball[j] for j in range(3)), 1)
-    upper, known = [], []
-    for _ in range(b.shape[0]):
-        pivot = a[0] / a[0, 0]
-        here = b[0] / a[0, 0]
-        upper.append(pivot[1:])
-        known.append(here)
-        a, b = a[1:, 1:] - a[1:, :1] * pivot[1:], b[1:] - a[1:, 0] * here
-    border: list[Array] = []
-    for line, here in zip(reversed(upper), reversed(known), strict=True):
-        border.insert(0, here - sum((u * x for u, x in zip(line, border, strict=True)), jnp.zeros_like(here)))
-    borders = jnp.stack(border)
-    return Places(ball - jnp.sum(column * borders[:, None], 1), borders)
+    balls = [sum((inverse[:, j] * right.ball[j] for j in range(3)), none) for right in rights]
+    border = m.border - jnp.sum(sum(m.row[:, j, None] * column[j] for j in range(3)), 2)
+    lines = [
+        right.border - jnp.sum(sum(m.row[:, j] * ball[j] for j in range(3)), 1)
+        for right, ball in zip(rights, balls, strict=True)
+    ]
+    size = m.border.shape[0]
+
+    # A loop and not copies: they were half of what the compiler had to read. The right sides stand apart from the
+    # matrix, in which the loop is not linear: the reverse mode transposes them.
+    def clear(k: Array, both: tuple[Array, Array]) -> tuple[Array, Array]:
+        a, b = both
+        others = (a[:, k] - (jnp.arange(size) == k)[:, None]) / a[k, k]
+        return a - others[:, None] * a[k], b - others[:, None] * b[k]
+
+    _, solved = jax.lax.fori_loop(0, size, clear, (border, jnp.stack(lines, 1)))
+    return [Places(ball - jnp.sum(column * solved[:, i][:, None], 1), solved[:, i]) for i, ball in enumerate(balls)]

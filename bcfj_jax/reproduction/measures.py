@@ -153,7 +153,7 @@ def _residuals(run: Run) -> dict[str, Measured]:
             continue
         size = features.residual_oscillation(run.times, run.force["seat_cage"][:, axis], window, ORDER)
         found[name] = Measured(
-            (float(size.amplitude),), "half of greatest less smallest residual; a load that repeats itself "
+            (float(size),), "half of greatest less smallest residual; a load that repeats itself "
             "more often than the polynomial bends counts as residual",
         )  # fmt: skip
     return found
@@ -190,7 +190,7 @@ def _smoother_balls(run: Run) -> Inequality:
     if run.times[-1] < WINDOW_NORMAL[1]:
         return Inequality(text, None, "the run ends before the window does")
     ball, cage = (
-        float(features.residual_oscillation(run.times, force, WINDOW_NORMAL, ORDER).relative)
+        float(features.oscillation(run.times, force, WINDOW_NORMAL, ORDER).relative)
         for force in (run.force["seat_ball"][:, 0, 0], run.force["seat_cage"][:, 0])
     )
     return Inequality(text, ball < cage, f"{ball:.3g} against {cage:.3g}")

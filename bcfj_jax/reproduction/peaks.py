@@ -12,10 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.joint import quasistatic as equilibrium
-from bcfj_jax.joint.balance import Places
-from bcfj_jax.joint.constants import constants
-from bcfj_jax.joint.observe import observe_at_rest
+from bcfj_jax.joint.quasistatic import Found, quasistatic_forces, quasistatic_places
 from bcfj_jax.joint.scene import Joint
 from bcfj_jax.scene import Params
 from bcfj_jax.scenes import joint
@@ -37,22 +34,8 @@ def instants(params: Params, balls: int) -> np.ndarray:
     return first + turn / balls * np.arange(_INSTANTS) / _INSTANTS
 
 
-@eqx.filter_jit
-def places(scene: Joint, params: Params, times: Array) -> tuple[Places, Array]:
-    """Equilibrium at each time, and whether it was found."""
-    found, converged, _ = equilibrium._search(scene, equilibrium._problem(scene, params, times), times)
-    return found, converged
-
-
-def _peaks(scene: Joint, params: Params, times: Array, found: Places) -> Array:
-    problem = equilibrium._problem(scene, params, times)
-    at = equilibrium._flat(scene, problem, equilibrium._equilibrium(scene)(problem, found))
-    c = constants(scene, params)
-    states = equilibrium._with_rates(scene, c, at, jnp.zeros_like(at))
-    force = {
-        name: reading.force[..., 0]
-        for name, reading in jax.vmap(lambda y: observe_at_rest(scene, c, y))(states).items()
-    }
+def _peaks(scene: Joint, params: Params, times: Array, found: Found) -> Array:
+    force = quasistatic_forces(scene, params, times, found)
     return jnp.stack(
         [
             jnp.max(force["seat_cage"]),
@@ -66,7 +49,7 @@ def _peaks(scene: Joint, params: Params, times: Array, found: Places) -> Array:
 
 
 @eqx.filter_jit
-def _slopes(scene: Joint, params: Params, free: Params, times: Array, found: Places) -> tuple[Array, Params]:
+def _slopes(scene: Joint, params: Params, free: Params, times: Array, found: Found) -> tuple[Array, Params]:
     def at(free: Params) -> tuple[Array, Array]:
         peaks = _peaks(scene, {**params, **free}, times, found)
         return peaks, peaks
@@ -85,7 +68,7 @@ def peaks(scene: Joint, params: Params, free: Params) -> tuple[np.ndarray, dict[
     """
     times = jnp.asarray(instants(params, scene.balls))
     free = {name: jnp.asarray(value, dtype=float) for name, value in free.items()}
-    found, converged = places(scene, {**params, **free}, times)
+    found = quasistatic_places(scene, {**params, **free}, times)
     values, slopes = _slopes(scene, dict(params), free, times, found)
-    good = bool(jnp.all(converged)) and bool(jnp.all(jnp.isfinite(values)))
+    good = bool(jnp.all(found.converged)) and bool(jnp.all(jnp.isfinite(values)))
     return np.asarray(values), {name: np.asarray(slope) for name, slope in slopes.items()}, good

@@ -1,0 +1,179 @@
+"""What a deflection asks of the joint's dimensions: balls that reach, stay apart, stay on tracks and in the seat.
+
+Necessary conditions, as ``checks`` says, which puts them to a joint's values; the deflection is every check's last
+argument. Ball centres are those of physics sheet 5.2, without clearance, over a whole revolution, in plain numbers.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+# Lengths that are equal but for rounding touch; they do not interfere.
+ROUNDING = 1e-9
+
+
+class Fault(NamedTuple):
+    """What a check found: the key to look at, what is wrong, what would be right."""
+
+    key: str
+    found: str
+    remedy: str
+
+
+def shown(value: float, unit: str = "m") -> str:
+    """A value as a message quotes it; angles in degrees too."""
+    if unit == "rad":
+        return f"{value:.6g} rad ({math.degrees(value):.5g} deg)"
+    return f"{value:.6g} {unit}".rstrip()
+
+
+def distances(pitch_radius: float, offset: float, joint_angle: float) -> tuple[float, float]:
+    """Least and greatest |P| [m] over a revolution, at the latitudes -+beta/2."""
+    rise = abs(offset) * math.sin(0.5 * joint_angle)
+    level = math.hypot(pitch_radius, rise)
+    return level - rise, level + rise
+
+
+def reaches_seat(seat_radius: float, ball_radius: float, pitch: float, offset: float, angle: float) -> Fault | None:
+    """At its least distance from O a ball still stands out of the seat's sphere, into the seat's track."""
+    short = seat_radius - ball_radius - distances(pitch, offset, angle)[0]
+    if short < 0.0:
+        return None
+    found = f"{shown(pitch)} keeps a ball {shown(short)} short of the seat's track beyond {shown(seat_radius)}"
+    return Fault("pitch_radius", found, f"give about {shown(pitch + short)} or more, or a larger ball_radius")
+
+
+def reaches_head(head_radius: float, ball_radius: float, pitch: float, offset: float, angle: float) -> Fault | None:
+    """At its greatest distance from O a ball still stands into the head's sphere, into the head's track."""
+    short = distances(pitch, offset, angle)[1] - ball_radius - head_radius
+    if short < 0.0:
+        return None
+    found = f"{shown(pitch)} keeps a ball {shown(short)} short of the head's track within {shown(head_radius)}"
+    return Fault("pitch_radius", found, f"give about {shown(pitch - short)} or less, or a larger ball_radius")
+
+
+def apart(balls: float, ball_radius: float, pitch: float, offset: float, angle: float) -> Fault | None:
+    """Neighbouring balls do not touch.
+
+    They are closest where they stand evenly about the azimuth of the least |P|, at phi = -+pi/z: that far apart
+    along y only. At no deflection this is the chord 2 Rp sin(pi/z).
+    """
+    if balls < 2.0:
+        return None
+    h = math.cos(math.pi / balls) * math.tan(0.5 * angle)
+    rise = abs(offset) * h / math.hypot(1.0, h)
+    chord = 2.0 * (math.hypot(pitch, rise) - rise) / math.hypot(1.0, h) * math.sin(math.pi / balls)
+    if chord > 2.0 * ball_radius:
+        return None
+    found = f"{balls:g} balls of ball_radius = {shown(ball_radius)} overlap, centres {shown(chord)} apart"
+    return Fault("balls", found, "give fewer or smaller balls, or a larger pitch_radius")
+
+
+def window_length(window_length: float, ball_radius: float, pitch_radius: float, joint_angle: float) -> Fault | None:
+    """A deflected joint moves a ball by -+q |P| along its window, q = tan^2(beta/4), hence 2 r + 2 q Rp.
+
+    To first order in the offset; |P| > Rp on the farther side asks for some micrometres more.
+    """
+    limit = 2.0 * (ball_radius + pitch_radius * math.tan(0.25 * joint_angle) ** 2)
+    if window_length >= limit * (1.0 - ROUNDING):
+        return None
+    found = f"{shown(window_length)} is too short for the ball and its travel of -+tan^2(beta/4) Rp"
+    return Fault("window_length", found, f"give at least {shown(limit)}")
+
+
+def on_window(
+    seat_radius: float, outside: float, ball_radius: float, pitch: float, offset: float, angle: float
+) -> Fault | None:
+    """The ball's poles, where the window's faces hold it, are at sqrt(|P|^2 + r^2) from O: within the cage."""
+    pole = math.hypot(distances(pitch, offset, angle)[1], ball_radius)
+    cage = seat_radius - outside
+    if pole < cage:
+        return None
+    found = f"{shown(pitch)} takes a ball out of its window: poles {shown(pole)} out, the cage {shown(cage)}"
+    return Fault("pitch_radius", found, f"give about {shown(pitch + cage - pole)} or less, or a larger seat_radius")
+
+
+def track_travel(pitch_radius: float, offset: float, joint_angle: float) -> float:
+    """Half the arc [rad] of a track that a ball needs, about the track's own centre, from the plane normal to its axis.
+
+    Seen from O the ball swings by -+beta/2. In the triangle O, O_o, P the angle at P is
+    eps = asin((e/Rc) cos(beta/2)), so that from O_o it swings between -beta/2 - eps and beta/2 - eps. On the head
+    it is the mirror image. eps is also half the angle of the funnel between the tracks, psi = asin(e/Rc) at home:
+    with e > 0 and beta < 180 deg it never closes.
+    """
+    ratio = abs(offset) / math.hypot(pitch_radius, offset)
+    return 0.5 * joint_angle + math.asin(ratio * math.cos(0.5 * joint_angle))
+
+
+def on_track(key: str) -> Callable[[float, float, float, float], Fault | None]:
+    """The check that the ball stays on the seat's or the head's track."""
+
+    def check(track_angle: float, pitch_radius: float, offset: float, joint_angle: float) -> Fault | None:
+        need = track_travel(pitch_radius, offset, joint_angle)
+        if track_angle >= need * (1.0 - ROUNDING):
+            return None
+        found = f"{shown(track_angle, 'rad')} ends before the ball at joint_angle = {shown(joint_angle, 'rad')}"
+        return Fault(key, found, f"give at least {shown(need, 'rad')}")
+
+    return check
+
+
+def contact_height(ball_radius: float, pitch: float, offset: float, alpha: float, angle: float) -> tuple[float, float]:
+    """How far along the seat's axis contacts on it come from O, away from and towards its tracks' centre [m].
+
+    A contact is at P + r n, along the axis P_z + r cos(alpha) (P_z - e)/Rc, with P_z from -|P| sin(beta/2) at the
+    least |P| to +|P| sin(beta/2) at the greatest.
+    """
+    down, up = (distance * math.sin(0.5 * angle) for distance in distances(pitch, offset, angle))
+    lever = ball_radius * math.cos(alpha) / math.hypot(pitch, offset)
+    return down + lever * (down + abs(offset)), up + lever * (up - abs(offset))
+
+
+def in_mouth(mouth: float, ball_radius: float, pitch: float, offset: float, alpha: float, angle: float) -> Fault | None:
+    """The balls bear on the seat inside its mouth, a plane normal to the seat's axis at this distance from O.
+
+    On which side the mouth is, nothing here says: both must do.
+    """
+    need = max(contact_height(ball_radius, pitch, offset, alpha, angle))
+    if mouth > need:
+        return None
+    found = f"{shown(mouth)} is passed by the balls' contacts at joint_angle = {shown(angle, 'rad')}"
+    return Fault("seat_mouth", found, f"give more than {shown(need)}")
+
+
+def mouth_open(
+    seat_radius: float, ball_radius: float, pitch: float, offset: float, alpha: float, angle: float
+) -> Fault | None:
+    """Some mouth lets the head's shaft, however thin, swing to beta and still holds every ball.
+
+    In the seat's sphere a mouth m from O has the edge at acos(m/Rso) from the axis: beta reaches it unless
+    m < Rso cos(beta). The balls' contacts ask for an m beyond theirs, on the side that asks for less.
+    """
+    need, limit = min(contact_height(ball_radius, pitch, offset, alpha, angle)), seat_radius * math.cos(angle)
+    if need < limit:
+        return None
+    found = (
+        f"{shown(angle, 'rad')} swings the head's shaft into the seat, whose mouth must lie beyond the balls' contacts"
+    )
+    found += f", {shown(need)} from the centre, and within seat_radius cos(joint_angle) = {shown(limit)}"
+    return Fault("joint_angle", found, "give a larger seat_radius")
+
+
+def centres_in_mouth(seat_radius: float, pitch: float, offset: float, angle: float) -> Fault | None:
+    """``mouth_open`` of the balls' centres, where no contact angle says where they bear."""
+    return mouth_open(seat_radius, 0.0, pitch, offset, 0.0, angle)
+
+
+def largest(check: Callable[..., Fault | None], values: Sequence[float]) -> float | None:
+    """Greatest deflection [rad], the last of the values, that passes a check; None where none does."""
+    *others, high = values
+    if check(*others, 0.0) is not None:
+        return None
+    low = 0.0
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if check(*others, middle) is None else (low, middle)
+    # As many digits as a message shows, downwards.
+    return math.floor(low * 1e4) / 1e4

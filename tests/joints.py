@@ -1,0 +1,62 @@
+"""States of the joint that its tests share, and runs of it from any start."""
+
+from __future__ import annotations
+
+import diffrax as dfx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from hypothesis import strategies as st
+
+import bcfj_jax as bj
+from bcfj_jax.joint import system
+from bcfj_jax.joint.arrowhead import Arrowhead
+from bcfj_jax.joint.constants import constants as make_constants
+from bcfj_jax.joint.scales import scales
+from bcfj_jax.joint.start import nominal
+from bcfj_jax.solvers.rodas import Rodas
+
+SEEDS = st.integers(0, 2**31 - 1)
+JOINT = bj.scenes.joint()
+# What runs once, or a few hundred times, is compiled without care.
+QUICK = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
+# An operation at a time, each of these compiles a hundred little programs.
+constants, view, start = (jax.jit(f, static_argnums=0) for f in (make_constants, system.view, nominal))
+GROOVES = ("seat_ball", "head_ball")
+# The smallest joint that runs, so that it compiles quickly; what is tested with it does not depend on its options.
+LITTLE = {"friction": False, "cage": "fixed", "contacts": GROOVES, "head": "fixed", "balls": 3}
+
+
+def noisy(scene, params, seed, places=3e-5, speeds=0.3):
+    """A state in contact: the nominal one at some angle, with noise [m] and [m/s]; angles by each body's radius."""
+    draw = np.random.default_rng(seed)
+    p, n, b = params, scene.balls, scene.border
+    radius = float(p["pitch_radius"])
+    turns = [name.endswith("turn") for name, slot in scene.slots.items() if slot for _ in range(slot.stop - slot.start)]
+    lever = np.where(turns, 1.0 / radius, 1.0)
+    twist = np.ones((n, scene.twist))
+    twist[:, 3:] = 1.0 / float(p["ball_radius"])
+    size = np.concatenate([np.full(3 * n, places), places * lever, speeds * twist.ravel(), speeds * lever])
+    begin = start(scene, params, jnp.asarray(draw.uniform(0.0, 2 * np.pi)))
+    y = np.asarray(begin) + size * draw.normal(size=size.size)
+    tilt = scene.slots["cage_turn"]
+    if tilt is not None:
+        axis = y[3 * n : 3 * n + b][tilt]
+        axis /= np.linalg.norm(axis)
+    if scene.drive == "prescribed":
+        y[-1] = float(p["drive_speed"])
+    return y
+
+
+def _solved(scene, params, start, times, tolerance):
+    """States at the times from any start."""
+    c = make_constants(scene, params)
+    control = dfx.PIDController(rtol=0.0, atol=tolerance * scales(scene, params), pcoeff=0.2, icoeff=0.5)
+    solution = dfx.diffeqsolve(
+        dfx.ODETerm(system.field), Rodas(Arrowhead()), 0.0, times[-1], 1e-7, start, (scene, c),
+        saveat=dfx.SaveAt(ts=times), stepsize_controller=control, adjoint=dfx.ForwardMode(), max_steps=100_000,
+    )  # fmt: skip
+    return solution.ys
+
+
+solved = jax.jit(_solved, static_argnums=0, compiler_options=QUICK)
