@@ -123,7 +123,7 @@ def test_the_force_error_is_what_was_asked_for(e, n, asked):
 @pytest.mark.parametrize(
     ("times", "said"),
     [
-        ([], "non-empty"),
+        ([], "1 or more finite"),
         ([[0.0, 1.0]], "1-D"),
         ([0.0, np.nan], "finite"),
         ([0.0, np.inf], "finite"),
