@@ -41,8 +41,8 @@ class Reading(NamedTuple):
 def contact_state(normal: np.ndarray, slip: np.ndarray | None = None, transition: float | None = None) -> np.ndarray:
     """What a contact is doing, as codes that count ``STATES``, of the shape of its normal force; ``UNKNOWN`` where NaN.
 
-    Apart: no normal force, be it for a gap or because damping lets go in a rebound; a smoothed onset bears force
-    from ``smoothing`` before the surfaces meet. Touching: a force, without friction. With friction: sticking
+    Apart: no normal force, because damping lets go in a rebound or for a gap; a smoothed onset bears a little across
+    a gap, which the caller takes out. Touching: a force, without friction. With friction: sticking
     where it slides slower than friction's transition speed (these laws creep under load, so nothing ever stands),
     sliding from there on.
 

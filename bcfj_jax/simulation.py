@@ -19,7 +19,7 @@ from bcfj_jax.errors import InputError
 from bcfj_jax.integrate import OK, Plan, Solution, integrate, plan, reason
 from bcfj_jax.joint.constants import constants
 from bcfj_jax.joint.kinematic import kinematic_readings
-from bcfj_jax.joint.observe import contact_states, observe_at_rest
+from bcfj_jax.joint.observe import contact_states, observe_at_rest, pressed
 from bcfj_jax.joint.observe import observe as observe_joint
 from bcfj_jax.joint.scene import Joint
 from bcfj_jax.quantities import increasing
@@ -170,7 +170,7 @@ def simulate(
 def _contact_states(scene: AbstractScene, params: Params, readings: dict[str, Reading]) -> dict[str, np.ndarray]:
     if isinstance(scene, Joint):
         return contact_states(scene, params, readings)
-    return {contact.name: contact_state(np.asarray(readings[contact.name].force)[:, 0]) for contact in scene.contacts}
+    return {contact.name: contact_state(pressed(readings[contact.name])) for contact in scene.contacts}
 
 
 def story(

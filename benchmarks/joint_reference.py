@@ -6,8 +6,7 @@
 The states are those of CVODES on the C field of ``joint_casadi``. Their forces are read by ``joint.observe``, as
 the package's own are. The file holds every contact's force (T, members, 3) as float32 at 1 ms, and settings as JSON.
 
-How well it converged stands in its settings, by a tighter tolerance and by LSODA. No solver does better than
-``NOTE`` says.
+How well it converged stands in its settings, by a tighter tolerance and by LSODA.
 """
 
 from __future__ import annotations
@@ -26,9 +25,8 @@ PATH = ROOT / "tests" / "data" / "joint_3s.npz"
 TOLERANCE, TIGHTER, LSODA_TOLERANCE = 1e-9, 1e-10, 1e-8
 ACCURACIES = (5e-2, 1e-2, 1e-3, 1e-4)
 NOTE = (
-    "A ball that carries nothing rattles in its clearance, and forgets how it began only when it is loaded again: "
-    "there two solvers agree on no digit, at whatever tolerance. A floor of 0.5 to 1 N rms, and up to 30 N in single "
-    "samples, is left under every contact."
+    "Where the onset is narrower than the balls' play (smoothing below 20 um by default), balls that carry nothing "
+    "rattle without order, and no two solvers agree there to better than 0.5 to 1 N rms."
 )
 
 

@@ -228,6 +228,5 @@ def test_sixfold_symmetry_of_a_run():
     _, _, turned = run(np.pi / 3)
     expected = np.array([renumbered(JOINT, y, np.pi / 3) for y in np.asarray(states)])
     off = np.max(np.abs(np.asarray(turned) - expected) / np.asarray(scales(JOINT, params)), axis=1)
-    # Rounding at first. Free play then makes the runs part as runs of two tolerances do: by less than a penetration.
-    assert off[times <= 1e-3].max() < 1e-7
-    assert np.median(off[(times > 0.02) & (times <= 0.03)]) < 1.0
+    # Rounding at first; then a step taken here and rejected there.
+    assert off[times <= 1e-3].max() < 1e-9 and off.max() < 1e-3

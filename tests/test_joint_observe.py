@@ -55,8 +55,8 @@ def test_the_four_states_and_the_unknown():
     assert [STATES[code] for code in (APART, TOUCHING, STICKING, SLIDING)] == list(STATES)
 
 
-# A smoothed onset of half-width 5 um: from 5 um before the window's face on, 10 um away.
-@pytest.mark.parametrize(("height", "wanted"), [(4e-6, APART), (6e-6, STICKING), (2e-5, STICKING)])
+# The face is 10 um away; the smoothed onset bears a little before, which is no contact.
+@pytest.mark.parametrize(("height", "wanted"), [(4e-6, APART), (9e-6, APART), (1.1e-5, STICKING), (2e-5, STICKING)])
 def test_a_ball_in_its_window(height, wanted):
     params, y = state(up=(2, height))
     readings, states = read(params, y)

@@ -73,7 +73,7 @@ def test_arrowhead_solves_with_the_exact_jacobian(options):
         got, jacobian = both(y, right, scale, c)
         wanted = np.linalg.solve(np.eye(y.size) / scale - np.asarray(jacobian), right)
         for part in (slice(0, places), slice(places, None)):
-            assert abs(np.asarray(got) - wanted)[part].max() <= 1e-9 * abs(wanted[part]).max()
+            assert abs(np.asarray(got) - wanted)[part].max() <= 1e-8 * abs(wanted[part]).max()
 
 
 def test_time_derivative_is_that_of_load_and_drive():
@@ -101,7 +101,8 @@ def test_small_inverses():
 @EACH
 def test_start_is_assembled_and_consistent(options):
     scene = scenes.joint(**options)
-    params = scene.parameters(load_torque=0.0)
+    # An onset narrower than the balls' play; with the default one, flanks hold a free ball with half a newton each.
+    params = scene.parameters({"load_torque": 0.0} | ({"smoothing": 5e-6} if scene.smoothing else {}))
     turn, h = 0.3, 1e-4
 
     @functools.partial(jax.jit, compiler_options=QUICK)

@@ -77,6 +77,11 @@ def observe_at_rest(scene: Joint, c: Constants, y: Array) -> dict[str, Reading]:
     return {name: still[name]._replace(rate=moving[name].rate, slip=moving[name].slip) for name in moving}
 
 
+def pressed(reading: Reading) -> np.ndarray:
+    """Normal force where surfaces overlap: what a smoothed onset bears across a gap is numerical."""
+    return np.where(np.asarray(reading.penetration) < 0, 0.0, np.asarray(reading.force)[..., 0])
+
+
 def contact_states(scene: Joint, params: Params, readings: Mapping[str, Reading]) -> dict[str, np.ndarray]:
     """``dynamics.contact_state`` of every contact, from what ``observe`` read; of its deepest face, on the host.
 
@@ -88,7 +93,7 @@ def contact_states(scene: Joint, params: Params, readings: Mapping[str, Reading]
         rubs = contact.friction is not None and scene.fidelity == "dynamic"
         transition = float(scene.coefficient(params, contact.name, "friction_speed")) if rubs else None
         slip = None if reading.slip is None else np.asarray(reading.slip)
-        found[contact.name] = contact_state(np.asarray(reading.force)[..., 0], slip, transition)
+        found[contact.name] = contact_state(pressed(reading), slip, transition)
     return found
 
 
