@@ -16,6 +16,7 @@ and the body feels  -B' W,  whose arm also moves with p. K = dW/dplace, C = dW/d
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -172,12 +173,26 @@ def _cayley(vector: Array, spin: Array, scale: Array) -> Array:
     return (vector + jnp.cross(w, vector) + w * (vector @ w)[..., None]) / (1.0 + w @ w)
 
 
+@partial(jax.jit, static_argnums=0, inline=True)
+def _field(scene: Joint, c: Constants, t: Array, y: Array) -> Array:
+    return system.field(t, y, (scene, c))
+
+
+@partial(jax.jit, static_argnums=0, inline=True)
+def _blocks(scene: Joint, c: Constants, y: Array) -> Blocks:
+    return blocks(scene, c, y)
+
+
 class Arrowhead(AbstractStructure):
-    """The joint's field with its structure; ``args`` is (scene, constants)."""
+    """The joint's field with its structure; ``args`` is (scene, constants).
+
+    Solvers call these several times a step, and diffrax traces a step more than once: what is long to trace is
+    traced once, under an inlined ``jit``.
+    """
 
     def field(self, t: Any, y: Array, args: Any) -> Array:
         """``system.field``."""
-        return system.field(t, y, args)
+        return _field(*args, t, y)
 
     def time_derivative(self, t: Any, y: Array, args: Any) -> Array:
         """Of load and drive, the only things that depend on time."""
@@ -189,7 +204,7 @@ class Arrowhead(AbstractStructure):
     def factor(self, t: Any, y: Array, args: Any, scale: Any) -> Factors:
         """Blocks, the balls' inverses, the border's Schur complement inverted."""
         scene, c = args
-        d = blocks(scene, c, y)
+        d = _blocks(scene, c, y)
         k = scene.twist
         state = system.view(scene, c, y)
         lift = c.ball_lightness[:, None]
