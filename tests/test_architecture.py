@@ -23,7 +23,7 @@ FLOORS = {
         {"simulation"},
         {"features", "histories", "units", "tables", "spheres", "scenetemplate", "scenefile", "provenance"},
         {"outputs", "plots", "report"},
-        {"simulation_results", "reproduction"},
+        {"simulation_results", "reproduction", "derivatives"},
         {"cli"},
     ),
     "calibration": (

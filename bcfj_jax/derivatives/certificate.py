@@ -21,7 +21,13 @@ import numpy as np
 
 from bcfj_jax.derivatives.jacobian import Rung
 from bcfj_jax.derivatives.norms import (
-    CHAOTIC_GROWTH, Difference, Growth, averaged, difference, growth, norm,
+    CHAOTIC_GROWTH,
+    Difference,
+    Growth,
+    averaged,
+    difference,
+    growth,
+    norm,
 )  # fmt: skip
 
 TRUSTED, AVERAGED, NOT = "trusted", "averaged only", "not differentiable here"
@@ -42,7 +48,7 @@ class Check(NamedTuple):
         growth: of the state's tangent over the horizon [-]; exponent: of that growth [1/s].
         influence: ||p dF/dp|| over that of the strongest parameter [-].
         where: time by which half of the pointwise difference has come about [s].
-        breakdown: first time at which the averages' running difference exceeds 10 % [s]; NaN: never.
+        breakdown: time from which on the averages' running difference exceeds 10 % [s]; NaN: it does not at the end.
     """
 
     verdict: str
@@ -67,7 +73,8 @@ class Certificate(NamedTuple):
         average: width of the moving average [s].
         target: relative difference of the averages that ended the tightening, where it was reached.
         tolerances, steps: of every rung, loosest first; derivatives reported are the last's.
-        direction: of the random direction: relative step, pointwise and average difference; None: not taken.
+        direction: pointwise and average difference from central differences along one random direction of all
+            parameters, less the differences' own error; None: not taken.
     """
 
     verdict: str
@@ -105,7 +112,10 @@ def between(times: np.ndarray, coarse: Rung, fine: Rung, values: np.ndarray, wid
     what = f"the same derivative at a tolerance of {coarse.tolerance:.3g} against {fine.tolerance:.3g}"
     floor = 1e-3 * float(np.sqrt(np.mean(np.sum(fine.value.force**2, axis=(1, 2)))))
     first, second = flat(coarse.derivative.force), flat(fine.derivative.force)
-    return [compare(what, times, a, b, floor / max(abs(p), 1e-30), width) for a, b, p in zip(first, second, values, strict=True)]
+    return [
+        compare(what, times, a, b, floor / max(abs(p), 1e-30), width)
+        for a, b, p in zip(first, second, values, strict=True)
+    ]
 
 
 def compare(what: str, times: np.ndarray, a: np.ndarray, b: np.ndarray, floor: float, width: float) -> Comparison:
@@ -115,9 +125,10 @@ def compare(what: str, times: np.ndarray, a: np.ndarray, b: np.ndarray, floor: f
     return Comparison(what, difference(times, a, b, floor, BROKEN), difference(times, *means, floor, BROKEN))
 
 
-def growths(times: np.ndarray, rung: Rung) -> list[Growth]:
+def growths(times: np.ndarray, rung: Rung, values: np.ndarray) -> list[Growth]:
     """Growth of the state's tangent, one a parameter."""
-    return [growth(times, state) for state in rung.derivative.state]
+    sizes = np.where(values == 0, 1.0, np.abs(values))
+    return [growth(times, size * state) for size, state in zip(sizes, rung.derivative.state, strict=True)]
 
 
 def chaotic(grown: Growth, found: Comparison) -> bool:
@@ -125,9 +136,13 @@ def chaotic(grown: Growth, found: Comparison) -> bool:
     return grown.factor > CHAOTIC_GROWTH and not grown.exponent <= 0 and not found.average.relative <= POINTWISE
 
 
-def apart(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Relative difference of features' derivatives (F, P); 0 where both are 0, NaN where one is unknown."""
-    size = np.maximum(np.abs(first), np.abs(second))
+def apart(first: np.ndarray, second: np.ndarray, numbers: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Relative difference of features' derivatives (F, P); 0 where both are 0, NaN where one is unknown.
+
+    A derivative below 0.01 % of the feature (F,) per 1 % of the parameter's value (P,) counts as that much.
+    """
+    least = 1e-2 * np.abs(numbers)[:, None] / np.maximum(np.abs(values), 1e-30) * (values != 0)
+    size = np.maximum(np.maximum(np.abs(first), np.abs(second)), least)
     return np.where(size > 0, np.abs(first - second) / np.where(size > 0, size, 1.0), size)
 
 
@@ -137,8 +152,16 @@ def check(
     grown: Growth,
     influence: float,
     end: float,
+    also: str = "",
 ) -> Check:
-    """One parameter's verdict; the first comparison is that of the rungs. ``end``: of a run that failed [s], or NaN."""
+    """One parameter's verdict.
+
+    Args:
+        comparisons: of this parameter, that of the rungs first.
+        features, grown, influence: as ``Check``.
+        end: of a run that failed [s], or NaN.
+        also: a comparison of all parameters together, which they passed.
+    """
     worst = max(comparisons, key=lambda c: c.average.relative)
     pointwise = max(c.pointwise.relative for c in comparisons)
     nothing = influence == 0.0
@@ -147,7 +170,8 @@ def check(
         verdict, remark, breakdown = NOT, "the run failed", end
     elif chaotic(grown, comparisons[0]):
         verdict, breakdown = NOT, worst.average.broken
-        remark = f"chaotic: the largest Lyapunov exponent is about {grown.exponent:.3g} per second"
+        rate = f"about {grown.exponent:.3g} per second" if np.isfinite(grown.exponent) else "beyond all numbers"
+        remark = f"chaotic: the largest Lyapunov exponent is {rate}"
     elif pointwise <= POINTWISE:
         verdict, remark = TRUSTED, "no influence" if nothing else ""
     elif worst.average.relative <= BROKEN:
@@ -160,8 +184,10 @@ def check(
             remark = "tangents grow by more than a million"
         else:
             remark = "it depends on the tolerance: give a tighter accuracy or a larger smoothing"
+            remark += "; its influence is weak" if influence < INFLUENCE else ""
     return Check(
-        verdict, remark, tuple(c.what for c in comparisons), pointwise, worst.average.relative, dict(features),
+        verdict, remark, (*(c.what for c in comparisons), *([also] if also else [])), pointwise,
+        worst.average.relative, dict(features),
         grown.factor, grown.exponent, float(influence), worst.pointwise.where, breakdown,
     )  # fmt: skip
 

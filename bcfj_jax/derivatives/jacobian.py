@@ -19,7 +19,7 @@ from jax import Array
 from bcfj_jax.dynamics import state_scales
 from bcfj_jax.integrate import OK, Plan
 from bcfj_jax.joint.scales import scales as joint_scales
-from bcfj_jax.joint.scene import Joint
+from bcfj_jax.joint.scene import SIX, Joint
 from bcfj_jax.scene import AbstractScene, Params, Scene
 
 # The histories behind ``force_history``, with penetrations and states beside the forces.
@@ -68,10 +68,8 @@ class Rung(NamedTuple):
 
 def channels(scene: AbstractScene) -> dict[str, int]:
     """Number of members by contact in the scene's order; 0 for a contact without members."""
-    from bcfj_jax.joint.scene import SIX
-
-    several = isinstance(scene, Joint)
-    return {c.name: scene.balls if several and c.name in SIX else 0 for c in scene.contacts}
+    balls = scene.balls if isinstance(scene, Joint) else 0
+    return {contact.name: balls if contact.name in SIX else 0 for contact in scene.contacts}
 
 
 def channel_names(contacts: Mapping[str, int]) -> list[str]:
@@ -87,7 +85,9 @@ def histories(
     count = times.shape[0]
     ordered = [readings[contact.name] for contact in scene.contacts]
     force = jnp.concatenate([r.force.reshape(count, -1, 3) for r in ordered], axis=1)
-    depth, rate = (jnp.concatenate([getattr(r, k).reshape(count, -1) for r in ordered], 1) for k in ("penetration", "rate"))
+    depth, rate = (
+        jnp.concatenate([getattr(r, k).reshape(count, -1) for r in ordered], 1) for k in ("penetration", "rate")
+    )
     found = Histories(force, depth, rate, solution.states / _sizes(scene, params))
     return found, (solution.code, solution.end, solution.accepted, solution.rejected)
 

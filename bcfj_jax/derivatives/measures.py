@@ -15,7 +15,7 @@ from jax import Array
 
 from bcfj_jax import features
 from bcfj_jax import histories as comparison
-from bcfj_jax.derivatives.jacobian import Histories, channel_names
+from bcfj_jax.derivatives.jacobian import Histories, channel_names, compiled
 from bcfj_jax.derivatives.names import Feature, members
 
 _FEWEST = 11  # samples: a residual of order 9 over fewer is rounding
@@ -95,17 +95,20 @@ def measure(
     needed = {m for f in wanted if f.kind in ("period", "delay") for c in f.contacts for m in members(c, contacts)}
     periods = {n: _period(times, value, derivative, i, turning) for i, n in enumerate(names) if n in needed}
 
-    @jax.jit
-    def along(value: Histories, derivative: Histories) -> tuple[Array, Array]:
-        def function(force, depth):
-            full = Histories(force, depth, value.rate, value.state)
-            return vector(times, full, wanted, contacts, {n: p[0] for n, p in periods.items()})
+    cycles = {name: found[0] for name, found in periods.items()}
 
-        point = (jnp.asarray(value.force), jnp.asarray(value.penetration))
-        push = lambda force, depth: jax.jvp(function, point, (force, depth))[1]  # noqa: E731
-        return function(*point), jax.vmap(push, out_axes=1)(derivative.force, derivative.penetration)
+    def along(force: Array, depth: Array, force_slope: Array, depth_slope: Array) -> tuple[Array, Array]:
+        def function(force: Array, depth: Array) -> Array:
+            return vector(times, Histories(force, depth, None, None), wanted, contacts, cycles)
 
-    numbers, slopes = (np.array(x) for x in along(value, derivative))
+        push = lambda *tangents: jax.jvp(function, (force, depth), tangents)[1]  # noqa: E731
+        return function(force, depth), jax.vmap(push, out_axes=1)(force_slope, depth_slope)
+
+    arguments = (value.force, value.penetration, derivative.force, derivative.penetration)
+    paired = {c for f in wanted if f.kind == "delay" for part in f.contacts for c in members(part, contacts)}
+    fixed = tuple((name, cycle) for name, cycle in cycles.items() if name in paired)
+    key = ("measure", times.tobytes(), tuple(wanted), tuple(contacts.items()), derivative.force.shape, fixed)
+    numbers, slopes = (np.array(x) for x in compiled(key, along, *arguments)[0](*arguments))
     for i, feature in enumerate(wanted):
         if feature.kind == "period":
             found = [periods[m] for m in members(feature.contacts[0], contacts)]
@@ -150,6 +153,7 @@ def _repeat(times: np.ndarray, force: np.ndarray, slope: np.ndarray) -> tuple[fl
     """Period of a history's last two thirds and its derivative.
 
     T = (k h + s)/m with s the delay of the history k samples later against itself, m the periods in 3/4 of the window.
+    The derivative is good to about 1 %: the window holds no whole number of periods.
     """
     window = times >= times[0] + (times[-1] - times[0]) / 3.0
     t = times[window]

@@ -13,7 +13,7 @@ from bcfj_jax.scene import AbstractScene, Params
 FEATURES = (
     "peak", "mean", "impulse", "period", "dissipated_work", "residual_oscillation", "contact_fraction",
 )  # fmt: skip
-UNITS = dict(zip((*FEATURES, "delay"), ("N", "N", "N s", "s", "J", "N", "1", "s"), strict=True))
+UNITS: dict[str, str] = dict(zip((*FEATURES, "delay"), ("N", "N", "N s", "s", "J", "N", "1", "s"), strict=True))
 
 
 class Feature(NamedTuple):
@@ -44,7 +44,7 @@ def complete(scene: AbstractScene, params: Params, wrt: Sequence[str]) -> tuple[
         shared = name.rpartition(".")[2]
         if name not in full and shared not in full:
             raise InputError("wrt", f"'{name}' has no value here", f"give one: scene.parameters({{'{name}': ...}})")
-        full.setdefault(name, full.get(shared))
+        full[name] = full[name] if name in full else full[shared]
     return full, names
 
 
@@ -65,7 +65,7 @@ def feature(name: str, contacts: Mapping[str, int]) -> Feature:
         raise InputError(f"feature '{name}'", found, nearest(kind, UNITS))
     parts = tuple(place.split(":"))
     if len(parts) != (2 if kind == "delay" else 1):
-        right = "write <first>:<second>.delay" if kind == "delay" else f"write <contact>.{kind}; only a delay has a pair"
+        right = "write <first>:<second>.delay" if kind == "delay" else f"write <contact>.{kind}"
         raise InputError(f"feature '{name}'", f"of {len(parts)} contact(s)", right)
     known = [*contacts, *(f"{c}_{k + 1}" for c, members in contacts.items() for k in range(members))]
     for part in parts:

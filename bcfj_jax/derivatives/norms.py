@@ -13,6 +13,8 @@ import numpy as np
 
 CHAOTIC_GROWTH = 1e6
 _WINDOWS = 20
+# Per 100 % of a parameter, in units of the states' natural sizes; a metre of travel has some 1e5 of them.
+_ROUNDING = 1e-9
 
 
 def weights(times: np.ndarray) -> np.ndarray:
@@ -52,7 +54,7 @@ def norm(times: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 class Difference(NamedTuple):
-    """One derivative (T, M) against another: relative L2, half of it by when [s], first time it passed 10 % [s]."""
+    """One derivative (T, M) against another: relative L2, half of it by when [s], from when on above 10 % [s]."""
 
     relative: float
     where: float
@@ -66,7 +68,7 @@ def difference(times: np.ndarray, found: np.ndarray, other: np.ndarray, floor: f
         times, found, other: of one parameter.
         floor: in N per unit; the running ratio's denominator is at least this times sqrt(horizon), so that what is
             nearly nothing at the start breaks nothing down.
-        limit: the running ratio at which the derivative counts as broken down.
+        limit: the running ratio above which the derivative has broken down, if it stays above to the end.
     """
     w = weights(times)
     size = max(float(np.max(np.abs(x), initial=0.0)) for x in (found, other))
@@ -84,9 +86,11 @@ def difference(times: np.ndarray, found: np.ndarray, other: np.ndarray, floor: f
         return Difference(0.0, float("nan"), float("nan"))
     least = min(1e-6 * right[-1], (floor / size) ** 2 * w.sum())
     running = np.sqrt(wrong / np.maximum(right, max(least, 1e-300)))
-    broken = np.flatnonzero(running > limit)
     where = float(times[int(np.searchsorted(wrong, 0.5 * wrong[-1]))])
-    return Difference(relative, where, float(times[broken[0]]) if broken.size else float("nan"))
+    if running[-1] <= limit:
+        return Difference(relative, where, float("nan"))
+    good = np.flatnonzero(running <= limit)
+    return Difference(relative, where, float(times[good[-1] + 1 if good.size else 0]))
 
 
 class Growth(NamedTuple):
@@ -97,11 +101,11 @@ class Growth(NamedTuple):
 
 
 def growth(times: np.ndarray, state: np.ndarray) -> Growth:
-    """Growth of a state's tangent (T, n), in units of the states' natural sizes.
+    """Growth of a state's tangent (T, n) per 100 % of its parameter, in units of the states' natural sizes.
 
     The norm's greatest in each of up to 20 windows of the horizon; the exponent is the least-squares slope of its
-    logarithm without the first tenth, in which tangents grow from nothing: the largest Lyapunov exponent of the
-    direction this parameter excites, over this horizon.
+    logarithm, over the windows that are more than rounding without their first tenth, in which tangents grow from
+    nothing: the largest Lyapunov exponent of the direction this parameter excites, over this horizon.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         size = np.max(np.abs(state), axis=-1)
@@ -112,8 +116,8 @@ def growth(times: np.ndarray, state: np.ndarray) -> Growth:
     parts = np.array_split(np.arange(len(times)), min(_WINDOWS, len(times)))
     peaks = np.array([size[part].max() for part in parts])
     middle = np.array([times[part].mean() for part in parts])
-    alive = np.flatnonzero(peaks > 0)
-    alive = alive[alive >= max(1, len(parts) // 10)]
+    alive = np.flatnonzero(peaks > _ROUNDING)
+    alive = alive[max(1, len(alive) // 10) :]
     if alive.size < 3:
         return Growth(1.0, float("nan"))
     logs = np.log(peaks[alive])

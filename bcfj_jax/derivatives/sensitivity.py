@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,7 +16,7 @@ from bcfj_jax.derivatives.jacobian import Rung, channels, forces, rung
 from bcfj_jax.derivatives.measures import measure
 from bcfj_jax.derivatives.names import Feature, complete, default_features
 from bcfj_jax.derivatives.names import feature as named
-from bcfj_jax.derivatives.reverse import gradient
+from bcfj_jax.derivatives.reverse import Gradient, gradient
 from bcfj_jax.errors import InputError, nearest
 from bcfj_jax.integrate import LEVELS, OK, Plan, plan, reason
 from bcfj_jax.joint.scene import Joint
@@ -68,7 +68,7 @@ def sensitivity(
     mode: Literal["auto", "forward", "reverse"] = "auto",
     certify: bool = True,
     differences: Literal["direction", "each", "none"] = "direction",
-    rungs: int = 4,
+    rungs: int = 6,
     max_steps: int = 400_000,
 ) -> Sensitivity:
     """Derivatives of force histories and features by named parameters, with a certificate.
@@ -113,7 +113,7 @@ def sensitivity(
     found = None
     if certify:
         before = measure(t, climbed[-2].value, climbed[-2].derivative, wanted, contacts, turning)[1]
-        agree = judged.apart(before, slopes)
+        agree = judged.apart(before, slopes, numbers, _values(full, names))
         table = {n: {f.name: float(agree[i, k]) for i, f in enumerate(wanted)} for k, n in enumerate(names)}
         found = _certificate(scene, full, t, names, climbed, error, average, differences, table)
     failed = last.code != OK
@@ -157,13 +157,15 @@ def _climb(scene, params, times, names, how: Plan, error: float, average: float,
     climbed = [rung(scene, params, times, names, how)]
     values, width = _values(params, names), _width(times, average)
     while len(climbed) <= rungs and climbed[-1].good:
-        climbed.append(rung(scene, params, times, names, Plan(climbed[-1].tolerance * jnp.asarray(0.25), how.max_steps)))
+        climbed.append(
+            rung(scene, params, times, names, Plan(climbed[-1].tolerance * jnp.asarray(0.25), how.max_steps))
+        )
         if not climbed[-1].good:
             break
         found = judged.between(times, climbed[-2], climbed[-1], values, width)
         strong = judged.influences(times, climbed[-1], values) > judged.INFLUENCE
         worst = max((c.average.relative for c, s in zip(found, strong, strict=True) if s), default=0.0)
-        lost = worst > 0.5 and any(map(judged.chaotic, judged.growths(times, climbed[-1]), found))
+        lost = worst > 0.5 and any(map(judged.chaotic, judged.growths(times, climbed[-1], values), found))
         # A solve at a quarter of the tolerance takes 4^(1/2) times the steps at most.
         if worst <= target(error) or lost or 2 * climbed[-1].steps > how.max_steps:
             break
@@ -184,8 +186,8 @@ def _certificate(
 ) -> Certificate:
     values, width, last = _values(params, names), _width(times, average), climbed[-1]
     found: list[list[Comparison]] = [[c] for c in judged.between(times, climbed[-2], last, values, width)]
-    grown, strength = judged.growths(times, last), judged.influences(times, last, values)
-    direction: dict[str, float] | None = None
+    grown, strength = judged.growths(times, last, values), judged.influences(times, last, values)
+    direction, also = None, ""
     lost = any(judged.chaotic(g, c[0]) for g, c in zip(grown, found, strict=True))
     if differences != "none" and last.good and not lost:
         # Noise of the forces is amplified by 1/h: they are computed at a tolerance of their own.
@@ -206,16 +208,18 @@ def _certificate(
         if not each and np.any(step):
             both = along("central differences along one random direction of all parameters", step * signs(len(names)))
             direction = {"pointwise": both.pointwise.relative, "average": both.average.relative}
-            each = both.pointwise.relative > judged.POINTWISE
-            if not each:
-                # Zero beside a figure: what the direction did not find wrong is in every parameter's list.
-                found = [[c, c._replace(what=both.what)] for (c,) in found]
+            # What the rungs know of already needs no second witness.
+            strong = strength > judged.INFLUENCE
+            known = max((c.pointwise.relative for (c,), s in zip(found, strong, strict=True) if s), default=0.0)
+            each = both.average.relative > target(error) or both.pointwise.relative > max(judged.POINTWISE, known)
+            also = "" if each else both.what
         for k in np.flatnonzero(step) if each else ():
             unit = np.where(np.arange(len(names)) == k, step, 0.0)
             found[k].append(along("central differences", unit))
     end = last.end if last.code != OK else float("nan")
     checks: dict[str, Check] = {
-        name: judged.check(found[k], features[name], grown[k], float(strength[k]), end) for k, name in enumerate(names)
+        name: judged.check(found[k], features[name], grown[k], float(strength[k]), end, also)
+        for k, name in enumerate(names)
     }
     return Certificate(
         judged.worst_verdict(checks), checks, width, target(error), tuple(r.tolerance for r in climbed),
@@ -257,9 +261,11 @@ def _reverse(
     slopes = {n: {f.name: float(last.slopes[i, k]) for i, f in enumerate(good)} for k, n in enumerate(names)}
     failed = last.code != OK
     return Sensitivity(
-        times, names, _by_contact(last.force, contacts), {}, {f.name: float(x) for f, x in zip(good, last.numbers, strict=True)},
-        slopes, _reverse_certificate(names, good, solved) if certify else None, "failed" if failed else "ok",
-        reason(last.code, how.max_steps), last.end if failed else float("nan"), last.stats,
+        times, names, _by_contact(last.force, contacts), {},
+        {f.name: float(x) for f, x in zip(good, last.numbers, strict=True)},
+        slopes, _reverse_certificate(names, _values(params, names), good, solved) if certify else None,
+        "failed" if failed else "ok", reason(last.code, how.max_steps), last.end if failed else float("nan"),
+        last.stats,
     )  # fmt: skip
 
 
@@ -267,9 +273,12 @@ def _pair(how: Plan, certify: bool) -> list[Plan]:
     return [how, Plan(how.tolerance * 0.25, how.max_steps)] if certify else [how]
 
 
-def _reverse_certificate(names: Sequence[str], wanted: Sequence[Feature], solved: Sequence[Any]) -> Certificate:
-    apart = judged.apart(*(s.slopes for s in solved))
-    what = "the same derivatives of features at a tolerance of {:.3g} against {:.3g}".format(*(s.tolerance for s in solved))
+def _reverse_certificate(
+    names: Sequence[str], values: np.ndarray, wanted: Sequence[Feature], solved: Sequence[Gradient]
+) -> Certificate:
+    apart = judged.apart(solved[0].slopes, solved[1].slopes, solved[1].numbers, values)
+    loose, tight = (s.tolerance for s in solved)
+    what = f"the same derivatives of features at a tolerance of {loose:.3g} against {tight:.3g}"
     checks: dict[str, Check] = {}
     for k, name in enumerate(names):
         found = {f.name: float(apart[i, k]) for i, f in enumerate(wanted)}
