@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     from bcfj_jax import restitution as restitution
     from bcfj_jax import scenes as scenes
     from bcfj_jax import stiffness as stiffness
+    from bcfj_jax.derivatives.curvature import hessian_vector as hessian_vector
+    from bcfj_jax.derivatives.ladder import smoothing_ladder as smoothing_ladder
+    from bcfj_jax.derivatives.sensitivity import Sensitivity as Sensitivity
+    from bcfj_jax.derivatives.sensitivity import sensitivity as sensitivity
     from bcfj_jax.errors import InputError as InputError
     from bcfj_jax.errors import nearest as nearest
     from bcfj_jax.scene import Body as Body
@@ -39,6 +43,9 @@ _PUBLIC = {
     **{name: "errors" for name in ("InputError", "nearest")},
     **{name: "scene" for name in ("Body", "Contact", "Load", "Scene", "check_value")},
     **{name: "simulation" for name in ("Run", "force_history", "simulate")},
+    **{name: "derivatives.sensitivity" for name in ("Sensitivity", "sensitivity")},
+    "smoothing_ladder": "derivatives.ladder",
+    "hessian_vector": "derivatives.curvature",
 }
 
 

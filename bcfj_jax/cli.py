@@ -144,6 +144,25 @@ def calibrate(
 
 @app.command(epilog=_EPILOG)
 @_guarded
+def sensitivity(
+    scene: Annotated[str, typer.Argument(help="A scene file, or a built-in scene's name for its defaults.")],
+    wrt: Annotated[str, typer.Option(help="Parameters to differentiate by, names separated by commas.")],
+    features: Annotated[str, typer.Option(help="Features such as seat_ball.peak; by default every one.")] = "",
+    certify: Annotated[bool, typer.Option(help="Whether to say how good the derivatives are.")] = True,
+    out: Out = None,
+) -> int:
+    """Differentiate a run: sensitivity.csv, certificate.json, a ranked table, pictures and report.html."""
+    use_compile_cache()
+    from bcfj_jax.derivatives import command
+
+    names, wanted = ([n.strip() for n in text.split(",") if n.strip()] for text in (wrt, features))
+    text, good = command.run(scene, names, wanted, certify, out, _log)
+    typer.echo(text)
+    return DONE if good else SIMULATION_FAILED
+
+
+@app.command(epilog=_EPILOG)
+@_guarded
 def reproduce(out: Out = None) -> int:
     """Run the paper's case: its claims beside the model's values, as given and calibrated, with pictures."""
     use_compile_cache()

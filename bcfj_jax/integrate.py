@@ -64,7 +64,7 @@ class Plan(eqx.Module):
     """
 
     tolerance: Array
-    max_steps: int = eqx.field(static=True, default=100_000)
+    max_steps: int = eqx.field(static=True, default=400_000)
 
 
 class Solution(NamedTuple):
@@ -77,7 +77,7 @@ class Solution(NamedTuple):
     rejected: Array
 
 
-def plan(scene: AbstractScene, accuracy: str | float = "balanced", max_steps: int = 100_000) -> Plan:
+def plan(scene: AbstractScene, accuracy: str | float = "balanced", max_steps: int = 400_000) -> Plan:
     """Tolerance for a scene and an accuracy.
 
     Args:

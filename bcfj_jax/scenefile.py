@@ -33,7 +33,7 @@ from bcfj_jax.scenetemplate import template as template
 from bcfj_jax.spheres import Spheres
 from bcfj_jax.units import quantity
 
-_DEFAULT_LEVEL, _DEFAULT_STEPS = "balanced", 100_000
+_DEFAULT_LEVEL, _DEFAULT_STEPS = "balanced", 400_000
 
 
 @dataclass(frozen=True)

@@ -69,7 +69,7 @@ samples = {scene.samples}  # equally spaced, the first at 0
 [accuracy]
 level = "balanced"  # fast (5 % of the peak force), balanced (1 %), reference (0.001 %)
 # force_error = "1 %"  # of the peak force, in place of a level
-max_steps = 100000  # attempted steps; beyond them the run fails
+max_steps = 400000  # attempted steps; beyond them the run fails
 """
 
 

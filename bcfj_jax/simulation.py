@@ -139,7 +139,7 @@ def simulate(
     times: ArrayLike,
     *,
     accuracy: str | float = "balanced",
-    max_steps: int = 100_000,
+    max_steps: int = 400_000,
 ) -> Run:
     """Simulate a scene and say how it went.
 

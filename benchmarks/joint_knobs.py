@@ -18,7 +18,7 @@ import bcfj_jax as bj
 from bcfj_jax.plots import style
 
 SPEEDS = (0.01, 0.03, 0.1, 0.3)
-ONSETS = (0.0, 0.2e-6, 1e-6, 5e-6)
+ONSETS = (0.0, 0.2e-6, 1e-6, 5e-6, 20e-6)
 TIMES, LATE, MAX_STEPS = np.linspace(0.0, 0.9, 901), 0.3, 1_000_000
 
 

@@ -11,6 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
 
 from bcfj_jax import force_history, scenes
 from bcfj_jax.restitution import undamped_duration, undamped_peak
@@ -197,3 +200,182 @@ def test_second_derivatives():
     assert float(found) == pytest.approx(PEAK * 0.4 * -0.6 / 1e20, rel=1e-3, abs=0.0)
     with pytest.raises(RuntimeError, match="mode='forward'"):
         jax.jit(jax.jacfwd(jax.jacfwd(lambda logs: logarithmic_peak(logs, "auto"))))(jnp.log(jnp.array([1e10, 0.02])))
+
+
+STRUCK = ("stiffness", "exponent", "damping", "mass", "height or speed")
+
+
+class Exact:
+    """A mass on a surface by ``memory_free`` with smoothed onset, and its variational equations, by SciPy.
+
+    F = r' K r^n (1 + a d'), r(d) the onset of half-width w. State: penetration d, its rate, and the derivatives of
+    both by the logarithms of K, n, a, m and of the start's height (falling under ``gravity``) or speed (without).
+    """
+
+    def __init__(self, theta, width, gravity):
+        self.theta, self.width, self.gravity = np.asarray(theta, float), width, gravity
+
+    def onset(self, d):
+        """The onset r, r' and r''; a polynomial of s = (d + w)/2w below d = w."""
+        w = self.width
+        if d >= w:
+            return max(d, 0.0), float(d > 0), 0.0
+        s = max((d + w) / (2 * w), 0.0)
+        ramp = 2 * w * s**4 * (2.5 - 3 * s + s**2)
+        return ramp, s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2 / (2 * w)
+
+    def force(self, d, rate):
+        """Force, and its derivatives by d, d', and the five logarithms at fixed motion."""
+        k, n, a, _, _ = self.theta
+        r, slope, bend = self.onset(d)
+        if r <= 0.0:
+            return 0.0, 0.0, 0.0, np.zeros(5)
+        damped, power = 1 + a * rate, k * r**n
+        force = slope * power * damped
+        by_depth = (bend * power + n * slope**2 * power / r) * damped
+        by_logs = np.array([force, force * n * np.log(r), slope * power * a * rate, 0.0, 0.0])
+        return force, by_depth, slope * power * a, by_logs
+
+    def right(self, _, y):
+        m = self.theta[3]
+        force, by_depth, by_rate, by_logs = self.force(y[0], y[1])
+        slopes = y[2:].reshape(2, 5)
+        push = by_depth * slopes[0] + by_rate * slopes[1] + by_logs
+        push[3] -= force
+        return np.concatenate([[y[1], self.gravity - force / m], slopes[1], -push / m])
+
+    def contacts(self, count):
+        """Dense outputs of the first contacts, each with its start and end."""
+        start, g = self.theta[4], self.gravity
+        y, now, found = np.zeros(12), 0.0, []
+        if g:
+            y[0], y[2 + 4] = -start, -start
+        else:
+            y[0], y[1], y[7 + 4] = -self.width, start, start
+
+        def leaves(_, y):
+            return y[0] + self.width
+
+        leaves.terminal, leaves.direction = True, -1
+        for _ in range(count):
+            if g:
+                # Flight: d'' = g, to d = -w.
+                wait = (-y[1] + np.sqrt(y[1] ** 2 - 2 * g * (y[0] + self.width))) / g
+                y = np.concatenate([[-self.width, y[1] + g * wait], y[2:7] + wait * y[7:], y[7:]])
+                now += wait
+            size = np.concatenate([[1e-3, 1.0], np.full(10, 1.0)])
+            run = solve_ivp(self.right, (now, now + 1.0), y, method="DOP853", rtol=1e-12, atol=1e-13 * size,
+                            events=leaves, dense_output=True)  # fmt: skip
+            found.append((now, run.t[-1], run.sol))
+            # The first instant past the surface begins a flight, not a contact.
+            y, now = run.y[:, -1].copy(), run.t[-1]
+        return found
+
+    def slopes(self, sol, t):
+        """Force and its derivatives by the five logarithms at fixed times (T,)."""
+        forces, columns = [], []
+        for y in sol(t).T:
+            force, by_depth, by_rate, by_logs = self.force(y[0], y[1])
+            forces.append(force)
+            columns.append(by_depth * y[2:7] + by_rate * y[7:] + by_logs)
+        return np.array(forces), np.array(columns)
+
+
+FRACTIONS = np.array([0.15, 0.4, 0.6, 0.85])
+
+
+def agree_with_exact(scene, names, theta, fixed, exact, contacts, relative):
+    """Force and Jacobian by logarithms in the middle of some contacts, in units of each contact's largest entries."""
+    found = [exact.contacts(max(contacts))[i - 1] for i in contacts]
+    times = [begin + FRACTIONS * (end - begin) for begin, end, _ in found]
+
+    def force(logs):
+        values = {name: value * jnp.exp(log) for name, value, log in zip(names, theta, logs, strict=True)}
+        history = force_history(scene, scene.parameters({**values, **fixed}), np.concatenate(times),
+                                accuracy=ACCURACY, mode="forward")  # fmt: skip
+        return history["contact"][:, 0]
+
+    values, jacobian = jax.jit(lambda x: (force(x), jax.jacfwd(force)(x)))(jnp.zeros(5))
+    for i, (t, (_, _, sol)) in enumerate(zip(times, found, strict=True)):
+        here = slice(i * FRACTIONS.size, (i + 1) * FRACTIONS.size)
+        expected, columns = exact.slopes(sol, t)
+        assert np.allclose(values[here], expected, rtol=0, atol=relative * expected.max())
+        close(jacobian[here], columns, relative)
+
+
+def test_impact_against_variational_equations():
+    # The start is at the edge of the onset: no kink within the run.
+    width, theta = 4e-6, (1e10, 1.5, 0.1, 0.02, 1.5)
+    names = (*STRUCK[:4], "approach_speed")
+    fixed = {"smoothing": width, "clearance_contact": width}
+    agree_with_exact(IMPACT, names, theta, fixed, Exact(theta, width, 0.0), (1,), 1e-6)
+
+
+def test_ten_bounces_against_variational_equations():
+    width, theta = 1e-3, (1e4, 1.5, 0.05, 0.016731, 0.1)
+    names, scene = (*STRUCK[:4], "drop_height"), scenes.bounce("memory_free")
+    gravity = float(scene.parameters()["gravity"])
+    fixed = {"smoothing": width}
+    agree_with_exact(scene, names, theta, fixed, Exact(theta, width, gravity), (1, 2, 10), 1e-6)
+
+
+def test_duration_and_restitution_against_closed_forms():
+    # T = c(n) d/v and e = 1 undamped; the end of a contact is where the rebound is back at the surface, so
+    # its derivative is -(change of place)/(speed), of an undamped Hertz impact sharp at both ends.
+    width, theta = 0.0, (1e10, 1.5, 1e-12, 0.02, 1.5)
+    exact = Exact(theta, width, 0.0)
+    _, end, sol = exact.contacts(1)[0]
+    last = sol(end)
+    by_logs = -last[2:7] / last[1]
+    # T ~ (m/K)^(2/5) v^(-1/5): its logarithm's slopes.
+    assert by_logs[[0, 3, 4]] / end == pytest.approx([-0.4, 0.4, -0.2], abs=1e-6)
+    assert end == pytest.approx(float(undamped_duration(1e10, 1.5, 0.02, 1.5)), rel=1e-8)
+
+
+CORNERS = {
+    "stiffness": st.sampled_from([1e3, 1e10]),
+    "exponent": st.sampled_from([1.0, 1.5, 3.0]) | st.floats(1.0, 3.0),
+    "damping": st.sampled_from([0.0, 0.111, 10.0]),
+    "speed": st.sampled_from([0.0, 1e-9, 1.5]),
+    "clearance": st.sampled_from([0.0, 1e-9, 2e-6, 1.0]),
+    "smoothing": st.sampled_from([0.0, 1e-9, 1e-6]),
+}
+
+
+@given(**CORNERS)
+@settings(max_examples=40)
+@example(stiffness=1e10, exponent=1.0, damping=0.0, speed=0.0, clearance=0.0, smoothing=0.0)
+def test_impact_is_finite_over_the_box(impact, stiffness, exponent, damping, speed, clearance, smoothing):
+    # Times: the start, in contact, the very end; K d^n of 1e-5 m is the same for every exponent.
+    stiffness = stiffness * 1e-5 ** (1.5 - exponent)
+    changes = {"stiffness": stiffness, "exponent": exponent, "damping": damping, "approach_speed": speed}
+    duration = contact_time(**changes)
+    theta = point(duration * np.array([0.0, 0.5, 1.0]), **changes, clearance_contact=clearance, smoothing=smoothing)
+    assert np.all(np.isfinite(impact.force(theta)))
+    assert np.all(np.isfinite(impact.only_forward(theta)))
+
+
+@pytest.fixture(scope="module")
+def restituting():
+    """Value and Jacobian of bounces whose damping is stated by restitution, over (K, n, m, e, height, smoothing)."""
+    scene = scenes.bounce("flores")
+    names = ("stiffness", "exponent", "mass", "restitution", "drop_height", "smoothing")
+
+    def force(theta):
+        values = scene.parameters(dict(zip(names, theta, strict=True)))
+        return force_history(scene, values, jnp.linspace(0.0, 0.6, 13), mode="forward")["contact"][:, 0]
+
+    return jax.jit(lambda theta: (force(theta), jax.jacfwd(force)(theta)))
+
+
+@given(
+    exponent=st.sampled_from([1.0, 1.5, 3.0]),
+    restitution=st.sampled_from([0.0, 0.5, 1.0]),
+    height=st.sampled_from([0.0, 1e-9, 0.1]),
+    smoothing=st.sampled_from([0.0, 1e-6]),
+)
+@settings(max_examples=30)
+def test_bounces_are_finite_over_the_box(restituting, exponent, restitution, height, smoothing):
+    stiffness = 1e4 * 1e-2 ** (1.5 - exponent)
+    value, jacobian = restituting(jnp.array([stiffness, exponent, 0.0167, restitution, height, smoothing]))
+    assert np.all(np.isfinite(value)) and np.all(np.isfinite(jacobian))

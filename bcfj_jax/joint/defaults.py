@@ -33,7 +33,7 @@ DEFAULTS: dict[str, tuple[float, str]] = {
     "head_cage.stiffness": (6.606e11, "derived: Lankarani-Nikravesh, sphere in socket, 50 um"),
     "exponent": (1.5, "paper: nonlinear index 1.5"),
     "damping": (0.111, "GUESS: restitution 0.9 at 1.5 m/s"),
-    "smoothing": (20e-6, "chosen: twice the balls' clearance, so that free balls do not rattle; benchmarks/joint_knobs.py"),
+    "smoothing": (20e-6, "chosen: twice the balls' clearance: free balls do not rattle; benchmarks/joint_knobs.py"),
     "friction_static": (0.12, "paper"),
     "friction_dynamic": (0.03, "paper"),
     "friction_speed": (0.1, "GUESS: usual in multibody work; benchmarks/joint_knobs.py"),

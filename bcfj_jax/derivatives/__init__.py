@@ -1,0 +1,1 @@
+"""Derivatives of histories and features by parameters, and what they are worth."""

@@ -1,0 +1,145 @@
+"""Histories and their derivatives by named parameters: one compiled program, all parameters together.
+
+Forward mode: the tangents of all parameters go through one solve and share its factorisations. The tolerance is
+traced, so that the same program climbs a certificate's rungs.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import diffrax as dfx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from bcfj_jax.dynamics import state_scales
+from bcfj_jax.integrate import OK, Plan
+from bcfj_jax.joint.scales import scales as joint_scales
+from bcfj_jax.joint.scene import SIX, Joint
+from bcfj_jax.scene import AbstractScene, Params, Scene
+
+# The histories behind ``force_history``, with penetrations and states beside the forces.
+from bcfj_jax.simulation import _outcome as outcome
+
+_FORWARD = dfx.ForwardMode()
+
+
+class Histories(NamedTuple):
+    """What a run left at T times; of a derivative, the same with parameters (P,) as the first axis.
+
+    Attributes:
+        force: (T, C, 3) [N], penetration, rate: (T, C) [m, m/s] of C channels, a contact's members one by one.
+        state: (T, n) in units of the states' natural sizes.
+    """
+
+    force: Any
+    penetration: Any
+    rate: Any
+    state: Any
+
+
+class Rung(NamedTuple):
+    """One solve with its derivatives: at which tolerance, what came out, what it cost, how it ended."""
+
+    tolerance: float
+    value: Histories
+    derivative: Histories
+    code: int
+    end: float
+    accepted: int
+    rejected: int
+    wall_s: float
+    compile_s: float
+
+    @property
+    def steps(self) -> int:
+        """Attempted steps."""
+        return self.accepted + self.rejected
+
+    @property
+    def good(self) -> bool:
+        """Whether the run reached its end and every derivative is finite."""
+        return self.code == OK and bool(np.isfinite(self.derivative.force).all())
+
+
+def channels(scene: AbstractScene) -> dict[str, int]:
+    """Number of members by contact in the scene's order; 0 for a contact without members."""
+    balls = scene.balls if isinstance(scene, Joint) else 0
+    return {contact.name: balls if contact.name in SIX else 0 for contact in scene.contacts}
+
+
+def channel_names(contacts: Mapping[str, int]) -> list[str]:
+    """Names of the channels in the order of ``Histories``."""
+    return [n for c, k in contacts.items() for n in ([f"{c}_{i + 1}" for i in range(k)] if k else [c])]
+
+
+def histories(
+    scene: AbstractScene, params: Params, times: Array, how: Plan, adjoint: Any = _FORWARD
+) -> tuple[Histories, tuple]:
+    """Histories by the solver meant for derivatives, and (code, end, accepted, rejected). Pure."""
+    solution, readings = outcome(scene, params, times, how, adjoint, True)
+    count = times.shape[0]
+    ordered = [readings[contact.name] for contact in scene.contacts]
+    force = jnp.concatenate([r.force.reshape(count, -1, 3) for r in ordered], axis=1)
+    depth, rate = (
+        jnp.concatenate([getattr(r, k).reshape(count, -1) for r in ordered], 1) for k in ("penetration", "rate")
+    )
+    found = Histories(force, depth, rate, solution.states / _sizes(scene, params))
+    return found, (solution.code, solution.end, solution.accepted, solution.rejected)
+
+
+def _sizes(scene: AbstractScene, params: Params) -> Array:
+    if isinstance(scene, Joint):
+        return jax.lax.stop_gradient(joint_scales(scene, params))
+    assert isinstance(scene, Scene)
+    return jax.lax.stop_gradient(state_scales(scene, params))
+
+
+_compiled: dict[object, Callable] = {}
+
+
+def compiled(key: tuple, function: Callable, *arguments: Any) -> tuple[Callable, float]:
+    """A function compiled for arguments like these, kept under its key, and the seconds that took now."""
+    begin = time.perf_counter()
+    if key not in _compiled:
+        _compiled[key] = jax.jit(function).lower(*arguments).compile()
+    return _compiled[key], time.perf_counter() - begin
+
+
+def rung(scene: AbstractScene, params: Params, times: np.ndarray, wrt: tuple[str, ...], how: Plan) -> Rung:
+    """Solve once with the derivatives by all of ``wrt``, per SI unit."""
+
+    def jacobian(params: dict, times: Array, how: Plan):
+        def at(theta: dict):
+            found, end = histories(scene, {**params, **theta}, times, how)
+            return found, (found, end)
+
+        return jax.jacfwd(at, has_aux=True)({name: params[name] for name in wrt})
+
+    arguments = (dict(params), jnp.asarray(times), how)
+    key = ("jacobian", scene, len(times), wrt, how.max_steps, jax.tree.structure(arguments[0]))
+    program, compile_s = compiled(key, jacobian, *arguments)
+    begin = time.perf_counter()
+    slopes, (value, (code, end, accepted, rejected)) = jax.device_get(program(*arguments))
+    wall = time.perf_counter() - begin
+    # One dictionary by name in every field of the histories.
+    derivative = Histories(*(np.stack([part[name] for name in wrt]) for part in slopes))
+    return Rung(
+        float(how.tolerance), value, derivative, int(code), float(end), int(accepted), int(rejected), wall, compile_s
+    )
+
+
+def forces(scene: AbstractScene, params: Params, times: np.ndarray, how: Plan) -> np.ndarray:
+    """Forces (T, C, 3) without derivatives, by the solver meant for values."""
+
+    def values(params: dict, times: Array, how: Plan) -> Array:
+        _, readings = outcome(scene, params, times, how, _FORWARD)
+        return jnp.concatenate([readings[c.name].force.reshape(times.shape[0], -1, 3) for c in scene.contacts], axis=1)
+
+    arguments = (dict(params), jnp.asarray(times), how)
+    key = ("forces", scene, len(times), how.max_steps, jax.tree.structure(arguments[0]))
+    return np.asarray(compiled(key, values, *arguments)[0](*arguments))
