@@ -38,13 +38,14 @@ def noisy(scene, params, seed, places=3e-5, speeds=0.3):
     twist[:, 3:] = 1.0 / float(p["ball_radius"])
     size = np.concatenate([np.full(3 * n, places), places * lever, speeds * twist.ravel(), speeds * lever])
     begin = start(scene, params, jnp.asarray(draw.uniform(0.0, 2 * np.pi)))
-    y = np.asarray(begin) + size * draw.normal(size=size.size)
+    y = np.array(begin)
+    y[: size.size] += size * draw.normal(size=size.size)
     tilt = scene.slots["cage_turn"]
     if tilt is not None:
         axis = y[3 * n : 3 * n + b][tilt]
         axis /= np.linalg.norm(axis)
     if scene.drive == "prescribed":
-        y[-1] = float(p["drive_speed"])
+        y[scene.moving - 1] = float(p["drive_speed"])
     return y
 
 

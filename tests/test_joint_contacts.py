@@ -14,7 +14,8 @@ from scipy.optimize import minimize
 from bcfj_jax import scenes
 from bcfj_jax.joint import contacts, system
 from bcfj_jax.joint.constants import constants
-from bcfj_jax.joint.contacts import Geometry, act, slopes
+from bcfj_jax.joint.contacts import Geometry, act
+from bcfj_jax.joint.slopes import slopes
 from bcfj_jax.joint.start import nominal
 
 MANY = 60
@@ -70,7 +71,7 @@ def compare(skin, geometry, place, velocity, spin):
         value, push = jax.linearize(wrench, x)
         # Contacts are independent: one direction of all of them at once.
         wanted = jax.vmap(lambda d: push(jnp.broadcast_to(d, x.shape)), out_axes=-1)(jnp.eye(x.shape[-1]))
-        return value, wanted, slopes(skin, geometry(x[..., :3]), x[..., 3:6], None if spin is None else x[..., 6:])
+        return value, wanted, slopes(skin, geometry(x[..., :3]), x[..., 3:6], None if spin is None else x[..., 6:])[:3]
 
     value, wanted, (same, by_place, by_twist) = jax.device_get(both(x))
     assert abs(value).max() > 1.0

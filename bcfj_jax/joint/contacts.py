@@ -6,7 +6,13 @@ of the centres decides them; the relative twist (v, w) decides the rest:
 
     rate  d' = n . v        sliding  u = v + w x l n - d' n        force  f = -N n - D u,   D = N mu(|u|)/|u|
 
-with N from the normal-force law. Everything is frame-indifferent: force in the axes of its arguments.
+with N from the normal-force law. A friction law with bristles, deflected by z, has its force by their part in the
+contact plane,  b = z - n (n . z),  and they bend (``LuGre.bond`` has k, s and m; o is ``Skin.apart``):
+
+    force  -N (s b + m u)        z' = W x z + (1 - o) (u - k z) - o z/tau
+
+W is the outer body's angular velocity, so that a bristle turns with it, and tau = 1e-5 s: nothing is remembered
+from one touch to the next. Everything is frame-indifferent: force in the axes of its arguments.
 Gaps and normals: physics sheet 5.3. A contact acts at the ball's centre unless the ball spins (w given): a ball
 without spin is a particle, so that force, moment and power balance exactly in either case.
 """
@@ -19,7 +25,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from bcfj_jax.joint.skin import Skin, SkinPair, sector
+from bcfj_jax.joint.skin import RELAX, Skin, SkinPair, sector
 
 
 class Geometry(NamedTuple):
@@ -51,6 +57,8 @@ class Touch(NamedTuple):
         force, moment: (..., 3) on the second body and about its centre [N], [N m]; moment None without spin.
         drag: (..., 3) the part of ``force`` that is friction.
         normal, penetration, rate, slip: (..., f) of each face: [N] >= 0, [m], [m/s], sliding speed [m/s].
+        bending: (..., f, 3) z' less W x z [m/s]; None without bristles.
+        rubbed: (..., f) power that friction takes [W]; None without bristles.
     """
 
     force: Array
@@ -60,6 +68,8 @@ class Touch(NamedTuple):
     penetration: Array
     rate: Array
     slip: Array
+    bending: Array | None = None
+    rubbed: Array | None = None
 
 
 class Groove(NamedTuple):
@@ -188,12 +198,15 @@ def join(first: Geometry, second: Geometry) -> Geometry:
     )
 
 
-def act(skin: Skin | SkinPair, at: Geometry, velocity: Array, spin: Array | None) -> Touch:
+def act(
+    skin: Skin | SkinPair, at: Geometry, velocity: Array, spin: Array | None, bristles: Array | None = None
+) -> Touch:
     """Forces of contacts (module docstring).
 
     Args:
         velocity: (..., 3) v of the second centre relative to the first body's material there [m/s].
         spin: (..., 3) w, relative angular velocity [1/s]; None for a body that is a particle.
+        bristles: (..., f, 3) deflections z [m]; without them every law acts by its steady slip.
     """
     velocity = velocity[..., None, :]
     rate = dot(at.normal, velocity)
@@ -206,91 +219,24 @@ def act(skin: Skin | SkinPair, at: Geometry, velocity: Array, spin: Array | None
     slip_squared = dot(slide, slide)
     force = -jnp.sum(normal[..., None] * at.normal, -2)
     drag = moment = jnp.zeros_like(force)
+    bending = rubbed = None
     if skin.friction is not None:
-        drags = -(normal * skin.mobility(slip_squared))[..., None] * slide
+        if bristles is None:
+            drags = -(normal * skin.mobility(slip_squared))[..., None] * slide
+        else:
+            forget, stick, mobility = (x[..., None] for x in skin.bond(slip_squared))
+            bent = bristles - dot(at.normal, bristles)[..., None] * at.normal
+            drags = -normal[..., None] * (stick * bent + mobility * slide)
+            apart = skin.apart(at.penetration)[..., None]
+            bending = (1.0 - apart) * (slide - forget * bristles) - apart / RELAX * bristles
+            rubbed = -dot(drags, slide)
         drag = jnp.sum(drags, -2)
         force = force + drag
         moment = jnp.sum(jnp.cross(at.lever[..., None] * at.normal, drags), -2)
     slip = jnp.sqrt(slip_squared)
-    return Touch(force, None if spin is None else moment, drag, normal, at.penetration, rate, slip)
-
-
-def slopes(skin: Skin | SkinPair, at: Geometry, velocity: Array, spin: Array | None) -> tuple[Array, Array, Array]:
-    """Wrench (..., k) of ``act``, and its derivatives by place (..., k, 3) and by twist (..., k, k), k = 3 or 6.
-
-    With H the Hessian of d, g = H v and the laws' slopes N_d, N_r, D_2 = N d(mu/|u|)/d(u.u):
-
-        dN = (N_d n + N_r g) . dp + N_r n . dv        du = (I - nn') dv - (n g' + d' H) dp    (no spin)
-        df = -n dN - N H dp - u dD - D du             dD = (mu/|u|) dN + 2 D_2 u . du
-
-    and with spin the lever's sweep  w x d(l n) + dw x l n  in du, and the moment  l n x (-D u).
-    """
-    v, n = velocity[..., None, :], at.normal
-    rate = dot(n, v)
-    normal, by_depth = jax.jvp(lambda d: skin.normal(d, rate), (at.penetration,), (jnp.ones_like(at.penetration),))
-    by_rate = jax.jvp(lambda r: skin.normal(at.penetration, r), (rate,), (jnp.ones_like(rate),))[1]
-    hessian = sum(((e * curve[..., None])[..., :, None] * e[..., None, :] for e, curve in at.bends), jnp.zeros(()))
-    curved = len(at.bends) > 0
-    drift = sum(((e * (curve * dot(e, v))[..., None]) for e, curve in at.bends), jnp.zeros(3))
-    load_place = by_depth[..., None] * n + by_rate[..., None] * drift
-    if at.gate is not None:
-        load_place = at.gate[..., None] * load_place + normal[..., None] * at.gate_slope
-        normal, by_rate = normal * at.gate, by_rate * at.gate
-    load_twist = by_rate[..., None] * n
-    by_place = -_dyad(n, load_place) - (normal[..., None, None] * hessian if curved else 0.0)
-    by_twist = -_dyad(n, load_twist)
-    force = -normal[..., None] * n
-    if skin.friction is None:
-        k = 3 if spin is None else 6
-        wide = [(0, 0)] * (by_place.ndim - 3)
-        value, by_place, by_twist = jnp.sum(force, -2), jnp.sum(by_place, -3), jnp.sum(by_twist, -3)
-        value = jnp.pad(value, [*wide, (0, k - 3)])
-        return value, jnp.pad(by_place, [*wide, (0, k - 3), (0, 0)]), jnp.pad(by_twist, [*wide, *[(0, k - 3)] * 2])
-    slide = v - rate[..., None] * n
-    plane = jnp.eye(3) - _dyad(n, n)
-    slide_place = -(_dyad(n, drift) + rate[..., None, None] * hessian) if curved else jnp.zeros_like(plane)
-    slide_twist = plane
-    lever = at.lever[..., None]
-    if spin is not None:
-        w = spin[..., None, :]
-        slide = slide + jnp.cross(w, lever * n)
-        sweep = lever[..., None] * hessian + at.lever_slope * _dyad(n, n) if curved else jnp.zeros_like(plane)
-        slide_place = slide_place + _cross_columns(w, sweep)
-        turned = -jnp.cross(lever[..., None] * n[..., None, :], jnp.eye(3)).swapaxes(-1, -2)
-        slide_twist = jnp.concatenate([plane, turned], -1)
-        load_twist = jnp.concatenate([load_twist, jnp.zeros_like(load_twist)], -1)
-        by_twist = jnp.concatenate([by_twist, jnp.zeros_like(by_twist)], -1)
-    squared = dot(slide, slide)
-    mobility, bend = jax.jvp(skin.mobility, (squared,), (jnp.ones_like(squared),))
-    drag, pull = normal * mobility, (2.0 * normal * bend)[..., None] * slide
-    drag_place = mobility[..., None] * load_place + _row(pull, slide_place)
-    drag_twist = mobility[..., None] * load_twist + _row(pull, slide_twist)
-    rub = -drag[..., None] * slide
-    rub_place = -_dyad(slide, drag_place) - drag[..., None, None] * slide_place
-    rub_twist = -_dyad(slide, drag_twist) - drag[..., None, None] * slide_twist
-    value, by_place, by_twist = force + rub, by_place + rub_place, by_twist + rub_twist
-    if spin is not None:
-        arm = lever * n
-        value = jnp.concatenate([value, jnp.cross(arm, rub)], -1)
-        moment_place = _cross_columns(arm, rub_place) - _cross_columns(rub, sweep)
-        by_place = jnp.concatenate([by_place, moment_place], -2)
-        by_twist = jnp.concatenate([by_twist, _cross_columns(arm, rub_twist)], -2)
-    return jnp.sum(value, -2), jnp.sum(by_place, -3), jnp.sum(by_twist, -3)
+    return Touch(force, None if spin is None else moment, drag, normal, at.penetration, rate, slip, bending, rubbed)
 
 
 def _given(array: Array | None) -> Array:
     assert array is not None
     return array
-
-
-def _dyad(a: Array, b: Array) -> Array:
-    return a[..., :, None] * b[..., None, :]
-
-
-def _row(a: Array, matrix: Array) -> Array:
-    return jnp.sum(a[..., :, None] * matrix, -2)
-
-
-def _cross_columns(a: Array, matrix: Array) -> Array:
-    """a x (each column of the matrix)."""
-    return jnp.cross(a[..., None, :], matrix.swapaxes(-1, -2)).swapaxes(-1, -2)

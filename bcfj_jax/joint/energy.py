@@ -20,6 +20,7 @@ from jax import Array
 
 from bcfj_jax.errors import InputError
 from bcfj_jax.joint import system
+from bcfj_jax.joint.bristles import beside
 from bcfj_jax.joint.constants import Constants, constants
 from bcfj_jax.joint.contacts import Geometry, Touch, act, dot, pilots
 from bcfj_jax.joint.guides import GUIDES
@@ -41,7 +42,8 @@ class Power(NamedTuple):
         hold: torque that turns a fixed cage at the drive's speed, times it; 0 for a free cage.
         load: load torque times the head's speed.
         axial: axial load times the head's velocity along its axis.
-        friction: sum over all faces of  N mu(|u|) |u|  >= 0, u the sliding velocity.
+        friction: sum over all faces of  N mu(|u|) |u|  >= 0, u the sliding velocity; of bristles  N traction . u,
+            of either sign, as it holds what they store, N sigma0 z.z/2, and give back.
         damping: sum of  (N(d, d') - N(d, 0)) d',  and  c (speed lag)^2  of a flexible drive; >= 0 for every law but a
             Kelvin-Voigt one with tension (where damping pulls harder than the spring pushes, N is 0 and the spring's
             energy counts as lost).
@@ -119,10 +121,11 @@ def _acting(scene: Joint, c: Constants, state: system.State) -> dict[str, _Actin
     found: dict[str, tuple] = dict(zip(("balls", "windows"), parts, strict=False))
     if c.pilot_skin is not None:
         motion, _ = system.guided(scene, c, state)
-        found["pilots"] = c.pilot_skin, pilots(c.pilot_clearance, c.pilot_hollow, motion.arm), motion
+        at, bent = pilots(c.pilot_clearance, c.pilot_hollow, motion.arm), beside(state.bristles, scene.pilots)
+        found["pilots"] = c.pilot_skin, at, motion, bent
     return {
-        name: _Acting(skin, at, motion, act(skin, at, motion.velocity, motion.spin))
-        for name, (skin, at, motion) in found.items()
+        name: _Acting(skin, at, motion, act(skin, at, motion.velocity, motion.spin, bent))
+        for name, (skin, at, motion, bent) in found.items()
     }
 
 
@@ -140,7 +143,9 @@ def _elastic(skin: Skin | SkinPair, penetration: Array) -> Array:
 
 
 def _friction(part: _Acting) -> Array:
-    """Sum of  N mu(|u|) |u|  [W] over all faces."""
+    """Power [W] that friction takes at all faces:  N mu(|u|) |u|,  of bristles what their actual force takes."""
+    if part.touch.rubbed is not None:
+        return jnp.sum(part.touch.rubbed)
     if part.skin.friction is None:
         return jnp.zeros(())
     squared = part.touch.slip**2
@@ -217,7 +222,7 @@ def stored(scene: Joint, c: Constants, t: Array, y: Array) -> Stored:
     """Every store of energy in one flat state y at time t [s]."""
     state = system.view(scene, c, y)
     twists = y[3 * scene.balls + scene.border :][: scene.twist * scene.balls].reshape(scene.balls, scene.twist)
-    rates = y[(3 + scene.twist) * scene.balls + scene.border :]
+    rates = y[(3 + scene.twist) * scene.balls + scene.border : scene.moving]
     # A prescribed seat has no lightness, and no energy of its own.
     moved = c.border_lightness > 0
     border = jnp.where(moved, rates**2 / jnp.where(moved, c.border_lightness, 1.0), 0.0)

@@ -170,7 +170,8 @@ def _with_rates(scene: Joint, c: Any, value: Array, rate: Array) -> Array:
     balls = rate[:, : 3 * n].reshape(count, n, 3)
     if scene.spin:
         balls = jnp.concatenate([balls, jnp.broadcast_to(spin[:, None], (count, n, 3))], -1)
-    return jnp.concatenate([value, balls.reshape(count, -1), rate[:, 3 * n :]], 1)
+    unbent = [jnp.zeros((count, scene.states - scene.moving))] if scene.bristles else []
+    return jnp.concatenate([value, balls.reshape(count, -1), rate[:, 3 * n :], *unbent], 1)
 
 
 def _equilibrium(scene: Joint) -> Any:

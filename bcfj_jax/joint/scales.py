@@ -6,13 +6,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.joint.scene import Joint
+from bcfj_jax.joint.bristles import flat
+from bcfj_jax.joint.scene import PILOTS, Joint
 from bcfj_jax.scene import Params
 
 
 def scales(scene: Joint, params: Params) -> Array:
     """Size of each state: a place by the penetration of a ball that carries its share of the torque, a velocity
-    by friction's transition speed; turns by these over the pitch radius.
+    by friction's transition speed; turns by these over the pitch radius; a bristle by its deflection at break-away.
 
     An error of a place in these units is about that fraction (times n) of a ball's force. An error of a
     velocity is that fraction of the friction of a sticking contact. Without friction a quarter of the rim speed
@@ -33,7 +34,19 @@ def scales(scene: Joint, params: Params) -> Array:
             turning[slot] = True
     border = jnp.where(turning, 1.0 / p["pitch_radius"], 1.0)
     ball = jnp.ones((scene.balls, scene.twist)).at[:, 3:].set(1.0 / p["ball_radius"])
-    return jnp.concatenate([jnp.full(3 * scene.balls, place), place * border, speed * ball.ravel(), speed * border])
+    parts = [jnp.full(3 * scene.balls, place), place * border, speed * ball.ravel(), speed * border]
+    if scene.bristles:
+        break_away = {
+            name: jnp.full((1, count, 3), _break_away(scene, p, name)) for name, count in scene.bristles.items()
+        }
+        balls = {name: jnp.tile(x, (scene.balls, 1, 1)) for name, x in break_away.items() if name not in PILOTS}
+        parts.append(flat(break_away | balls))
+    return jnp.concatenate(parts)
+
+
+def _break_away(scene: Joint, params: Params, name: str) -> Array:
+    """Deflection of a contact's bristles at break-away [m]."""
+    return scene.coefficient(params, name, "friction_static") / scene.coefficient(params, name, "bristle_stiffness")
 
 
 def tolerance(force_error: float) -> float:

@@ -17,6 +17,8 @@ from bcfj_jax.quantities import CATALOGUE, Quantity
 from bcfj_jax.scene import AbstractScene, Params
 
 CONTACTS = ("seat_cage", "head_cage", "cage_ball", "seat_ball", "head_ball")
+GROOVES = ("seat_ball", "head_ball")
+PILOTS = ("seat_cage", "head_cage")
 SIX = ("cage_ball", "seat_ball", "head_ball")
 FIDELITIES = ("kinematic", "quasistatic", "dynamic")
 TRACKS = ("gothic", "circular")
@@ -107,7 +109,7 @@ class Joint(AbstractScene, eqx.Module):
     @property
     def pilots(self) -> tuple[str, ...]:
         """The sphere-in-sphere contacts."""
-        return tuple(name for name in ("seat_cage", "head_cage") if self.has(name))
+        return tuple(name for name in PILOTS if self.has(name))
 
     @property
     def twist(self) -> int:
@@ -137,9 +139,24 @@ class Joint(AbstractScene, eqx.Module):
         return sum(slot.stop - slot.start for slot in self.slots.values() if slot is not None)
 
     @property
+    def bristles(self) -> Mapping[str, int]:
+        """Faces of each contact whose friction has bristles, by its name: of one ball's, and of a pilot."""
+        if self.fidelity != "dynamic":
+            return {}
+        faces = {"cage_ball": 2, "seat_ball": 2, "head_ball": 2} if self.track == "gothic" else {"cage_ball": 2}
+        rough = {contact.name for contact in self.contacts if contact.friction and contact.friction.bristles}
+        return {name: faces.get(name, 1) for name in (*GROOVES, "cage_ball", *PILOTS) if name in rough}
+
+    @property
+    def moving(self) -> int:
+        """Length of the flat state without bristles."""
+        return (3 + self.twist) * self.balls + 2 * self.border
+
+    @property
     def states(self) -> int:
         """Length of the flat state."""
-        return (3 + self.twist) * self.balls + 2 * self.border
+        members = {name: self.balls if name in SIX else 1 for name in self.bristles}
+        return self.moving + 3 * sum(members[name] * faces for name, faces in self.bristles.items())
 
 
 def _quantity(name: str) -> Quantity:

@@ -14,6 +14,9 @@ from jax import Array
 from bcfj_jax.laws import AbstractFriction, AbstractLaw, onset_force
 from bcfj_jax.numerics import smooth_step
 
+# A bristle that touches nothing springs back: over this gap [m], with this time constant [s].
+GAP, RELAX = 1e-6, 1e-5
+
 
 class Skin(eqx.Module):
     """One law and one friction law over any broadcast shape of contacts.
@@ -37,6 +40,17 @@ class Skin(eqx.Module):
         """mu(|v|)/|v| [s/m]: the traction is  -N mobility v."""
         assert self.friction is not None
         return self.friction.mobility(slip_squared, self.coefficients)
+
+    def bond(self, slip_squared: Array) -> tuple[Array, Array, Array]:
+        """k [1/s], s [1/m], m [s/m] of ``LuGre.bond``, all zero without friction: the traction is  -N (s z + m v)."""
+        if self.friction is None:
+            nothing = jnp.zeros_like(slip_squared)
+            return nothing, nothing, nothing
+        return self.friction.bond(slip_squared, self.coefficients)
+
+    def apart(self, penetration: Array) -> Array:
+        """0 wherever there may be a normal force, 1 from a gap of ``GAP`` beyond; C1."""
+        return smooth_step((-penetration - (0.0 if self.smoothing is None else self.smoothing)) / GAP)
 
 
 class SkinPair(eqx.Module):
@@ -63,6 +77,19 @@ class SkinPair(eqx.Module):
         for index, skin in enumerate((self.first, self.second)):
             slip = jnp.take(slip_squared, jnp.array([index]), self.axis)
             parts.append(skin.mobility(slip) if skin.friction is not None else jnp.zeros_like(slip))
+        return jnp.concatenate(parts, self.axis)
+
+    def bond(self, slip_squared: Array) -> tuple[Array, Array, Array]:
+        """As ``Skin.bond``."""
+        slips = (jnp.take(slip_squared, jnp.array([i]), self.axis) for i in (0, 1))
+        parts = (skin.bond(slip) for skin, slip in zip((self.first, self.second), slips, strict=True))
+        first, second, third = (jnp.concatenate(x, self.axis) for x in zip(*parts, strict=True))
+        return first, second, third
+
+    def apart(self, penetration: Array) -> Array:
+        """As ``Skin.apart``."""
+        depths = (jnp.take(penetration, jnp.array([i]), self.axis) for i in (0, 1))
+        parts = [skin.apart(depth) for skin, depth in zip((self.first, self.second), depths, strict=True)]
         return jnp.concatenate(parts, self.axis)
 
 

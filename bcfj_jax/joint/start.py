@@ -35,6 +35,7 @@ def nominal(scene: Joint, params: Params, seat_turn: Array) -> Array:
     names = [name for name, slot in scene.slots.items() if slot is not None]
     if scene.spin:
         velocities = jnp.concatenate([velocities, jnp.broadcast_to(speed * axis, (scene.balls, 3))], -1)
+    unbent = [jnp.zeros(scene.states - scene.moving)] if scene.bristles else []
     return jnp.concatenate(
-        [places.ravel(), *(at[name] for name in names), velocities.ravel(), *(rate[name] for name in names)]
+        [places.ravel(), *(at[name] for name in names), velocities.ravel(), *(rate[name] for name in names), *unbent]
     )

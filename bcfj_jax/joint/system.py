@@ -6,8 +6,9 @@ border (everything that is not a ball) is, in this order and as far as the scene
     head place (3)   head turn (1)   cage place (3)   cage axis or spin (3)   seat turn (1)
 
 The state is flat: ball places, border places, ball twists (velocity, and spin where balls spin), border
-velocities. The cage is a body of revolution whose window planes know nothing of its own turn, so a unit axis is all its
-attitude, and its inertia is that of a spherical shell (isotropic): no quaternion, no gyroscopic term.
+velocities, bristles (``bristles``). The cage is a body of revolution whose window planes know nothing of its own
+turn, so a unit axis is all its attitude, and its inertia is that of a spherical shell (isotropic): no quaternion, no
+gyroscopic term.
 A prescribed seat is a seat of infinite inertia, so that its turn is a state like any other and nothing depends on time
 but the load.
 """
@@ -21,16 +22,17 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.joint.constants import Constants
+from bcfj_jax.joint.bristles import beside, flat, split
+from bcfj_jax.joint.constants import BALLS, Constants
 from bcfj_jax.joint.contacts import Geometry, Touch, act, grooves, join, pilots, windows
 from bcfj_jax.joint.guides import GUIDES
-from bcfj_jax.joint.scene import Joint
+from bcfj_jax.joint.scene import PILOTS, Joint
 from bcfj_jax.joint.skin import Skin, SkinPair
 from bcfj_jax.numerics import smooth_rise
 
 
 class State(NamedTuple):
-    """A named view of the flat state. Velocities in world axes."""
+    """A named view of the flat state. Velocities in world axes, and the deflections that ``bristles.split`` gives."""
 
     ball_place: Array
     ball_velocity: Array
@@ -45,6 +47,7 @@ class State(NamedTuple):
     cage_spin: Array
     seat_turn: Array
     seat_spin: Array
+    bristles: dict[str, Array]
 
 
 class Touches(NamedTuple):
@@ -59,7 +62,7 @@ def view(scene: Joint, c: Constants, y: Array) -> State:
     """Names for the parts of a flat state; what the scene fixes comes from the constants."""
     n, k = scene.balls, scene.twist
     places, twists = y[: 3 * n].reshape(n, 3), y[3 * n + scene.border :][: k * n].reshape(n, k)
-    at, rates = y[3 * n : 3 * n + scene.border], y[(3 + k) * n + scene.border :]
+    at, rates = y[3 * n : 3 * n + scene.border], y[(3 + k) * n + scene.border : scene.moving]
     where = scene.slots
     zero = jnp.zeros(3)
     head, turn, cage, tilt, seat = (where[name] for name in ("head", "head_turn", "cage", "cage_turn", "seat_turn"))
@@ -78,6 +81,7 @@ def view(scene: Joint, c: Constants, y: Array) -> State:
         cage_spin=c.drive_speed * c.bisector if tilt is None else rates[tilt],
         seat_turn=at[seat][0],
         seat_spin=rates[seat][0],
+        bristles=split(scene, y) if scene.bristles else {},
     )
 
 
@@ -104,19 +108,22 @@ class Around(NamedTuple):
         motion: of the balls relative to them, (balls, m, 3); spins: their angular velocities (m, 3).
         across: normals of the track planes (balls, 2, 3).
         contacts: skins and geometries, of all bodies together (balls, m, f) or one after the other.
+        bristles: by contact.
     """
 
     motion: Motion
     spins: Array
     across: Array
     contacts: tuple[tuple[Skin | SkinPair, Geometry], ...]
+    bristles: dict[str, Array]
 
-    def parts(self) -> list[tuple[Skin | SkinPair, Geometry, Motion]]:
-        """Each skin and geometry with the motion that goes with it."""
+    def parts(self) -> list[tuple[Skin | SkinPair, Geometry, Motion, Array | None]]:
+        """Each skin and geometry with the motion and the bristles that go with it."""
         found, first = [], 0
         for skin, at in self.contacts:
             last = first + at.penetration.shape[1]
-            found.append((skin, at, jax.tree.map(lambda x, i=first, j=last: x[:, i:j], self.motion)))
+            motion = jax.tree.map(lambda x, i=first, j=last: x[:, i:j], self.motion)
+            found.append((skin, at, motion, beside(self.bristles, BALLS[first:last])))
             first = last
         return found
 
@@ -136,23 +143,25 @@ def around(scene: Joint, c: Constants, state: State) -> Around:
     across = jnp.cos(angle)[:, None, None] * tangent - jnp.sin(angle)[:, None, None] * radial
     at = grooves(c.groove, motion.arm[:, :2] - c.groove.offset[:, None] * c.axes, across)
     if c.window_skin is None:
-        return Around(motion, spins, across, ((c.groove_skin, at),))
+        return Around(motion, spins, across, ((c.groove_skin, at),), state.bristles)
     window = windows(c.window_clearance, c.groove.ball, motion.arm[:, 2], state.cage_axis)
     if c.ball_skin is not None:
-        return Around(motion, spins, across, ((c.ball_skin, join(at, window)),))
+        return Around(motion, spins, across, ((c.ball_skin, join(at, window)),), state.bristles)
     alone = jax.tree.map(lambda x: x[:, None], window._replace(lever_slope=None))._replace(lever_slope=0.0)
-    return Around(motion, spins, across, ((c.groove_skin, at), (c.window_skin, alone)))
+    return Around(motion, spins, across, ((c.groove_skin, at), (c.window_skin, alone)), state.bristles)
 
 
 def touches(scene: Joint, c: Constants, state: State) -> Touches:
     """Every contact of the scene in one state."""
-    acted = [act(skin, at, motion.velocity, motion.spin) for skin, at, motion in around(scene, c, state).parts()]
+    parts = around(scene, c, state).parts()
+    acted = [act(skin, at, motion.velocity, motion.spin, bent) for skin, at, motion, bent in parts]
     groove = jax.tree.map(lambda x: x[:, :2], acted[0])
     window = None if c.window_skin is None else jax.tree.map(lambda x: x[:, -1], acted[-1])
     pilot = None
     if c.pilot_skin is not None:
         motion, _ = guided(scene, c, state)
-        pilot = act(c.pilot_skin, pilots(c.pilot_clearance, c.pilot_hollow, motion.arm), motion.velocity, motion.spin)
+        at, bent = pilots(c.pilot_clearance, c.pilot_hollow, motion.arm), beside(state.bristles, scene.pilots)
+        pilot = act(c.pilot_skin, at, motion.velocity, motion.spin, bent)
     return Touches(groove, window, pilot)
 
 
@@ -223,20 +232,37 @@ def on_bodies(scene: Joint, c: Constants, state: State, found: Touches) -> tuple
     return jnp.sum(wrenches, 1), border
 
 
+def _bending(scene: Joint, c: Constants, state: State, found: Touches) -> Array:
+    """Rates of all bristles, which turn with the outer body of their contact; flat [m/s]."""
+    spins = {"seat": state.seat_spin * c.axes[0], "head": state.head_spin * c.axes[1], "cage": state.cage_spin}
+    rates = {}
+    for name in scene.bristles:
+        if name in PILOTS:
+            outer, touch, member = GUIDES[name][0], found.pilots, scene.pilots.index(name)
+        else:
+            outer, touch = name.removesuffix("_ball"), found.windows if name == "cage_ball" else found.grooves
+            member = (slice(None), *([] if name == "cage_ball" else [BALLS.index(name)]))
+        assert touch is not None and touch.bending is not None
+        rates[name] = touch.bending[member] + jnp.cross(spins[outer], state.bristles[name])
+    return flat(rates)
+
+
 def field(t: Array, y: Array, args: tuple[Joint, Constants]) -> Array:
     """Time derivative of the flat state."""
     scene, c = args
     state = view(scene, c, y)
-    ball, border = on_bodies(scene, c, state, touches(scene, c, state))
+    found = touches(scene, c, state)
+    ball, border = on_bodies(scene, c, state, found)
     border = border + applied(scene, c, t, state)
     n = scene.balls
-    rates = y[(3 + scene.twist) * n + scene.border :]
+    rates = y[(3 + scene.twist) * n + scene.border : scene.moving]
     if scene.slots["cage_turn"] is not None:
         tilt = scene.slots["cage_turn"]
         axis = y[3 * n : 3 * n + scene.border][tilt]
         moving = rates.at[tilt].set(jnp.cross(state.cage_spin, axis))
     else:
         moving = rates
+    bending = [_bending(scene, c, state, found)] if scene.bristles else []
     return jnp.concatenate(
-        [state.ball_velocity.ravel(), moving, (ball * c.ball_lightness).ravel(), border * c.border_lightness]
+        [state.ball_velocity.ravel(), moving, (ball * c.ball_lightness).ravel(), border * c.border_lightness, *bending]
     )

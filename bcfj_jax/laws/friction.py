@@ -39,7 +39,7 @@ def _tanhc(square: Array) -> Array:
 class AbstractFriction(eqx.Module):
     """Friction coefficient mu(|v|) >= 0 of one contact, as a mobility smooth in v.v.
 
-    ``bristles`` says whether the law carries a state; it then has the methods of ``LuGre``.
+    ``bristles`` says whether the law carries a state; it then has the methods of ``LuGre``, and ``bond`` is its own.
     """
 
     needs: ClassVar[tuple[str, ...]]
@@ -55,6 +55,11 @@ class AbstractFriction(eqx.Module):
             speed_squared: v.v >= 0 [m^2/s^2] of the slip velocity, of any shape.
             c: the coefficients named by ``needs``, SI.
         """
+
+    def bond(self, speed_squared: Array, c: Coefficients) -> tuple[Array, Array, Array]:
+        """What a bristle would do: nothing; the traction is v times the last, the mobility. See ``LuGre.bond``."""
+        mobility = self.mobility(speed_squared, c)
+        return jnp.zeros_like(mobility), jnp.zeros_like(mobility), mobility
 
     def coefficient(self, speed: Array, c: Coefficients) -> Array:
         """mu(|v|) [-] of a signed speed [m/s], odd in it: the force is -N times this."""
@@ -131,8 +136,8 @@ class LuGre(AbstractFriction):
     z' = v - |v| z/g,  g = mu(v)/sigma0,  mu = mu_d + (mu_s - mu_d) exp(-(v/v_s)^2),  traction = sigma0 z + sigma1 z'.
     At steady slip the traction is mu(v) v/|v|; below break-away the contact is a spring of N sigma0.
     With sigma0 z.z/2 as store it takes energy at every state where sigma1 |v| <= 4 mu(v), and may give some
-    beyond, being a dashpot of constant sigma1. Whoever keeps z also turns it with the contact plane and sets it
-    to zero on separation.
+    beyond, being a dashpot of constant sigma1. Whoever keeps z also turns it with the contact plane and lets
+    it go on separation, as ``joint.contacts`` does.
     |v| here is sqrt(v.v + (1e-9 v_s)^2): its derivative exists at rest, where z relaxes at 1e-9 v_s/g per second.
     Coefficients: ``friction_static`` mu_s, ``friction_dynamic`` mu_d > 0, ``friction_speed`` v_s [m/s],
     ``bristle_stiffness`` sigma0 [1/m], ``bristle_damping`` sigma1 [s/m].
@@ -154,9 +159,14 @@ class LuGre(AbstractFriction):
 
     def _decay(self, slip: Array, c: Coefficients) -> Array:
         """|v|/g [1/s], the rate at which a deflection is forgotten."""
-        square = jnp.sum(slip * slip, axis=-1)
-        speed = jnp.sqrt(square + (1e-9 * c["friction_speed"]) ** 2)
-        return c["bristle_stiffness"] * speed / self._steady(square, c)
+        return self.bond(jnp.sum(slip * slip, axis=-1), c)[0]
+
+    def bond(self, speed_squared: Array, c: Coefficients) -> tuple[Array, Array, Array]:
+        """k = |v|/g [1/s], s = sigma0 - sigma1 k [1/m], m = sigma1 [s/m]: z' = v - k z, traction = s z + m v."""
+        speed = jnp.sqrt(speed_squared + (1e-9 * c["friction_speed"]) ** 2)
+        forget = c["bristle_stiffness"] * speed / self._steady(speed_squared, c)
+        stick = c["bristle_stiffness"] - c["bristle_damping"] * forget
+        return forget, stick, jnp.broadcast_to(c["bristle_damping"], forget.shape)
 
     def mobility(self, speed_squared: Array, c: Coefficients) -> Array:
         """Steady slip without the state: mu(v)/sqrt(v.v + v_min^2), v_min = 1e-3 v_s.

@@ -40,3 +40,9 @@ def inverse(matrix: Array) -> Array:
         return jnp.where(here[:, None], row[None, :], rest)
 
     return jax.lax.fori_loop(0, matrix.shape[0], eliminate, matrix)
+
+
+def block_diagonal(blocks: Array) -> Array:
+    """(n, i, j) as one (n i, n j)."""
+    n, i, j = blocks.shape
+    return (blocks[:, :, None] * jnp.eye(n)[:, None, :, None]).reshape(n * i, n * j)
