@@ -9,6 +9,7 @@ its worst parameter among those whose influence is above 1 % of the largest: rel
 
 from __future__ import annotations
 
+import itertools
 import os
 import tempfile
 import time
@@ -22,7 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from _common import markdown, save
-from derivatives import DIFFERENCE_STEPS, MOVED, Reference, errors, grid, influence, load, moved, normals
+from derivatives import MOVED, Reference, errors, grid, influence, load, moved, normals
 
 import bcfj_jax as bj
 from bcfj_jax.integrate import LEVELS, Plan, integrate, plan
@@ -30,7 +31,8 @@ from bcfj_jax.simulation import _FORWARD
 
 TOLERANCES = (1e-1, 2e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5)
 CVODES_TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
-DIFFERENCES = ((1e-3, 1e-2), (1e-4, 1e-2), (1e-5, 3e-3), (1e-6, 1e-3), (1e-7, 1e-3), (1e-8, 3e-4), (1e-9, DIFFERENCE_STEPS[0]))
+# Tolerance of CVODES, step of the logarithm.
+DIFFERENCES = ((1e-3, 1e-2), (1e-4, 1e-2), (1e-5, 3e-3), (1e-6, 1e-3), (1e-7, 1e-3), (1e-8, 3e-4), (1e-9, 1e-4))
 INFLUENTIAL, MANY, MAX_STEPS, REPEATS = 0.01, 32, 400_000, 5
 
 SCENE = bj.scenes.joint()
@@ -114,8 +116,7 @@ def ours(kept: Reference) -> dict[str, Any]:
     }
     made, compile_s = {}, {}
     with tempfile.TemporaryDirectory() as folder:
-        for name, value in {"dir": folder, "enabled": True}.items():
-            jax.config.update(f"jax_compilation_cache_{name}" if name == "dir" else "jax_enable_compilation_cache", value)
+        jax.config.update("jax_compilation_cache_dir", folder)
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
         for name, (function, size) in programs.items():
             _, cold = compiled(function, size)
@@ -172,7 +173,7 @@ def peers(kept: Reference) -> dict[str, list[dict[str, Any]]]:
 def wall_at(rows: list[dict[str, Any]], error: float) -> float | None:
     """The least wall [s] of a peer at an error, by interpolation of logarithms between rows; None if never as good."""
     best = None
-    for a, b in zip(rows, rows[1:], strict=False):
+    for a, b in itertools.pairwise(rows):
         low, high = sorted((a["error"], b["error"]))
         if low <= error <= high and low < high:
             share = np.log(error / a["error"]) / np.log(b["error"] / a["error"])
