@@ -60,7 +60,7 @@ class Run(NamedTuple):
     trajectory: np.ndarray | None = None
 
 
-def _outcome(
+def outcome(
     scene: AbstractScene,
     params: Params,
     times: Array,
@@ -68,6 +68,7 @@ def _outcome(
     adjoint: dfx.AbstractAdjoint,
     differentiable: bool = False,
 ) -> tuple[Solution, dict[str, Reading]]:
+    """States at the times as ``integrate`` gives them, and what every contact reads in them; arguments are its own."""
     solution = integrate(scene, params, times, how, adjoint, differentiable)
     if isinstance(scene, Joint):
         if scene.fidelity == "kinematic":
@@ -81,7 +82,7 @@ def _outcome(
 def _forces(
     adjoint: dfx.AbstractAdjoint, scene: AbstractScene, params: Params, times: Array, how: Plan, differentiable: bool
 ) -> dict[str, Array]:
-    _, readings = _outcome(scene, params, times, how, adjoint, differentiable)
+    _, readings = outcome(scene, params, times, how, adjoint, differentiable)
     return {name: reading.force for name, reading in readings.items()}
 
 
@@ -127,7 +128,7 @@ def force_history(
 
 @eqx.filter_jit
 def _run(scene: AbstractScene, params: Params, times: Array, how: Plan) -> tuple[Solution, dict[str, Reading]]:
-    return _outcome(scene, params, times, how, _FORWARD)
+    return outcome(scene, params, times, how, _FORWARD)
 
 
 _compiled: dict[object, Callable[..., tuple[Solution, dict[str, Reading]]]] = {}

@@ -23,7 +23,7 @@ from bcfj_jax.joint.scene import SIX, Joint
 from bcfj_jax.scene import AbstractScene, Params, Scene
 
 # The histories behind ``force_history``, with penetrations and states beside the forces.
-from bcfj_jax.simulation import _outcome as outcome
+from bcfj_jax.simulation import outcome
 
 _FORWARD = dfx.ForwardMode()
 
