@@ -3,19 +3,24 @@ PYTHON ?= python3
 BIN := .venv/bin
 RUNTIME := build/.installed
 TOOLS := build/.installed-test
+PYTEST := $(BIN)/python -m pytest -n 2 --dist loadgroup --no-loadscope-reorder
 
-.PHONY: demo test fast lint types bench clean
+.PHONY: demo test fast all-tests lint types bench clean
 
 demo: $(RUNTIME)
 	rm -rf build/demo
 	$(BIN)/bcfj calibrate examples/chung_ooi_fit.toml --out build/demo
 	$(BIN)/python examples/compare_with_hertz.py build/demo
 
+# The slow tier as far as seven minutes allow; all-tests runs the whole of it.
 test: lint types
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+	$(PYTEST) --slow-until 420
 
 fast: $(TOOLS)
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not slow"
+	$(PYTEST) -m "not slow"
+
+all-tests: $(TOOLS)
+	$(PYTEST)
 
 lint: $(TOOLS)
 	$(BIN)/ruff check .

@@ -1,7 +1,8 @@
 """Differentiable contact dynamics of the ball-cage flexible joint.
 
 Reading order: ``laws`` (what a contact does), ``scene`` and ``scenes`` (what there is), ``dynamics`` (the
-ODE and the instruments), ``integrate`` (the one place that solves), ``simulation`` (the public verbs).
+ODE and the instruments), ``integrate`` (the one place that solves), ``simulation`` (the public verbs),
+``derivatives`` (what changes with the parameters, and how far that may be trusted).
 
 Importing this package switches JAX to 64-bit numbers, for the whole process: penetrations of micrometres
 over metres of travel mean nothing in 32 bits. That is its only side effect. Names load on first use, so

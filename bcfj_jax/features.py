@@ -4,8 +4,8 @@ The features are ``peak``, ``mean``, ``impulse``, ``period``, ``dissipated_work`
 ``contact_fraction``, and of a pair ``delay``; ``period`` and ``delay`` are those of ``histories``, which says what a
 window is and which errors those that take one raise.
 
-All but ``onsets`` and what counts them are pure and differentiable and take arrays of shape (T,); ``vmap`` them
-over members and batches. They see samples only: what happens between two samples is not in them.
+All but ``period``, ``unseen``, ``onsets`` and what counts these are pure and differentiable and take arrays of shape
+(T,); ``vmap`` them over members and batches. They see samples only: what happens between two samples is not in them.
 """
 
 from __future__ import annotations
@@ -208,7 +208,9 @@ def contact_interval(times: ArrayLike, penetration: ArrayLike, rate: ArrayLike) 
 
 
 def summary(times: ArrayLike, force: ArrayLike, penetration: ArrayLike, rate: ArrayLike) -> dict[str, float]:
-    """Every feature of one contact, as numbers in ``UNITS``; start and end are those of the first contact."""
+    """The features that ``UNITS`` names, of one contact, in these units; start and end are those of the first contact,
+    the period is ``contact_interval``.
+    """
     contacts = onsets(times, penetration, rate)
     start, end = contacts[0] if contacts else (float("nan"), float("nan"))
     return {

@@ -13,7 +13,7 @@ tolerance, ``integrate`` runs it. Which solver a scene gets:
 Tsit5 and not Dopri8: Tsit5 evaluates the force at the end of a step and weighs it in the error estimate, so a
 flight cannot end inside a surface unnoticed; Dopri8 does not, and was seen to fall through a bounce's
 surface at tolerances of 1e-4 to 1e-6. Tangents through RODAS3 would carry the derivative of its Jacobian; those of a
-prototype's Rosenbrock method reached 1e19 N (shared numerics notes).
+prototype's Rosenbrock method reached 1e19 N.
 """
 
 from __future__ import annotations
@@ -37,12 +37,13 @@ from bcfj_jax.joint.scales import scales as joint_scales
 from bcfj_jax.joint.scales import tolerance as joint_tolerance
 from bcfj_jax.joint.scene import Joint
 from bcfj_jax.joint.start import nominal
-from bcfj_jax.joint.system import field as joint_field
 from bcfj_jax.scene import AbstractScene, Params, Scene
 from bcfj_jax.solvers.rodas import Rodas
 from bcfj_jax.solvers.sdirk import Sdirk
 
 LEVELS = {"fast": 5e-2, "balanced": 1e-2, "reference": 1e-5}
+# Attempted steps that a run may take where nothing else is asked for.
+MAX_STEPS = 400_000
 
 # Local error per step, in units of dynamics.state_scales, per unit of force error asked for. Measured by
 # benchmarks/accuracy.py: the force error of impact and bounce stays below what was asked with this ratio.
@@ -64,7 +65,7 @@ class Plan(eqx.Module):
     """
 
     tolerance: Array
-    max_steps: int = eqx.field(static=True, default=400_000)
+    max_steps: int = eqx.field(static=True, default=MAX_STEPS)
 
 
 class Solution(NamedTuple):
@@ -77,7 +78,7 @@ class Solution(NamedTuple):
     rejected: Array
 
 
-def plan(scene: AbstractScene, accuracy: str | float = "balanced", max_steps: int = 400_000) -> Plan:
+def plan(scene: AbstractScene, accuracy: str | float = "balanced", max_steps: int = MAX_STEPS) -> Plan:
     """Tolerance for a scene and an accuracy.
 
     Args:
@@ -128,7 +129,7 @@ def _problem(scene: AbstractScene, params: Params, how: Plan, differentiable: bo
         scales = jax.lax.stop_gradient(joint_scales(scene, params))
         solver = Sdirk(Arrowhead(), how.tolerance * scales) if differentiable else Rodas(Arrowhead())
         start = nominal(scene, params, jnp.zeros(()))
-        return _Problem(joint_field, (scene, c), start, scales, jnp.asarray(1e-6), 1e-15, (0.4, 0.3), solver)
+        return _Problem(solver.structure.field, (scene, c), start, scales, jnp.asarray(1e-6), 1e-15, (0.4, 0.3), solver)
     assert isinstance(scene, Scene)
     scales = jax.lax.stop_gradient(state_scales(scene, params))
     start = initial_state(scene, params)

@@ -23,6 +23,7 @@ from bcfj_jax.integrate import Plan, integrate, plan
 from bcfj_jax.joint.constants import constants
 from bcfj_jax.joint.energy import Power, Stored, power, stored
 from bcfj_jax.joint.scene import Joint
+from bcfj_jax.quantities import increasing
 from bcfj_jax.scene import Params
 
 # Readings evaluated side by side.
@@ -104,9 +105,9 @@ def balance(
     if not isinstance(scene, Joint) or scene.fidelity != "dynamic":
         what = f"scene '{scene.kind}'" + (f", {scene.fidelity}" if isinstance(scene, Joint) else "")
         raise InputError("balance", what, "give a joint with fidelity = 'dynamic': nothing else has inertia")
-    t = np.asarray(times, dtype=float)
-    if t.ndim != 1 or t.size < 2 or not np.all(np.isfinite(t)) or t[0] < 0 or np.any(np.diff(t) <= 0):
-        raise InputError("times", f"shape {t.shape}", "give two or more finite times [s] that increase, from 0 on")
+    t = increasing(times, 2)
+    if t[0] < 0:
+        raise InputError("times", f"times[0] = {t[0]:g}", "give times from 0 on: the run starts there")
     if not step > 0:
         raise InputError("step", f"{step:g} s", "give a step > 0")
     how = accuracy if isinstance(accuracy, Plan) else plan(scene, accuracy)

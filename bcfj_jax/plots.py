@@ -1,4 +1,4 @@
-"""Pictures of a run. The only module of this package that draws; Matplotlib is imported on first use.
+"""Pictures of a run, and the look of all pictures. Matplotlib is imported on first use.
 
 Figures are made without pyplot, so nothing global changes and no window can open.
 """
@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
     from bcfj_jax.simulation import Run
 
-_FEW_SAMPLES = 10
+# A contact of fewer samples is not resolved.
+FEW_SAMPLES = 10
 COLOURS = ("#1f5fa8", "#c4501b", "#2d7d46", "#8a4fa3", "#a8891f", "#4a4a4a")
 
 
@@ -140,7 +141,7 @@ def _loop(axis: Axes, members: dict[str, tuple[np.ndarray, np.ndarray]], title: 
         near = depth >= -0.04 * deepest
         x = np.where(near, depth, np.nan) * depth_scale
         pressed = depth > 0
-        few = np.count_nonzero(pressed) < _FEW_SAMPLES
+        few = np.count_nonzero(pressed) < FEW_SAMPLES
         coarse = coarse or few
         (line,) = axis.plot(x, force * force_scale, marker="o" if few else "", label=member)
         corners = (np.append(depth[pressed], 0.0) * depth_scale, np.append(force[pressed], 0.0) * force_scale)

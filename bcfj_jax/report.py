@@ -1,15 +1,34 @@
-"""``report.html``: one file that opens offline, the verdict first. Jinja2 is imported on first use."""
+"""``report.html``: one file that opens offline, the verdict first; and tables as text. Jinja2 loads on first use."""
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from bcfj_jax.outputs import write_text
 from bcfj_jax.provenance import version
+from bcfj_jax.units import format_si
 
 Rows = Sequence[Sequence[str]]
+
+
+def text(rows: Rows) -> str:
+    """A table for a terminal: columns as wide as their widest cell."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = ("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in rows)
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def solver_rows(stats: Mapping[str, float]) -> list[list[str]]:
+    """The table of what a solve cost: steps, wall time and compile time [s]."""
+    return [
+        ["", "value"],
+        ["steps accepted", str(stats["accepted"])],
+        ["steps rejected", str(stats["rejected"])],
+        ["wall time", format_si(stats["wall_s"], "s")],
+        ["compile time", format_si(stats["compile_s"], "s")],
+    ]
 
 
 def write(
@@ -38,8 +57,8 @@ def write(
     page = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
     inline = [(p.stem.replace("_", " "), base64.b64encode(p.read_bytes()).decode("ascii")) for p in pictures]
     path = folder / "report.html"
-    text = page.get_template("report.html").render(
+    content = page.get_template("report.html").render(
         title=title, verdict=verdict, tables=tables, pictures=inline, warnings=list(warnings), version=version()
     )
-    write_text(path, text)
+    write_text(path, content)
     return path

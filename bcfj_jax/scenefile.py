@@ -24,7 +24,7 @@ from jax import Array
 
 from bcfj_jax import laws, scenes, tables
 from bcfj_jax.errors import InputError, nearest
-from bcfj_jax.integrate import LEVELS
+from bcfj_jax.integrate import LEVELS, MAX_STEPS
 from bcfj_jax.joint.checks import check_geometry
 from bcfj_jax.joint.scene import Joint
 from bcfj_jax.quantities import CATALOGUE, check_order, check_value
@@ -33,7 +33,7 @@ from bcfj_jax.scenetemplate import template as template
 from bcfj_jax.spheres import Spheres
 from bcfj_jax.units import quantity
 
-_DEFAULT_LEVEL, _DEFAULT_STEPS = "balanced", 400_000
+_DEFAULT_LEVEL = "balanced"
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class SceneFile:
     accuracy: str | float
     resolved: dict[str, Any]
     source: Path | None
-    max_steps: int = _DEFAULT_STEPS
+    max_steps: int = MAX_STEPS
 
 
 class _Time(tables.Table):
@@ -65,7 +65,7 @@ class _Time(tables.Table):
 class _Accuracy(tables.Table):
     force_error: Any = None
     level: str | None = None
-    max_steps: int = pydantic.Field(default=_DEFAULT_STEPS, ge=1, le=1_000_000_000)
+    max_steps: int = pydantic.Field(default=MAX_STEPS, ge=1, le=1_000_000_000)
 
 
 class _File(tables.Table):

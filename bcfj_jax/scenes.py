@@ -4,7 +4,7 @@ E = 207 GPa and nu = 0.29 are the paper's; the ball's size is the group's publis
 stiffness follow from them (physics sheet 1.4: ball on flat window 1.3476e10 N/m^1.5); the approach
 speed is the paper's 1.5 m/s. The damping is a GUESS (e = 0.9 at that speed), as it is nowhere stated.
 ``bounce`` has the same ball on a surface a thousand times softer (a GUESS: rubber), so that its contacts of a
-millisecond show among flights of a tenth of a second.
+millisecond show among flights of a tenth of a second. The numbers of ``joint`` are in ``joint.defaults``.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from jax import Array
 
 from bcfj_jax import laws as normal_laws
 from bcfj_jax.errors import InputError, nearest
-from bcfj_jax.joint.scene import CAGES, CONTACTS, DRIVES, FIDELITIES, HEADS, TRACKS, Joint, JointContact
+from bcfj_jax.joint.scene import CAGES, CONTACTS, DRIVES, FIDELITIES, GROOVES, HEADS, TRACKS, Joint, JointContact
 from bcfj_jax.restitution import undamped_duration
 from bcfj_jax.scene import AbstractScene, Body, Contact, Load, Params, Scene
 
@@ -203,7 +203,7 @@ def joint(
     for name, value in (laws or {}).items():
         if value not in normal_laws.LAWS:
             raise InputError(f"{where} laws", f"{name}: no law '{value}'", nearest(value, normal_laws.LAWS))
-    missing = [name for name in ("seat_ball", "head_ball") if name not in names]
+    missing = [name for name in GROOVES if name not in names]
     if missing:
         raise InputError(f"{where} contacts", f"without {missing[0]}", "balls need both tracks to carry torque")
     if cage == "fixed" and "seat_cage" in names:

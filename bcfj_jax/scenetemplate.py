@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from bcfj_jax import laws, scenes
 from bcfj_jax.errors import InputError, nearest
 from bcfj_jax.joint.defaults import DEFAULTS
@@ -73,9 +75,9 @@ max_steps = 400000  # attempted steps; beyond them the run fails
 """
 
 
-def _wrapped(names: object) -> str:
+def _wrapped(names: Iterable[str]) -> str:
     text, width = "one of", 8
-    for name in names:  # type: ignore[attr-defined]
+    for name in names:
         if width + len(name) > 84:
             text, width = text + "\n#    ", 4
         text, width = f"{text} {name},", width + len(name) + 2

@@ -16,7 +16,7 @@ from jax.typing import ArrayLike
 
 from bcfj_jax.dynamics import Reading, contact_state, observe
 from bcfj_jax.errors import InputError
-from bcfj_jax.integrate import OK, Plan, Solution, integrate, plan, reason
+from bcfj_jax.integrate import MAX_STEPS, OK, Plan, Solution, integrate, plan, reason
 from bcfj_jax.joint.constants import constants
 from bcfj_jax.joint.kinematic import kinematic_readings
 from bcfj_jax.joint.observe import contact_states, observe_at_rest, pressed
@@ -36,7 +36,7 @@ class Run(NamedTuple):
     Attributes:
         times: (T,) [s].
         force: per contact (T, 3): normal, axial, tangential force [N].
-            Contacts with six members have (T, 6, 3) here and (T, 6) below.
+            Contacts that every ball has: (T, balls, 3) here and (T, balls) below.
         penetration, rate: per contact (T,): overlap [m] (negative: gap) and its rate [m/s].
         slip: per contact (T,): sliding speed [m/s]; empty for scenes that only approach.
         status: "ok" or "failed"; a failed run is NaN from the failure on.
@@ -140,7 +140,7 @@ def simulate(
     times: ArrayLike,
     *,
     accuracy: str | float = "balanced",
-    max_steps: int = 400_000,
+    max_steps: int = MAX_STEPS,
 ) -> Run:
     """Simulate a scene and say how it went.
 

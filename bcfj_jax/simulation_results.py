@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,6 @@ FILES = (
     "run.toml",
     "environment.json",
 )
-_FEW_SAMPLES = 10
 
 
 def files(scene: AbstractScene) -> tuple[str, ...]:
@@ -54,7 +53,7 @@ def resolution_warnings(run: Run) -> list[str]:
         missed[name] = len(features.unseen(depth, rate[name]))
         pressed = np.concatenate([[False], depth > 0, [False]]).astype(int)
         lengths = np.flatnonzero(np.diff(pressed) < 0) - np.flatnonzero(np.diff(pressed) > 0)
-        if lengths.size and lengths.min() < _FEW_SAMPLES and run.status == "ok":
+        if lengths.size and lengths.min() < plots.FEW_SAMPLES and run.status == "ok":
             shortest[name] = int(lengths.min())
     found = []
     missed = {name: count for name, count in missed.items() if count}
@@ -85,12 +84,6 @@ def _contacts(contacts: dict[str, dict[str, float]]) -> list[list[str]]:
     return [list(row) for row in zip(*rows, strict=True)] if len(contacts) > 3 else rows
 
 
-def _text(rows: Sequence[Sequence[str]]) -> str:
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = ("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in rows)
-    return "\n".join(line.rstrip() for line in lines)
-
-
 def _input_rows(given: SceneFile) -> list[list[str]]:
     resolved: dict[str, Any] = given.resolved
     rows = [["", "value", "meaning"]]
@@ -103,17 +96,6 @@ def _input_rows(given: SceneFile) -> list[list[str]]:
     rows += [["time: samples", str(resolved["time"]["samples"]), ""]]
     rows += [[f"accuracy: {key}", str(value), ""] for key, value in resolved["accuracy"].items()]
     return rows
-
-
-def _solver_rows(run: Run) -> list[list[str]]:
-    stats = run.stats
-    return [
-        ["", "value"],
-        ["steps accepted", str(stats["accepted"])],
-        ["steps rejected", str(stats["rejected"])],
-        ["wall time", format_si(stats["wall_s"], "s")],
-        ["compile time", format_si(stats["compile_s"], "s")],
-    ]
 
 
 def write(folder: Path, given: SceneFile, run: Run, stem: str) -> tuple[str, list[str]]:
@@ -136,7 +118,7 @@ def write(folder: Path, given: SceneFile, run: Run, stem: str) -> tuple[str, lis
     plots.forces(run, folder / "forces.png")
     plots.loops(run, folder / "force_penetration.png")
     rows = _contacts(summary["contacts"])
-    tables = [("Contacts", rows), ("Input", _input_rows(given)), ("Solver", _solver_rows(run))]
+    tables = [("Contacts", rows), ("Input", _input_rows(given)), ("Solver", report.solver_rows(run.stats))]
     pictures = [folder / "forces.png", folder / "force_penetration.png"]
     report.write(folder, f"Simulation of {stem}", verdict(run), tables, pictures, warnings)
-    return f"{verdict(run)}\n\n{_text(rows)}\n", warnings
+    return f"{verdict(run)}\n\n{report.text(rows)}\n", warnings

@@ -2,33 +2,24 @@
 
     python benchmarks/derivatives.py    solves, and writes tests/data/joint_derivatives.npz (needs the extra ``bench``)
 
-The field is the one of ``joint_casadi_field`` with the parameters left as symbols; CasADi differentiates it, and CVODES
-integrates state and sensitivities together, both in its error control. Forces are read from states and sensitivities by
+``joint_sensitive`` integrates state and sensitivities together, both in its error control. Forces are read from both by
 ``joint.observe``. The file holds, as float32 at 1 ms, the derivatives of all normal forces by the logarithms of
-``NAMES``, and settings as JSON, with how well they converged and what central differences say.
+``MOVED``, and settings as JSON, with how well they converged and what central differences say.
 """
-
-# CasADi has no types, and is not installed where types are checked.
-# pyright: basic, reportMissingImports=false
 
 from __future__ import annotations
 
-import builtins
-import contextlib
 import json
-import math
-import subprocess
-import tempfile
-import time
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, NamedTuple
-from unittest import mock
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from _common import ROOT
+
+if TYPE_CHECKING:
+    from joint_sensitive import Sensitive
 
 PATH = ROOT / "tests" / "data" / "joint_derivatives.npz"
 END_S, STEP_S, WINDOW = 0.6, 1e-3, 5
@@ -45,7 +36,6 @@ MOVED = {
 }
 CONTACTS = {"seat_cage": 1, "head_cage": 1, "cage_ball": 6, "seat_ball": 6, "head_ball": 6}
 TOLERANCE, LOOSER, DIFFERENCE_TOLERANCE, DIFFERENCE_STEPS = 1e-8, 1e-6, 1e-10, (1e-4, 3e-4)
-RELATIVE, MAX_STEPS, JIT_FLAGS = 1e-6, 5_000_000, ["-O1", "-march=native", "-fno-math-errno"]
 
 
 class Reference(NamedTuple):
@@ -98,130 +88,6 @@ def influence(exact: np.ndarray, width: int = WINDOW) -> np.ndarray:
     """L2 norm (8,) of each parameter's averaged derivatives, over the largest."""
     size = np.sqrt(np.sum(averaged(exact, width) ** 2, axis=(0, 1)))
     return size / size.max()
-
-
-def _normal(penetration: Any, rate: Any, p: Mapping[str, Any]) -> Any:
-    """``joint_casadi_field._normal`` with an exponent that may be a symbol: no power of 0."""
-    import casadi as ca
-    from joint_casadi_field import _step
-
-    w = p["smoothing"]
-    x = (penetration + w) / (2.0 * w)
-    ramp = ca.if_else(penetration < w, 2.0 * w * _step(x, (0, 0, 0, 0, 2.5, -3.0, 1.0)), penetration)
-    slope = _step(x, (0, 0, 0, 10.0, -15.0, 6.0))
-    # 1e-60 m bears nothing, and its logarithm is finite.
-    elastic = p["stiffness"] * ca.exp(p["exponent"] * ca.log(ca.fmax(ramp, 1e-60)))
-    return slope * elastic * ca.fmax(1.0 + p["damping"] * rate, 0.0)
-
-
-def symbolic(params: Mapping[str, float], logs: Any) -> Any:
-    """``joint_casadi_field.expressions`` with the parameters of ``MOVED`` times exp(logs), symbols.
-
-    That module turns every parameter into a number. Here its ``float`` and ``math`` let symbols pass.
-    """
-    import casadi as ca
-    import joint_casadi_field as written
-
-    values = {name: builtins.float(value) for name, value in params.items()}
-    for i, names in enumerate(MOVED.values()):
-        values |= {name: values[name] * ca.exp(logs[i]) for name in names}
-
-    def passing(function, symbol):
-        return lambda x: symbol(x) if isinstance(x, ca.SX) else function(x)
-
-    trigonometry = SimpleNamespace(pi=math.pi, hypot=math.hypot)
-    trigonometry.sin, trigonometry.cos = passing(math.sin, ca.sin), passing(math.cos, ca.cos)
-    changes = {"float": passing(builtins.float, lambda x: x), "math": trigonometry, "_normal": _normal}
-    with mock.patch.multiple(written, create=True, **changes):
-        return written.expressions(values)
-
-
-class Sensitive:
-    """The compiled field, Jacobian and directional derivatives of the joint, with its eight logarithms as arguments."""
-
-    def __init__(self, scene: Any, params: Mapping[str, Any], scales: np.ndarray, flags: tuple[str, ...] = ()):
-        import casadi as ca
-        from joint_casadi import FLAGS
-        from joint_casadi_field import require_defaults
-
-        from bcfj_jax.joint.start import nominal
-
-        require_defaults(scene)
-        begin = time.perf_counter()
-        self.scene, self.params, self.scales = scene, dict(params), np.asarray(scales)
-        # The start, zero clearance and no load, depends on none of them.
-        self.start = np.asarray(nominal(scene, dict(params), np.zeros(()))) / self.scales
-        n, k = self.scales.size, len(MOVED)
-        logs, z, unused = ca.SX.sym("p", k), ca.SX.sym("z", n), ca.SX.sym("unused", ca.Sparsity(n, 1))
-        e = symbolic(params, logs)
-        unit, inverse = ca.DM(self.scales), ca.DM(1.0 / self.scales)
-        rate, jacobian = ca.substitute([e.rate * inverse, e.jacobian], [e.y], [z * unit])
-        scaled = ca.mtimes(ca.diag(inverse), ca.mtimes(jacobian, ca.diag(unit)))
-        by_time, by_logs = ca.jacobian(rate, e.t), ca.jacobian(rate, logs)
-        field = ca.Function("ode", [e.t, z, logs], [rate], ["t", "z", "p"], ["rate"])
-        # The name, arguments and results by which an external function ``ode`` finds its derivative.
-        jac = ca.Function("jac_ode", [e.t, z, logs, unused], ca.cse([by_time, scaled, by_logs]))
-        self.symbols = {"t": e.t, "x": z, "p": logs, "ode": rate}
-        self.folder = tempfile.TemporaryDirectory(prefix="joint_sensitive_")
-        code = ca.CodeGenerator("field.c")
-        for function in (field, jac):
-            code.add(function)
-        source = Path(code.generate(f"{self.folder.name}/"))
-        library = source.with_suffix(".so")
-        subprocess.run(["cc", *FLAGS, *flags, "-fPIC", "-shared", str(source), "-o", str(library), "-lm"], check=True)
-        self.field = ca.external("ode", str(library))
-        self.compile_s = time.perf_counter() - begin
-        self._integrators: dict[Any, Any] = {}
-
-    def _integrator(self, times: np.ndarray, tol: float, ahead: bool = False) -> Any:
-        import casadi as ca
-
-        key = times.tobytes(), tol, ahead
-        if key not in self._integrators:
-            settings = {
-                "abstol": tol,
-                "reltol": RELATIVE * tol,
-                "max_num_steps": MAX_STEPS,
-                "newton_scheme": "direct",
-                "linear_solver": "csparse",
-                "disable_internal_warnings": True,
-            }
-            if ahead:
-                # An external function has no second derivatives, which CasADi asks for here: it writes its own C.
-                problem = self.symbols
-                jit = {"compiler": "cc", "flags": JIT_FLAGS, "cleanup": False}
-                settings |= {"jit": True, "compiler": "shell", "jit_cleanup": False, "jit_options": jit}
-                settings |= {"second_order_correction": False}
-            else:
-                t, z, p = ca.MX.sym("t"), ca.MX.sym("z", self.scales.size), ca.MX.sym("p", len(MOVED))
-                problem = {"t": t, "x": z, "p": p, "ode": self.field(t, z, p)}
-            # What CasADi compiles itself it writes to the working directory.
-            with contextlib.chdir(self.folder.name):
-                made = ca.integrator("cvodes", "cvodes", problem, float(times[0]), times[1:], settings)
-                self._integrators[key] = made.forward(len(MOVED)) if ahead else made
-        return self._integrators[key]
-
-    def states(self, times: np.ndarray, tol: float, logs: np.ndarray | None = None) -> tuple[np.ndarray, float, int]:
-        """States (T, n), wall time of the solve [s] and steps; ``times`` from 0."""
-        logs = np.zeros(len(MOVED)) if logs is None else logs
-        solver = self._integrator(times, tol)
-        begin = time.perf_counter()
-        found = solver(x0=self.start, p=logs)["xf"]
-        wall = time.perf_counter() - begin
-        return np.vstack([self.start, np.asarray(found).T]) * self.scales, wall, int(solver.stats()["nsteps"])
-
-    def sensitivities(self, times: np.ndarray, tol: float) -> tuple[np.ndarray, np.ndarray, float]:
-        """States (T, n), their derivatives (T, n, 8), wall time [s], by CVODES on the augmented system."""
-        k, n, count = len(MOVED), self.scales.size, times.size - 1
-        solver = self._integrator(times, tol, ahead=True)
-        begin = time.perf_counter()
-        found = solver(x0=self.start, p=np.zeros(k), fwd_p=np.eye(k))["fwd_xf"]
-        wall = time.perf_counter() - begin
-        value = self._integrator(times, min(tol, 1e-6))(x0=self.start, p=np.zeros(k))["xf"]
-        slope = np.asarray(found).reshape(n, k, count)
-        states = np.vstack([self.start, np.asarray(value).T]) * self.scales
-        slopes = np.concatenate([np.zeros((1, n, k)), np.moveaxis(slope, 2, 0)]) * self.scales[:, None]
-        return states, slopes, wall
 
 
 def reader(scene: Any, params: Mapping[str, Any]) -> Any:
@@ -286,12 +152,13 @@ def grid() -> np.ndarray:
 def make() -> None:
     """Solve, measure the convergence, and write the file."""
     from joint_casadi import default_scales
+    from joint_sensitive import Sensitive
 
     import bcfj_jax as bj
 
     scene = bj.scenes.joint()
     params, times = scene.parameters(), grid()
-    made = Sensitive(scene, params, default_scales(scene))
+    made = Sensitive(scene, params, default_scales(scene), MOVED)
     print(f"built in {made.compile_s:.1f} s", flush=True)
     read = reader(scene, params)
     kept, convergence = {}, {}

@@ -3,6 +3,7 @@
 Shares nothing with ``bcfj_jax`` but the names of parameters, the start and the layout of the state. The geometry is
 written in the frames of the tracks, where ``bcfj_jax.joint.contacts`` uses world axes; friction as vectors, where
 that has components.
+Parameters are numbers or CasADi symbols; smoothing, joint angle, pitch radius and offset are numbers.
 Default options only: gothic track, free cage and head, prescribed drive, memory-free power law, Brown-McPhee
 friction, smoothed onset, balls without spin.
 """
@@ -22,6 +23,8 @@ import numpy as np
 from bcfj_jax.joint.scene import Joint
 
 TRACKS = ("seat_ball", "head_ball")
+# Numbers or symbols.
+Parameters = Mapping[str, Any]
 
 
 class Unsupported(ValueError):
@@ -65,7 +68,7 @@ def _step(x: ca.SX, coefficients: Sequence[float]) -> ca.SX:
     return total
 
 
-def _mobility(slip_squared: ca.SX, p: Mapping[str, float]) -> ca.SX:
+def _mobility(slip_squared: ca.SX, p: Parameters) -> ca.SX:
     """Brown and McPhee: [mu_d tanh(4 r)/r + (mu_s - mu_d)/(r^2/4 + 3/4)^2]/v_t, r = v/v_t."""
     square = slip_squared / p["friction_speed"] ** 2
     # At r^2 = 1e-9 tanh(4 r)/r = 4 - 64/3 r^2 is exact to 1e-16.
@@ -75,7 +78,17 @@ def _mobility(slip_squared: ca.SX, p: Mapping[str, float]) -> ca.SX:
     return (dynamic * ratio + (static - dynamic) / (0.25 * square + 0.75) ** 2) / p["friction_speed"]
 
 
-def _normal(penetration: ca.SX, rate: ca.SX, p: Mapping[str, float]) -> ca.SX:
+def _elastic(ramp: ca.SX, p: Parameters) -> ca.SX:
+    """K r^n, of finite derivatives where r = 0."""
+    n = p["exponent"]
+    if isinstance(n, ca.SX):
+        # 1e-60 m bears nothing, and its logarithm is finite.
+        return p["stiffness"] * ca.exp(n * ca.log(ca.fmax(ramp, 1e-60)))
+    # sqrt' at 0 is infinite, and 0 times it not a number: no contact, no expression.
+    return ca.if_else(ramp > 0.0, p["stiffness"] * (ramp * ca.sqrt(ramp) if n == 1.5 else ramp**n), 0.0)
+
+
+def _normal(penetration: ca.SX, rate: ca.SX, p: Parameters) -> ca.SX:
     """r'(d) K r(d)^n max(0, 1 + a d'), with the onset r(d) of half-width w."""
     w = p["smoothing"]
     ramp, slope = ca.fmax(penetration, 0.0), 1.0
@@ -83,10 +96,7 @@ def _normal(penetration: ca.SX, rate: ca.SX, p: Mapping[str, float]) -> ca.SX:
         x = (penetration + w) / (2.0 * w)
         ramp = ca.if_else(penetration < w, 2.0 * w * _step(x, (0, 0, 0, 0, 2.5, -3.0, 1.0)), penetration)
         slope = _step(x, (0, 0, 0, 10.0, -15.0, 6.0))
-    elastic = p["stiffness"] * (ramp * ca.sqrt(ramp) if p["exponent"] == 1.5 else ramp ** p["exponent"])
-    # sqrt' at 0 is infinite, and 0 times it not a number: no contact, no expression.
-    elastic = ca.if_else(ramp > 0.0, elastic, 0.0)
-    return slope * elastic * ca.fmax(1.0 + p["damping"] * rate, 0.0)
+    return slope * _elastic(ramp, p) * ca.fmax(1.0 + p["damping"] * rate, 0.0)
 
 
 def _turned(angle: ca.SX) -> ca.SX:
@@ -95,9 +105,9 @@ def _turned(angle: ca.SX) -> ca.SX:
     return ca.vertcat(ca.horzcat(c, -s, 0), ca.horzcat(s, c, 0), ca.horzcat(0, 0, 1))
 
 
-def _own(params: Mapping[str, float], contact: str) -> dict[str, float]:
+def _own(p: Parameters, contact: str) -> dict[str, Any]:
     names = ("stiffness", "exponent", "damping", "smoothing", "friction_static", "friction_dynamic", "friction_speed")
-    return {name: float(params.get(f"{contact}.{name}", params[name])) for name in names}
+    return {name: p.get(f"{contact}.{name}", p[name]) for name in names}
 
 
 class Expressions(NamedTuple):
@@ -154,9 +164,9 @@ class Contacts:
         return ca.jacobian(rate, y) + ca.mtimes(ca.jacobian(rate, ca.vertcat(*self.forces)), through)
 
 
-def expressions(params: Mapping[str, float], balls: int = 6) -> Expressions:
+def expressions(params: Parameters, balls: int = 6) -> Expressions:
     """The field of the joint."""
-    p = {name: float(value) for name, value in params.items()}
+    p = {name: value if isinstance(value, ca.SX) else float(value) for name, value in params.items()}
     n, half = balls, 3 * balls + 11
     t, y = ca.SX.sym("t"), ca.SX.sym("y", 2 * half)
     places, velocities = ca.reshape(y[: 3 * n], 3, n), ca.reshape(y[half : half + 3 * n], 3, n)
@@ -176,7 +186,7 @@ def expressions(params: Mapping[str, float], balls: int = 6) -> Expressions:
     torque = {"seat_ball": ca.SX(0), "head_ball": ca.SX(0)}
     reach = math.hypot(p["pitch_radius"], p["offset"])
     flank = p["ball_radius"] * (2.0 * p["conformity"] - 1.0)
-    sine, cosine = math.sin(p["contact_angle"]), math.cos(p["contact_angle"])
+    sine, cosine = ca.sin(p["contact_angle"]), ca.cos(p["contact_angle"])
     loads = []
     for i in range(n):
         for name in TRACKS:

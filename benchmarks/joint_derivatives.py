@@ -150,10 +150,11 @@ def ours(kept: Reference) -> dict[str, Any]:
 
 def peers(kept: Reference) -> dict[str, list[dict[str, Any]]]:
     """Rows of CVODES' sensitivities and of one-sided differences on CVODES."""
-    from derivatives import Sensitive, differences, reader
+    from derivatives import differences, reader
     from joint_casadi import default_scales
+    from joint_sensitive import Sensitive
 
-    made = Sensitive(SCENE, PARAMS, default_scales(SCENE))
+    made = Sensitive(SCENE, PARAMS, default_scales(SCENE), MOVED)
     read, times = reader(SCENE, PARAMS), grid()
     found: dict[str, list[dict[str, Any]]] = {"CVODES sensitivities": [], "differences on CVODES": []}
     for tolerance in CVODES_TOLERANCES:

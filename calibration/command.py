@@ -45,7 +45,7 @@ def run(path: Path, out: Path | None, seed: int, starts: int) -> int:
 def text(result: Fit) -> str:
     """The fit in words: verdict, reasons, then a line a parameter."""
     lines = [f"verdict: {result.verdict}", *(f"  - {reason}" for reason in result.reasons)]
-    lines += ["", *_columns([["parameter", "value", "95 % interval", "remark"], *_rows(result)])]
+    lines += ["", report.text([["parameter", "value", "95 % interval", "remark"], *_rows(result)])]
     if result.reference:
         lines += [
             "",
@@ -81,11 +81,6 @@ def _remark(p: Parameter) -> str:
     remarks += [f"at its {p.at_bound} bound"] if p.at_bound else []
     remarks += [] if p.identifiable else ["not determined by the data"]
     return ", ".join(remarks)
-
-
-def _columns(rows: list[list[str]]) -> list[str]:
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
 
 
 def as_json(result: Fit) -> dict[str, Any]:

@@ -17,6 +17,7 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax import force_history
+from bcfj_jax.derivatives.names import complete
 from bcfj_jax.integrate import Plan, plan
 from bcfj_jax.scene import AbstractScene
 from calibration.problem import COMPONENTS, NUISANCES, Experiment, Problem
@@ -124,7 +125,10 @@ class Model(eqx.Module):
 
 def _component(forces: dict[str, Array], channel: str) -> Array:
     contact, _, component = channel.partition(".")
-    return forces[contact][..., COMPONENTS.index(component)]
+    if contact in forces:
+        return forces[contact][:, COMPONENTS.index(component)]
+    whole, _, member = contact.rpartition("_")
+    return forces[whole][:, int(member) - 1, COMPONENTS.index(component)]
 
 
 @eqx.filter_jit
@@ -173,9 +177,13 @@ def build(problem: Problem, experiments: tuple[Experiment, ...], slots: tuple[Sl
             sigma = channel.sigma if channel.sigma is not None else assumed_sigma(channel.values)
             values[i, j, :count] = np.where(seen, channel.values, 0.0)
             weights[i, j, :count] = seen / sigma
+    # A contact's own coefficient that is searched, or known of a run, needs a place of its own.
+    own = [f.name for f in problem.free if f.name not in NUISANCES] + [name for e in experiments for name in e.fixed]
+    given = {name: jnp.asarray(value) for name, value in problem.params.items()}
+    params = complete(problem.scene, given, tuple(dict.fromkeys(own)))[0] if own else given
     fixed = {
         name: jnp.array([e.fixed.get(name, float(value)) for e in experiments], dtype=float)
-        for name, value in problem.params.items()
+        for name, value in params.items()
     }
     data = Data(jnp.asarray(times), jnp.asarray(values), jnp.asarray(weights), fixed)
     how = plan(problem.scene, problem.accuracy, max_steps=20_000)

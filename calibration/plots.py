@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bcfj_jax import Run, simulate
+from bcfj_jax.outputs import channels
 from bcfj_jax.plots import COLOURS, engineering, figure, label, loops, save, style
 from calibration.fit import Fit
 from calibration.problem import COMPONENTS, Problem
@@ -37,8 +38,7 @@ def records(fit: Fit, problem: Problem, path: Path) -> None:
 
 def _run(fit: Fit, problem: Problem, record: Record) -> Run:
     """The model alone, densely sampled, with a record's own parameters; the clock is the model's."""
-    names = problem.scene.quantities
-    params = {name: record.params[name] for name in names}
+    params = {name: record.params[name] for name in problem.scene.quantities if name in record.params}
     span = record.times - record.params["time_offset"]
     times = np.linspace(min(0.0, span[0]), max(span[-1], span[0] + 1e-9), _CURVE_SAMPLES)
     return simulate(problem.scene, problem.scene.parameters(params), times, accuracy=1e-4)
@@ -53,7 +53,8 @@ def _panel(upper: Axes, lower: Axes, record: Record, channel: str, fit: Fit, pro
     name, colour = ("prediction", COLOURS[1]) if record.held_out else ("fit", COLOURS[0])
     run, own = _run(fit, problem, record), record.params
     contact, _, component = channel.partition(".")
-    curve = own["gain"] * run.force[contact][:, COMPONENTS.index(component)] + own["force_offset"]
+    force = channels(run.force, 1)[contact][:, COMPONENTS.index(component)]
+    curve = own["gain"] * force + own["force_offset"]
     upper.plot((run.times + own["time_offset"]) * time_scale, curve * scale, color=colour, label=name)
     upper.plot(record.times * time_scale, data * scale, "o", ms=3.5, color=COLOURS[5], label="data")
     upper.set_title(f"{record.name}: {channel}" + (" (held out)" if record.held_out else ""))

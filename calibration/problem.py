@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from bcfj_jax import InputError, check_value, nearest
+from bcfj_jax.derivatives.jacobian import channel_names, channels
 from bcfj_jax.quantities import Quantity
 from bcfj_jax.scene import AbstractScene
 
@@ -98,7 +99,8 @@ class Problem:
             raise InputError(self.where, "no experiment to fit", "give at least one [[experiment]] without hold_out")
         for parameter in self.free:
             self._check_free(parameter)
-        contacts = [contact.name for contact in self.scene.contacts]
+        # Of a contact with members one is observed: seat_ball_2.
+        contacts = channel_names(channels(self.scene))
         for experiment in self.experiments:
             _check_experiment(experiment, contacts)
         fitted = [e for e in self.experiments if not e.hold_out]

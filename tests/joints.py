@@ -1,6 +1,8 @@
-"""States of the joint that its tests share, and runs of it from any start."""
+"""Joints that tests share, their states and places of their balls, and runs of them from any start."""
 
 from __future__ import annotations
+
+import functools
 
 import diffrax as dfx
 import jax
@@ -25,6 +27,29 @@ constants, view, start = (jax.jit(f, static_argnums=0) for f in (make_constants,
 GROOVES = ("seat_ball", "head_ball")
 # The smallest joint that runs, so that it compiles quickly; what is tested with it does not depend on its options.
 LITTLE = {"friction": False, "cage": "fixed", "contacts": GROOVES, "head": "fixed", "balls": 3}
+MANY = 60
+
+
+@functools.cache
+def made(**options):
+    """A joint of hashable options, its parameters and its constants."""
+    scene = bj.scenes.joint(**options)
+    params = scene.parameters()
+    return scene, params, constants(scene, params)
+
+
+def unit(rng: np.random.Generator, *shape: int) -> np.ndarray:
+    """Random directions, (*shape, 3)."""
+    v = rng.normal(size=(*shape, 3))
+    return v / np.linalg.norm(v, axis=-1, keepdims=True)
+
+
+def in_grooves(rng: np.random.Generator, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """Ball centres within some 50 um of the track circle, from its centre; normals of the track's plane."""
+    across = unit(rng, MANY, 2)
+    radial = np.cross(across, unit(rng, MANY, 2))
+    radial /= np.linalg.norm(radial, axis=-1, keepdims=True)
+    return radius * radial + 5e-5 * rng.normal(size=(MANY, 2, 3)), across
 
 
 def noisy(scene, params, seed, places=3e-5, speeds=0.3):

@@ -28,6 +28,17 @@ def within(expected, relative: float):
     return pytest.approx(expected, rel=relative, abs=0.0)
 
 
+def close(found, expected, relative):
+    """Derivatives over relative changes, equal to a tolerance in units of each column's largest entry.
+
+    A column below 1 % of the largest of all counts as 1 %: smoothing changes next to nothing, by design,
+    and what it does change is below the accuracy of the run.
+    """
+    found, expected = np.asarray(found), np.asarray(expected)
+    size = np.maximum(np.abs(expected).max(axis=0), 1e-2 * np.abs(expected).max())
+    assert np.all(np.abs(found - expected) <= relative * size), (np.abs(found - expected) / size).max()
+
+
 class Impact(NamedTuple):
     """What one impact delivers, SI."""
 

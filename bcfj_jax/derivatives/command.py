@@ -15,7 +15,6 @@ from bcfj_jax.derivatives.ranking import certificate_rows, ranked_rows, ranking,
 from bcfj_jax.derivatives.sensitivity import Sensitivity, sensitivity
 from bcfj_jax.scene import AbstractScene
 from bcfj_jax.scenefile import load
-from bcfj_jax.units import format_si
 
 FILES = (
     "sensitivity.csv", "certificate.json", "tornado.png", "histories.png", "report.html", "run.toml",
@@ -67,8 +66,10 @@ def run(
     pictures.tornado(ranked, folder / "tornado.png")
     pictures.bands(found, params, folder / "histories.png")
     shown = [folder / "tornado.png", folder / "histories.png"]
-    report.write(folder, f"Sensitivity of {stem}", said(found), [*tables, ("Solver", _solver(found))], shown)
-    parts = [said(found), *(f"{head}\n{_text(rows)}" for head, rows in tables), f"results in {folder}"]
+    title, *costs = report.solver_rows(stats)
+    solver = [title, ["solves", str(stats["rungs"])], *costs]
+    report.write(folder, f"Sensitivity of {stem}", said(found), [*tables, ("Solver", solver)], shown)
+    parts = [said(found), *(f"{head}\n{report.text(rows)}" for head, rows in tables), f"results in {folder}"]
     return "\n\n".join(parts), found.status == "ok"
 
 
@@ -119,20 +120,3 @@ def certificate_json(found: Sensitivity, params: Any, scene: AbstractScene) -> d
     if certificate:
         content |= {key: value for key, value in certificate._asdict().items() if key not in ("parameters", "verdict")}
     return content
-
-
-def _solver(found: Sensitivity) -> list[list[str]]:
-    stats = found.stats
-    return [
-        ["", "value"],
-        ["solves", str(stats["rungs"])],
-        ["steps accepted", str(stats["accepted"])],
-        ["steps rejected", str(stats["rejected"])],
-        ["wall time", format_si(stats["wall_s"], "s")],
-        ["compile time", format_si(stats["compile_s"], "s")],
-    ]
-
-
-def _text(rows: Sequence[Sequence[str]]) -> str:
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return "\n".join("  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows)

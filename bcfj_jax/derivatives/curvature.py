@@ -15,7 +15,7 @@ from bcfj_jax.derivatives.measures import vector as feature_vector
 from bcfj_jax.derivatives.names import complete
 from bcfj_jax.derivatives.names import feature as named
 from bcfj_jax.errors import InputError
-from bcfj_jax.integrate import plan
+from bcfj_jax.integrate import MAX_STEPS, plan
 from bcfj_jax.quantities import increasing
 from bcfj_jax.scene import AbstractScene, Params, Scene
 
@@ -29,12 +29,12 @@ def hessian_vector(
     vector: ArrayLike,
     *,
     accuracy: str | float = "reference",
-    max_steps: int = 400_000,
+    max_steps: int = MAX_STEPS,
 ) -> np.ndarray:
     """Hessian of a feature times a vector, sum_j d2f/(dp_i dp_j) v_j, (P,) in SI units; forward over forward.
 
     A peak is that of the parabola through the greatest sample and its neighbours: a fixed sample would leave out that
-    the peak's time moves, which first derivatives do not see and second ones do.
+    the peak's time moves, which first derivatives do not see and second ones do. Its samples count as equally spaced.
 
     Args:
         scene, params, times, wrt, accuracy, max_steps: as ``sensitivity``.

@@ -12,6 +12,7 @@ from jax.typing import ArrayLike
 from bcfj_jax.derivatives.norms import norm
 from bcfj_jax.derivatives.sensitivity import Sensitivity, sensitivity
 from bcfj_jax.errors import InputError, nearest
+from bcfj_jax.integrate import MAX_STEPS
 from bcfj_jax.quantities import check_value
 from bcfj_jax.scene import AbstractScene, Params
 
@@ -53,7 +54,7 @@ def smoothing_ladder(
     accuracy: str | float = "balanced",
     average: float = 5e-3,
     rungs: int = 6,
-    max_steps: int = 400_000,
+    max_steps: int = MAX_STEPS,
 ) -> list[Step]:
     """Derivatives and their certificates at several widths, the sharpest first.
 

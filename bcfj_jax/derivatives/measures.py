@@ -46,8 +46,10 @@ def vector(
     """The wanted features (F,) of histories. Pure; ``times`` and ``periods`` are numbers.
 
     Args:
-        times, found, wanted, contacts: what it is about.
-        periods: by channel, (period [s] at this point), for delays; NaN: over the whole history.
+        times: (T,) [s].
+        found: the histories.
+        wanted, contacts: which features, and the members of each contact.
+        periods: by channel, the period [s] within which a delay is sought; without one, or NaN: the whole history.
     """
     place = {name: i for i, name in enumerate(channel_names(contacts))}
     normal = found.force[:, :, 0]
@@ -58,7 +60,7 @@ def vector(
             return jnp.asarray(0.0)  # filled in by ``measure``
         if feature.kind == "delay":
             first, second = (members(c, contacts) for c in feature.contacts)
-            pairs = list(zip(first, second, strict=False)) if len(first) == len(second) else [(first[0], second[0])]
+            pairs = list(zip(first, second, strict=True)) if len(first) == len(second) else [(first[0], second[0])]
             span = float(times[-1] - times[0])
             shifts = [
                 comparison.delay(
@@ -106,7 +108,8 @@ def measure(
 
     arguments = (value.force, value.penetration, derivative.force, derivative.penetration)
     paired = {c for f in wanted if f.kind == "delay" for part in f.contacts for c in members(part, contacts)}
-    fixed = tuple((name, cycle) for name, cycle in cycles.items() if name in paired)
+    # No NaN in the key: it equals no other, and would be compiled anew each time.
+    fixed = tuple((name, cycle if np.isfinite(cycle) else None) for name, cycle in cycles.items() if name in paired)
     key = ("measure", times.tobytes(), tuple(wanted), tuple(contacts.items()), derivative.force.shape, fixed)
     numbers, slopes = (np.array(x) for x in compiled(key, along, *arguments)[0](*arguments))
     for i, feature in enumerate(wanted):

@@ -53,7 +53,8 @@ def feature(name: str, contacts: Mapping[str, int]) -> Feature:
 
     Args:
         name: as above. Without a member's number, of a contact with members, ``peak`` is the largest member's and
-            the other features are the members' mean.
+            the other features are the members' mean; a delay between contacts of unlike numbers is that of the first
+            members.
         contacts: number of members by contact; 0 for a contact without.
 
     Raises:

@@ -71,7 +71,8 @@ def difference(times: np.ndarray, found: np.ndarray, other: np.ndarray, floor: f
         limit: the running ratio above which the derivative has broken down, if it stays above to the end.
     """
     w = weights(times)
-    size = max(float(np.max(np.abs(x), initial=0.0)) for x in (found, other))
+    # Not Python's max, which loses a NaN that comes second.
+    size = float(np.max([np.max(np.abs(x), initial=0.0) for x in (found, other)]))
     if not np.isfinite(size):
         bad = ~(np.isfinite(found) & np.isfinite(other)).all(axis=-1)
         first = float(times[int(np.argmax(bad))])

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bcfj_jax.derivatives.ranking import Ranking
+from bcfj_jax.derivatives.ranking import Ranking, meaningful
 from bcfj_jax.derivatives.sensitivity import Sensitivity
 from bcfj_jax.plots import figure, label, save, style
 from bcfj_jax.units import engineering
@@ -37,7 +37,10 @@ def tornado(ranked: Ranking, path: Path) -> None:
 
 
 def bands(found: Sensitivity, values: Mapping[str, Any], path: Path) -> None:
-    """Normal forces with what a change of 1 % in the strongest parameters does to them; first members only."""
+    """Normal forces with what a change of 1 % in the strongest parameters does to them; first members only.
+
+    A parameter whose verdict is ``not differentiable here`` has no band.
+    """
     scale_t, prefix_t = engineering(found.times)
     with style():
         drawing, axes = figure(len(found.force))
@@ -45,7 +48,7 @@ def bands(found: Sensitivity, values: Mapping[str, Any], path: Path) -> None:
             pick = (lambda x: x[:, 0, 0]) if force.ndim == 3 else (lambda x: x[:, 0])
             line = pick(force)
             scale, prefix = engineering(line)
-            moves = {p: _CHANGE * float(values[p]) * pick(found.derivative[p][name]) for p in found.wrt}
+            moves = {p: _CHANGE * float(values[p]) * pick(found.derivative[p][name]) for p in meaningful(found)}
             sizes = {p: float(np.max(np.abs(m))) for p, m in moves.items() if np.isfinite(m).all()}
             for k, p in enumerate(sorted(sizes, key=lambda p: -sizes[p])[:_MOST_BANDS]):
                 move = np.clip(np.abs(moves[p]), 0.0, 10.0 * np.max(np.abs(line)))

@@ -21,6 +21,12 @@ class Ranking(NamedTuple):
     elasticity: np.ndarray
 
 
+def meaningful(found: Sensitivity) -> list[str]:
+    """Parameters whose derivatives are not called ``not differentiable here``."""
+    checks = found.certificate.parameters if found.certificate else {}
+    return [name for name in found.wrt if name not in checks or checks[name].verdict != NOT]
+
+
 def ranking(found: Sensitivity, values: Mapping[str, Any]) -> Ranking:
     """Elasticities p/f df/dp, sorted; features without a value, or with 0, come last.
 
@@ -28,12 +34,11 @@ def ranking(found: Sensitivity, values: Mapping[str, Any]) -> Ranking:
     """
     names, parameters = list(found.features), list(found.wrt)
     table = np.full((len(names), len(parameters)), np.nan)
-    checks = found.certificate.parameters if found.certificate else {}
+    known = meaningful(found)
     for i, name in enumerate(names):
         f = found.features[name]
         for k, p in enumerate(parameters):
-            known = p not in checks or checks[p].verdict != NOT
-            if f and known and math.isfinite(f) and float(values[p]) != 0.0:
+            if f and p in known and math.isfinite(f) and float(values[p]) != 0.0:
                 table[i, k] = float(values[p]) / f * found.feature_derivatives[p][name]
     size = np.nan_to_num(np.abs(table), nan=-1.0, posinf=1e300)
     rows = np.argsort(-size.max(axis=1, initial=-1.0), kind="stable")

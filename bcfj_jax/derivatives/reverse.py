@@ -1,4 +1,4 @@
-"""Gradients of features by many parameters: one checkpointed backward solve a feature."""
+"""Gradients of features by many parameters, one checkpointed backward solve a feature, and their certificate."""
 
 from __future__ import annotations
 
@@ -12,10 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from bcfj_jax.derivatives import certificate as judged
+from bcfj_jax.derivatives.certificate import Certificate, Check
 from bcfj_jax.derivatives.jacobian import compiled, histories
 from bcfj_jax.derivatives.measures import vector
 from bcfj_jax.derivatives.names import Feature
-from bcfj_jax.integrate import Plan
+from bcfj_jax.errors import InputError
+from bcfj_jax.integrate import OK, Plan
 from bcfj_jax.scene import AbstractScene, Params
 
 _REVERSE = dfx.RecursiveCheckpointAdjoint()
@@ -31,6 +34,19 @@ class Gradient(NamedTuple):
     code: int
     end: float
     stats: dict[str, float]
+
+
+def reversible(wanted: Sequence[Feature]) -> list[Feature]:
+    """Features that JAX differentiates backward.
+
+    Raises:
+        InputError: where there is none.
+    """
+    good = [f for f in wanted if f.kind not in ("period", "delay")]
+    if not good:
+        found = ", ".join(f.name for f in wanted)
+        raise InputError("features", found, "periods and delays are differentiated with mode='forward'")
+    return good
 
 
 def gradient(
@@ -62,3 +78,26 @@ def gradient(
     stats |= {"wall_s": wall, "compile_s": compile_s}
     matrix = np.stack([slopes[name] for name in wrt], axis=1)
     return Gradient(tolerance, numbers, matrix, force, int(code), float(end), stats)
+
+
+def reversed_certificate(
+    names: Sequence[str], values: np.ndarray, wanted: Sequence[Feature], solved: Sequence[Gradient]
+) -> Certificate:
+    """How far the gradients at two tolerances are apart; the values (P,) are the parameters'."""
+    apart = judged.apart(solved[0].slopes, solved[1].slopes, solved[1].numbers, values)
+    loose, tight = (s.tolerance for s in solved)
+    what = f"the same derivatives of features at a tolerance of {loose:.3g} against {tight:.3g}"
+    nan, failed = float("nan"), solved[-1].code != OK
+    broken = solved[-1].end if failed else nan
+    checks: dict[str, Check] = {}
+    for k, name in enumerate(names):
+        found = {f.name: float(apart[i, k]) for i, f in enumerate(wanted)}
+        worst = float(np.max(apart[:, k]))
+        verdict = judged.TRUSTED if worst <= judged.POINTWISE else judged.NOT
+        remark = "" if np.any(solved[-1].slopes[:, k]) else "no influence"
+        remark = "the run failed" if failed else remark
+        checks[name] = Check(verdict, remark, (what,), nan, nan, found, nan, nan, nan, nan, broken)
+    return Certificate(
+        judged.worst_verdict(checks), checks, 0.0, judged.POINTWISE, tuple(s.tolerance for s in solved),
+        tuple(int(s.stats["accepted"] + s.stats["rejected"]) for s in solved), None,
+    )  # fmt: skip

@@ -16,9 +16,9 @@ from bcfj_jax.derivatives.jacobian import Rung, channels, forces, rung
 from bcfj_jax.derivatives.measures import measure
 from bcfj_jax.derivatives.names import Feature, complete, default_features
 from bcfj_jax.derivatives.names import feature as named
-from bcfj_jax.derivatives.reverse import Gradient, gradient
+from bcfj_jax.derivatives.reverse import Gradient, gradient, reversed_certificate, reversible
 from bcfj_jax.errors import InputError, nearest
-from bcfj_jax.integrate import LEVELS, OK, Plan, plan, reason
+from bcfj_jax.integrate import LEVELS, MAX_STEPS, OK, Plan, plan, reason
 from bcfj_jax.joint.scene import Joint
 from bcfj_jax.quantities import increasing
 from bcfj_jax.scene import AbstractScene, Params
@@ -69,7 +69,7 @@ def sensitivity(
     certify: bool = True,
     differences: Literal["direction", "each", "none"] = "direction",
     rungs: int = 6,
-    max_steps: int = 400_000,
+    max_steps: int = MAX_STEPS,
 ) -> Sensitivity:
     """Derivatives of force histories and features by named parameters, with a certificate.
 
@@ -83,7 +83,8 @@ def sensitivity(
         features: names as ``seat_ball.peak``, ``seat_ball_2.mean``, ``seat_ball:head_ball.delay``; by default every
             feature of every contact.
         average: width of the certificate's moving average [s], at most a tenth of the horizon.
-        mode: "forward" for histories and features, "reverse" for features alone; "auto": reverse from 51 parameters.
+        mode: "forward" for histories and features; "reverse" for features alone, without periods and delays, by a
+            program compiled per times and features too; "auto": reverse from 51 parameters.
         certify: whether to certify.
         differences: central differences along one random direction, and of "each" parameter where that disagrees;
             of each always; or none.
@@ -95,7 +96,8 @@ def sensitivity(
     t = increasing(times)
     full, names = complete(scene, params, wrt)
     contacts = channels(scene)
-    wanted = [named(name, contacts) for name in features] or default_features(contacts)
+    asked = (features,) if isinstance(features, str) else features
+    wanted = [named(name, contacts) for name in asked] or default_features(contacts)
     for what, value, known in (("mode", mode, MODES), ("differences", differences, DIFFERENCES)):
         if value not in known:
             raise InputError(what, f"no {what} '{value}'", nearest(value, known))
@@ -104,7 +106,11 @@ def sensitivity(
         raise InputError("certificate", found, "give an average > 0 and at least 1 rung")
     how = plan(scene, accuracy, max_steps)
     if mode == "reverse" or (mode == "auto" and len(names) > _MANY):
-        return _reverse(scene, full, t, names, how, wanted, contacts, certify)
+        able = reversible(wanted)
+        # The second is a certificate's rung.
+        plans = [how, Plan(how.tolerance * 0.25, max_steps)] if certify else [how]
+        solved = [gradient(scene, full, t, names, each, able, contacts) for each in plans]
+        return _reverse(t, names, _values(full, names), able, contacts, solved, max_steps)
     error = LEVELS[accuracy] if isinstance(accuracy, str) else accuracy
     climbed = _climb(scene, full, t, names, how, error, average, rungs if certify else 0)
     last = climbed[-1]
@@ -187,7 +193,7 @@ def _certificate(
     values, width, last = _values(params, names), _width(times, average), climbed[-1]
     found: list[list[Comparison]] = [[c] for c in judged.between(times, climbed[-2], last, values, width)]
     grown, strength = judged.growths(times, last, values), judged.influences(times, last, values)
-    direction, also = None, ""
+    direction, also = None, [""] * len(names)
     lost = any(judged.chaotic(g, c[0]) for g, c in zip(grown, found, strict=True))
     if differences != "none" and last.good and not lost:
         # Noise of the forces is amplified by 1/h: they are computed at a tolerance of their own.
@@ -212,13 +218,14 @@ def _certificate(
             strong = strength > judged.INFLUENCE
             known = max((c.pointwise.relative for (c,), s in zip(found, strong, strict=True) if s), default=0.0)
             each = both.average.relative > target(error) or both.pointwise.relative > max(judged.POINTWISE, known)
-            also = "" if each else both.what
+            # A parameter at 0 was not moved.
+            also = [both.what if s and not each else "" for s in step]
         for k in np.flatnonzero(step) if each else ():
             unit = np.where(np.arange(len(names)) == k, step, 0.0)
             found[k].append(along("central differences", unit))
     end = last.end if last.code != OK else float("nan")
     checks: dict[str, Check] = {
-        name: judged.check(found[k], features[name], grown[k], float(strength[k]), end, also)
+        name: judged.check(found[k], features[name], grown[k], float(strength[k]), end, also[k])
         for k, name in enumerate(names)
     }
     return Certificate(
@@ -242,51 +249,23 @@ def _by_contact(force: np.ndarray, contacts: Mapping[str, int]) -> dict[str, np.
 
 
 def _reverse(
-    scene: AbstractScene,
-    params: Params,
     times: np.ndarray,
     names: tuple[str, ...],
-    how: Plan,
+    values: np.ndarray,
     wanted: Sequence[Feature],
     contacts: Mapping[str, int],
-    certify: bool,
+    solved: Sequence[Gradient],
+    max_steps: int,
 ) -> Sensitivity:
-    """Features only; certified by one rung more."""
-    good = [f for f in wanted if f.kind not in ("period", "delay")]
-    if not good:
-        found = ", ".join(f.name for f in wanted)
-        raise InputError("features", found, "periods and delays are differentiated with mode='forward'")
-    solved = [gradient(scene, params, times, names, plan_, good, contacts) for plan_ in _pair(how, certify)]
+    """Features only; certified where two tolerances were solved."""
     last = solved[-1]
-    slopes = {n: {f.name: float(last.slopes[i, k]) for i, f in enumerate(good)} for k, n in enumerate(names)}
+    slopes = {n: {f.name: float(last.slopes[i, k]) for i, f in enumerate(wanted)} for k, n in enumerate(names)}
+    spent = {key: sum(s.stats[key] for s in solved) for key in ("wall_s", "compile_s")}
     failed = last.code != OK
     return Sensitivity(
         times, names, _by_contact(last.force, contacts), {},
-        {f.name: float(x) for f, x in zip(good, last.numbers, strict=True)},
-        slopes, _reverse_certificate(names, _values(params, names), good, solved) if certify else None,
-        "failed" if failed else "ok", reason(last.code, how.max_steps), last.end if failed else float("nan"),
-        last.stats,
-    )  # fmt: skip
-
-
-def _pair(how: Plan, certify: bool) -> list[Plan]:
-    return [how, Plan(how.tolerance * 0.25, how.max_steps)] if certify else [how]
-
-
-def _reverse_certificate(
-    names: Sequence[str], values: np.ndarray, wanted: Sequence[Feature], solved: Sequence[Gradient]
-) -> Certificate:
-    apart = judged.apart(solved[0].slopes, solved[1].slopes, solved[1].numbers, values)
-    loose, tight = (s.tolerance for s in solved)
-    what = f"the same derivatives of features at a tolerance of {loose:.3g} against {tight:.3g}"
-    checks: dict[str, Check] = {}
-    for k, name in enumerate(names):
-        found = {f.name: float(apart[i, k]) for i, f in enumerate(wanted)}
-        worst = float(np.max(apart[:, k]))
-        verdict = judged.TRUSTED if worst <= judged.POINTWISE else judged.NOT
-        nan, nothing = float("nan"), "" if np.any(solved[-1].slopes[:, k]) else "no influence"
-        checks[name] = Check(verdict, nothing, (what,), nan, nan, found, nan, nan, nan, nan, nan)
-    return Certificate(
-        judged.worst_verdict(checks), checks, 0.0, judged.POINTWISE, tuple(s.tolerance for s in solved),
-        tuple(int(s.stats["accepted"] + s.stats["rejected"]) for s in solved), None,
+        {f.name: float(x) for f, x in zip(wanted, last.numbers, strict=True)},
+        slopes, reversed_certificate(names, values, wanted, solved) if len(solved) > 1 else None,
+        "failed" if failed else "ok", reason(last.code, max_steps), last.end if failed else float("nan"),
+        {**last.stats, **spent, "rungs": len(solved)},
     )  # fmt: skip

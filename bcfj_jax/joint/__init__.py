@@ -1,1 +1,1 @@
-"""The ball-cage flexible joint: its geometry, what may be built, its statics."""
+"""The ball-cage flexible joint: what may be built, its contacts, motion, equilibrium and energy."""

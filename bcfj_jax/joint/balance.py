@@ -18,8 +18,7 @@ from jax import Array
 
 from bcfj_jax.joint.constants import Constants
 from bcfj_jax.joint.scene import Joint
-from bcfj_jax.joint.skin import Skin, SkinPair
-from bcfj_jax.numerics import smooth_step
+from bcfj_jax.joint.skin import Skin, SkinPair, sector
 
 
 class Problem(NamedTuple):
@@ -96,8 +95,7 @@ def _grooves(scene: Joint, c: Constants, place: Array, turn: Array) -> _Grooves:
     the forces depend on (t, D) alone, and a turn (2, T) of the race changes (t, x) by (-x, t).
     """
     g = c.groove
-    around = 2 * np.pi * np.arange(scene.balls) / scene.balls
-    cosine, sine = np.cos(around)[:, None], np.sin(around)[:, None]
+    cosine, sine = np.cos(scene.azimuths)[:, None], np.sin(scene.azimuths)[:, None]
     far, near = jnp.cos(turn)[:, None], jnp.sin(turn)[:, None]
     cosine, sine = cosine * far - sine * near, sine * far + cosine * near
     radial, tangent, axis = (v.T[:, :, None, None] for v in (c.radial, c.tangent, c.axes))
@@ -119,7 +117,7 @@ def _grooves(scene: Joint, c: Constants, place: Array, turn: Array) -> _Grooves:
     force, stiff = (part.reshape(depth.shape) for part in law)
     edge = jnp.zeros_like(force)
     if g.gothic.size == 2:
-        share, slope = jax.jvp(lambda s: smooth_step(20.0 * s), (sign * n_t,), (jnp.ones_like(n_t),))
+        share, slope = jax.jvp(sector, (sign * n_t,), (jnp.ones_like(n_t),))
         edge = sign * slope * force / length
         force, stiff = share * force, share * stiff
     bend = force / length

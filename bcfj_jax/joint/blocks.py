@@ -20,15 +20,13 @@ import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.joint import system
-from bcfj_jax.joint.bristles import Freed, beside, effective, free
+from bcfj_jax.joint.bristles import Freed, effective, free
 from bcfj_jax.joint.constants import BALLS, Constants
-from bcfj_jax.joint.contacts import dot, pilots
-from bcfj_jax.joint.guides import GUIDES
+from bcfj_jax.joint.contacts import dot
+from bcfj_jax.joint.guides import BODIES, GUIDES
 from bcfj_jax.joint.scene import Joint
 from bcfj_jax.joint.slopes import Slopes, slopes
 from bcfj_jax.solvers.small import block_diagonal
-
-_BODIES = ("seat", "head", "cage")
 
 
 class Bristled(NamedTuple):
@@ -96,9 +94,7 @@ def _alone(scene: Joint, c: Constants, state: system.State, scale: Any) -> tuple
     b = scene.border
     place, rate, rows = jnp.zeros((b, b)), jnp.zeros((b, b)), []
     if c.pilot_skin is not None:
-        motion, spin = system.guided(scene, c, state)
-        at = pilots(c.pilot_clearance, c.pilot_hollow, motion.arm)
-        bent = beside(state.bristles, scene.pilots)
+        at, motion, bent, spin = system.piloted(scene, c, state)
         found, freed = slopes(c.pilot_skin, at, motion.velocity, motion.spin, bent), None
         if found.bond is not None:
             freed = free(found.bond, spin, scale)
@@ -111,7 +107,7 @@ def _alone(scene: Joint, c: Constants, state: system.State, scale: Any) -> tuple
         rate = jnp.sum(back @ by_twist @ jnp.swapaxes(back, -1, -2), 0)
         if freed is not None:
             # An outer sphere's spin turns its bristles.
-            turns = jnp.stack([c.body_maps[_BODIES.index(GUIDES[name][0]), 3:] for name in scene.pilots])
+            turns = jnp.stack([c.body_maps[BODIES.index(GUIDES[name][0]), 3:] for name in scene.pilots])
             rate = rate + jnp.sum(back @ by_spin @ turns, 0)
             by_place = freed.place[:, 0] - jnp.cross(freed.twist[:, 0, :, :3], spin[:, None, :])
             by_rate = freed.twist[:, 0] @ jnp.swapaxes(back, -1, -2) + freed.spin[:, 0] @ turns
@@ -121,7 +117,8 @@ def _alone(scene: Joint, c: Constants, state: system.State, scale: Any) -> tuple
                         (freed.inverse[i], back[i] @ freed.pull[i, 0], by_place[i] @ c.guides.moves[i], by_rate[i])
                     )
     if scene.drive == "flexible":
-        seat = _slot(scene, "seat_turn")
+        seat = scene.slots["seat_turn"]
+        assert seat is not None
         place, rate = place.at[seat, seat].add(-c.drive_stiffness), rate.at[seat, seat].add(-c.drive_damping)
     return place, rate, rows
 
@@ -245,9 +242,3 @@ def blocks(scene: Joint, c: Constants, y: Array, scale: Any = None) -> Blocks:
         rate + corner[1],
         _bristled(scene, bent, guided) if scene.bristles else None,
     )
-
-
-def _slot(scene: Joint, name: str) -> slice:
-    slot = scene.slots[name]
-    assert slot is not None
-    return slot

@@ -9,7 +9,7 @@ from jax import Array
 from bcfj_jax.joint import geometry
 from bcfj_jax.joint.contacts import Groove
 from bcfj_jax.joint.guides import Guides, body_maps, guides
-from bcfj_jax.joint.scene import Joint
+from bcfj_jax.joint.scene import GROOVES, Joint
 from bcfj_jax.joint.skin import Skin, SkinPair
 from bcfj_jax.scene import Params
 
@@ -95,11 +95,8 @@ def constants(scene: Joint, params: Params) -> Constants:
         ball=p["ball_radius"],
         gothic=jnp.array([1.0, -1.0]) if gothic else jnp.array([0.0]),
     )
-    hollow = {"seat_cage": p["seat_radius"]}
-    clearance = {}
-    for name in scene.pilots:
-        clearance[name] = p[f"clearance_{name}"]
-        hollow["head_cage"] = p["head_radius"] + clearance.get("head_cage", zero)
+    clearance = {name: p[f"clearance_{name}"] for name in scene.pilots}
+    hollow = {"seat_cage": p["seat_radius"], "head_cage": p["head_radius"] + clearance.get("head_cage", zero)}
     lightness = {"head": 1.0 / p["head_mass"] * jnp.ones(3), "head_turn": 1.0 / p["head_inertia"][None]}
     if scene.cage == "free":
         lightness |= {"cage": 1.0 / p["cage_mass"] * jnp.ones(3), "cage_turn": 1.0 / p["cage_inertia"] * jnp.ones(3)}
@@ -112,7 +109,7 @@ def constants(scene: Joint, params: Params) -> Constants:
     axes = jnp.stack([jnp.array([0.0, 0.0, 1.0]), geometry.head_axis(angle)])
     return Constants(
         groove=groove,
-        groove_skin=_side_by_side(scene, params, ("seat_ball", "head_ball")),
+        groove_skin=_side_by_side(scene, params, GROOVES),
         window_skin=skin_of(scene, params, "cage_ball") if scene.has("cage_ball") else None,
         ball_skin=_as_one([skin_of(scene, params, x) for x in BALLS]) if gothic and scene.has("cage_ball") else None,
         window_clearance=p["clearance_cage_ball"] if scene.has("cage_ball") else zero,

@@ -185,8 +185,9 @@ def join(first: Geometry, second: Geometry) -> Geometry:
     )
     gate = slope = None
     if first.gate is not None:
+        assert first.gate_slope is not None
         gate = jnp.concatenate([first.gate, jnp.ones_like(second.lever)], 1)
-        slope = jnp.concatenate([_given(first.gate_slope), jnp.zeros_like(flat)], 1)
+        slope = jnp.concatenate([first.gate_slope, jnp.zeros_like(flat)], 1)
     lever = jnp.broadcast_to(first.lever, first.normal.shape[:-1])
     return Geometry(
         jnp.concatenate([first.penetration, second.penetration], 1),
@@ -235,8 +236,3 @@ def act(
         moment = jnp.sum(jnp.cross(at.lever[..., None] * at.normal, drags), -2)
     slip = jnp.sqrt(slip_squared)
     return Touch(force, None if spin is None else moment, drag, normal, at.penetration, rate, slip, bending, rubbed)
-
-
-def _given(array: Array | None) -> Array:
-    assert array is not None
-    return array

@@ -37,7 +37,7 @@ DEFAULTS: dict[str, tuple[float, str]] = {
     "friction_static": (0.12, "paper"),
     "friction_dynamic": (0.03, "paper"),
     "friction_speed": (0.1, "GUESS: usual in multibody work; benchmarks/joint_knobs.py"),
-    "bristle_stiffness": (1e5, "GUESS: micro-slip of 1 um at a tenth of the static friction"),
+    "bristle_stiffness": (1e5, "GUESS: bristles bend by 1.2 um until break-away"),
     "bristle_damping": (1.0, "GUESS"),
     "ball_mass": (0.016731, "derived: steel sphere, 7801 kg/m^3"),
     "cage_mass": (0.4, "GUESS: 0.3 to 0.5 kg"),

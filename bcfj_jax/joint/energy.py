@@ -20,9 +20,8 @@ from jax import Array
 
 from bcfj_jax.errors import InputError
 from bcfj_jax.joint import system
-from bcfj_jax.joint.bristles import beside
 from bcfj_jax.joint.constants import Constants, constants
-from bcfj_jax.joint.contacts import Geometry, Touch, act, dot, pilots
+from bcfj_jax.joint.contacts import Geometry, Touch, act, dot
 from bcfj_jax.joint.guides import GUIDES
 from bcfj_jax.joint.scene import Joint
 from bcfj_jax.joint.skin import Skin, SkinPair
@@ -120,8 +119,7 @@ def _acting(scene: Joint, c: Constants, state: system.State) -> dict[str, _Actin
     parts = system.around(scene, c, state).parts()
     found: dict[str, tuple] = dict(zip(("balls", "windows"), parts, strict=False))
     if c.pilot_skin is not None:
-        motion, _ = system.guided(scene, c, state)
-        at, bent = pilots(c.pilot_clearance, c.pilot_hollow, motion.arm), beside(state.bristles, scene.pilots)
+        at, motion, bent, _ = system.piloted(scene, c, state)
         found["pilots"] = c.pilot_skin, at, motion, bent
     return {
         name: _Acting(skin, at, motion, act(skin, at, motion.velocity, motion.spin, bent))

@@ -10,6 +10,8 @@ from jax import Array
 
 from bcfj_jax.joint.scene import Joint
 
+# The bodies that balls touch, in the order of ``body_maps``.
+BODIES = ("seat", "head", "cage")
 # Which sphere is in which: (outer, inner).
 GUIDES = {"seat_cage": ("seat", "cage"), "head_cage": ("cage", "head")}
 
@@ -52,9 +54,9 @@ def guides(scene: Joint, axes: Array) -> Guides:
 
 
 def body_maps(scene: Joint, axes: Array) -> Array:
-    """Velocity and angular velocity of seat, head and cage by the border's velocities, (3, 6, border)."""
+    """Velocity and angular velocity of ``BODIES`` by the border's velocities, (3, 6, border)."""
     maps = jnp.zeros((3, 6, scene.border))
-    for index, body in enumerate(("seat", "head", "cage")):
+    for index, body in enumerate(BODIES):
         place, turn = scene.slots.get(body), scene.slots[f"{body}_turn"]
         if place is not None:
             maps = maps.at[index, :3, place].set(jnp.eye(3))

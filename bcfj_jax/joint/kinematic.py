@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from bcfj_jax.dynamics import Reading
@@ -34,15 +33,14 @@ def ball_loads(scene: Joint, params: Params, times: Array) -> tuple[Array, Array
     """Normal load of each ball on either track, and its force on the cage along the cage's axis, both (T, balls) [N].
 
     N_i ~ max(0, 1 - kappa sin(phi_i)), scaled so that the balls carry the torque,  sum N_i Rp sin(alpha) = T;  F_c
-    is ``geometry.deflected_cage_load``. The head resists what the seat drives,
-    the other direction than that of ``load_sharing``: azimuths are mirrored, unless the torque is negative. A
-    circular track has no contact angle: 90 degrees, evenly shared. NaN for gothic tracks without offset.
+    is ``geometry.deflected_cage_load``. The head resists what the seat drives, the other direction than that of
+    ``load_sharing``: azimuths are mirrored, unless the torque is negative. A circular track has no contact angle:
+    90 degrees, evenly shared. NaN for gothic tracks without offset.
     """
     p = params
     times = jnp.asarray(times, dtype=float)
     torque = p["load_torque"] * smooth_rise(times / p["load_ramp"])[:, None]
-    around = 2 * np.pi * np.arange(scene.balls) / scene.balls
-    azimuth = (p["drive_speed"] * times[:, None] + around) * jnp.where(p["load_torque"] < 0, 1.0, -1.0)
+    azimuth = (p["drive_speed"] * times[:, None] + scene.azimuths) * jnp.where(p["load_torque"] < 0, 1.0, -1.0)
     radius = geometry.track_radius(p["pitch_radius"], p["offset"])
     if scene.track == "gothic":
         angle = p["contact_angle"]

@@ -26,7 +26,7 @@ from bcfj_jax.dynamics import Reading, contact_state
 from bcfj_jax.joint import energy
 from bcfj_jax.joint.constants import Constants, constants
 from bcfj_jax.joint.contacts import Touch, dot
-from bcfj_jax.joint.scene import Joint
+from bcfj_jax.joint.scene import GROOVES, Joint
 from bcfj_jax.joint.system import State, around, touches, view
 from bcfj_jax.scene import Params
 
@@ -53,7 +53,7 @@ def _read(touch: Touch, normal: Array, axial: Array) -> Reading:
 
 
 def observe(scene: Joint, c: Constants, y: Array) -> dict[str, Reading]:
-    """Every contact's reading in one flat state; with six members (6, 3) and (6,), else (3,) and ()."""
+    """Every contact's reading in one flat state; of a contact a ball (balls, 3) and (balls,), else (3,) and ()."""
     state = view(scene, c, y)
     found = touches(scene, c, state)
     readings: dict[str, Reading] = {}
@@ -65,7 +65,7 @@ def observe(scene: Joint, c: Constants, y: Array) -> dict[str, Reading]:
         readings["cage_ball"] = _read(found.windows, normal, state.ball_place - state.cage_place)
     along = _along(scene, c, state)
     reading = _read(found.grooves, jnp.sum(found.grooves.normal, -1), along)
-    for i, name in enumerate(("seat_ball", "head_ball")):
+    for i, name in enumerate(GROOVES):
         readings[name] = _member(reading, (slice(None), i))
     return {contact.name: readings[contact.name] for contact in scene.contacts}
 
@@ -104,7 +104,7 @@ def resultants(scene: Joint, c: Constants, y: Array) -> dict[str, Array]:
     second body: on the balls of seat_ball, head_ball and cage_ball, on the cage of seat_cage, on the head of head_cage.
     """
     found = touches(scene, c, view(scene, c, y))
-    sums = {name: jnp.sum(found.grooves.force[:, i], 0) for i, name in enumerate(("seat_ball", "head_ball"))}
+    sums = {name: jnp.sum(found.grooves.force[:, i], 0) for i, name in enumerate(GROOVES)}
     if found.windows is not None:
         sums["cage_ball"] = jnp.sum(found.windows.force, 0)
     if found.pilots is not None:

@@ -25,10 +25,9 @@ _REACH = 5e-5
 _CLOSE = 1e-10
 # A step is cut where the slope along it has turned and grown by this factor; down to the shortest fraction.
 _TURNED, _SHORTEST = 3.0, 0.01
-# Evaluations an instant may take, and lanes in the pool.
-_TRIALS = 240
-# ... of them from its neighbours' places; then it starts again from zero.
-_PATIENCE = 100
+# Evaluations an instant may take, and how many of them from its neighbours' places; then it starts again from zero.
+_TRIALS, _PATIENCE = 240, 100
+# In the pool.
 _LANES = 16
 # Every so many instants one starts from the zero-clearance position; a power of two.
 _STRIDE = 64

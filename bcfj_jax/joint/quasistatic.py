@@ -46,11 +46,6 @@ class QuasistaticSolution(NamedTuple):
     iterations: Array
 
 
-def quasistatic_states(scene: Joint, params: Params, times: Array) -> Array:
-    """States of ``quasistatic`` alone, (T, scene.states)."""
-    return quasistatic(scene, params, times).states
-
-
 @partial(jax.jit, static_argnums=0)
 def quasistatic(scene: Joint, params: Params, times: Array) -> QuasistaticSolution:
     """Equilibrium at each time. Compiled once a scene and number of times.

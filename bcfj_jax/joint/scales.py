@@ -13,7 +13,8 @@ from bcfj_jax.scene import Params
 
 def scales(scene: Joint, params: Params) -> Array:
     """Size of each state: a place by the penetration of a ball that carries its share of the torque, a velocity
-    by friction's transition speed; turns by these over the pitch radius; a bristle by its deflection at break-away.
+    by friction's transition speed; turns by these over the pitch radius, a ball's spin by that over its own; a
+    bristle by its deflection at break-away.
 
     An error of a place in these units is about that fraction (times n) of a ball's force. An error of a
     velocity is that fraction of the friction of a sticking contact. Without friction a quarter of the rim speed

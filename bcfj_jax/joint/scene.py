@@ -9,6 +9,7 @@ from collections.abc import Mapping
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from bcfj_jax.joint.defaults import DEFAULTS
@@ -105,6 +106,11 @@ class Joint(AbstractScene, eqx.Module):
         """A contact's own coefficient ``<contact>.<name>`` where the parameters have it, else the shared one."""
         own = f"{contact}.{name}"
         return params[own] if own in params else params[name]
+
+    @property
+    def azimuths(self) -> np.ndarray:
+        """Azimuths (balls,) of the tracks about their race's axis at turn 0 [rad]."""
+        return 2.0 * np.pi * np.arange(self.balls) / self.balls
 
     @property
     def pilots(self) -> tuple[str, ...]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from bcfj_jax.joint import geometry
@@ -19,11 +18,10 @@ def nominal(scene: Joint, params: Params, seat_turn: Array) -> Array:
     drive's speed; spinning balls turn with the cage.
     """
     p = params
-    around = 2 * np.pi * np.arange(scene.balls) / scene.balls
     radius = geometry.track_radius(p["pitch_radius"], p["offset"])
 
     def centres(turn):
-        return geometry.ball_centre(turn + around, p["joint_angle"], radius, p["offset"])
+        return geometry.ball_centre(turn + scene.azimuths, p["joint_angle"], radius, p["offset"])
 
     speed = p["drive_speed"]
     places, velocities = jax.jvp(centres, (seat_turn,), (speed,))

@@ -15,11 +15,11 @@ but the load.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from bcfj_jax.joint.bristles import beside, flat, split
@@ -139,8 +139,8 @@ def around(scene: Joint, c: Constants, state: State) -> Around:
     turns = jnp.stack([state.seat_turn, state.head_turn])
     cosine, sine = jnp.cos(turns)[:, None], jnp.sin(turns)[:, None]
     radial, tangent = cosine * c.radial + sine * c.tangent, cosine * c.tangent - sine * c.radial
-    angle = 2 * np.pi * np.arange(scene.balls) / scene.balls
-    across = jnp.cos(angle)[:, None, None] * tangent - jnp.sin(angle)[:, None, None] * radial
+    angle = scene.azimuths[:, None, None]
+    across = jnp.cos(angle) * tangent - jnp.sin(angle) * radial
     at = grooves(c.groove, motion.arm[:, :2] - c.groove.offset[:, None] * c.axes, across)
     if c.window_skin is None:
         return Around(motion, spins, across, ((c.groove_skin, at),), state.bristles)
@@ -151,6 +151,7 @@ def around(scene: Joint, c: Constants, state: State) -> Around:
     return Around(motion, spins, across, ((c.groove_skin, at), (c.window_skin, alone)), state.bristles)
 
 
+@partial(jax.jit, static_argnums=0, inline=True)  # solver and observation both trace it
 def touches(scene: Joint, c: Constants, state: State) -> Touches:
     """Every contact of the scene in one state."""
     parts = around(scene, c, state).parts()
@@ -159,8 +160,7 @@ def touches(scene: Joint, c: Constants, state: State) -> Touches:
     window = None if c.window_skin is None else jax.tree.map(lambda x: x[:, -1], acted[-1])
     pilot = None
     if c.pilot_skin is not None:
-        motion, _ = guided(scene, c, state)
-        at, bent = pilots(c.pilot_clearance, c.pilot_hollow, motion.arm), beside(state.bristles, scene.pilots)
+        at, motion, bent, _ = piloted(scene, c, state)
         pilot = act(c.pilot_skin, at, motion.velocity, motion.spin, bent)
     return Touches(groove, window, pilot)
 
@@ -179,6 +179,12 @@ def guided(scene: Joint, c: Constants, state: State) -> tuple[Motion, Array]:
     inner = [jnp.stack(part) for part in zip(*(bodies[second] for _, second in pairs), strict=True)]
     arm, spin = inner[0] - outer[0], outer[2]
     return Motion(arm, inner[1] - outer[1] - jnp.cross(spin, arm), inner[2] - spin), spin
+
+
+def piloted(scene: Joint, c: Constants, state: State) -> tuple[Geometry, Motion, Array | None, Array]:
+    """The pilots' geometry, ``guided``'s motion, bristles, and the outer spheres' angular velocities."""
+    motion, spin = guided(scene, c, state)
+    return pilots(c.pilot_clearance, c.pilot_hollow, motion.arm), motion, beside(state.bristles, scene.pilots), spin
 
 
 def guide_maps(c: Constants, arm: Array) -> Array:
@@ -256,13 +262,11 @@ def field(t: Array, y: Array, args: tuple[Joint, Constants]) -> Array:
     border = border + applied(scene, c, t, state)
     n = scene.balls
     rates = y[(3 + scene.twist) * n + scene.border : scene.moving]
-    if scene.slots["cage_turn"] is not None:
-        tilt = scene.slots["cage_turn"]
+    tilt = scene.slots["cage_turn"]
+    if tilt is not None:
         axis = y[3 * n : 3 * n + scene.border][tilt]
-        moving = rates.at[tilt].set(jnp.cross(state.cage_spin, axis))
-    else:
-        moving = rates
+        rates = rates.at[tilt].set(jnp.cross(state.cage_spin, axis))
     bending = [_bending(scene, c, state, found)] if scene.bristles else []
     return jnp.concatenate(
-        [state.ball_velocity.ravel(), moving, (ball * c.ball_lightness).ravel(), border * c.border_lightness, *bending]
+        [state.ball_velocity.ravel(), rates, (ball * c.ball_lightness).ravel(), border * c.border_lightness, *bending]
     )

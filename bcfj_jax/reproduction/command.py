@@ -25,7 +25,7 @@ from bcfj_jax.units import format_si
 
 FILES = ("reproduce.json", "reproduce.md", "report.html", "environment.json", "run.toml", *pictures.FILES)
 TITLE = "The paper's run beside the model"
-# Clearances of the run "without": small, not none, as the laws of the guides divide by theirs.
+# Share of the clearances that the run with small ones keeps.
 TIGHT = 0.1
 GIVEN, CALIBRATED, SMALL = "as given", "calibrated", "small clearances"
 
@@ -133,7 +133,7 @@ def _write(
     notes = [tables.AS_GIVEN, tables.CALIBRATED]
     if np.max(np.abs(found.residuals)) > ERROR:
         notes.append(tables.MISFIT)
-    outputs.write_toml(folder / "run.toml", _resolved(scene, params, fitted, end), "what bcfj reproduce ran, SI")
+    outputs.write_toml(folder / "run.toml", _resolved(params, fitted, end), "what bcfj reproduce ran, SI")
     outputs.write_json(folder / "environment.json", outputs.environment(data=[]))
     outputs.write_json(
         folder / "reproduce.json", _json(main, measured, tests, found, params, records, said, notes, seconds, end)
@@ -145,16 +145,11 @@ def _write(
     figures = {row.id for row in CLAIMS if row.kind == FIGURE}
     brief = [main[0][:5]] + [row[:5] for row in main[1:] if row[0] in figures]
     brief = [[row[0], _short(row[1]), _short(row[2]), *row[3:]] for row in brief]
-    return "\n\n".join([said, _columns(brief), *notes])
+    return "\n\n".join([said, report.text(brief), *notes])
 
 
 def _short(text: str, most: int = 44) -> str:
     return text if len(text) <= most else f"{text[: most - 3]}..."
-
-
-def _columns(table: Sequence[Sequence[str]]) -> str:
-    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-    return "\n".join("  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in table)
 
 
 def _run_rows(records: Mapping[str, Record], seconds: float) -> list[list[str]]:
@@ -171,15 +166,14 @@ def _run_rows(records: Mapping[str, Record], seconds: float) -> list[list[str]]:
     return [*table, ["in all", "", "", "", f"{seconds:.1f} s", ""]]
 
 
-def _resolved(scene: Joint, params: Params, fitted: Params, end: float) -> dict[str, Any]:
-    names = [name for name in scene.quantities if name in params] + [n for n in params if n not in scene.quantities]
+def _resolved(params: Params, fitted: Params, end: float) -> dict[str, Any]:
     return {
         "scene": {"kind": "joint", "friction": True},
         "time": {"end": end, "step": STEP},
         "accuracy": {"force_error": ACCURACY},
         "small_clearances": TIGHT,
-        "as_given": {name: float(params[name]) for name in names},
-        "calibrated": {name: float(fitted[name]) for name in names},
+        "as_given": {name: float(value) for name, value in params.items()},
+        "calibrated": {name: float(value) for name, value in fitted.items()},
     }
 
 

@@ -8,7 +8,7 @@ without friction, whose derivatives are exact and cheap. ``calibration.fit`` tak
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -210,7 +210,7 @@ def _judge(model: _Model, ends: list[tuple[float, np.ndarray]]) -> PeakFit:
     )
 
 
-def combination(direction: np.ndarray, names: Mapping[str, object] | tuple[str, ...]) -> str:
+def combination(direction: np.ndarray, names: Sequence[str]) -> str:
     """A direction in words: the unknowns that make it up, most first."""
     parts = sorted(zip(direction, names, strict=True), key=lambda part: -abs(part[0]))
     return " ".join(f"{weight:+.2f} {name}" for weight, name in parts if abs(weight) >= 0.2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import NamedTuple
 
 import diffrax as dfx
@@ -59,7 +60,7 @@ def _run(scene: Joint, params: Params, times: Array, how: Plan) -> tuple[Solutio
     return solution, readings, forces, velocity
 
 
-_compiled: dict[tuple[Joint, int], object] = {}
+_compiled: dict[tuple[Joint, int], Callable[..., tuple[Solution, dict[str, Reading], Array, Array]]] = {}
 
 
 def record(scene: Joint, params: Params, end: float = END, step: float = STEP) -> Record:
@@ -77,7 +78,7 @@ def record(scene: Joint, params: Params, end: float = END, step: float = STEP) -
     if key not in _compiled:
         _compiled[key] = _run.lower(*arguments).compile()
     compiled = time.perf_counter()
-    solution, readings, forces, velocity = jax.device_get(_compiled[key](*arguments))  # type: ignore[operator]
+    solution, readings, forces, velocity = jax.device_get(_compiled[key](*arguments))
     done = time.perf_counter()
     keep = np.searchsorted(times, regular - 1e-9)
     readings = jax.tree.map(lambda part: part[keep], readings)

@@ -8,7 +8,7 @@ from typing import Any
 
 from bcfj_jax.joint.defaults import DEFAULTS
 from bcfj_jax.reproduction.claims import CLAIMS, FIGURE, INPUT, Claim
-from bcfj_jax.reproduction.fit import ERROR, KNOWN, UNKNOWNS, PeakFit, combination
+from bcfj_jax.reproduction.fit import ERROR, KNOWN, UNKNOWNS, PeakFit, combination, targets
 from bcfj_jax.reproduction.measures import Inequality, Measured
 from bcfj_jax.reproduction.peaks import TARGETS
 from bcfj_jax.scene import Params
@@ -138,7 +138,7 @@ def peak_rows(
             "least and greatest met in the search",
         ]
     ]
-    wanted = [value for row in CLAIMS if row.id in FITTED_TO.split(", ") for value in row.values]
+    wanted = targets()
     for k, name in enumerate(TARGETS):
         id, part = name.split()[0], int(name.endswith("greatest"))
         dynamic = math.nan if calibrated is None else calibrated[id].values[part]
