@@ -11,7 +11,6 @@ loose tolerance; derivatives go through ``solvers.sdirk``.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any, ClassVar
 
 import diffrax as dfx
@@ -86,7 +85,7 @@ class Rodas(dfx.AbstractAdaptiveSolver):
         return y1, error, dict(y0=y0, y1=y1, bend=bend), None, dfx.RESULTS.successful
 
 
-@partial(eqx.filter_jit, inline=True)  # diffrax traces a step three times
+@eqx.filter_jit  # Diffrax traces a step three times.
 def _step(structure: AbstractStructure, t0: Any, t1: Any, y0: Array, args: Any) -> tuple[Array, Array, Array]:
     """New state, error, and the bend between."""
     h = t1 - t0
@@ -94,13 +93,17 @@ def _step(structure: AbstractStructure, t0: Any, t1: Any, y0: Array, args: Any) 
     drift = h * structure.time_derivative(t0, y0, args)
 
     def stage(known, row):
-        """The next stage, from the rows of the tables; those not yet known are 0."""
+        """The next stage, from the rows of the tables; stages not yet known are 0."""
         i, when, place, coupling, share = row
-        slope = structure.field(t0 + when * h, y0 + place @ known, args)
-        return known.at[i].set(structure.solve(factors, slope + coupling @ known / h + share * drift)), None
+        stages, slope = known
+        # Not batched with the lanes, so this is a branch there, too.
+        at = (t0 + when * h, y0 + place @ stages)
+        slope = jax.lax.cond(i == 1, lambda t, y: slope, lambda t, y: structure.field(t, y, args), *at)
+        found = structure.solve(factors, slope + coupling @ stages / h + share * drift)
+        return (stages.at[i].set(found), slope), None
 
-    # One field and one solve to compile, for one field more to compute than by hand.
+    # A loop has one field and one solve to compile, for three and four.
     tables = (jnp.arange(4), *(jnp.asarray(x) for x in (NODES, PLACES, COUPLINGS, DRIFTS)))
-    stages, _ = jax.lax.scan(stage, jnp.zeros((4, y0.size)), tables)
+    (stages, _), _ = jax.lax.scan(stage, (jnp.zeros((4, y0.size)), jnp.zeros(y0.size)), tables)
     first, second, third, fourth = stages
     return y0 + 2.0 * first + third + fourth, fourth, 3.0 * first - second - third - fourth
