@@ -87,8 +87,10 @@ def plan(scene: AbstractScene, accuracy: str | float = "balanced", max_steps: in
         max_steps: budget of attempted steps; beyond it a run fails with that reason.
 
     Raises:
-        InputError: for an unknown level or an error out of range.
+        InputError: for an unknown level, an error out of range or a budget below 1.
     """
+    if max_steps < 1:
+        raise InputError("max_steps", f"{max_steps}", "give 1 or more")
     if isinstance(accuracy, str):
         if accuracy not in LEVELS:
             raise InputError("accuracy", f"no level '{accuracy}'", nearest(accuracy, LEVELS))

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from bcfj_jax.joint.observe import Whole
     from bcfj_jax.simulation import Run
 
-_COMPONENTS = ("normal", "axial", "tangential")
+COMPONENTS = ("normal", "axial", "tangential")
 
 
 def open_folder(out: Path | None, verb: str, stem: str, will_write: Sequence[str]) -> Path:
@@ -137,7 +137,7 @@ def channels(history: Mapping[str, np.ndarray], components: int = 0) -> dict[str
 def write_forces(path: Path, run: Run) -> None:
     """``forces.csv``: time [s], then every contact's three components [N]."""
     forces = channels(run.force, 1)
-    header = ["time [s]", *(f"{name}.{part} [N]" for name in forces for part in _COMPONENTS)]
+    header = ["time [s]", *(f"{name}.{part} [N]" for name in forces for part in COMPONENTS)]
     table = np.column_stack([run.times, *forces.values()])
     write_csv(path, header, table.tolist())
 

@@ -25,7 +25,7 @@ from jax import Array
 from bcfj_jax import laws, scenes, tables
 from bcfj_jax.errors import InputError, nearest
 from bcfj_jax.integrate import LEVELS, MAX_STEPS
-from bcfj_jax.joint.checks import check_geometry
+from bcfj_jax.joint.checks import check_joint
 from bcfj_jax.joint.scene import Joint
 from bcfj_jax.quantities import CATALOGUE, check_order, check_value
 from bcfj_jax.scene import AbstractScene
@@ -98,7 +98,7 @@ def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
     values = _values(scene, file.parameters, spheres, where)
     params = scene.parameters(values)
     if isinstance(scene, Joint):
-        check_geometry({name: float(value) for name, value in params.items()} | {"balls": scene.balls}, where)
+        check_joint(scene, params, where)
     end = _end(scene, params, file.time, where)
     samples = file.time.samples or scene.samples
     accuracy = _accuracy(file.accuracy, where)

@@ -17,7 +17,8 @@ from jax import Array
 
 from bcfj_jax import laws as normal_laws
 from bcfj_jax.errors import InputError, nearest
-from bcfj_jax.joint.scene import CAGES, CONTACTS, DRIVES, FIDELITIES, GROOVES, HEADS, TRACKS, Joint, JointContact
+from bcfj_jax.joint import scene as joints
+from bcfj_jax.joint.scene import CONTACTS, GROOVES, PILOTS, Joint, JointContact
 from bcfj_jax.restitution import undamped_duration
 from bcfj_jax.scene import AbstractScene, Body, Contact, Load, Params, Scene
 
@@ -185,7 +186,8 @@ def joint(
         InputError: for a name that is not known, and for contacts that do not make a joint.
     """
     where = "scene 'joint'"
-    choices = {"track": TRACKS, "cage": CAGES, "head": HEADS, "drive": DRIVES, "fidelity": FIDELITIES}
+    choices = {"track": joints.TRACKS, "cage": joints.CAGES, "head": joints.HEADS}
+    choices |= {"drive": joints.DRIVES, "fidelity": joints.FIDELITIES}
     given = {"track": track, "cage": cage, "head": head, "drive": drive, "fidelity": fidelity}
     for name, value in given.items():
         if value not in choices[name]:
@@ -208,6 +210,9 @@ def joint(
         raise InputError(f"{where} contacts", f"without {missing[0]}", "balls need both tracks to carry torque")
     if cage == "fixed" and "seat_cage" in names:
         raise InputError(f"{where} contacts", "seat_cage with a fixed cage", "leave it out: the two never touch")
+    if cage == "free" and fidelity == "quasistatic" and not set(PILOTS) & set(names):
+        found = "nothing but the windows holds a free cage: it has no equilibrium"
+        raise InputError(f"{where} contacts", found, f"add {' or '.join(PILOTS)}, or give cage = 'fixed'")
     ordered = [name for name in CONTACTS if name in names]
     made = tuple(
         JointContact(

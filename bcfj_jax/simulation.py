@@ -17,6 +17,7 @@ from jax.typing import ArrayLike
 from bcfj_jax.dynamics import Reading, contact_state, observe
 from bcfj_jax.errors import InputError
 from bcfj_jax.integrate import MAX_STEPS, OK, Plan, Solution, integrate, plan, reason
+from bcfj_jax.joint.checks import check_joint
 from bcfj_jax.joint.constants import constants
 from bcfj_jax.joint.kinematic import kinematic_readings
 from bcfj_jax.joint.observe import contact_states, observe_at_rest, pressed
@@ -151,9 +152,12 @@ def simulate(
         max_steps: budget of attempted steps; beyond it the run fails with that reason.
 
     Raises:
-        InputError: for times that are not finite and increasing, and for an unknown accuracy.
+        InputError: for times that are not finite and increasing, an unknown accuracy, a budget below 1, and a joint
+            that cannot be built.
     """
     values = increasing(times)
+    if isinstance(scene, Joint):
+        check_joint(scene, params)
     how = plan(scene, accuracy, max_steps)
     arguments = (scene, dict(params), jnp.asarray(values), how)
     key = (scene, len(values), max_steps, jax.tree.structure(params))

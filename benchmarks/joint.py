@@ -21,6 +21,7 @@ from typing import Any
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
 os.environ.setdefault("EQX_ON_ERROR", "nan")
 
+import diffrax as dfx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -32,7 +33,6 @@ from bcfj_jax.joint import system
 from bcfj_jax.joint.arrowhead import Arrowhead, blocks
 from bcfj_jax.joint.constants import constants
 from bcfj_jax.joint.scales import scales
-from bcfj_jax.simulation import _FORWARD
 from bcfj_jax.solvers.rodas import Rodas
 from bcfj_jax.solvers.sdirk import Sdirk
 
@@ -51,7 +51,7 @@ def median(run: Callable[[], Any], repeats: int = REPEATS) -> float:
 
 def loaded_state(scene: Any, params: Any) -> jax.Array:
     """A state under full load."""
-    found = integrate(scene, params, jnp.asarray([0.0, 0.13]), plan(scene), _FORWARD)
+    found = integrate(scene, params, jnp.asarray([0.0, 0.13]), plan(scene), dfx.ForwardMode())
     return found.states[-1]
 
 
@@ -96,7 +96,7 @@ def costs() -> dict[str, Any]:
 
 @partial(jax.jit, static_argnames=("scene", "differentiable"))
 def _run(scene: Any, params: Any, times: jax.Array, how: Plan, differentiable: bool = False) -> Any:
-    return integrate(scene, params, times, how, _FORWARD, differentiable)
+    return integrate(scene, params, times, how, dfx.ForwardMode(), differentiable)
 
 
 def precision() -> dict[str, Any]:
@@ -169,8 +169,8 @@ def batch() -> dict[str, Any]:
     lanes = {name: jnp.broadcast_to(value, (64,)) for name, value in params.items()} | {
         "clearance_seat_cage": clearance
     }
-    many = jax.jit(jax.vmap(lambda p: integrate(scene, p, times, how, _FORWARD).states))
-    alone = jax.jit(lambda p: integrate(scene, p, times, how, _FORWARD).states)
+    many = jax.jit(jax.vmap(lambda p: integrate(scene, p, times, how, dfx.ForwardMode()).states))
+    alone = jax.jit(lambda p: integrate(scene, p, times, how, dfx.ForwardMode()).states)
     jax.block_until_ready((many(lanes), alone(params)))
     together, one = median(lambda: many(lanes), 3), median(lambda: alone(params))
     return {"lanes": 64, "per_lane_s": together / 64, "one_lane_s": one}

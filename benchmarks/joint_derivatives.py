@@ -19,6 +19,7 @@ from typing import Any
 # Before equinox is imported: JAX keeps no program with host callbacks, which diffrax's checks are.
 os.environ.setdefault("EQX_ON_ERROR", "nan")
 
+import diffrax as dfx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -27,7 +28,6 @@ from derivatives import MOVED, Reference, errors, grid, influence, load, moved, 
 
 import bcfj_jax as bj
 from bcfj_jax.integrate import LEVELS, Plan, integrate, plan
-from bcfj_jax.simulation import _FORWARD
 
 TOLERANCES = (1e-1, 2e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5)
 CVODES_TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
@@ -61,7 +61,7 @@ def many_forces(logs: Any, tolerance: Any) -> Any:
 
 def steps(logs: Any, tolerance: Any) -> Any:
     """Accepted and rejected steps of the differentiable solver."""
-    found = integrate(SCENE, moved(PARAMS, logs), TIMES, Plan(tolerance, MAX_STEPS), _FORWARD, True)
+    found = integrate(SCENE, moved(PARAMS, logs), TIMES, Plan(tolerance, MAX_STEPS), dfx.ForwardMode(), True)
     return found.accepted, found.rejected
 
 

@@ -21,6 +21,7 @@ def bounced(accuracy, **options):
     return bj.sensitivity(BOUNCE, SOFT, TIMES, NAMES, accuracy=accuracy, **options)
 
 
+@pytest.mark.slow
 def test_a_loose_tolerance_is_caught_and_tightened_away():
     loose = bounced(0.5, rungs=1).certificate
     assert loose.verdict == NOT
@@ -42,7 +43,7 @@ def test_a_loose_tolerance_is_caught_and_tightened_away():
         best = tight.derivative[name]["contact"]
         error = norm(TIMES, found.derivative[name]["contact"] - best) / norm(TIMES, best)
         # The figure stated is not less than the error itself.
-        assert error < 1.2 * found.certificate.parameters[name].pointwise
+        assert error < found.certificate.parameters[name].pointwise
 
 
 def test_a_jump_exactly_at_an_output_time_is_caught():
@@ -59,6 +60,7 @@ def test_a_jump_exactly_at_an_output_time_is_caught():
         assert found.certificate.parameters["dashpot"].verdict == TRUSTED
 
 
+@pytest.mark.slow
 def test_a_kink_at_the_only_output_time_is_caught():
     # A linear spring without smoothing: dF/d(clearance) is 0 before the touch and K v after it.
     scene = bj.scenes.impact("hertz", smoothing=False)
@@ -86,6 +88,7 @@ def test_a_chaotic_bounce_is_called_chaotic():
     assert short.certificate.verdict == TRUSTED
 
 
+@pytest.mark.slow
 def test_no_influence_is_trusted():
     scene = bj.scenes.impact("hertz", smoothing=False)
     far = bj.sensitivity(scene, scene.parameters(clearance_contact=1.0), np.linspace(0.0, 1e-4, 51), ("stiffness",))
@@ -138,6 +141,7 @@ def test_growth():
     assert growth(t, np.where(t < 1.0, 1.0, np.inf)[:, None]).factor == np.inf
 
 
+@pytest.mark.slow
 def test_a_ladder_of_smoothing():
     scene = bj.scenes.impact("kelvin_voigt")
     params = scene.parameters(clearance_contact=1.5e-5, stiffness=1e8, dashpot=200.0)

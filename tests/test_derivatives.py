@@ -83,6 +83,7 @@ def differences(function, theta, relative):
     return np.stack(columns, axis=1)
 
 
+@pytest.mark.slow
 def test_all_directions_agree(impact):
     # The same discrete solution differentiated twice: rounding over some 500 steps.
     expected = impact.only_forward(POINT) * POINT
@@ -95,6 +96,7 @@ def test_impact_against_differences(impact):
     close(impact.forward(POINT) * POINT, differences(impact.force, POINT, 1e-3), 1e-5)
 
 
+@pytest.mark.slow
 def test_times_against_an_offset(impact):
     jacobian = impact.forward(POINT)
     by_time = np.diag(jacobian[:, 7:])
@@ -117,6 +119,7 @@ def bounce():
     )
 
 
+@pytest.mark.slow
 def test_bounces(bounce):
     theta = jnp.array(list(SOFT.values()))
     assert np.all(bounce.force(theta) > 1.0)  # every time is inside a contact
@@ -152,6 +155,7 @@ def test_finite(impact, case, n):
     assert "never" not in case or not (np.any(forward) or np.any(reverse))
 
 
+@pytest.mark.slow
 def test_gradients_of_batches(impact):
     lanes = POINT * jnp.linspace(0.99, 1.01, 3)[:, None]
     one_by_one = np.stack([impact.gradient(lane) for lane in lanes]) * lanes
@@ -204,6 +208,7 @@ def restituting():
     smoothing=st.sampled_from([0.0, 1e-6]),
 )
 @settings(max_examples=20)
+@pytest.mark.slow
 def test_bounces_are_finite_over_the_box(restituting, exponent, restitution, height, smoothing):
     stiffness = 1e4 * 1e-2 ** (1.5 - exponent)
     value, jacobian = restituting(jnp.array([stiffness, exponent, 0.0167, restitution, height, smoothing]))

@@ -118,6 +118,7 @@ def agree_with_exact(scene, names, theta, fixed, exact, contacts, relative):
         close(jacobian[here], columns, relative)
 
 
+@pytest.mark.slow
 def test_impact_against_variational_equations():
     # The start is at the edge of the onset: no kink within the run.
     width, theta = 4e-6, (1e10, 1.5, 0.1, 0.02, 1.5)
@@ -126,6 +127,7 @@ def test_impact_against_variational_equations():
     agree_with_exact(scenes.impact("memory_free"), names, theta, fixed, Exact(theta, width, 0.0), (1,), 1e-6)
 
 
+@pytest.mark.slow
 def test_ten_bounces_against_variational_equations():
     width, theta = 1e-3, (1e4, 1.5, 0.05, 0.016731, 0.1)
     names, scene = (*STRUCK, "drop_height"), scenes.bounce("memory_free")
@@ -134,6 +136,7 @@ def test_ten_bounces_against_variational_equations():
     agree_with_exact(scene, names, theta, fixed, Exact(theta, width, gravity), (1, 2, 10), 1e-6)
 
 
+@pytest.mark.slow
 def test_duration_and_restitution_against_closed_forms():
     # T ~ (m/K)^(1/(n+1)) v^((1-n)/(1+n)) undamped; e is a function of a v alone (physics sheet 3).
     scene, later = scenes.impact("memory_free", smoothing=False), 2.0 * DURATION
@@ -177,6 +180,7 @@ def test_peak_against_its_closed_form():
     assert gradient == pytest.approx([0.4, 0.6], abs=1e-5)
 
 
+@pytest.mark.slow
 def test_second_derivatives():
     def peak(stiffness):
         return jnp.exp(logarithmic_peak(jnp.log(jnp.stack([stiffness, jnp.asarray(0.02)]))))

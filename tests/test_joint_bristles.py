@@ -119,6 +119,7 @@ def test_power_is_the_rate_of_what_is_stored():
         assert float(flow.friction) != 0.0 and abs(float(flow.net - rate.total)) < 1e-9 * float(size)
 
 
+@pytest.mark.slow
 def test_a_joint_runs_on_bristles():
     scene = bj.scenes.joint(friction="lugre", contacts=("cage_ball", *GROOVES))
     params, times = scene.parameters({"load_ramp": 2e-3}), np.linspace(0.0, 4e-3, 21)

@@ -170,7 +170,7 @@ def test_normals_are_gradients_of_the_gap():
 
 
 def test_ball_without_clearance_touches_both_flanks_at_the_contact_angle():
-    _, _, c = made()
+    _, _, c = made(smoothing=False)
     g = c.groove._replace(clearance=jnp.zeros(2))
     across = np.array([[0.0, 1.0, 0.0], [0.0, 0.6, 0.8]])
     radial = np.array([[0.6, 0.0, 0.8], [1.0, 0.0, 0.0]])
@@ -183,14 +183,14 @@ def test_ball_without_clearance_touches_both_flanks_at_the_contact_angle():
             assert np.allclose(at.normal[race, face], wanted, rtol=0, atol=1e-12)
     assert np.all(np.asarray(at.gate) == 1.0)
     # Pressed into the groove, outwards in the seat and inwards in the head, both flanks push back alike.
-    depth = 40e-6 * np.array([[1.0], [-1.0]]) * radial
+    depth = 20e-6 * np.array([[1.0], [-1.0]]) * radial
     at = grooves(g, jnp.asarray(float(g.radius) * radial + depth), jnp.asarray(across))
     touch = acted(c.groove_skin, at, jnp.zeros((2, 3)), None)
     assert np.allclose(touch.normal[:, 0], touch.normal[:, 1], rtol=1e-10) and np.all(np.asarray(touch.normal) > 100)
     pressed = np.asarray(touch.force)
-    assert np.allclose(np.cross(pressed, -depth), 0.0, rtol=0, atol=1e-9 * abs(pressed).max() * 4e-5)
-    # The law itself: d = 40 um cos(alpha), to first order in d over the flank's 320 um.
-    assert float(touch.normal[0, 0]) == within(3.7e10 * (40e-6 * np.cos(alpha)) ** 1.5, 0.1)
+    assert np.allclose(np.cross(pressed, -depth), 0.0, rtol=0, atol=1e-9 * abs(pressed).max() * 2e-5)
+    # The law itself: d = 20 um cos(alpha), to first order in d over the flank's 320 um.
+    assert float(touch.normal[0, 0]) == within(3.7e10 * (20e-6 * np.cos(alpha)) ** 1.5, 0.05)
     d = float(touch.penetration[0, 0])
     assert float(touch.normal[0, 0]) == within(3.7e10 * d**1.5, 1e-12)
 

@@ -15,6 +15,7 @@ from oracles import within
 import bcfj_jax as bj
 from bcfj_jax.joint import energy, system
 from bcfj_jax.joint.guides import GUIDES
+from bcfj_jax.joint.quasistatic import quasistatic
 from bcfj_jax.joint.scales import scales
 from bcfj_jax.joint.start import nominal
 
@@ -49,15 +50,22 @@ def test_cage_is_in_dynamic_equilibrium_at_every_instant():
     assert float(params["cage_mass"]) * (velocity[-1] - velocity[0]) == pytest.approx(impulse, abs=1e-3 * peak * 0.075)
 
 
+@pytest.mark.slow
 def test_transmission_of_a_constant_velocity_joint():
     params, times, states = run()
     transmitted = jax.jit(functools.partial(energy.transmission, JOINT), compiler_options=QUICK)
     found = transmitted(params, states, times)
     assert found.angle_error.shape == (times.size,)
     late = np.asarray(times) > 0.06
-    assert np.asarray(found.speed_ratio)[late].mean() == pytest.approx(1.0, abs=5e-3)
-    # The head lags by clearances and deflections over the pitch radius.
-    assert np.all(np.abs(np.asarray(found.angle_error)) < 2e-2)
+    # The head lags by clearances and deflections: as far as statics says, and it follows how that changes.
+    scene = bj.scenes.joint(fidelity="quasistatic")
+    still = quasistatic(scene, params, times[late][::60])
+    place = np.asarray(still.states)[:, 3 * scene.balls :]
+    lag = place[:, scene.slots["head_turn"]] - place[:, scene.slots["seat_turn"]]
+    assert np.all(still.converged) and np.all(lag < -5e-3)
+    assert np.asarray(found.angle_error)[late][::60] == pytest.approx(np.ravel(lag), rel=0.02)
+    follows = 1.0 + np.ptp(lag) / (float(params["drive_speed"]) * np.ptp(times[late][::60]))
+    assert np.asarray(found.speed_ratio)[late].mean() == pytest.approx(follows, abs=1e-3)
     assert np.asarray(found.torque_out)[late] == pytest.approx(1800.0)
     assert 0.9 < float(found.efficiency) < 1.0
     after = transmitted(params, states[late], times[late])
@@ -161,7 +169,8 @@ def spin_about_z(scene, params, y):
     return sum(parts), sum(abs(x) for x in parts)
 
 
-@pytest.mark.parametrize("spin", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("spin", [False, True])
 def test_a_free_joint_keeps_its_spin_and_loses_energy(spin):
     scene = bj.scenes.joint(drive="flexible", spin=spin)
     params = scene.parameters(**FREED)
@@ -229,4 +238,4 @@ def test_sixfold_symmetry_of_a_run():
     expected = np.array([renumbered(JOINT, y, np.pi / 3) for y in np.asarray(states)])
     off = np.max(np.abs(np.asarray(turned) - expected) / np.asarray(scales(JOINT, params)), axis=1)
     # Rounding at first; then a step taken here and rejected there.
-    assert off[times <= 1e-3].max() < 1e-5 and off.max() < 1e-3
+    assert off[times <= 2e-4].max() < 1e-9 and off.max() < 1e-3

@@ -47,6 +47,7 @@ def test_failures_say_why_and_when():
             assert np.all(np.isnan(contact[1:]))
 
 
+@pytest.mark.slow
 def test_a_batch_equals_its_members_and_is_traced_once():
     scene, params = little()
     how = simulation.plan(scene, "balanced", BUDGET)

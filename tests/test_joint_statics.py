@@ -164,6 +164,7 @@ def energy_of(params, time):
     return nominal, energy
 
 
+@pytest.mark.slow
 def test_joint_with_play_against_an_independent_solve_and_its_sixfold_symmetry():
     params = PLAY.parameters()
     time = 1.023
@@ -233,6 +234,7 @@ def test_rates_are_derivatives_by_time_and_what_does_not_converge_is_nan_alone()
     assert np.all(np.isfinite(y[:3])) and np.all(np.isnan(y[3]))
 
 
+@pytest.mark.slow
 def test_kinematic_states_and_penetration():
     params = PLAY.parameters()
     times = jnp.linspace(0.0, 0.7, 30)

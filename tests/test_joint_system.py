@@ -35,7 +35,14 @@ OPTIONS = {
     "grooves": {"contacts": GROOVES, "cage": "fixed", "head": "fixed"},
     "one pilot, no windows, sharp": {"contacts": ("seat_cage", *GROOVES), "balls": 3, "smoothing": False},
 }  # fmt: skip
-EACH = pytest.mark.parametrize("options", OPTIONS.values(), ids=OPTIONS.keys())
+SECOND = ("circular, flexible", "unlike", "bristles, circular", "bristles of some", "grooves")
+EACH = pytest.mark.parametrize(
+    "options",
+    [
+        pytest.param(options, id=name, marks=[pytest.mark.slow] if name in SECOND else [])
+        for name, options in OPTIONS.items()
+    ],
+)
 
 
 def made(options):

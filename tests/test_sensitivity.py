@@ -49,6 +49,7 @@ def test_undamped_scaling_laws(n):
     assert impulse == pytest.approx({"stiffness": 0.0, "mass": 1.0, "approach_speed": 1.0}, abs=3e-5)
 
 
+@pytest.mark.slow
 def test_restitution_by_damping():
     # Impulse m v (1 + e(chi)), chi = a v of the memory-free law: d/da = m v^2 e'(chi).
     scene = bj.scenes.impact("memory_free", smoothing=False)
@@ -59,6 +60,7 @@ def test_restitution_by_damping():
     assert found.feature_derivatives["damping"]["contact.impulse"] == pytest.approx(expected, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_reverse_finds_the_same_features():
     times = np.linspace(0.0, 6e-5, 201)
     wrt = ("stiffness", "mass")
@@ -76,6 +78,7 @@ def test_reverse_finds_the_same_features():
             assert value == pytest.approx(forward.feature_derivatives[p][name], rel=1e-8, abs=1e-10 * size)
 
 
+@pytest.mark.slow
 def test_the_same_numbers_as_force_history():
     times = np.linspace(0.0, 6e-5, 201)
     params = HERTZ.parameters(AT)
@@ -88,6 +91,7 @@ def test_the_same_numbers_as_force_history():
     assert found.derivative["mass"]["contact"] == pytest.approx(slope, rel=1e-10, abs=1e-9 * np.abs(slope).max())
 
 
+@pytest.mark.slow
 def test_period_of_bounces_against_differences():
     scene = bj.scenes.bounce(smoothing=False)
     params = scene.parameters(stiffness=1e4, damping=0.05, drop_height=0.1)
@@ -104,6 +108,7 @@ def test_period_of_bounces_against_differences():
         assert found.feature_derivatives[name]["contact.period"] == pytest.approx(slope, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_period_and_delay_of_what_turns():
     t, cycle, late = np.linspace(0.0, 2.0, 2001), 0.31, 0.04
 
@@ -130,6 +135,7 @@ def test_period_and_delay_of_what_turns():
     assert slopes == pytest.approx(np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), abs=1.5e-2)
 
 
+@pytest.mark.slow
 def test_second_derivatives():
     params = HERTZ.parameters(AT)
     times = np.linspace(0.0, 1.25 * float(undamped_duration(*AT.values())), 2001)
@@ -141,7 +147,8 @@ def test_second_derivatives():
     one = bj.hessian_vector(HERTZ, params, times, "contact.peak", ("stiffness",), [1.0])
     assert one == pytest.approx(0.4 * -0.6 * peak / 1e20, rel=2e-3, abs=0.0)
     impulse = bj.hessian_vector(HERTZ, params, times, "contact.impulse", wrt, v)
-    assert np.isfinite(impulse).all()
+    # 2 m v.
+    assert np.abs(impulse * v).max() < 1e-3 * 2.0 * AT["mass"] * AT["approach_speed"]
 
 
 def test_a_contact_takes_the_shared_value():

@@ -20,7 +20,6 @@ FILES = (
     "sensitivity.csv", "certificate.json", "tornado.png", "histories.png", "report.html", "run.toml",
     "environment.json",
 )  # fmt: skip
-_COMPONENTS = ("normal", "axial", "tangential")
 
 
 def run(
@@ -82,7 +81,7 @@ def write_histories(path: Path, scene: AbstractScene, found: Sensitivity) -> Non
     for name in found.wrt:
         unit = derivative_unit("N", scene.quantities[name].unit)
         for contact, slope in outputs.channels(found.derivative[name], 1).items():
-            header += [f"d({contact}.{part})/d({name}) [{unit}]" for part in _COMPONENTS]
+            header += [f"d({contact}.{part})/d({name}) [{unit}]" for part in outputs.COMPONENTS]
             columns += list(np.where(found.times < _end(found, name), slope.T, np.nan))
     outputs.write_csv(path, header, np.column_stack(columns).tolist())
 

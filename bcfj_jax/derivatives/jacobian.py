@@ -19,7 +19,7 @@ from jax import Array
 from bcfj_jax.dynamics import state_scales
 from bcfj_jax.integrate import OK, Plan
 from bcfj_jax.joint.scales import scales as joint_scales
-from bcfj_jax.joint.scene import SIX, Joint
+from bcfj_jax.joint.scene import OF_A_BALL, Joint
 from bcfj_jax.scene import AbstractScene, Params, Scene
 
 # The histories behind ``force_history``, with penetrations and states beside the forces.
@@ -69,7 +69,7 @@ class Rung(NamedTuple):
 def channels(scene: AbstractScene) -> dict[str, int]:
     """Number of members by contact in the scene's order; 0 for a contact without members."""
     balls = scene.balls if isinstance(scene, Joint) else 0
-    return {contact.name: balls if contact.name in SIX else 0 for contact in scene.contacts}
+    return {contact.name: balls if contact.name in OF_A_BALL else 0 for contact in scene.contacts}
 
 
 def channel_names(contacts: Mapping[str, int]) -> list[str]:

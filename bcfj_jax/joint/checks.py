@@ -10,11 +10,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
+from jax.core import Tracer
 
 from bcfj_jax.errors import InputError
 from bcfj_jax.joint import deflection
 from bcfj_jax.joint.deflection import ROUNDING, Fault, shown
+from bcfj_jax.joint.scene import Joint
+from bcfj_jax.scene import Params
 
 
 class _Range(NamedTuple):
@@ -145,6 +150,29 @@ _CHECKS: tuple[tuple[tuple[str, ...], Callable[..., Fault | None]], ...] = (
     (("seat_radius", *_TRAVEL), deflection.centres_in_mouth),
     (("bend_radius", "hole_clearance", "body_radius", "body_length"), _body_fits),
 )
+
+
+def _single(value: Any) -> bool:
+    """Whether a value is one number. NaN is none: a run with it fails and says so."""
+    return not isinstance(value, Tracer) and np.ndim(value) == 0 and not np.isnan(value)
+
+
+def check_joint(scene: Joint, params: Params, where: str = "scene 'joint'") -> None:
+    """Refuse a joint that does not assemble, or that its fidelity has no answer for.
+
+    Args:
+        scene: the joint.
+        params: its parameters, SI. Those that are batched or traced are not looked at.
+        where: what the message begins with.
+
+    Raises:
+        InputError: naming the key, its value and what would be right.
+    """
+    values = {name: float(value) for name, value in params.items() if _single(value)}
+    check_geometry(values | {"balls": scene.balls}, where)
+    if scene.fidelity == "kinematic" and scene.track == "gothic" and values.get("offset") == 0.0:
+        remedy = "give an offset, or fidelity = 'quasistatic' or 'dynamic'"
+        raise InputError(f"{where} offset", "0 m, for which load sharing has no closed form", remedy)
 
 
 def check_geometry(values: Mapping[str, float], where: str = "scene 'joint'") -> None:

@@ -20,7 +20,7 @@ from bcfj_jax.scene import AbstractScene, Params
 CONTACTS = ("seat_cage", "head_cage", "cage_ball", "seat_ball", "head_ball")
 GROOVES = ("seat_ball", "head_ball")
 PILOTS = ("seat_cage", "head_cage")
-SIX = ("cage_ball", "seat_ball", "head_ball")
+OF_A_BALL = ("cage_ball", "seat_ball", "head_ball")
 FIDELITIES = ("kinematic", "quasistatic", "dynamic")
 TRACKS = ("gothic", "circular")
 CAGES = HEADS = ("free", "fixed")
@@ -161,7 +161,7 @@ class Joint(AbstractScene, eqx.Module):
     @property
     def states(self) -> int:
         """Length of the flat state."""
-        members = {name: self.balls if name in SIX else 1 for name in self.bristles}
+        members = {name: self.balls if name in OF_A_BALL else 1 for name in self.bristles}
         return self.moving + 3 * sum(members[name] * faces for name, faces in self.bristles.items())
 
 
