@@ -27,6 +27,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from bcfj_jax.directions import together
 from bcfj_jax.dynamics import field, initial_state, state_scales
 from bcfj_jax.errors import InputError, nearest
 from bcfj_jax.joint.arrowhead import Arrowhead
@@ -40,6 +41,7 @@ from bcfj_jax.joint.start import nominal
 from bcfj_jax.scene import AbstractScene, Params, Scene
 from bcfj_jax.solvers.rodas import Rodas
 from bcfj_jax.solvers.sdirk import Sdirk
+from bcfj_jax.solvers.tangents import SdirkTangents
 
 LEVELS = {"fast": 5e-2, "balanced": 1e-2, "reference": 1e-5}
 # Attempted steps that a run may take where nothing else is asked for.
@@ -123,6 +125,7 @@ class _Problem(NamedTuple):
     shortest_step: float | None
     gains: tuple[float, float]
     solver: dfx.AbstractSolver
+    norm: Callable[[Array], Array] = _safe_norm
 
 
 def _problem(scene: AbstractScene, params: Params, how: Plan, differentiable: bool) -> _Problem:
@@ -167,12 +170,18 @@ def integrate(
     if isinstance(scene, Joint) and scene.fidelity != "dynamic":
         return _without_inertia(scene, params, times)
     problem = _problem(scene, params, how, differentiable)
+    if isinstance(scene, Joint) and differentiable and isinstance(adjoint, dfx.ForwardMode):
+        return _with_tangents(problem, times, how)
+    return _solved(problem, times, how, adjoint)
+
+
+def _solved(problem: _Problem, times: Array, how: Plan, adjoint: dfx.AbstractAdjoint) -> Solution:
     controller = dfx.PIDController(
         rtol=0.0,
         atol=how.tolerance * problem.scales,
         pcoeff=problem.gains[0],
         icoeff=problem.gains[1],
-        norm=_safe_norm,
+        norm=problem.norm,
         dtmin=problem.shortest_step,
         force_dtmin=False,
     )
@@ -201,3 +210,40 @@ def integrate(
     )
     stats = solution.stats
     return Solution(states, code, solution.ts[1][0], stats["num_accepted_steps"], stats["num_rejected_steps"])
+
+
+def _with_tangents(problem: _Problem, times: Array, how: Plan) -> Solution:
+    """A run whose forward tangents are solved beside it (``solvers.tangents``)."""
+    scene, _ = problem.args
+    structure = problem.solver.structure
+
+    def of(x: tuple) -> tuple[_Problem, Array, Plan]:
+        c, start, times, scales, tolerance = x
+        solver = Sdirk(structure, tolerance * scales)
+        made = problem._replace(args=(scene, c), start=start, scales=scales, solver=solver)
+        return made, times, Plan(tolerance, how.max_steps)
+
+    def value(x: tuple) -> tuple[Array, Solution]:
+        found = _solved(*of(x), dfx.ForwardMode())
+        return found.states, found._replace(states=None)
+
+    def ahead(x: tuple, changes: tuple) -> tuple[tuple, tuple]:
+        made, times, how = of(x)
+        by_args, by_start, by_times, *_ = changes
+        count = jax.tree.leaves(changes)[0].shape[0]
+        by_start = jnp.zeros((count, made.start.size)) if by_start is None else by_start
+        rows = made._replace(
+            field=lambda t, rows, args: rows.at[0].set(made.field(t, rows[0], args[0])),
+            args=(made.args, (scene, by_args)),
+            start=jnp.concatenate([made.start[None], by_start]),
+            solver=SdirkTangents(made.solver),
+            norm=lambda error: _safe_norm(error[0]),
+        )
+        found = _solved(rows, times, how, dfx.ForwardMode())
+        states, moved = found.states[:, 0], jnp.moveaxis(found.states[:, 1:], 1, 0)
+        if by_times is not None:
+            moved = moved + by_times[:, :, None] * jax.vmap(lambda t, y: made.field(t, y, made.args))(times, states)
+        return (states, found._replace(states=None)), moved
+
+    states, rest = together(value, ahead)((*problem.args[1:], problem.start, times, problem.scales, how.tolerance))
+    return rest._replace(states=states)

@@ -4,9 +4,8 @@
     python benchmarks/joint.py costs      or any of: costs, precision, seconds, batch, options; then the README's table
 
 Wall times are medians, one thread of XLA, everything compiled before. Forces: normal forces of flank 1 at both races,
-0.6 s of the default joint, 301 outputs. ``loaded`` leaves out samples below 200 N: a free ball rattles in its
-clearance, and its impacts of some 50 N are beyond prediction (a start shaken by 5e-15 m moves them), so nothing
-converges below 1 N there.
+0.6 s of the default joint, 301 outputs. ``loaded`` leaves out samples below 200 N, where a free ball drifts in its
+clearance.
 """
 
 from __future__ import annotations

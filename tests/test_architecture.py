@@ -11,7 +11,7 @@ ROOT = Path(__file__).resolve().parent.parent
 # A room may import from rooms further left. Rooms of one floor may import each other only as WITHIN says.
 FLOORS = {
     "bcfj_jax": (
-        {"errors", "numerics", "quantities"},
+        {"errors", "numerics", "quantities", "directions"},
         {"restitution", "elliptic", "stiffness"},
         {"laws"},
         {"scene"},

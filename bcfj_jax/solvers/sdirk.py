@@ -19,9 +19,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from bcfj_jax.directions import still
 from bcfj_jax.solvers.structure import AbstractStructure
 
 GAMMA = 1.0 - 0.5**0.5
+NODES = np.array([GAMMA, 1.0])
 # Leading term of the local error over h^3 d3y/dt3, for a linear field: coefficient of z^3 in R(z) - exp(z).
 ERROR = abs(3.0 * GAMMA**2 - 2.0 * GAMMA**3 - 1.0 / 6.0)
 
@@ -72,87 +74,95 @@ class Sdirk(dfx.AbstractAdaptiveSolver):
 @eqx.filter_jit  # Diffrax traces a step three times, and its tangents.
 def _step(solver: Sdirk, t0: Any, t1: Any, y0: Array, args: Any, first: Array) -> tuple[Array, Array, Array, Any]:
     """New state, error, last slope, and the slopes at both ends times the step."""
-    structure, h = solver.structure, t1 - t0
-    s = h * GAMMA
+    h = t1 - t0
+    states, slopes, error = stages(solver, t0, h, y0, args, first, _solved)
+    return states[1], error, slopes[1], (h * first, h * slopes[1])
+
+
+def stages(
+    solver: Sdirk, t0: Any, h: Any, y0: Array, args: Any, first: Array, solve: Callable
+) -> tuple[Array, Array, Array]:
+    """States and slopes (2, n) of both stages, and the error: the bend of three slopes, filtered by the stiff matrix.
+
+    ``solve`` is ``newton``, or it with a derivative.
+    """
+    structure, s = solver.structure, h * GAMMA
     held = eqx.combine(jax.lax.stop_gradient(eqx.filter(args, eqx.is_array)), args)
     factors = structure.factor(t0, jax.lax.stop_gradient(y0), held, s)
 
     def stage(carry, when):
         """One stage, from its base, Newton's guess, the slope before it and the last matrix."""
         base, guess, before, factors, good = carry
-        y, also, factors = _solved(solver, t0 + when * h, base, guess, s, args, factors)
+        y, also, factors = solve(solver, t0 + when * h, base, guess, s, args, factors)
         slope = (y - base) / s
-        ahead = base + h * (1.0 - GAMMA) * slope
-        # Newton starts from extrapolated slopes; a stiff one at the start may be far off, so it is damped and limited.
+        ahead = following(h, base, slope)
+        # A stiff slope at the start may be far off, so Newton's next guess turns by a damped and limited amount.
         turn = (slope - before) * (1.0 - GAMMA) / GAMMA
         guess = ahead + s * (slope + jnp.clip(turn, -jnp.abs(slope), jnp.abs(slope)))
         return (ahead, guess, slope, factors, good & also), (y, slope)
 
     # A loop has half as much to compile, and to differentiate, as two stages written out.
     begin = (y0, y0 + structure.solve(factors, first), first, factors, jnp.asarray(True))
-    (*_, factors, good), (ys, slopes) = jax.lax.scan(stage, begin, jnp.array([GAMMA, 1.0]))
-    second, last = slopes
-    bend = ((last - second) / (1.0 - GAMMA) - (second - first) / GAMMA) * 2.0
+    (*_, factors, good), (states, slopes) = jax.lax.scan(stage, begin, NODES)
+    bend = ((slopes[1] - slopes[0]) / (1.0 - GAMMA) - (slopes[0] - first) / GAMMA) * 2.0
     error = structure.solve(factors, h * ERROR * jax.lax.stop_gradient(bend) / s)
-    return ys[1], jnp.where(good, error, jnp.inf), last, (h * first, h * last)
+    return states, slopes, jnp.where(good, error, jnp.inf)
 
 
-def _solved(
+def following(h: Any, base: Array, slope: Array) -> Array:
+    """Where the next stage starts from."""
+    return base + h * (1.0 - GAMMA) * slope
+
+
+def newton(
     solver: Sdirk, t: Any, base: Array, guess: Array, s: Any, args: Any, factors: Any
 ) -> tuple[Array, Array, Any]:
     """The y of  y = base + s f(t, y),  whether Newton got there, and the last matrix it used.
 
     Newton keeps its matrix while it converges quickly: contact springs appear within a step, and then it must not.
     """
+    structure = solver.structure
+
+    def step(carry):
+        y, size, count, slow, factors = carry
+        factors = jax.lax.cond(slow, lambda y, _: structure.factor(t, y, args, s), lambda _, f: f, y, factors)
+        change = structure.solve(factors, (base - y) / s + structure.field(t, y, args))
+        new = jnp.sqrt(jnp.mean(jnp.square(change / solver.tolerance)))
+        return y + change, new, count + 1, ~(new < solver.contraction * size), factors
+
+    def more(carry):
+        _, size, count, *_ = carry
+        return (count == 0) | ((size > solver.newton) & jnp.isfinite(size) & (count < solver.iterations))
+
+    start = (guess, jnp.asarray(jnp.inf), 0, jnp.asarray(False), factors)
+    y, size, _, _, factors = jax.lax.while_loop(more, step, start)
+    return y, size <= solver.newton, factors
+
+
+def _solved(
+    solver: Sdirk, t: Any, base: Array, guess: Array, s: Any, args: Any, factors: Any
+) -> tuple[Array, Array, Any]:
+    """``newton``, differentiated by the implicit function theorem."""
     arrays, static = eqx.partition(args, eqx.is_array)
     structure = solver.structure
 
-    def residual(y, t, base, s, arrays):
-        return (base - y) / s + structure.field(t, y, eqx.combine(arrays, static))
-
-    def newton(t, base, guess, s, arrays, tolerance, factors):
-        def step(carry):
-            y, size, count, slow, factors = carry
-            factors = jax.lax.cond(
-                slow,
-                lambda y, _: structure.factor(t, y, eqx.combine(arrays, static), s),
-                lambda _, f: f,
-                y,
-                factors,
-            )
-            change = structure.solve(factors, residual(y, t, base, s, arrays))
-            new = jnp.sqrt(jnp.mean(jnp.square(change / tolerance)))
-            return y + change, new, count + 1, ~(new < solver.contraction * size), factors
-
-        def more(carry):
-            _, size, count, *_ = carry
-            return (count == 0) | ((size > solver.newton) & jnp.isfinite(size) & (count < solver.iterations))
-
-        start = (guess, jnp.asarray(jnp.inf), 0, jnp.asarray(False), factors)
-        y, size, _, _, factors = jax.lax.while_loop(more, step, start)
-        return y, size <= solver.newton, factors
-
     @jax.custom_jvp
     def solve(t, base, guess, s, arrays, tolerance, factors):
-        return newton(t, base, guess, s, arrays, tolerance, factors)
+        exact = eqx.tree_at(lambda x: x.tolerance, solver, tolerance)
+        return newton(exact, t, base, guess, s, eqx.combine(arrays, static), factors)
 
     @solve.defjvp  # pyright: ignore[reportArgumentType]
     def _(primals, tangents):
         t, base, _, s, arrays, *_ = primals
-        y, good, kept = newton(*primals)
+        y, good, kept = solve(*primals)
         t_dot, base_dot, _, s_dot, arrays_dot, *_ = tangents
-        _, right = jax.jvp(
-            lambda t, base, s, arrays: residual(y, t, base, s, arrays),
-            (t, base, s, arrays),
-            (t_dot, base_dot, s_dot, arrays_dot),
-        )
+
+        def residual(t, base, s, arrays):
+            return (base - y) / s + structure.field(t, y, eqx.combine(arrays, static))
+
+        _, right = jax.jvp(residual, (t, base, s, arrays), (t_dot, base_dot, s_dot, arrays_dot))
         exact = structure.factor(t, y, eqx.combine(arrays, static), s)
-        return (y, good, kept), (structure.solve(exact, right), _flat(good), jax.tree.map(_flat, kept))
+        return (y, good, kept), (structure.solve(exact, right), still(good), jax.tree.map(still, kept))
 
     y, good, factors = solve(t, base, guess, s, arrays, solver.tolerance, factors)
     return y, good, jax.lax.stop_gradient(factors)
-
-
-def _flat(x: Array) -> Any:
-    """The tangent of what is not differentiated."""
-    return jnp.zeros_like(x) if jnp.issubdtype(x.dtype, jnp.inexact) else np.zeros(x.shape, jax.dtypes.float0)

@@ -1,0 +1,81 @@
+"""A function whose forward derivatives in many directions come from one call: ``jacfwd`` does not batch its loops."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.custom_batching import custom_vmap
+from jax.custom_derivatives import SymbolicZero
+
+X = TypeVar("X")
+Y = TypeVar("Y")
+Z = TypeVar("Z")
+
+
+def together(
+    function: Callable[[X], tuple[Y, Z]], ahead: Callable[[X, X], tuple[tuple[Y, Z], Y]]
+) -> Callable[[X], tuple[Y, Z]]:
+    """``function(x) -> (y, aside)``, with ``ahead(x, changes)`` for it and for y's changes in k directions at once.
+
+    Forward mode and first derivatives only. What vmap adds to a tangent becomes directions; what it adds to the point
+    stays a batch.
+
+    Args:
+        function: over a pytree of arrays; closed over static things only. ``aside`` is not differentiated.
+        ahead: what ``function`` returns, and the changes of y; changes have a leading axis k in and out, and are None
+            of what does not change.
+    """
+
+    @jax.custom_jvp
+    def differentiable(x: X) -> tuple[Y, Z]:
+        return function(x)
+
+    @partial(differentiable.defjvp, symbolic_zeros=True)
+    def _(primals, tangents):
+        leaves, structure = jax.tree.flatten(primals[0])
+        slopes = structure.flatten_up_to(tangents[0])
+        moving = [not isinstance(slope, SymbolicZero) for slope in slopes]
+
+        def many(leaves: list, changes: list) -> tuple:
+            spread = iter(changes)
+            tree = jax.tree.unflatten(structure, [next(spread) if moves else None for moves in moving])
+            return ahead(jax.tree.unflatten(structure, leaves), tree)
+
+        found, change = _gathered(many)(leaves, [slope for slope, moves in zip(slopes, moving, strict=True) if moves])
+        return found, (change, jax.tree.map(still, found[1]))
+
+    return differentiable
+
+
+def _gathered(many: Callable[[list, list], tuple]) -> Callable[[list, list], tuple]:
+    """One direction of ``many``, whose vmap over directions is ``many`` itself."""
+
+    def alone(x: list, change: list) -> tuple:
+        value, changes = many(x, jax.tree.map(lambda d: d[None], change))
+        return value, jax.tree.map(lambda d: d[0], changes)
+
+    one = custom_vmap(alone)
+
+    @one.def_vmap
+    def _(size, batched, x, change):
+        at, along = batched
+        if any(at):
+            axes = jax.tree.map(lambda b: 0 if b else None, batched)
+            found = jax.vmap(alone, in_axes=tuple(axes), axis_size=size)(x, change)
+            return found, jax.tree.map(lambda _: True, found)
+        changes = [d if b else jnp.broadcast_to(d, (size, *d.shape)) for d, b in zip(change, along, strict=True)]
+        value, moved = many(x, changes)
+        return (value, moved), (jax.tree.map(lambda _: False, value), jax.tree.map(lambda _: True, moved))
+
+    return one
+
+
+def still(x: Array) -> Any:
+    """The tangent of what is not differentiated."""
+    return jnp.zeros_like(x) if jnp.issubdtype(x.dtype, jnp.inexact) else np.zeros(x.shape, jax.dtypes.float0)
