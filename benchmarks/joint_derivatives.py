@@ -1,6 +1,6 @@
 """Work and precision of the joint's derivatives: ``jacfwd`` of ``force_history`` beside CVODES and differences.
 
-    python benchmarks/joint_derivatives.py    writes results/derivatives.json, prints tables (needs the extra ``bench``)
+    python benchmarks/joint_derivatives.py    writes results/joint_derivatives.json, prints tables; needs ``bench``
 
 Against the file of ``derivatives.py``: 0.6 s at 1 ms, 20 normal forces, 8 logarithms. The error of a row is that of
 its worst parameter among those whose influence is above 1 % of the largest: relative, L2 over all histories, of their
@@ -29,52 +29,62 @@ from derivatives import MOVED, Reference, errors, grid, influence, load, moved, 
 import bcfj_jax as bj
 from bcfj_jax.integrate import LEVELS, Plan, integrate, plan
 
-TOLERANCES = (1e-1, 2e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5)
+# Tolerance, and whether tangents count in the step control: ``balanced`` is the second, ``reference`` the last but one.
+TOLERANCES = (
+    *((tolerance, False) for tolerance in (1e-1, 2e-2, 5e-3, 1e-3, 1e-4)),
+    *((tolerance, True) for tolerance in (2e-2, 1e-3, 1e-4, 1e-5)),
+)
 CVODES_TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
 # Tolerance of CVODES, step of the logarithm.
 DIFFERENCES = ((1e-3, 1e-2), (1e-4, 1e-2), (1e-5, 3e-3), (1e-6, 1e-3), (1e-7, 1e-3), (1e-8, 3e-4), (1e-9, 1e-4))
-INFLUENTIAL, MANY, MAX_STEPS, REPEATS = 0.01, 32, 400_000, 5
+INFLUENTIAL, MANY, MAX_STEPS, REPEATS = 0.01, 32, 400_000, 3
 
 SCENE = bj.scenes.joint()
 PARAMS = SCENE.parameters()
 TIMES = jnp.asarray(grid())
 
 
-def forces(logs: Any, tolerance: Any) -> Any:
+def forces(logs: Any, tolerance: Any, controlled: Any) -> Any:
     """Normal forces (T, 20) under the eight logarithms."""
-    how = Plan(tolerance, MAX_STEPS)
+    how = Plan(tolerance, MAX_STEPS, controlled)
     return normals(bj.force_history(SCENE, moved(PARAMS, logs), TIMES, accuracy=how, mode="forward"))
 
 
-def values(logs: Any, tolerance: Any) -> Any:
+def values(logs: Any, tolerance: Any, controlled: Any) -> Any:
     """The same by the solver of values."""
-    how = Plan(tolerance, MAX_STEPS)
+    how = Plan(tolerance, MAX_STEPS, controlled)
     return normals(bj.force_history(SCENE, moved(PARAMS, logs), TIMES, accuracy=how))
 
 
-def many_forces(logs: Any, tolerance: Any) -> Any:
+def many_forces(logs: Any, tolerance: Any, controlled: Any) -> Any:
     """Normal forces under the logarithms of the first ``MANY`` parameters that are not 0."""
     names = [name for name, value in PARAMS.items() if value != 0][:MANY]
     changed = {**PARAMS, **{name: PARAMS[name] * jnp.exp(logs[i]) for i, name in enumerate(names)}}
-    return normals(bj.force_history(SCENE, changed, TIMES, accuracy=Plan(tolerance, MAX_STEPS), mode="forward"))
+    return normals(
+        bj.force_history(SCENE, changed, TIMES, accuracy=Plan(tolerance, MAX_STEPS, controlled), mode="forward")
+    )
 
 
-def steps(logs: Any, tolerance: Any) -> Any:
-    """Accepted and rejected steps of the differentiable solver."""
-    found = integrate(SCENE, moved(PARAMS, logs), TIMES, Plan(tolerance, MAX_STEPS), dfx.ForwardMode(), True)
-    return found.accepted, found.rejected
+def steps(logs: Any, tolerance: Any, controlled: Any) -> Any:
+    """The last states, and accepted and rejected steps: with derivatives, those that the tangents ask for."""
+    found = integrate(
+        SCENE, moved(PARAMS, logs), TIMES, Plan(tolerance, MAX_STEPS, controlled), dfx.ForwardMode(), True
+    )
+    return found.states[-1], (found.accepted, found.rejected)
 
 
 def compiled(function: Callable[..., Any], size: int) -> tuple[Callable[..., Any], float]:
     """The program of a function of ``size`` logarithms, and how long it took."""
     begin = time.perf_counter()
-    made = jax.jit(function).lower(jnp.zeros(size), jnp.asarray(1e-2)).compile()
+    made = jax.jit(function).lower(jnp.zeros(size), jnp.asarray(1e-2), jnp.asarray(False)).compile()
     return made, time.perf_counter() - begin
 
 
-def timed(program: Callable[..., Any], size: int, tolerance: float) -> tuple[np.ndarray, float]:
+def timed(
+    program: Callable[..., Any], size: int, tolerance: float, controlled: bool = False
+) -> tuple[np.ndarray, float]:
     """What a program returns, and the shortest wall of several runs."""
-    arguments = jnp.zeros(size), jnp.asarray(tolerance)
+    arguments = jnp.zeros(size), jnp.asarray(tolerance), jnp.asarray(controlled)
     walls = []
     result = jax.block_until_ready(program(*arguments))
     for _ in range(REPEATS):
@@ -112,7 +122,7 @@ def ours(kept: Reference) -> dict[str, Any]:
         "jacobian": (jax.jacfwd(forces), k),
         "value": (values, k),
         "many": (jax.jacfwd(many_forces), MANY),
-        "steps": (steps, k),
+        "steps": (jax.jacfwd(steps, has_aux=True), k),
     }
     made, compile_s = {}, {}
     with tempfile.TemporaryDirectory() as folder:
@@ -126,22 +136,23 @@ def ours(kept: Reference) -> dict[str, Any]:
             print(f"compile {name}: {cold:.1f} s, from the cache {warm:.1f} s", flush=True)
         jax.config.update("jax_compilation_cache_dir", None)
     rows = []
-    for tolerance in TOLERANCES:
-        found, wall = timed(made["jacobian"], k, tolerance)
+    for tolerance, controlled in TOLERANCES:
+        found, wall = timed(made["jacobian"], k, tolerance, controlled)
         _, forward = timed(made["forward"], k, tolerance)
         value, rodas = timed(made["value"], k, tolerance)
-        _, many = timed(made["many"], MANY, tolerance)
-        accepted, rejected = (int(x) for x in made["steps"](jnp.zeros(k), jnp.asarray(tolerance)))
+        _, many = timed(made["many"], MANY, tolerance, controlled)
+        _, (accepted, rejected) = made["steps"](jnp.zeros(k), jnp.asarray(tolerance), jnp.asarray(controlled))
         row = {
             "tolerance": tolerance,
+            "controlled": controlled,
             **judged(found, kept),
             "wall_s": wall,
             "forward_wall_s": forward,
             "value_wall_s": rodas,
             "value_rms_N": float(np.sqrt(np.mean((value - kept.force) ** 2))),
             "many_wall_s": many,
-            "accepted": accepted,
-            "rejected": rejected,
+            "accepted": int(accepted),
+            "rejected": int(rejected),
         }
         rows.append(row)
         print(row["tolerance"], {x: row[x] for x in ("error", "pointwise", "wall_s", "forward_wall_s", "many_wall_s")})
@@ -193,7 +204,9 @@ def main() -> None:
             row[f"speedup over {name}"] = None if wall is None else wall / row["wall_s"]
     levels = {name: float(plan(SCENE, name).tolerance) for name in LEVELS}
     what = "derivatives of 20 normal forces by 8 logarithms, 0.6 s, outputs every 1 ms, one core"
-    save("derivatives", {"what": what, "levels": levels, "reference": kept.settings, "ours": mine, "peers": theirs})
+    save(
+        "joint_derivatives", {"what": what, "levels": levels, "reference": kept.settings, "ours": mine, "peers": theirs}
+    )
     table = [["tolerance", "error, 5 ms", "pointwise", "steps", "Jacobian s", "/ forward", "32 / forward", "/ values"]]
     table[0] += [f"{name}: times slower" for name in theirs]
     for row in mine["rows"]:
@@ -202,7 +215,7 @@ def main() -> None:
         gains = [row[f"speedup over {name}"] for name in theirs]
         table.append(
             [
-                f"{row['tolerance']:g}",
+                f"{row['tolerance']:g}{', tangents too' if row['controlled'] else ''}",
                 f"{100 * row['error']:.2g} %",
                 f"{100 * row['pointwise']:.2g} %",
                 f"{row['accepted']} + {row['rejected']}",

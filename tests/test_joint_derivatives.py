@@ -27,8 +27,8 @@ def reference():
 def program():
     params = SCENE.parameters()
 
-    def forces(logs, tolerance):
-        how = Plan(tolerance, 400_000)
+    def forces(logs, tolerance, controlled):
+        how = Plan(tolerance, 400_000, controlled)
         values = kept.moved(params, logs)
         return kept.normals(bj.force_history(SCENE, values, reference().times, accuracy=how, mode="forward"))
 
@@ -36,9 +36,9 @@ def program():
 
 
 @functools.cache
-def jacobian(tolerance):
+def jacobian(tolerance, controlled=False):
     """Derivatives (T, 20, 8) of normal forces by logarithms."""
-    return np.asarray(program()(jnp.zeros(len(kept.MOVED)), jnp.asarray(tolerance)))
+    return np.asarray(program()(jnp.zeros(len(kept.MOVED)), jnp.asarray(tolerance), jnp.asarray(controlled)))
 
 
 def influential():
@@ -58,10 +58,12 @@ def test_the_reference_is_one():
     assert len(worst) == 3 and max(worst) < 0.01 and sorted(worst)[1] < 0.005, worst
 
 
-def test_derivatives_keep_their_promise():
-    found = jacobian(float(plan(SCENE, "balanced").tolerance))
+@pytest.mark.parametrize(("level", "promise"), [("balanced", 0.03), ("reference", 0.01)])
+def test_derivatives_keep_their_promise(level, promise):
+    how = plan(SCENE, level)
+    found = jacobian(float(how.tolerance), bool(how.tangents))
     errors = kept.errors(found, reference().slope)
-    assert np.all(errors[influential()] <= 0.03), dict(zip(kept.MOVED, errors, strict=True))
+    assert np.all(errors[influential()] <= promise), dict(zip(kept.MOVED, errors, strict=True))
 
 
 def test_derivatives_are_bounded_and_converge():

@@ -111,7 +111,7 @@ def sensitivity(
     if mode == "reverse" or (mode == "auto" and len(names) > _MANY):
         able = reversible(wanted)
         # The second is a certificate's rung.
-        plans = [how, Plan(how.tolerance * 0.25, max_steps)] if certify else [how]
+        plans = [how, Plan(how.tolerance * 0.25, max_steps, how.tangents)] if certify else [how]
         solved = [gradient(scene, full, t, names, each, able, contacts) for each in plans]
         return _reverse(t, names, _values(full, names), able, contacts, solved, max_steps)
     error = LEVELS[accuracy] if isinstance(accuracy, str) else accuracy
@@ -167,7 +167,13 @@ def _climb(scene, params, times, names, how: Plan, error: float, average: float,
     values, width = _values(params, names), _width(times, average)
     while len(climbed) <= rungs and climbed[-1].good:
         climbed.append(
-            rung(scene, params, times, names, Plan(climbed[-1].tolerance * jnp.asarray(0.25), how.max_steps))
+            rung(
+                scene,
+                params,
+                times,
+                names,
+                Plan(climbed[-1].tolerance * jnp.asarray(0.25), how.max_steps, how.tangents),
+            )
         )
         if not climbed[-1].good:
             break

@@ -104,14 +104,19 @@ def stages(
     # A loop has half as much to compile, and to differentiate, as two stages written out.
     begin = (y0, y0 + structure.solve(factors, first), first, factors, jnp.asarray(True))
     (*_, factors, good), (states, slopes) = jax.lax.scan(stage, begin, NODES)
-    bend = ((slopes[1] - slopes[0]) / (1.0 - GAMMA) - (slopes[0] - first) / GAMMA) * 2.0
-    error = structure.solve(factors, h * ERROR * jax.lax.stop_gradient(bend) / s)
+    turned = jax.lax.stop_gradient(bend(first, slopes[0], slopes[1]))
+    error = structure.solve(factors, h * ERROR * turned / s)
     return states, slopes, jnp.where(good, error, jnp.inf)
 
 
 def following(h: Any, base: Array, slope: Array) -> Array:
     """Where the next stage starts from."""
     return base + h * (1.0 - GAMMA) * slope
+
+
+def bend(first: Array, second: Array, last: Array) -> Array:
+    """Second derivative of the slope times h^2, from the slopes at the start, the first stage and the end."""
+    return ((last - second) / (1.0 - GAMMA) - (second - first) / GAMMA) * 2.0
 
 
 def newton(
