@@ -66,7 +66,8 @@ def coordinates(scene: Scene) -> int:
 def initial_state(scene: Scene, params: Params) -> Array:
     """State at time 0, shape (2 n + remembering contacts,)."""
     q, v = scene.start(params)
-    memory = [c.approach(q, v, params)[None] for c in scene.contacts if c.remembers and c.approach]
+    first = [c.first or c.approach for c in scene.contacts if c.remembers]
+    memory = [speed(q, v, params)[None] for speed in first if speed]
     return jnp.concatenate([q, v, *memory])
 
 

@@ -40,6 +40,7 @@ class Contact(eqx.Module):
         approach: (positions, velocities, params) -> the speed [m/s] at the next touch, for laws that need it.
         memory_rate: (approach, params) -> rate [1/s] at which a remembered approach speed forgets the
             last impact while apart. None: the speed is the same for the whole run and needs no state.
+        first: as ``approach``, remembered at time 0, if a start without a flight before it needs another.
     """
 
     name: str = eqx.field(static=True)
@@ -48,6 +49,7 @@ class Contact(eqx.Module):
     smoothed: bool = eqx.field(static=True, default=True)
     approach: Callable[[Array, Array, Params], Array] | None = eqx.field(static=True, default=None)
     memory_rate: Callable[[Array, Params], Array] | None = eqx.field(static=True, default=None)
+    first: Callable[[Array, Array, Params], Array] | None = eqx.field(static=True, default=None)
 
     @property
     def remembers(self) -> bool:

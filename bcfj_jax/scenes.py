@@ -110,6 +110,24 @@ def _fall_speed(q: Array, v: Array, params: Params) -> Array:
     return jnp.sqrt(jnp.square(v[0]) + 2.0 * params["gravity"] * jnp.maximum(q[0], 0.0) + 1e-24)
 
 
+def _sag(params: Params) -> Array:
+    """Penetration under the body's own weight [m], (m g/K)^(1/n); of conformal contacts its order of magnitude."""
+    weight, exponent = params["mass"] * jnp.maximum(params["gravity"], 1e-9), params.get("exponent", jnp.asarray(1.5))
+    if "stiffness" in params:
+        return (weight / params["stiffness"]) ** (1.0 / exponent)
+    if "reference_force" in params:
+        return params["reference_penetration"] * (weight / params["reference_force"]) ** (1.0 / exponent)
+    # K ~ E L/sqrt(dR), where that is less deep than the play.
+    length = params.get("contact_length", params.get("radius", params["radius_difference"]))
+    return (weight * jnp.sqrt(params["radius_difference"]) / (params["effective_modulus"] * length)) ** (2.0 / 3.0)
+
+
+def _first_speed(q: Array, v: Array, params: Params) -> Array:
+    # A mass let go on the surface has had no flight. It moves as quickly as falling by its sag; a restitution law with
+    # a speed of 0 would be rigid. The first flight, if there is one, forgets this.
+    return jnp.sqrt(jnp.square(_fall_speed(q, v, params)) + 2.0 * params["gravity"] * _sag(params))
+
+
 def _forget(approach: Array, params: Params) -> Array:
     # A flight lasts 2 v/g: 20 g/v leaves exp(-40) of the last impact, whatever the height.
     return 20.0 * params["gravity"] / jnp.maximum(approach, 1e-9)
@@ -133,7 +151,9 @@ def bounce(law: str = "memory_free", elastic: str | None = None, smoothing: bool
     Args:
         law, elastic, smoothing: as ``impact``.
     """
-    contact = Contact("contact", _bounce_gap, normal_laws.make(law, elastic), smoothing, _fall_speed, _forget)
+    contact = Contact(
+        "contact", _bounce_gap, normal_laws.make(law, elastic), smoothing, _fall_speed, _forget, _first_speed
+    )
     return Scene(
         kind="bounce",
         bodies=(Body("body"),),

@@ -41,6 +41,7 @@ INFLUENTIAL, MANY, MAX_STEPS, REPEATS = 0.01, 32, 400_000, 3
 
 SCENE = bj.scenes.joint()
 PARAMS = SCENE.parameters()
+NAMES = [name for name, value in PARAMS.items() if float(value) != 0.0][:MANY]
 TIMES = jnp.asarray(grid())
 
 
@@ -58,8 +59,7 @@ def values(logs: Any, tolerance: Any, controlled: Any) -> Any:
 
 def many_forces(logs: Any, tolerance: Any, controlled: Any) -> Any:
     """Normal forces under the logarithms of the first ``MANY`` parameters that are not 0."""
-    names = [name for name, value in PARAMS.items() if value != 0][:MANY]
-    changed = {**PARAMS, **{name: PARAMS[name] * jnp.exp(logs[i]) for i, name in enumerate(names)}}
+    changed = {**PARAMS, **{name: PARAMS[name] * jnp.exp(logs[i]) for i, name in enumerate(NAMES)}}
     return normals(
         bj.force_history(SCENE, changed, TIMES, accuracy=Plan(tolerance, MAX_STEPS, controlled), mode="forward")
     )

@@ -203,10 +203,11 @@ def restituting():
 @given(
     exponent=st.sampled_from([1.0, 1.5, 3.0]),
     restitution=st.sampled_from([0.0, 0.5, 1.0]),
-    # Found here: released at 0 m with restitution below 1, a run spends its budget of steps, says so, and is NaN.
-    height=st.sampled_from([1e-6, 1e-3, 0.1]),
+    height=st.sampled_from([0.0, 1e-6, 1e-3, 0.1]),
     smoothing=st.sampled_from([0.0, 1e-6]),
 )
+# Found here: let go on the surface, nothing has an approach speed, and a restitution below 1 was rigid.
+@example(exponent=1.5, restitution=0.0, height=0.0, smoothing=1e-6)
 @settings(max_examples=20)
 @pytest.mark.slow
 def test_bounces_are_finite_over_the_box(restituting, exponent, restitution, height, smoothing):

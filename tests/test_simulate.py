@@ -40,6 +40,17 @@ def strike(scene, accuracy="reference", until=2.0, **values):
     return times, run.force["contact"][:, 0]
 
 
+@pytest.mark.parametrize(
+    ("elastic", "restitution"), [(None, 0.0), (None, 0.5), ("reference", 0.0), ("reference", 0.5), ("liu", 0.5)]
+)
+def test_a_mass_let_go_on_the_surface_comes_to_rest(elastic, restitution):
+    scene = scenes.bounce("flores", elastic)
+    params = scene.parameters(drop_height=0.0, restitution=restitution)
+    run = simulate(scene, params, np.linspace(0.0, 0.1, 11))
+    assert run.status == "ok"
+    assert run.force["contact"][-1, 0] == pytest.approx(float(params["mass"] * params["gravity"]), rel=1e-3)
+
+
 def test_chung_and_ooi_1():
     times, force = strike(HERTZ)
     assert force.max() == within(10696.9, 1e-3)  # 0.1 %: what the benchmark asks
