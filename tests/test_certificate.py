@@ -8,6 +8,7 @@ import pytest
 from bumps import bumps
 
 import bcfj_jax as bj
+from bcfj_jax.derivatives.differences import against
 from bcfj_jax.derivatives.norms import averaged, difference, growth, norm
 
 TRUSTED, AVERAGED, NOT = "trusted", "averaged only", "not differentiable here"
@@ -19,6 +20,27 @@ NAMES = ("stiffness", "damping", "gravity")
 
 def bounced(accuracy, **options):
     return bj.sensitivity(BOUNCE, SOFT, TIMES, NAMES, accuracy=accuracy, **options)
+
+
+def test_a_comparison_with_what_failed_is_infinitely_apart():
+    line = np.stack([TIMES, 2.0 * TIMES], 1)
+    broken = np.where(TIMES[:, None] < 0.25, line, np.nan)
+    for pair in ((line, broken), (broken, line)):
+        found = difference(TIMES, *pair, 1e-3, 0.1)
+        assert found.relative == np.inf and found.where == found.broken == pytest.approx(0.25)
+
+    def failing(worst):
+        """Forces whose runs fail beyond a change of the parameter."""
+        return lambda values: np.where(abs(values[0] - 1.0) > worst, np.nan, values[0] * line)
+
+    step = np.array([1.0])
+    for worst, relative in ((0.0, np.inf), (1.0, 0.0)):
+        found = against("", TIMES, failing(worst), np.array([1.0]), step, line, 1e-9, 0.05)
+        assert found.pointwise.relative == pytest.approx(relative, abs=1e-9)
+    # Where the longer step alone fails, nothing excuses a wrong derivative.
+    h = 0.3 * 1e-9 ** (1.0 / 3.0)
+    found = against("", TIMES, failing(0.5 * h), np.array([1.0]), step, 1.5 * line, 1e-9, 0.05)
+    assert 0.2 < found.pointwise.relative < 0.5
 
 
 @pytest.mark.slow
