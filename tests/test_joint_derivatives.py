@@ -78,3 +78,18 @@ def test_derivatives_are_bounded_and_converge():
     errors = np.array([kept.errors(one, exact)[steady].mean() for one in found])
     assert np.all(errors[1:] < 0.75 * errors[:-1]), errors
     assert errors[-1] < 0.007
+
+
+def test_reverse_is_forward_through_rejected_steps():
+    # A step on which Newton gave up left NaN in every gradient: 0 times what was not finite.
+    how, params = plan(SCENE, "balanced"), SCENE.parameters()
+    weights = np.random.default_rng(0).normal(size=(601, 20))
+
+    def weighed(logs):
+        changed = kept.moved(params, logs)
+        forces = bj.force_history(SCENE, changed, reference().times, accuracy=how, mode="reverse")
+        return jnp.sum(weights * kept.normals(forces))
+
+    found = np.asarray(jax.jit(jax.grad(weighed))(jnp.zeros(len(kept.MOVED))))
+    parts = weights[..., None] * jacobian(float(how.tolerance))
+    assert np.all(np.abs(found - parts.sum((0, 1))) <= 1e-9 * np.abs(parts).sum((0, 1)))

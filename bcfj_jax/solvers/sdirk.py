@@ -122,7 +122,7 @@ def bend(first: Array, second: Array, last: Array) -> Array:
 def newton(
     solver: Sdirk, t: Any, base: Array, guess: Array, s: Any, args: Any, factors: Any
 ) -> tuple[Array, Array, Any]:
-    """The y of  y = base + s f(t, y),  whether Newton got there, and the last matrix it used.
+    """The y of  y = base + s f(t, y)  or else the base, whether Newton got there, and the last matrix it used.
 
     Newton keeps its matrix while it converges quickly: contact springs appear within a step, and then it must not.
     """
@@ -141,7 +141,9 @@ def newton(
 
     start = (guess, jnp.asarray(jnp.inf), 0, jnp.asarray(False), factors)
     y, size, _, _, factors = jax.lax.while_loop(more, step, start)
-    return y, size <= solver.newton, factors
+    # Where it did not, y may be anything; the step is rejected, and reverse mode multiplies its slopes by 0.
+    good = size <= solver.newton
+    return jnp.where(good, y, base), good, factors
 
 
 def _solved(
