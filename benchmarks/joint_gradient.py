@@ -69,6 +69,8 @@ def main() -> None:
         program = jax.jit(jax.grad(lambda x, n=max_steps: scalar(x, n, "reverse"))).lower(zero).compile()
         compile_s = time.perf_counter() - begin
         gradient, wall = timed(program, zero)
+        memory = program.memory_analysis()
+        assert memory is not None
         rows.append(
             {
                 "max_steps": max_steps,
@@ -76,7 +78,7 @@ def main() -> None:
                 "wall_s": wall,
                 "forward_wall_s": alone,
                 "ratio": wall / alone,
-                "memory_MB": program.memory_analysis().temp_size_in_bytes / 1e6,
+                "memory_MB": memory.temp_size_in_bytes / 1e6,
                 "compile_s": compile_s,
                 "against_forward": abs(float(gradient @ way) / expected - 1.0),
             }
