@@ -60,5 +60,5 @@ def bands(found: Sensitivity, values: Mapping[str, Any], path: Path) -> None:
             axis.set_xlabel(label("time", "s", prefix_t))
             axis.set_ylabel(label("force", "N", prefix))
             if sizes:
-                axis.legend(fontsize=8, loc="upper right")
+                axis.legend(fontsize=8, loc="best")
         save(drawing, path)

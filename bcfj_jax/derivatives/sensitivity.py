@@ -162,19 +162,19 @@ def _values(params: Params, names: Sequence[str]) -> np.ndarray:
 
 
 def _climb(scene, params, times, names, how: Plan, error: float, average: float, rungs: int) -> list[Rung]:
-    """Solves at tolerances 4 times tighter each, until two agree, the budget is spent or nothing helps."""
+    """Solves at tolerances 4 times tighter each, until two agree, the budget is spent or nothing helps.
+
+    A joint whose first two disagree goes on at ``reference``, tangents in the step control.
+    """
     climbed = [rung(scene, params, times, names, how)]
     values, width = _values(params, names), _width(times, average)
     while len(climbed) <= rungs and climbed[-1].good:
-        climbed.append(
-            rung(
-                scene,
-                params,
-                times,
-                names,
-                Plan(climbed[-1].tolerance * jnp.asarray(0.25), how.max_steps, how.tangents),
-            )
-        )
+        tighter = Plan(climbed[-1].tolerance * jnp.asarray(0.25), how.max_steps, how.tangents)
+        if isinstance(scene, Joint) and len(climbed) > 1 and not how.tangents:
+            # In between errors have a hump: a free ball's swing, there with a wrong phase (docs/derivatives.md).
+            good = plan(scene, "reference")
+            how = tighter = Plan(jnp.minimum(tighter.tolerance, good.tolerance), how.max_steps, good.tangents)
+        climbed.append(rung(scene, params, times, names, tighter))
         if not climbed[-1].good:
             break
         found = judged.between(times, climbed[-2], climbed[-1], values, width)
