@@ -89,7 +89,8 @@ def test_arrowhead_solves_with_the_exact_jacobian(options):
         for part in (slice(0, places), slice(places, scene.moving), slice(scene.moving, None)):
             if not wanted[part].size:
                 continue
-            assert abs(np.asarray(got) - wanted)[part].max() <= 1e-8 * abs(wanted[part]).max()
+            # Rounding of two Jacobians, amplified: 1.6e-9 with unlike laws, below 1e-9 elsewhere.
+            assert abs(np.asarray(got) - wanted)[part].max() <= 2e-9 * abs(wanted[part]).max()
 
 
 def test_time_derivative_is_that_of_load_and_drive():
