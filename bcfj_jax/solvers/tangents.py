@@ -5,8 +5,8 @@ the converged stage y of base b,
 
     E dy = db/s + (df/dp) dp,
 
-all directions together, one matrix for all. The same steps and numbers as differentiating ``sdirk``, from a smaller
-program: JAX differentiates no loop.
+all directions together, one matrix for all. Where tangents are not controlled, the same steps and numbers as
+differentiating ``sdirk``, from a smaller program: JAX differentiates no loop.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class SdirkTangents(dfx.AbstractAdaptiveSolver):
         return 3
 
     def init(self, terms, t0, t1, y0, args):
-        """Slopes at the start; later the last stage's. Those of tangents serve interpolation within a step alone."""
+        """Slopes at the start, later the last stage's; tangents begin with 0, which is in their first step's error."""
         return self.func(terms, t0, y0, args)
 
     def func(self, terms, t0, y0, args):
