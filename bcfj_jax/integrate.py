@@ -8,6 +8,7 @@ tolerance, ``integrate`` runs it. Which solver a scene gets:
 | ``impact``, ``bounce`` | Tsit5 | a few elastic or damped springs are oscillatory, not stiff: explicit wins |
 | ``joint``, values | RODAS3 on the arrowhead | friction is stiff; no iteration, so no lane of a batch waits |
 | ``joint``, derivatives | SDIRK2 on the arrowhead | every stage implicit and converged: tangents stay bounded |
+| ... tighter than a percent | BDF on the arrowhead | tangents' own error controlled: high order, one matrix a step |
 | ``joint``, quasistatic or kinematic | none | each instant on its own: equilibrium, or closed form |
 
 Tsit5 and not Dopri8: Tsit5 evaluates the force at the end of a step and weighs it in the error estimate, so a
@@ -39,6 +40,7 @@ from bcfj_jax.joint.scales import tolerance as joint_tolerance
 from bcfj_jax.joint.scene import Joint
 from bcfj_jax.joint.start import nominal
 from bcfj_jax.scene import AbstractScene, Params, Scene
+from bcfj_jax.solvers import bdf
 from bcfj_jax.solvers.rodas import Rodas
 from bcfj_jax.solvers.sdirk import Sdirk
 from bcfj_jax.solvers.tangents import SdirkTangents
@@ -53,8 +55,8 @@ _TOLERANCE_PER_ERROR = 0.002
 
 # Force error from which on tangents count in the step control. A ball that carries nothing swings below 1 N, and
 # tangents hang on its phase: loose steps damp the swing, and tight ones resolve it only where the tangents' own error
-# is asked for (benchmarks/joint_derivatives.py: 9 % without, 0.8 % with, at a tolerance of 1e-4).
-_TANGENTS_FROM = 1e-4
+# is asked for (benchmarks/joint_derivatives.py, at a tolerance of 1e-4: 9 % without, 0.6 % with).
+TANGENTS_FROM = 1e-4
 
 OK, STEPS, NOT_FINITE, SOLVER, UNBALANCED = range(5)
 _REASONS = {
@@ -68,13 +70,13 @@ _REASONS = {
 class Plan(eqx.Module):
     """How a scene will be integrated.
 
-    ``tolerance`` may be traced: changing it does not compile again; changing the budget does. ``tangents``: whether the
+    ``tolerance`` may be traced: changing it does not compile again; changing the rest does. ``tangents``: whether the
     joint's steps are chosen for the error of its forward tangents, too.
     """
 
     tolerance: Array
     max_steps: int = eqx.field(static=True, default=MAX_STEPS)
-    tangents: Array = eqx.field(converter=jnp.asarray, default=False)
+    tangents: bool = eqx.field(static=True, default=False)
 
 
 class Solution(NamedTuple):
@@ -107,7 +109,7 @@ def plan(scene: AbstractScene, accuracy: str | float = "balanced", max_steps: in
     if not 1e-9 <= accuracy <= 0.5:
         raise InputError("accuracy", f"force_error = {accuracy:g}", "give a fraction of the peak from 1e-9 to 0.5")
     tolerance = joint_tolerance(accuracy) if isinstance(scene, Joint) else _TOLERANCE_PER_ERROR * accuracy
-    return Plan(jnp.asarray(tolerance, dtype=jnp.float64), max_steps, accuracy <= _TANGENTS_FROM)
+    return Plan(jnp.asarray(tolerance, dtype=jnp.float64), max_steps, accuracy <= TANGENTS_FROM)
 
 
 def reason(code: int, max_steps: int) -> str:
@@ -219,17 +221,30 @@ def _solved(problem: _Problem, times: Array, how: Plan, adjoint: dfx.AbstractAdj
     return Solution(states, code, solution.ts[1][0], stats["num_accepted_steps"], stats["num_rejected_steps"])
 
 
+def _by_bdf(problem: _Problem, solver: Sdirk, changes: tuple, start: Array, times: Array, how: Plan) -> Solution:
+    """Rows (T, 1 + k, n) of state and tangents, both in the step control."""
+    found = bdf.solve(
+        solver, problem.args, changes, start, problem.scales, times, problem.first_step, problem.shortest_step,
+        how.max_steps,
+    )  # fmt: skip
+    finite = jnp.all(jnp.isfinite(found.rows))
+    stopped = jnp.where(found.accepted + found.rejected < how.max_steps, SOLVER, STEPS)
+    code = jnp.where(found.end < times[-1], stopped, jnp.where(finite, OK, NOT_FINITE))
+    end = jnp.minimum(found.end, times[-1])
+    return Solution(found.rows, code, end, found.accepted, found.rejected)
+
+
 def _with_tangents(problem: _Problem, times: Array, how: Plan) -> Solution:
     """A run whose forward tangents are solved beside it (``solvers.tangents``)."""
     scene, _ = problem.args
     assert isinstance(problem.solver, Sdirk)
-    structure = problem.solver.structure
+    structure, controlled = problem.solver.structure, how.tangents
 
     def of(x: tuple) -> tuple[_Problem, Sdirk, Array, Plan]:
-        c, start, times, scales, tolerance, controlled = x
+        c, start, times, scales, tolerance = x
         solver = Sdirk(structure, tolerance * scales)
         made = problem._replace(args=(scene, c), start=start, scales=scales, solver=solver)
-        return made, solver, times, Plan(tolerance, how.max_steps, controlled)
+        return made, solver, times, Plan(tolerance, how.max_steps)
 
     def value(x: tuple) -> tuple[Array, tuple]:
         made, _, times, how = of(x)
@@ -241,19 +256,23 @@ def _with_tangents(problem: _Problem, times: Array, how: Plan) -> Solution:
         by_args, by_start, by_times, *_ = changes
         count = jax.tree.leaves(changes)[0].shape[0]
         by_start = jnp.zeros((count, made.start.size)) if by_start is None else by_start
-        rows = made._replace(
-            field=lambda t, rows, args: rows.at[0].set(made.field(t, rows[0], args[0])),
-            args=(made.args, (scene, by_args)),
-            start=jnp.concatenate([made.start[None], by_start]),
-            solver=SdirkTangents(solver, made.scales, how.tangents),
-            norm=lambda errors: jnp.max(jax.vmap(_safe_norm)(errors)),
-        )
-        found, *rest = _solved(rows, times, how, dfx.ForwardMode())
+        start = jnp.concatenate([made.start[None], by_start])
+        if controlled:
+            found, *rest = _by_bdf(made, solver, (scene, by_args), start, times, how)
+        else:
+            rows = made._replace(
+                field=lambda t, rows, args: rows.at[0].set(made.field(t, rows[0], args[0])),
+                args=(made.args, (scene, by_args)),
+                start=start,
+                solver=SdirkTangents(solver),
+                norm=lambda errors: _safe_norm(errors[0]),
+            )
+            found, *rest = _solved(rows, times, how, dfx.ForwardMode())
         states, moved = found[:, 0], jnp.moveaxis(found[:, 1:], 1, 0)
         if by_times is not None:
             moved = moved + by_times[:, :, None] * jax.vmap(lambda t, y: made.field(t, y, made.args))(times, states)
         return (states, tuple(rest)), moved
 
-    x = (*problem.args[1:], problem.start, times, problem.scales, how.tolerance, how.tangents)
+    x = (*problem.args[1:], problem.start, times, problem.scales, how.tolerance)
     states, rest = together(value, ahead)(x)
     return Solution(states, *rest)

@@ -63,6 +63,9 @@ CATALOGUE: dict[str, Quantity] = {
         Quantity("exponent", "1", "force exponent n of F = K d^n", 1.0, 3.0),
         _positive("reference_force", "N", "force at the reference penetration"),
         _positive("reference_penetration", "m", "penetration at which the reference force is stated"),
+        _not_negative("bottoming_stiffness", "N/m", "stiffness added where the soft layer bottoms out"),
+        _positive("bottoming_penetration", "m", "penetration at which the soft layer bottoms out"),
+        _not_negative("bottoming_width", "m", "half-width of the rounding where the soft layer bottoms out"),
         _positive("effective_modulus", "Pa", "E*, 1/E* = (1 - nu1^2)/E1 + (1 - nu2^2)/E2"),
         _positive("contact_length", "m", "length of the cylindrical contact"),
         _positive("radius", "m", "radius of the sphere"),
@@ -119,8 +122,11 @@ CATALOGUE: dict[str, Quantity] = {
 }
 
 
-# The first must not be more than the second, in every contact that reads both.
-_ORDERED = (("friction_dynamic", "friction_static"),)
+# The first must not be more than the second, in every contact that reads both, and why.
+_ORDERED = (
+    ("friction_dynamic", "friction_static", "sliding does not hold more than sticking"),
+    ("bottoming_width", "bottoming_penetration", "the backing does not push before the layer is touched"),
+)
 
 
 def check_value(where: str, quantity: Quantity, value: ArrayLike) -> None:
@@ -138,7 +144,9 @@ def check_value(where: str, quantity: Quantity, value: ArrayLike) -> None:
 
 
 def check_order(where: str, known: Collection[str], values: Mapping[str, ArrayLike]) -> None:
-    """Refuse a sliding friction above the static one, in any contact whose law reads both; traced values pass.
+    """Refuse a sliding friction above the static one, or a rounding wider than the depth it is at; traced values pass.
+
+    In any contact whose law reads both.
 
     Args:
         where: place, for the message.
@@ -148,7 +156,7 @@ def check_order(where: str, known: Collection[str], values: Mapping[str, ArrayLi
     Raises:
         InputError: naming the keys and their values.
     """
-    for low, high in _ORDERED:
+    for low, high, why in _ORDERED:
         places = {name.removesuffix(low) for name in known if name.endswith(low)}
         # A scene that names its contacts' own coefficients reads the shared ones through them.
         for place in sorted(places - {""} or places):
@@ -158,7 +166,7 @@ def check_order(where: str, known: Collection[str], values: Mapping[str, ArrayLi
             less, more = (np.asarray(values[key], dtype=float) for key in keys)
             if np.any(less > more):
                 found = f"{keys[0]} = {np.max(less):g} is more than {keys[1]} = {np.min(more):g}"
-                raise InputError(where, found, f"give {keys[0]} <= {keys[1]}: sliding does not hold more than sticking")
+                raise InputError(where, found, f"give {keys[0]} <= {keys[1]}: {why}")
 
 
 def increasing(times: ArrayLike, fewest: int = 1) -> np.ndarray:

@@ -24,10 +24,10 @@ def reference():
 
 
 @functools.cache
-def program():
+def program(controlled):
     params = SCENE.parameters()
 
-    def forces(logs, tolerance, controlled):
+    def forces(logs, tolerance):
         how = Plan(tolerance, 400_000, controlled)
         values = kept.moved(params, logs)
         return kept.normals(bj.force_history(SCENE, values, reference().times, accuracy=how, mode="forward"))
@@ -38,7 +38,7 @@ def program():
 @functools.cache
 def jacobian(tolerance, controlled=False):
     """Derivatives (T, 20, 8) of normal forces by logarithms."""
-    return np.asarray(program()(jnp.zeros(len(kept.MOVED)), jnp.asarray(tolerance), jnp.asarray(controlled)))
+    return np.asarray(program(controlled)(jnp.zeros(len(kept.MOVED)), jnp.asarray(tolerance)))
 
 
 def influential():
@@ -61,7 +61,7 @@ def test_the_reference_is_one():
 @pytest.mark.parametrize(("level", "promise"), [("balanced", 0.03), ("reference", 0.01)])
 def test_derivatives_keep_their_promise(level, promise):
     how = plan(SCENE, level)
-    found = jacobian(float(how.tolerance), bool(how.tangents))
+    found = jacobian(float(how.tolerance), how.tangents)
     errors = kept.errors(found, reference().slope)
     assert np.all(errors[influential()] <= promise), dict(zip(kept.MOVED, errors, strict=True))
 

@@ -14,7 +14,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
-from bcfj_jax.numerics import positive, power
+from bcfj_jax.numerics import positive, power, smooth_ramp
 
 Coefficients = Mapping[str, Array]
 
@@ -63,6 +63,30 @@ class Linear(AbstractElastic):
 
     def force(self, penetration: Array, c: Coefficients) -> Array:
         return c["stiffness"] * positive(penetration)
+
+
+class TwoStage(AbstractElastic):
+    """F = K d^n + K_b r(d - d_b): a soft layer, and from d_b on a stiffer backing beside it. The layer bottoms out.
+
+    Mindlin 1945 ("Dynamics of package cushioning", Bell System Technical Journal 24, 353): his bilinear cushion,
+    F = K d up to d_b and K d + K_b (d - d_b) beyond, is n = 1 and w -> 0. The corner is rounded: r is
+    ``numerics.smooth_ramp`` of half-width w, so the force has three continuous derivatives there. It is the layer's
+    alone below d_b - w and Mindlin's above d_b + w. With x = d - d_b and s = (x + w) / 2 w the energy stored is
+    K d^(n+1) / (n+1) + K_b U:  U = 2 w^2 s^5 (1 - s + 2 s^2/7) within w of d_b,  U = x^2/2 + w^2/14 beyond.
+    Coefficients: ``stiffness`` K [N/m^n], ``exponent`` n, ``bottoming_stiffness`` K_b [N/m], ``bottoming_penetration``
+    d_b [m], ``bottoming_width`` w [m] < d_b (0 is the sharp corner).
+    """
+
+    needs: ClassVar[tuple[str, ...]] = (
+        "stiffness", "exponent", "bottoming_stiffness", "bottoming_penetration", "bottoming_width",
+    )  # fmt: skip
+
+    def force(self, penetration: Array, c: Coefficients) -> Array:
+        d = positive(penetration)
+        backing, _ = smooth_ramp(d - c["bottoming_penetration"], c["bottoming_width"])
+        # A width above d_b would let the backing push before the layer is touched.
+        stiff = jnp.where(penetration > 0, c["bottoming_stiffness"] * backing, 0.0)
+        return c["stiffness"] * power(penetration, c["exponent"]) + stiff
 
 
 class Liu(AbstractElastic):
@@ -165,6 +189,7 @@ ELASTIC: dict[str, AbstractElastic] = {
     "power": Power(),
     "reference": Reference(),
     "linear": Linear(),
+    "two_stage": TwoStage(),
     "liu": Liu(),
     "liu_sphere": LiuSphere(),
     "bai_zhao": BaiZhao(),

@@ -5,8 +5,8 @@ the converged stage y of base b,
 
     E dy = db/s + (df/dp) dp,
 
-all directions together, one matrix for all. Where tangents are not controlled, the same steps and numbers as
-differentiating ``sdirk``, from a smaller program: JAX differentiates no loop.
+all directions together, one matrix for all. The same steps and numbers as differentiating ``sdirk``, from a smaller
+program: JAX differentiates no loop. Tangents have no say in the steps; in ``bdf`` they have.
 """
 
 from __future__ import annotations
@@ -20,23 +20,16 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from bcfj_jax.solvers.sdirk import ERROR, GAMMA, NODES, Sdirk, bend, following, newton, stages
+from bcfj_jax.solvers.sdirk import GAMMA, NODES, Sdirk, following, newton, stages
 
 
 class SdirkTangents(dfx.AbstractAdaptiveSolver):
-    """``Sdirk`` over rows (1 + k, n): the state, then its tangents.
+    """``Sdirk``, here ``state``, over rows (1 + k, n): the state, then its tangents.
 
     ``args`` is (args, their k changes); a change is None where nothing changes.
-
-    Attributes:
-        state: the solver of the state alone.
-        scales: natural sizes of the states.
-        controlled: whether steps are chosen for the tangents' error, too.
     """
 
     state: Sdirk
-    scales: Array
-    controlled: Array
 
     term_structure: ClassVar = dfx.ODETerm
     interpolation_cls: ClassVar[Callable[..., dfx.AbstractLocalInterpolation]] = (
@@ -52,7 +45,7 @@ class SdirkTangents(dfx.AbstractAdaptiveSolver):
         return 3
 
     def init(self, terms, t0, t1, y0, args):
-        """Slopes at the start, later the last stage's; tangents begin with 0, which is in their first step's error."""
+        """Slopes at the start, later the last stage's; 0 for tangents, which do not read theirs."""
         return self.func(terms, t0, y0, args)
 
     def func(self, terms, t0, y0, args):
@@ -60,13 +53,13 @@ class SdirkTangents(dfx.AbstractAdaptiveSolver):
         return jnp.zeros_like(y0).at[0].set(self.state.structure.field(t0, y0[0], args[0]))
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        """One step; the error of tangents is 0 where they are not controlled."""
+        """One step; the error of tangents is 0."""
         del terms, made_jump
         rows, error, slopes, ends = _step(self, t0, t1, y0, args, solver_state)
         return rows, error, dict(y0=y0, y1=rows, k0=ends[0], k1=ends[1]), slopes, dfx.RESULTS.successful
 
 
-def _along(solver: Sdirk, t: Any, y: Array, args: Any, changes: Any) -> Array:
+def along(solver: Sdirk, t: Any, y: Array, args: Any, changes: Any) -> Array:
     """(df/dp) dp of every direction (k, n), or 0."""
     if not jax.tree.leaves(changes):
         return jnp.zeros(())
@@ -80,11 +73,11 @@ def _along(solver: Sdirk, t: Any, y: Array, args: Any, changes: Any) -> Array:
 
 @eqx.filter_jit
 def _step(
-    control: SdirkTangents, t0: Any, t1: Any, rows: Array, both: Any, firsts: Array
+    whole: SdirkTangents, t0: Any, t1: Any, rows: Array, both: Any, firsts: Array
 ) -> tuple[Array, Array, Array, Any]:
     """New rows, their errors, last slopes, and the slopes at both ends times the step."""
     args, changes = both
-    solver = control.state
+    solver = whole.state
     structure, h = solver.structure, t1 - t0
     s = h * GAMMA
     states, slopes, error = stages(solver, t0, h, rows[0], args, firsts[0], newton)
@@ -93,7 +86,7 @@ def _step(
         """Of both stages; what does not depend on the tangents themselves for both together."""
 
         def at(t, y):
-            return structure.factor(t, y, args, s), _along(solver, t, y, args, changes)
+            return structure.factor(t, y, args, s), along(solver, t, y, args, changes)
 
         matrices, moved = jax.vmap(at)(t0 + NODES * h, states)
 
@@ -104,16 +97,11 @@ def _step(
             return following(h, base, slope), (found, slope)
 
         _, (found, slopes) = jax.lax.scan(stage, rows[1:], (matrices, moved))
-        right = h * ERROR * bend(firsts[1:], slopes[0], slopes[1]) / s
-        errors = jax.vmap(structure.solve, (None, 0))(jax.tree.map(lambda x: x[1], matrices), right)
-        return found[1], slopes[1], jnp.where(control.controlled, errors, 0.0)
+        return found[1], slopes[1]
 
     # A step that will be rejected needs none.
     good = jnp.sqrt(jnp.mean(jnp.square(error / solver.tolerance))) <= 1.0
-    none = rows[1:], rows[1:], jnp.zeros_like(rows[1:])
-    ahead, last, errors = jax.lax.cond(good, tangents, lambda _: none, None)
-    # Absolute up to the states' own sizes, which move a force by its size; relative beyond.
-    size = jnp.sqrt(jnp.mean(jnp.square(ahead / control.scales), axis=1, keepdims=True))
-    errors = jnp.concatenate([error[None], errors / jnp.maximum(1.0, size)])
+    ahead, last = jax.lax.cond(good, tangents, lambda _: (rows[1:], rows[1:]), None)
+    errors = jnp.concatenate([error[None], jnp.zeros_like(ahead)])
     lasts = jnp.concatenate([slopes[1:], last])
     return jnp.concatenate([states[1:], ahead]), errors, lasts, (h * firsts, h * lasts)
