@@ -21,8 +21,8 @@ DONE, BAD_INPUT, SIMULATION_FAILED, INTERRUPTED = 0, 2, 3, 5
 
 _EPILOG = (
     "Exit codes: 0 done, 2 bad input, 3 a simulation failed, 4 the calibration's verdict is not 'identified', "
-    "5 interrupted. Compiled programs are kept per user between runs, in the folder that BCFJ_CACHE names "
-    "(BCFJ_CACHE=off keeps none), by default the system's cache folder for bcfj-jax."
+    "5 interrupted and resumable. Compiled programs are kept per user between runs, in the folder that BCFJ_CACHE "
+    "names (BCFJ_CACHE=off keeps none), by default the system's cache folder for bcfj-jax."
 )
 
 app = typer.Typer(
@@ -131,15 +131,23 @@ def calibrate(
     out: Out = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the starting points.")] = 0,
     starts: Annotated[int, typer.Option(min=1, help="Number of starting points.")] = 12,
+    intervals: Annotated[str, typer.Option(help="covariance, profile or posterior.")] = "covariance",
+    export_petab: Annotated[Path | None, typer.Option(help="Write PEtab 2 tables there instead of fitting.")] = None,
 ) -> int:
-    """Fit parameters to measured forces: fit.json, pictures and report.html."""
+    """Fit parameters to measured forces: fit.json, pictures and report.html.
+
+    Finished starts are kept in DIR/journal.jsonl. After Ctrl-C (exit code 5), or a crash, the same command with the
+    same --out goes on from there and finds the same fit; the journal is removed when the fit is written.
+    """
     use_compile_cache()
     progress = logging.getLogger("calibration")
     progress.setLevel(logging.INFO)
     progress.addHandler(logging.StreamHandler(sys.stderr))
     from calibration import command
 
-    return command.run(problem, out, seed, starts)
+    if export_petab is not None:
+        return command.export_petab(problem, export_petab)
+    return command.run(problem, out, seed, starts, intervals)
 
 
 @app.command(epilog=_EPILOG)

@@ -4,42 +4,104 @@ from __future__ import annotations
 
 import sys
 import time
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from bcfj_jax import outputs, report, scenefile
+from bcfj_jax import InputError, outputs, report, scenefile, tables
 from bcfj_jax.units import format_si
-from calibration import plots
-from calibration.fit import AllStartsFailed, Fit, Parameter, fit
+from calibration import choice, dataplot, plots, plots_uncertainty
+from calibration import intervals as uncertainty
+from calibration.alternatives import Outcome, solve
+from calibration.fit import AllStartsFailed, Fit, Parameter
+from calibration.journal import NAME, Journal, key_of
+from calibration.next_experiment import as_json as candidates_json
+from calibration.next_experiment import table as candidates_table
 from calibration.problem import Problem
-from calibration.problemfile import load, sources
+from calibration.problemfile import load, prepared, sources
+from calibration.search import Interrupted
 
-DONE, FAILED, NOT_IDENTIFIED = 0, 3, 4
+DONE, FAILED, NOT_IDENTIFIED, INTERRUPTED = 0, 3, 4, 5
 FILES = (
-    "fit.json", "fitted_scene.toml", "fit.png", "force_penetration.png", "starts.png", "report.html", "run.toml",
-    "environment.json",
+    "fit.json", "fitted_scene.toml", "data.png", "fit.png", "force_penetration.png", "starts.png", "report.html",
+    "run.toml", "models.json", "environment.json", *plots_uncertainty.FILES,
 )  # fmt: skip
 
 
-def run(path: Path, out: Path | None, seed: int, starts: int) -> int:
+_SO_FAR = "interrupted.json"
+
+
+def run(path: Path, out: Path | None, seed: int, starts: int, intervals: str = "covariance") -> int:
     """Calibrate a problem file; write the results; return the exit code of the contract.
+
+    A folder that holds the journal of this very fit is gone on with: finished starts are taken from there.
 
     Raises:
         InputError: for bad input, before anything is written.
     """
+    path = Path(path)
     problem = load(path)
-    folder = outputs.open_folder(out, "calibrate", Path(path).stem, FILES)
+    unfinished = out is not None and (out / NAME).exists()
+    folder = out if out and unfinished else outputs.open_folder(out, "calibrate", path.stem, FILES)
+    base = _base(path, problem)
+    key = key_of(
+        [asdict(e) for e in problem.experiments], _resolved(path, base, problem, seed, starts), problem.accuracy,
+        problem.loss, tables.read(path).get("model"),
+    )  # fmt: skip
     begin = time.perf_counter()
-    try:
-        result = fit(problem, seed=seed, starts=starts)
-    except AllStartsFailed as error:
-        print(f"error: {path}: {error}", file=sys.stderr)
-        return FAILED
-    seconds = time.perf_counter() - begin
-    _write(folder, Path(path), problem, result, seconds)
+    with Journal(folder, key) as journal:
+        if journal.resumed:
+            print(f"going on in {folder}: {len(journal)} batches are finished", file=sys.stderr)
+        understood = prepared(path)
+        dataplot.data(understood, folder / "data.png")
+        for record in understood:
+            print(f"{record.name}: {'; '.join(record.notes)}", file=sys.stderr)
+        try:
+            outcome = solve(path, problem, base, seed=seed, starts=starts, journal=journal, intervals=intervals)
+        except InputError:
+            (folder / "data.png").unlink(missing_ok=True)
+            journal.remove()
+            if not any(folder.iterdir()):
+                folder.rmdir()
+            raise
+        except AllStartsFailed as error:
+            journal.remove()
+            print(f"error: {path}: {error}", file=sys.stderr)
+            return FAILED
+        except KeyboardInterrupt as stop:
+            return _interrupted(folder, path, stop)
+        result = outcome.fit
+        _write(folder, path, outcome, starts, time.perf_counter() - begin)
+        (folder / _SO_FAR).unlink(missing_ok=True)
+        journal.remove()
     print(text(result))
+    for heading, rows in _comparisons(outcome):
+        print(f"\n{heading}\n{report.text(rows)}")
     print(f"\nresults and pictures (fit.png, force_penetration.png, starts.png, report.html): {folder}")
     return DONE if result.verdict == "identified" else NOT_IDENTIFIED
+
+
+def export_petab(path: Path, folder: Path) -> int:
+    """Write a problem file as PEtab tables instead of fitting it.
+
+    Raises:
+        InputError: for bad input, before anything is written, or where PEtab is not installed.
+    """
+    from calibration.petab import export
+
+    problem = load(path)
+    print(export(problem, _base(Path(path), problem).resolved, folder))
+    return DONE
+
+
+def _interrupted(folder: Path, path: Path, stop: KeyboardInterrupt) -> int:
+    """Leave the best so far, which is no fit yet, and say how to go on."""
+    print(f"interrupted; go on with: bcfj calibrate {path} --out {folder} (same options)", file=sys.stderr)
+    if isinstance(stop, Interrupted):
+        best = {"finished_starts": stop.finished, "stage": stop.stage, "chi2_of_stage": stop.cost, "best": stop.values}
+        outputs.write_json(folder / _SO_FAR, best)
+        print(f"{stop.finished} starts finished; the best so far is in {folder / _SO_FAR}", file=sys.stderr)
+    return INTERRUPTED
 
 
 def text(result: Fit) -> str:
@@ -78,6 +140,7 @@ def _rows(result: Fit) -> list[list[str]]:
 
 def _remark(p: Parameter) -> str:
     remarks = [p.kind] if p.kind != "fitted" else []
+    remarks += [f"interval by {p.interval_kind}"] if p.ci95 and p.interval_kind != "covariance" else []
     remarks += [f"at its {p.at_bound} bound"] if p.at_bound else []
     remarks += [] if p.identifiable else ["not determined by the data"]
     return ", ".join(remarks)
@@ -97,6 +160,7 @@ def as_json(result: Fit) -> dict[str, Any]:
                 "identifiable": p.identifiable,
                 "at_bound": p.at_bound or None,
                 "kind": p.kind,
+                "interval": p.interval_kind if p.ci95 else None,
             }
             for name, p in result.parameters.items()
         },
@@ -109,22 +173,40 @@ def as_json(result: Fit) -> dict[str, Any]:
         ],
         "starts": result.starts,
         "residual": result.residual,
+        "noise": result.noise,
+        "check": result.check,
         "held_out": result.held_out,
         "correlation": None
         if result.correlation is None
         else {"labels": list(result.labels), "matrix": result.correlation},
         "seed": result.seed,
+        **uncertainty.as_json(result.evidence),
     }
 
 
-def _write(folder: Path, path: Path, problem: Problem, result: Fit, seconds: float) -> None:
-    outputs.write_json(folder / "fit.json", {**as_json(result), "wall_s": seconds})
+def _comparisons(outcome: Outcome) -> list[tuple[str, list[list[str]]]]:
+    """Tables of models and of candidates, with what is said of them."""
+    found = []
+    if outcome.choice:
+        found.append((f"Models: {'; '.join(outcome.choice.reasons)}", choice.table(outcome.choice)))
+    if outcome.gains:
+        heading = "The next experiment: width of each interval after it, over that before (* shrinks most)"
+        found.append((heading, candidates_table(outcome.gains)))
+    return found
+
+
+def _write(folder: Path, path: Path, outcome: Outcome, starts: int, seconds: float) -> None:
+    """All files; ``fit.json`` last, so that where it is nothing is missing."""
+    problem, result = outcome.problem, outcome.fit
     plots.records(result, problem, folder / "fit.png")
     plots.force_penetration(result, problem, folder / "force_penetration.png")
     plots.starts(result, folder / "starts.png")
-    _write_scene(folder / "fitted_scene.toml", path, problem, result)
+    plots_uncertainty.draw(result, folder)
+    _write_scene(folder / "fitted_scene.toml", path, outcome.base, result)
     outputs.write_toml(
-        folder / "run.toml", _resolved(path, problem, result), f"resolved input of bcfj calibrate {path.name}"
+        folder / "run.toml",
+        _resolved(path, outcome.base, problem, result.seed, starts),
+        f"resolved input of bcfj calibrate {path.name}",
     )
     data = sources(path)
     outputs.write_json(folder / "environment.json", outputs.environment(seed=result.seed, data=data))
@@ -132,41 +214,51 @@ def _write(folder: Path, path: Path, problem: Problem, result: Fit, seconds: flo
         ("Parameters", [["parameter", "value", "95 % interval", "remark"], *_rows(result)]),
         ("Tests", [["test", "value", "limit", "passed"], *[_test_row(t) for t in result.tests]]),
     ]
+    understood = [[record.name, note] for record in prepared(path) for note in record.notes]
+    tables.append(("Data", [["record", "what was understood"], *understood]))
     if result.held_out:
         rows = [
             [n, f"{e['max_error_of_peak']:.2%}", f"{e['rms_error_of_peak']:.2%}"] for n, e in result.held_out.items()
         ]
         tables.append(("Held out", [["record", "largest error of the peak", "rms of the peak"], *rows]))
-    pictures = [folder / name for name in FILES if name.endswith(".png")]
+    tables += _comparisons(outcome)
+    if outcome.choice:
+        outputs.write_json(folder / "models.json", choice.as_json(outcome.choice))
+    pictures = [folder / name for name in FILES if name.endswith(".png") and (folder / name).exists()]
     report.write(folder, f"Calibration of {path.name}", result.verdict, tables, pictures, result.reasons)
+    outputs.write_json(folder / "fit.json", {**as_json(result), **_compared(outcome), "wall_s": seconds})
+
+
+def _compared(outcome: Outcome) -> dict[str, Any]:
+    """What ``fit.json`` says of other models and candidates."""
+    found: dict[str, Any] = {"model": outcome.choice.chosen} if outcome.choice else {}
+    return found | ({"next_experiment": candidates_json(outcome.gains)} if outcome.gains else {})
 
 
 def _test_row(t: Any) -> list[str]:
     return [t.name, f"{t.value:.4g}", f"{t.threshold:.4g}", "yes" if t.passed else "NO"]
 
 
-def _write_scene(target: Path, path: Path, problem: Problem, result: Fit) -> None:
+def _write_scene(target: Path, path: Path, base: scenefile.SceneFile, result: Fit) -> None:
     """A scene file with the fitted shared values, ready for ``bcfj simulate``."""
-    resolved = _base(path, problem).resolved
+    resolved = base.resolved
     fitted = {n: v for n, v in result.values.items() if n in resolved["parameters"]}
     content = {**resolved, "parameters": {**resolved["parameters"], **fitted}}
     outputs.write_toml(target, content, f"fitted by bcfj calibrate {path.name}; verdict: {result.verdict}")
 
 
 def _base(path: Path, problem: Problem) -> scenefile.SceneFile:
-    from bcfj_jax import tables
-
     named = tables.read(path)["scene"]
     return scenefile.load(path.parent / named if str(named).endswith(".toml") else named)
 
 
-def _resolved(path: Path, problem: Problem, result: Fit) -> dict[str, Any]:
+def _resolved(path: Path, base: scenefile.SceneFile, problem: Problem, seed: int, starts: int) -> dict[str, Any]:
     """The problem with every default, SI: what ``run.toml`` gets."""
     return {
         "problem": str(path),
-        "seed": result.seed,
-        "starts": len(result.starts),
-        "scene": _base(path, problem).resolved,
+        "seed": seed,
+        "starts": starts,
+        "scene": base.resolved,
         "experiment": [
             {
                 "name": e.name,

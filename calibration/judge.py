@@ -1,7 +1,7 @@
-"""What may be believed of an optimum. Every test has a level; a verdict is their conjunction.
+"""What may be believed of an optimum: covariance, agreement, and the verdict that tests make together.
 
-All tests read the weighted residuals of the best end, its Jacobian in unit-box coordinates, and the other
-ends. Nothing here simulates.
+Read are the best end's white residuals, its Jacobian in unit-box coordinates, and the other ends; ``whiteness`` tests
+the residuals themselves. Nothing here simulates.
 """
 
 from __future__ import annotations
@@ -11,14 +11,17 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from calibration.search import End
+from calibration.losses import influence
+from calibration.polish import End
 
-LEVEL = 1e-3  # of each residual test: a right model is called wrong once in a thousand
+LEVEL = 1e-3  # of a test of the residuals: a right model is called wrong once in a thousand
 AGREEING_STARTS = 3
 # Two optima whose costs differ by less than this many sigma squared cannot be told apart by the data.
 RIVAL_COST = 9.0
 # A parameter known to worse than this factor (log scale) or share of its range (linear) is not determined.
 WIDEST_FACTOR, WIDEST_SHARE = 2.0, 0.5
+# A Jacobian with a larger ratio of singular values has lost a direction to rounding.
+WORST_CONDITION = 1e10
 
 
 class Test(NamedTuple):
@@ -31,51 +34,86 @@ class Test(NamedTuple):
     reason: str
 
 
-class Series(NamedTuple):
-    """Weighted residuals of one record and channel in time order, whether each sample is in contact, and what
-    one unit of them is as a share of the record's peak.
-    """
-
-    weighted: np.ndarray
-    touching: np.ndarray
-    share: float
-
-
 class Spread(NamedTuple):
-    """Covariance of the unit-box coordinates, its weak direction, and the noise scale it used."""
+    """Covariance of the unit-box coordinates, and how well it is known itself.
+
+    Attributes:
+        covariance: (P, P); None where the data leave a combination of coordinates free.
+        quantile: the largest that an interval of a single coordinate takes.
+        freedom: samples less parameters.
+        weakest, condition: direction that the data tell least of, and largest over least singular value.
+        moved: for every estimated number of the noise, the derivative (P, P) of the covariance by its logarithm and the
+            variance of that.
+        rise: of the cost by a step whose length is 1 in units of the covariance; 1 but for a robust loss.
+    """
 
     covariance: np.ndarray | None
     quantile: float
-    scale: float
     freedom: int
     weakest: np.ndarray
     condition: float
+    moved: tuple[tuple[np.ndarray, float], ...] = ()
+    rise: float = 1.0
+
+    def quantile_of(self, slope: np.ndarray) -> float:
+        """Quantile of a combination's 95 % interval: Student's, degrees of freedom by Satterthwaite.
+
+        freedom = 2 v^2 / var(v), v the variance of the combination. The normal one where all noise is stated; with one
+        estimated deviation, that of samples less parameters.
+        """
+        assert self.covariance is not None
+        variance = slope @ self.covariance @ slope
+        doubt = sum((slope @ change @ slope) ** 2 * own for change, own in self.moved)
+        return float(stats.t.ppf(0.975, 2.0 * variance**2 / doubt) if doubt > 0 else stats.norm.ppf(0.975))
+
+    def half_width(self, slope: np.ndarray) -> float:
+        """Half of the 95 % interval of a combination of coordinates; infinite where the data leave it free."""
+        if self.covariance is None:
+            return float("inf")
+        return self.quantile_of(slope) * float(np.sqrt(slope @ self.covariance @ slope))
 
 
-def spread(end: End, samples: int, estimated: bool) -> Spread:
-    """Covariance s^2 (J^T J)^-1 with s^2 = 1 for stated noise, else cost / degrees of freedom.
+def spread(end: End, samples: int, moved: list[tuple[np.ndarray, float]], loss: str) -> Spread:
+    """Covariance (J^T J)^-1 of white residuals of variance 1, and of an M-estimator where the loss is robust.
 
-    The quantile of the 95 % interval is Student's for estimated noise and the normal one otherwise.
+    Then it is multiplied by k^2 [sum psi^2 / (n - p)] / mean(psi')^2, k = 1 + (p/n) var(psi')/mean(psi')^2
+    (Huber 1981, 7.6).
+
+    Args:
+        end: the optimum.
+        samples: number of residuals that are samples.
+        moved: ``noise.Estimate.moved``.
+        loss: name of the loss.
     """
-    freedom = samples - end.jacobian.shape[1]
-    scale = end.cost / freedom if estimated else 1.0
-    quantile = float(stats.t.ppf(0.975, freedom) if estimated else stats.norm.ppf(0.975))
+    count = end.jacobian.shape[1]
+    freedom = samples - count
     _, singular, directions = np.linalg.svd(end.jacobian, full_matrices=False)
     condition = float(singular[0] / singular[-1]) if singular[-1] > 0 else np.inf
-    covariance = None
-    if condition < 1e10:
-        covariance = scale * (directions.T / singular**2) @ directions
-    return Spread(covariance, quantile, float(scale), freedom, directions[-1], condition)
+    if condition >= WORST_CONDITION:
+        return Spread(None, float(stats.norm.ppf(0.975)), freedom, directions[-1], condition)
+    factor, mean = 1.0, 1.0
+    if loss != "linear":
+        told = np.abs(end.jacobian).max(axis=1) > 0
+        told |= end.residuals != 0
+        psi, bend = (a[told] for a in influence(loss, end.residuals))
+        mean = max(float(np.mean(bend)), 1e-3)
+        factor = (
+            (1.0 + count / samples * float(np.var(bend)) / mean**2) ** 2 * float(np.sum(psi**2)) / freedom / mean**2
+        )
+    covariance = factor * (directions.T / singular**2) @ directions
+    changes = tuple((-covariance @ change @ covariance / factor, variance) for change, variance in moved)
+    found = Spread(covariance, 0.0, freedom, directions[-1], condition, changes, factor * mean)
+    return found._replace(quantile=max(found.quantile_of(unit) for unit in np.eye(count)))
 
 
-def agreement(ends: tuple[End, ...], scale: float, covariance: np.ndarray | None) -> list[Test]:
+def agreement(ends: tuple[End, ...], covariance: np.ndarray | None) -> list[Test]:
     """Whether independent starts ended in one optimum, and whether a rival explains the data as well."""
     good = [end for end in ends if not end.failure]
     best = good[0]
     sigma = np.sqrt(np.diag(covariance)) if covariance is not None else np.full(best.point.size, 1e-3)
     # By cost: along a direction that the data leave free, starts that found the optimum lie apart.
-    same = [e.cost - best.cost < 0.1 * scale for e in good]
-    close = [e for e in good if e.converged and e.cost - best.cost < RIVAL_COST * scale]
+    same = [e.cost - best.cost < 0.1 for e in good]
+    close = [e for e in good if e.converged and e.cost - best.cost < RIVAL_COST]
     rivals = [e for e in close if np.any(np.abs(e.point - best.point) > 4.0 * sigma)]
     count = int(sum(same))
     return [
@@ -91,73 +129,23 @@ def agreement(ends: tuple[End, ...], scale: float, covariance: np.ndarray | None
     ]  # fmt: skip
 
 
-def residual_tests(series: list[Series], parameters: int, estimated: bool) -> list[Test]:
-    """Whether the residuals look like the noise: size (stated noise only), order in time, outliers.
-
-    The order is tested in contact and apart separately: long quiet flights must not hide a contact whose
-    shape is wrong, and contact is where the model makes its claim.
-
-    Args:
-        series: residuals of each record and channel.
-        parameters: number of fitted parameters.
-        estimated: whether the noise's size comes from these residuals.
-    """
-    together = np.concatenate([s.weighted for s in series])
-    freedom = together.size - parameters
-    chi2 = float(np.sum(together**2))
-    sigma = float(np.sqrt(chi2 / freedom)) if estimated else 1.0
-    tests = []
-    if not estimated:
-        p = float(stats.chi2.sf(chi2, freedom))
-        reason = f"residuals are {np.sqrt(chi2 / freedom):.3g} times the stated noise"
-        tests.append(Test("residual size", p, LEVEL, p > LEVEL, reason))
-    for place, inside in (("in contact", True), ("apart", False)):
-        parts = [s.weighted[s.touching == inside] for s in series]
-        p = _changes_p([part - np.median(part) if estimated and part.size else part for part in parts])
-        share = max(
-            (float(np.sqrt(np.mean(part**2))) * s.share for part, s in zip(parts, series, strict=True) if part.size),
-            default=0.0,
-        )
-        reason = (
-            f"{place}, residuals of one sign follow each other: the model misses a shape ({share:.2g} of the peak, rms)"
-        )
-        tests.append(Test(f"order of residuals {place}", p, LEVEL / 2, p > LEVEL / 2, reason))
-    worst = float(np.max(np.abs(together)) / sigma) if sigma > 0 else 0.0
-    limit = float(stats.norm.isf(LEVEL / (2 * together.size)))
-    tests.append(
-        Test("no outlier", worst, limit, worst < limit, f"a residual is {worst:.3g} sigma: the model misses an event")
-    )
-    return tests
+def rank_test(singular: Spread) -> Test:
+    """Whether every combination of the parameters moves the data, as far as numbers can tell."""
+    passed = singular.covariance is not None
+    reason = "a combination of the parameters moves no residual at all"
+    return Test("rank of the Jacobian", singular.condition, WORST_CONDITION, passed, reason)
 
 
-def _changes_p(series: list[np.ndarray]) -> float:
-    """One-sided test for too few changes of sign, pooled over records: binomial(n - 1, 1/2) for white residuals.
-
-    Unlike the runs test it is not conditional on the number of signs, so residuals all of one sign fail it.
-    """
-    changes = chances = 0
-    for s in series:
-        signs = s[s != 0] > 0
-        changes += int(np.count_nonzero(np.diff(signs)))
-        chances += max(signs.size - 1, 0)
-    return float(stats.binom.cdf(changes, chances, 0.5)) if chances else 1.0
-
-
-def held_out_test(cost: float, freedom: int, scale: float, freedom_in: int, estimated: bool) -> Test:
-    """Whether held-out residuals are no larger than the noise: chi-square for stated noise, else F with the fit's.
-
-    The uncertainty of the fitted parameters in the prediction is not allowed for, so the true level is up to
-    twice ``LEVEL`` where the held-out data are no fewer than the fitted.
+def held_out_test(square: float, freedom: int, quality: Spread) -> Test:
+    """Whether held-out residuals are no larger than the noise and the parameters' uncertainty: chi-square, or F.
 
     Args:
-        cost: sum of squared weighted held-out residuals.
+        square: r^T (1 + J C J^T)^-1 r of the held-out residuals, C the covariance of the fit's parameters.
         freedom: their number less the nuisances fitted to them.
-        scale: noise variance of the fit in units of the weights (1 for stated noise).
-        freedom_in: degrees of freedom of the fit.
-        estimated: whether ``scale`` was estimated.
+        quality: of the fit; its noise was estimated where ``moved`` says so.
     """
-    ratio = cost / max(freedom, 1) / scale if scale > 0 else np.inf
-    p = float(stats.f.sf(ratio, freedom, freedom_in) if estimated else stats.chi2.sf(cost, freedom))
+    ratio = square / max(freedom, 1)
+    p = float(stats.f.sf(ratio, freedom, quality.freedom) if quality.moved else stats.chi2.sf(square, freedom))
     reason = f"held-out residuals are {np.sqrt(ratio):.3g} times the noise"
     return Test("held-out prediction", p, LEVEL, p > LEVEL, reason)
 

@@ -17,10 +17,17 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax import force_history
+from bcfj_jax.derivatives.jacobian import Histories, histories
 from bcfj_jax.derivatives.names import complete
 from bcfj_jax.integrate import Plan, plan
 from bcfj_jax.scene import AbstractScene
+from calibration.losses import loss_of, straightened
+from calibration.observables import Watch, fine, grid, low_pass, measured, tabulated, watches
 from calibration.problem import COMPONENTS, NUISANCES, Experiment, Problem
+
+# Steps over a record that its force is sampled in where a sensor's low-pass is to be applied.
+_FINE_STEPS = 2000
+_NO_LOW_PASS = 1e12  # [Hz]
 
 
 class Slot(NamedTuple):
@@ -39,22 +46,41 @@ class Slot(NamedTuple):
 
 
 class Data(eqx.Module):
-    """Records padded to one length: times (E, T), values and weights 1/sigma (E, C, T); weight 0 is no sample."""
+    """Records padded to one length, and features: E experiments, C channels, T times, F features.
+
+    Attributes:
+        times: (E, T) [s].
+        values, weights: (E, C, T) readings [N] and 1/sigma; weight 0 is no sample.
+        memory: (E, C, T) correlation of a sample's noise with the one before, whose index is ``previous``.
+        features, feature_weights: (E, F) likewise.
+        fixed, chain: by name (E,), scene parameters and nuisances where they are not searched.
+    """
 
     times: Array
     values: Array
     weights: Array
+    memory: Array
+    previous: Array
+    features: Array
+    feature_weights: Array
     fixed: dict[str, Array]
+    chain: dict[str, Array]
 
 
 class Model(eqx.Module):
-    """The residual function of a problem's experiments, ready to be compiled once."""
+    """The residual function of a problem's experiments, ready to be compiled once.
+
+    Problems that differ in numbers only share the compiled program: static is what the program is made of.
+    """
 
     scene: AbstractScene
     slots: tuple[Slot, ...] = eqx.field(static=True)
     channels: tuple[str, ...] = eqx.field(static=True)
     data: Data
     how: Plan
+    watches: tuple[Watch, ...] = eqx.field(static=True, default=())
+    parts: int = eqx.field(static=True, default=0)
+    loss: str = eqx.field(static=True, default="linear")
 
     @property
     def referenced(self) -> bool:
@@ -97,30 +123,67 @@ class Model(eqx.Module):
             lower, upper = lower.at[k].add(shifts.min()), upper.at[k].add(shifts.max())
         return lower, upper - lower
 
-    def predictions(self, point: Array, log_depth: Array) -> Array:
-        """What each channel would have read, (E, C, T) [N]."""
-        values = self.values(point, log_depth)
+    def settings(self, point: Array, log_depth: Array) -> tuple[dict[str, Array], dict[str, Array]]:
+        """Scene parameters and nuisances (E,) by name at a point."""
         count = self.data.times.shape[0]
-        table = {name: jnp.broadcast_to(v, (count,)) for name, v in self.data.fixed.items()}
-        nuisance = {"time_offset": jnp.zeros(count), "force_offset": jnp.zeros(count), "gain": jnp.ones(count)}
-        for slot, value in zip(self.slots, values, strict=True):
-            target = nuisance if slot.name in NUISANCES else table
+        table, chain = (
+            {name: jnp.broadcast_to(v, (count,)) for name, v in known.items()}
+            for known in (self.data.fixed, self.data.chain)
+        )
+        for slot, value in zip(self.slots, self.values(point, log_depth), strict=True):
+            target = chain if slot.name in NUISANCES else table
             where = slice(None) if slot.experiment is None else slot.experiment
             target[slot.name] = target[slot.name].at[where].set(value)
+        return table, chain
 
-        def one(params, own, times):
+    def predictions(self, point: Array, log_depth: Array) -> Array:
+        """What each channel would have read, (E, C, T) [N]."""
+
+        def one(params: dict, own: dict, times: Array) -> Array:
             shifted = times - own["time_offset"]
-            forces = force_history(self.scene, params, shifted, accuracy=self.how, mode="forward")
-            readings = [_component(forces, channel) for channel in self.channels]
-            return own["gain"] * jnp.stack(readings) + own["force_offset"]
+            sampled, places = fine(shifted, self.parts) if self.parts else (shifted, slice(None))
+            forces = force_history(self.scene, params, sampled, accuracy=self.how, mode="forward")
+            readings = jnp.stack([_component(forces, channel) for channel in self.channels], axis=1)
+            passed = low_pass(sampled, readings, own["bandwidth"]) if self.parts else readings
+            return own["gain"] * passed[places].T + own["force_offset"]
 
-        return jax.vmap(one)(table, nuisance, self.data.times)
+        if not self.channels:
+            return jnp.zeros(self.data.values.shape)
+        return jax.vmap(one)(*self.settings(point, log_depth), self.data.times)
+
+    def features(self, point: Array, log_depth: Array) -> Array:
+        """What each experiment's features would have been, (E, F), 0 where there is none."""
+        table, chain = self.settings(point, log_depth)
+        rows = []
+        for i, watch in enumerate(self.watches):
+            values = jnp.zeros(self.data.features.shape[1])
+            if watch.names:
+                times, own = jnp.asarray(grid(watch)), {name: v[i] for name, v in chain.items()}
+                found, _ = histories(self.scene, {name: v[i] for name, v in table.items()}, times, self.how)
+                flat = found.force.reshape(times.size, -1)
+                passed = low_pass(times, flat, own["bandwidth"]) if self.parts else flat
+                force = (own["gain"] * passed + own["force_offset"]).reshape(found.force.shape)
+                seen = Histories(force, found.penetration, found.rate, None)
+                values = values.at[: len(watch.names)].set(measured(self.scene, watch, seen))
+            rows.append(values)
+        return jnp.stack(rows) if rows else jnp.zeros(self.data.features.shape)
 
     def residuals(self, point: Array, log_depth: Array) -> Array:
-        """Weighted residuals (prediction - value) / sigma, flat; 0 where there is no sample."""
-        seen = self.data.weights > 0
-        difference = jnp.where(seen, self.predictions(point, log_depth) - self.data.values, 0.0)
-        return (difference * self.data.weights).ravel()
+        """Residuals (prediction - value) / sigma, freed of their noise's memory, flat: readings, then features.
+
+        0 where there is no sample.
+        """
+        d, seen = self.data, self.data.weights > 0
+        weighted = jnp.where(seen, self.predictions(point, log_depth) - d.values, 0.0) * d.weights
+        before = jnp.take_along_axis(weighted, d.previous, axis=-1)
+        white = jnp.where(seen, (weighted - d.memory * before) / jnp.sqrt(1.0 - jnp.square(d.memory)), 0.0)
+        told = d.feature_weights > 0
+        features = jnp.where(told, self.features(point, log_depth) - d.features, 0.0) * d.feature_weights
+        return jnp.concatenate([white.ravel(), features.ravel()])
+
+    def cost(self, residuals: np.ndarray) -> np.ndarray:
+        """Sum of what each of the residuals (..., N) costs."""
+        return np.sum(loss_of(self.loss, np.square(residuals))[0], axis=-1)
 
 
 def _component(forces: dict[str, Array], channel: str) -> Array:
@@ -139,8 +202,11 @@ def residuals_and_jacobian(model: Model, point: Array, log_depth: Array) -> tupl
 
 @eqx.filter_jit
 def batch(model: Model, points: Array, log_depth: Array) -> tuple[Array, Array]:
-    """Residuals (B, N) and Jacobians (B, N, P) at several points, in one program."""
-    return jax.vmap(partial(_both, model, log_depth))(points)
+    """Residuals (B, N) and Jacobians (B, N, P) at several points, in one program.
+
+    Of a robust loss they are such that the sum of their squares is the cost.
+    """
+    return straightened(model.loss, *jax.vmap(partial(_both, model, log_depth))(points))
 
 
 @eqx.filter_jit
@@ -155,39 +221,52 @@ def _both(model: Model, log_depth: Array, point: Array) -> tuple[Array, Array]:
     return residual, jax.vmap(push, out_axes=1)(jnp.eye(point.size))
 
 
-def assumed_sigma(channel_values: np.ndarray) -> float:
-    """Weight of a channel whose noise is to be estimated: 1 % of its largest reading [N]."""
-    return 0.01 * float(np.nanmax(np.abs(channel_values)))
-
-
 def build(problem: Problem, experiments: tuple[Experiment, ...], slots: tuple[Slot, ...] | None = None) -> Model:
     """The model of some of a problem's experiments (those to fit, or those held out)."""
     channels = tuple(dict.fromkeys(c.observes for e in experiments for c in e.channels))
-    longest = max(e.times.size for e in experiments)
+    longest = max(1, *(e.times.size for e in experiments))
     shape = (len(experiments), len(channels), longest)
-    values, weights, times = np.zeros(shape), np.zeros(shape), np.zeros((shape[0], longest))
+    values, weights, memory, times = np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros((shape[0], longest))
+    previous = np.zeros(shape, dtype=int)
     for i, experiment in enumerate(experiments):
         count = experiment.times.size
         step = experiment.times[-1] - experiment.times[-2] if count > 1 else 1e-6
         times[i, :count] = experiment.times
-        times[i, count:] = experiment.times[-1] + 1e-3 * step * np.arange(1, longest - count + 1)
+        times[i, count:] = (experiment.times[-1] if count else 0.0) + 1e-3 * step * np.arange(1, longest - count + 1)
         for channel in experiment.channels:
             j = channels.index(channel.observes)
             seen = np.isfinite(channel.values)
-            sigma = channel.sigma if channel.sigma is not None else assumed_sigma(channel.values)
-            values[i, j, :count] = np.where(seen, channel.values, 0.0)
-            weights[i, j, :count] = seen / sigma
+            readings = np.where(seen, channel.values, 0.0)
+            values[i, j, :count] = readings
+            weights[i, j, :count] = seen / channel.deviation(readings)
+            own = np.flatnonzero(seen)
+            previous[i, j, own[1:]] = own[:-1]
+            if channel.correlation:
+                memory[i, j, own[1:]] = np.exp(-np.diff(experiment.times[own]) / channel.correlation)
     # A contact's own coefficient that is searched, or known of a run, needs a place of its own.
-    own = [f.name for f in problem.free if f.name not in NUISANCES] + [name for e in experiments for name in e.fixed]
+    known = {name for e in experiments for name in e.fixed}
+    own = [f.name for f in problem.free if f.name not in NUISANCES] + sorted(known - NUISANCES.keys())
     given = {name: jnp.asarray(value) for name, value in problem.params.items()}
     params = complete(problem.scene, given, tuple(dict.fromkeys(own)))[0] if own else given
-    fixed = {
-        name: jnp.array([e.fixed.get(name, float(value)) for e in experiments], dtype=float)
-        for name, value in params.items()
-    }
-    data = Data(jnp.asarray(times), jnp.asarray(values), jnp.asarray(weights), fixed)
-    how = plan(problem.scene, problem.accuracy, max_steps=20_000)
-    return Model(problem.scene, slots or make_slots(problem, len(experiments)), channels, data, how)
+    filtered = "bandwidth" in {*known, *(f.name for f in problem.free)}
+    chain = {"time_offset": 0.0, "force_offset": 0.0, "gain": 1.0}
+    chain |= {"bandwidth": _NO_LOW_PASS} if filtered else {}
+    fixed, chain = (
+        {name: jnp.array([e.fixed.get(name, float(value)) for e in experiments]) for name, value in table.items()}
+        for table in (params, chain)
+    )
+    features, feature_weights = tabulated(experiments)
+    arrays = (times, values, weights, memory, previous, features, feature_weights)
+    return Model(
+        scene=problem.scene,
+        slots=slots or make_slots(problem, len(experiments)),
+        channels=channels,
+        data=Data(*(jnp.asarray(a) for a in arrays), fixed=fixed, chain=chain),
+        how=plan(problem.scene, problem.accuracy, max_steps=20_000),
+        watches=watches(problem.scene, experiments),
+        parts=max(4, -(-_FINE_STEPS // longest)) if filtered else 0,
+        loss=problem.loss,
+    )
 
 
 def make_slots(problem: Problem, experiments: int) -> tuple[Slot, ...]:

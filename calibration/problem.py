@@ -9,36 +9,69 @@ import numpy as np
 
 from bcfj_jax import InputError, check_value, nearest
 from bcfj_jax.derivatives.jacobian import channel_names, channels
+from bcfj_jax.derivatives.names import feature
 from bcfj_jax.quantities import Quantity
 from bcfj_jax.scene import AbstractScene
 
-# Nuisance parameters of the measuring chain: reading(t) = gain F(t - time_offset) + force_offset.
+# Nuisance parameters of the measuring chain: reading(t) = gain L[F](t - time_offset) + force_offset, with L a sensor of
+# first order, y' = 2 pi bandwidth (F - y).
 NUISANCES = {
     "time_offset": Quantity("time_offset", "s", "clock of the record ahead of the model's"),
     "force_offset": Quantity("force_offset", "N", "reading at no force"),
     "gain": Quantity("gain", "1", "reading per force", low=0.0, open_low=True),
+    "bandwidth": Quantity(
+        "bandwidth", "Hz", "frequency at which a first-order sensor passes 1/sqrt(2)", 0.0, 1e12, True
+    ),
 }
+LOSSES = ("linear", "soft_l1", "cauchy")
 COMPONENTS = ("normal", "axial", "tangential")
 
 
 @dataclass(frozen=True)
 class Channel:
-    """What a sensor saw in one experiment.
+    """What a sensor saw in one experiment, with noise of variance sigma^2 + (relative reading)^2.
 
     Attributes:
         observes: "contact.component", as in "contact.normal".
         values: (T,) force [N]; NaN where there is no sample.
-        sigma: standard deviation of its noise [N]; None: to be estimated from the residuals.
+        sigma: standard deviation of its noise [N]; None: to be estimated from the residuals, one number for all
+            experiments that leave it so.
+        relative: part of the noise that grows with the reading, as a share of it.
+        correlation: time [s] over which the noise remembers itself, exp(-dt/correlation) between samples; 0 for
+            white noise; None: to be estimated, likewise.
     """
 
     observes: str
     values: np.ndarray
     sigma: float | None
+    relative: float = 0.0
+    correlation: float | None = 0.0
+
+    def deviation(self, readings: np.ndarray) -> np.ndarray:
+        """Standard deviation [N] of the noise at readings; where it is to be estimated, 1 % of the largest value."""
+        if self.sigma is None:
+            return np.full(readings.shape, 0.01 * np.nanmax(np.abs(self.values)))
+        # The least that was read bounds it where the model reads 0.
+        least = self.relative * np.nanmin(np.abs(self.values))
+        return np.hypot(self.sigma, np.maximum(self.relative * np.abs(readings), least))
+
+
+@dataclass(frozen=True)
+class Observation:
+    """A feature that was measured: "contact.peak" or "first:second.delay", its value and standard deviation, SI."""
+
+    feature: str
+    value: float
+    sigma: float
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """One record: times (T,) [s], increasing, and what the channels saw. ``fixed`` overrides scene parameters."""
+    """One record: times (T,) [s], increasing, and what the channels saw; or features of one, or both.
+
+    ``fixed`` overrides scene parameters and nuisances. Features are those of the model's force from 0 to
+    ``span`` [s]; without one, to the end of the record.
+    """
 
     name: str
     times: np.ndarray
@@ -46,6 +79,13 @@ class Experiment:
     hold_out: bool = False
     fixed: dict[str, float] = field(default_factory=dict)
     source: str = ""
+    features: tuple[Observation, ...] = ()
+    span: float | None = None
+
+    @property
+    def samples(self) -> int:
+        """Number of readings and features."""
+        return int(sum(np.isfinite(c.values).sum() for c in self.channels)) + len(self.features)
 
 
 @dataclass(frozen=True)
@@ -77,6 +117,8 @@ class Free:
 class Problem:
     """Scene, fixed parameter values, experiments and free parameters.
 
+    ``loss`` is SciPy's name for what a residual of z standard deviations costs (``model.loss_of``).
+
     Raises:
         InputError: on construction, for a free parameter the scene does not have, bounds the wrong way
             round or out of range, a start outside its bounds, a channel the scene has no contact for, times
@@ -89,6 +131,7 @@ class Problem:
     free: tuple[Free, ...]
     accuracy: float = 1e-5
     where: str = "problem"
+    loss: str = "linear"
 
     def __post_init__(self) -> None:
         if not self.free:
@@ -99,20 +142,25 @@ class Problem:
             raise InputError(self.where, "no experiment to fit", "give at least one [[experiment]] without hold_out")
         for parameter in self.free:
             self._check_free(parameter)
+        if self.loss not in LOSSES:
+            raise InputError(f"{self.where}: loss", f"no loss '{self.loss}'", nearest(self.loss, LOSSES))
         # Of a contact with members one is observed: seat_ball_2.
-        contacts = channel_names(channels(self.scene))
+        contacts = channels(self.scene)
         for experiment in self.experiments:
-            _check_experiment(experiment, contacts)
+            _check_experiment(experiment, channel_names(contacts))
+            _check_features(experiment, contacts)
         fitted = [e for e in self.experiments if not e.hold_out]
-        samples = sum(np.isfinite(c.values).sum() for e in fitted for c in e.channels)
+        samples = sum(e.samples for e in fitted)
         unknowns = sum(len(fitted) if f.per_experiment else 1 for f in self.free)
         if samples <= unknowns:
             found = f"{samples} samples for {unknowns} free parameters"
             raise InputError(self.where, found, "free fewer parameters or give more data")
-        if len({c.sigma is None for e in self.experiments for c in e.channels}) > 1:
-            raise InputError(
-                self.where, "some noise is stated and some is 'estimate'", "state all of it, or estimate all"
-            )
+        known = {c.observes for e in fitted for c in e.channels if c.sigma is None}
+        for e in self.experiments:
+            for c in e.channels:
+                if e.hold_out and c.sigma is None and c.observes not in known:
+                    found = f"the noise of {c.observes} is 'estimate' in {e.name}, and no fitted record tells it"
+                    raise InputError(self.where, found, "state its noise")
         for e in self.experiments:
             for f in self.free:
                 if f.name in e.fixed:
@@ -151,9 +199,41 @@ def _check_experiment(experiment: Experiment, contacts: list[str]) -> None:
         raise InputError(
             where, found, "times must increase: sort the rows, or split the runs with rows = { column = ... }"
         )
+    if not experiment.samples:
+        raise InputError(where, f"{experiment.name} holds no reading and no feature", "give data, or leave it out")
     for channel in experiment.channels:
+        _check_noise(channel, f"{where}: noise of {channel.observes}")
         contact, _, component = channel.observes.partition(".")
         if contact not in contacts:
             raise InputError(where, f"observe '{channel.observes}': no contact '{contact}'", nearest(contact, contacts))
         if component not in COMPONENTS:
             raise InputError(where, f"observe '{channel.observes}'", nearest(component, COMPONENTS))
+
+
+def _check_noise(channel: Channel, where: str) -> None:
+    """Every sample must have a noise above 0, known or to be found."""
+    if channel.sigma is None and channel.relative:
+        raise InputError(where, "one part is stated, the other estimated", "state both or estimate one number")
+    if channel.correlation is not None and not channel.correlation >= 0:
+        raise InputError(where, f"a correlation time of {channel.correlation:g} s", "give 0 or more")
+    if channel.sigma is None:
+        return
+    if not (channel.sigma >= 0 and channel.relative >= 0):
+        raise InputError(where, f"{channel.sigma:g} N + {channel.relative:.3%} of reading", "give deviations above 0")
+    size = np.abs(channel.values[np.isfinite(channel.values)])
+    least, peak = size.min(initial=np.inf), size.max(initial=0.0)
+    # A ten-thousandth of the peak is below what any sensor resolves.
+    if size.size and not channel.sigma + channel.relative * least > 1e-4 * channel.relative * peak:
+        remedy = 'add an absolute part, as in "0.1 kN + 2 % of reading"'
+        raise InputError(where, f"a reading of {least:g} N would be exact", remedy)
+
+
+def _check_features(experiment: Experiment, contacts: dict[str, int]) -> None:
+    where = experiment.source or experiment.name
+    for seen in experiment.features:
+        feature(seen.feature, contacts)
+        if not (seen.sigma > 0 and np.isfinite(seen.value)):
+            found = f"feature '{seen.feature}' = {seen.value:g} with a deviation of {seen.sigma:g}"
+            raise InputError(where, found, "give a number and a feature_noise above 0")
+    if experiment.features and experiment.span is None and not experiment.channels:
+        raise InputError(where, "features without the time that they were taken over", 'give span, as in "50 ms"')

@@ -1,10 +1,15 @@
 """Calibration files: a TOML problem becomes a ``Problem``, every mistake named by file and key.
 
 scene = "impact.toml"            a scene file (relative to this one) or a built-in scene's name
-[[experiment]]                   file, time, rows, observe, noise, hold_out; parameters (known for it alone);
-                                 align = "onset" puts time 0 where the force first exceeds a tenth of its
-                                 peak; window = [from, to] keeps those times (after aligning)
+[[experiment]]                   name; file (of a kind in ``readers``), table (which one inside it), time, rows,
+                                 observe, noise (of the samples as fitted) and its correlation time, hold_out;
+                                 parameters (known for it alone); features, feature_noise and span (``stated``);
+                                 saturation = "10 kN" drops samples at or beyond it; resample = "10 kHz" brings the
+                                 record down to that rate; align = "onset" puts time 0 where the force first exceeds
+                                 a tenth of its peak; window = [from, to] keeps those times (after aligning)
+loss = "linear"                  what a residual costs, as in ``Problem``
 [free.NAME]                      lower, upper, start, scale; each = true gives every experiment its own
+[[model]], [[candidate]]         other models of the same data, experiments that might be made: ``alternatives``
 """
 
 from __future__ import annotations
@@ -18,23 +23,39 @@ import pydantic
 from bcfj_jax import InputError, nearest, scenefile, scenes, tables
 from bcfj_jax.quantities import Quantity
 from bcfj_jax.units import quantity
+from calibration import stated
+from calibration.preparation import Prepared, Recipe, prepare
 from calibration.problem import NUISANCES, Channel, Experiment, Free, Problem
-from calibration.table import Table, read, split
+from calibration.readers import read
+from calibration.table import split
+
+# Scenes whose every record is of impacts: apart, in contact, apart.
+_IMPACTS = ("impact", "bounce")
 
 
 class _Experiment(tables.Table):
-    file: str
-    time: str
-    observe: dict[str, str]
+    name: str | None = None
+    file: str | None = None
+    table: str | None = None
+    time: str | None = None
+    observe: dict[str, str] = {}
     noise: Any = "estimate"
+    correlation: Any = 0.0
+    features: dict[str, Any] = {}
+    feature_noise: Any = None
+    span: Any = None
     rows: dict[str, Any] = {}
     hold_out: bool = False
     parameters: dict[str, Any] = {}
     align: Literal["onset"] | None = None
     window: list[Any] | None = None
+    resample: Any = None
+    saturation: Any = None
 
 
-class _Free(tables.Table):
+class FreeTable(tables.Table):
+    """[free.NAME]: bounds as numbers or texts with a unit."""
+
     lower: Any
     upper: Any
     start: Any = None
@@ -45,7 +66,10 @@ class _Free(tables.Table):
 class _File(tables.Table):
     scene: str
     experiment: list[_Experiment] = pydantic.Field(min_length=1)
-    free: dict[str, _Free]
+    free: dict[str, FreeTable]
+    loss: str = "linear"
+    model: list[dict[str, Any]] = []
+    candidate: list[dict[str, Any]] = []
 
 
 def load(path: str | Path) -> Problem:
@@ -56,32 +80,40 @@ def load(path: str | Path) -> Problem:
     """
     path = Path(path)
     file = tables.validated(_File, tables.read(path), str(path))
-    beside = path.parent / file.scene
-    if file.scene.endswith(".toml") and not beside.exists():
-        raise InputError(f"{path}: scene", f"no file {beside}", "give a path relative to this file, or a scene's name")
-    if not file.scene.endswith(".toml") and file.scene not in scenes.SCENES:
-        raise InputError(f"{path}: scene", f"no scene '{file.scene}'", nearest(file.scene, scenes.SCENES))
-    base = scenefile.load(beside if file.scene.endswith(".toml") else file.scene)
+    base = _scene(file, path)
     known = base.scene.quantities
-    experiments: list[Experiment] = []
-    for k, entry in enumerate(file.experiment):
-        experiments += _experiments(entry, path, f"{path}: [[experiment]] {k + 1}", known)
+    records = _records(file, path, base)
     return Problem(
         scene=base.scene,
         params={name: float(value) for name, value in base.params.items()},
-        experiments=tuple(experiments),
-        free=tuple(_free(name, table, path, known) for name, table in file.free.items()),
+        experiments=tuple(
+            _experiment(entry, record, f"{path}: [[experiment]] {k + 1}", known) for k, entry, record in records
+        ),
+        free=tuple(free_of(name, table, path, known) for name, table in file.free.items()),
         where=str(path),
+        loss=file.loss,
     )
+
+
+def prepared(path: str | Path) -> list[Prepared]:
+    """What was understood of each record that a calibration file reads, for people to look at.
+
+    Raises:
+        InputError: as ``load``.
+    """
+    path = Path(path)
+    file = tables.validated(_File, tables.read(path), str(path))
+    return [record for _, _, record in _records(file, path, _scene(file, path)) if record]
 
 
 def sources(path: Path) -> list[Path]:
     """The data files a calibration file reads, for checksums."""
     file = tables.validated(_File, tables.read(path), str(path))
-    return [path.parent / name for name in dict.fromkeys(entry.file for entry in file.experiment)]
+    return [path.parent / name for name in dict.fromkeys(e.file for e in file.experiment if e.file)]
 
 
-def _free(name: str, table: _Free, path: Path, known: dict[str, Quantity]) -> Free:
+def free_of(name: str, table: FreeTable, path: Path, known: dict[str, Quantity]) -> Free:
+    """A free parameter; texts become SI by the unit that the scene, or a nuisance, gives the name."""
     unit = {**known, **NUISANCES}[name].unit if name in known or name in NUISANCES else None
     # The unit of a stiffness follows an exponent that may itself be free: its bounds' own unit is taken.
     texts = {key: getattr(table, key) for key in ("lower", "upper", "start") if getattr(table, key) is not None}
@@ -91,71 +123,72 @@ def _free(name: str, table: _Free, path: Path, known: dict[str, Quantity]) -> Fr
     return Free(name, numbers["lower"], numbers["upper"], numbers.get("start"), table.scale, table.each)
 
 
-def _experiments(entry: _Experiment, path: Path, where: str, known: dict[str, Quantity]) -> list[Experiment]:
-    whole = read(path.parent / entry.file, f"{where} file")
-    fixed = {}
-    for name, value in entry.parameters.items():
-        if name not in known:
-            raise InputError(f"{where} parameters", f"the scene has no parameter '{name}'", ", ".join(known))
-        fixed[name] = quantity(value, known[name].unit, f"{where} parameters.{name}")
-    if not entry.observe:
-        raise InputError(f"{where} observe", "nothing is observed", 'give { "contact.normal" = "force [N]" }')
-    return [_experiment(entry, name, part, where, fixed) for name, part in split(whole, entry.rows, where)]
+def _scene(file: _File, path: Path) -> scenefile.SceneFile:
+    beside = path.parent / file.scene
+    if file.scene.endswith(".toml") and not beside.exists():
+        raise InputError(f"{path}: scene", f"no file {beside}", "give a path relative to this file, or a scene's name")
+    if not file.scene.endswith(".toml") and file.scene not in scenes.SCENES:
+        raise InputError(f"{path}: scene", f"no scene '{file.scene}'", nearest(file.scene, scenes.SCENES))
+    return scenefile.load(beside if file.scene.endswith(".toml") else file.scene)
 
 
-def _experiment(entry: _Experiment, name: str, part: Table, where: str, fixed: dict[str, float]) -> Experiment:
-    times = part.numbers(entry.time, "s", f"{where} time", blank=False)
-    late = np.flatnonzero(np.diff(times) <= 0)
-    if late.size:
-        k = int(late[0]) + 1
-        raise InputError(
-            f"{part.path}: line {part.lines[k]}, column '{entry.time}'",
-            f"time {times[k]:g} s follows {times[k - 1]:g} s",
-            "times must increase: sort the rows, or split the runs with rows = { column = [values] }",
-        )
-    columns = {}
-    for observes, header in entry.observe.items():
-        sign = -1.0 if header.startswith("-") else 1.0
-        columns[observes] = sign * part.numbers(header.removeprefix("-").strip(), "N", f"{where} observe", blank=True)
-    if entry.align:
-        times = times - _onset(times, next(iter(columns.values())), where)
-    keep = np.ones(times.size, dtype=bool)
+def _records(file: _File, path: Path, base: scenefile.SceneFile) -> list[tuple[int, _Experiment, Prepared | None]]:
+    """Every record (None where an entry gives only features) with the number of its entry and the entry."""
+    records = []
+    for k, entry in enumerate(file.experiment):
+        where = f"{path}: [[experiment]] {k + 1}"
+        if not entry.observe and not entry.features:
+            raise InputError(f"{where} observe", "nothing is observed", 'give { "contact.normal" = "force [N]" }')
+        if not entry.observe:
+            records.append((k, entry, None))
+            continue
+        if entry.file is None or entry.time is None:
+            missing = "file" if entry.file is None else "time"
+            raise InputError(f"{where} {missing}", f"the key '{missing}' is missing", "it must be given to observe")
+        whole = read(path.parent / entry.file, f"{where} file", entry.table)
+        recipe = _recipe(entry, where, base.scene.kind in _IMPACTS, "force_offset" in file.free)
+        parts = split(whole, entry.rows, where)
+        for label, part in parts:
+            name = label if entry.name is None else entry.name if len(parts) == 1 else f"{entry.name} {label}"
+            # Results go by name, so that no two records may share one.
+            name += f" ({k + 1})" if name in (r.name for _, _, r in records if r) else ""
+            records.append((k, entry, prepare(name, part, entry.time, entry.observe, recipe, where)))
+    return records
+
+
+def _recipe(entry: _Experiment, where: str, impact: bool, offset: bool) -> Recipe:
+    window = None
     if entry.window is not None:
         if len(entry.window) != 2:
             raise InputError(f"{where} window", f"{entry.window}", 'give [from, to], such as ["-20 ms", "0.3 s"]')
         first, last = (quantity(w, "s", f"{where} window") for w in entry.window)
-        keep = (times >= first) & (times <= last)
-        if np.count_nonzero(keep) < 3:
-            raise InputError(
-                f"{where} window", f"{np.count_nonzero(keep)} samples of {name} lie in it", "widen the window"
-            )
-    channels = tuple(
-        Channel(observes, values[keep], _noise(entry.noise, values[keep], f"{where} noise"))
-        for observes, values in columns.items()
+        window = first, last
+    rate = None if entry.resample is None else quantity(entry.resample, "Hz", f"{where} resample")
+    limit = None if entry.saturation is None else quantity(entry.saturation, "N", f"{where} saturation")
+    for key, value in (("resample", rate), ("saturation", limit)):
+        if value is not None and not 0 < value < np.inf:
+            raise InputError(f"{where} {key}", f"{key} = {getattr(entry, key)}", "give a positive value")
+    return Recipe(rate, limit, entry.align is not None, window, impact, offset)
+
+
+def _experiment(entry: _Experiment, record: Prepared | None, where: str, known: dict[str, Quantity]) -> Experiment:
+    fixed, known = {}, {**known, **NUISANCES}
+    for name, value in entry.parameters.items():
+        if name not in known:
+            raise InputError(f"{where} parameters", f"the scene has no parameter '{name}'", ", ".join(known))
+        fixed[name] = quantity(value, known[name].unit, f"{where} parameters.{name}")
+    memory = stated.correlation(entry.correlation, f"{where} correlation")
+    channels = []
+    for observes, reading in record.readings.items() if record else ():
+        sigma, relative = stated.noise(entry.noise, observes, reading.values, f"{where} noise")
+        channels.append(Channel(observes, reading.values, sigma, relative, memory))
+    return Experiment(
+        name=record.name if record else entry.name or where.rpartition(": ")[2],
+        times=record.times if record else np.zeros(0),
+        channels=tuple(channels),
+        hold_out=entry.hold_out,
+        fixed=fixed,
+        source=record.source if record else where,
+        features=stated.features(entry.features, entry.feature_noise, where),
+        span=None if entry.span is None else quantity(entry.span, "s", f"{where} span"),
     )
-    source = f"{part.path}: lines {part.lines[0]} to {part.lines[-1]}"
-    return Experiment(name, times[keep], channels, entry.hold_out, fixed, source)
-
-
-def _onset(times: np.ndarray, values: np.ndarray, where: str) -> float:
-    """Time of the first sample above a tenth of the peak."""
-    peak = np.nanmax(values)
-    if not peak > 0:
-        raise InputError(f"{where} observe", "the force is never positive", 'flip its sign with "-" before the column')
-    return float(times[np.flatnonzero(values > 0.1 * peak)[0]])
-
-
-def _noise(noise: object, values: np.ndarray, where: str) -> float | None:
-    """Standard deviation [N]: a force, or a percentage of the channel's largest reading; None to estimate it."""
-    if not np.nanmax(np.abs(values), initial=0.0) > 0:
-        raise InputError(where, "the record holds no force at all", "choose another column, or widen the window")
-    if noise == "estimate":
-        return None
-    largest = float(np.nanmax(np.abs(values)))
-    share = isinstance(noise, str) and noise.strip().endswith("%")
-    sigma = quantity(noise, "1", where) * largest if share else quantity(noise, "N", where)
-    if not sigma > 0:
-        raise InputError(
-            where, f"noise = {noise} gives a deviation of {sigma:g} N", 'give "2 %", "0.1 kN" or "estimate"'
-        )
-    return sigma

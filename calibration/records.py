@@ -6,11 +6,15 @@ from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
 import numpy as np
+from scipy.optimize import least_squares
 
 from calibration import judge
-from calibration.model import Model, build, make_slots, predictions
+from calibration.model import Model, build, predictions, residuals_and_jacobian
+from calibration.noise import OUTLYING, Estimate
+from calibration.polish import FAILED_RESIDUAL, End
 from calibration.problem import Experiment, Problem
-from calibration.search import End, finish
+from calibration.runs import Contact
+from calibration.whiteness import Series
 
 
 @dataclass(frozen=True)
@@ -30,29 +34,24 @@ class Record:
 
 
 def hold_out(
-    problem: Problem, model: Model, best: End, log_depth: float
-) -> tuple[dict[str, dict[str, float]], list[Record], float, int]:
+    problem: Problem, model: Model, best: End, log_depth: float, quality: judge.Spread, noise: Estimate
+) -> tuple[dict[str, dict[str, float]], list[Record], judge.Test]:
     """Predict held-out records: shared parameters as fitted, each record's own nuisances fitted to it.
 
+    The test allows for the uncertainty C of the shared parameters: with own nuisances projected out, residuals r have
+    the covariance 1 + K C K^T, K their Jacobian, and
+
+        r^T (1 + K C K^T)^-1 r = |r|^2 - (K^T r)^T (C^-1 + K^T K)^-1 K^T r.
+
     Returns:
-        Errors by record and channel as fractions of the peak, the records, the sum of squared weighted residuals
-        and their degrees of freedom.
+        Errors by record and channel as fractions of the peak, the records, and the test.
     """
-    held = tuple(e for e in problem.experiments if e.hold_out)
-    values = [float(v) for v in model.values(jnp.asarray(best.point), jnp.asarray(log_depth))]
-    shared = {s.name: v for s, v in zip(model.slots, values, strict=True) if s.experiment is None}
-    own = tuple(f for f in problem.free if f.per_experiment)
-    other = build(replace(problem, free=own or problem.free, params={**problem.params, **shared}), held)
-    if own:
-        slots = make_slots(replace(problem, free=own), len(held))
-        mean = {f.name: np.mean([v for s, v in zip(model.slots, values, strict=True) if s.name == f.name]) for f in own}
-        start = other.point(np.array([mean[s.name] for s in slots]), 0.0)
-        end = finish(other, start, np.clip(start, 1e-6, 1 - 1e-6), 0.0)
-        point, residuals = end.point, end.residuals
-    else:
-        other = Model(other.scene, (), other.channels, other.data, other.how)
-        point, residuals = np.zeros(0), np.asarray(other.residuals(jnp.zeros(0), jnp.asarray(0.0)))
-    records = records_of(other, held, point, 0.0, True)
+    held = tuple(told(e, noise) for e in problem.experiments if e.hold_out)
+    other = build(problem, held)
+    shared = sum(s.experiment is None for s in model.slots)
+    own = np.array([_mean_of(model, best.point, s.name) for s in other.slots[shared:]])
+    point = _own_fitted(other, np.concatenate([best.point[:shared], own]), shared, log_depth)
+    records = records_of(other, held, point, log_depth, True)
     report = {}
     for record in records:
         for channel, data in record.data.items():
@@ -61,8 +60,58 @@ def hold_out(
                 "max_error_of_peak": float(np.nanmax(np.abs(error)) / peak),
                 "rms_error_of_peak": float(np.sqrt(np.nanmean(error**2)) / peak),
             }
-    samples = int(np.count_nonzero(np.asarray(other.data.weights)))
-    return report, records, float(np.sum(residuals**2)), samples - point.size
+    residuals, jacobian = (
+        np.asarray(a) for a in residuals_and_jacobian(other, jnp.asarray(point), jnp.asarray(log_depth))
+    )
+    if other.loss != "linear":  # outliers were allowed for
+        residuals, jacobian = (np.where(np.abs(residuals) < OUTLYING, a.T, 0.0).T for a in (residuals, jacobian))
+    basis = np.linalg.qr(jacobian[:, shared:])[0]
+    free, through = (a - basis @ (basis.T @ a) for a in (residuals, jacobian[:, :shared]))
+    square = float(free @ free)
+    if quality.covariance is not None and shared:
+        push = through.T @ free
+        doubt = np.linalg.inv(quality.covariance[:shared, :shared]) + through.T @ through
+        square -= float(push @ np.linalg.solve(doubt, push))
+    freedom = sum(e.samples for e in held) - len(other.slots) + shared
+    return report, records, judge.held_out_test(square, freedom, quality)
+
+
+def told(experiment: Experiment, noise: Estimate) -> Experiment:
+    """A record with the noise that others told, where its own is not stated."""
+    channels = []
+    for c in experiment.channels:
+        sigma = noise.sigma[c.observes] if c.sigma is None else c.sigma
+        correlation = noise.correlation.get(c.observes, 0.0) if c.correlation is None else c.correlation
+        channels.append(replace(c, sigma=sigma, correlation=correlation))
+    return replace(experiment, channels=tuple(channels))
+
+
+def _mean_of(model: Model, point: np.ndarray, name: str) -> float:
+    return float(np.mean([u for s, u in zip(model.slots, point, strict=True) if s.name == name]))
+
+
+def _own_fitted(model: Model, point: np.ndarray, shared: int, log_depth: float) -> np.ndarray:
+    """The point with the coordinates beyond the shared ones fitted to the data."""
+    if shared == point.size:
+        return point
+
+    def evaluate(own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        at = jnp.asarray(np.concatenate([point[:shared], own]))
+        residuals, jacobian = (np.asarray(a) for a in residuals_and_jacobian(model, at, jnp.asarray(log_depth)))
+        jacobian = jacobian[:, shared:]
+        if np.isfinite(residuals).all() and np.isfinite(jacobian).all():
+            return residuals, jacobian
+        return np.full_like(residuals, FAILED_RESIDUAL), np.zeros_like(jacobian)
+
+    result = least_squares(
+        lambda own: evaluate(own)[0],
+        np.clip(point[shared:], 1e-6, 1 - 1e-6),
+        jac=lambda own: evaluate(own)[1],  # pyright: ignore[reportArgumentType]
+        bounds=(0.0, 1.0),
+        x_scale="jac",
+        loss=model.loss,
+    )
+    return np.concatenate([point[:shared], result.x])
 
 
 def records_of(
@@ -76,8 +125,7 @@ def records_of(
     for i, experiment in enumerate(experiments):
         count = experiment.times.size
         own = {c.observes: (model.channels.index(c.observes), c.values) for c in experiment.channels}
-        params = {"time_offset": 0.0, "force_offset": 0.0, "gain": 1.0}
-        params |= {name: float(v[i]) for name, v in model.data.fixed.items()}
+        params = {name: float(v[i]) for known in (model.data.chain, model.data.fixed) for name, v in known.items()}
         params |= {s.name: v for s, v in zip(model.slots, values, strict=True) if s.experiment in (None, i)}
         records.append(
             Record(
@@ -86,27 +134,49 @@ def records_of(
                 times=experiment.times,
                 data={name: values for name, (_, values) in own.items()},
                 prediction={name: predicted[i, j, :count] for name, (j, _) in own.items()},
-                sigma={name: 1.0 / float(weights[i, j].max()) for name, (j, _) in own.items()},
+                sigma={name: _sigma(weights[i, j, :count]) for name, (j, _) in own.items()},
                 params=params,
             )
         )
     return records
 
 
-def series_of(model: Model, best: End, predicted: np.ndarray) -> list[judge.Series]:
-    """Residuals by record and channel; in contact is where the model's force exceeds 2 % of its peak."""
-    weights = np.asarray(model.data.weights)
-    shaped = best.residuals.reshape(weights.shape)
+def _sigma(weights: np.ndarray) -> float:
+    """Root mean square deviation of samples with these weights."""
+    return float(np.sqrt(np.mean(weights[weights > 0] ** -2.0)))
+
+
+def series_of(model: Model, experiments: tuple[Experiment, ...], seen: list[Contact], noise: Estimate) -> list[Series]:
+    """Residuals by record and channel: their places, and whether the model's contact touches at each of them."""
+    weights, shape = np.asarray(model.data.weights), model.data.weights.shape
+    values = np.asarray(model.data.values)
     series = []
-    for i, j in np.argwhere((weights > 0).any(axis=2)):
-        seen = weights[i, j] > 0
-        force = np.abs(predicted[i, j] - predicted[i, j].min())[seen]
-        touching = force > 0.02 * force.max()
-        series.append(judge.Series(shaped[i, j][seen], touching, 1.0 / float(weights[i, j].max() * force.max())))
+    for i, experiment in enumerate(experiments):
+        for channel in experiment.channels:
+            j = model.channels.index(channel.observes)
+            own = np.flatnonzero(weights[i, j] > 0)
+            contact = channel.observes.partition(".")[0]
+            mine = next(c for c in seen if c.experiment == i and c.name == contact)
+            clock = np.asarray(model.data.times)[i, own] - mine.offset
+            touching = np.interp(clock, mine.times, mine.touching.astype(float), left=0.0) >= 0.5
+            durations = mine.durations
+            memory = noise.correlation.get(channel.observes) if channel.correlation is None else channel.correlation
+            peak = float(np.max(np.abs(values[i, j, own])))
+            series.append(
+                Series(
+                    rows=np.ravel_multi_index((np.full(own.size, i), np.full(own.size, j), own), shape),
+                    touching=touching,
+                    share=1.0 / float(weights[i, j, own].max() * peak) if peak > 0 else 0.0,
+                    longest=float(durations.max()) if durations.size else np.inf,
+                    memory=float(memory or 0.0),
+                    declared=channel.correlation != 0.0,
+                    estimated=channel.sigma is None,
+                )
+            )
     return series
 
 
 def rms(records: list[Record]) -> float:
-    """Root mean square of prediction less data [N], over all samples."""
+    """Root mean square of prediction less data [N], over all samples; 0 where features alone were fitted."""
     errors = [r.prediction[c] - r.data[c] for r in records for c in r.data]
-    return float(np.sqrt(np.nanmean(np.concatenate(errors) ** 2)))
+    return float(np.sqrt(np.nanmean(np.concatenate(errors) ** 2))) if errors else 0.0

@@ -103,18 +103,117 @@ BAD = {
         lambda: (swap('"force [N]"', '"force"')(), lines(lambda r: ["time [ms],force [mm]", *r[1:]])()),
         ["d.csv: column 'force [mm]'", "'mm'", "converts to N"],
     ),
-    "NaN": (
-        lines(lambda r: [*r[:4], r[4].split(",")[0] + ",nan", *r[5:]]),
-        ["d.csv: line 5, column 'force [N]'", "'nan'", "not a finite number", "blank"],
+    "infinite": (
+        lines(lambda r: [*r[:4], r[4].split(",")[0] + ",inf", *r[5:]]),
+        ["d.csv: line 5, column 'force [N]'", "'inf'", "not a finite number", "blank"],
+    ),
+    "text column": (
+        lines(lambda r: [r[0], *(row.split(",")[0] + ",open" for row in r[1:])]),
+        ["d.csv: line 2, column 'force [N]'", "'open'", "13 of the column's 13 cells", "another column"],
+    ),
+    "decimal comma": (
+        lines(lambda r: [r[0], *(row.split(",")[0] + ',"1,5"' for row in r[1:])]),
+        ["d.csv: line 2, column 'force [N]'", "'1,5'", "decimals with a point"],
+    ),
+    "semicolons": (
+        lines(lambda r: [row.replace(",", ";") for row in r]),
+        ["d.csv: line 1", "no comma but a semicolon: 'time [ms];force [N]'", "separate by commas"],
+    ),
+    "tabs in .csv": (
+        lines(lambda r: [row.replace(",", "\t") for row in r]),
+        ["d.csv: line 1", "no comma but a tab", "name the file .tsv"],
+    ),
+    "Latin-1": (
+        lambda: Path("d.csv").write_bytes(TABLE.replace("ms", "µs").encode("latin-1")),
+        ["d.csv: line 1", "byte 0xb5 is not UTF-8", "in Latin-1 it is 'µ'", "save the file as UTF-8"],
+    ),
+    "Latin-1 far below": (
+        lambda: Path("d.csv").write_bytes(("x\n" * 9000 + "µ\n").encode("latin-1")),
+        ["d.csv: line 9001", "byte 0xb5"],
+    ),
+    "UTF-16": (lambda: Path("d.csv").write_text(TABLE, encoding="utf-16"), ["d.csv", "is UTF-16", "UTF-8"]),
+    "kind of file": (
+        lambda: (Path("d.csv").rename("d.dat"), swap('"d.csv"', '"d.dat"')()),
+        ["[[experiment]] 1 file", "d.dat is of no kind known here", ".csv, .h5, .hdf5, .mat"],
+    ),
+    "table in a CSV": (swap("time =", 'table = "a"\ntime ='), ["[[experiment]] 1 file table", "d.csv holds no tables"]),
+    "two of a name": (
+        lines(lambda r: [row + "," + row.split(",")[1] for row in r]),
+        ["observe", "2 columns of d.csv are headed 'force [N]'", "rename one"],
     ),
     "blank time": (lines(lambda r: [*r[:4], ",1.0", *r[5:]]), ["d.csv: line 5, column 'time [ms]'", "''"]),
     "short row": (lines(lambda r: [*r[:4], "0.3", *r[5:]]), ["d.csv: line 5", "1 cells under 2 headers"]),
     "no rows": (lines(lambda r: r[:1]), ["d.csv", "no rows below a header"]),
     "unsorted": (lines(lambda r: [*r[:5], r[6], r[5], *r[7:]]), ["d.csv: line 7, column 'time [ms]'", "sort the rows"]),
+    "time twice": (
+        lines(lambda r: [*r[:5], r[4], *r[5:]]),
+        ["d.csv: line 6, column 'time [ms]'", "time 0.0003 s stands twice", "repeated rows"],
+    ),
+    "constant": (
+        lines(lambda r: [r[0], *(row.split(",")[0] + ",2.5" for row in r[1:])]),
+        ["d.csv: lines 2 to 14, column 'force [N]'", "reads 2.5 N in every row", "choose the column"],
+    ),
+    "empty column": (
+        lines(lambda r: [r[0], *(row.split(",")[0] + ",NaN" for row in r[1:])]),
+        ["d.csv: lines 2 to 14, column 'force [N]'", "no number at all", "another column"],
+    ),
+    "wrong sign": (
+        swap('"force', '"-force'),
+        ["d.csv: lines 2 to 14, column 'force [N]'", "100% of the impulse is negative", 'flip its sign with "-"'],
+    ),
+    "wrong sign and offset": (
+        lambda: (
+            lines(lambda r: [r[0], *(f"{t},{20 - f}" for t, f in zip(TIMES, FORCES * (TIMES < 0.45), strict=True))])(),
+            swap(FREE, FREE + "[free.force_offset]\nlower = -50\nupper = 50\n")(),
+        ),
+        ["d.csv: lines 2 to 14", "of the impulse is negative", 'flip its sign with "-"'],
+    ),
+    "loading only": (
+        lines(lambda r: r[:6]),
+        [
+            "d.csv: lines 2 to 6",
+            "largest at its last sample (95.1057 N at 400 us)",
+            "shorter than a contact",
+            "after it",
+        ],
+    ),
+    "contact of two samples": (
+        lines(lambda r: [r[0], "0,0", "1,80", "2,100", "3,1", "4,0"]),
+        ["d.csv: lines 2 to 6", "2 samples lie within the contact", "sample faster"],
+    ),
+    "all saturated": (
+        lambda: (swap("noise", 'saturation = "1 N"\nnoise')(), lines(lambda r: [r[0], *r[2:-3]])()),
+        ["column 'force [N]'", "every sample is at or beyond the saturation"],
+    ),
+    "saturation": (swap("noise", 'saturation = "-1 N"\nnoise'), ["[[experiment]] 1 saturation", "-1 N", "positive"]),
+    "saturation's unit": (swap("noise", 'saturation = "1 V"\nnoise'), ["saturation", "'1 V'", "converts to N"]),
+    "rate": (
+        swap("noise", 'resample = "20 kHz"\nnoise'),
+        ["[[experiment]] 1 resample", "20 kHz is above the 10 kHz", "no knowledge"],
+    ),
+    "rate of a short record": (
+        swap("noise", 'resample = "5 kHz"\nnoise'),
+        ["[[experiment]] 1 resample", "longer than 30 samples", "take resample out"],
+    ),
     "column": (
         swap('"force [N]"', '"fors [N]"'),
         ["p.toml: [[experiment]] 1 observe", "no column 'fors [N]' in d.csv", "did you mean 'force [N]'?"],
     ),
+    "noise of another channel": (
+        swap('"1 N"', '{ "contact.axial" = "1 N" }'),
+        ["[[experiment]] 1 noise", "no noise of 'contact.normal'", "for each channel"],
+    ),
+    "no clock": (swap('time = "time [ms]"\n', ""), ["[[experiment]] 1 time", "the key 'time' is missing"]),
+    "nothing observed": (swap('{ "contact.normal" = "force [N]" }', "{}"), ["observe", "nothing is observed"]),
+    "feature": (
+        swap("noise", 'features = { "contact.peek" = 1 }\nfeature_noise = "1 N"\nnoise'),
+        ["[[experiment]] 1 features", "no feature 'peek'", "mean 'peak'?"],
+    ),
+    "feature's noise": (
+        swap("noise", 'features = { "contact.peak" = 1.0 }\nnoise'),
+        ["[[experiment]] 1 feature_noise", "no noise of 'contact.peak'"],
+    ),
+    "loss": (swap("scene =", 'loss = "soft"\nscene ='), ["p.toml: loss", "no loss 'soft'", "'soft_l1'"]),
     "channel": (swap("contact.normal", "contat.normal"), ["no contact 'contat'", "did you mean 'contact'?"]),
     "component": (swap("contact.normal", "contact.norml"), ["contact.norml", "did you mean 'normal'?"]),
     "rows": (
@@ -133,8 +232,11 @@ BAD = {
         ["[[experiment]] 1 parameters", "no parameter 'masss'", "mass"],
     ),
     "few samples": (
-        lambda: (lines(lambda r: r[:3])(), swap("1e10\n", "1e10\n[free.exponent]\nlower = 1\nupper = 2\n")()),
-        ["p.toml", "2 samples for 2 free parameters", "free fewer"],
+        lambda: (
+            lines(lambda r: [r[0], *r[5:8]])(),
+            swap("1e10\n", "1e10\n[free.exponent]\nlower = 1\nupper = 2\n[free.gain]\nlower = 0.5\nupper = 2\n")(),
+        ),
+        ["p.toml", "3 samples for 3 free parameters", "free fewer"],
     ),
     "never positive": (
         lambda: (swap('"force', '"-force')(), swap("noise", 'align = "onset"\nnoise')()),
@@ -179,15 +281,16 @@ def loaded(table: str, entry: str = "") -> tuple:
 
 
 def test_tables_may_quote_lead_with_a_mark_and_leave_blanks(here):
-    text = '\ufeff"time [ms]","force, filtered [kN]",note\r\n"0","0.5","a, b"\r\n\r\n1,,\r\n2," 0.25 ",\r\n'
+    text = '\ufeff"time [ms]","force, filtered [kN]",note\r\n"0","-0.25","a, b"\r\n\r\n'
+    text += '1,,\r\n2," -0.5 ",\r\n3,NaN,\r\n4,-0.25,\r\n'
     swap("force [N]", "-force, filtered [kN]")()
     (one,) = loaded(text)
-    np.testing.assert_array_equal(one.times, [0.0, 1e-3, 2e-3])
-    np.testing.assert_array_equal(one.channels[0].values, [-500.0, np.nan, -250.0])
+    np.testing.assert_array_equal(one.times, [0.0, 1e-3, 2e-3, 3e-3, 4e-3])
+    np.testing.assert_array_equal(one.channels[0].values, [250.0, np.nan, 500.0, np.nan, 250.0])
     assert one.channels[0].sigma == 1.0
 
 
-RUNS = "{0},time [ms],force [N]\n" + "".join(f"{r},{t},{10 * r + t}\n" for r in (1, 2, 3) for t in range(4))
+RUNS = "{0},time [ms],force [N]\n" + "".join(f"{r},{t},{10 * r + t * (3 - t)}\n" for r in (1, 2, 3) for t in range(4))
 
 
 @pytest.mark.parametrize(
@@ -204,7 +307,7 @@ def test_runs_and_lists_of_rows_become_experiments(column, entry, names, firsts,
     experiments = loaded(RUNS.format(column), entry)
     assert [e.name for e in experiments] == names
     for experiment, first in zip(experiments, firsts, strict=True):
-        np.testing.assert_array_equal(experiment.channels[0].values, first + np.arange(4.0))
+        np.testing.assert_array_equal(experiment.channels[0].values, first + np.array([0.0, 2.0, 2.0, 0.0]))
 
 
 def test_onset_and_window(here):
@@ -214,6 +317,36 @@ def test_onset_and_window(here):
     np.testing.assert_allclose(one.channels[0].values, FORCES[1:6], rtol=1e-7)
 
 
-def test_noise_is_a_share_of_the_largest_reading(here):
-    swap("1 N", "2 %")()
-    assert load("p.toml").experiments[0].channels[0].sigma == pytest.approx(0.02 * FORCES.max(), rel=1e-6)
+@pytest.mark.parametrize(
+    ("entry", "sigma", "relative", "memory"),
+    [
+        ('"2 %"', 2.0, 0.0, 0.0),
+        ("3.0", 3.0, 0.0, 0.0),
+        ('"0.003 kN + 4 % + 5 % of reading"', 5.0, 0.05, 0.0),
+        ('{ "contact.normal" = "2 N" }', 2.0, 0.0, 0.0),
+        ('"estimate"\ncorrelation = "0.2 ms"', None, 0.0, 2e-4),
+        ('"2 N"\ncorrelation = "estimate"', 2.0, 0.0, None),
+    ],
+)
+def test_noise(entry, sigma, relative, memory, here):
+    """A percentage is of the largest reading, 100 N; independent parts add in their squares."""
+    swap('"1 N"', entry)()
+    channel = load("p.toml").experiments[0].channels[0]
+    assert (channel.relative, channel.correlation) == (pytest.approx(relative), memory)
+    assert channel.sigma == (sigma if sigma is None else pytest.approx(sigma, rel=1e-6))
+
+
+def test_features_beside_and_instead_of_histories(here):
+    only = '[[experiment]]\nfeatures = { "contact.peak" = "0.1 kN" }\nfeature_noise = "2 %"\nspan = "5 ms"\n'
+    swap("[free", only + "[free")()
+    swap("noise", 'name = "drop"\nfeatures = { "contact.impulse" = 0.06 }\nfeature_noise = "1 mN s"\nnoise')()
+    first, second = load("p.toml").experiments
+    assert [(o.feature, o.value, o.sigma) for o in first.features] == [("contact.impulse", 0.06, 1e-3)]
+    assert [(o.feature, o.value, o.sigma) for o in second.features] == [("contact.peak", 100.0, 2.0)]
+    assert (first.name, second.name, second.span, second.channels) == ("drop", "[[experiment]] 2", 5e-3, ())
+
+
+def test_two_records_never_share_a_name(here):
+    entry = PROBLEM[PROBLEM.index("[[exp") : PROBLEM.index("[free")]
+    swap("[free", entry + "[free")()
+    assert [e.name for e in load("p.toml").experiments] == ["d", "d (2)"]

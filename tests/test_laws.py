@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from oracles import agrees, strike, within
 from scipy.integrate import quad
 
-from bcfj_jax import laws
+from bcfj_jax import laws, scenes
 from bcfj_jax.errors import InputError
 from bcfj_jax.laws.elastic import ELASTIC, bai_zhao_stiffness
 from bcfj_jax.laws.normal import KelvinVoigt
@@ -27,6 +27,7 @@ from bcfj_jax.restitution import (
 COEFFICIENTS = {
     "stiffness": 3e10, "exponent": 1.5, "reference_force": 2e4, "reference_penetration": 8e-5,
     "effective_modulus": 1.13e11, "contact_length": 0.01, "radius": 0.03, "radius_difference": 1e-4,
+    "bottoming_stiffness": 2e9, "bottoming_penetration": 5e-5, "bottoming_width": 2e-5,
     "dashpot": 5e4, "damping": 0.2, "restitution": 0.7, "approach_speed": 1.5, "damping_depth": 1e-4,
 }  # fmt: skip
 UNIT = {"stiffness": 1.0, "exponent": 1.5}
@@ -125,6 +126,39 @@ def test_elastic_formulas():
     for n in (1.0, 1.5, 2.2):  # the two forms of the power law, K = F_ref/d_ref^n
         power = elastic("power", stiffness=2e4 / 8e-5**n, exponent=n)
         assert np.allclose(elastic("reference", exponent=n), power, rtol=1e-13)
+
+
+def test_two_stages():
+    depth, width = (COEFFICIENTS[k] for k in ("bottoming_penetration", "bottoming_width"))
+    soft, backing = COEFFICIENTS["stiffness"], COEFFICIENTS["bottoming_stiffness"]
+    force = jax.jit(functools.partial(elastic, "two_stage"))
+    before, beyond = np.linspace(1e-6, depth - width, 7), np.linspace(depth + width, 3 * depth, 7)
+    assert np.allclose(force(before), soft * before**1.5, rtol=1e-14)
+    # Mindlin 1945: the bilinear cushion, and its sharp corner where the width is 0.
+    assert np.allclose(force(beyond), soft * beyond**1.5 + backing * (beyond - depth), rtol=1e-13)
+    every = np.concatenate([before, beyond])
+    corner = soft * every**1.5 + backing * np.maximum(every - depth, 0.0)
+    assert np.allclose(elastic("two_stage", every, bottoming_width=0.0), corner, rtol=1e-13)
+    # The stored energy of the docstring, within the rounding and beyond it.
+    within_it = depth + width * np.array([-0.9, -0.3, 0.4, 1.0])
+    s = (within_it - depth + width) / (2 * width)
+    rounded = 2 * width**2 * s**5 * (1 - s + 2 * s**2 / 7)
+    straight = (beyond - depth) ** 2 / 2 + width**2 / 14
+    for d, stored in zip(np.r_[within_it, beyond], np.r_[rounded, straight], strict=True):
+        work = quad(lambda x: float(force(x)), 0.0, d, points=[depth - width, min(d, depth + width)], epsabs=0.0)[0]
+        assert work == within(soft * d**2.5 / 2.5 + backing * stored, 1e-8)
+    # Smooth where it sets in: slope and curvature are the soft law's on one side and the stiff one's on the other.
+    slope = jax.jit(jax.vmap(jax.grad(force)))
+    curvature = jax.jit(jax.vmap(jax.grad(jax.grad(force))))
+    for edge, added in ((depth - width, 0.0), (depth + width, backing)):
+        near = edge + np.array([-1.0, 1.0]) * 1e-9
+        assert np.allclose(slope(near), 1.5 * soft * near**0.5 + added, atol=1e-6 * backing)
+        assert np.allclose(curvature(near), 0.75 * soft / near**0.5, atol=1e-3 * backing / width)
+
+
+def test_two_stages_must_not_overlap_the_surface():
+    with pytest.raises(InputError, match="bottoming_width = 6e-05 is more than bottoming_penetration = 5e-05"):
+        scenes.impact(elastic="two_stage").parameters(bottoming_width=6e-5, bottoming_penetration=5e-5)
 
 
 def test_bai_zhao_stiffness_is_the_slope_of_liu():

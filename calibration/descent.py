@@ -1,0 +1,119 @@
+"""Descents of a batch of points in the unit box, all lanes in one program: Adam, and Levenberg-Marquardt.
+
+Both ask only for residuals (B, N) and Jacobians (B, N, P) at points (B, P). A lane whose simulation fails stays
+where it was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import optax
+
+Evaluate = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+_EDGE = 1e-6
+_RATE = 0.03
+# Damping of the first step, and what a rejected and an accepted step make of it.
+_DAMPING, _WORSE, _BETTER = 1e-2, 4.0, 0.2
+# No step moves a coordinate further than this share of its range: a contact found must not be jumped over.
+_LONGEST = 0.15
+_SHORTEST = 1e-9
+# A lane gets nowhere that so many times in a row gained less than this share of its cost.
+_PATIENCE, _PROGRESS = 8, 1e-3
+# A combination of coordinates that moves the residuals less than this share of one alone counts as this.
+_LEAST_SIZE = 1e-12
+
+
+class Lanes(NamedTuple):
+    """Where lanes are: points (B, P), costs (B,), infinite where the simulation failed, whether each converged."""
+
+    points: np.ndarray
+    costs: np.ndarray
+    converged: np.ndarray
+
+
+def cost_of(residuals: np.ndarray) -> np.ndarray:
+    """Sums of squares (B,), infinite where a residual is not finite."""
+    costs = np.sum(np.square(residuals), axis=1)
+    return np.where(np.isfinite(costs), costs, np.inf)
+
+
+def adam(evaluate: Evaluate, points: np.ndarray, steps: int) -> np.ndarray:
+    """Adam on the logarithm of the cost; the best point of each lane."""
+    optimiser = optax.adam(optax.cosine_decay_schedule(_RATE, steps))
+    state = optimiser.init(points)
+    at, best, least = points, points, np.full(len(points), np.inf)
+    for _ in range(steps):
+        residuals, jacobians = evaluate(at)
+        costs = cost_of(residuals)
+        slope = 2.0 * np.einsum("bn,bnp->bp", residuals, jacobians) / (costs[:, None] + 1.0)
+        better = costs < least
+        best, least = np.where(better[:, None], at, best), np.where(better, costs, least)
+        change, state = optimiser.update(np.where(np.isfinite(slope), slope, 0.0), state)
+        at = np.clip(at + np.asarray(change), _EDGE, 1.0 - _EDGE)
+    return best
+
+
+def levenberg(evaluate: Evaluate, points: np.ndarray, iterations: int, tolerance: float) -> Lanes:
+    """Damped Gauss-Newton within the box, each lane with its own damping.
+
+    A coordinate at a bound that the cost pushes it against is held there. A lane has converged when what
+    is left to gain is less than ``tolerance`` of the cost per residual, or its step too short to matter. Lanes that
+    have, and lanes that get nowhere, are not waited for.
+
+    Args:
+        evaluate: residuals and Jacobians; asked at most ``iterations + 1`` times.
+        points: (B, P) where to begin.
+        iterations: limit.
+        tolerance: of the promised decrease, in units of cost / number of residuals.
+    """
+    at = np.clip(points, 0.0, 1.0)
+    residuals, jacobians = evaluate(at)
+    costs, slope, bend = _model(residuals, jacobians)
+    least = tolerance / residuals.shape[1]
+    damping = np.full(len(at), _DAMPING)
+    converged, active, idle = np.zeros(len(at), dtype=bool), np.isfinite(costs), np.zeros(len(at), dtype=int)
+    for _ in range(iterations):
+        step, promise = _step(at, slope, bend, damping)
+        small = (promise <= least * costs) | (np.abs(step).max(axis=1) < _SHORTEST)
+        converged |= active & small
+        active &= ~small & (idle < _PATIENCE)
+        if not active.any():
+            break
+        # Lanes that are done copy one that is not: they cost nothing more than it does.
+        trial = np.where(active[:, None], at + step, (at + step)[np.argmax(active)])
+        residuals, jacobians = evaluate(trial)
+        new_costs, new_slope, new_bend = _model(residuals, jacobians)
+        better = active & (new_costs < costs)
+        idle = np.where(new_costs < (1.0 - _PROGRESS) * costs, 0, idle + 1)
+        costs = np.where(better, new_costs, costs)
+        at, slope = (np.where(better[:, None], new, old) for new, old in ((trial, at), (new_slope, slope)))
+        bend = np.where(better[:, None, None], new_bend, bend)
+        damping = np.clip(np.where(better, _BETTER * damping, _WORSE * damping), 1e-9, 1e12)
+    return Lanes(at, costs, converged)
+
+
+def _model(residuals: np.ndarray, jacobians: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Costs (B,), half their gradients (B, P) and Gauss-Newton matrices (B, P, P); infinite and zero on failure."""
+    slope = np.einsum("bn,bnp->bp", residuals, jacobians)
+    bend = np.swapaxes(jacobians, 1, 2) @ jacobians
+    costs = cost_of(residuals)
+    good = np.isfinite(costs) & np.isfinite(slope).all(axis=1) & np.isfinite(bend).all(axis=(1, 2))
+    return np.where(good, costs, np.inf), np.where(good[:, None], slope, 0.0), np.where(good[:, None, None], bend, 0.0)
+
+
+def _step(at: np.ndarray, slope: np.ndarray, bend: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Damped steps (B, P) within the box, and the decrease of the cost (B,) that an undamped one would promise."""
+    free = ~(((at <= 0.0) & (slope > 0.0)) | ((at >= 1.0) & (slope < 0.0)))
+    # In units of each column's own size, damping is the same for all coordinates.
+    unit = np.sqrt(np.einsum("bpp->bp", bend))
+    unit = np.where(free & (unit > 0.0), unit, np.inf)
+    sizes, axes = np.linalg.eigh(bend / (unit[:, :, None] * unit[:, None, :]))
+    along = np.einsum("bpk,bp->bk", axes, slope / unit)
+    sizes = np.maximum(sizes, _LEAST_SIZE)
+    step = -np.einsum("bpk,bk->bp", axes, along / (sizes + damping[:, None])) / unit
+    step *= np.minimum(1.0, _LONGEST / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-300))
+    return np.clip(at + step, 0.0, 1.0) - at, np.sum(np.square(along) / sizes, axis=1)

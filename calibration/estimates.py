@@ -1,0 +1,111 @@
+"""Estimates with their intervals: values, reference force, what is determined and what is at a bound."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+
+from calibration import judge
+from calibration.check import separation
+from calibration.model import Model, residuals_and_jacobian
+from calibration.polish import End
+from calibration.problem import NUISANCES
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One estimate.
+
+    Attributes:
+        value: SI.
+        ci95: 95 % interval, or None where no honest one exists.
+        identifiable: whether the data determine it to better than a factor of two.
+        at_bound: "lower", "upper" or "".
+        kind: how it was found: "fitted", or "derived" from the reference force and exponent.
+        interval_kind: what the interval comes from, or would: "covariance", "profile" or "posterior".
+    """
+
+    value: float
+    unit: str
+    ci95: tuple[float, float] | None
+    identifiable: bool
+    at_bound: str
+    kind: str = "fitted"
+    interval_kind: str = "covariance"
+
+
+@dataclass(frozen=True)
+class Reference:
+    """The power law where the data are: F_ref at d_ref, with the interval of F_ref (None as in Parameter)."""
+
+    penetration: float
+    force: float
+    ci95: tuple[float, float] | None
+    interval_kind: str = "covariance"
+
+
+def estimates(
+    model: Model, labels: tuple[str, ...], best: End, log_depth: float, spread: judge.Spread
+) -> tuple[dict[str, Parameter], Reference | None, list[judge.Test]]:
+    """Values, intervals, identifiability and bounds of every coordinate, and the tests of the latter three."""
+    depth = jnp.asarray(log_depth)
+    values = [float(v) for v in model.values(jnp.asarray(best.point), depth)]
+    lower, width = (np.asarray(a) for a in model.box(depth))
+    slopes = np.diag(width)
+    z, pair, reference = lower + best.point * width, model.pair() if model.referenced else None, None
+    if pair:
+        k, n = pair
+        reference = _reference(spread, log_depth, float(z[k]), slopes[k])
+        # From the coordinate ln F_ref to ln K = ln F_ref - n ln d_ref.
+        z[k] -= values[n] * log_depth
+        slopes[k, n] = -log_depth * (values[n] if model.slots[n].log else 1.0) * width[n]
+    parameters: dict[str, Parameter] = {}
+    tests: list[judge.Test] = []
+    for i, (slot, label) in enumerate(zip(model.slots, labels, strict=True)):
+        half = spread.half_width(slopes[i])
+        widest = np.log(judge.WIDEST_FACTOR) if slot.log else judge.WIDEST_SHARE * (slot.upper - slot.lower)
+        identifiable = bool(half < widest)
+        edges = (z[i] - half, z[i] + half)
+        interval = tuple(float(np.exp(e)) if slot.log else float(e) for e in edges) if identifiable else None
+        margin = 1e-3 * (slot.upper - slot.lower)
+        at_bound = "lower" if z[i] < slot.lower + margin else "upper" if z[i] > slot.upper - margin else ""
+        unit = {**model.scene.quantities, **NUISANCES}[slot.name].unit
+        kind = "derived" if pair and i == pair[0] else "fitted"
+        parameters[label] = Parameter(values[i], unit, interval, identifiable, at_bound, kind)  # type: ignore[arg-type]
+        reason = f"the data do not determine {label}: they allow a factor or share beyond the limit"
+        tests.append(judge.Test(f"{label} determined", half, widest, identifiable, reason))
+        tests.append(
+            judge.Test(f"{label} inside its bounds", 0, 0, not at_bound, f"{label} is at its {at_bound} bound")
+        )
+        if identifiable and not at_bound:
+            tests.append(judge.curvature_test(label, _curvature(model, best, depth, spread, slopes[i])))
+    tests.append(judge.rank_test(spread))
+    if not all(t.passed for t in tests if t.name.endswith("determined")):
+        names = [labels[k] for k in np.argsort(-np.abs(spread.weakest))[:2]]
+        reason = f"the weakest direction of the data is in {' and '.join(names)}"
+        reason += f"; what would separate them: {separation(names)}" if len(names) > 1 else ""
+        tests.append(judge.Test("weak direction", spread.condition, 0, False, reason))
+    return parameters, reference, tests
+
+
+def _reference(spread: judge.Spread, log_depth: float, centre: float, slope: np.ndarray) -> Reference:
+    half = spread.half_width(slope)
+    interval = (float(np.exp(centre - half)), float(np.exp(centre + half)))
+    known = half < np.log(judge.WIDEST_FACTOR)
+    return Reference(float(np.exp(log_depth)), float(np.exp(centre)), interval if known else None)
+
+
+def _curvature(model: Model, best: End, depth, spread: judge.Spread, slope: np.ndarray) -> float:
+    """Rise of the cost at both ends of an interval, the other parameters following, over the quadratic rise."""
+    assert spread.covariance is not None
+    quantile, along = spread.quantile_of(slope), spread.covariance @ slope
+    step = quantile * along / np.sqrt(slope @ along)
+    rises = []
+    for sign in (-1.0, 1.0):
+        residuals, _ = residuals_and_jacobian(model, jnp.asarray(best.point + sign * step), depth)
+        rises.append(float(model.cost(np.asarray(residuals))) - best.cost)
+    expected = quantile**2 * spread.rise
+    worst = max(rises, key=lambda r: abs(np.log(max(r, 1e-300) / expected)) if np.isfinite(r) else np.inf)
+    return worst / expected

@@ -1,0 +1,91 @@
+"""How far into a record to fit: contacts found in the data, and a model that ends after some of them.
+
+A fit of many contacts at once traps: where a contact is predicted beside the measured one, no small change of a
+parameter improves the residual. Fitted contact by contact, each stage predicts the next arrival well enough.
+"""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from calibration.model import Model
+
+# A contact rises above the rest level by so many deviations of the noise, or this share of the peak if that is more.
+_SIGMAS, _SHARE = 5.0, 0.02
+# Contacts lie apart by more quiet samples than this: fewer are noise or a force that dips.
+_QUIET = 3
+# A step so many times as long as the usual one is a gap.
+_GAP = 10.0
+
+
+def contacts(values: np.ndarray, sigma: float) -> list[tuple[int, int]]:
+    """First and last sample of each contact in a force record (T,), in order.
+
+    Args:
+        values: force [N], positive in contact, without gaps.
+        sigma: standard deviation of its noise [N].
+    """
+    rise = values - np.percentile(values, 10)
+    peak = float(rise.max(initial=0.0))
+    above = np.flatnonzero(rise > min(max(_SIGMAS * sigma, _SHARE * peak), 0.5 * peak))
+    if not above.size:
+        return []
+    breaks = np.flatnonzero(np.diff(above) > _QUIET + 1)
+    firsts, lasts = above[np.r_[0, breaks + 1]], above[np.r_[breaks, above.size - 1]]
+    return [(int(a), int(b)) for a, b in zip(firsts, lasts, strict=True)]
+
+
+def stages(model: Model) -> list[np.ndarray]:
+    """Ends of the data (E,) [s] to fit one after the other: before the 2nd contact, the 3rd, the 5th, ..., all.
+
+    An experiment's contacts are those of the normal force that has most. The last stage is always all data.
+    """
+    times, values, weights = (np.asarray(a) for a in (model.data.times, model.data.values, model.data.weights))
+    normal = [j for j, name in enumerate(model.channels) if name.endswith(".normal")]
+    ends = []
+    for i in range(len(times)):
+        most: list[float] = []
+        for j in normal:
+            seen = weights[i, j] > 0
+            if np.any(seen):
+                found = contacts(values[i, j][seen], 1.0 / float(weights[i, j][seen].min()))
+                # The last quiet sample: that nothing has arrived by then is known, too.
+                quiet = [float(times[i][seen][first - 1]) for first, _ in found[1:]]
+                most = max(most, quiet, key=len)
+        ends.append([*most, float(times[i, -1])])
+    longest = max(len(e) for e in ends)
+    counts = [2**k for k in range(32) if 2**k < longest]
+    return [np.array([e[min(n, len(e)) - 1] for e in ends]) for n in [*counts, longest]]
+
+
+def until(model: Model, ends: np.ndarray) -> Model:
+    """The same model with the data after ``ends`` (E,) [s] left out; times stop there, so integration does.
+
+    Shapes stay, so no program is compiled again.
+    """
+    times, last = model.data.times, jnp.asarray(ends)[:, None]
+    weights = jnp.where((times <= last)[:, None, :], model.data.weights, 0.0)
+    return eqx.tree_at(lambda m: (m.data.times, m.data.weights), model, (jnp.minimum(times, last), weights))
+
+
+def impulses(model: Model, residuals: np.ndarray) -> np.ndarray:
+    """Running sums over time of weighted residuals (B, N) or their Jacobians (B, N, P): errors of the impulse so far.
+
+    A contact predicted too late leaves an impulse missing for as long as it is late, so the sum of squares falls all
+    the way to the right arrival, where that of the forces themselves is flat between the two contacts. Residuals
+    that are of no history stay.
+    """
+    shape = model.data.weights.shape
+    count = int(np.prod(shape))
+    steps = np.diff(np.asarray(model.data.times), axis=1, append=np.nan)
+    steps[:, -1] = steps[:, -2] if steps.shape[1] > 1 else 1.0
+    # A model that ends early repeats its last time. Across a gap in the record nothing is known.
+    usual = np.array([np.median(row[row > 0.0]) if np.any(row > 0.0) else 1.0 for row in steps])[:, None]
+    scale = np.minimum(steps / usual, _GAP)
+    rest = residuals.shape[2:]
+    histories = residuals[:, :count].reshape(len(residuals), *shape, *rest)
+    scale = scale[None, :, None, :].reshape(1, shape[0], 1, shape[2], *[1] * len(rest))
+    summed = np.cumsum(histories * scale, axis=3).reshape(len(residuals), count, *rest)
+    return np.concatenate([summed, residuals[:, count:]], axis=1)

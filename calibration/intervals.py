@@ -1,0 +1,179 @@
+"""Which interval each estimate gets: the covariance's, its profile's, or the posterior's; and the tests that follow."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from bcfj_jax import InputError
+from calibration import judge, posterior, profile
+from calibration.estimates import Parameter, Reference
+from calibration.model import Model, Slot
+from calibration.posterior import Posterior
+from calibration.profile import Profile
+
+KINDS = ("covariance", "profile", "posterior")
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What stands behind intervals that are not the covariance's: profiles by name, or draws."""
+
+    profiles: dict[str, Profile] = field(default_factory=dict)
+    posterior: Posterior | None = None
+
+    def withheld(self, why: str) -> Evidence:
+        """The same without intervals, for a fit whose verdict stands behind none."""
+        bare = {name: replace(p, ends=(None, None)) for name, p in self.profiles.items()}
+        return Evidence(bare, self.posterior and replace(self.posterior, refusal=self.posterior.refusal or why))
+
+
+def as_json(evidence: Evidence) -> dict[str, Any]:
+    """What ``fit.json`` tells of it: "profiles" by parameter, and "posterior"."""
+    told: dict[str, Any] = {}
+    if evidence.profiles:
+        told["profiles"] = {
+            name: {
+                "shape": p.shape, "ends": p.ends, "threshold": p.threshold,
+                "values": p.values, "rises": p.rises, "notes": p.notes,
+            }
+            for name, p in evidence.profiles.items()
+        }  # fmt: skip
+    if evidence.posterior:
+        p = evidence.posterior
+        told["posterior"] = {
+            "rhat": dict(zip(p.labels, p.rhat.tolist(), strict=True)),
+            "effective": dict(zip(p.labels, p.effective.tolist(), strict=True)),
+            "draws": p.draws[..., 0].size, "divergences": p.divergences, "refusal": p.refusal,
+        }  # fmt: skip
+    return told
+
+
+def check_kind(kind: str) -> None:
+    """Refuse a kind of interval that there is not.
+
+    Raises:
+        InputError: naming those that there are.
+    """
+    if kind not in KINDS:
+        raise InputError("intervals", f"'{kind}'", f"use one of {', '.join(KINDS)}")
+
+
+def revised(
+    kind: str,
+    model: Model,
+    labels: Sequence[str],
+    place: np.ndarray,
+    log_depth: float,
+    quality: judge.Spread,
+    parameters: dict[str, Parameter],
+    reference: Reference | None,
+    tests: list[judge.Test],
+    *,
+    estimated: Sequence[str],
+    lanes: int,
+    seed: int,
+) -> tuple[dict[str, Parameter], Reference | None, list[judge.Test], Evidence]:
+    """Estimates and their tests with the intervals that were asked for.
+
+    With "covariance", a parameter whose cost does not rise as the covariance says gets its profile's interval instead.
+
+    Args:
+        kind: one of ``KINDS``.
+        model, labels, place, log_depth, quality: of the optimum.
+        parameters, reference, tests: as the covariance has them, from ``estimates``.
+        estimated: channels whose noise has an estimated deviation.
+        lanes: size of compiled batches.
+        seed: of the sampler.
+    """
+    if kind == "posterior":
+        return _sampled(model, labels, place, log_depth, quality, parameters, reference, tests, estimated, seed)
+    bent = {name for name in labels for t in tests if t.name == f"interval of {name}" and not t.passed}
+    names = [*labels, "reference_force"] if kind == "profile" else sorted(bent)
+    if not names:
+        return parameters, reference, tests, Evidence()
+    allowed = profile.rise_allowed(quality)
+    found = profile.of_model(model, place, log_depth, allowed, labels, only=names, lanes=lanes)
+    ends = {name: p.interval for name, p in found.items()}
+    why = {name: f"the profile of {name} is {p.shape}: {'; '.join(p.notes)}" for name, p in found.items()}
+    parameters, reference = _replaced("profile", model, labels, parameters, reference, ends)
+    return parameters, reference, _retested(model, labels, tests, ends, why), Evidence(found)
+
+
+def _sampled(
+    model: Model,
+    labels: Sequence[str],
+    place: np.ndarray,
+    log_depth: float,
+    quality: judge.Spread,
+    parameters: dict[str, Parameter],
+    reference: Reference | None,
+    tests: list[judge.Test],
+    estimated: Sequence[str],
+    seed: int,
+) -> tuple[dict[str, Parameter], Reference | None, list[judge.Test], Evidence]:
+    if quality.covariance is None:  # The sampler has no metric, and the test of the rank has spoken.
+        return parameters, reference, tests, Evidence()
+    found = posterior.of_model(model, place, log_depth, quality.covariance, labels, estimated=estimated, seed=seed)
+    parameters, reference = _replaced("posterior", model, labels, parameters, reference, found.intervals)
+    tests = _retested(model, labels, tests, found.intervals, dict.fromkeys(labels, found.refusal))
+    worst, passed = float(np.max(found.rhat)), not found.refusal
+    mixed = judge.Test("chains of the posterior", worst, posterior.WORST_RHAT, passed, f"posterior: {found.refusal}")
+    return parameters, reference, [*tests, mixed], Evidence(posterior=found)
+
+
+def _replaced(
+    kind: str,
+    model: Model,
+    labels: Sequence[str],
+    parameters: dict[str, Parameter],
+    reference: Reference | None,
+    ends: Mapping[str, tuple[float, float] | None],
+) -> tuple[dict[str, Parameter], Reference | None]:
+    """Estimates with other intervals; one wider than what counts as determined is none."""
+    changed = dict(parameters)
+    for slot, name in zip(model.slots, labels, strict=True):
+        if name in ends:
+            known = _half(ends[name], slot.log) < _widest(slot)
+            own = ends[name] if known else None
+            changed[name] = replace(parameters[name], ci95=own, identifiable=known, interval_kind=kind)
+    if reference and "reference_force" in ends:
+        known = _half(ends["reference_force"], True) < np.log(judge.WIDEST_FACTOR)
+        reference = replace(reference, ci95=ends["reference_force"] if known else None, interval_kind=kind)
+    return changed, reference
+
+
+def _half(ends: tuple[float, float] | None, log: bool) -> float:
+    """Half the length of an interval on the search scale; infinite for none."""
+    if ends is None:
+        return float("inf")
+    return 0.5 * float(np.log(ends[1] / ends[0]) if log else ends[1] - ends[0])
+
+
+def _widest(slot: Slot) -> float:
+    return float(np.log(judge.WIDEST_FACTOR)) if slot.log else judge.WIDEST_SHARE * (slot.upper - slot.lower)
+
+
+def _retested(
+    model: Model,
+    labels: Sequence[str],
+    tests: list[judge.Test],
+    ends: Mapping[str, tuple[float, float] | None],
+    why: Mapping[str, str],
+) -> list[judge.Test]:
+    """Tests of the covariance's intervals give way to those of the intervals that replace them."""
+    changed = []
+    for slot, name in zip(model.slots, labels, strict=True):
+        if name in ends:
+            half, limit = _half(ends[name], slot.log), _widest(slot)
+            reason = f"the data do not determine {name}: they allow a factor or share beyond the limit"
+            reason = why[name] if ends[name] is None else reason
+            changed.append(judge.Test(f"{name} determined", half, limit, half < limit, reason))
+    gone = {f"interval of {name}" for name in ends} | {t.name for t in changed}
+    # That direction is the covariance's: where every parameter turns out bounded it is not weak.
+    if set(labels) <= set(ends) and all(t.passed for t in changed):
+        gone.add("weak direction")
+    return [t for t in tests if t.name not in gone] + changed

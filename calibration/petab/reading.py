@@ -1,0 +1,246 @@
+"""A PEtab 2 problem read as a ``Problem``, for what a scene can take; the rest is refused by name, never ignored."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bcfj_jax import InputError, nearest, scenefile
+from bcfj_jax.derivatives.names import UNITS
+from calibration.problem import COMPONENTS, NUISANCES, Channel, Experiment, Free, Observation, Problem
+from calibration.readers import library
+
+
+def load(path: str | Path, scene: str | Path | None = None) -> Problem:
+    """The problem in a PEtab YAML file.
+
+    Args:
+        path: of the YAML file.
+        scene: a scene file or a built-in scene's name; None: the model file that the YAML names.
+
+    Raises:
+        InputError: when PEtab is not installed, a file is missing or broken, or for what no scene can take: priors,
+            noise that is not normal, several periods, formulas that are not gain x output + offset.
+    """
+    path = Path(path)
+    v2 = library("petab.v2", "petab", str(path), "petab")
+    tables, config = _read(v2, path)
+    extension = (config.extensions or {}).get("bcfj", {})
+    models = list((config.model_files or {}).values())
+    if scene is None and (len(models) != 1 or models[0].language != "bcfj"):
+        found = ", ".join(m.language for m in models) or "none"
+        raise InputError(f"{path}: model_files", f"language {found}", "name a scene: load(path, scene)")
+    base = scenefile.load(scene if scene is not None else path.parent / str(models[0].location))
+    reader = _Reader(path, tables, extension)
+    experiments = reader.experiments(False)
+    if "held_out" in extension:
+        beside = path.parent / extension["held_out"]
+        others, other_config = _read(v2, beside)
+        experiments += _Reader(beside, others, (other_config.extensions or {}).get("bcfj", {})).experiments(True)
+    params = {name: float(value) for name, value in base.params.items()}
+    return Problem(
+        scene=base.scene,
+        params=params | reader.fixed,
+        experiments=tuple(experiments),
+        free=reader.free(),
+        accuracy=float(extension.get("accuracy", 1e-5)),
+        where=str(path),
+        loss=extension.get("loss", "linear"),
+    )
+
+
+def _read(v2: Any, path: Path) -> tuple[Any, Any]:
+    """The tables and the configuration of a YAML file, without its models."""
+    import yaml
+
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        config = v2.ProblemConfig(**content, base_path=path.parent, filepath=path)
+        kinds = {
+            "parameter": v2.ParameterTable,
+            "observable": v2.ObservableTable,
+            "condition": v2.ConditionTable,
+            "experiment": v2.ExperimentTable,
+            "measurement": v2.MeasurementTable,
+            "mapping": v2.MappingTable,
+        }
+        with warnings.catch_warnings():
+            # petab 0.8 calls pandas in ways that pandas 3.1 is to drop; that is between the two.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            tables = {
+                f"{kind}_tables": [table.from_tsv(file, path.parent) for file in getattr(config, f"{kind}_files")]
+                for kind, table in kinds.items()
+            }
+        problem = v2.Problem(**tables)
+    # pydantic, pandas and YAML each have their own errors; to the user all of them are one thing.
+    except Exception as error:
+        reason = f"{type(error).__name__}: {error}".replace("\n", " ")[:300]
+        raise InputError(str(path), f"cannot be read as PEtab 2 ({reason})", "check it with petablint") from error
+    if config.format_version_tuple[0] != 2:
+        raise InputError(str(path), f"PEtab version {config.format_version}", "convert it to version 2 with petab1to2")
+    return problem, config
+
+
+class _Reader:
+    """What one set of tables says, by the names that a scene uses."""
+
+    def __init__(self, path: Path, tables: Any, extension: dict[str, Any]) -> None:
+        self.path, self.extension = path, extension
+        self.native = {m.petab_id: m.model_id for m in tables.mappings if m.model_id}
+        self.titles = {m.petab_id: m.name for m in tables.mappings if m.name and not m.model_id}
+        self.rows = {p.id: p for p in tables.parameters}
+        self.conditions = {c.id: {x.target_id: x.target_value for x in c.changes} for c in tables.conditions}
+        self.observables = {o.id: o for o in tables.observables}
+        self.periods = {e.id: e.periods for e in tables.experiments}
+        self.measured: dict[str, list[Any]] = {}
+        for m in tables.measurements:
+            self.measured.setdefault(m.experiment_id or "", []).append(m)
+        # What only noise depends on: it is found from the residuals, not searched.
+        self.noise = {str(s) for o in tables.observables if o.noise_formula for s in o.noise_formula.free_symbols}
+        changes = [change for condition in self.conditions.values() for change in condition.items()]
+        self.noise |= {str(s) for target, value in changes if target in self.noise for s in value.free_symbols}
+        self._check(changes)
+
+    def _check(self, changes: list[tuple[str, Any]]) -> None:
+        for p in self.rows.values():
+            if p.estimate and p.prior_distribution is not None and p.prior_distribution.value != "uniform":
+                found = f"prior {p.prior_distribution.value}"
+                raise InputError(f"{self.path}: parameter {p.id}", found, "take it out: only bounds count here")
+        for o in self.observables.values():
+            if o.noise_distribution.value != "normal":
+                found = f"{o.noise_distribution.value} noise"
+                raise InputError(f"{self.path}: observable {o.id}", found, "only normal noise is known here")
+        for target, value in changes:
+            if not value.is_number and str(value) not in self.rows:
+                found = f"'{target}' becomes '{value}'"
+                raise InputError(f"{self.path}: condition table", found, "give a number, or one parameter of the table")
+
+    def name(self, label: str) -> str:
+        """The scene's name of a PEtab identifier."""
+        return self.native.get(label, label)
+
+    def known(self, value: Any) -> float | None:
+        """A number in the tables, or None for what is estimated."""
+        if value.is_number:
+            return float(value)
+        row = self.rows.get(str(value))
+        return float(row.nominal_value) if row is not None and not row.estimate else None
+
+    @property
+    def fixed(self) -> dict[str, float]:
+        """Parameters that no experiment changes and that are not estimated."""
+        used = {str(value) for changes in self.conditions.values() for value in changes.values()}
+        rows = [p for p in self.rows.values() if not p.estimate and p.id not in self.noise | used]
+        return {self.name(p.id): float(p.nominal_value) for p in rows if self.name(p.id) not in NUISANCES}
+
+    def free(self) -> tuple[Free, ...]:
+        """Estimated parameters: shared ones, and those that every experiment has its own of."""
+        scale, start = self.extension.get("scale", {}), self.extension.get("start", {})
+        pairs = [pair for changes in self.conditions.values() for pair in changes.items() if pair[0] not in self.noise]
+        owner = {str(value): self.name(target) for target, value in pairs}
+        found: dict[str, Free] = {}
+        for p in self.rows.values():
+            if not p.estimate or p.id in self.noise:
+                continue
+            where, name, each = f"{self.path}: parameter {p.id}", owner.get(p.id, self.name(p.id)), p.id in owner
+            if name in NUISANCES and not each and len(self.measured) > 1:
+                remedy = "set it in the condition table to a parameter of each"
+                raise InputError(where, f"'{name}' is every experiment's own here", remedy)
+            own = each and name not in NUISANCES
+            one = Free(name, float(p.lb), float(p.ub), start.get(name), scale.get(name), own)
+            if found.setdefault(name, one) != one:
+                raise InputError(where, f"'{name}' has several bounds", "give it the same in every experiment")
+        return tuple(found.values())
+
+    def experiments(self, hold_out: bool) -> list[Experiment]:
+        """Every experiment that was measured."""
+        return [self._experiment(label, rows, hold_out) for label, rows in self.measured.items()]
+
+    def _experiment(self, label: str, rows: list[Any], hold_out: bool) -> Experiment:
+        where, periods = f"{self.path}: experiment {label or 'without a name'}", self.periods.get(label, [])
+        if len(periods) > 1:
+            raise InputError(where, f"{len(periods)} periods", "a scene has one; make an experiment of each")
+        if any(m.observable_parameters or m.noise_parameters for m in rows):
+            raise InputError(where, "placeholders", "write the parameters into the formulas or the condition table")
+        changes: dict[str, Any] = {}
+        for condition in periods[0].condition_ids if periods else []:
+            changes |= self.conditions[condition]
+        values = {self.name(t): self.known(v) for t, v in changes.items() if t not in self.noise}
+        fixed = {name: value for name, value in values.items() if value is not None}
+        by = {o: [m for m in rows if m.observable_id == o] for o in dict.fromkeys(m.observable_id for m in rows)}
+        reads = {o: self._reads(o, fixed) for o in by}
+        histories = [o for o in by if reads[o].rpartition(".")[2] in COMPONENTS]
+        times = np.array(sorted({m.time for o in histories for m in by[o]}))
+        channels, features, spans = [], [], set()
+        for o, measured in by.items():
+            sigma, relative = self._noise(o, changes)
+            if o not in histories:
+                if sigma is None or relative:
+                    raise InputError(f"{self.path}: observable {o}", "its noise is no number", "state it")
+                features += [Observation(reads[o], m.measurement, sigma) for m in measured]
+                spans |= {m.time for m in measured}
+                continue
+            read = np.full(times.size, np.nan)
+            if len({m.time for m in measured}) < len(measured):
+                raise InputError(where, f"'{o}' was measured twice at one time", "average what was repeated")
+            read[np.searchsorted(times, [m.time for m in measured])] = [m.measurement for m in measured]
+            memory = self.extension.get("correlation", {}).get(label, {}).get(reads[o], 0.0)
+            channels.append(Channel(reads[o], read, sigma, relative, None if memory == "estimate" else memory))
+        if len(spans) > 1:
+            raise InputError(where, "features at several times", "give all the time that they were taken over")
+        name, span = self.titles.get(label, label or "measurements"), next(iter(spans), None)
+        return Experiment(name, times, tuple(channels), hold_out, fixed, where, tuple(features), span)
+
+    def _reads(self, observable: str, fixed: dict[str, float]) -> str:
+        """The channel or feature that an observable reads; a gain or offset in its formula goes to ``fixed``."""
+        where = f"{self.path}: observable {observable}"
+        if observable not in self.observables:
+            raise InputError(str(self.path), f"no observable '{observable}'", nearest(observable, self.observables))
+        formula = self.observables[observable].formula
+        outputs = [s for s in formula.free_symbols if self.name(str(s)).rpartition(".")[2] in (*COMPONENTS, *UNITS)]
+        right = 'write gain * output + force_offset, with the output mapped to "contact.normal" or the like'
+        if len(outputs) != 1 or not formula.is_polynomial(outputs[0]):
+            raise InputError(where, f"the formula '{formula}'", right)
+        factors = formula.as_poly(outputs[0]).all_coeffs()
+        if len(factors) != 2:
+            raise InputError(where, f"the formula '{formula}'", right)
+        for name, neutral, factor in (("gain", 1.0, factors[0]), ("force_offset", 0.0, factors[1])):
+            if str(factor) == name:
+                continue
+            if not factor.is_number:
+                raise InputError(where, f"the formula '{formula}'", right)
+            if float(factor) != neutral:
+                fixed[name] = float(factor)
+        return self.name(str(outputs[0]))
+
+    def _noise(self, observable: str, changes: dict[str, Any]) -> tuple[float | None, float]:
+        """Absolute part (None: estimated) and part relative to the reading, of a formula sqrt(a^2 + (b reading)^2)."""
+        import sympy
+
+        where, right = f"{self.path}: observable {observable}", "write a number, or sqrt(a^2 + (b * observable)^2)"
+        stated = self.observables[observable].noise_formula
+        if stated is None:
+            raise InputError(where, "no noise formula", right)
+        # Exponents come as floats, which no polynomial has.
+        formula: Any = sympy.nsimplify(stated, rational=True)
+        # What a condition sets may itself be a parameter of the table.
+        for _ in range(2):
+            values = {s: changes.get(str(s), s) for s in formula.free_symbols}
+            formula = formula.subs({s: v if self.known(v) is None else self.known(v) for s, v in values.items()})
+        square: Any = (formula**2).expand()
+        unknown: list[Any] = list(square.free_symbols)
+        if len(unknown) == 1 and str(unknown[0]) in self.rows and square == unknown[0] ** 2:
+            return None, 0.0
+        readings = [s for s in unknown if str(s) == observable]
+        if len(unknown) > len(readings) or (readings and not square.is_polynomial(readings[0])):
+            raise InputError(where, f"the noise formula '{formula}'", right)
+        if not readings:
+            return float(formula), 0.0
+        factors = [float(f) for f in square.as_poly(readings[0]).all_coeffs()]
+        if len(factors) != 3 or factors[1] != 0 or min(factors) < 0:
+            raise InputError(where, f"the noise formula '{formula}'", right)
+        return math.sqrt(factors[2]), math.sqrt(factors[0])

@@ -1,0 +1,160 @@
+"""A problem written as PEtab tables, which PEtab's own checks must pass."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bcfj_jax import InputError
+from calibration.problem import Experiment, Problem
+from calibration.readers import library
+
+_NEUTRAL = {"time_offset": 0.0, "force_offset": 0.0, "gain": 1.0}
+FILES = {
+    "parameter_tables": "parameters.tsv",
+    "observable_tables": "observables.tsv",
+    "condition_tables": "conditions.tsv",
+    "experiment_tables": "experiments.tsv",
+    "measurement_tables": "measurements.tsv",
+    "mapping_tables": "mapping.tsv",
+}
+YAML = "problem.yaml"
+
+
+def export(problem: Problem, scene: dict[str, Any], folder: Path) -> Path:
+    """Write a problem as PEtab 2; held-out records become a problem of their own in ``held_out``.
+
+    Args:
+        problem: what to write.
+        scene: the scene's file with every default, as ``scenefile.load(...).resolved``.
+        folder: where to; made where there is none.
+
+    Returns:
+        The YAML file.
+
+    Raises:
+        InputError: where PEtab is not installed, or its checks refuse the tables.
+    """
+    v2 = library("petab.v2", "petab", str(folder), "petab")
+    held_out = tuple(e for e in problem.experiments if e.hold_out)
+    if held_out:
+        _write(v2, problem, held_out, scene, folder / "held_out", {})
+    fitted = tuple(e for e in problem.experiments if not e.hold_out)
+    return _write(v2, problem, fitted, scene, folder, {"held_out": f"held_out/{YAML}"} if held_out else {})
+
+
+def _write(
+    v2: Any,
+    problem: Problem,
+    experiments: tuple[Experiment, ...],
+    scene: dict[str, Any],
+    folder: Path,
+    more: dict[str, Any],
+) -> Path:
+    tables = _tables(v2, problem, experiments, scene)
+    for name, file in FILES.items():
+        for table in getattr(tables, name):
+            table.rel_path = Path(file)
+    tables.config = v2.ProblemConfig(filepath=YAML, extensions={"bcfj": _extension(problem, experiments) | more})
+    issues = [i for i in tables.validate() if i.level >= v2.lint.ValidationIssueSeverity.ERROR]
+    if issues:
+        remedy = "PEtab has no place for it; report it with the problem file"
+        raise InputError(str(folder), f"PEtab's checks say: {issues[0].message}", remedy)
+    folder.mkdir(parents=True, exist_ok=True)
+    tables.to_files(folder)
+    return folder / YAML
+
+
+def _tables(v2: Any, problem: Problem, experiments: tuple[Experiment, ...], scene: dict[str, Any]) -> Any:
+    from calibration.petab.model import SceneModel, identifier
+
+    channels = dict.fromkeys(c.observes for e in experiments for c in e.channels)
+    features = dict.fromkeys(o.feature for e in experiments for o in e.features)
+    relative = {c.observes for e in experiments for c in e.channels if c.relative}
+    free = {f.name: f for f in problem.free}
+    own = [f.name for f in problem.free if f.per_experiment]
+    # What differs between experiments is set by conditions, and then in all of them.
+    known = {**_NEUTRAL, **problem.params}
+    varied = dict.fromkeys([*own, *(name for e in experiments for name in e.fixed)])
+    petab = v2.Problem(models=[SceneModel(problem.scene, problem.params, (*channels, *features), scene)])
+    for observes in channels:
+        output, noise = f"model__{identifier(observes)}", f"noise__{identifier(observes)}"
+        formula = f"gain * {output}" if "gain" in varied else output
+        formula += " + force_offset" if "force_offset" in varied else ""
+        # PEtab's library 0.8 prints sqrt(x) as x^1/2 and reads that as x/2.
+        share = f"({noise}^2 + (share__{identifier(observes)} * {identifier(observes)})^2)^0.5"
+        petab.add_observable(identifier(observes), formula, share if observes in relative else noise, name=observes)
+    for feature in features:
+        output, noise = f"model__{identifier(feature)}", f"noise__{identifier(feature)}"
+        petab.add_observable(identifier(feature), output, noise, name=feature)
+    for name in (*channels, *features):
+        petab.add_mapping(f"model__{identifier(name)}", name)
+    for k, e in enumerate(experiments, 1):
+        changes: dict[str, Any] = {}
+        for name in varied:
+            value = e.fixed.get(name, f"{identifier(name)}__e{k}" if name in own else known.get(name))
+            changes |= {} if value is None else {identifier(name): value}
+        for c in e.channels:
+            at = identifier(c.observes)
+            changes[f"noise__{at}"] = f"deviation__{at}" if c.sigma is None else c.sigma
+            changes |= {f"share__{at}": c.relative} if c.observes in relative else {}
+        changes |= {f"noise__{identifier(o.feature)}": o.sigma for o in e.features}
+        petab.add_condition(f"c{k}", **changes)
+        petab.add_experiment(f"e{k}", float(min([0.0, *e.times[:1]])), [f"c{k}"])
+        petab.add_mapping(f"e{k}", name=e.name)
+        _measure(petab, e, f"e{k}", identifier)
+        for name in own:
+            _add_free(petab, problem, name, f"{identifier(name)}__e{k}")
+    for name in dict.fromkeys([*(n for n in free if n not in own), *problem.params]):
+        if name in varied:
+            continue
+        if name in free:
+            _add_free(petab, problem, name, identifier(name))
+        elif np.isfinite(problem.params[name]):
+            petab.add_parameter(identifier(name), False, float(problem.params[name]))
+    for name in dict.fromkeys([*free, *problem.params, *varied]):
+        if identifier(name) != name:
+            petab.add_mapping(identifier(name), name)
+    for observes in dict.fromkeys(c.observes for e in experiments for c in e.channels if c.sigma is None):
+        sizes = [np.nanmax(np.abs(c.values)) for e in experiments for c in e.channels if c.observes == observes]
+        largest = float(max(sizes))
+        petab.add_parameter(f"deviation__{identifier(observes)}", True, 1e-2 * largest, 1e-6 * largest, largest)
+    return petab
+
+
+def _measure(petab: Any, experiment: Experiment, label: str, identifier: Any) -> None:
+    for channel in experiment.channels:
+        for time, value in zip(experiment.times, channel.values, strict=True):
+            if np.isfinite(value):
+                petab.add_measurement(
+                    identifier(channel.observes), experiment_id=label, time=float(time), measurement=float(value)
+                )
+    for seen in experiment.features:
+        end = float(experiment.times[-1]) if experiment.span is None else experiment.span
+        petab.add_measurement(identifier(seen.feature), experiment_id=label, time=end, measurement=seen.value)
+
+
+def _add_free(petab: Any, problem: Problem, name: str, label: str) -> None:
+    f = next(f for f in problem.free if f.name == name)
+    nominal = f.start if f.start is not None else {**_NEUTRAL, **problem.params}.get(name, f.lower)
+    petab.add_parameter(label, True, float(np.clip(nominal, f.lower, f.upper)), f.lower, f.upper)
+
+
+def _extension(problem: Problem, experiments: tuple[Experiment, ...]) -> dict[str, Any]:
+    """What PEtab has no place for; ``required`` where another tool would compute another objective without it."""
+    memory = {
+        f"e{k}": {c.observes: "estimate" if c.correlation is None else c.correlation for c in e.channels}
+        for k, e in enumerate(experiments, 1)
+        if any(c.correlation != 0 for c in e.channels)
+    }
+    return {
+        "version": "1.0.0",
+        "required": problem.loss != "linear" or bool(memory),
+        "loss": problem.loss,
+        "accuracy": float(problem.accuracy),
+        "correlation": memory,
+        "scale": {f.name: f.scale for f in problem.free if f.scale},
+        "start": {f.name: float(f.start) for f in problem.free if f.start is not None},
+    }

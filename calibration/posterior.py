@@ -1,0 +1,184 @@
+"""Posterior of the parameters by NUTS (NumPyro, the extra ``uq``), on the same log-density as the fit.
+
+The prior is uniform in the search box. A deviation that is estimated is integrated out under the prior 1/sigma, which
+leaves cost^(-n/2) of its n samples and, for a linear model, Student's t with the covariance's degrees of freedom.
+Correlation times, and noise that grows with the reading, stay as the fit left them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from bcfj_jax import InputError
+from calibration.losses import loss_of
+from calibration.model import Model
+
+# Gelman and Rubin's statistic above which chains have not mixed.
+WORST_RHAT = 1.01
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Draws and what they are worth.
+
+    Attributes:
+        labels: (P,) names.
+        draws: (chains, draws, P) of the parameters, SI.
+        rhat, effective: per parameter, potential scale reduction of split chains and effective sample size.
+        divergences: number of transitions that diverged.
+        refusal: why no interval may be read from the draws; "" if they may.
+    """
+
+    labels: tuple[str, ...]
+    draws: np.ndarray
+    rhat: np.ndarray
+    effective: np.ndarray
+    divergences: int
+    refusal: str
+
+    @property
+    def intervals(self) -> dict[str, tuple[float, float] | None]:
+        """95 % of the probability by label, tails of 2.5 %; None where refused."""
+        if self.refusal:
+            return dict.fromkeys(self.labels)
+        ends = np.quantile(self.draws, [0.025, 0.975], axis=(0, 1)).T
+        return {name: (float(low), float(high)) for name, (low, high) in zip(self.labels, ends, strict=True)}
+
+
+def of_model(
+    model: Model,
+    place: np.ndarray,
+    log_depth: float,
+    covariance: np.ndarray,
+    labels: Sequence[str],
+    *,
+    estimated: Sequence[str] = (),
+    seed: int = 0,
+    chains: int = 4,
+    warmup: int = 300,
+    draws: int = 1000,
+) -> Posterior:
+    """Sample a problem's parameters around its optimum; with a reference force, that follows the others.
+
+    Args:
+        model: residual function.
+        place: the optimum, unit-box coordinates (P,).
+        log_depth: ln of the reference penetration [m].
+        covariance: of the coordinates at the optimum (P, P): the first guess of the sampler's metric.
+        labels: of the model's slots.
+        estimated: names of the channels whose noise has an estimated deviation.
+        seed, chains, warmup, draws: of the sampler; warmup and draws a chain.
+    """
+    depth = jnp.asarray(log_depth)
+    found = sample(
+        lambda u: model.residuals(u, depth), place, covariance, labels,
+        owners=_owners(model, estimated), loss=model.loss, seed=seed, chains=chains, warmup=warmup, draws=draws,
+    )  # fmt: skip
+    values = np.stack([np.asarray(v) for v in jax.vmap(jax.vmap(lambda u: model.values(u, depth)))(found.draws)], -1)
+    names = tuple(labels)
+    if model.referenced:
+        k, n = model.pair()
+        values = np.concatenate([values, (values[..., k] * np.exp(values[..., n] * log_depth))[..., None]], axis=-1)
+        names = (*names, "reference_force")
+    return _judged(names, values, found.divergences)
+
+
+def sample(
+    residuals: Callable[[Array], Array],
+    place: np.ndarray,
+    covariance: np.ndarray,
+    labels: Sequence[str],
+    *,
+    owners: np.ndarray | None = None,
+    loss: str = "linear",
+    seed: int = 0,
+    chains: int = 4,
+    warmup: int = 300,
+    draws: int = 1000,
+) -> Posterior:
+    """Sample unit-box coordinates with density exp(-cost/2), and cost^(-n/2) for samples whose deviation is estimated.
+
+    Args:
+        residuals: weighted residuals (N,) of a point (P,), which JAX can differentiate forwards.
+        owners: (N,) which estimated deviation each residual has, 0 to K - 1; -1: stated; -2: no sample. None: all are
+            stated.
+        loss: name of the loss.
+
+    Raises:
+        InputError: where NumPyro is not installed.
+    """
+    try:
+        from numpyro.infer import MCMC, NUTS
+    except ImportError:
+        raise InputError("posterior", "NumPyro is not installed", "pip install 'bcfj-jax[uq]'") from None
+    energy = _energy(residuals, owners, loss)
+
+    def potential(z: Array) -> Array:
+        u = jax.nn.sigmoid(z)
+        return energy(u) - jnp.sum(jnp.log(u) + jnp.log1p(-u))
+
+    # Logits make the box unbounded; their covariance is that of u over the slope of the sigmoid.
+    centre = np.clip(place, 1e-4, 1.0 - 1e-4)
+    stretch = 1.0 / (centre * (1.0 - centre))
+    metric = covariance * np.outer(stretch, stretch)
+    # Starts wider apart than the posterior, without which agreement of the chains would mean little.
+    wide = np.random.default_rng(seed).multivariate_normal(np.zeros(centre.size), 4.0 * metric, chains)
+    kernel = NUTS(potential_fn=potential, inverse_mass_matrix=jnp.asarray(metric), dense_mass=True)
+    sampler = MCMC(
+        kernel, num_warmup=warmup, num_samples=draws, num_chains=chains, chain_method="vectorized", progress_bar=False
+    )
+    sampler.run(
+        jax.random.key(seed), init_params=jnp.asarray(np.log(centre / (1 - centre)) + wide), extra_fields=("diverging",)
+    )
+    points = np.asarray(jax.nn.sigmoid(sampler.get_samples(group_by_chain=True)))
+    return _judged(tuple(labels), points, int(np.sum(sampler.get_extra_fields()["diverging"])))
+
+
+def _owners(model: Model, estimated: Sequence[str]) -> np.ndarray:
+    """Whose deviation each residual of a model has: places in ``estimated``, -1 stated, -2 no sample."""
+    owners = np.array([estimated.index(c) if c in estimated else -1 for c in model.channels], dtype=int)
+    weights = np.asarray(model.data.weights)
+    readings = np.where(weights > 0, owners[None, :, None], -2)
+    return np.concatenate([readings.ravel(), np.full(model.data.features.size, -1)])
+
+
+def _energy(residuals: Callable[[Array], Array], owners: np.ndarray | None, loss: str) -> Callable[[Array], Array]:
+    """Negative log-likelihood whose reverse derivative comes from the forward-mode Jacobian, in the same solve."""
+
+    def of(found: Array) -> Array:
+        costs = loss_of(loss, jnp.square(found))[0]
+        if owners is None:
+            return 0.5 * jnp.sum(costs)
+        energy = 0.5 * jnp.sum(jnp.where(owners == -1, costs, 0.0))
+        for k in range(owners.max() + 1):
+            own = owners == k
+            energy += 0.5 * int(own.sum()) * jnp.log(jnp.sum(jnp.where(own, costs, 0.0)))
+        return energy
+
+    def forward(u: Array) -> tuple[Array, Array]:
+        found, push = jax.linearize(residuals, u)
+        energy, slope = jax.value_and_grad(of)(found)
+        return energy, jax.vmap(push)(jnp.eye(u.size)) @ slope
+
+    energy = jax.custom_vjp(lambda u: of(residuals(u)))
+    energy.defvjp(forward, lambda slope, g: (g * slope,))
+    return energy
+
+
+def _judged(labels: tuple[str, ...], draws: np.ndarray, divergences: int) -> Posterior:
+    from numpyro.diagnostics import effective_sample_size, split_gelman_rubin
+
+    rhat, effective = split_gelman_rubin(draws), effective_sample_size(draws)
+    refusal = ""
+    if divergences:
+        refusal = f"{divergences} of {draws[..., 0].size} transitions diverged: the sampler cannot follow the posterior"
+    elif not np.all(rhat <= WORST_RHAT):
+        worst = int(np.argmax(np.where(np.isfinite(rhat), rhat, np.inf)))
+        refusal = f"the chains disagree on {labels[worst]} (R-hat {rhat[worst]:.3f} > {WORST_RHAT}): draw more"
+    return Posterior(labels, draws, np.asarray(rhat), np.asarray(effective), divergences, refusal)

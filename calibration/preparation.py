@@ -1,0 +1,156 @@
+"""From readings to samples that may be fitted: clock checked, saturation masked, resampled, cut; all of it said.
+
+Nothing is ever interpolated over a gap: a cell without a number, a masked sample or a jump in time parts the record
+into stretches, and each stretch is prepared for itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bcfj_jax import InputError
+from bcfj_jax.units import format_si
+from calibration.inspection import TOUCHING, channel_notes, check_channel, check_clock, check_contact, clock_note, jumps
+from calibration.resampling import resampled
+from calibration.table import Table
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What is asked of a record, SI. None: nothing of the kind.
+
+    Attributes:
+        resample: rate [Hz] to bring it down to.
+        saturation: magnitude [N] at and beyond which the sensor cannot read.
+        align: whether time 0 becomes the first sample above a tenth of the first channel's peak.
+        window: times [s] to keep, after aligning.
+        impact: whether the record holds a whole impact, which begins and ends apart.
+        offset: whether the reading at no force is unknown.
+    """
+
+    resample: float | None = None
+    saturation: float | None = None
+    align: bool = False
+    window: tuple[float, float] | None = None
+    impact: bool = False
+    offset: bool = False
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A channel: ``raw`` (N,) [N] on the record's clock, which of it is ``masked``, and the ``values`` (T,) kept."""
+
+    raw: np.ndarray
+    masked: np.ndarray
+    values: np.ndarray
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A record, and what was understood of it.
+
+    Attributes:
+        name: of the experiment.
+        source: file and rows.
+        clock: (N,) time of every row [s], aligned.
+        gaps: pairs of times [s] between which nothing was sampled.
+        times: (T,) of the samples kept [s].
+        readings: by what each observes.
+        onset: what alignment took from the clock [s], or None.
+        window: as asked [s].
+        notes: in words, for people.
+    """
+
+    name: str
+    source: str
+    clock: np.ndarray
+    gaps: tuple[tuple[float, float], ...]
+    times: np.ndarray
+    readings: dict[str, Reading]
+    onset: float | None
+    window: tuple[float, float] | None
+    notes: tuple[str, ...]
+
+
+def prepare(name: str, part: Table, time: str, observe: dict[str, str], recipe: Recipe, where: str) -> Prepared:
+    """One record out of its table.
+
+    Args:
+        name: of the experiment.
+        part: its rows.
+        time: header of the clock's column.
+        observe: header of a column, "-" before it to flip its sign, by the "contact.component" it reads.
+        recipe: what to do.
+        where: the experiment in its problem file, for messages.
+
+    Raises:
+        InputError: for a clock that does not go forward, a column that is constant or of the wrong sign, an impact
+            that is not whole, and whatever leaves nothing to fit.
+    """
+    clock = part.numbers(time, "s", f"{where} time", blank=False)
+    check_clock(clock, part, time)
+    raw = {o: _signed(part, header, where) for o, header in observe.items()}
+    onset = _onset(clock, next(iter(raw.values())), where) if recipe.align else None
+    clock = clock - (onset or 0.0)
+    breaks = jumps(clock)
+    notes = [clock_note(clock)]
+    if breaks.size:
+        longest = format_si(float(np.diff(clock).max()), "s", 3)
+        notes.append(f"{breaks.size} gaps in time, the longest {longest}; nothing is put into them")
+    masked = {o: _saturated(values, recipe.saturation) for o, values in raw.items()}
+    for observes, values in raw.items():
+        check_channel(observes, values, masked[observes], recipe.offset, _place(part, observe[observes]))
+        notes += channel_notes(observes, values, masked[observes])
+    times, values = clock, {o: np.where(masked[o], np.nan, v) for o, v in raw.items()}
+    if recipe.resample is not None:
+        times, values, said = resampled(clock, breaks, values, recipe.resample, where)
+        notes += said
+    keep = _inside(times, recipe.window, name, where)
+    times, values = times[keep], {o: v[keep] for o, v in values.items()}
+    for observes, kept in values.items():
+        if recipe.impact and observes.endswith(".normal"):
+            cut, place = recipe.window is not None, _place(part, observe[observes])
+            notes += [f"{observes}: {said}" for said in check_contact(times, kept, recipe.offset, cut, place)]
+    return Prepared(
+        name=name,
+        source=part.span,
+        clock=clock,
+        gaps=tuple((float(clock[k]), float(clock[k + 1])) for k in breaks),
+        times=times,
+        readings={o: Reading(raw[o], masked[o], values[o]) for o in raw},
+        onset=onset,
+        window=recipe.window,
+        notes=tuple(notes),
+    )
+
+
+def _place(part: Table, header: str) -> str:
+    return f"{part.span}, column '{header.removeprefix('-').strip()}'"
+
+
+def _signed(part: Table, header: str, where: str) -> np.ndarray:
+    sign = -1.0 if header.startswith("-") else 1.0
+    return sign * part.numbers(header.removeprefix("-").strip(), "N", f"{where} observe", blank=True)
+
+
+def _onset(clock: np.ndarray, values: np.ndarray, where: str) -> float:
+    """Time of the first sample above a tenth of the peak."""
+    peak = np.nanmax(values, initial=0.0)
+    if not peak > 0:
+        raise InputError(f"{where} observe", "the force is never positive", 'flip its sign with "-" before the column')
+    return float(clock[np.flatnonzero(values > TOUCHING * peak)[0]])
+
+
+def _saturated(values: np.ndarray, limit: float | None) -> np.ndarray:
+    return np.zeros(values.size, dtype=bool) if limit is None else np.abs(values) >= limit
+
+
+def _inside(times: np.ndarray, window: tuple[float, float] | None, name: str, where: str) -> np.ndarray:
+    if window is None:
+        return np.ones(times.size, dtype=bool)
+    keep = (times >= window[0]) & (times <= window[1])
+    if np.count_nonzero(keep) < 3:
+        raise InputError(f"{where} window", f"{np.count_nonzero(keep)} samples of {name} lie in it", "widen the window")
+    return keep

@@ -1,0 +1,94 @@
+"""What a problem file states of noise and of measured features: texts become numbers in SI.
+
+noise = "2 %"                        of the channel's largest reading; "0.1 kN"; "estimate"
+noise = "0.1 kN + 2 % of reading"    variance 0.1^2 + (0.02 reading)^2
+noise = { "contact.normal" = "2 %" } each channel its own
+features = { "contact.peak" = "5 kN" }, feature_noise = "2 %" of each, or as a table one for each
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bcfj_jax import InputError, nearest
+from bcfj_jax.derivatives.names import UNITS
+from bcfj_jax.units import quantity
+from calibration.problem import Observation
+
+_OF_READING = re.compile(r"(.*%)\s*of\s+(?:the\s+)?reading")
+_RIGHT = 'give "2 %", "0.1 kN", "0.1 kN + 2 % of reading" or "estimate"'
+
+
+class Noise(NamedTuple):
+    """Standard deviation [N] (None: to be estimated), and the part that grows with the reading, as a share."""
+
+    sigma: float | None
+    relative: float
+
+
+def noise(stated: object, observes: str, values: np.ndarray, where: str) -> Noise:
+    """The noise of one channel.
+
+    Args:
+        stated: a number [N], a text, or a table of these by channel.
+        observes: the channel.
+        values: (T,) its readings [N].
+        where: place, for messages.
+
+    Raises:
+        InputError: for what states no noise above 0, or not this channel's.
+    """
+    if isinstance(stated, dict):
+        if observes not in stated:
+            raise InputError(where, f"no noise of '{observes}'", f"{_RIGHT} for each channel")
+        stated, where = stated[observes], f"{where}.{observes}"
+    if stated == "estimate":
+        return Noise(None, 0.0)
+    largest = float(np.nanmax(np.abs(values), initial=0.0))
+    if not largest > 0:
+        raise InputError(where, "the record holds no force at all", "choose another column, or widen the window")
+    sigmas, shares = [], []
+    for part in stated.split(" + ") if isinstance(stated, str) else [stated]:
+        text = part.strip() if isinstance(part, str) else part
+        of_reading = _OF_READING.fullmatch(text) if isinstance(text, str) else None
+        if of_reading:
+            shares.append(quantity(of_reading[1], "1", where))
+        elif isinstance(text, str) and text.endswith("%"):
+            sigmas.append(quantity(text, "1", where) * largest)
+        else:
+            sigmas.append(quantity(text, "N", where))
+    if not min(sigmas + shares) > 0:
+        raise InputError(where, f"noise = {stated} gives a deviation of {min(sigmas + shares):g}", _RIGHT)
+    # Independent parts add in their squares.
+    return Noise(math.hypot(*sigmas), math.hypot(*shares))
+
+
+def correlation(stated: object, where: str) -> float | None:
+    """Time [s] over which noise remembers itself; None: to be estimated."""
+    return None if stated == "estimate" else quantity(stated, "s", where)
+
+
+def features(stated: dict[str, Any], deviation: object, where: str) -> tuple[Observation, ...]:
+    """Measured features by name, such as "contact.peak", with the noise that is stated of them.
+
+    Raises:
+        InputError: for an unknown feature, a value in another unit, or a feature without noise.
+    """
+    found = []
+    for name, value in stated.items():
+        kind = name.rpartition(".")[2]
+        if kind not in UNITS:
+            raise InputError(f"{where} features", f"no feature '{kind}'", nearest(kind, UNITS))
+        number = quantity(value, UNITS[kind], f"{where} features.{name}")
+        own = deviation.get(name) if isinstance(deviation, dict) else deviation
+        if own is None:
+            raise InputError(f"{where} feature_noise", f"no noise of '{name}'", 'give feature_noise = "2 %"')
+        place = f"{where} feature_noise"
+        share = isinstance(own, str) and own.strip().endswith("%")
+        sigma = quantity(own, "1", place) * abs(number) if share else quantity(own, UNITS[kind], place)
+        found.append(Observation(name, number, sigma))
+    return tuple(found)

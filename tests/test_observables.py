@@ -1,0 +1,141 @@
+"""What a measuring chain makes of a force, against SciPy; features as observables, against closed forms."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.signal import lsim
+
+from bcfj_jax import InputError, scenes
+from calibration import Channel, Experiment, Free, Problem, fit, model
+from calibration.observables import fine, low_pass
+from calibration.problem import Observation
+
+pytestmark = pytest.mark.filterwarnings("error")
+
+# Undamped linear contact: F = v sqrt(K m) sin(w t) for half a period, w = sqrt(K/m).
+MASS, SPEED, STIFFNESS = 0.1, 1.0, 1e5
+OMEGA = np.sqrt(STIFFNESS / MASS)
+PEAK, CONTACT = SPEED * np.sqrt(STIFFNESS * MASS), np.pi / OMEGA
+IMPACT = scenes.impact(smoothing=False)
+LAW = {"mass": MASS, "stiffness": STIFFNESS, "exponent": 1.0, "damping": 0.0}
+DROP, GRAVITY = 0.05, 9.81
+BOUNCE = scenes.bounce(smoothing=False)
+
+
+def params(scene, **more) -> dict[str, float]:
+    return {k: float(v) for k, v in scene.parameters(**LAW, **more).items()}
+
+
+def half_sine(times: np.ndarray) -> np.ndarray:
+    return np.where((times > 0) & (times < CONTACT), PEAK * np.sin(OMEGA * times), 0.0)
+
+
+def test_low_pass_is_scipys():
+    rng = np.random.default_rng(0)
+    times, values = np.linspace(0.0, 0.02, 400), rng.standard_normal((400, 2))
+    rate = 2 * np.pi * 300.0
+    for column in range(2):
+        _, out, _ = lsim(([rate], [1.0, rate]), values[:, column] - values[0, column], times)
+        ours = low_pass(jnp.asarray(times), jnp.asarray(values), jnp.asarray(300.0))[:, column]
+        np.testing.assert_allclose(ours, out + values[0, column], atol=1e-10)
+
+
+def test_low_pass_of_nothing_and_of_no_time():
+    times, values = jnp.array([0.0, 0.0, 1e-3, 3e-3]), jnp.array([[1.0], [5.0], [2.0], [2.0]])
+    # So fast a sensor reads what is there; over no time it moves by nothing, and its derivative stays finite.
+    np.testing.assert_allclose(low_pass(times, values, jnp.asarray(1e12))[2:], values[2:], atol=1e-8)
+    assert low_pass(times, values, jnp.asarray(50.0))[1, 0] == 1.0
+    slope = jax.jacfwd(lambda b: low_pass(times, values, b))(jnp.asarray(50.0))
+    assert np.isfinite(slope).all()
+
+
+def test_fine_times_hold_the_given_ones():
+    for first in (-1e-3, 0.0, 2e-3):
+        times = jnp.asarray(first + np.array([0.0, 1e-3, 1.5e-3]))
+        sampled, places = fine(times, 4)
+        np.testing.assert_array_equal(sampled[places], times)
+        assert float(sampled[0]) == min(first, 0.0) and np.all(np.diff(sampled) >= -1e-18)
+
+
+@pytest.mark.parametrize("bandwidth", [60.0, 1000.0])
+def test_a_slow_sensor_reads_the_filtered_force(bandwidth):
+    """Forty readings of a contact by a sensor of first order, beside SciPy's at a hundred times the resolution."""
+    times = np.linspace(-1e-3, 2.0 * CONTACT, 40)
+    one = Experiment("a", times, (Channel("contact.normal", half_sine(times), 1.0),), fixed={"gain": 2.0})
+    free = (Free("bandwidth", 10.0, 1e4), Free("stiffness", 1e4, 1e6))
+    built = model.build(Problem(IMPACT, params(IMPACT, approach_speed=SPEED), (one,), free, 1e-6), (one,))
+    point = jnp.asarray(built.point(np.array([STIFFNESS, bandwidth]), 0.0))
+    read = np.asarray(model.predictions(built, point, jnp.asarray(0.0)))[0, 0]
+    dense = np.linspace(0.0, times[-1], 40_001)
+    rate = 2 * np.pi * bandwidth
+    _, out, _ = lsim(([rate], [1.0, rate]), half_sine(dense), dense)
+    np.testing.assert_allclose(read, 2.0 * np.interp(times, dense, out), atol=2e-4 * PEAK)
+    _, jacobian = model.residuals_and_jacobian(built, point, jnp.asarray(0.0))
+    ends = [model.residuals_and_jacobian(built, point.at[1].add(s * 1e-4), jnp.asarray(0.0))[0] for s in (-1, 1)]
+    np.testing.assert_allclose(jacobian[:, 1], (ends[1] - ends[0]) / 2e-4, atol=1e-3 * np.abs(jacobian[:, 1]).max())
+
+
+def seen(**features: float) -> tuple[Observation, ...]:
+    return tuple(Observation(f"contact.{name}", value, 0.01 * value) for name, value in features.items())
+
+
+def test_features_are_those_of_the_closed_form():
+    """A ball that bounces without loss: speed sqrt(2 g h), period of flight and contact, impulse 2 m v a contact."""
+    speed = np.sqrt(2 * GRAVITY * DROP)
+    # Contact on a spring under gravity: x'' = g - w^2 x from speed v; it lasts (pi + 2 atan(g/(w v)))/w.
+    contact = (np.pi + 2 * np.arctan(GRAVITY / (OMEGA * speed))) / OMEGA
+    period, fall = 2 * speed / GRAVITY + contact, speed / GRAVITY
+    peak = MASS * GRAVITY + MASS * np.sqrt(GRAVITY**2 + (OMEGA * speed) ** 2)
+    span = fall + 2.5 * period
+    impulse = 3 * (2 * MASS * speed + MASS * GRAVITY * contact)
+    wanted = seen(peak=peak, period=period, impulse=impulse, mean=impulse / span, contact_fraction=3 * contact / span)
+    one = Experiment("a", np.zeros(0), (), features=wanted, span=span)
+    problem = Problem(BOUNCE, params(BOUNCE, drop_height=DROP, gravity=GRAVITY), (one,), FREE, 1e-8)
+    built = model.build(problem, (one,))
+    point = jnp.asarray(built.point(np.array([STIFFNESS, MASS]), 0.0))
+    residuals, jacobian = model.residuals_and_jacobian(built, point, jnp.asarray(0.0))
+    # In units of 1 % each: a contact is some 100 of 10001 samples long.
+    np.testing.assert_allclose(residuals, 0.0, atol=0.05)
+    # ln K by its box: dF/d ln K is F/2 but for the weight, and the period's is -contact/2 but for gravity.
+    width = np.log(10.0)
+    assert jacobian[0, 0] == pytest.approx(100 * width * 0.5, rel=0.02)
+    slope = -0.5 * np.pi / OMEGA / period * 100 * width
+    assert jacobian[1, 0] == pytest.approx(slope, rel=0.02)
+
+
+FREE = (Free("stiffness", STIFFNESS / 5, 2 * STIFFNESS), Free("mass", MASS / 2, 2 * MASS))
+
+
+@pytest.mark.slow
+def test_features_alone_can_be_fitted():
+    """Peak v sqrt(K m) and impulse 2 m v tell stiffness and mass, with intervals that follow from them by hand."""
+    wanted = (Observation("contact.peak", PEAK, 0.01 * PEAK), Observation("contact.impulse", 2 * MASS * SPEED, 2e-3))
+    wanted += (Observation("contact.mean", 2 * MASS * SPEED / (1.5 * CONTACT), 1.0),)
+    one = Experiment("a", np.zeros(0), (), features=wanted, span=1.5 * CONTACT)
+    found = fit(Problem(IMPACT, params(IMPACT, approach_speed=SPEED), (one,), FREE), starts=4)
+    assert found.verdict == "identified", found.reasons
+    for name, true in (("stiffness", STIFFNESS), ("mass", MASS)):
+        assert found.parameters[name].value == pytest.approx(true, rel=2e-3)
+    # ln m = ln J + const: 1 % of the impulse. The mean adds next to nothing at 1 N of 21.
+    low, high = np.log(found.parameters["mass"].ci95)
+    assert (high - low) / 2 == pytest.approx(1.96 * 0.01, rel=0.05)
+    low, high = np.log(found.parameters["stiffness"].ci95)
+    assert (high - low) / 2 == pytest.approx(1.96 * np.hypot(0.02, 0.01), rel=0.05)
+
+
+def test_features_that_cannot_be_are_refused():
+    def problem(name, sigma=1.0, span: float | None = 1.0):
+        one = Experiment("a", np.zeros(0), (), features=(Observation(name, 1.0, sigma),) * 4, span=span)
+        return Problem(BOUNCE, params(BOUNCE, drop_height=DROP), (one,), FREE)
+
+    for arguments, words in (
+        (("contact.peek",), "did you mean 'peak'"),
+        (("contct.peak",), "no contact 'contct'"),
+        (("contact.peak", 0.0), "feature_noise above 0"),
+        (("contact.peak", 1.0, None), "give span"),
+    ):
+        with pytest.raises(InputError, match=words):
+            problem(*arguments)

@@ -1,0 +1,93 @@
+"""Calibration against measured impacts on rubber pads: runs 2 and 3 fitted, run 5 predicted, laws compared.
+
+The problems are the examples' own, which fit runs 1 to 4. The measured tables lie beside the project.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calibration import Fit, Problem, fit, load
+from calibration.alternatives import models
+from calibration.choice import Choice, choose
+from calibration.where import misses
+
+EXAMPLES = Path(__file__).parent.parent / "examples"
+DATA = EXAMPLES.parent.parent / "shared" / "data"
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.filterwarnings("error"),
+    pytest.mark.skipif(not DATA.exists(), reason=f"the measured data are not here: no {DATA}"),
+]
+
+
+def ordered(found: Fit) -> bool:
+    """Whether residuals in contact are of one sign too long, by shuffling: nothing of the verdict's own tests."""
+    rng = np.random.default_rng(0)
+    signs = []
+    for record in found.records:
+        if record.held_out:
+            continue
+        (data,), (predicted,) = record.data.values(), record.prediction.values()
+        inside = predicted - predicted.min() > 0.02 * np.ptp(predicted)
+        residual = (predicted - data)[inside]
+        signs.append(residual > np.median(residual))
+    changes = lambda parts: sum(np.count_nonzero(np.diff(p)) for p in parts)  # noqa: E731
+    shuffled = [changes([rng.permutation(p) for p in signs]) for _ in range(4000)]
+    return bool(np.mean(np.array(shuffled) <= changes(signs)) < 5e-4)
+
+
+def measured_spikes(found: Fit) -> dict[str, float]:
+    """Time of each record's largest reading: that of its spike, for no smooth pulse is higher."""
+    return {r.name: float(r.times[np.nanargmax(next(iter(r.data.values())))]) for r in found.records}
+
+
+def stated(pad: str) -> list[tuple[str, Problem]]:
+    """The models of an example, with two of its four fitted runs, for time."""
+    path = EXAMPLES / f"pad_{pad}.toml"
+    whole = load(path)
+    kept = tuple(e for e in whole.experiments if e.name in ("run 2", "run 3", "run 5"))
+    return [(a.name, a.problem) for a in models(path, replace(whole, experiments=kept))]
+
+
+@pytest.fixture(scope="module")
+def thin() -> Choice:
+    # Half the default number of starts, for time: three must agree.
+    return choose(stated("4mm"), starts=6)
+
+
+def test_thick_pad_is_predicted_and_its_law_is_seen_to_miss_a_shape():
+    found = fit(stated("40mm")[0][1], starts=4)
+    (errors,) = found.held_out.values()
+    # The peaks of the five runs themselves differ by 4 %.
+    assert errors["max_error_of_peak"] <= 0.06
+    assert ordered(found) and found.verdict == "misfit", found.reasons
+    assert all(p.ci95 is None for p in found.parameters.values())
+
+
+def test_thin_pad_is_a_misfit_of_one_law_named_by_its_time(thin):
+    one = next(r.fit for r in thin.rivals if r.name == "power law")
+    assert one.verdict == "misfit", one.reasons
+    assert all(p.ci95 is None for p in one.parameters.values())
+    spikes = measured_spikes(one)
+    named = [m for m in misses(one.records) if m.brief and m.record != "run 5"]
+    assert {m.record for m in named} == {"run 2", "run 3"}
+    for miss in named:
+        assert miss.time == spikes[miss.record] and miss.error > 0
+    assert any("bottoms out" in r and f"at {named[0].time:.4g} s" in r and named[0].record in r for r in one.reasons)
+
+
+def test_two_stages_are_chosen_for_the_thin_pad(thin):
+    by_name = {r.name: r for r in thin.rivals}
+    one, two = by_name["power law"], by_name["two stages"]
+    assert thin.chosen == "two stages" and thin.rivals[0] is two
+    assert two.held_out < 0.5 * one.held_out
+    assert one.likelihood.bic - two.likelihood.bic > 10.0
+    # Where it bottoms out is inside the data: just short of the greatest penetration of a soft pad alone, v sqrt(m/K).
+    found = two.fit.values
+    assert 0.05 < found["bottoming_penetration"] < 0.08
