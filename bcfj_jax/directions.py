@@ -65,11 +65,13 @@ def _gathered(many: Callable[[list, list], tuple]) -> Callable[[list, list], tup
     @one.def_vmap
     def _(size, batched, x, change):
         at, along = batched
-        if any(at):
-            axes = jax.tree.map(lambda b: 0 if b else None, batched)
-            found = jax.vmap(alone, in_axes=tuple(axes), axis_size=size)(x, change)
-            return found, jax.tree.map(lambda _: True, found)
         changes = [d if b else jnp.broadcast_to(d, (size, *d.shape)) for d, b in zip(change, along, strict=True)]
+        if any(at):
+            # All points together are one point, whose directions may still come together.
+            axes = [0 if b else None for b in at]
+            points = jax.vmap(many, in_axes=(axes, 1), out_axes=(0, 1), axis_size=size)
+            found = _gathered(points)(x, changes)
+            return found, jax.tree.map(lambda _: True, found)
         value, moved = many(x, changes)
         return (value, moved), (jax.tree.map(lambda _: False, value), jax.tree.map(lambda _: True, moved))
 

@@ -20,6 +20,7 @@ from bcfj_jax import force_history
 from bcfj_jax.derivatives.jacobian import Histories, histories
 from bcfj_jax.derivatives.names import complete
 from bcfj_jax.integrate import Plan, plan
+from bcfj_jax.joint.scene import Joint
 from bcfj_jax.scene import AbstractScene
 from calibration.losses import loss_of, straightened
 from calibration.observables import Watch, fine, grid, low_pass, measured, tabulated, watches
@@ -27,7 +28,14 @@ from calibration.problem import COMPONENTS, NUISANCES, Experiment, Problem
 
 # Steps over a record that its force is sampled in where a sensor's low-pass is to be applied.
 _FINE_STEPS = 2000
+# Attempted steps of a run until it has failed. A joint takes some thousand a revolution.
+_STEPS, _DEAR_STEPS = 20_000, 8_000
 _NO_LOW_PASS = 1e12  # [Hz]
+
+
+def dear(scene: AbstractScene) -> bool:
+    """Whether a run takes a good part of a second, so that a search must count its runs: the joint's motion."""
+    return isinstance(scene, Joint) and scene.fidelity == "dynamic"
 
 
 class Slot(NamedTuple):
@@ -216,9 +224,12 @@ def predictions(model: Model, point: Array, log_depth: Array) -> Array:
 
 
 def _both(model: Model, log_depth: Array, point: Array) -> tuple[Array, Array]:
-    function = partial(model.residuals, log_depth=log_depth)
-    residual, push = jax.linearize(function, point)
-    return residual, jax.vmap(push, out_axes=1)(jnp.eye(point.size))
+    def twice(point: Array) -> tuple[Array, Array]:
+        residual = model.residuals(point, log_depth)
+        return residual, residual
+
+    jacobian, residual = jax.jacfwd(twice, has_aux=True)(point)
+    return residual, jacobian
 
 
 def build(problem: Problem, experiments: tuple[Experiment, ...], slots: tuple[Slot, ...] | None = None) -> Model:
@@ -262,7 +273,7 @@ def build(problem: Problem, experiments: tuple[Experiment, ...], slots: tuple[Sl
         slots=slots or make_slots(problem, len(experiments)),
         channels=channels,
         data=Data(*(jnp.asarray(a) for a in arrays), fixed=fixed, chain=chain),
-        how=plan(problem.scene, problem.accuracy, max_steps=20_000),
+        how=plan(problem.scene, problem.accuracy, max_steps=_DEAR_STEPS if dear(problem.scene) else _STEPS),
         watches=watches(problem.scene, experiments),
         parts=max(4, -(-_FINE_STEPS // longest)) if filtered else 0,
         loss=problem.loss,

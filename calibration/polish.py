@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import jax.numpy as jnp
@@ -10,7 +11,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from calibration.descent import Lanes
-from calibration.model import Model, residuals_and_jacobian
+from calibration.model import Model, dear, residuals_and_jacobian
 
 log = logging.getLogger("calibration")
 
@@ -46,13 +47,20 @@ def polished(model: Model, starts: np.ndarray, found: Lanes, log_depth: float) -
     samples = max(int(np.count_nonzero(model.data.weights)), 1)
     ends: list[End] = []
     best: list[End] = []
-    for k in np.argsort(found.costs, kind="stable"):
+    order = np.argsort(found.costs, kind="stable")
+    early: dict[int, End] = {}
+    if dear(model.scene):  # Side by side: each is a run after the other.
+        first = [int(k) for k in order[:_BEST] if np.isfinite(found.costs[k])]
+        with ThreadPoolExecutor(len(first) or 1) as pool:
+            done = pool.map(lambda k: finish(model, starts[k], found.points[k], log_depth), first)
+            early = dict(zip(first, done, strict=True))
+    for k in order:
         start, point, cost = starts[k], found.points[k], float(found.costs[k])
         low = min((end.cost for end in best), default=cost)
         near = any(np.abs(end.point - point).max() < _ELSEWHERE for end in best)
         elsewhere = not near and cost < low + _AS_LOW * max(1.0, low / samples)
         if np.isfinite(cost) and (len(best) < _BEST or (elsewhere and len(best) < _BEST + _OTHERS)):
-            ends.append(finish(model, start, point, log_depth))
+            ends.append(early.get(int(k)) or finish(model, start, point, log_depth))
             best.append(ends[-1])
             log.info("polished start %d: chi2 %.6g", k + 1, ends[-1].cost)
         else:

@@ -11,6 +11,7 @@ from bcfj_jax import InputError, check_value, nearest
 from bcfj_jax.derivatives.jacobian import channel_names, channels
 from bcfj_jax.derivatives.names import feature
 from bcfj_jax.quantities import Quantity
+from bcfj_jax.joint.scene import Joint
 from bcfj_jax.scene import AbstractScene
 
 # Nuisance parameters of the measuring chain: reading(t) = gain L[F](t - time_offset) + force_offset, with L a sensor of
@@ -23,6 +24,7 @@ NUISANCES = {
         "bandwidth", "Hz", "frequency at which a first-order sensor passes 1/sqrt(2)", 0.0, 1e12, True
     ),
 }
+_ACCURACY, _JOINT_ACCURACY = 1e-5, 1e-3
 LOSSES = ("linear", "soft_l1", "cauchy")
 COMPONENTS = ("normal", "axial", "tangential")
 
@@ -105,7 +107,7 @@ class Free:
     @property
     def log(self) -> bool:
         """Whether it is searched on a logarithmic scale: by default where both bounds are positive."""
-        return self.scale == "log" if self.scale else self.lower > 0
+        return self.scale == "log" if self.scale else bool(self.lower > 0)
 
     @property
     def per_experiment(self) -> bool:
@@ -117,7 +119,8 @@ class Free:
 class Problem:
     """Scene, fixed parameter values, experiments and free parameters.
 
-    ``loss`` is SciPy's name for what a residual of z standard deviations costs (``model.loss_of``).
+    ``accuracy`` is the error of the simulated forces as a share of their peak; by default 1e-5, and 1e-3 of a joint's
+    motion, whose derivatives would take ten times as long. ``loss`` is SciPy's name for what a residual of z standard deviations costs (``model.loss_of``).
 
     Raises:
         InputError: on construction, for a free parameter the scene does not have, bounds the wrong way
@@ -129,11 +132,14 @@ class Problem:
     params: dict[str, float]
     experiments: tuple[Experiment, ...]
     free: tuple[Free, ...]
-    accuracy: float = 1e-5
+    accuracy: float = 0.0
     where: str = "problem"
     loss: str = "linear"
 
     def __post_init__(self) -> None:
+        if not self.accuracy:
+            moving = isinstance(self.scene, Joint) and self.scene.fidelity == "dynamic"
+            object.__setattr__(self, "accuracy", _JOINT_ACCURACY if moving else _ACCURACY)
         if not self.free:
             raise InputError(
                 self.where, "no free parameter", "add a table such as [free.stiffness] with lower and upper"

@@ -17,10 +17,11 @@ import numpy as np
 from scipy.stats import qmc
 
 from bcfj_jax import simulate
-from calibration.descent import Evaluate, Lanes, adam, cost_of, levenberg
+from calibration.descent import Lanes, adam, cost_of, levenberg
+from calibration.evaluate import evaluator as evaluator
 from calibration.horizon import impulses, stages, until
 from calibration.journal import Journal
-from calibration.model import Model, batch
+from calibration.model import Model, dear
 from calibration.polish import End as End
 from calibration.polish import finish as finish
 from calibration.polish import polished
@@ -35,6 +36,8 @@ _ADAM, _ARRIVE, _DESCEND = 40, 12, 40
 _ROUGHLY, _TOLERANCE = 1.0, 1e-2
 # Given up after a stage: starts beyond the first batch that cost so much more than the best, on that stage's data.
 _HOPELESS = 4.0
+# Points of a dear model's design that are asked what all data tell of each coordinate.
+_FEW = 4
 
 
 @dataclass(frozen=True)
@@ -92,22 +95,12 @@ def screen(model: Model, count: int, seed: int) -> Screen:
         costs.append(np.sum(residuals**2, axis=1))
         reach = np.maximum(reach, _reach(jacobians))
     if len(ends) > 1:  # What the first contact does not show, a few points of all data will.
-        for block in _blocks(design[:64], lanes(count)):
+        few = np.argsort(np.concatenate(costs)[: len(design)])[:_FEW] if dear(model.scene) else np.arange(64)
+        for block in _blocks(design[few], lanes(count)):
             reach = np.maximum(reach, _reach(evaluator(model, depth)(block)[1]))
     costs = np.concatenate(costs)[: len(design)]
     log.info("%d of %d Sobol points simulate", np.isfinite(costs).sum(), len(design))
     return Screen(design, costs, reach)
-
-
-def evaluator(model: Model, log_depth: float) -> Evaluate:
-    """Residuals and Jacobians of a batch of points, as NumPy arrays."""
-    depth = jnp.asarray(log_depth)
-
-    def evaluate(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        residuals, jacobians = batch(model, jnp.asarray(points), depth)
-        return np.asarray(residuals), np.asarray(jacobians)
-
-    return evaluate
 
 
 def _reach(jacobians: np.ndarray) -> np.ndarray:
@@ -164,7 +157,8 @@ def values_at(model: Model, point: np.ndarray, log_depth: float) -> np.ndarray:
 
 
 def _named(model: Model, point: np.ndarray, log_depth: float) -> dict[str, float]:
-    names = [s.name if s.experiment is None else f"{s.name}[{s.experiment + 1}]" for s in model.slots]
+    several = model.data.times.shape[0] > 1
+    names = [f"{s.name}[{s.experiment + 1}]" if several and s.experiment is not None else s.name for s in model.slots]
     return dict(zip(names, values_at(model, point, log_depth).tolist(), strict=True))
 
 
@@ -255,9 +249,9 @@ def _kept(
 def _descend(part: Model, points: np.ndarray, log_depth: float, stage: int, stages: int) -> Lanes:
     """One batch on one stage's data: far off by Adam, then to the right arrivals, then to the least squares."""
     evaluate = evaluator(part, log_depth)
-    if stage == 0:
+    if stage == 0 and not dear(part.scene):
         points = adam(evaluate, points, _ADAM)
-    if stages > 1:
+    if stages > 1 and not dear(part.scene):  # A joint's contacts come when its drive brings them, never far off.
 
         def arrivals(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             residuals, jacobians = evaluate(at)

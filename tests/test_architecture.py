@@ -32,7 +32,7 @@ FLOORS = {
         {"model"},
         {"noise", "runs", "check"},
         {"descent", "horizon", "journal"},
-        {"polish"},
+        {"polish", "evaluate"},
         {"search", "settle"},
         {"judge"},
         {"whiteness", "clearance"},

@@ -96,7 +96,10 @@ def test_reference_force_is_what_the_data_determine(demo, demo_fits):
     error = noise["sigma"] ** 2 * np.exp(-gaps / noise["correlation"])
     covariance = np.linalg.inv(jacobian.T @ np.linalg.solve(error, jacobian))
     assert covariance[k, n] / np.sqrt(covariance[k, k] * covariance[n, n]) > 0.95
-    half = found.optimum.spread.quantile_of(np.eye(3)[n]) * np.sqrt(covariance[k, k])
+    # ln K = ln F_ref - n ln d_ref along the coordinates of the box.
+    width = np.asarray(built.box(jnp.asarray(depth))[1])
+    slope = width * (np.eye(3)[k] - exponent * depth * np.eye(3)[n])
+    half = found.optimum.spread.quantile_of(slope) * np.sqrt(covariance[k, k])
     # Student's quantile is above that of samples less parameters: the correlation is only known from them, too.
     assert student.ppf(0.975, len(jacobian) - len(values)) * np.sqrt(covariance[k, k]) < half
     # Two ways of one inversion whose condition is some 1e5: nine digits lost of sixteen at most.
