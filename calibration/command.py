@@ -10,9 +10,9 @@ from typing import Any
 
 from bcfj_jax import InputError, outputs, report, scenefile, tables
 from bcfj_jax.units import format_si
-from calibration import choice, dataplot, plots, plots_uncertainty
-from calibration import intervals as uncertainty
+from calibration import choice, plots, plots_uncertainty
 from calibration.alternatives import Outcome, solve
+from calibration.data import plot as dataplot
 from calibration.fit import AllStartsFailed, Fit, Parameter
 from calibration.journal import NAME, Journal, key_of
 from calibration.next_experiment import as_json as candidates_json
@@ -20,6 +20,7 @@ from calibration.next_experiment import table as candidates_table
 from calibration.problem import Problem
 from calibration.problemfile import load, prepared, sources
 from calibration.search import Interrupted
+from calibration.uncertainty import intervals as uncertainty
 
 DONE, FAILED, NOT_IDENTIFIED, INTERRUPTED = 0, 3, 4, 5
 FILES = (

@@ -14,7 +14,6 @@ from calibration.clearance import clearance_tests, whole_contact_test
 from calibration.estimates import Parameter as Parameter
 from calibration.estimates import Reference as Reference
 from calibration.estimates import estimates
-from calibration.intervals import Evidence, check_kind, revised
 from calibration.journal import Journal
 from calibration.model import Model, build
 from calibration.noise import Estimate
@@ -24,6 +23,7 @@ from calibration.records import Record, hold_out, records_of, rms, series_of
 from calibration.runs import commonest_failure, contacts, failure
 from calibration.search import Screen, lanes, reference_depth, screen, search
 from calibration.settle import settle
+from calibration.uncertainty.intervals import Evidence, check_kind, revised
 from calibration.whiteness import residual_tests
 
 # Failed points of a design that are asked why.

@@ -10,8 +10,8 @@ import numpy as np
 
 from bcfj_jax.plots import COLOURS, engineering, figure, label, save, style
 from calibration.fit import Fit
-from calibration.posterior import Posterior
-from calibration.profile import Profile
+from calibration.uncertainty.posterior import Posterior
+from calibration.uncertainty.profile import Profile
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

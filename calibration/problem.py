@@ -10,8 +10,8 @@ import numpy as np
 from bcfj_jax import InputError, check_value, nearest
 from bcfj_jax.derivatives.jacobian import channel_names, channels
 from bcfj_jax.derivatives.names import feature
-from bcfj_jax.quantities import Quantity
 from bcfj_jax.joint.scene import Joint
+from bcfj_jax.quantities import Quantity
 from bcfj_jax.scene import AbstractScene
 
 # Nuisance parameters of the measuring chain: reading(t) = gain L[F](t - time_offset) + force_offset, with L a sensor of

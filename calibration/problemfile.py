@@ -23,11 +23,11 @@ import pydantic
 from bcfj_jax import InputError, nearest, scenefile, scenes, tables
 from bcfj_jax.quantities import Quantity
 from bcfj_jax.units import quantity
-from calibration import stated
-from calibration.preparation import Prepared, Recipe, prepare
+from calibration.data import stated
+from calibration.data.preparation import Prepared, Recipe, prepare
+from calibration.data.readers import read
+from calibration.data.table import split
 from calibration.problem import NUISANCES, Channel, Experiment, Free, Problem
-from calibration.readers import read
-from calibration.table import split
 
 # Scenes whose every record is of impacts: apart, in contact, apart.
 _IMPACTS = ("impact", "bounce")

@@ -10,10 +10,10 @@ import pytest
 
 from bcfj_jax import InputError
 from bcfj_jax.plots import COLOURS
-from calibration.dataplot import data
-from calibration.preparation import Recipe, prepare
-from calibration.readers import read
-from calibration.table import Table
+from calibration.data.plot import data
+from calibration.data.preparation import Recipe, prepare
+from calibration.data.readers import read
+from calibration.data.table import Table
 
 h5py = pytest.importorskip("h5py", reason="the extra io is not installed")
 nptdms = pytest.importorskip("nptdms", reason="the extra io is not installed")

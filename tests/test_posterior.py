@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm, t
 
-from calibration import posterior
+from calibration.uncertainty import posterior
 
 pytest.importorskip("numpyro", reason="NumPyro is the extra uq")
 

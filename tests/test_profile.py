@@ -8,7 +8,8 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, least_squares, minimize_scalar
 
 from bcfj_jax import InputError, scenes
-from calibration import Channel, Experiment, Free, Problem, fit, intervals, judge, plots_uncertainty, profile
+from calibration import Channel, Experiment, Free, Problem, fit, judge, plots_uncertainty
+from calibration.uncertainty import intervals, profile
 
 NORMAL = 1.959963984540054
 THRESHOLD = NORMAL**2

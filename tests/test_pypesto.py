@@ -8,8 +8,9 @@ import pytest
 from scipy.interpolate import CubicSpline
 from test_profile import NORMAL, impact
 
-from calibration import Free, model, profile
+from calibration import Free, model
 from calibration.polish import finish
+from calibration.uncertainty import profile
 
 pypesto = pytest.importorskip("pypesto", reason="pyPESTO is a test extra")
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from bcfj_jax import InputError, nearest, scenefile
 from bcfj_jax.derivatives.names import UNITS
+from calibration.data.readers import library
 from calibration.problem import COMPONENTS, NUISANCES, Channel, Experiment, Free, Observation, Problem
-from calibration.readers import library
 
 
 def load(path: str | Path, scene: str | Path | None = None) -> Problem:

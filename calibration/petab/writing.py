@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from bcfj_jax import InputError
+from calibration.data.readers import library
 from calibration.problem import Experiment, Problem
-from calibration.readers import library
 
 _NEUTRAL = {"time_offset": 0.0, "force_offset": 0.0, "gain": 1.0}
 FILES = {

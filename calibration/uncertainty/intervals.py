@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 
 from bcfj_jax import InputError
-from calibration import judge, posterior, profile
+from calibration import judge
 from calibration.estimates import Parameter, Reference
 from calibration.model import Model, Slot
-from calibration.posterior import Posterior
-from calibration.profile import Profile
+from calibration.uncertainty import posterior, profile
+from calibration.uncertainty.posterior import Posterior
+from calibration.uncertainty.profile import Profile
 
 KINDS = ("covariance", "profile", "posterior")
 

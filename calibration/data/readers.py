@@ -20,8 +20,8 @@ import numpy as np
 
 from bcfj_jax import InputError, nearest
 from bcfj_jax.units import column
-from calibration import table
-from calibration.table import Table
+from calibration.data import table
+from calibration.data.table import Table
 
 UNIT_NAMES = ("unit", "units")
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bcfj_jax.plots import COLOURS, engineering, figure, label, save, style
-from calibration.inspection import TOUCHING
-from calibration.preparation import Prepared
+from calibration.data.inspection import TOUCHING
+from calibration.data.preparation import Prepared
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

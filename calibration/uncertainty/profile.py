@@ -11,7 +11,7 @@ import numpy as np
 from calibration.judge import Spread
 from calibration.model import Model
 from calibration.search import evaluator
-from calibration.walk import Residuals, Side, Target, together, walk
+from calibration.uncertainty.walk import Residuals, Side, Target, together, walk
 
 # A fall of the cost, on the way outwards, by this share of the threshold is a second minimum.
 _DIP = 0.05

@@ -9,7 +9,7 @@ import numpy as np
 
 from bcfj_jax import InputError
 from bcfj_jax.units import format_si
-from calibration.table import Table
+from calibration.data.table import Table
 
 # A step of the clock that much above all but the longest tenth of the steps is a gap.
 _JUMP = 1.5

@@ -12,9 +12,17 @@ import numpy as np
 
 from bcfj_jax import InputError
 from bcfj_jax.units import format_si
-from calibration.inspection import TOUCHING, channel_notes, check_channel, check_clock, check_contact, clock_note, jumps
-from calibration.resampling import resampled
-from calibration.table import Table
+from calibration.data.inspection import (
+    TOUCHING,
+    channel_notes,
+    check_channel,
+    check_clock,
+    check_contact,
+    clock_note,
+    jumps,
+)
+from calibration.data.resampling import resampled
+from calibration.data.table import Table
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,1 @@
+"""Which interval an estimate gets: covariance, profile likelihood or posterior."""
