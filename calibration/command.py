@@ -122,7 +122,7 @@ def text(result: Fit) -> str:
     for name, errors in (result.held_out or {}).items():
         worst, rms = errors["max_error_of_peak"], errors["rms_error_of_peak"]
         lines.append(f"held out, {name}: at most {worst:.2%} of the peak, {rms:.2%} rms")
-    return "\n".join(lines)
+    return "\n".join([*lines, *(f"note: {note}" for note in result.notes)])
 
 
 def _interval(thing: Any, unit: str) -> str:
@@ -153,6 +153,7 @@ def as_json(result: Fit) -> dict[str, Any]:
     return {
         "verdict": result.verdict,
         "reasons": result.reasons,
+        "notes": result.notes,
         "parameters": {
             name: {
                 "value": p.value,

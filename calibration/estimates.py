@@ -9,7 +9,8 @@ import numpy as np
 
 from calibration import judge
 from calibration.check import separation
-from calibration.model import Model, residuals_and_jacobian
+from calibration.losses import straightened
+from calibration.model import Model, dear, residuals_and_jacobian
 from calibration.polish import End
 from calibration.problem import NUISANCES
 
@@ -104,8 +105,13 @@ def _curvature(model: Model, best: End, depth, spread: judge.Spread, slope: np.n
     step = quantile * along / np.sqrt(slope @ along)
     rises = []
     for sign in (-1.0, 1.0):
-        residuals, _ = residuals_and_jacobian(model, jnp.asarray(best.point + sign * step), depth)
-        rises.append(float(model.cost(np.asarray(residuals))) - best.cost)
+        residuals, jacobian = residuals_and_jacobian(model, jnp.asarray(best.point + sign * step), depth)
+        if dear(model.scene):
+            # By the mean of the slopes at both ends: the integration's own error makes the cost rough, them hardly.
+            residuals, jacobian = straightened(model.loss, residuals, jacobian)
+            rises.append(sign * float(np.asarray(residuals) @ (np.asarray(jacobian) @ step)))
+        else:
+            rises.append(float(model.cost(np.asarray(residuals))) - best.cost)
     expected = quantile**2 * spread.rise
     worst = max(rises, key=lambda r: abs(np.log(max(r, 1e-300) / expected)) if np.isfinite(r) else np.inf)
     return worst / expected

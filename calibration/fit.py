@@ -5,17 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from bcfj_jax import InputError
-from calibration import check, judge, where
+from calibration import check, integration, judge, where
 from calibration.clearance import clearance_tests, whole_contact_test
 from calibration.estimates import Parameter as Parameter
 from calibration.estimates import Reference as Reference
 from calibration.estimates import estimates
 from calibration.journal import Journal
-from calibration.model import Model, build
+from calibration.model import Model, build, values_at
 from calibration.noise import Estimate
 from calibration.polish import End
 from calibration.problem import Experiment, Problem
@@ -58,7 +57,7 @@ class Fit:
     """Outcome of a calibration; ``verdict`` first.
 
     ``noise`` is what was estimated of it: by channel its "sigma" [N] and "correlation" [s]. ``check`` is what could be
-    said before the solve (``check.at_start``).
+    said before the solve (``check.at_start``). ``notes`` say what a reader must know though nothing failed.
     """
 
     verdict: str
@@ -76,6 +75,7 @@ class Fit:
     seed: int
     noise: dict[str, dict[str, float]]
     check: dict[str, Any]
+    notes: list[str]
     optimum: Optimum = field(repr=False)
     evidence: Evidence = field(default_factory=Evidence, repr=False)
 
@@ -126,7 +126,7 @@ def fit(
     if ends[0].failure:
         why = commonest_failure(model, np.array([end.point for end in ends[:_ASKED]]), found.log_depth)
         raise AllStartsFailed(f"all {len(ends)} starts failed: {why}")
-    model, ends, noise = settle(model, fitted, ends, found.log_depth)
+    model, ends, noise = settle(model, fitted, ends, found.log_depth, problem.accuracy)
     return _judge(problem, fitted, labels, model, ends, found.log_depth, noise, seed, checked, intervals)
 
 
@@ -148,10 +148,7 @@ def _checked(
     """The check at the start that was given, or at the best of the design."""
     point, depth = screened.design[int(np.nanargmin(screened.costs))], 0.0
     if model.referenced:
-        start, depth = (
-            np.array([float(v) for v in model.values(jnp.asarray(point), jnp.asarray(0.0))]),
-            (reference_depth(model, point, 0.0)),
-        )
+        start, depth = values_at(model, point, 0.0), reference_depth(model, point, 0.0)
         point = model.point(start, depth)
     if given:
         point = model.point(given[0], depth)
@@ -175,11 +172,15 @@ def _judge(
     spread = judge.spread(best, samples, noise.moved, model.loss)
     records = records_of(model, fitted, best.point, log_depth, False)
     seen = contacts(model, best.point, log_depth)
-    tests = judge.agreement(ends, spread.covariance)
+    errors = integration.errors(model, best.point, log_depth, best.residuals)
+    tests = [
+        *judge.agreement(ends, spread.covariance, errors),
+        judge.integration_test(errors, best.jacobian),
+    ]
     # A rival that fits as well is another answer, not a failed search.
-    kinds = ("not_converged", "not_identified")
+    kinds = ("not_converged", "not_identified", "not_converged")
     verdicts = {kind for t, kind in zip(tests, kinds, strict=True) if not t.passed}
-    series = series_of(model, fitted, seen, noise)
+    series = series_of(model, fitted, seen, noise, best.residuals, errors, problem.accuracy)
     quality = residual_tests(series, best.residuals, best.jacobian, model.loss != "linear")
     held_out, held_records = None, []
     if any(e.hold_out for e in problem.experiments):
@@ -212,7 +213,7 @@ def _judge(
         parameters=parameters,
         reference=reference,
         tests=tests,
-        starts=[_start_row(model, labels, end, log_depth) for end in ends],
+        starts=_start_rows(model, labels, ends, log_depth),
         residual={
             "chi2": float(np.sum(best.residuals**2)),
             "degrees_of_freedom": spread.freedom,
@@ -231,6 +232,7 @@ def _judge(
         noise=_by_channel(noise),
         check=checked,
         optimum=Optimum(model, best, log_depth, spread, noise),
+        notes=_notes(noise),
         evidence=evidence,
     )
 
@@ -246,6 +248,14 @@ def _told(fitted: tuple[Experiment, ...]) -> str:
     return kinds.pop() if len(kinds) == 1 else "partly estimated"
 
 
+def _notes(noise: Estimate) -> list[str]:
+    return [
+        f"the noise of {name} is the integrator's: residuals are no larger than what its own error may be, "
+        f"and count as {noise.sigma[name]:.2g} N"
+        for name in noise.integrator
+    ]
+
+
 def _by_channel(noise: Estimate) -> dict[str, dict[str, float]]:
     found: dict[str, dict[str, float]] = {}
     for kind, numbers in (("sigma", noise.sigma), ("correlation", noise.correlation)):
@@ -254,13 +264,17 @@ def _by_channel(noise: Estimate) -> dict[str, dict[str, float]]:
     return found
 
 
-def _start_row(model: Model, labels: tuple[str, ...], end: End, log_depth: float) -> dict[str, Any]:
-    depth = jnp.asarray(log_depth)
-    begin, finish_ = (model.values(jnp.asarray(u), depth) for u in (end.start, end.point))
-    return {
-        "chi2": end.cost if not end.failure else float("nan"),
-        "converged": end.converged,
-        "failure": end.failure,
-        "from": {name: float(v) for name, v in zip(labels, begin, strict=True)},
-        "to": {name: float(v) for name, v in zip(labels, finish_, strict=True)},
-    }
+def _start_rows(model: Model, labels: tuple[str, ...], ends: tuple[End, ...], log_depth: float) -> list[dict[str, Any]]:
+    begin, finish = (
+        values_at(model, np.array(u), log_depth) for u in ([e.start for e in ends], [e.point for e in ends])
+    )
+    return [
+        {
+            "chi2": end.cost if not end.failure else float("nan"),
+            "converged": end.converged,
+            "failure": end.failure,
+            "from": dict(zip(labels, a.tolist(), strict=True)),
+            "to": dict(zip(labels, b.tolist(), strict=True)),
+        }
+        for end, a, b in zip(ends, begin, finish, strict=True)
+    ]

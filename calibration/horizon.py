@@ -10,6 +10,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from bcfj_jax.joint.scene import Joint
 from calibration.model import Model
 
 # A contact rises above the rest level by so many deviations of the noise, or this share of the peak if that is more.
@@ -18,6 +19,8 @@ _SIGMAS, _SHARE = 5.0, 0.02
 _QUIET = 3
 # A step so many times as long as the usual one is a gap.
 _GAP = 10.0
+# Contacts are met where the residuals hold less than this share of the data's own energy: they overlap by most.
+_MET = 0.5
 
 
 def contacts(values: np.ndarray, sigma: float) -> list[tuple[int, int]]:
@@ -38,10 +41,14 @@ def contacts(values: np.ndarray, sigma: float) -> list[tuple[int, int]]:
 
 
 def stages(model: Model) -> list[np.ndarray]:
-    """Ends of the data (E,) [s] to fit one after the other: before the 2nd contact, the 3rd, the 5th, ..., all.
+    """Ends of the data (E,) [s] to fit one after the other: the 1st contact, all before the 3rd, the 5th, ..., all.
 
-    An experiment's contacts are those of the normal force that has most. The last stage is always all data.
+    An experiment's contacts are those of the normal force that has most. Of the flight after the first, only as much is
+    fitted as the contact took: far from the truth a mass may come to rest, and vibrates all the way. The last stage is
+    always all data; where each instant is solved for itself, it is the only one.
     """
+    if isinstance(model.scene, Joint) and model.scene.fidelity != "dynamic":
+        return [np.asarray(model.data.times)[:, -1]]
     times, values, weights = (np.asarray(a) for a in (model.data.times, model.data.values, model.data.weights))
     normal = [j for j, name in enumerate(model.channels) if name.endswith(".normal")]
     ends = []
@@ -52,7 +59,11 @@ def stages(model: Model) -> list[np.ndarray]:
             if np.any(seen):
                 found = contacts(values[i, j][seen], 1.0 / float(weights[i, j][seen].min()))
                 # The last quiet sample: that nothing has arrived by then is known, too.
-                quiet = [float(times[i][seen][first - 1]) for first, _ in found[1:]]
+                clock = times[i][seen]
+                quiet = [float(clock[first - 1]) for first, _ in found[1:]]
+                if quiet:
+                    first, last = found[0]
+                    quiet[0] = min(quiet[0], float(2.0 * clock[last] - clock[first]))
                 most = max(most, quiet, key=len)
         ends.append([*most, float(times[i, -1])])
     longest = max(len(e) for e in ends)
@@ -68,6 +79,22 @@ def until(model: Model, ends: np.ndarray) -> Model:
     times, last = model.data.times, jnp.asarray(ends)[:, None]
     weights = jnp.where((times <= last)[:, None, :], model.data.weights, 0.0)
     return eqx.tree_at(lambda m: (m.data.times, m.data.weights), model, (jnp.minimum(times, last), weights))
+
+
+def meets(model: Model, residuals: np.ndarray, ends: list[np.ndarray]) -> np.ndarray:
+    """Whether weighted residuals (B, N) meet the contacts that each stage adds, (B, stages)."""
+    times, values, weights = (np.asarray(a) for a in (model.data.times, model.data.values, model.data.weights))
+    seen = weights > 0
+    known = np.where(seen, values, np.where(seen.any(axis=2, keepdims=True), np.nan, 0.0))
+    rest = np.nanpercentile(known, 10, axis=2, keepdims=True)
+    data = np.square(weights * (values - rest))
+    errors = np.square(residuals[:, : weights.size].reshape(-1, *weights.shape))
+    firsts = [np.full(len(times), -np.inf), *ends[:-1]]
+    met = []
+    for first, last in zip(firsts, ends, strict=True):
+        own = ((times > first[:, None]) & (times <= last[:, None]))[:, None, :] & seen
+        met.append(np.sum(errors * own, axis=(1, 2, 3)) < _MET * np.sum(data * own))
+    return np.stack(met, axis=1)
 
 
 def impulses(model: Model, residuals: np.ndarray) -> np.ndarray:

@@ -16,6 +16,10 @@ from calibration.polish import End
 
 LEVEL = 1e-3  # of a test of the residuals: a right model is called wrong once in a thousand
 AGREEING_STARTS = 3
+# Starts agree where their costs differ by less, in sigma squared; up to the second where the integrator tells no better.
+ALIKE = (0.1, 3.0)
+# The integrator may move an estimate by this share of its deviation: a 95 % interval then covers 92 %.
+MOST_BLUR = 0.5
 # Two optima whose costs differ by less than this many sigma squared cannot be told apart by the data.
 RIVAL_COST = 9.0
 # A parameter known to worse than this factor (log scale) or share of its range (linear) is not determined.
@@ -106,13 +110,22 @@ def spread(end: End, samples: int, moved: list[tuple[np.ndarray, float]], loss: 
     return found._replace(quantile=max(found.quantile_of(unit) for unit in np.eye(count)))
 
 
-def agreement(ends: tuple[End, ...], covariance: np.ndarray | None) -> list[Test]:
-    """Whether independent starts ended in one optimum, and whether a rival explains the data as well."""
+def agreement(ends: tuple[End, ...], covariance: np.ndarray | None, errors: np.ndarray) -> list[Test]:
+    """Whether independent starts ended in one optimum, and whether a rival explains the data as well.
+
+    Args:
+        ends: best first.
+        covariance: of the coordinates, or None.
+        errors: (N,) the integrator's part in the best end's white residuals. They make costs |r|^2 uncertain by some
+            2 |e|, and starts need agree no better.
+    """
+    doubt = float(np.linalg.norm(errors))
+    alike = float(np.clip(2.0 * doubt, *ALIKE)) if np.isfinite(doubt) else ALIKE[0]
     good = [end for end in ends if not end.failure]
     best = good[0]
     sigma = np.sqrt(np.diag(covariance)) if covariance is not None else np.full(best.point.size, 1e-3)
     # By cost: along a direction that the data leave free, starts that found the optimum lie apart.
-    same = [e.cost - best.cost < 0.1 for e in good]
+    same = [e.cost - best.cost < alike for e in good]
     close = [e for e in good if e.converged and e.cost - best.cost < RIVAL_COST]
     rivals = [e for e in close if np.any(np.abs(e.point - best.point) > 4.0 * sigma)]
     count = int(sum(same))
@@ -120,6 +133,8 @@ def agreement(ends: tuple[End, ...], covariance: np.ndarray | None) -> list[Test
         Test(
             "agreement of starts", count, AGREEING_STARTS, count >= AGREEING_STARTS and best.converged,
             f"only {count} of {len(ends)} starts reached the best optimum; {AGREEING_STARTS} must"
+            + (f"; the integrator leaves costs uncertain by {2.0 * doubt:.2g}: ask for a smaller accuracy"
+               if 2.0 * doubt > ALIKE[1] else "")
             if best.converged else "the best start stopped before it converged",
         ),
         Test(
@@ -127,6 +142,19 @@ def agreement(ends: tuple[End, ...], covariance: np.ndarray | None) -> list[Test
             f"{len(rivals)} starts ended elsewhere with a cost that the data cannot tell from the best",
         ),
     ]  # fmt: skip
+
+
+def integration_test(errors: np.ndarray, jacobian: np.ndarray) -> Test:
+    """Whether the integrator's error e moves any combination of coordinates by little of its deviation.
+
+    A covariance (J^T J)^-1 and a shift J^+ e: at most |Q^T e| deviations, Q an orthonormal basis of J's columns.
+    """
+    left, singular, _ = np.linalg.svd(jacobian, full_matrices=False)
+    shift = float(np.linalg.norm(left[:, singular > 1e-10 * singular[0]].T @ errors))
+    reason = f"the integrator's error moves the estimates by {shift:.2g} of their deviation: ask for a smaller accuracy"
+    if not np.isfinite(shift):
+        reason = "a run at a tighter tolerance fails, so that the integrator's error is not known"
+    return Test("error of the integrator", shift, MOST_BLUR, shift < MOST_BLUR, reason)
 
 
 def rank_test(singular: Spread) -> Test:

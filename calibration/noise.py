@@ -3,8 +3,8 @@
 With weighted residuals r, their Jacobian J and the projection M = 1 - J (J^T J)^-1 J^T, a channel's deviation obeys
 sigma^2 = |M r|^2 / (n - leverage) over its own samples: with one channel, cost over degrees of freedom. A correlation
 time minimises the restricted likelihood, the deviations following. Noise that grows with the reading is taken at the
-model's reading, so that what was measured does not weigh itself. Nothing here searches: the model is linear about a
-point.
+model's reading, so that what was measured does not weigh itself. A deviation that is no larger than the integrator's
+error (``integration.Limit``) is not noise that was seen. Nothing here searches: the model is linear about a point.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from calibration.integration import Limit
 from calibration.model import Model, predictions, residuals_and_jacobian
 from calibration.problem import Channel, Experiment
 
@@ -33,11 +34,13 @@ class Estimate(NamedTuple):
         correlation: time [s] by channel whose correlation is.
         moved: for each of these numbers, the derivative (P, P) of the information matrix by its logarithm, and the
             variance of that.
+        integrator: channels whose residuals are no larger than the integrator's error, which stands for their noise.
     """
 
     sigma: dict[str, float]
     correlation: dict[str, float]
     moved: list[tuple[np.ndarray, float]]
+    integrator: tuple[str, ...] = ()
 
 
 class _Series(NamedTuple):
@@ -67,9 +70,19 @@ def known(experiments: tuple[Experiment, ...]) -> bool:
 
 
 def estimate(
-    model: Model, experiments: tuple[Experiment, ...], point: np.ndarray, log_depth: float
+    model: Model,
+    experiments: tuple[Experiment, ...],
+    point: np.ndarray,
+    log_depth: float,
+    limits: dict[str, Limit] | None = None,
 ) -> tuple[Model, Estimate]:
-    """The noise about a point, and the model with weights and memory that follow from it."""
+    """The noise about a point, and the model with weights and memory that follow from it.
+
+    Args:
+        model, experiments, point, log_depth: where.
+        limits: of the channels, below which a deviation is the integrator's; none where not given.
+    """
+    limits = limits or {}
     series, rest = _series(model, experiments, point, log_depth)
     sigma = {s.channel.observes: 0.0 for s in series if s.channel.sigma is None}
     for name in sigma:
@@ -84,14 +97,16 @@ def estimate(
 
         def criterion(log_time: float, name: str = name) -> float:
             tried = {**times, name: float(np.exp(log_time))}
-            return _restricted(_converged(series, rest, sigma, tried, robust)[1])
+            return _restricted(_converged(series, rest, sigma, tried, robust, limits)[1])
 
         bounds = float(np.log(0.2 * shortest)), float(np.log(longest))
         found = minimize_scalar(criterion, bounds=bounds, method="bounded", options={"xatol": 1e-4})
         memory = np.exp(-shortest / np.exp(found.x))
         times[name] = float(np.exp(found.x)) if memory > _LEAST_CORRELATION else 0.0
-    sigma, rows = _converged(series, rest, sigma, times, robust)
-    result = Estimate(sigma, times, _moved(series, rows, sigma, times, rest, robust))
+    sigma, rows = _converged(series, rest, sigma, times, robust, limits)
+    integrator = tuple(name for name in sigma if name in limits and sigma[name] == limits[name].sigma)
+    seen = {name: value for name, value in sigma.items() if name not in integrator}
+    result = Estimate(sigma, times, _moved(series, rows, seen, sigma, times, rest, robust), integrator)
     return _reweighed(model, series, sigma, times), result
 
 
@@ -155,9 +170,14 @@ def _projected(rows: _Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _converged(
-    series: list[_Series], rest: tuple, sigma: dict[str, float], times: dict[str, float], robust: bool
+    series: list[_Series],
+    rest: tuple,
+    sigma: dict[str, float],
+    times: dict[str, float],
+    robust: bool,
+    limits: dict[str, Limit],
 ) -> tuple[dict[str, float], _Rows]:
-    """Deviations at the fixed point sigma^2 = |M r|^2/(n - leverage), and the rows there."""
+    """Deviations at the fixed point sigma^2 = |M r|^2/(n - leverage) or at their limits, and the rows there."""
     sigma = dict(sigma)
     rows = _rows(series, rest, sigma, times, robust)
     for _ in range(100):
@@ -167,9 +187,11 @@ def _converged(
         change = 0.0
         for name, own in _owners(series, rows, sigma):
             freedom = max(np.sum(1.0 - leverage[own]), 1e-9)
-            factor = float(np.sqrt(max(np.sum(r[own] ** 2) / freedom, 1e-30)))
-            sigma[name] *= factor
-            change = max(change, abs(factor - 1.0))
+            found = sigma[name] * float(np.sqrt(max(np.sum(r[own] ** 2) / freedom, 1e-30)))
+            if name in limits and found <= limits[name].below:
+                found = limits[name].sigma
+            change = max(change, abs(found / sigma[name] - 1.0))
+            sigma[name] = found
         rows = _rows(series, rest, sigma, times, robust)
         if change < 1e-9:
             break
@@ -190,11 +212,17 @@ def _restricted(rows: _Rows) -> float:
 
 
 def _moved(
-    series: list[_Series], rows: _Rows, sigma: dict[str, float], times: dict[str, float], rest: tuple, robust: bool
+    series: list[_Series],
+    rows: _Rows,
+    seen: dict[str, float],
+    sigma: dict[str, float],
+    times: dict[str, float],
+    rest: tuple,
+    robust: bool,
 ) -> list[tuple[np.ndarray, float]]:
     _, leverage, _ = _projected(rows)
     moved = []
-    for _, own in _owners(series, rows, sigma):
+    for _, own in _owners(series, rows, seen):
         jacobian = rows.jacobian[own]
         moved.append((-2.0 * jacobian.T @ jacobian, 0.5 / max(np.sum(1.0 - leverage[own]), 1.0)))
     for name, time in times.items():

@@ -19,6 +19,8 @@ log = logging.getLogger("calibration")
 FAILED_RESIDUAL = 1e4
 # Polished by the trust region: the best few, and so many others at most that ended elsewhere about as low.
 _BEST, _OTHERS, _ELSEWHERE, _AS_LOW = 3, 9, 1e-3, 25.0
+# Shortest step, and least gain as a share of the cost, of a model whose integration error makes the cost rough.
+_ROUGH_STEP, _ROUGH_GAIN = 1e-4, 1e-6
 
 
 @dataclass(frozen=True)
@@ -93,8 +95,8 @@ def finish(model: Model, start: np.ndarray, point: np.ndarray, log_depth: float)
         jac=lambda u: evaluate(u)[1],  # pyright: ignore[reportArgumentType]
         bounds=(0.0, 1.0),
         x_scale="jac",
-        xtol=1e-10,
-        ftol=1e-12,
+        xtol=_ROUGH_STEP if dear(model.scene) else 1e-8,
+        ftol=_ROUGH_GAIN if dear(model.scene) else 1e-9,
         gtol=1e-10,
         max_nfev=100,
         loss=model.loss,

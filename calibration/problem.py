@@ -24,7 +24,7 @@ NUISANCES = {
         "bandwidth", "Hz", "frequency at which a first-order sensor passes 1/sqrt(2)", 0.0, 1e12, True
     ),
 }
-_ACCURACY, _JOINT_ACCURACY = 1e-5, 1e-3
+_ACCURACY, _JOINT_ACCURACY = 1e-5, 5e-4
 LOSSES = ("linear", "soft_l1", "cauchy")
 COMPONENTS = ("normal", "axial", "tangential")
 
@@ -119,8 +119,9 @@ class Free:
 class Problem:
     """Scene, fixed parameter values, experiments and free parameters.
 
-    ``accuracy`` is the error of the simulated forces as a share of their peak; by default 1e-5, and 1e-3 of a joint's
-    motion, whose derivatives would take ten times as long. ``loss`` is SciPy's name for what a residual of z standard deviations costs (``model.loss_of``).
+    ``accuracy`` is the error of the simulated forces as a share of their peak; by default 1e-5, and 5e-4 of a joint's
+    motion, whose derivatives would take ten times as long. ``loss`` is SciPy's name for what a residual of z standard
+    deviations costs (``losses.loss_of``).
 
     Raises:
         InputError: on construction, for a free parameter the scene does not have, bounds the wrong way

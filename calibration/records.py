@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import least_squares
 
-from calibration import judge
+from calibration import integration, judge
 from calibration.model import Model, build, predictions, residuals_and_jacobian
 from calibration.noise import OUTLYING, Estimate
 from calibration.polish import FAILED_RESIDUAL, End
@@ -146,8 +146,23 @@ def _sigma(weights: np.ndarray) -> float:
     return float(np.sqrt(np.mean(weights[weights > 0] ** -2.0)))
 
 
-def series_of(model: Model, experiments: tuple[Experiment, ...], seen: list[Contact], noise: Estimate) -> list[Series]:
-    """Residuals by record and channel: their places, and whether the model's contact touches at each of them."""
+def series_of(
+    model: Model,
+    experiments: tuple[Experiment, ...],
+    seen: list[Contact],
+    noise: Estimate,
+    residuals: np.ndarray,
+    errors: np.ndarray,
+    accuracy: float,
+) -> list[Series]:
+    """Residuals by record and channel: their places, and whether the model's contact touches at each of them.
+
+    Args:
+        model, experiments, noise: as settled.
+        seen: ``runs.contacts`` of the model.
+        residuals, errors: (N,) white, and the integrator's part in them.
+        accuracy: error of the simulated forces as a share of their peak.
+    """
     weights, shape = np.asarray(model.data.weights), model.data.weights.shape
     values = np.asarray(model.data.values)
     series = []
@@ -162,15 +177,18 @@ def series_of(model: Model, experiments: tuple[Experiment, ...], seen: list[Cont
             durations = mine.durations
             memory = noise.correlation.get(channel.observes) if channel.correlation is None else channel.correlation
             peak = float(np.max(np.abs(values[i, j, own])))
+            rows = np.ravel_multi_index((np.full(own.size, i), np.full(own.size, j), own), shape)
+            share = 1.0 / float(weights[i, j, own].max() * peak) if peak > 0 else 0.0
             series.append(
                 Series(
-                    rows=np.ravel_multi_index((np.full(own.size, i), np.full(own.size, j), own), shape),
+                    rows=rows,
                     touching=touching,
-                    share=1.0 / float(weights[i, j, own].max() * peak) if peak > 0 else 0.0,
+                    share=share,
                     longest=float(durations.max()) if durations.size else np.inf,
                     memory=float(memory or 0.0),
                     declared=channel.correlation != 0.0,
                     estimated=channel.sigma is None,
+                    integrator=integration.own(residuals[rows], errors[rows], accuracy, 1.0 / share if share else 0.0),
                 )
             )
     return series

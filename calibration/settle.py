@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from calibration import noise
+from calibration.integration import Limit, limits
 from calibration.model import Model, residuals_and_jacobian
 from calibration.noise import Estimate
 from calibration.polish import End, finish
@@ -22,7 +23,7 @@ _BESIDE = 1e-3
 
 
 def settle(
-    model: Model, experiments: tuple[Experiment, ...], ends: tuple[End, ...], log_depth: float
+    model: Model, experiments: tuple[Experiment, ...], ends: tuple[End, ...], log_depth: float, accuracy: float
 ) -> tuple[Model, tuple[End, ...], Estimate]:
     """Estimate the noise at the best end and fit with it, in turn, until neither changes; then bring the others along.
 
@@ -31,6 +32,7 @@ def settle(
         experiments: that it is of.
         ends: best first.
         log_depth: ln of the reference penetration [m].
+        accuracy: error of the simulated forces as a share of their peak.
 
     Returns:
         The model with settled weights, the ends on it, best first, and the noise.
@@ -38,22 +40,23 @@ def settle(
     if noise.known(experiments):
         return model, ends, Estimate({}, {}, [])
     told = ends
-    settled, found, best = _settled(model, experiments, ends[0], log_depth)
+    known = limits(model, ends[0].point, log_depth, accuracy)
+    settled, found, best = _settled(model, experiments, ends[0], log_depth, known)
     for _ in range(2):
         factor = _factor(model, settled)
-        told = tuple(sorted(_all_moved(settled, ends, log_depth, factor), key=lambda e: (bool(e.failure), e.cost)))
+        told = _ordered(settled, list(_all_moved(settled, ends, log_depth, factor)), log_depth)
         if told[0].cost > best.cost - _LOWER:
             break
-        settled, found, best = _settled(model, experiments, told[0], log_depth)
+        settled, found, best = _settled(model, experiments, told[0], log_depth, known)
     return settled, told, found
 
 
 def _settled(
-    model: Model, experiments: tuple[Experiment, ...], end: End, log_depth: float
+    model: Model, experiments: tuple[Experiment, ...], end: End, log_depth: float, known: dict[str, Limit]
 ) -> tuple[Model, Estimate, End]:
     found = Estimate({}, {}, [])
     for _ in range(_ROUNDS):
-        new, found = noise.estimate(model, experiments, end.point, log_depth)
+        new, found = noise.estimate(model, experiments, end.point, log_depth, known)
         factor = _factor(model, new)
         change = _change(model, new)
         end = _moved(new, end, log_depth, factor)
@@ -61,6 +64,14 @@ def _settled(
         if factor is not None or change < _SETTLED:
             break
     return model, found, end
+
+
+def _ordered(model: Model, ends: list[End], log_depth: float) -> tuple[End, ...]:
+    """Best first, and the best polished: on another model it may be one that the search left as it was."""
+    best, *others = sorted(ends, key=lambda e: (bool(e.failure), e.cost))
+    if not best.residuals.size:
+        best = finish(model, best.start, np.clip(best.point, 1e-9, 1.0 - 1e-9), log_depth)
+    return best, *others
 
 
 def _all_moved(model: Model, ends: tuple[End, ...], log_depth: float, factor: float | None) -> Iterator[End]:

@@ -57,3 +57,11 @@ def test_batches_of_points_and_of_directions():
     ]
     ways = jnp.stack([points, jnp.ones_like(points), -points])
     assert np.allclose(outer[0](ways), outer[1](ways), rtol=1e-14)
+
+
+def test_directions_outside_a_batch_of_points_come_together():
+    points = jnp.stack([A, 2 * A])
+    CALLS.clear()
+    found = jax.jit(jax.jacfwd(jax.vmap(lambda a: value(F)(a, B))))(points)
+    assert CALLS[-1] == ((6, 3), None)
+    assert np.allclose(found, jax.jacfwd(jax.vmap(lambda a: value(plain)(a, B)))(points), rtol=1e-14)

@@ -46,7 +46,7 @@ def solved(*channels: Channel, loss: str = "linear"):
     built = model.build(problem, records)
     start = np.full(len(built.slots), 0.5)
     ends = (finish(built, start, start, 0.0),)
-    settled, ends, found = settle(built, records, ends, 0.0)
+    settled, ends, found = settle(built, records, ends, 0.0, problem.accuracy)
     spread = judge.spread(ends[0], sum(r.samples for r in records), found.moved, loss)
     return settled, ends[0], found, spread
 
