@@ -96,7 +96,7 @@ def impact_force(source: str) -> np.ndarray:
 def impact(source: str, noise: float, seed: int) -> Problem:
     """One impact of 101 samples."""
     scene = scenes.impact(smoothing=False)
-    params = {k: float(v) for k, v in scene.parameters(mass=MASS, approach_speed=SPEED, **IMPACT).items()}
+    params = {k: float(v) for k, v in scene.parameters({**IMPACT, "mass": MASS, "approach_speed": SPEED}).items()}
     channels = noisy(["contact.normal"], [impact_force(source)], noise, seed)
     return Problem(scene, params, (Experiment("impact", TIMES, channels),), IMPACT_FREE)
 
@@ -201,7 +201,7 @@ def summary(name: str, noise: float, rows: list[dict[str, Any]]) -> dict[str, An
         error = np.log(np.array(values) / true)
         ratio = float(np.mean(error**2)) / least[parameter] ** 2
         # Of n squared errors of the bound's own deviation.
-        limits = chi2.interval(0.95, len(rows)) / np.float64(len(rows))
+        limits = np.array(chi2.interval(0.95, len(rows))) / len(rows)
         told = binomtest(inside, len(printed)).proportion_ci() if printed else None
         parameters[parameter] = {
             "printed": len(printed), "inside": inside, "coverage": inside / len(printed) if printed else None,

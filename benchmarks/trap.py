@@ -3,12 +3,16 @@
 Records are made by our own integrator (tight) and by SciPy from the exact law: flights are parabolas in closed form,
 contacts are DOP853 to 1e-12 up to the event that ends them. The fit integrates at its own, looser accuracy.
 
-python benchmarks/trap.py [SEEDS] [--workers N] [--peer SEEDS]    writes results/trap.json, prints a table
+Seeds that were fitted before are taken from results/trap_seeds.csv, others are added to it: begin again without it.
+
+python benchmarks/trap.py [SEEDS] [--minutes M] [--workers N] [--contacts ...] [--source ...] [--peer SEEDS]
+    writes results/trap.json, prints a table
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import multiprocessing
 import os
 import time
@@ -19,11 +23,13 @@ os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import jax
 import numpy as np
-from _common import ROOT, markdown, save
+from _common import RESULTS, ROOT, load, markdown, save
 from scipy.integrate import solve_ivp
 
 from bcfj_jax import scenes, simulate
 from calibration import Channel, Experiment, Free, Problem, fit
+from calibration.model import build, residuals_and_jacobian
+from calibration.search import reference_depth
 
 # A 0.1 kg rubber-like ball dropped from 0.1 m: 43 N, 5.7 mm deep, 12 ms of contact, 5 % of its speed lost.
 TRUTH = {"stiffness": 1e5, "exponent": 1.5, "damping": 0.05}
@@ -35,6 +41,7 @@ CONTACTS, NOISES, SOURCES = (1, 2, 10, 30), (0.0, 0.01), ("own", "scipy")
 # read so closely for its exponent to be known to 2 % at all.
 STEPS, MARGIN, COARSE = {1: 1e-4, 2: 1e-4, 10: 5e-4, 30: 5e-4}, 4e-3, 4e-3
 STARTS, CLOSE = 12, 0.02
+SEEDS, BLOCK = RESULTS / "trap_seeds.csv", 10
 # Of the fit's integration. Errors add up from contact to contact: at 1e-5 the forces of the tenth are wrong by 4e-4 of
 # the peak, which moves chi2 by 0.6, at 1e-7 by 6e-6 and 0.007, for twice the steps.
 ACCURACY = 1e-7
@@ -106,20 +113,19 @@ def one(found: Any, seconds: float) -> dict[str, Any]:
     """What is kept of a fit: errors relative to the truth, intervals printed and how many exclude it."""
     error = {name: found.parameters[name].value / true - 1.0 for name, true in TRUTH.items()}
     intervals = [(found.parameters[name].ci95, true) for name, true in TRUTH.items()]
-    if found.reference:
-        true = TRUTH["stiffness"] * found.reference.penetration ** TRUTH["exponent"]
-        error["reference_force"] = found.reference.force / true - 1.0
-        intervals.append((found.reference.ci95, true))
+    true = TRUTH["stiffness"] * found.reference.penetration ** TRUTH["exponent"]
+    error["reference_force"] = found.reference.force / true - 1.0
+    intervals.append((found.reference.ci95, true))
     printed = [(ends, true) for ends, true in intervals if ends]
     excluding = sum(not ends[0] <= true <= ends[1] for ends, true in printed)
     return {
-        "verdict": found.verdict, "reasons": found.reasons, "error": error, "printed": len(printed),
-        "excluding": excluding, "seconds": seconds,
+        "verdict": found.verdict, "reasons": "; ".join(found.reasons), **{n: f"{e:.4g}" for n, e in error.items()},
+        "printed": len(printed), "excluding": excluding, "cpu_s": f"{seconds:.2f}",
     }  # fmt: skip
 
 
-def fits(task: tuple[str, int, float, range]) -> list[dict[str, Any]]:
-    """All seeds of one case's part, in this process."""
+def fits(task: tuple[str, int, float, tuple[int, ...]]) -> list[dict[str, Any]]:
+    """Some seeds of one case, in this process."""
     source, contacts, noise, seeds = task
     jax.config.update("jax_compilation_cache_dir", str(ROOT / "build" / "jax-cache"))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
@@ -128,8 +134,24 @@ def fits(task: tuple[str, int, float, range]) -> list[dict[str, Any]]:
     for seed in seeds:
         begin = time.process_time()
         found = fit(problem(times, force, noise, seed), seed=seed, starts=STARTS)
-        rows.append(one(found, time.process_time() - begin))
+        case = {"source": source, "contacts": contacts, "noise": noise, "seed": seed}
+        rows.append({**case, **one(found, time.process_time() - begin)})
     return rows
+
+
+def bound(contacts: int, noise: float) -> dict[str, float]:
+    """Cramer-Rao bound on the deviations relative to the truth, of the reference force where the fits have it."""
+    stated = problem(*record(contacts, "scipy"), noise, 0)
+    model = build(stated, stated.experiments)
+    values = np.array(list(TRUTH.values()))
+    depth = reference_depth(model, model.point(values, 0.0), 0.0)
+    point = model.point(values, depth)
+    jacobian = np.asarray(residuals_and_jacobian(model, point, depth)[1])
+    _, width = (np.asarray(a) for a in model.box(depth))
+    deviations = np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian))) * width
+    # Stiffness and damping are on a logarithmic scale, the exponent is not.
+    names = ("reference_force", "exponent", "damping")
+    return dict(zip(names, (deviations / [1.0, TRUTH["exponent"], 1.0]).tolist(), strict=True))
 
 
 def summary(source: str, contacts: int, noise: float, rows: list[dict[str, Any]]) -> dict[str, Any]:
@@ -137,67 +159,105 @@ def summary(source: str, contacts: int, noise: float, rows: list[dict[str, Any]]
 
     Recovered is the force law: reference force and exponent within 2 %. Shares of each parameter stand beside it.
     """
-    within = {
-        name: float(np.mean([abs(r["error"].get(name, np.inf)) <= CLOSE for r in rows]))
-        for name in ("stiffness", "exponent", "damping", "reference_force")
-    }
-    both = [max(abs(r["error"].get(name, np.inf)) for name in ("exponent", "reference_force")) <= CLOSE for r in rows]
-    verdicts = [r["verdict"] for r in rows]
-    reasons = [reason for r in rows for reason in r["reasons"]]
+    error = {n: np.array([float(r[n]) for r in rows]) for n in ("stiffness", "exponent", "damping", "reference_force")}
+    both = np.maximum(np.abs(error["exponent"]), np.abs(error["reference_force"])) <= CLOSE
+    verdicts, reasons = ([r[key] for r in rows] for key in ("verdict", "reasons"))
     return {
         "source": source, "contacts": contacts, "noise": noise, "seeds": len(rows), "recovered": float(np.mean(both)),
-        "within_2_percent": within, "verdicts": {v: verdicts.count(v) for v in sorted(set(verdicts))},
-        "reasons": {r: reasons.count(r) for r in sorted(set(reasons), key=reasons.count)[-5:]},
-        "printed": sum(r["printed"] for r in rows), "excluding": sum(r["excluding"] for r in rows),
-        "rms_error": {n: float(np.sqrt(np.mean([r["error"][n] ** 2 for r in rows]))) for n in rows[0]["error"]},
-        "median_cpu_s": float(np.median([r["seconds"] for r in rows])),
+        "within_2_percent": {n: float(np.mean(np.abs(e) <= CLOSE)) for n, e in error.items()},
+        "verdicts": {v: verdicts.count(v) for v in sorted(set(verdicts))},
+        "reasons": {r: reasons.count(r) for r in sorted(set(reasons) - {""}, key=reasons.count)[-5:]},
+        "printed": sum(int(r["printed"]) for r in rows), "excluding": sum(int(r["excluding"]) for r in rows),
+        "rms_error": {n: float(np.sqrt(np.mean(e**2))) for n, e in error.items()},
+        "cramer_rao": bound(contacts, noise) if noise else None,
+        "median_cpu_s": float(np.median([float(r["cpu_s"]) for r in rows])),
+        "all_cpu_s": float(np.sum([float(r["cpu_s"]) for r in rows])),
     }  # fmt: skip
+
+
+def known() -> list[dict[str, Any]]:
+    """Fits of earlier runs."""
+    if not SEEDS.exists():
+        return []
+    with SEEDS.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def keep(rows: list[dict[str, Any]]) -> None:
+    """Add fits to those of earlier runs."""
+    new = not SEEDS.exists()
+    with SEEDS.open("a", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        if new:
+            writer.writeheader()
+        writer.writerows(rows)
+
+
+def case_of(row: dict[str, Any]) -> tuple[str, int, float]:
+    """Source, contacts, noise."""
+    return row["source"], int(row["contacts"]), float(row["noise"])
 
 
 def table(cases: list[dict[str, Any]]) -> str:
     """The cases as Markdown."""
-    rows = [["record by", "contacts", "noise", "recovered within 2 %", "verdicts", "intervals that exclude the truth"]]
+    head = ["record by", "contacts", "noise", "seeds", "force law within 2 %", "bound on the exponent", "verdicts"]
+    rows = [[*head, "intervals that exclude the truth", "CPU s a fit"]]
     for c in cases:
         verdicts = ", ".join(f"{v} {n}" for v, n in c["verdicts"].items())
         share = f"{c['excluding']} of {c['printed']}"
-        rows.append([c["source"], str(c["contacts"]), f"{c['noise']:.0%}", f"{c['recovered']:.1%}", verdicts, share])
+        least = f"{c['cramer_rao']['exponent']:.2%}" if c["cramer_rao"] else "-"
+        known = [c["source"], str(c["contacts"]), f"{c['noise']:.0%}", str(c["seeds"]), f"{c['recovered']:.1%}", least]
+        rows.append([*known, verdicts, share, f"{c['median_cpu_s']:.1f}"])
     return markdown(rows)
 
 
 def main() -> None:
     """Run all cases, and the peer if asked for."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("seeds", type=int, nargs="?", default=200)
+    parser.add_argument("--minutes", type=float, default=np.inf, help="no block of seeds begins later")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--contacts", type=int, nargs="*", choices=CONTACTS, default=CONTACTS)
+    parser.add_argument("--noise", type=float, nargs="*", choices=NOISES, default=NOISES)
+    parser.add_argument("--source", nargs="*", choices=SOURCES, default=["scipy"])
     parser.add_argument("--peer", type=int, default=0, help="seeds for mujoco.sysid on equivalent records")
     given = parser.parse_args()
-    cases = [(source, contacts, noise) for source in SOURCES for contacts in given.contacts for noise in NOISES]
-    size = max(1, -(-given.seeds // (2 * given.workers)))
-    blocks = [range(k, min(k + size, given.seeds)) for k in range(0, given.seeds, size)]
-    tasks: list[tuple[str, int, float, range]] = [(*case, block) for case in cases for block in blocks]
-    done: dict[tuple, list] = {case: [] for case in cases}
-    begin, summaries = time.perf_counter(), []
+    cases = [(source, n, noise) for source in given.source for n in given.contacts for noise in given.noise]
+    done = {(case_of(row), int(row["seed"])) for row in known()}
+    tasks = []
+    for first in range(0, given.seeds, BLOCK):
+        for case in cases:
+            seeds = tuple(k for k in range(first, min(first + BLOCK, given.seeds)) if (case, k) not in done)
+            tasks += [(*case, seeds)] if seeds else []
+    end = time.time() + 60.0 * given.minutes
     with ProcessPoolExecutor(given.workers, mp_context=multiprocessing.get_context("spawn")) as pool:
-        for task, rows in zip(tasks, pool.map(fits, tasks), strict=True):
-            done[task[:3]] += rows
-            if len(done[task[:3]]) == given.seeds:
-                source, contacts, noise, _ = task
-                summaries.append(summary(source, contacts, noise, done[task[:3]]))
-                print(summaries[-1], flush=True)
+        waiting = [pool.submit(within, task, end) for task in tasks]
+        for task, job in zip(tasks, waiting, strict=True):
+            if rows := job.result():
+                keep(rows)
+                print(*task[:3], f"seeds {task[3][0]} to {task[3][-1]}", *(r["verdict"] for r in rows), flush=True)
+    rows = known()
+    summaries = [summary(*case, [r for r in rows if case_of(r) == case]) for case in sorted({*map(case_of, rows)})]
     printed, excluding = (sum(c[key] for c in summaries) for key in ("printed", "excluding"))
     result: dict[str, Any] = {
         "truth": TRUTH, "starts": STARTS, "stiffness_bounds": [FREE[0].lower, FREE[0].upper], "cases": summaries,
         "printed": printed, "excluding": excluding, "excluding_share": excluding / max(printed, 1),
-        "wall_s": time.perf_counter() - begin,
+        "cpu_s": sum(c["all_cpu_s"] for c in summaries),
     }  # fmt: skip
     if given.peer:
         from trap_mujoco import peer
 
         result["mujoco_sysid"] = peer(given.peer)
+    elif (RESULTS / "trap.json").exists():
+        result["mujoco_sysid"] = load("trap").get("mujoco_sysid")
     save("trap", result)
     print(table(summaries))
     print(f"\n{excluding} of {printed} printed intervals exclude the truth.")
+
+
+def within(task: tuple[str, int, float, tuple[int, ...]], end: float) -> list[dict[str, Any]]:
+    """``fits``, unless the time is up."""
+    return fits(task) if time.time() < end else []
 
 
 if __name__ == "__main__":

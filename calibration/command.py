@@ -60,13 +60,10 @@ def run(path: Path, out: Path | None, seed: int, starts: int, intervals: str = "
         try:
             outcome = solve(path, problem, base, seed=seed, starts=starts, journal=journal, intervals=intervals)
         except InputError:
-            (folder / "data.png").unlink(missing_ok=True)
-            journal.remove()
-            if not any(folder.iterdir()):
-                folder.rmdir()
+            _take_back(folder, journal)
             raise
         except AllStartsFailed as error:
-            journal.remove()
+            _take_back(folder, journal)
             print(f"error: {path}: {error}", file=sys.stderr)
             return FAILED
         except KeyboardInterrupt as stop:
@@ -95,13 +92,25 @@ def export_petab(path: Path, folder: Path) -> int:
     return DONE
 
 
+def _take_back(folder: Path, journal: Journal) -> None:
+    """Leave nothing of a fit that came to nothing: what is there would be in the way of the next."""
+    journal.remove()
+    for name in ("data.png", _SO_FAR):
+        (folder / name).unlink(missing_ok=True)
+    if not any(folder.iterdir()):
+        folder.rmdir()
+
+
 def _interrupted(folder: Path, path: Path, stop: KeyboardInterrupt) -> int:
     """Leave the best so far, which is no fit yet, and say how to go on."""
     print(f"interrupted; go on with: bcfj calibrate {path} --out {folder} (same options)", file=sys.stderr)
-    if isinstance(stop, Interrupted):
-        best = {"finished_starts": stop.finished, "stage": stop.stage, "chi2_of_stage": stop.cost, "best": stop.values}
+    if not isinstance(stop, Interrupted):
+        stop = Interrupted("all", None, float("nan"), "judgement")
+    best = {"finished_starts": stop.finished, "stage": stop.stage, "chi2_of_stage": stop.cost, "best": stop.values}
+    # Gone on with and cut off again at once, it knows less than before.
+    if stop.values is not None or not (folder / _SO_FAR).exists():
         outputs.write_json(folder / _SO_FAR, best)
-        print(f"{stop.finished} starts finished; the best so far is in {folder / _SO_FAR}", file=sys.stderr)
+    print(f"{stop.finished} starts finished; the best so far is in {folder / _SO_FAR}", file=sys.stderr)
     return INTERRUPTED
 
 
@@ -119,6 +128,10 @@ def text(result: Fit) -> str:
         "",
         f"residual: {format_si(result.residual['rms_force'], 'N')} rms over {result.residual['samples']} samples",
     ]
+    for name, seen in result.residual["features"].items():
+        lines.append(
+            f"{name}: {seen['fitted']:.4g} fitted, {seen['measured']:.4g} measured (sigma {seen['sigma']:.2g})"
+        )
     for name, errors in (result.held_out or {}).items():
         worst, rms = errors["max_error_of_peak"], errors["rms_error_of_peak"]
         lines.append(f"held out, {name}: at most {worst:.2%} of the peak, {rms:.2%} rms")

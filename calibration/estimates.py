@@ -9,10 +9,11 @@ import numpy as np
 
 from calibration import judge
 from calibration.check import separation
+from calibration.evaluate import evaluator
 from calibration.losses import straightened
-from calibration.model import Model, dear, residuals_and_jacobian
+from calibration.model import Model, residuals_and_jacobian
 from calibration.polish import End
-from calibration.problem import NUISANCES
+from calibration.problem import NUISANCES, dear
 
 
 @dataclass(frozen=True)
@@ -48,9 +49,12 @@ class Reference:
 
 
 def estimates(
-    model: Model, labels: tuple[str, ...], best: End, log_depth: float, spread: judge.Spread
+    model: Model, labels: tuple[str, ...], best: End, log_depth: float, spread: judge.Spread, rough: bool = False
 ) -> tuple[dict[str, Parameter], Reference | None, list[judge.Test]]:
-    """Values, intervals, identifiability and bounds of every coordinate, and the tests of the latter three."""
+    """Values, intervals, identifiability and bounds of every coordinate, and the tests of the latter three.
+
+    ``rough``: whether the integrator's error is what the cost is made of; a joint's always counts.
+    """
     depth = jnp.asarray(log_depth)
     values = [float(v) for v in model.values(jnp.asarray(best.point), depth)]
     lower, width = (np.asarray(a) for a in model.box(depth))
@@ -81,7 +85,7 @@ def estimates(
             judge.Test(f"{label} inside its bounds", 0, 0, not at_bound, f"{label} is at its {at_bound} bound")
         )
         if identifiable and not at_bound:
-            tests.append(judge.curvature_test(label, _curvature(model, best, depth, spread, slopes[i])))
+            tests.append(judge.curvature_test(label, _curvature(model, best, depth, spread, slopes[i], rough)))
     tests.append(judge.rank_test(spread))
     if not all(t.passed for t in tests if t.name.endswith("determined")):
         names = [labels[k] for k in np.argsort(-np.abs(spread.weakest))[:2]]
@@ -98,20 +102,22 @@ def _reference(spread: judge.Spread, log_depth: float, centre: float, slope: np.
     return Reference(float(np.exp(log_depth)), float(np.exp(centre)), interval if known else None)
 
 
-def _curvature(model: Model, best: End, depth, spread: judge.Spread, slope: np.ndarray) -> float:
+def _curvature(model: Model, best: End, depth, spread: judge.Spread, slope: np.ndarray, rough: bool) -> float:
     """Rise of the cost at both ends of an interval, the other parameters following, over the quadratic rise."""
     assert spread.covariance is not None
     quantile, along = spread.quantile_of(slope), spread.covariance @ slope
     step = quantile * along / np.sqrt(slope @ along)
-    rises = []
-    for sign in (-1.0, 1.0):
-        residuals, jacobian = residuals_and_jacobian(model, jnp.asarray(best.point + sign * step), depth)
-        if dear(model.scene):
-            # By the mean of the slopes at both ends: the integration's own error makes the cost rough, them hardly.
-            residuals, jacobian = straightened(model.loss, residuals, jacobian)
-            rises.append(sign * float(np.asarray(residuals) @ (np.asarray(jacobian) @ step)))
-        else:
-            rises.append(float(model.cost(np.asarray(residuals))) - best.cost)
+    ends = np.array([best.point - step, best.point + step])
+    if dear(model.scene):
+        residuals, jacobians = evaluator(model, float(depth))(ends)
+    else:
+        each = [straightened(model.loss, *residuals_and_jacobian(model, jnp.asarray(end), depth)) for end in ends]
+        residuals, jacobians = ([np.asarray(a) for a in part] for part in zip(*each, strict=True))
+    if rough or dear(model.scene):
+        # By the mean of the slopes at both ends: the integration's own error makes the cost rough, them hardly.
+        rises = [float(r @ (j @ s)) for r, j, s in zip(residuals, jacobians, (-step, step), strict=True)]
+    else:
+        rises = [float(np.sum(np.square(r))) - best.cost for r in residuals]
     expected = quantile**2 * spread.rise
     worst = max(rises, key=lambda r: abs(np.log(max(r, 1e-300) / expected)) if np.isfinite(r) else np.inf)
     return worst / expected

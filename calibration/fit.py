@@ -18,7 +18,7 @@ from calibration.model import Model, build, values_at
 from calibration.noise import Estimate
 from calibration.polish import End
 from calibration.problem import Experiment, Problem
-from calibration.records import Record, hold_out, records_of, rms, series_of
+from calibration.records import Record, features_of, hold_out, records_of, rms, series_of
 from calibration.runs import commonest_failure, contacts, failure
 from calibration.search import Screen, lanes, reference_depth, screen, search
 from calibration.settle import settle
@@ -187,7 +187,7 @@ def _judge(
         held_out, held_records, test = hold_out(problem, model, best, log_depth, spread, noise)
         quality.append(test)
     verdicts |= {"misfit" for t in quality if not t.passed}
-    parameters, reference, identification = estimates(model, labels, best, log_depth, spread)
+    parameters, reference, identification = estimates(model, labels, best, log_depth, spread, bool(noise.integrator))
     evidence = Evidence()
     if intervals != "covariance" or not verdicts:  # A misfit gets no interval, of whatever kind.
         parameters, reference, identification, evidence = revised(
@@ -222,6 +222,7 @@ def _judge(
             "rms_force": rms(records),
             "noise": _told(fitted),
             "loss": model.loss,
+            "features": features_of(model, fitted, best.residuals),
         },
         held_out=held_out,
         correlation=None if sigma is None else spread.covariance / np.outer(sigma, sigma),

@@ -20,7 +20,7 @@ _QUIET = 3
 # A step so many times as long as the usual one is a gap.
 _GAP = 10.0
 # Contacts are met where the residuals hold less than this share of the data's own energy: they overlap by most.
-_MET = 0.5
+_MET = 0.2
 
 
 def contacts(values: np.ndarray, sigma: float) -> list[tuple[int, int]]:
@@ -72,13 +72,16 @@ def stages(model: Model) -> list[np.ndarray]:
 
 
 def until(model: Model, ends: np.ndarray) -> Model:
-    """The same model with the data after ``ends`` (E,) [s] left out; times stop there, so integration does.
+    """The same model with the data after ``ends`` (E,) [s] left out; integration stops there.
 
-    Shapes stay, so no program is compiled again.
+    Shapes stay, so no program is compiled again. What is left out reads the beginning; of a filtered record, whose
+    times must grow, the end.
     """
     times, last = model.data.times, jnp.asarray(ends)[:, None]
-    weights = jnp.where((times <= last)[:, None, :], model.data.weights, 0.0)
-    return eqx.tree_at(lambda m: (m.data.times, m.data.weights), model, (jnp.minimum(times, last), weights))
+    inside = times <= last
+    weights = jnp.where(inside[:, None, :], model.data.weights, 0.0)
+    read = jnp.where(inside, times, last if model.parts else 0.0)
+    return eqx.tree_at(lambda m: (m.data.times, m.data.weights), model, (read, weights))
 
 
 def meets(model: Model, residuals: np.ndarray, ends: list[np.ndarray]) -> np.ndarray:
@@ -108,9 +111,9 @@ def impulses(model: Model, residuals: np.ndarray) -> np.ndarray:
     count = int(np.prod(shape))
     steps = np.diff(np.asarray(model.data.times), axis=1, append=np.nan)
     steps[:, -1] = steps[:, -2] if steps.shape[1] > 1 else 1.0
-    # A model that ends early repeats its last time. Across a gap in the record nothing is known.
+    # A model that ends early repeats a time. Across a gap in the record nothing is known.
     usual = np.array([np.median(row[row > 0.0]) if np.any(row > 0.0) else 1.0 for row in steps])[:, None]
-    scale = np.minimum(steps / usual, _GAP)
+    scale = np.clip(steps / usual, 0.0, _GAP)
     rest = residuals.shape[2:]
     histories = residuals[:, :count].reshape(len(residuals), *shape, *rest)
     scale = scale[None, :, None, :].reshape(1, shape[0], 1, shape[2], *[1] * len(rest))

@@ -12,12 +12,15 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from calibration.model import Model, dear, predictions, residuals_and_jacobian
+from calibration.model import Model, predictions, residuals_and_jacobian
+from calibration.problem import dear
 
-# A tolerance so many times as tight; of a joint's motion, whose steps are counted, an error that goes with the tolerance.
+# A tolerance so many times as tight. A joint's motion, whose steps are counted, has an error that goes with it.
 _TIGHTER, _DEAR_TIGHTER = 100.0, 4.0
 # Residuals up to so many times the measured error may be the integrator's.
 _MAY_BE = 3.0
+# ... and then count as so many times its length: elsewhere it may be three times as large.
+_COUNTS = 10.0
 # No record is known better than to this share of its peak; below it costs are all rounding.
 _FINEST = 1e-5
 
@@ -25,7 +28,8 @@ _FINEST = 1e-5
 class Limit(NamedTuple):
     """Of one channel: deviations [N] up to ``below`` are the integrator's and count as ``sigma`` [N].
 
-    With that, no estimate is moved by more than a third of its deviation: |J^+ e| <= |e| s for every e.
+    ``sigma`` is ten times the length of the error e over all samples. No combination of coordinates is then moved by
+    more than a tenth of its deviation, however e lies: |Q^T e| <= |e|.
     """
 
     below: float
@@ -44,7 +48,7 @@ def limits(model: Model, point: np.ndarray, log_depth: float, accuracy: float) -
         least = max(accuracy, _FINEST) * float(np.max(np.abs(read[:, j][seen]), initial=0.0))
         own = own if np.isfinite(own).all() else np.zeros(1)
         rms = float(np.sqrt(np.mean(own**2)))
-        found[name] = Limit(max(least, _MAY_BE * rms), max(least, _MAY_BE * float(np.linalg.norm(own))))
+        found[name] = Limit(max(least, _MAY_BE * rms), max(least, _COUNTS * float(np.linalg.norm(own))))
     return found
 
 

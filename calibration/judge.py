@@ -16,7 +16,7 @@ from calibration.polish import End
 
 LEVEL = 1e-3  # of a test of the residuals: a right model is called wrong once in a thousand
 AGREEING_STARTS = 3
-# Starts agree where their costs differ by less, in sigma squared; up to the second where the integrator tells no better.
+# Starts agree where their costs differ by less, in sigma squared; by the second where the integrator is no better.
 ALIKE = (0.1, 3.0)
 # The integrator may move an estimate by this share of its deviation: a 95 % interval then covers 92 %.
 MOST_BLUR = 0.5

@@ -20,24 +20,16 @@ from bcfj_jax import force_history
 from bcfj_jax.derivatives.jacobian import Histories, histories
 from bcfj_jax.derivatives.names import complete
 from bcfj_jax.integrate import Plan, plan
-from bcfj_jax.joint.scene import Joint
 from bcfj_jax.scene import AbstractScene
 from calibration.losses import loss_of, straightened
 from calibration.observables import Watch, fine, grid, low_pass, measured, tabulated, watches
-from calibration.problem import COMPONENTS, NUISANCES, Experiment, Problem
+from calibration.problem import COMPONENTS, NUISANCES, Experiment, Problem, dear
 
 # Steps over a record that its force is sampled in where a sensor's low-pass is to be applied.
 _FINE_STEPS = 2000
 # Attempted steps of a run until it has failed. A joint takes some thousand a revolution.
 _STEPS, _DEAR_STEPS = 20_000, 8_000
 _NO_LOW_PASS = 1e12  # [Hz]
-# Accuracy of a mass that bounces, on the way to an optimum: thirty contacts go wrong by less than a percent's noise.
-_LOOSE = 1e-4
-
-
-def dear(scene: AbstractScene) -> bool:
-    """Whether a run takes a good part of a second, and its program minutes to compile: the joint's."""
-    return isinstance(scene, Joint)
 
 
 class Slot(NamedTuple):
@@ -153,7 +145,9 @@ class Model(eqx.Module):
 
         def one(params: dict, own: dict, times: Array) -> Array:
             shifted = times - own["time_offset"]
-            sampled, places = fine(shifted, self.parts) if self.parts else (shifted, slice(None))
+            # Samples may stand in any order; of those that read the initial state, a batch is done at its first step.
+            order = jnp.argsort(shifted)
+            sampled, places = fine(shifted, self.parts) if self.parts else (shifted[order], jnp.argsort(order))
             forces = force_history(self.scene, params, sampled, accuracy=self.how, mode="forward")
             readings = jnp.stack([_component(forces, channel) for channel in self.channels], axis=1)
             passed = low_pass(sampled, readings, own["bandwidth"]) if self.parts else readings
@@ -204,13 +198,6 @@ def _component(forces: dict[str, Array], channel: str) -> Array:
         return forces[contact][:, COMPONENTS.index(component)]
     whole, _, member = contact.rpartition("_")
     return forces[whole][:, int(member) - 1, COMPONENTS.index(component)]
-
-
-def loosened(model: Model) -> Model:
-    """A model integrated as loosely as will do on the way to an optimum."""
-    level = "balanced" if dear(model.scene) else _LOOSE
-    loose = jnp.maximum(model.how.tolerance, plan(model.scene, level).tolerance)
-    return eqx.tree_at(lambda m: m.how.tolerance, model, loose)
 
 
 def values_at(model: Model, points: np.ndarray, log_depth: float) -> np.ndarray:

@@ -17,9 +17,12 @@ from bcfj_jax.joint.scene import Joint
 from bcfj_jax.scene import AbstractScene
 from calibration.problem import Experiment
 
+# A delay is sought over so many times its measured size, both signs together, and over so many samples at least.
+_NEAR, _FEWEST = 2.5, 32
+
 
 class Watch(NamedTuple):
-    """Features of one experiment: names, what each is about (for a period of rotation), the last time [s], samples."""
+    """Features of one experiment: names, about what a period or a delay is [s], the last time [s], samples."""
 
     names: tuple[str, ...]
     about: tuple[float, ...]
@@ -70,6 +73,10 @@ def measured(scene: AbstractScene, watch: Watch, found: Histories) -> Array:
             own = [place[m] for m in members(one.contacts[0], contacts)]
             cycles = [_period(scene, times, found, i, watch.about[k]) for i in own]
             values = values.at[k].set(jnp.mean(jnp.stack(cycles)))
+        if one.kind == "delay":
+            values = values.at[k].set(
+                _delay(times, found.force[:, :, 0], one.contacts, place, contacts, watch.about[k])
+            )
     return values
 
 
@@ -96,7 +103,7 @@ def watches(scene: AbstractScene, experiments: tuple[Experiment, ...]) -> tuple[
     for e in experiments:
         end = float(e.span if e.span is not None else e.times[-1] if e.times.size else 0.0)
         # Two digits tell which repetition is meant; more would compile anew for each value.
-        about = tuple(float(f"{f.value:.1e}") if f.feature.endswith(".period") else 0.0 for f in e.features)
+        about = tuple(float(f"{f.value:.1e}") if f.feature.endswith((".period", ".delay")) else 0.0 for f in e.features)
         found.append(Watch(tuple(f.feature for f in e.features), about, end, scene.samples))
     return tuple(found)
 
@@ -105,6 +112,17 @@ def _period(scene: AbstractScene, times: np.ndarray, found: Histories, channel: 
     if isinstance(scene, Joint):
         return _repeat(times, found.force[:, channel, 0], about)
     return _interval(times, found.penetration[:, channel], found.rate[:, channel])
+
+
+def _delay(times: np.ndarray, force: Array, pair: tuple[str, ...], place: dict, contacts: dict, about: float) -> Array:
+    """Mean delay of pairs of members, sought near the one that was measured: a period later they correlate as well."""
+    first, second = (members(c, contacts) for c in pair)
+    pairs = list(zip(first, second, strict=True)) if len(first) == len(second) else [(first[0], second[0])]
+    step, whole = float(times[1] - times[0]), float(times[-1] - times[0])
+    width = min(max(_NEAR * abs(about), _FEWEST * step), whole)
+    return jnp.mean(
+        jnp.stack([comparison.delay(times, force[:, place[a]], force[:, place[b]], width) for a, b in pairs])
+    )
 
 
 def _interval(times: np.ndarray, depth: Array, rate: Array) -> Array:

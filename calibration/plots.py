@@ -21,8 +21,13 @@ _CURVE_SAMPLES = 2001
 
 
 def records(fit: Fit, problem: Problem, path: Path) -> None:
-    """Every record: data over the fitted history, and below it the residuals in standard deviations."""
+    """Every record: data over the fitted history, and below it the residuals in standard deviations.
+
+    No picture where features alone were fitted.
+    """
     panels = [(record, channel) for record in fit.records for channel in record.data]
+    if not panels:
+        return
     columns = min(len(panels), 2)
     rows = -(-len(panels) // columns)
     with style():
@@ -40,6 +45,8 @@ def _run(fit: Fit, problem: Problem, record: Record) -> Run:
     """The model alone, densely sampled, with a record's own parameters; the clock is the model's."""
     params = {name: record.params[name] for name in problem.scene.quantities if name in record.params}
     span = record.times - record.params["time_offset"]
+    if not span.size:  # features alone, of a run that starts with the model's clock
+        span = next(np.array([0.0, e.span or 0.0]) for e in problem.experiments if e.name == record.name)
     times = np.linspace(min(0.0, span[0]), max(span[-1], span[0] + 1e-9), _CURVE_SAMPLES)
     return simulate(problem.scene, problem.scene.parameters(params), times, accuracy=1e-4)
 
@@ -60,10 +67,7 @@ def _panel(upper: Axes, lower: Axes, record: Record, channel: str, fit: Fit, pro
     upper.set_title(f"{record.name}: {channel}" + (" (held out)" if record.held_out else ""))
     upper.set_ylabel(label("force", "N", prefix))
     upper.legend(loc="upper right")
-    sigma = record.sigma[channel]
-    if fit.residual["noise"] == "estimated":
-        sigma *= np.sqrt(fit.residual["reduced_chi2"])
-    strip = (data - record.prediction[channel]) / sigma
+    strip = (data - record.prediction[channel]) / record.sigma[channel]
     lower.axhspan(-2, 2, color="#e8eef6", lw=0)
     lower.vlines(record.times * time_scale, 0.0, strip, color=COLOURS[5], lw=1)
     lower.plot(record.times * time_scale, strip, "o", ms=3, color=COLOURS[5])

@@ -11,7 +11,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from calibration.descent import Lanes
-from calibration.model import Model, dear, residuals_and_jacobian
+from calibration.model import Model, residuals_and_jacobian
+from calibration.problem import dear
 
 log = logging.getLogger("calibration")
 
@@ -19,8 +20,8 @@ log = logging.getLogger("calibration")
 FAILED_RESIDUAL = 1e4
 # Polished by the trust region: the best few, and so many others at most that ended elsewhere about as low.
 _BEST, _OTHERS, _ELSEWHERE, _AS_LOW = 3, 9, 1e-3, 25.0
-# Shortest step, and least gain as a share of the cost, of a model whose integration error makes the cost rough.
-_ROUGH_STEP, _ROUGH_GAIN = 1e-4, 1e-6
+# Of a model whose integration error makes the cost rough: shortest step, least gain as a share of the cost, elsewhere.
+_ROUGH_STEP, _ROUGH_GAIN, _ROUGH_ELSEWHERE = 1e-4, 1e-6, 1e-2
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,8 @@ def polished(model: Model, starts: np.ndarray, found: Lanes, log_depth: float) -
     for k in order:
         start, point, cost = starts[k], found.points[k], float(found.costs[k])
         low = min((end.cost for end in best), default=cost)
-        near = any(np.abs(end.point - point).max() < _ELSEWHERE for end in best)
+        apart = _ROUGH_ELSEWHERE if dear(model.scene) else _ELSEWHERE
+        near = any(np.abs(end.point - point).max() < apart for end in best)
         elsewhere = not near and cost < low + _AS_LOW * max(1.0, low / samples)
         if np.isfinite(cost) and (len(best) < _BEST or (elsewhere and len(best) < _BEST + _OTHERS)):
             ends.append(early.get(int(k)) or finish(model, start, point, log_depth))

@@ -188,10 +188,27 @@ def series_of(
                     memory=float(memory or 0.0),
                     declared=channel.correlation != 0.0,
                     estimated=channel.sigma is None,
-                    integrator=integration.own(residuals[rows], errors[rows], accuracy, 1.0 / share if share else 0.0),
+                    integrator=channel.observes in noise.integrator
+                    or integration.own(residuals[rows], errors[rows], accuracy, 1.0 / share if share else 0.0),
                 )
             )
     return series
+
+
+def features_of(
+    model: Model, experiments: tuple[Experiment, ...], residuals: np.ndarray
+) -> dict[str, dict[str, float]]:
+    """Every feature as measured and as fitted (SI), from the fit's residuals (N,)."""
+    own = residuals[model.data.values.size :].reshape(model.data.features.shape)
+    return {
+        f"{experiment.name} {seen.feature}": {
+            "measured": seen.value,
+            "fitted": seen.value + float(own[i, k]) * seen.sigma,
+            "sigma": seen.sigma,
+        }
+        for i, experiment in enumerate(experiments)
+        for k, seen in enumerate(experiment.features)
+    }
 
 
 def rms(records: list[Record]) -> float:

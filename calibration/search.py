@@ -16,12 +16,14 @@ from scipy.stats import qmc
 
 from bcfj_jax import simulate
 from calibration.evaluate import evaluator as evaluator
+from calibration.evaluate import loosened
 from calibration.horizon import stages, until
 from calibration.journal import Journal
-from calibration.model import Model, dear, loosened, values_at
+from calibration.model import Model, values_at
 from calibration.polish import End as End
 from calibration.polish import finish as finish
 from calibration.polish import polished
+from calibration.problem import dear
 from calibration.staged import Interrupted as Interrupted
 from calibration.staged import blocks, named, staged
 
@@ -64,7 +66,17 @@ def screen(model: Model, count: int, seed: int) -> Screen:
         model: residual function.
         count: number of starts to come.
         seed: of the scrambling.
+
+    Raises:
+        Interrupted: on Ctrl-C.
     """
+    try:
+        return _screened(model, count, seed)
+    except KeyboardInterrupt:
+        raise Interrupted(f"0 of {count}", None, float("nan"), "screening") from None
+
+
+def _screened(model: Model, count: int, seed: int) -> Screen:
     design = qmc.Sobol(len(model.slots), rng=seed).random_base2(3 + int(np.ceil(np.log2(count))))
     ends, depth, reach = stages(model), 0.0, np.zeros(design.shape[1])
     first, costs = evaluator(loosened(until(model, ends[0])), depth), []

@@ -13,10 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from calibration.descent import Lanes, adam, cost_of, levenberg
-from calibration.evaluate import evaluator
+from calibration.evaluate import evaluator, loosened
 from calibration.horizon import impulses, meets, stages, until
 from calibration.journal import Journal
-from calibration.model import Model, dear, loosened, values_at
+from calibration.model import Model, values_at
+from calibration.problem import dear
 
 log = logging.getLogger("calibration")
 
@@ -24,8 +25,10 @@ _ADAM, _ARRIVE, _DESCEND = 20, 12, 40
 # What the batched descent may leave to gain, in units of cost / residuals, on the way and at the end: the judge
 # distinguishes 0.1.
 _ROUGHLY, _TOLERANCE = 1.0, 1e-2
+# The same of a dear model, whose cost its integration makes rough; then it goes on anyway.
+_DEAR_DESCEND, _DEAR_ROUGHLY, _DEAR_TOLERANCE = 12, 10.0, 1.0
 # Given up after a leg: starts that cost so much more than the best, on that leg's data, but for so many.
-_HOPELESS, _KEPT = 4.0, 6
+_HOPELESS, _KEPT, _DEAR_KEPT = 4.0, 6, 4
 
 
 class Interrupted(KeyboardInterrupt):
@@ -73,7 +76,7 @@ def staged(model: Model, points: np.ndarray, log_depth: float, size: int, journa
     ends, count = stages(model), len(points)
     at, costs, converged = points.copy(), np.full(count, np.inf), np.zeros(count, dtype=bool)
     going, given_up, best = np.arange(count), np.zeros(0, dtype=int), (np.inf, None)
-    kept = size if dear(model.scene) else _KEPT
+    kept = _DEAR_KEPT if dear(model.scene) else _KEPT
     leg: _Leg | None = _Leg(0, len(ends) > 1, len(ends) == 1 and dear(model.scene))
     while leg is not None:
         part = model if leg.last else loosened(until(model, ends[leg.reached]))
@@ -169,6 +172,8 @@ def _descend(part: Model, points: np.ndarray, log_depth: float, leg: _Leg) -> La
             return impulses(part, residuals), impulses(part, jacobians)
 
         points = levenberg(arrivals, points, _ARRIVE, _ROUGHLY).points
+    if not cheap:
+        return levenberg(evaluate, points, _DEAR_DESCEND, _DEAR_TOLERANCE if leg.last else _DEAR_ROUGHLY)
     return levenberg(evaluate, points, _DESCEND, _TOLERANCE if leg.last else _ROUGHLY)
 
 

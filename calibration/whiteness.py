@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
+from scipy.integrate import quad
 from scipy.sparse import csr_array
 
 from calibration.judge import LEVEL, Test
@@ -17,6 +18,8 @@ from calibration.noise import OUTLYING
 
 # Undeclared correlation of the noise makes intervals too narrow before it can be seen for certain.
 CORRELATION_LEVEL = 1e-2
+# Rows up to which the distribution of a correlation is computed exactly.
+_FEW = 300
 # Share of samples that a robust loss may leave aside, and share of a contact that noise may remember.
 MOST_OUTLIERS, LONGEST_MEMORY = 0.1, 0.2
 
@@ -148,8 +151,10 @@ def correlation_of(
     """Correlation of pairs of residuals, sum r_a r_b / sum r^2, freed of what the fit does to it; and its p-value.
 
     A fit leaves residuals M e of white noise e, M = 1 - Q Q^T, whose successive samples correlate by themselves. The
-    chance that the ratio is above the c seen is that of e^T M (A - c B) M e > 0, with A the pairs and B the rows; this
-    form's distribution is matched by its first three moments (a chi-square, shifted and scaled).
+    chance that the ratio is above the c seen is that of e^T M G M e > 0, G = A - c B with A the pairs and B the rows:
+    Imhof's integral over the eigenvalues of M G M (Biometrika 48, 1961), which are those of S^1/2 G S^1/2 among the
+    rows, S = 1 - Q_r Q_r^T. Of many rows the form is matched by its first three moments (a chi-square, shifted and
+    scaled) instead.
 
     Args:
         residuals: (N,).
@@ -179,19 +184,38 @@ def correlation_of(
             float((square * g).sum() - 3.0 * np.trace(one.T @ two) + 3.0 * np.trace(x @ y) - np.trace(x @ x @ x)),
         )
 
-    m1, m2, m3 = moments(seen)
-    mean, deviation = m1, np.sqrt(2.0 * m2)
-    skew = 8.0 * m3 / deviation**3
-    away = -mean / deviation
-    if abs(skew) < 1e-3:
-        p = float(stats.norm.sf(away))
+    if rows.size <= _FEW:
+        form = (pairs - seen * among)[rows][:, rows].toarray()
+        values, vectors = np.linalg.eigh(np.eye(rows.size) - basis[rows] @ basis[rows].T)
+        root = vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
+        p = _positive(np.linalg.eigvalsh(root @ form @ root))
     else:
-        freedom = 8.0 / skew**2
-        shifted = freedom + np.sign(skew) * away * np.sqrt(2.0 * freedom)
-        p = float(stats.chi2.sf(shifted, freedom) if skew > 0 else stats.chi2.cdf(shifted, freedom))
+        p = _matched(*moments(seen))
     # The ratio that white noise would leave on average is where the form's mean is 0.
     expected = moments(0.0)[0] / max(rows.size - float(np.sum(basis[rows] ** 2)), 1.0)
     return seen - expected, p
+
+
+def _positive(weights: np.ndarray) -> float:
+    """Chance that sum of w z^2 over independent standard normals z is above 0."""
+    weights = weights / np.linalg.norm(weights)
+
+    def integrand(u: float) -> float:
+        angle, size = 0.5 * np.sum(np.arctan(weights * u)), 0.25 * np.sum(np.log1p((weights * u) ** 2))
+        return float(np.sin(angle) * np.exp(-size) / u)
+
+    return float(np.clip(0.5 + quad(integrand, 0.0, np.inf, epsabs=1e-8, limit=200)[0] / np.pi, 0.0, 1.0))
+
+
+def _matched(first: float, second: float, third: float) -> float:
+    """The same chance from the traces of the form's first three powers."""
+    deviation = np.sqrt(2.0 * second)
+    skew, away = 8.0 * third / deviation**3, -first / deviation
+    if abs(skew) < 1e-3:
+        return float(stats.norm.sf(away))
+    freedom = 8.0 / skew**2
+    shifted = freedom + np.sign(skew) * away * np.sqrt(2.0 * freedom)
+    return float(stats.chi2.sf(shifted, freedom) if skew > 0 else stats.chi2.cdf(shifted, freedom))
 
 
 def _memory_test(series: list[Series]) -> Test:

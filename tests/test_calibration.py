@@ -5,11 +5,13 @@ The records come from NumPy and DOP853 alone; the fit never sees what made them.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import trap
 from conftest import BUILD
 from oracles import family
 from scipy.integrate import solve_ivp
@@ -178,6 +180,21 @@ def test_wrong_model_or_noise_is_a_misfit(force, stated):
     assert all(p.ci95 is None for p in found.parameters.values())
 
 
+def test_a_robust_loss_finds_the_truth_among_outliers():
+    """Five of sixty samples are wrong by 40 deviations: a sum of squares is a misfit, soft_l1 does not mind them."""
+    rng = np.random.default_rng(3)
+    wrong = np.zeros(COUNT)
+    wrong[rng.choice(np.arange(5, 55), 5, replace=False)] = 40 * SIGMA
+    plain = problem(experiment(CLEAN + wrong))
+    assert fit(plain, starts=4).verdict == "misfit"
+    found = fit(replace(plain, loss="soft_l1"), starts=4)
+    assert found.verdict == "identified", found.reasons
+    for name, true in TRUTH.items():
+        low, high = found.parameters[name].ci95
+        # Four deviations, of which an interval is 2 * 1.96 wide.
+        assert abs(found.parameters[name].value - true) < 4 / 3.92 * (high - low) and high - low < 0.6 * true
+
+
 def test_truth_outside_the_bounds_is_never_identified():
     free = (*SHARED[:2], Free("damping", 0.3, 2.0))
     found = fit(problem(experiment(CLEAN), free=free), starts=6)
@@ -227,3 +244,15 @@ def test_all_starts_failed_exits_3(monkeypatch, tmp_path):
     assert done.exit_code == 3, done.stderr
     assert "none of 32 starting points simulates" in done.stderr
     assert not out.exists()
+
+
+@pytest.mark.parametrize("count", [1, 10])
+def test_clean_bounces_are_identified_and_their_noise_is_the_integrators(count):
+    """Contacts of the exact law by SciPy with events (``benchmarks/trap.py``); nothing is left but the integrator."""
+    times, force = trap.record(count, "scipy")
+    found = fit(trap.problem(times, force, 0.0, 0), starts=6)
+    assert found.verdict == "identified", found.reasons
+    for name, true in trap.TRUTH.items():
+        low, high = found.parameters[name].ci95
+        assert low < true < high and high - low < 0.01 * true
+    assert any("is the integrator's" in note for note in found.notes)

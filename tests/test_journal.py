@@ -15,7 +15,11 @@ import pytest
 from conftest import BUILD
 
 from bcfj_jax import InputError
+from calibration import command, search
 from calibration.journal import NAME, Journal, key_of
+from calibration.model import build
+from calibration.problemfile import load
+from calibration.search import Interrupted
 
 # A shell's background jobs, and what they start, ignore Ctrl-C; a user's do not.
 COMMAND = (
@@ -100,6 +104,33 @@ def cut_off(out: Path, how: signal.Signals, lines: int) -> int:
         time.sleep(0.01)
     job.send_signal(how)
     return job.wait()
+
+
+@pytest.mark.parametrize(
+    ("stop", "told"),
+    [(Interrupted("3 of 12", {"stiffness": 2.0}, 7.0, "1 of 2"), "3 of 12"), (KeyboardInterrupt(), "all")],
+)
+def test_ctrl_c_leaves_what_is_known_whenever_it_comes(tmp_path, monkeypatch, stop, told):
+    def stopped(*_, **__):
+        raise stop
+
+    monkeypatch.setattr(command, "solve", stopped)
+    assert command.run(EXAMPLE, tmp_path / "out", 0, 12) == 5
+    so_far = json.loads((tmp_path / "out" / "interrupted.json").read_text())
+    assert so_far["finished_starts"] == told
+    assert so_far["best"] == getattr(stop, "values", None)
+
+
+def test_ctrl_c_while_screening_says_so(monkeypatch):
+    def stopped(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(search, "stages", stopped)
+    problem = load(EXAMPLE)
+    model = build(problem, problem.experiments)
+    with pytest.raises(Interrupted) as caught:
+        search.screen(model, 12, 0)
+    assert (caught.value.finished, caught.value.stage, caught.value.values) == ("0 of 12", "screening", None)
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ from scipy.linalg import cholesky, toeplitz
 
 from bcfj_jax import InputError, scenes
 from calibration import Channel, Experiment, Free, Problem, judge, model, noise
+from calibration.integration import errors
 from calibration.losses import influence, loss_of, straightened
 from calibration.polish import End, finish
 from calibration.settle import settle
@@ -123,20 +124,24 @@ def test_whitening_is_that_of_the_correlation_matrix(force):
 @pytest.mark.slow
 def test_declared_correlation_keeps_its_coverage(force):
     """Memory 0.6 between samples, found with its deviation: 95 % intervals of the offset, where it matters most."""
-    rng, inside, naive = np.random.default_rng(4), 0, 0
+    rng, inside, naive, misfits = np.random.default_rng(4), 0, 0, 0
+    series = Series(np.arange(COUNT), np.ones(COUNT, dtype=bool), 0.01, declared=True, estimated=True)
     design = np.stack([force, np.ones(COUNT)], axis=1)
     plain = np.linalg.inv(design.T @ design)
     for _ in range(200):
         readings = force + 2.0 * autoregression(0.6, rng)
         _, end, _, spread = solved(Channel("contact.normal", readings, None, correlation=None))
         inside += abs(200.0 * end.point[1] - 100.0) < 200.0 * spread.half_width(np.array([0.0, 1.0]))
+        misfits += not all(t.passed for t in residual_tests([series], end.residuals, end.jacobian, False))
         beta = plain @ design.T @ readings
         sigma = np.sqrt(np.sum((readings - design @ beta) ** 2) / (COUNT - 2))
         naive += abs(beta[1]) < stats.t.ppf(0.975, COUNT - 2) * sigma * np.sqrt(plain[1, 1])
-    print("covered", inside, "as white", naive)
+    print("covered", inside, "as white", naive, "misfits", misfits)
     # Binomial(200, 0.95): below 181 has a chance of 0.005. Taken as white it is far below.
     assert inside >= 181
     assert naive < 165
+    # Order, correlation and outliers: 7e-3 by their levels; above 6 of 200 has a chance of 1e-3.
+    assert misfits <= 6
 
 
 def test_correlation_that_is_not_declared_is_told(force):
@@ -156,19 +161,20 @@ def test_correlation_that_is_not_declared_is_told(force):
             assert np.exp(-step / found.correlation["contact.normal"]) == pytest.approx(0.6, abs=0.25)
 
 
-@pytest.mark.parametrize("count", [30, 300])
-def test_correlation_has_its_level(count):
+@pytest.mark.parametrize(("count", "lags"), [(25, (2, 3, 4)), (350, (1,))], ids=["few", "many"])
+def test_correlation_has_its_level(count, lags):
     """p-values of white noise after a fit of five smooth columns are uniform where it matters."""
     rng, t = np.random.default_rng(6), np.linspace(0.0, 1.0, count)
     basis = np.linalg.qr(np.stack([np.sin(np.pi * k * t) for k in range(1, 6)], axis=1))[0]
-    first, second, rows = np.arange(count - 1), np.arange(1, count), np.arange(count)
+    first, second = (np.concatenate([np.arange(count - lag) + k * lag for lag in lags]) for k in (0, 1))
+    rows = np.arange(count)
     found = []
     for _ in range(1000):
         e = rng.standard_normal(count)
         found.append(correlation_of(e - basis @ (basis.T @ e), basis, first, second, rows))
     chances = np.array([p for _, p in found])
     # Three standard deviations of a binomial's share.
-    for level in (0.5, 0.05, 0.01):
+    for level in (0.5, 0.05, 0.005):
         assert abs(np.mean(chances < level) - level) < 3.5 * np.sqrt(level * (1 - level) / 1000)
     assert abs(np.mean([c for c, _ in found])) < 0.05
 
@@ -246,3 +252,33 @@ def test_spread_of_ends_needs_rank():
 def test_noise_is_known_where_all_is_stated(force):
     records = tuple(Experiment("a", TIMES, (Channel("contact.normal", force, 1.0, c),)) for c in (0.0, 0.1))
     assert noise.known(records[:1]) and not noise.known(records[1:])
+
+
+@pytest.mark.parametrize("accuracy", [1e-4, 1e-7])
+def test_noise_below_the_integrators_error_is_the_integrators(accuracy):
+    """A clean record of a linear contact, in closed form: what is left is no noise, and no interval rests on it."""
+    scene, omega = scenes.impact(smoothing=False), np.sqrt(1e5 / 0.1)
+    params = scene.parameters(mass=0.1, approach_speed=1.0, stiffness=1e5, exponent=1.0, damping=0.0)
+    times = np.linspace(0.0, 0.99 * np.pi / omega, COUNT)
+    one = Experiment("a", times, (Channel("contact.normal", 100.0 * np.sin(omega * times), None),))
+    free = (Free("stiffness", 1e4, 1e6), Free("mass", 0.01, 1.0))
+    problem = Problem(scene, {k: float(v) for k, v in params.items()}, (one,), free, accuracy)
+    built = model.build(problem, (one,))
+    at = np.full(2, 0.5)
+    settled, ends, found = settle(built, (one,), (finish(built, at + 0.01, at + 0.01, 0.0),), 0.0, accuracy)
+    assert found.integrator == ("contact.normal",) and not found.moved
+    floor = found.sigma["contact.normal"]
+    # The error itself, known here: what is left at the truth.
+    left = np.asarray(model.predictions(built, jnp.asarray(at), jnp.asarray(0.0)))[0, 0] - 100.0 * np.sin(omega * times)
+    assert floor >= max(3.0 * np.linalg.norm(left), 0.99e-5 * 100.0)
+    spread = judge.spread(ends[0], COUNT, found.moved, "linear")
+    for k, unit in enumerate(np.eye(2)):
+        assert abs(ends[0].point[k] - 0.5) < spread.half_width(unit)
+    error = errors(settled, ends[0].point, 0.0, ends[0].residuals)
+    assert np.linalg.norm(error) < 0.5 and judge.integration_test(error, ends[0].jacobian).passed
+    # Taken for noise, it would be seen not to be white.
+    series = Series(np.arange(COUNT), np.ones(COUNT, dtype=bool), 0.01, estimated=True)
+    scaled = ends[0].residuals / np.std(ends[0].residuals)
+    for own in (False, True):
+        tests = residual_tests([series._replace(integrator=own)], scaled, ends[0].jacobian, False)
+        assert all(t.passed for t in tests) == own

@@ -9,9 +9,11 @@ import pytest
 from scipy.signal import lsim
 
 from bcfj_jax import InputError, scenes
-from calibration import Channel, Experiment, Free, Problem, fit, model
+from calibration import Channel, Experiment, Free, Problem, command, fit, model, plots
 from calibration.observables import fine, low_pass
+from calibration.polish import finish
 from calibration.problem import Observation
+from calibration.records import features_of
 
 pytestmark = pytest.mark.filterwarnings("error")
 
@@ -110,20 +112,63 @@ FREE = (Free("stiffness", STIFFNESS / 5, 2 * STIFFNESS), Free("mass", MASS / 2, 
 
 
 @pytest.mark.slow
-def test_features_alone_can_be_fitted():
+def test_features_alone_can_be_fitted(tmp_path):
     """Peak v sqrt(K m) and impulse 2 m v tell stiffness and mass, with intervals that follow from them by hand."""
     wanted = (Observation("contact.peak", PEAK, 0.01 * PEAK), Observation("contact.impulse", 2 * MASS * SPEED, 2e-3))
     wanted += (Observation("contact.mean", 2 * MASS * SPEED / (1.5 * CONTACT), 1.0),)
     one = Experiment("a", np.zeros(0), (), features=wanted, span=1.5 * CONTACT)
-    found = fit(Problem(IMPACT, params(IMPACT, approach_speed=SPEED), (one,), FREE), starts=4)
+    problem = Problem(IMPACT, params(IMPACT, approach_speed=SPEED), (one,), FREE)
+    found = fit(problem, starts=4)
     assert found.verdict == "identified", found.reasons
     for name, true in (("stiffness", STIFFNESS), ("mass", MASS)):
         assert found.parameters[name].value == pytest.approx(true, rel=2e-3)
-    # ln m = ln J + const: 1 % of the impulse. The mean adds next to nothing at 1 N of 21.
+    # ln m = ln J + const: 1 % of the impulse beside 1 N of its mean; ln K = 2 ln peak - ln m + const.
+    mass = 1.0 / np.hypot(1.0 / 0.01, wanted[2].value / wanted[2].sigma)
     low, high = np.log(found.parameters["mass"].ci95)
-    assert (high - low) / 2 == pytest.approx(1.96 * 0.01, rel=0.05)
+    assert (high - low) / 2 == pytest.approx(1.96 * mass, rel=0.01)
     low, high = np.log(found.parameters["stiffness"].ci95)
-    assert (high - low) / 2 == pytest.approx(1.96 * np.hypot(0.02, 0.01), rel=0.05)
+    assert (high - low) / 2 == pytest.approx(1.96 * np.hypot(0.02, mass), rel=0.01)
+    # Of pictures there is the loop; there are no readings to draw.
+    plots.records(found, problem, tmp_path / "fit.png")
+    plots.force_penetration(found, problem, tmp_path / "loop.png")
+    assert [p.name for p in tmp_path.iterdir()] == ["loop.png"]
+    assert f"a contact.peak: {PEAK:.4g} fitted" in command.text(found)
+
+
+@pytest.mark.slow
+def test_period_and_delay_of_a_joint_are_those_of_its_rotation():
+    """Six equal balls in a turning plane: each repeats after 2 pi/w, and the next is a sixth of that ahead."""
+    scene, speed = scenes.joint(fidelity="kinematic"), 20.0
+    period = 2 * np.pi / speed
+    wanted = (Observation("seat_ball_1.period", period, 1e-3 * period),)
+    wanted += tuple(
+        Observation(f"seat_ball_1:seat_ball_{k}.delay", d * period, 1e-3 * period)
+        for k, d in ((2, -1 / 6), (3, -1 / 3))
+    )
+    one = Experiment("a", np.zeros(0), (), features=wanted, span=4.2 * period)
+    given = {k: float(v) for k, v in scene.parameters(drive_speed=speed, load_ramp=1e-6).items()}
+    built = model.build(Problem(scene, given, (one,), (Free("drive_speed", speed / 2, 2 * speed),)), (one,))
+    residuals, jacobian = model.residuals_and_jacobian(built, jnp.array([0.5]), jnp.asarray(0.0))
+    np.testing.assert_allclose(residuals, 0.0, atol=1.0)
+    # Every time goes with 1/w; the box is ln 4 wide.
+    np.testing.assert_allclose(jacobian[:, 0], -1000 * np.log(4) * np.array([1, -1 / 6, -1 / 3]), rtol=0.02)
+
+
+def test_features_beside_a_history_weigh_as_they_are_stated():
+    """Readings g F and a peak g P of one gain g: the least squares of both, by hand."""
+    times, rng = np.linspace(0.0, CONTACT, 30), np.random.default_rng(0)
+    readings, sigma = 1.1 * half_sine(times) + 2.0 * rng.standard_normal(30), 2.0
+    peak = Observation("contact.peak", 1.05 * PEAK, 0.5)
+    one = Experiment("a", times, (Channel("contact.normal", readings, sigma),), features=(peak,))
+    free = (Free("gain", 0.5, 1.5, scale="linear"),)
+    built = model.build(Problem(IMPACT, params(IMPACT, approach_speed=SPEED), (one,), free), (one,))
+    end = finish(built, np.array([0.5]), np.array([0.5]), 0.0)
+    told = np.sum(half_sine(times) ** 2) / sigma**2 + PEAK**2 / peak.sigma**2
+    best = (half_sine(times) @ readings / sigma**2 + PEAK * peak.value / peak.sigma**2) / told
+    assert 0.5 + end.point[0] == pytest.approx(best, abs=1e-5)
+    assert np.sum(end.jacobian**2) == pytest.approx(told, rel=1e-4)
+    seen = features_of(built, (one,), end.residuals)["a contact.peak"]
+    assert seen["fitted"] == pytest.approx(best * PEAK, rel=1e-4) and seen["measured"] == peak.value
 
 
 def test_features_that_cannot_be_are_refused():

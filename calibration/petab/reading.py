@@ -47,7 +47,7 @@ def load(path: str | Path, scene: str | Path | None = None) -> Problem:
         params=params | reader.fixed,
         experiments=tuple(experiments),
         free=reader.free(),
-        accuracy=float(extension.get("accuracy", 1e-5)),
+        accuracy=float(extension.get("accuracy", 0.0)),
         where=str(path),
         loss=extension.get("loss", "linear"),
     )
