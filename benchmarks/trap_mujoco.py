@@ -1,7 +1,7 @@
 """The trap test for MuJoCo's identification toolbox: a ball dropped on a plane, contact stiffness and damping unknown.
 
 Its record is position and velocity, from MuJoCo itself: force is not one of its observables, and its contact is linear.
-As many starts as ours over the same three decades; the toolbox has no search over starts, so the best cost is taken.
+Six starts over the same three decades; the toolbox has no search over starts, so the best cost is taken.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ TRUTH = np.array([3000.0, 5.0])  # solref as (-stiffness, -damping), per unit of
 LOWER, UPPER = np.array([100.0, 0.5]), np.array([1e5, 50.0])
 NOISE = (1e-4, 1e-2)  # [m], [m/s]
 STEP, RADIUS, DROP, LONGEST = 5e-4, 0.02, 0.1, 8.0
-CONTACTS, STARTS, ITERATIONS, CLOSE = (1, 2, 10, 30), 12, 200, 0.02
+CONTACTS, STARTS, ITERATIONS, CLOSE = (1, 2, 10, 30), 6, 200, 0.02
 
 _BALL = f"""
 <mujoco><option timestep="{STEP}" integrator="RK4"/><worldbody>

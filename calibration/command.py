@@ -27,8 +27,6 @@ FILES = (
     "fit.json", "fitted_scene.toml", "data.png", "fit.png", "force_penetration.png", "starts.png", "report.html",
     "run.toml", "models.json", "environment.json", *plots_uncertainty.FILES,
 )  # fmt: skip
-
-
 _SO_FAR = "interrupted.json"
 
 
@@ -75,7 +73,7 @@ def run(path: Path, out: Path | None, seed: int, starts: int, intervals: str = "
     print(text(result))
     for heading, rows in _comparisons(outcome):
         print(f"\n{heading}\n{report.text(rows)}")
-    print(f"\nresults and pictures (fit.png, force_penetration.png, starts.png, report.html): {folder}")
+    print(f"\nresults and pictures, all in report.html: {folder}")
     return DONE if result.verdict == "identified" else NOT_IDENTIFIED
 
 
@@ -273,6 +271,8 @@ def _resolved(path: Path, base: scenefile.SceneFile, problem: Problem, seed: int
         "problem": str(path),
         "seed": seed,
         "starts": starts,
+        "loss": problem.loss,
+        "accuracy": problem.accuracy,
         "scene": base.resolved,
         "experiment": [
             {

@@ -21,7 +21,7 @@ _DAMPING, _WORSE, _BETTER = 1e-2, 4.0, 0.2
 # No step moves a coordinate further than this share of its range: a contact found must not be jumped over.
 _LONGEST = 0.15
 _SHORTEST = 1e-9
-# A lane gets nowhere that so many times in a row gained less than this share of its cost.
+# A lane gets nowhere that so many times in a row (or as asked for) gained less than this share of its cost.
 _PATIENCE, _PROGRESS = 8, 1e-3
 # A combination of coordinates that moves the residuals less than this share of one alone counts as this.
 _LEAST_SIZE = 1e-12
@@ -57,18 +57,28 @@ def adam(evaluate: Evaluate, points: np.ndarray, steps: int) -> np.ndarray:
     return best
 
 
-def levenberg(evaluate: Evaluate, points: np.ndarray, iterations: int, tolerance: float) -> Lanes:
+def levenberg(
+    evaluate: Evaluate,
+    points: np.ndarray,
+    iterations: int,
+    tolerance: float,
+    *,
+    enough: float = 0.0,
+    patience: int = _PATIENCE,
+) -> Lanes:
     """Damped Gauss-Newton within the box, each lane with its own damping.
 
     A coordinate at a bound that the cost pushes it against is held there. A lane has converged when what
-    is left to gain is less than ``tolerance`` of the cost per residual, or its step too short to matter. Lanes that
-    have, and lanes that get nowhere, are not waited for.
+    is left to gain is less than ``tolerance`` of the cost per residual, or ``enough``, or its step too short to matter.
+    Lanes that have, and lanes that get nowhere, are not waited for.
 
     Args:
         evaluate: residuals and Jacobians; asked at most ``iterations + 1`` times.
         points: (B, P) where to begin.
         iterations: limit.
         tolerance: of the promised decrease, in units of cost / number of residuals.
+        enough: of the promised decrease itself.
+        patience: how many times in a row a lane may gain nothing to speak of.
     """
     at = np.clip(points, 0.0, 1.0)
     residuals, jacobians = evaluate(at)
@@ -78,9 +88,9 @@ def levenberg(evaluate: Evaluate, points: np.ndarray, iterations: int, tolerance
     converged, active, idle = np.zeros(len(at), dtype=bool), np.isfinite(costs), np.zeros(len(at), dtype=int)
     for _ in range(iterations):
         step, promise = _step(at, slope, bend, damping)
-        small = (promise <= least * costs) | (np.abs(step).max(axis=1) < _SHORTEST)
+        small = (promise <= np.maximum(least * costs, enough)) | (np.abs(step).max(axis=1) < _SHORTEST)
         converged |= active & small
-        active &= ~small & (idle < _PATIENCE)
+        active &= ~small & (idle < patience)
         if not active.any():
             break
         # Lanes that are done copy one that is not: they cost nothing more than it does.

@@ -2,6 +2,9 @@
 
 Read are the best end's white residuals, its Jacobian in unit-box coordinates, and the other ends; ``whiteness`` tests
 the residuals themselves. Nothing here simulates.
+
+Levels: size, outliers and held-out prediction 1e-3 each, order of signs 5e-4 and correlation 5e-3, each in contact and
+apart. So at most 1.4 % of fits of a right model with right noise are called ``misfit``.
 """
 
 from __future__ import annotations

@@ -8,6 +8,7 @@ scene = "impact.toml"            a scene file (relative to this one) or a built-
                                  record down to that rate; align = "onset" puts time 0 where the force first exceeds
                                  a tenth of its peak; window = [from, to] keeps those times (after aligning)
 loss = "linear"                  what a residual costs, as in ``Problem``
+accuracy = 1e-7                  error of the simulated forces as a share of their peak, likewise
 [free.NAME]                      lower, upper, start, scale; each = true gives every experiment its own
 [[model]], [[candidate]]         other models of the same data, experiments that might be made: ``alternatives``
 """
@@ -68,6 +69,7 @@ class _File(tables.Table):
     experiment: list[_Experiment] = pydantic.Field(min_length=1)
     free: dict[str, FreeTable]
     loss: str = "linear"
+    accuracy: float | None = pydantic.Field(None, ge=1e-9, le=0.5)
     model: list[dict[str, Any]] = []
     candidate: list[dict[str, Any]] = []
 
@@ -92,6 +94,7 @@ def load(path: str | Path) -> Problem:
         free=tuple(free_of(name, table, path, known) for name, table in file.free.items()),
         where=str(path),
         loss=file.loss,
+        accuracy=file.accuracy or 0.0,
     )
 
 

@@ -14,11 +14,13 @@ from jax import Array
 from bcfj_jax.derivatives.jacobian import Histories, channel_names, channels, histories
 from bcfj_jax.integrate import OK, reason
 from calibration.model import Model
+from calibration.problem import dear
 
 _SAMPLES = 2001
 _NOT_DIFFERENTIABLE = "the simulation ends well, but its derivative is not finite"
 # A contact bears this share of its greatest force, or it is apart: a smoothed onset bears a little across a gap.
-_BEARS = 1e-6
+# A joint's free ball is held in its play by the onset's last newtons.
+_BEARS, _BEARS_IN_PLAY = 1e-6, 1e-3
 
 
 class Contact(NamedTuple):
@@ -70,7 +72,8 @@ def contacts(model: Model, point: np.ndarray, log_depth: float) -> list[Contact]
     found, _ = _histories(model, at, depth, jnp.asarray(times))
     force = np.asarray(found.force)[..., 0]
     names = channel_names(channels(model.scene))
-    touching = force > _BEARS * np.nanmax(force, axis=(0, 1), initial=0.0, keepdims=True)
+    bears = _BEARS_IN_PLAY if dear(model.scene) else _BEARS
+    touching = force > bears * np.nanmax(force, axis=(0, 1), initial=0.0, keepdims=True)
     return [
         Contact(i, name, float(offsets[i]), times[i], touching[i, :, k])
         for i in range(len(times))

@@ -27,6 +27,9 @@ _ADAM, _ARRIVE, _DESCEND = 20, 12, 40
 _ROUGHLY, _TOLERANCE = 1.0, 1e-2
 # The same of a dear model, whose cost its integration makes rough; then it goes on anyway.
 _DEAR_DESCEND, _DEAR_ROUGHLY, _DEAR_TOLERANCE = 12, 10.0, 1.0
+# On the way this much of the cost is left for the last leg, which sees soon that no more is to be had: of a record
+# without noise, what remains is the integrator's.
+_LEFT, _AT_REST = 1e-3, 3
 # Given up after a leg: starts that cost so much more than the best, on that leg's data, but for so many.
 _HOPELESS, _KEPT, _DEAR_KEPT = 4.0, 6, 4
 
@@ -88,7 +91,7 @@ def staged(model: Model, points: np.ndarray, log_depth: float, size: int, journa
         for first in range(0, len(going), size):
             lane = going[first : first + size]
             try:
-                done = kept_or(journal, f"stage {stage} from {first}", at[lane], size, descend)
+                done = _once(journal, f"stage {stage} from {first}", at[lane], size, descend)
             except KeyboardInterrupt:
                 finished = f"{len(given_up) + (first if leg.last else 0)} of {count}"
                 values = None if best[1] is None else named(model, best[1], log_depth)
@@ -111,7 +114,7 @@ def staged(model: Model, points: np.ndarray, log_depth: float, size: int, journa
     for first in range(0, len(given_up), size):
         lane = given_up[first : first + size]
         name = f"given up from {first}"
-        costs[lane] = kept_or(journal, name, at[lane], size, lambda b: _evaluated(model, b, log_depth)).costs
+        costs[lane] = _once(journal, name, at[lane], size, lambda b: _evaluated(model, b, log_depth)).costs
         converged[lane] = False
     return Lanes(at, costs, converged)
 
@@ -146,7 +149,7 @@ def named(model: Model, point: np.ndarray, log_depth: float) -> dict[str, float]
     return dict(zip(names, values_at(model, point, log_depth).tolist(), strict=True))
 
 
-def kept_or(
+def _once(
     journal: Journal | None, name: str, points: np.ndarray, size: int, work: Callable[[np.ndarray], Lanes]
 ) -> Lanes:
     """A batch's outcome from the journal, or else worked out and put there."""
@@ -162,19 +165,21 @@ def kept_or(
 
 def _descend(part: Model, points: np.ndarray, log_depth: float, leg: _Leg) -> Lanes:
     """One batch on one leg: far off by Adam, then to the right arrivals, then to the least squares."""
-    evaluate, cheap = evaluator(part, log_depth), not dear(part.scene)
-    if leg.reached == 0 and not leg.last and cheap:
+    evaluate = evaluator(part, log_depth)
+    if dear(part.scene):
+        return levenberg(evaluate, points, _DEAR_DESCEND, _DEAR_TOLERANCE if leg.last else _DEAR_ROUGHLY)
+    if leg.last:
+        return levenberg(evaluate, points, _DESCEND, _TOLERANCE, patience=_AT_REST)
+    if leg.reached == 0:
         points = adam(evaluate, points, _ADAM)
-    if leg.missed and cheap:
+    if leg.missed:
 
         def arrivals(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             residuals, jacobians = evaluate(at)
             return impulses(part, residuals), impulses(part, jacobians)
 
         points = levenberg(arrivals, points, _ARRIVE, _ROUGHLY).points
-    if not cheap:
-        return levenberg(evaluate, points, _DEAR_DESCEND, _DEAR_TOLERANCE if leg.last else _DEAR_ROUGHLY)
-    return levenberg(evaluate, points, _DESCEND, _TOLERANCE if leg.last else _ROUGHLY)
+    return levenberg(evaluate, points, _DESCEND, _ROUGHLY, enough=_LEFT)
 
 
 def _evaluated(model: Model, points: np.ndarray, log_depth: float) -> Lanes:

@@ -244,6 +244,7 @@ BAD = {
     ),
     "window": (swap("noise", 'window = ["5 ms", "6 ms"]\nnoise'), ["[[experiment]] 1 window", "0 samples", "widen"]),
     "no free": (swap(FREE, ""), ["p.toml: free", "the key 'free' is missing"]),
+    "accuracy": (swap("scene", "accuracy = 2.0\nscene"), ["p.toml: accuracy", "2.0 is not accepted", "0.5"]),
     "only held out": (swap("noise", "hold_out = true\nnoise"), ["p.toml", "no experiment to fit", "without hold_out"]),
 }
 
@@ -272,6 +273,12 @@ def test_a_parameter_that_moves_nothing_is_refused(here):
         "fix it in the scene, or add data",
         outs=[("--out", "out")],
     )
+
+
+def test_accuracy_is_what_the_file_says(here):
+    assert load("p.toml").accuracy == 1e-7
+    swap("scene", "accuracy = 1e-4\nscene")()
+    assert load("p.toml").accuracy == 1e-4
 
 
 def loaded(table: str, entry: str = "") -> tuple:

@@ -62,6 +62,7 @@ def test_directions_that_trade_are_named_with_what_separates_them():
     np.testing.assert_allclose(direction / direction[0], [1.0, 1.0, -1.0], atol=1e-2)
 
 
+@pytest.mark.slow
 def test_what_moves_nothing_by_the_noise_is_refused():
     """Over a range of 0.1 % a stiffness moves a peak of 100 N by 0.05 N, all 25 readings together by a third of 1 N."""
     free = (Free("stiffness", 0.9995 * STIFFNESS, 1.0005 * STIFFNESS), LAW[1])

@@ -50,6 +50,7 @@ def problem(scene, experiments, free, **fixed) -> Problem:
     return Problem(scene, {k: float(v) for k, v in params.items()}, experiments, free)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("sigma", "correlation"), [(1.0, 0.0), (1.3, 2e-4), (None, 0.0), (None, 2e-4)])
 def test_likelihood_is_that_of_the_normal_distribution(sigma, correlation):
     data = tuple(record(v, 0.0, k, sigma=sigma, correlation=correlation) for k, v in enumerate((1.0, 1.5)))

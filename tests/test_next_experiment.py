@@ -79,6 +79,7 @@ def test_the_exponent_of_hertz_needs_two_speeds():
     assert gains[-1].shrink["exponent"] > 0.99 and gains[0].shrink["exponent"] < 0.1
 
 
+@pytest.mark.slow
 def test_better_noise_and_more_readings_count_as_information():
     two = problem(1.0, 4.0)
     once, twice = predicted(two, TRUTH, [candidate(2.0, share=0.01), candidate(2.0, share=0.001)])
@@ -92,6 +93,7 @@ def test_better_noise_and_more_readings_count_as_information():
         assert list(gain.shrink.values()) == pytest.approx(list(np.sqrt(ratios)), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_parameter_of_its_own_is_unknown_in_a_candidate_too():
     # With a gain of its own, free within a factor of 4, a peak tells only what the gain's bounds leave of it.
     gain = Free("gain", 0.5, 2.0)
