@@ -159,9 +159,9 @@ def bound(contacts: int, noise: float) -> dict[str, Any]:
     point = model.point(values, depth)
     jacobian = np.asarray(residuals_and_jacobian(model, jnp.asarray(point), jnp.asarray(depth))[1])
     width = np.asarray(model.box(jnp.asarray(depth))[1])
-    # From ln F_ref, n, ln a to relative errors: ln K = ln F_ref - n ln d_ref.
-    ln_force, exponent, ln_damping = np.diag(width)
-    slopes = np.array([ln_force - depth * exponent, exponent / TRUTH["exponent"], ln_damping, ln_force])
+    # All coordinates are logarithms; ln K = ln F_ref - n ln d_ref.
+    force, exponent, damping = np.diag(width)
+    slopes = np.array([force - depth * TRUTH["exponent"] * exponent, exponent, damping, force])
     covariance = slopes @ np.linalg.inv(jacobian.T @ jacobian) @ slopes.T
     draws = np.random.default_rng(0).multivariate_normal(np.zeros(4), covariance, 100_000, method="eigh")
     close = np.abs(draws) <= CLOSE

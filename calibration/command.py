@@ -20,6 +20,7 @@ from calibration.next_experiment import table as candidates_table
 from calibration.problem import Problem
 from calibration.problemfile import load, prepared, sources
 from calibration.search import Interrupted
+from calibration.stop import heeded
 from calibration.uncertainty import intervals as uncertainty
 
 DONE, FAILED, NOT_IDENTIFIED, INTERRUPTED = 0, 3, 4, 5
@@ -48,7 +49,7 @@ def run(path: Path, out: Path | None, seed: int, starts: int, intervals: str = "
         problem.loss, tables.read(path).get("model"),
     )  # fmt: skip
     begin = time.perf_counter()
-    with Journal(folder, key) as journal:
+    with heeded(), Journal(folder, key) as journal:
         if journal.resumed:
             print(f"going on in {folder}: {len(journal)} batches are finished", file=sys.stderr)
         understood = prepared(path)

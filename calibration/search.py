@@ -26,6 +26,7 @@ from calibration.polish import polished
 from calibration.problem import dear
 from calibration.staged import Interrupted as Interrupted
 from calibration.staged import blocks, named, staged
+from calibration.stop import check
 
 log = logging.getLogger("calibration")
 
@@ -81,6 +82,7 @@ def _screened(model: Model, count: int, seed: int) -> Screen:
     ends, depth, reach = stages(model), 0.0, np.zeros(design.shape[1])
     first, costs = evaluator(loosened(until(model, ends[0])), depth), []
     for block in blocks(design, lanes(count)):
+        check()
         residuals, jacobians = first(block)
         costs.append(np.sum(residuals**2, axis=1))
         reach = np.maximum(reach, _reach(jacobians))

@@ -18,6 +18,7 @@ from calibration.horizon import impulses, meets, stages, until
 from calibration.journal import Journal
 from calibration.model import Model, values_at
 from calibration.problem import dear
+from calibration.stop import check
 
 log = logging.getLogger("calibration")
 
@@ -155,6 +156,7 @@ def _once(
     """A batch's outcome from the journal, or else worked out and put there."""
     known = journal.get(name) if journal is not None else None
     if known is None:
+        check()
         made = work(blocks(points, size)[0])
         known = {name: values[: len(points)].tolist() for name, values in made._asdict().items()}
         if journal is not None:

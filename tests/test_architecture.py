@@ -32,7 +32,7 @@ FLOORS = {
         {"model"},
         {"integration"},
         {"noise", "runs", "check"},
-        {"descent", "horizon", "journal"},
+        {"descent", "horizon", "journal", "stop"},
         {"polish", "evaluate"},
         {"staged"},
         {"search", "settle"},

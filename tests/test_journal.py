@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -20,6 +21,7 @@ from calibration.journal import NAME, Journal, key_of
 from calibration.model import build
 from calibration.problemfile import load
 from calibration.search import Interrupted
+from calibration.stop import check, heeded
 
 # A shell's background jobs, and what they start, ignore Ctrl-C; a user's do not.
 COMMAND = (
@@ -131,6 +133,18 @@ def test_ctrl_c_while_screening_says_so(monkeypatch):
     with pytest.raises(Interrupted) as caught:
         search.screen(model, 12, 0)
     assert (caught.value.finished, caught.value.stage, caught.value.values) == ("0 of 12", "screening", None)
+
+
+def test_ctrl_c_that_was_swallowed_comes_back():
+    before = signal.getsignal(signal.SIGINT)
+    with heeded():
+        check()
+        with contextlib.suppress(KeyboardInterrupt):  # As a callback of the garbage collector does.
+            signal.raise_signal(signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):
+            check()
+    check()
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 @pytest.mark.slow

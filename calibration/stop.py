@@ -1,0 +1,46 @@
+"""Ctrl-C that does not get lost.
+
+Python raises it wherever it happens to be, and within a callback of its garbage collector, of which JAX has one, it is
+told and forgotten. Whoever works in batches asks here before the next.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+from collections.abc import Iterator
+from types import FrameType
+
+_asked = threading.Event()
+
+
+@contextlib.contextmanager
+def heeded() -> Iterator[None]:
+    """Within, Ctrl-C is remembered. Where it is ignored, as by a shell's background jobs, it stays ignored."""
+    before = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or before is signal.SIG_IGN:
+        yield
+        return
+
+    def remember(_: int, __: FrameType | None) -> None:
+        _asked.set()
+        raise KeyboardInterrupt
+
+    _asked.clear()
+    signal.signal(signal.SIGINT, remember)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+        _asked.clear()
+
+
+def check() -> None:
+    """Raise what was asked for and may have been forgotten.
+
+    Raises:
+        KeyboardInterrupt: if Ctrl-C came since ``heeded`` began.
+    """
+    if _asked.is_set():
+        raise KeyboardInterrupt
