@@ -158,7 +158,8 @@ def simulate(
     values = increasing(times)
     if isinstance(scene, Joint):
         check_joint(scene, params)
-    how = plan(scene, accuracy, max_steps)
+    # Values alone: one program, whether or not derivatives would need their own error controlled.
+    how = Plan(plan(scene, accuracy, max_steps).tolerance, max_steps)
     arguments = (scene, dict(params), jnp.asarray(values), how)
     key = (scene, len(values), max_steps, jax.tree.structure(params))
     begin = time.perf_counter()

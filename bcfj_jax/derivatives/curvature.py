@@ -70,7 +70,7 @@ def hessian_vector(
         return jax.jacfwd(lambda x: jax.jvp(scalar, (x,), (v,))[1])(theta)
 
     arguments = (dict(full), jnp.asarray(t), plan(scene, accuracy, max_steps), jnp.asarray(v))
-    key = ("hessian", scene, t.tobytes(), names, wanted, max_steps, jax.tree.structure(arguments[0]))
+    key = ("hessian", scene, t.tobytes(), names, wanted)
     return np.asarray(compiled(key, product, *arguments)[0](*arguments))
 
 

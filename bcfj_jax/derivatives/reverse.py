@@ -69,7 +69,7 @@ def gradient(
         return jax.jacrev(at, has_aux=True)({name: params[name] for name in wrt})
 
     arguments: tuple[dict[str, Array], Plan] = (dict(params), how)
-    key = ("gradient", scene, times.tobytes(), wrt, tuple(wanted), how.max_steps, jax.tree.structure(arguments[0]))
+    key = ("gradient", scene, times.tobytes(), wrt, tuple(wanted))
     program, compile_s = compiled(key, jacobian, *arguments)
     begin = time.perf_counter()
     slopes, (numbers, force, (code, end, accepted, rejected)) = jax.device_get(program(*arguments))
