@@ -40,6 +40,9 @@ def test_failures_say_why_and_when():
     assert 0 < long.failure_time < 1.0 and long.stats["accepted"] + long.stats["rejected"] == BUDGET
     assert np.all(np.isnan(long.force["seat_ball"][-1])) and np.all(np.isfinite(long.force["seat_ball"][0]))
     assert long.stats["compile_s"] < 0.1
+    # Nor does an accuracy from which on derivatives need another method: values do not.
+    tight = simulation.simulate(little()[0], params, SHORT, accuracy="reference", max_steps=BUDGET)
+    assert tight.stats["tolerance"] < good.stats["tolerance"] and tight.stats["compile_s"] < 0.1
     for name in ("stiffness", "ball_mass", "load_torque", "joint_angle"):
         bad = simulated({**params, name: jnp.asarray(jnp.nan)})
         assert bad.status == "failed" and bad.reason and bad.failure_time == 0.0 and bad.stats["accepted"] == 0
