@@ -55,8 +55,8 @@ _TOLERANCE_PER_ERROR = 0.002
 
 # Force error from which on tangents count in the step control. A ball that carries nothing swings below 1 N, and
 # tangents hang on its phase: loose steps damp the swing, and tight ones resolve it only where the tangents' own error
-# is asked for (benchmarks/joint_derivatives.py, at a tolerance of 1e-4: 9 % without, 0.6 % with).
-TANGENTS_FROM = 1e-4
+# is asked for (benchmarks/joint_derivatives.py, at a tolerance of 1e-4: 9 % without, 0.7 % with).
+_TANGENTS_FROM = 1e-4
 
 OK, STEPS, NOT_FINITE, SOLVER, UNBALANCED = range(5)
 _REASONS = {
@@ -108,8 +108,9 @@ def plan(scene: AbstractScene, accuracy: str | float = "balanced", max_steps: in
         accuracy = LEVELS[accuracy]
     if not 1e-9 <= accuracy <= 0.5:
         raise InputError("accuracy", f"force_error = {accuracy:g}", "give a fraction of the peak from 1e-9 to 0.5")
-    tolerance = joint_tolerance(accuracy) if isinstance(scene, Joint) else _TOLERANCE_PER_ERROR * accuracy
-    return Plan(jnp.asarray(tolerance, dtype=jnp.float64), max_steps, accuracy <= TANGENTS_FROM)
+    joint = isinstance(scene, Joint)
+    tolerance = joint_tolerance(accuracy) if joint else _TOLERANCE_PER_ERROR * accuracy
+    return Plan(jnp.asarray(tolerance, dtype=jnp.float64), max_steps, joint and accuracy <= _TANGENTS_FROM)
 
 
 def reason(code: int, max_steps: int) -> str:

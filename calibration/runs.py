@@ -14,13 +14,9 @@ from jax import Array
 from bcfj_jax.derivatives.jacobian import Histories, channel_names, channels, histories
 from bcfj_jax.integrate import OK, reason
 from calibration.model import Model
-from calibration.problem import dear
 
 _SAMPLES = 2001
 _NOT_DIFFERENTIABLE = "the simulation ends well, but its derivative is not finite"
-# A contact bears this share of its greatest force, or it is apart: a smoothed onset bears a little across a gap.
-# A joint's free ball is held in its play by the onset's last newtons.
-_BEARS, _BEARS_IN_PLAY = 1e-6, 1e-3
 
 
 class Contact(NamedTuple):
@@ -70,10 +66,9 @@ def contacts(model: Model, point: np.ndarray, log_depth: float) -> list[Contact]
     spans = np.maximum(_spans(model) - offsets[:, None], 0.0)
     times = np.linspace(spans[:, 0], np.maximum(spans[:, 1], spans[:, 0] + 1e-9), _SAMPLES, axis=1)
     found, _ = _histories(model, at, depth, jnp.asarray(times))
-    force = np.asarray(found.force)[..., 0]
     names = channel_names(channels(model.scene))
-    bears = _BEARS_IN_PLAY if dear(model.scene) else _BEARS
-    touching = force > bears * np.nanmax(force, axis=(0, 1), initial=0.0, keepdims=True)
+    # Not by the force: a smoothed onset bears a little across a gap.
+    touching = np.asarray(found.penetration) > 0
     return [
         Contact(i, name, float(offsets[i]), times[i], touching[i, :, k])
         for i in range(len(times))

@@ -62,7 +62,7 @@ def demo():
 
 @pytest.fixture(scope="module")
 def demo_fits(demo):
-    return [fit(demo, seed=seed) for seed in range(5)]
+    return [fit(demo, seed=seed) for seed in range(10)]
 
 
 def test_demo_is_identified_from_every_seed(demo_fits):
