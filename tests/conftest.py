@@ -18,6 +18,7 @@ os.environ.setdefault("BCFJ_TESTS_BEGAN", repr(time.time()))
 import jax
 import pytest
 from hypothesis import settings
+from problems import PROBLEM, SCENE, TABLE
 
 BUILD = Path(__file__).resolve().parent.parent / "build"
 
@@ -47,3 +48,13 @@ def pytest_runtest_setup(item):
     late = time.time() - float(os.environ["BCFJ_TESTS_BEGAN"]) > item.config.getoption("--slow-until")
     if late and item.get_closest_marker("slow"):
         pytest.skip("second tier: no time left")
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """Each test in its own folder, with a good problem in it."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("BCFJ_CACHE", str(BUILD / "jax-cache"))
+    for name, text in (("p.toml", PROBLEM), ("s.toml", SCENE), ("d.csv", TABLE)):
+        Path(name).write_text(text)
+    return tmp_path
