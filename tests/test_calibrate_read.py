@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from problems import FORCES, TABLE, swap
+from problems import FORCES, PROBLEM, TABLE, swap
 
 from calibration.problemfile import load
 
