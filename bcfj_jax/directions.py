@@ -53,6 +53,20 @@ def together(
     return differentiable
 
 
+def with_jacobian(function: Callable[[Array], Array], x: Array) -> tuple[Array, Array]:
+    """Value (N,) and forward-mode Jacobian (N, P) at x (P,), of one solve.
+
+    Not by ``jax.linearize``, which wants a tangent for every point and not all directions at once.
+    """
+
+    def twice(x: Array) -> tuple[Array, Array]:
+        value = function(x)
+        return value, value
+
+    jacobian, value = jax.jacfwd(twice, has_aux=True)(x)
+    return value, jacobian
+
+
 def _gathered(many: Callable[[list, list], tuple]) -> Callable[[list, list], tuple]:
     """One direction of ``many``, whose vmap over directions is ``many`` itself."""
 

@@ -62,6 +62,25 @@ def figure(rows: int, columns: int = 1, width: float = 7.5, height: float = 3.2)
     return drawing, list(np.ravel(drawing.subplots(rows, columns, squeeze=False)))
 
 
+@contextmanager
+def panels(count: int, columns: int, path: Path, width: float, height: float) -> Iterator[list[Axes]]:
+    """As many axes as are needed, in a grid of so many columns at most, written to a PNG after the block.
+
+    Args:
+        count: of panels, >= 1.
+        columns: most of them side by side.
+        path: of the PNG.
+        width, height: of one panel [in].
+    """
+    columns = min(count, columns)
+    with style():
+        drawing, axes = figure(-(-count // columns), columns, width=width * columns + 0.5, height=height)
+        for axis in axes[count:]:
+            axis.set_visible(False)
+        yield axes[:count]
+        save(drawing, path)
+
+
 def label(name: str, unit: str, prefix: str = "") -> str:
     """Text for an axis: ("time", "s", "u") -> "time [µs]"."""
     return f"{name} [{prefix.replace('u', 'µ')}{unit}]"
@@ -113,14 +132,9 @@ def forces(run: Run, path: Path) -> None:
 def loops(run: Run, path: Path) -> None:
     """Normal force against penetration, one panel a contact; the area enclosed is the energy it took."""
     groups = _members(run)
-    columns = min(len(groups), 2)
-    with style():
-        drawing, axes = figure(math.ceil(len(groups) / columns), columns, width=6.0 * columns, height=4.4)
-        for axis in axes[len(groups) :]:
-            axis.set_visible(False)
-        for axis, (name, members) in zip(axes, groups.items(), strict=False):
+    with panels(len(groups), 2, path, 6.0, 4.4) as axes:
+        for axis, (name, members) in zip(axes, groups.items(), strict=True):
             _loop(axis, members, f"{name}: force against penetration{_caption(run)}")
-        save(drawing, path)
 
 
 def _loop(axis: Axes, members: dict[str, tuple[np.ndarray, np.ndarray]], title: str) -> None:

@@ -66,6 +66,7 @@ CATALOGUE: dict[str, Quantity] = {
         _not_negative("bottoming_stiffness", "N/m", "stiffness added where the soft layer bottoms out"),
         _positive("bottoming_penetration", "m", "penetration at which the soft layer bottoms out"),
         _not_negative("bottoming_width", "m", "half-width of the rounding where the soft layer bottoms out"),
+        _not_negative("bottoming_damping", "s/m", "a of the stop alone, where it has one of its own"),
         _positive("effective_modulus", "Pa", "E*, 1/E* = (1 - nu1^2)/E1 + (1 - nu2^2)/E2"),
         _positive("contact_length", "m", "length of the cylindrical contact"),
         _positive("radius", "m", "radius of the sphere"),

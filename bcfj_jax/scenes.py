@@ -30,6 +30,7 @@ _STEEL_BALL = {
     "bottoming_stiffness": 1e9,
     "bottoming_penetration": 2e-5,
     "bottoming_width": 2e-6,
+    "bottoming_damping": 0.111,
     "effective_modulus": 113.0e9,
     "contact_length": 16e-3,
     "radius": 8e-3,

@@ -9,11 +9,12 @@ import numpy as np
 
 from calibration import judge
 from calibration.check import separation
+from calibration.effort import effort
 from calibration.evaluate import evaluator
 from calibration.losses import straightened
 from calibration.model import Model, residuals_and_jacobian
 from calibration.polish import End
-from calibration.problem import NUISANCES, dear
+from calibration.problem import NUISANCES
 
 
 @dataclass(frozen=True)
@@ -108,12 +109,12 @@ def _curvature(model: Model, best: End, depth, spread: judge.Spread, slope: np.n
     quantile, along = spread.quantile_of(slope), spread.covariance @ slope
     step = quantile * along / np.sqrt(slope @ along)
     ends = np.array([best.point - step, best.point + step])
-    if dear(model.scene):
+    if effort(model.scene).apart:
         residuals, jacobians = evaluator(model, float(depth))(ends)
     else:
         each = [straightened(model.loss, *residuals_and_jacobian(model, jnp.asarray(end), depth)) for end in ends]
         residuals, jacobians = ([np.asarray(a) for a in part] for part in zip(*each, strict=True))
-    if rough or dear(model.scene):
+    if rough or effort(model.scene).rough:
         # By the mean of the slopes at both ends: the integration's own error makes the cost rough, them hardly.
         rises = [float(r @ (j @ s)) for r, j, s in zip(residuals, jacobians, (-step, step), strict=True)]
     else:

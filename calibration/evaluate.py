@@ -11,18 +11,14 @@ import numpy as np
 
 from bcfj_jax.integrate import plan
 from calibration.descent import Evaluate
+from calibration.effort import effort
 from calibration.losses import straightened
 from calibration.model import Model, batch, residuals_and_jacobian
-from calibration.problem import dear
-
-# Accuracy of a mass that bounces, on the way to an optimum: thirty contacts go wrong by less than a percent's noise.
-_LOOSE = 1e-6
 
 
 def loosened(model: Model) -> Model:
     """A model integrated as loosely as will do on the way to an optimum."""
-    level = "balanced" if dear(model.scene) else _LOOSE
-    loose = jnp.maximum(model.how.tolerance, plan(model.scene, level).tolerance)
+    loose = jnp.maximum(model.how.tolerance, plan(model.scene, effort(model.scene).loose).tolerance)
     return eqx.tree_at(lambda m: m.how.tolerance, model, loose)
 
 
@@ -61,4 +57,4 @@ def evaluator(model: Model, log_depth: float) -> Evaluate:
         residuals, jacobians = (np.stack(part)[places.ravel()] for part in zip(*found, strict=True))
         return residuals, jacobians
 
-    return apart if dear(model.scene) else together
+    return apart if effort(model.scene).apart else together

@@ -189,12 +189,14 @@ def _judge(
     verdicts |= {"misfit" for t in quality if not t.passed}
     parameters, reference, identification = estimates(model, labels, best, log_depth, spread, bool(noise.integrator))
     evidence = Evidence()
-    if intervals != "covariance" or not verdicts:  # A misfit gets no interval, of whatever kind.
+    others = clearance_tests(model, seen) + whole_contact_test(model, seen, _turns(records))
+    # Where the verdict stands already no profile can mend it, and no interval is given.
+    if intervals != "covariance" or (not verdicts and all(t.passed for t in others)):
         parameters, reference, identification, evidence = revised(
             intervals, model, labels, best.point, log_depth, spread, parameters, reference, identification,
             estimated=list(noise.sigma), lanes=lanes(len(ends)), seed=seed,
         )  # fmt: skip
-    identification += clearance_tests(model, seen) + whole_contact_test(model, seen, _turns(records))
+    identification += others
     verdicts |= {"not_identified" for t in identification if not t.passed}
     tests += quality + identification
     verdict = judge.order(verdicts)

@@ -12,11 +12,9 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from calibration.effort import effort
 from calibration.model import Model, predictions, residuals_and_jacobian
-from calibration.problem import dear
 
-# A tolerance so many times as tight. A joint's motion, whose steps are counted, has an error that goes with it.
-_TIGHTER, _DEAR_TIGHTER = 100.0, 4.0
 # Residuals up to so many times the measured error may be the integrator's.
 _MAY_BE = 3.0
 # ... and then count as so many times its length: elsewhere it may be three times as large.
@@ -73,13 +71,9 @@ def own(residuals: np.ndarray, error: np.ndarray, accuracy: float, peak: float) 
 
 def tighter(model: Model) -> Model:
     """The model at a tighter tolerance, which is traced: nothing is compiled for it."""
-    return eqx.tree_at(lambda m: m.how.tolerance, model, model.how.tolerance / _ratio(model))
-
-
-def _ratio(model: Model) -> float:
-    return _DEAR_TIGHTER if dear(model.scene) else _TIGHTER
+    return eqx.tree_at(lambda m: m.how.tolerance, model, model.how.tolerance / effort(model.scene).tighter)
 
 
 def _scale(model: Model) -> float:
     """From the difference of the two runs to the error of the first, if that goes with the tolerance."""
-    return 1.0 / (1.0 - 1.0 / _ratio(model))
+    return 1.0 / (1.0 - 1.0 / effort(model.scene).tighter)

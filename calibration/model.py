@@ -19,16 +19,16 @@ from jax import Array
 from bcfj_jax import force_history
 from bcfj_jax.derivatives.jacobian import Histories, histories
 from bcfj_jax.derivatives.names import complete
+from bcfj_jax.directions import with_jacobian
 from bcfj_jax.integrate import Plan, plan
 from bcfj_jax.scene import AbstractScene
+from calibration.effort import effort
 from calibration.losses import loss_of, straightened
 from calibration.observables import Watch, fine, grid, low_pass, measured, tabulated, watches
-from calibration.problem import COMPONENTS, NUISANCES, Experiment, Problem, dear
+from calibration.problem import COMPONENTS, NUISANCES, Experiment, Problem
 
 # Steps over a record that its force is sampled in where a sensor's low-pass is to be applied.
 _FINE_STEPS = 2000
-# Attempted steps of a run until it has failed. A joint takes some thousand a revolution.
-_STEPS, _DEAR_STEPS = 20_000, 8_000
 _NO_LOW_PASS = 1e12  # [Hz]
 
 
@@ -233,12 +233,7 @@ def predictions(model: Model, point: Array, log_depth: Array) -> Array:
 
 
 def _both(model: Model, log_depth: Array, point: Array) -> tuple[Array, Array]:
-    def twice(point: Array) -> tuple[Array, Array]:
-        residual = model.residuals(point, log_depth)
-        return residual, residual
-
-    jacobian, residual = jax.jacfwd(twice, has_aux=True)(point)
-    return residual, jacobian
+    return with_jacobian(lambda u: model.residuals(u, log_depth), point)
 
 
 def build(problem: Problem, experiments: tuple[Experiment, ...], slots: tuple[Slot, ...] | None = None) -> Model:
@@ -282,7 +277,7 @@ def build(problem: Problem, experiments: tuple[Experiment, ...], slots: tuple[Sl
         slots=slots or make_slots(problem, len(experiments)),
         channels=channels,
         data=Data(*(jnp.asarray(a) for a in arrays), fixed=fixed, chain=chain),
-        how=plan(problem.scene, problem.accuracy, max_steps=_DEAR_STEPS if dear(problem.scene) else _STEPS),
+        how=plan(problem.scene, problem.accuracy, max_steps=effort(problem.scene).steps),
         watches=watches(problem.scene, experiments),
         parts=max(4, -(-_FINE_STEPS // longest)) if filtered else 0,
         loss=problem.loss,

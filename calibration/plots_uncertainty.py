@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bcfj_jax.plots import COLOURS, engineering, figure, label, save, style
+from bcfj_jax.plots import COLOURS, engineering, figure, label, panels, save, style
 from calibration.fit import Fit
 from calibration.uncertainty.posterior import Posterior
 from calibration.uncertainty.profile import Profile
@@ -55,15 +55,9 @@ def profiles(found: Sequence[Profile], units: Mapping[str, str], path: Path) -> 
         units: SI unit by the profile's name.
         path: of the PNG.
     """
-    columns = min(len(found), 3)
-    rows = -(-len(found) // columns)
-    with style():
-        drawing, axes = figure(rows, columns, width=4.2 * columns + 0.5, height=3.4)
-        for axis in axes[len(found) :]:
-            axis.set_visible(False)
-        for axis, profile in zip(axes, found, strict=False):
+    with panels(len(found), 3, path, 4.2, 3.4) as axes:
+        for axis, profile in zip(axes, found, strict=True):
             _profile(axis, profile, units[profile.name])
-        save(drawing, path)
 
 
 def _profile(axis: Axes, profile: Profile, unit: str) -> None:
@@ -174,12 +168,8 @@ def residual_acf(series: Mapping[str, np.ndarray], path: Path) -> None:
         series: white residuals (n,) in time order by name of record and channel.
         path: of the PNG.
     """
-    columns = min(len(series), 2)
-    with style():
-        drawing, axes = figure(-(-len(series) // columns), columns, width=6.0 * columns + 0.5, height=2.6)
-        for axis in axes[len(series) :]:
-            axis.set_visible(False)
-        for axis, (name, residuals) in zip(axes, series.items(), strict=False):
+    with panels(len(series), 2, path, 6.0, 2.6) as axes:
+        for axis, (name, residuals) in zip(axes, series.items(), strict=True):
             lags = min(40, residuals.size // 3)
             bound = 1.96 / np.sqrt(max(residuals.size, 1))
             axis.axhspan(-bound, bound, color="#e8eef6", lw=0)
@@ -193,7 +183,6 @@ def residual_acf(series: Mapping[str, np.ndarray], path: Path) -> None:
             axis.locator_params(axis="x", integer=True)
             axis.set_xlabel("lag [samples]")
             axis.set_ylabel("autocorrelation")
-        save(drawing, path)
 
 
 def autocorrelation(residuals: np.ndarray, lags: int) -> np.ndarray:

@@ -11,17 +11,15 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from calibration.descent import Lanes
+from calibration.effort import effort
 from calibration.model import Model, residuals_and_jacobian
-from calibration.problem import dear
 
 log = logging.getLogger("calibration")
 
 # A residual of a failed simulation: far above any real one, finite so that the trust region backs off.
 FAILED_RESIDUAL = 1e4
 # Polished by the trust region: the best few, and so many others at most that ended elsewhere about as low.
-_BEST, _OTHERS, _ELSEWHERE, _AS_LOW = 3, 9, 1e-3, 25.0
-# Of a model whose integration error makes the cost rough: shortest step, least gain as a share of the cost, elsewhere.
-_ROUGH_STEP, _ROUGH_GAIN, _ROUGH_ELSEWHERE = 1e-4, 1e-6, 1e-2
+_BEST, _OTHERS, _AS_LOW = 3, 9, 25.0
 
 
 @dataclass(frozen=True)
@@ -52,7 +50,7 @@ def polished(model: Model, starts: np.ndarray, found: Lanes, log_depth: float) -
     best: list[End] = []
     order = np.argsort(found.costs, kind="stable")
     early: dict[int, End] = {}
-    if dear(model.scene):  # Side by side: each is a run after the other.
+    if effort(model.scene).apart:  # Side by side: each is a run after the other.
         first = [int(k) for k in order[:_BEST] if np.isfinite(found.costs[k])]
         with ThreadPoolExecutor(len(first) or 1) as pool:
             done = pool.map(lambda k: finish(model, starts[k], found.points[k], log_depth), first)
@@ -60,8 +58,7 @@ def polished(model: Model, starts: np.ndarray, found: Lanes, log_depth: float) -
     for k in order:
         start, point, cost = starts[k], found.points[k], float(found.costs[k])
         low = min((end.cost for end in best), default=cost)
-        apart = _ROUGH_ELSEWHERE if dear(model.scene) else _ELSEWHERE
-        near = any(np.abs(end.point - point).max() < apart for end in best)
+        near = any(np.abs(end.point - point).max() < effort(model.scene).elsewhere for end in best)
         elsewhere = not near and cost < low + _AS_LOW * max(1.0, low / samples)
         if np.isfinite(cost) and (len(best) < _BEST or (elsewhere and len(best) < _BEST + _OTHERS)):
             ends.append(early.get(int(k)) or finish(model, start, point, log_depth))
@@ -97,8 +94,8 @@ def finish(model: Model, start: np.ndarray, point: np.ndarray, log_depth: float)
         jac=lambda u: evaluate(u)[1],  # pyright: ignore[reportArgumentType]
         bounds=(0.0, 1.0),
         x_scale="jac",
-        xtol=_ROUGH_STEP if dear(model.scene) else 1e-8,
-        ftol=_ROUGH_GAIN if dear(model.scene) else 1e-9,
+        xtol=effort(model.scene).step,
+        ftol=effort(model.scene).gain,
         gtol=1e-10,
         max_nfev=100,
         loss=model.loss,

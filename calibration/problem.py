@@ -10,9 +10,9 @@ import numpy as np
 from bcfj_jax import InputError, check_value, nearest
 from bcfj_jax.derivatives.jacobian import channel_names, channels
 from bcfj_jax.derivatives.names import feature
-from bcfj_jax.joint.scene import Joint
 from bcfj_jax.quantities import Quantity
 from bcfj_jax.scene import AbstractScene
+from calibration.effort import effort
 
 # Nuisance parameters of the measuring chain: reading(t) = gain L[F](t - time_offset) + force_offset, with L a sensor of
 # first order, y' = 2 pi bandwidth (F - y).
@@ -24,15 +24,8 @@ NUISANCES = {
         "bandwidth", "Hz", "frequency at which a first-order sensor passes 1/sqrt(2)", 0.0, 1e12, True
     ),
 }
-# The forces of a tenth bounce are wrong by sixty times as much, 6e-6 of the peak; at 1e-5 by 4e-4.
-_ACCURACY, _JOINT_ACCURACY = 1e-7, 5e-4
 LOSSES = ("linear", "soft_l1", "cauchy")
 COMPONENTS = ("normal", "axial", "tangential")
-
-
-def dear(scene: AbstractScene) -> bool:
-    """Whether a run takes a good part of a second, and its program minutes to compile: the joint's."""
-    return isinstance(scene, Joint)
 
 
 @dataclass(frozen=True)
@@ -145,8 +138,7 @@ class Problem:
 
     def __post_init__(self) -> None:
         if not self.accuracy:
-            moving = isinstance(self.scene, Joint) and self.scene.fidelity == "dynamic"
-            object.__setattr__(self, "accuracy", _JOINT_ACCURACY if moving else _ACCURACY)
+            object.__setattr__(self, "accuracy", effort(self.scene).accuracy)
         if not self.free:
             raise InputError(
                 self.where, "no free parameter", "add a table such as [free.stiffness] with lower and upper"

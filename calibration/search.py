@@ -15,6 +15,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from bcfj_jax import simulate
+from calibration.effort import effort
 from calibration.evaluate import evaluator as evaluator
 from calibration.evaluate import loosened
 from calibration.horizon import stages, until
@@ -23,7 +24,6 @@ from calibration.model import Model, values_at
 from calibration.polish import End as End
 from calibration.polish import finish as finish
 from calibration.polish import polished
-from calibration.problem import dear
 from calibration.staged import Interrupted as Interrupted
 from calibration.staged import blocks, named, staged
 from calibration.stop import check
@@ -32,8 +32,6 @@ log = logging.getLogger("calibration")
 
 # Lanes of a batch. On a CPU a bounce costs in proportion to them, the joint hardly more; all wait for the slowest.
 LANES = 12
-# Points of the design that are asked what all data tell of a coordinate: of a dear model's, and of another's.
-_FEW, _SOME = 4, 64
 
 
 @dataclass(frozen=True)
@@ -88,7 +86,7 @@ def _screened(model: Model, count: int, seed: int) -> Screen:
         reach = np.maximum(reach, _reach(jacobians))
     costs = np.concatenate(costs)[: len(design)]
     if len(ends) > 1 and np.any(reach < 1.0):  # What the first contact does not show, all data may.
-        few = np.argsort(costs)[:_FEW] if dear(model.scene) else np.arange(min(_SOME, len(design)))
+        few = np.argsort(costs)[: effort(model.scene).asked]
         for block in blocks(design[few], lanes(count)):
             reach = np.maximum(reach, _reach(evaluator(loosened(model), depth)(block)[1]))
     log.info("%d of %d Sobol points simulate", np.isfinite(costs).sum(), len(design))

@@ -13,26 +13,21 @@ from typing import NamedTuple
 import numpy as np
 
 from calibration.descent import Lanes, adam, cost_of, levenberg
+from calibration.effort import effort
 from calibration.evaluate import evaluator, loosened
 from calibration.horizon import impulses, meets, stages, until
 from calibration.journal import Journal
 from calibration.model import Model, values_at
-from calibration.problem import dear
 from calibration.stop import check
 
 log = logging.getLogger("calibration")
 
-_ADAM, _ARRIVE, _DESCEND = 20, 12, 40
-# What the batched descent may leave to gain, in units of cost / residuals, on the way and at the end: the judge
-# distinguishes 0.1.
-_ROUGHLY, _TOLERANCE = 1.0, 1e-2
-# The same of a dear model, whose cost its integration makes rough; then it goes on anyway.
-_DEAR_DESCEND, _DEAR_ROUGHLY, _DEAR_TOLERANCE = 12, 10.0, 1.0
+_ADAM, _ARRIVE = 20, 12
 # On the way this much of the cost is left for the last leg, which sees soon that no more is to be had: of a record
 # without noise, what remains is the integrator's.
 _LEFT, _AT_REST = 1e-3, 3
-# Given up after a leg: starts that cost so much more than the best, on that leg's data, but for so many.
-_HOPELESS, _KEPT, _DEAR_KEPT = 4.0, 6, 4
+# Given up after a leg: starts that cost so much more than the best, on that leg's data, but for some.
+_HOPELESS = 4.0
 
 
 class Interrupted(KeyboardInterrupt):
@@ -80,8 +75,7 @@ def staged(model: Model, points: np.ndarray, log_depth: float, size: int, journa
     ends, count = stages(model), len(points)
     at, costs, converged = points.copy(), np.full(count, np.inf), np.zeros(count, dtype=bool)
     going, given_up, best = np.arange(count), np.zeros(0, dtype=int), (np.inf, None)
-    kept = _DEAR_KEPT if dear(model.scene) else _KEPT
-    leg: _Leg | None = _Leg(0, len(ends) > 1, len(ends) == 1 and dear(model.scene))
+    leg: _Leg | None = _Leg(0, len(ends) > 1, len(ends) == 1 and effort(model.scene).rough)
     while leg is not None:
         part = model if leg.last else loosened(until(model, ends[leg.reached]))
 
@@ -107,7 +101,7 @@ def staged(model: Model, points: np.ndarray, log_depth: float, size: int, journa
             log.info("stage %s: %d of %d starts done%s, best chi2 %.6g", stage, *told)
         if not leg.last:
             going = going[np.argsort(costs[going], kind="stable")]
-            hopeless = np.arange(len(going)) >= kept
+            hopeless = np.arange(len(going)) >= effort(model.scene).kept
             hopeless &= ~(costs[going] <= _HOPELESS * max(least, float(np.count_nonzero(part.data.weights))))
             given_up = np.concatenate([given_up, going[hopeless]])
             going = going[~hopeless]
@@ -125,7 +119,7 @@ def _next(model: Model, leg: _Leg, ends: list[np.ndarray], points: np.ndarray, l
     whole = len(ends) - 1
     if leg.last:
         return None
-    if dear(model.scene):  # A joint's contacts come when its drive brings them, never far off.
+    if effort(model.scene).rough:  # A joint's contacts come when its drive brings them, never far off.
         return _Leg(leg.reached + 1, False, leg.reached + 1 == whole)
     if leg.reached == whole:
         return _Leg(whole, False, True)
@@ -167,11 +161,11 @@ def _once(
 
 def _descend(part: Model, points: np.ndarray, log_depth: float, leg: _Leg) -> Lanes:
     """One batch on one leg: far off by Adam, then to the right arrivals, then to the least squares."""
-    evaluate = evaluator(part, log_depth)
-    if dear(part.scene):
-        return levenberg(evaluate, points, _DEAR_DESCEND, _DEAR_TOLERANCE if leg.last else _DEAR_ROUGHLY)
+    evaluate, means = evaluator(part, log_depth), effort(part.scene)
+    if means.rough:
+        return levenberg(evaluate, points, means.descend, means.tolerance if leg.last else means.roughly)
     if leg.last:
-        return levenberg(evaluate, points, _DESCEND, _TOLERANCE, patience=_AT_REST)
+        return levenberg(evaluate, points, means.descend, means.tolerance, patience=_AT_REST)
     if leg.reached == 0:
         points = adam(evaluate, points, _ADAM)
     if leg.missed:
@@ -180,8 +174,8 @@ def _descend(part: Model, points: np.ndarray, log_depth: float, leg: _Leg) -> La
             residuals, jacobians = evaluate(at)
             return impulses(part, residuals), impulses(part, jacobians)
 
-        points = levenberg(arrivals, points, _ARRIVE, _ROUGHLY).points
-    return levenberg(evaluate, points, _DESCEND, _ROUGHLY, enough=_LEFT)
+        points = levenberg(arrivals, points, _ARRIVE, means.roughly).points
+    return levenberg(evaluate, points, means.descend, means.roughly, enough=_LEFT)
 
 
 def _evaluated(model: Model, points: np.ndarray, log_depth: float) -> Lanes:

@@ -27,6 +27,7 @@ FLOORS = {
         {"cli"},
     ),
     "calibration": (
+        {"effort"},
         {"problem"},
         {"losses", "observables"},
         {"model"},

@@ -28,7 +28,8 @@ COEFFICIENTS = {
     "stiffness": 3e10, "exponent": 1.5, "reference_force": 2e4, "reference_penetration": 8e-5,
     "effective_modulus": 1.13e11, "contact_length": 0.01, "radius": 0.03, "radius_difference": 1e-4,
     "bottoming_stiffness": 2e9, "bottoming_penetration": 5e-5, "bottoming_width": 2e-5,
-    "dashpot": 5e4, "damping": 0.2, "restitution": 0.7, "approach_speed": 1.5, "damping_depth": 1e-4,
+    "bottoming_damping": 0.5, "dashpot": 5e4, "damping": 0.2, "restitution": 0.7, "approach_speed": 1.5,
+    "damping_depth": 1e-4,
 }  # fmt: skip
 UNIT = {"stiffness": 1.0, "exponent": 1.5}
 PUSHING = {(law, part): laws.make(law, part) for law in laws.LAWS for part in ELASTIC}
@@ -85,6 +86,19 @@ def test_memory_free_law():
     for damping, speed in ((0.2, 0.5), (0.2, 4.0), (1.0, 4.0)):  # and e falling with speed, for any mass
         found = strike(law, {"stiffness": 3e10, "exponent": 1.5, "damping": damping}, 0.4, speed)
         assert found.restitution == pytest.approx(float(delivered_restitution(damping * speed)), abs=1e-9)
+
+
+def test_stop_with_a_damping_of_its_own():
+    law, d = laws.make("damped_stop"), np.linspace(-1e-5, 1.5e-4, 400)[:, None]
+    rate = np.array([-9.0, -1.0, 0.0, 2.0])
+    alike = COEFFICIENTS | {"bottoming_damping": COEFFICIENTS["damping"]}
+    expected = laws.make("memory_free", "two_stage").force(d, rate, alike)
+    assert np.allclose(law.force(d, rate, alike), expected, rtol=1e-14)
+    # A layer that gives way to nothing leaves the stop, met at the same speed: Hunt and Crossley's linear contact.
+    alone = COEFFICIENTS | {"stiffness": 1e-9, "bottoming_width": 0.0}
+    found = strike(law, alone, 0.4, 1.5)
+    assert found.restitution == pytest.approx(float(delivered_restitution(0.5 * 1.5)), abs=1e-9)
+    assert found.penetration > COEFFICIENTS["bottoming_penetration"]
 
 
 @pytest.mark.parametrize("part", ELASTIC)

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from scipy.stats import norm, t
 
+from bcfj_jax.directions import together
 from calibration.uncertainty import posterior
+from calibration.uncertainty.posterior import Chains
 
 pytest.importorskip("numpyro", reason="NumPyro is the extra uq")
 
@@ -33,7 +35,7 @@ def test_linear_problem_has_the_covariance_intervals(estimated):
     quantile = float(t.ppf(0.975, freedom) if estimated else norm.ppf(0.975))
     owners = np.zeros(12, dtype=int) if estimated else None
     covariance = scale * np.linalg.inv(MATRIX.T @ MATRIX)
-    found = posterior.sample(linear, BEST, covariance, NAMES, owners=owners, draws=1500)
+    found = posterior.sample(linear, BEST, covariance, NAMES, owners=owners, chains=Chains(draws=1500))
     assert not found.refusal and found.divergences == 0
     assert np.all(found.rhat < 1.01) and np.all(found.effective > 2000)
     for k, name in enumerate(NAMES):
@@ -43,10 +45,20 @@ def test_linear_problem_has_the_covariance_intervals(estimated):
     assert jax.config.values == before
 
 
+def test_residuals_whose_tangents_come_together_can_be_sampled():
+    def ahead(u, changes):
+        return (linear(u), jnp.zeros(())), changes @ jnp.asarray(MATRIX).T
+
+    joint = together(lambda u: (linear(u), jnp.zeros(())), ahead)
+    few = {"covariance": np.linalg.inv(MATRIX.T @ MATRIX), "labels": NAMES, "chains": Chains(warmup=50, draws=50)}
+    found, plain = (posterior.sample(f, BEST, **few) for f in (lambda u: joint(u)[0], linear))
+    assert found.draws == pytest.approx(plain.draws, rel=1e-6)
+
+
 def test_two_modes_are_refused():
     # Chains that begin on either side of a ridge of 200 sigma squared stay there.
     twin = lambda u: jnp.array([2000 * (u[0] - 0.4) * (u[0] - 0.6)])  # noqa: E731
-    found = posterior.sample(twin, np.array([0.5]), np.array([[0.02]]), ("a",), warmup=200, draws=200)
+    found = posterior.sample(twin, np.array([0.5]), np.array([[0.02]]), ("a",), chains=Chains(warmup=200, draws=200))
     assert found.refusal and found.intervals == {"a": None}
     assert np.all(found.rhat > posterior.WORST_RHAT)
 
@@ -54,5 +66,5 @@ def test_two_modes_are_refused():
 def test_failing_simulations_are_refused():
     # A tenth of a sigma from the optimum nothing simulates.
     half = lambda u: jnp.where(u < 0.501, 100 * (u - 0.5), jnp.nan)  # noqa: E731
-    found = posterior.sample(half, np.array([0.5]), np.array([[1e-4]]), ("a",), seed=1, warmup=200, draws=200)
+    found = posterior.sample(half, np.array([0.5]), np.array([[1e-4]]), ("a",), chains=Chains(1, warmup=200, draws=200))
     assert found.divergences > 0 and "diverged" in found.refusal and found.intervals == {"a": None}

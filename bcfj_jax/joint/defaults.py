@@ -56,6 +56,7 @@ DEFAULTS: dict[str, tuple[float, str]] = {
     "bottoming_stiffness": (1e9, "GUESS"),
     "bottoming_penetration": (46.4e-6, "GUESS: the reference penetration"),
     "bottoming_width": (5e-6, "GUESS"),
+    "bottoming_damping": (0.111, "GUESS: the layer's"),
     "restitution": (0.9, "GUESS"),
     "approach_speed": (1.5, "paper: initial collision velocity"),
     "dashpot": (1000.0, "GUESS"),

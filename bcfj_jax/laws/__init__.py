@@ -10,12 +10,13 @@ from bcfj_jax.laws.friction import FRICTION as FRICTION
 from bcfj_jax.laws.friction import AbstractFriction as AbstractFriction
 from bcfj_jax.laws.friction import make_friction as make_friction
 from bcfj_jax.laws.normal import AbstractLaw as AbstractLaw
-from bcfj_jax.laws.normal import AdamsImpact, Hertz, KelvinVoigt, MemoryFree, Restitution
+from bcfj_jax.laws.normal import AdamsImpact, DampedStop, Hertz, KelvinVoigt, MemoryFree, Restitution
 from bcfj_jax.laws.normal import onset_force as onset_force
 from bcfj_jax.restitution import FACTORS
 
 _CLASSES = {
     "memory_free": MemoryFree,
+    "damped_stop": DampedStop,
     "hertz": Hertz,
     "kelvin_voigt": KelvinVoigt,
     "adams_impact": AdamsImpact,

@@ -65,6 +65,16 @@ class Linear(AbstractElastic):
         return c["stiffness"] * positive(penetration)
 
 
+BACKING = ("bottoming_stiffness", "bottoming_penetration", "bottoming_width")
+
+
+def backing(penetration: Array, c: Coefficients) -> Array:
+    """Elastic force [N] of the stop behind a layer, K_b r(d - d_b); its coefficients as ``TwoStage`` has them."""
+    depth, _ = smooth_ramp(positive(penetration) - c["bottoming_penetration"], c["bottoming_width"])
+    # A width above d_b would let the stop push before the layer is touched.
+    return jnp.where(penetration > 0, c["bottoming_stiffness"] * depth, 0.0)
+
+
 class TwoStage(AbstractElastic):
     """F = K d^n + K_b r(d - d_b): a soft layer, and from d_b on a stiffer backing beside it. The layer bottoms out.
 
@@ -77,16 +87,10 @@ class TwoStage(AbstractElastic):
     d_b [m], ``bottoming_width`` w [m] < d_b (0 is the sharp corner).
     """
 
-    needs: ClassVar[tuple[str, ...]] = (
-        "stiffness", "exponent", "bottoming_stiffness", "bottoming_penetration", "bottoming_width",
-    )  # fmt: skip
+    needs: ClassVar[tuple[str, ...]] = ("stiffness", "exponent", *BACKING)
 
     def force(self, penetration: Array, c: Coefficients) -> Array:
-        d = positive(penetration)
-        backing, _ = smooth_ramp(d - c["bottoming_penetration"], c["bottoming_width"])
-        # A width above d_b would let the backing push before the layer is touched.
-        stiff = jnp.where(penetration > 0, c["bottoming_stiffness"] * backing, 0.0)
-        return c["stiffness"] * power(penetration, c["exponent"]) + stiff
+        return c["stiffness"] * power(penetration, c["exponent"]) + backing(penetration, c)
 
 
 class Liu(AbstractElastic):

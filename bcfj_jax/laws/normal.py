@@ -16,7 +16,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
-from bcfj_jax.laws.elastic import AbstractElastic, Coefficients, Linear, Power
+from bcfj_jax.laws.elastic import BACKING, AbstractElastic, Coefficients, Linear, Power, backing
 from bcfj_jax.numerics import positive, smooth_ramp, smooth_step
 
 
@@ -91,6 +91,26 @@ class MemoryFree(AbstractLaw):
 
     def force(self, penetration: Array, rate: Array, c: Coefficients) -> Array:
         return self.elastic.force(penetration, c) * positive(1.0 + c["damping"] * rate)
+
+
+class DampedStop(AbstractLaw):
+    """F = f(d) (1 + a d') + K_b r(d - d_b) (1 + a_b d'): a layer on a stop, each with the loss of its own.
+
+    ``MemoryFree`` of the layer, and Hunt and Crossley's again of the stop of ``elastic.TwoStage``; each part pushes
+    only. The energy that they take adds up; a_b = a is ``MemoryFree`` with the elastic part ``two_stage``.
+    Coefficients: those of the elastic part, ``damping`` a [s/m], ``bottoming_stiffness`` K_b [N/m],
+    ``bottoming_penetration`` d_b [m], ``bottoming_width`` w [m] and ``bottoming_damping`` a_b [s/m] >= 0.
+    """
+
+    elastic: AbstractElastic = Power()
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys((*self.elastic.needs, "damping", *BACKING, "bottoming_damping")))
+
+    def force(self, penetration: Array, rate: Array, c: Coefficients) -> Array:
+        layer = self.elastic.force(penetration, c) * positive(1.0 + c["damping"] * rate)
+        return layer + backing(penetration, c) * positive(1.0 + c["bottoming_damping"] * rate)
 
 
 class Restitution(AbstractLaw):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bcfj_jax.plots import COLOURS, engineering, figure, label, save, style
+from bcfj_jax.plots import COLOURS, engineering, label, panels
 from calibration.data.inspection import TOUCHING
 from calibration.data.preparation import Prepared
 
@@ -22,18 +22,12 @@ def data(records: list[Prepared], path: Path) -> None:
         records: as ``problemfile.prepared`` gives them.
         path: of the PNG.
     """
-    panels = [(record, observes) for record in records for observes in record.readings]
-    if not panels:
+    shown = [(record, observes) for record in records for observes in record.readings]
+    if not shown:
         return
-    columns = min(len(panels), 2)
-    rows = -(-len(panels) // columns)
-    with style():
-        drawing, axes = figure(rows, columns, width=6.0 * columns + 1.0, height=2.8)
-        for axis in axes[len(panels) :]:
-            axis.set_visible(False)
-        for axis, (record, observes) in zip(axes, panels, strict=False):
+    with panels(len(shown), 2, path, 6.3, 2.8) as axes:
+        for axis, (record, observes) in zip(axes, shown, strict=True):
             _panel(axis, record, observes)
-        save(drawing, path)
 
 
 def _panel(axis: Axes, record: Prepared, observes: str) -> None:

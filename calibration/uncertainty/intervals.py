@@ -13,7 +13,7 @@ from calibration import judge
 from calibration.estimates import Parameter, Reference
 from calibration.model import Model, Slot
 from calibration.uncertainty import posterior, profile
-from calibration.uncertainty.posterior import Posterior
+from calibration.uncertainty.posterior import WORST_RHAT, Chains, Posterior
 from calibration.uncertainty.profile import Profile
 
 KINDS = ("covariance", "profile", "posterior")
@@ -80,7 +80,8 @@ def revised(
 ) -> tuple[dict[str, Parameter], Reference | None, list[judge.Test], Evidence]:
     """Estimates and their tests with the intervals that were asked for.
 
-    With "covariance", a parameter whose cost does not rise as the covariance says gets its profile's interval instead.
+    With "covariance", a parameter whose cost does not rise as the covariance says gets its profile's interval instead,
+    if that is all that fails.
 
     Args:
         kind: one of ``KINDS``.
@@ -91,8 +92,20 @@ def revised(
         seed: of the sampler.
     """
     if kind == "posterior":
-        return _sampled(model, labels, place, log_depth, quality, parameters, reference, tests, estimated, seed)
-    bent = {name for name in labels for t in tests if t.name == f"interval of {name}" and not t.passed}
+        if quality.covariance is None:  # The sampler has no metric, and the test of the rank has spoken.
+            return parameters, reference, tests, Evidence()
+        drawn = posterior.of_model(
+            model, place, log_depth, quality.covariance, labels, estimated=estimated, chains=Chains(seed)
+        )
+        ends, why = drawn.intervals, dict.fromkeys(labels, drawn.refusal)
+        told = f"posterior: {drawn.refusal}"
+        mixed = judge.Test("chains of the posterior", float(np.max(drawn.rhat)), WORST_RHAT, not drawn.refusal, told)
+        parameters, reference = _replaced(kind, model, labels, parameters, reference, ends)
+        return parameters, reference, [*_retested(model, labels, tests, ends, why), mixed], Evidence(posterior=drawn)
+    failed = {t.name for t in tests if not t.passed}
+    bent = {name for name in labels if f"interval of {name}" in failed}
+    if kind == "covariance" and len(failed) > len(bent):  # No interval will be given, whatever a profile says.
+        return parameters, reference, tests, Evidence()
     names = [*labels, "reference_force"] if kind == "profile" else sorted(bent)
     if not names:
         return parameters, reference, tests, Evidence()
@@ -102,28 +115,6 @@ def revised(
     why = {name: f"the profile of {name} is {p.shape}: {'; '.join(p.notes)}" for name, p in found.items()}
     parameters, reference = _replaced("profile", model, labels, parameters, reference, ends)
     return parameters, reference, _retested(model, labels, tests, ends, why), Evidence(found)
-
-
-def _sampled(
-    model: Model,
-    labels: Sequence[str],
-    place: np.ndarray,
-    log_depth: float,
-    quality: judge.Spread,
-    parameters: dict[str, Parameter],
-    reference: Reference | None,
-    tests: list[judge.Test],
-    estimated: Sequence[str],
-    seed: int,
-) -> tuple[dict[str, Parameter], Reference | None, list[judge.Test], Evidence]:
-    if quality.covariance is None:  # The sampler has no metric, and the test of the rank has spoken.
-        return parameters, reference, tests, Evidence()
-    found = posterior.of_model(model, place, log_depth, quality.covariance, labels, estimated=estimated, seed=seed)
-    parameters, reference = _replaced("posterior", model, labels, parameters, reference, found.intervals)
-    tests = _retested(model, labels, tests, found.intervals, dict.fromkeys(labels, found.refusal))
-    worst, passed = float(np.max(found.rhat)), not found.refusal
-    mixed = judge.Test("chains of the posterior", worst, posterior.WORST_RHAT, passed, f"posterior: {found.refusal}")
-    return parameters, reference, [*tests, mixed], Evidence(posterior=found)
 
 
 def _replaced(

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,11 +17,21 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax import InputError
+from bcfj_jax.directions import with_jacobian
 from calibration.losses import loss_of
 from calibration.model import Model
 
 # Gelman and Rubin's statistic above which chains have not mixed.
 WORST_RHAT = 1.01
+
+
+class Chains(NamedTuple):
+    """What the sampler does; ``warmup`` and ``draws`` are a chain's."""
+
+    seed: int = 0
+    count: int = 4
+    warmup: int = 300
+    draws: int = 1000
 
 
 @dataclass(frozen=True)
@@ -59,10 +70,7 @@ def of_model(
     labels: Sequence[str],
     *,
     estimated: Sequence[str] = (),
-    seed: int = 0,
-    chains: int = 4,
-    warmup: int = 300,
-    draws: int = 1000,
+    chains: Chains | None = None,
 ) -> Posterior:
     """Sample a problem's parameters around its optimum; with a reference force, that follows the others.
 
@@ -73,12 +81,12 @@ def of_model(
         covariance: of the coordinates at the optimum (P, P): the first guess of the sampler's metric.
         labels: of the model's slots.
         estimated: names of the channels whose noise has an estimated deviation.
-        seed, chains, warmup, draws: of the sampler; warmup and draws a chain.
+        chains: what the sampler does.
     """
     depth = jnp.asarray(log_depth)
     found = sample(
         lambda u: model.residuals(u, depth), place, covariance, labels,
-        owners=_owners(model, estimated), loss=model.loss, seed=seed, chains=chains, warmup=warmup, draws=draws,
+        owners=_owners(model, estimated), loss=model.loss, chains=chains,
     )  # fmt: skip
     values = np.stack([np.asarray(v) for v in jax.vmap(jax.vmap(lambda u: model.values(u, depth)))(found.draws)], -1)
     names = tuple(labels)
@@ -97,10 +105,7 @@ def sample(
     *,
     owners: np.ndarray | None = None,
     loss: str = "linear",
-    seed: int = 0,
-    chains: int = 4,
-    warmup: int = 300,
-    draws: int = 1000,
+    chains: Chains | None = None,
 ) -> Posterior:
     """Sample unit-box coordinates with density exp(-cost/2), and cost^(-n/2) for samples whose deviation is estimated.
 
@@ -117,7 +122,7 @@ def sample(
         from numpyro.infer import MCMC, NUTS
     except ImportError:
         raise InputError("posterior", "NumPyro is not installed", "pip install 'bcfj-jax[uq]'") from None
-    energy = _energy(residuals, owners, loss)
+    energy, chains = _energy(residuals, owners, loss), chains or Chains()
 
     def potential(z: Array) -> Array:
         u = jax.nn.sigmoid(z)
@@ -128,14 +133,14 @@ def sample(
     stretch = 1.0 / (centre * (1.0 - centre))
     metric = covariance * np.outer(stretch, stretch)
     # Starts wider apart than the posterior, without which agreement of the chains would mean little.
-    wide = np.random.default_rng(seed).multivariate_normal(np.zeros(centre.size), 4.0 * metric, chains)
+    wide = np.random.default_rng(chains.seed).multivariate_normal(np.zeros(centre.size), 4.0 * metric, chains.count)
     kernel = NUTS(potential_fn=potential, inverse_mass_matrix=jnp.asarray(metric), dense_mass=True)
     sampler = MCMC(
-        kernel, num_warmup=warmup, num_samples=draws, num_chains=chains, chain_method="vectorized", progress_bar=False
-    )
-    sampler.run(
-        jax.random.key(seed), init_params=jnp.asarray(np.log(centre / (1 - centre)) + wide), extra_fields=("diverging",)
-    )
+        kernel, num_warmup=chains.warmup, num_samples=chains.draws, num_chains=chains.count,
+        chain_method="vectorized", progress_bar=False,
+    )  # fmt: skip
+    first = jnp.asarray(np.log(centre / (1 - centre)) + wide)
+    sampler.run(jax.random.key(chains.seed), init_params=first, extra_fields=("diverging",))
     points = np.asarray(jax.nn.sigmoid(sampler.get_samples(group_by_chain=True)))
     return _judged(tuple(labels), points, int(np.sum(sampler.get_extra_fields()["diverging"])))
 
@@ -162,9 +167,9 @@ def _energy(residuals: Callable[[Array], Array], owners: np.ndarray | None, loss
         return energy
 
     def forward(u: Array) -> tuple[Array, Array]:
-        found, push = jax.linearize(residuals, u)
+        found, jacobian = with_jacobian(residuals, u)
         energy, slope = jax.value_and_grad(of)(found)
-        return energy, jax.vmap(push)(jnp.eye(u.size)) @ slope
+        return energy, slope @ jacobian
 
     energy = jax.custom_vjp(lambda u: of(residuals(u)))
     energy.defvjp(forward, lambda slope, g: (g * slope,))
