@@ -112,7 +112,8 @@ def simulate(
     stem = given.source.stem if given.source else scene
     folder = open_folder(out, "simulate", stem, simulation_results.files(given.scene))
     _log(f"simulating {scene}: {len(given.times)} samples to {given.times[-1]:.6g} s")
-    run = run_scene(given.scene, given.params, given.times, accuracy=given.accuracy, max_steps=given.max_steps)
+    effort = {"accuracy": given.accuracy, "max_steps": given.max_steps, "solver": given.solver}
+    run = run_scene(given.scene, given.params, given.times, **effort)
     text, warnings = simulation_results.write(folder, given, run, stem)
     for warning in warnings:
         _log(f"warning: {warning}")
@@ -167,6 +168,29 @@ def sensitivity(
     text, good = command.run(scene, names, wanted, certify, out, _log)
     typer.echo(text)
     return DONE if good else SIMULATION_FAILED
+
+
+@app.command(epilog=_EPILOG)
+@_guarded
+def tradeoff(
+    scene: Annotated[str, typer.Argument(help="A scene file, or a built-in scene's name for its defaults.")],
+    only: Annotated[str, typer.Option(help="Groups of settings and solvers, such as tsit5,smoothing.")] = "",
+    derivatives: Annotated[bool, typer.Option(help="Whether to measure derivatives, too.")] = True,
+    budget: Annotated[float, typer.Option(min=0.0, help="Seconds; what would not fit is left out.")] = 900.0,
+    out: Out = None,
+) -> int:
+    """Measure what accuracy costs on a scene: tradeoff.csv, a setting per error budget, pictures and report.html.
+
+    Finished settings are kept in DIR/journal.jsonl: the same command with the same --out goes on after Ctrl-C (exit
+    code 5), after a crash, and with what the budget left out.
+    """
+    use_compile_cache()
+    from bcfj_jax.tradeoff import command
+
+    wanted = [name.strip() for name in only.split(",") if name.strip()]
+    text, code = command.run(scene, wanted, derivatives, budget, out, _log)
+    typer.echo(text)
+    return code
 
 
 @app.command(epilog=_EPILOG)

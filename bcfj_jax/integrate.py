@@ -40,7 +40,7 @@ from bcfj_jax.joint.scales import tolerance as joint_tolerance
 from bcfj_jax.joint.scene import Joint
 from bcfj_jax.joint.start import nominal
 from bcfj_jax.scene import AbstractScene, Params, Scene
-from bcfj_jax.solvers import bdf
+from bcfj_jax.solvers import bdf, named
 from bcfj_jax.solvers.rodas import Rodas
 from bcfj_jax.solvers.sdirk import Sdirk
 from bcfj_jax.solvers.tangents import SdirkTangents
@@ -71,12 +71,14 @@ class Plan(eqx.Module):
     """How a scene will be integrated.
 
     ``tolerance`` may be traced: changing it does not compile again; changing the rest does. ``tangents``: whether the
-    joint's steps are chosen for the error of its forward tangents, too.
+    joint's steps are chosen for the error of its forward tangents, too. ``solver``: a name of ``solvers.named``, where
+    the scene's own is not wanted.
     """
 
     tolerance: Array
     max_steps: int = eqx.field(static=True, default=MAX_STEPS)
     tangents: bool = eqx.field(static=True, default=False)
+    solver: str | None = eqx.field(static=True, default=None)
 
 
 class Solution(NamedTuple):
@@ -89,16 +91,19 @@ class Solution(NamedTuple):
     rejected: Array
 
 
-def plan(scene: AbstractScene, accuracy: str | float = "balanced", max_steps: int = MAX_STEPS) -> Plan:
+def plan(
+    scene: AbstractScene, accuracy: str | float = "balanced", max_steps: int = MAX_STEPS, solver: str | None = None
+) -> Plan:
     """Tolerance for a scene and an accuracy.
 
     Args:
         scene: what will be integrated.
         accuracy: a level (``LEVELS``) or the tolerated force error as a fraction of the peak, 1e-9 to 0.5.
         max_steps: budget of attempted steps; beyond it a run fails with that reason.
+        solver: a name of ``solvers.named`` in place of the scene's own.
 
     Raises:
-        InputError: for an unknown level, an error out of range or a budget below 1.
+        InputError: for an unknown level or solver, an error out of range or a budget below 1.
     """
     if max_steps < 1:
         raise InputError("max_steps", f"{max_steps}", "give 1 or more")
@@ -110,7 +115,9 @@ def plan(scene: AbstractScene, accuracy: str | float = "balanced", max_steps: in
         raise InputError("accuracy", f"force_error = {accuracy:g}", "give a fraction of the peak from 1e-9 to 0.5")
     joint = isinstance(scene, Joint)
     tolerance = joint_tolerance(accuracy) if joint else _TOLERANCE_PER_ERROR * accuracy
-    return Plan(jnp.asarray(tolerance, dtype=jnp.float64), max_steps, joint and accuracy <= _TANGENTS_FROM)
+    named.check(solver, joint)
+    tangents = solver == "bdf" or (solver is None and joint and accuracy <= _TANGENTS_FROM)
+    return Plan(jnp.asarray(tolerance, dtype=jnp.float64), max_steps, tangents, solver)
 
 
 def reason(code: int, max_steps: int) -> str:
@@ -142,13 +149,14 @@ def _problem(scene: AbstractScene, params: Params, how: Plan, differentiable: bo
     if isinstance(scene, Joint):
         c = constants(scene, params)
         scales = jax.lax.stop_gradient(joint_scales(scene, params))
-        solver = Sdirk(Arrowhead(), how.tolerance * scales) if differentiable else Rodas(Arrowhead())
+        implicit = differentiable or how.solver in ("sdirk2", "bdf")
+        solver = Sdirk(Arrowhead(), how.tolerance * scales) if implicit else Rodas(Arrowhead())
         start = nominal(scene, params, jnp.zeros(()))
         return _Problem(solver.structure.field, (scene, c), start, scales, jnp.asarray(1e-6), 1e-15, (0.4, 0.3), solver)
     assert isinstance(scene, Scene)
     scales = jax.lax.stop_gradient(state_scales(scene, params))
-    start = initial_state(scene, params)
-    return _Problem(field, (scene, params), start, scales, 1e-2 * scales[0] / scales[-1], None, (0.2, 0.5), dfx.Tsit5())
+    start, solver = initial_state(scene, params), named.SPRINGS[how.solver or "tsit5"]()
+    return _Problem(field, (scene, params), start, scales, 1e-2 * scales[0] / scales[-1], None, (0.2, 0.5), solver)
 
 
 def _without_inertia(scene: Joint, params: Params, times: Array) -> Solution:
@@ -175,13 +183,22 @@ def integrate(
     Pure: jit, vmap, and the derivatives that ``adjoint`` supports go through; those of a joint only where
     ``differentiable`` asks for the solver that is meant for them. Never raises for a failed run: its states are NaN
     from there on and ``code`` says why.
+
+    Raises:
+        InputError: for derivatives by a solver that has none.
     """
     times = jnp.maximum(times, 0.0)
     if isinstance(scene, Joint) and scene.fidelity != "dynamic":
         return _without_inertia(scene, params, times)
+    if differentiable and how.solver in named.VALUES_ONLY:
+        raise InputError("solver", f"'{how.solver}' has no derivatives", "leave it out, or take sdirk2 or bdf")
     problem = _problem(scene, params, how, differentiable)
     if isinstance(scene, Joint) and differentiable and isinstance(adjoint, dfx.ForwardMode):
         return _with_tangents(problem, times, how)
+    if isinstance(scene, Joint) and how.solver == "bdf" and not differentiable:
+        assert isinstance(problem.solver, Sdirk)
+        found = _by_bdf(problem, problem.solver, None, problem.start[None], times, how)
+        return found._replace(states=found.states[:, 0])
     return _solved(problem, times, how, adjoint)
 
 
@@ -222,7 +239,7 @@ def _solved(problem: _Problem, times: Array, how: Plan, adjoint: dfx.AbstractAdj
     return Solution(states, code, solution.ts[1][0], stats["num_accepted_steps"], stats["num_rejected_steps"])
 
 
-def _by_bdf(problem: _Problem, solver: Sdirk, changes: tuple, start: Array, times: Array, how: Plan) -> Solution:
+def _by_bdf(problem: _Problem, solver: Sdirk, changes: tuple | None, start: Array, times: Array, how: Plan) -> Solution:
     """Rows (T, 1 + k, n) of state and tangents, both in the step control."""
     found = bdf.solve(
         solver, problem.args, changes, start, problem.scales, times, problem.first_step, problem.shortest_step,

@@ -3,7 +3,7 @@
     [scene]        kind, the scene's options (law, elastic, smoothing), [scene.spheres] for ``impact``
     [parameters]   values by name, SI numbers or texts with a unit
     [time]         end, samples; the run starts at 0
-    [accuracy]     force_error or level, and max_steps
+    [accuracy]     force_error or level, max_steps and solver
 
 Without a ``law``, a file that gives ``restitution`` gets the law ``exact``, which delivers it.
 """
@@ -30,6 +30,7 @@ from bcfj_jax.joint.scene import Joint
 from bcfj_jax.quantities import CATALOGUE, check_order, check_value
 from bcfj_jax.scene import AbstractScene
 from bcfj_jax.scenetemplate import template as template
+from bcfj_jax.solvers import named
 from bcfj_jax.spheres import Spheres
 from bcfj_jax.units import quantity
 
@@ -46,6 +47,7 @@ class SceneFile:
         resolved: the file with every default, SI numbers: what ``run.toml`` gets; loads back to the same.
         source: the file; None for a built-in scene's defaults.
         max_steps: budget of attempted steps.
+        solver: by which values are integrated; None: the scene's own.
     """
 
     scene: AbstractScene
@@ -55,6 +57,7 @@ class SceneFile:
     resolved: dict[str, Any]
     source: Path | None
     max_steps: int = MAX_STEPS
+    solver: str | None = None
 
 
 class _Time(tables.Table):
@@ -66,6 +69,7 @@ class _Accuracy(tables.Table):
     force_error: Any = None
     level: str | None = None
     max_steps: int = pydantic.Field(default=MAX_STEPS, ge=1, le=1_000_000_000)
+    solver: str | None = None
 
 
 class _File(tables.Table):
@@ -101,7 +105,8 @@ def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
         check_joint(scene, params, where)
     end = _end(scene, params, file.time, where)
     samples = file.time.samples or scene.samples
-    accuracy = _accuracy(file.accuracy, where)
+    accuracy, solver = _accuracy(file.accuracy, where), file.accuracy.solver
+    named.check(solver, isinstance(scene, Joint), f"{where}: [accuracy] ")
     resolved = {
         "scene": _resolved_options(scene, file),
         "parameters": {name: float(value) for name, value in params.items()},
@@ -109,10 +114,11 @@ def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
         "accuracy": {
             "level" if isinstance(accuracy, str) else "force_error": accuracy,
             "max_steps": file.accuracy.max_steps,
-        },
+        }
+        | ({"solver": solver} if solver else {}),
     }
     times = np.linspace(0.0, end, samples)
-    return SceneFile(scene, params, times, accuracy, resolved, source, file.accuracy.max_steps)
+    return SceneFile(scene, params, times, accuracy, resolved, source, file.accuracy.max_steps, solver)
 
 
 def _resolved_options(scene: AbstractScene, file: _File) -> dict[str, Any]:

@@ -142,6 +142,7 @@ def simulate(
     *,
     accuracy: str | float = "balanced",
     max_steps: int = MAX_STEPS,
+    solver: str | None = None,
 ) -> Run:
     """Simulate a scene and say how it went.
 
@@ -150,18 +151,19 @@ def simulate(
     Args:
         scene, params, times, accuracy: as ``force_history``.
         max_steps: budget of attempted steps; beyond it the run fails with that reason.
+        solver: a name of ``solvers.named`` in place of the scene's own.
 
     Raises:
-        InputError: for times that are not finite and increasing, an unknown accuracy, a budget below 1, and a joint
-            that cannot be built.
+        InputError: for times that are not finite and increasing, an unknown accuracy or solver, a budget below 1, and
+            a joint that cannot be built.
     """
     values = increasing(times)
     if isinstance(scene, Joint):
         check_joint(scene, params)
     # Values alone: one program, whether or not derivatives would need their own error controlled.
-    how = Plan(plan(scene, accuracy, max_steps).tolerance, max_steps)
+    how = Plan(plan(scene, accuracy, max_steps, solver).tolerance, max_steps, solver=solver)
     arguments = (scene, dict(params), jnp.asarray(values), how)
-    key = (scene, len(values), max_steps, jax.tree.structure(params))
+    key = (scene, len(values), max_steps, solver, jax.tree.structure(params))
     begin = time.perf_counter()
     if key not in _compiled:
         _compiled[key] = _run.lower(*arguments).compile()

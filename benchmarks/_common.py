@@ -38,12 +38,12 @@ def markdown(rows: Sequence[Sequence[str]]) -> str:
     return "\n".join([lines[0], "|" + "---|" * len(rows[0]), *lines[1:]])
 
 
-def put_in_readme(name: str, table: str) -> None:
-    """Replace the README's text between the markers of a table."""
-    path = ROOT / "README.md"
+def put_in_readme(name: str, table: str, page: str = "README.md") -> None:
+    """Replace the text between the markers of a table, in the README or another page."""
+    path = ROOT / page
     text = path.read_text()
     begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
     if text.count(begin) != 1 or text.count(end) != 1:
-        raise ValueError(f"README.md: the markers '{begin}' and '{end}' must stand there once each")
+        raise ValueError(f"{page}: the markers '{begin}' and '{end}' must stand there once each")
     head, rest = text.split(begin)
     path.write_text(f"{head}{begin}\n{table}\n{end}{rest.split(end)[1]}")

@@ -1,7 +1,7 @@
 """Do 95 % intervals hold the truth 95 times in 100, and is the estimator as good as the Cramer-Rao bound?
 
     python benchmarks/coverage.py [CASE ...] [--replicates N] [--noise 0.01 0.02 0.05] [--workers 2]
-writes results/coverage.json, prints a table. Cases: impact, exact, quasistatic, dynamic; all by default.
+writes results/coverage.json and docs/calibration.md. Cases: impact, exact, quasistatic, dynamic; all by default.
 
 A replicate is a record with fresh noise, and a whole fit of it with its own starts. What is finished is kept in
 build/coverage/ and not done again, so a case may be run in pieces. ``impact`` and the joints' records are our own
@@ -27,7 +27,7 @@ os.environ.setdefault("EQX_ON_ERROR", "nan")
 import jax
 import jax.numpy as jnp
 import numpy as np
-from _common import ROOT, markdown, save
+from _common import ROOT, markdown, put_in_readme, save
 from joint_calibration import BOUNDS as JOINT_BOUNDS
 from joint_calibration import Compilation
 from joint_calibration import problem as joint_problem
@@ -44,7 +44,7 @@ MOST_COMPILING_S = 2.0
 
 # 0.1 kg at 1 m/s on 1e8 N/m^1.5: 0.82 ms of contact, 434 N.
 IMPACT = {"stiffness": 1e8, "exponent": 1.5, "damping": 0.15}
-MASS, SPEED, TIMES = 0.1, 1.0, np.linspace(0.0, 9e-4, 101)
+MASS, SPEED, TIMES = 0.1, 1.0, np.linspace(0.0, 9e-4, 401)
 IMPACT_FREE = (Free("stiffness", 1e7, 1e9), Free("exponent", 1.0, 2.5), Free("damping", 0.015, 1.5))
 # What equilibria without friction tell; instants of one revolution under full load.
 STATIC = ("stiffness", "exponent", "clearance_cage_ball", "contact_angle")
@@ -94,7 +94,7 @@ def impact_force(source: str) -> np.ndarray:
 
 
 def impact(source: str, noise: float, seed: int) -> Problem:
-    """One impact of 101 samples."""
+    """One impact of 401 samples."""
     scene = scenes.impact(smoothing=False)
     params = {k: float(v) for k, v in scene.parameters({**IMPACT, "mass": MASS, "approach_speed": SPEED}).items()}
     channels = noisy(["contact.normal"], [impact_force(source)], noise, seed)
@@ -253,6 +253,7 @@ def main() -> None:
     done = [(name, noise, finished(name, noise)) for name in CASES for noise in (0.01, 0.02, 0.05)]
     cases = [summary(*case) for case in done if case[2]]
     save("coverage", {"what": "whole fits of records with fresh noise, as a share of each peak", "cases": cases})
+    put_in_readme("coverage", table(cases), "docs/calibration.md")
     print(table(cases))
 
 

@@ -1,6 +1,6 @@
 """A fit of 200 starts, cut off by Ctrl-C or kill -9 at random moments, gone on with, and compared with the uncut one.
 
-python benchmarks/interruptions.py [TIMES] [--starts N]    writes results/interruptions.json
+python benchmarks/interruptions.py [TIMES] [--starts N]    writes results/interruptions.json, docs/calibration.md
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _common import ROOT, save
+from _common import ROOT, put_in_readme, save
 from trap import FREE, GRAVITY, HEIGHT, MASS, record
 
-from calibration.journal import NAME
+from bcfj_jax.journal import NAME
 
 CONTACTS, NOISE, SEED = 2, 0.01, 0
 # A shell's background jobs, and what they start, ignore Ctrl-C; a user's do not.
@@ -110,7 +110,9 @@ def main() -> None:
             print(rows[-1], flush=True)
     good = sum(r["equal"] and r["nothing_lost"] and r["exit_after"] == code for r in rows)
     save("interruptions", {"starts": given.starts, "straight_s": seconds, "exit": code, "good": good, "cuts": rows})
-    print(f"{good} of {len(rows)}: nothing lost, result equal to the uncut one ({seconds:.0f} s)")
+    told = f"{good} of {len(rows)}: nothing that was finished is lost, and the result equals that of the uncut run."
+    put_in_readme("interruptions", told, "docs/calibration.md")
+    print(told)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ contacts are DOP853 to 1e-12 up to the event that ends them. The fit integrates 
 Seeds that were fitted before are taken from results/trap_seeds.csv, others are added to it: begin again without it.
 
 python benchmarks/trap.py [SEEDS] [--minutes M] [--workers N] [--contacts ...] [--source ...] [--peer SEEDS]
-    writes results/trap.json, prints a table
+    writes results/trap.json and the table in docs/calibration.md
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ os.environ.setdefault("EQX_ON_ERROR", "nan")
 import jax
 import jax.numpy as jnp
 import numpy as np
-from _common import RESULTS, ROOT, load, markdown, save
+from _common import RESULTS, ROOT, load, markdown, put_in_readme, save
 from scipy.integrate import solve_ivp
 
 from bcfj_jax import scenes, simulate
@@ -285,10 +285,11 @@ def main() -> None:
     else:
         result["mujoco_sysid"] = load("trap").get("mujoco_sysid") if (RESULTS / "trap.json").exists() else None
     save("trap", result)
-    print(table(summaries))
-    print(f"\n{excluding} of {printed} printed intervals exclude the truth.")
+    told = f"{table(summaries)}\n\n{excluding} of {printed} printed intervals exclude the truth."
     if result["mujoco_sysid"]:
-        print(f"\n{peer_table(result['mujoco_sysid'])}")
+        told += f"\n\n{peer_table(result['mujoco_sysid'])}"
+    put_in_readme("trap", told, "docs/calibration.md")
+    print(told)
 
 
 def within(task: tuple[str, int, float, tuple[int, ...]], end: float) -> list[dict[str, Any]]:

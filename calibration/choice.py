@@ -19,10 +19,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from bcfj_jax import InputError
+from bcfj_jax.journal import Chapter, Journal
 from bcfj_jax.units import format_si
 from calibration import noise
 from calibration.fit import Fit, fit
-from calibration.journal import Chapter, Journal
 from calibration.model import Model, predictions
 from calibration.problem import Experiment, Problem
 

@@ -9,18 +9,18 @@ from pathlib import Path
 from typing import Any
 
 from bcfj_jax import InputError, outputs, report, scenefile, tables
+from bcfj_jax.journal import NAME, Journal, key_of
+from bcfj_jax.stop import heeded
 from bcfj_jax.units import format_si
 from calibration import choice, plots, plots_uncertainty
 from calibration.alternatives import Outcome, solve
 from calibration.data import plot as dataplot
 from calibration.fit import AllStartsFailed, Fit, Parameter
-from calibration.journal import NAME, Journal, key_of
 from calibration.next_experiment import as_json as candidates_json
 from calibration.next_experiment import table as candidates_table
 from calibration.problem import Problem
 from calibration.problemfile import load, prepared, sources
 from calibration.search import Interrupted
-from calibration.stop import heeded
 from calibration.uncertainty import intervals as uncertainty
 
 DONE, FAILED, NOT_IDENTIFIED, INTERRUPTED = 0, 3, 4, 5
@@ -46,7 +46,7 @@ def run(path: Path, out: Path | None, seed: int, starts: int, intervals: str = "
     base = _base(path, problem)
     key = key_of(
         [asdict(e) for e in problem.experiments], _resolved(path, base, problem, seed, starts), problem.accuracy,
-        problem.loss, tables.read(path).get("model"),
+        problem.loss, tables.read(path).get("model"), packages=("bcfj_jax", "calibration"),
     )  # fmt: skip
     begin = time.perf_counter()
     with heeded(), Journal(folder, key) as journal:

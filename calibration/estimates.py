@@ -85,8 +85,9 @@ def estimates(
         tests.append(
             judge.Test(f"{label} inside its bounds", 0, 0, not at_bound, f"{label} is at its {at_bound} bound")
         )
-        if identifiable and not at_bound:
-            tests.append(judge.curvature_test(label, _curvature(model, best, depth, spread, slopes[i], rough)))
+    if all(t.passed for t in tests):  # Else no interval is given, and the ends of most lie where nothing simulates.
+        for slope, label in zip(slopes, labels, strict=True):
+            tests.append(judge.curvature_test(label, _curvature(model, best, depth, spread, slope, rough)))
     tests.append(judge.rank_test(spread))
     if not all(t.passed for t in tests if t.name.endswith("determined")):
         names = [labels[k] for k in np.argsort(-np.abs(spread.weakest))[:2]]
@@ -107,6 +108,7 @@ def _curvature(model: Model, best: End, depth, spread: judge.Spread, slope: np.n
     """Rise of the cost at both ends of an interval, the other parameters following, over the quadratic rise."""
     assert spread.covariance is not None
     quantile, along = spread.quantile_of(slope), spread.covariance @ slope
+    expected = quantile**2 * spread.rise
     step = quantile * along / np.sqrt(slope @ along)
     ends = np.array([best.point - step, best.point + step])
     if effort(model.scene).apart:
@@ -115,10 +117,13 @@ def _curvature(model: Model, best: End, depth, spread: judge.Spread, slope: np.n
         each = [straightened(model.loss, *residuals_and_jacobian(model, jnp.asarray(end), depth)) for end in ends]
         residuals, jacobians = ([np.asarray(a) for a in part] for part in zip(*each, strict=True))
     if rough or effort(model.scene).rough:
-        # By the mean of the slopes at both ends: the integration's own error makes the cost rough, them hardly.
-        rises = [float(r @ (j @ s)) for r, j, s in zip(residuals, jacobians, (-step, step), strict=True)]
+        # From slopes, for the integration's own error makes the cost rough: that at the optimum, which is expected, and
+        # the end's, of a cost of third order. Of what the predictions change by: the residuals at the optimum are all
+        # noise, and times the Jacobian's own error as large as the rise.
+        base, _ = straightened(model.loss, jnp.asarray(best.residuals), jnp.asarray(best.jacobian))
+        pairs = zip(residuals, jacobians, (-step, step), strict=True)
+        rises = [(expected + 2.0 * float((r - np.asarray(base)) @ (j @ s))) / 3.0 for r, j, s in pairs]
     else:
         rises = [float(np.sum(np.square(r))) - best.cost for r in residuals]
-    expected = quantile**2 * spread.rise
     worst = max(rises, key=lambda r: abs(np.log(max(r, 1e-300) / expected)) if np.isfinite(r) else np.inf)
     return worst / expected

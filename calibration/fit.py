@@ -8,12 +8,15 @@ from typing import Any
 import numpy as np
 
 from bcfj_jax import InputError
+from bcfj_jax.journal import Journal
 from calibration import check, integration, judge, where
+from calibration.averaging import averaged
 from calibration.clearance import clearance_tests, whole_contact_test
+from calibration.effort import effort
 from calibration.estimates import Parameter as Parameter
 from calibration.estimates import Reference as Reference
 from calibration.estimates import estimates
-from calibration.journal import Journal
+from calibration.evaluate import evaluator
 from calibration.model import Model, build, values_at
 from calibration.noise import Estimate
 from calibration.polish import End
@@ -170,6 +173,9 @@ def _judge(
     best = ends[0]
     samples = sum(e.samples for e in fitted)
     spread = judge.spread(best, samples, noise.moved, model.loss)
+    if effort(model.scene).rough and spread.covariance is not None:
+        best = averaged(evaluator(model, log_depth), best, spread.covariance)
+        spread = judge.spread(best, samples, noise.moved, model.loss)
     records = records_of(model, fitted, best.point, log_depth, False)
     seen = contacts(model, best.point, log_depth)
     errors = integration.errors(model, best.point, log_depth, best.residuals)

@@ -183,10 +183,10 @@ def held_out_test(square: float, freedom: int, quality: Spread) -> Test:
 
 def curvature_test(label: str, ratio: float) -> Test:
     """Whether the cost rises as the covariance says at an interval's ends: ratio of true to quadratic rise."""
-    return Test(
-        f"interval of {label}", ratio, 2.0, 0.5 < ratio < 2.0,
-        f"the cost at the ends of the interval of {label} is {ratio:.3g} times what the covariance predicts",
-    )  # fmt: skip
+    reason = f"the cost at the ends of the interval of {label} is {ratio:.3g} times what the covariance predicts"
+    if not np.isfinite(ratio):
+        reason = f"the simulation fails at an end of the interval of {label}"
+    return Test(f"interval of {label}", ratio, 2.0, 0.5 < ratio < 2.0, reason)
 
 
 def order(verdicts: set[str]) -> str:

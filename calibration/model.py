@@ -277,11 +277,17 @@ def build(problem: Problem, experiments: tuple[Experiment, ...], slots: tuple[Sl
         slots=slots or make_slots(problem, len(experiments)),
         channels=channels,
         data=Data(*(jnp.asarray(a) for a in arrays), fixed=fixed, chain=chain),
-        how=plan(problem.scene, problem.accuracy, max_steps=effort(problem.scene).steps),
+        how=plan(problem.scene, problem.accuracy, max_steps=_steps(problem)),
         watches=watches(problem.scene, experiments),
         parts=max(4, -(-_FINE_STEPS // longest)) if filtered else 0,
         loss=problem.loss,
     )
+
+
+def _steps(problem: Problem) -> int:
+    """Attempted steps of a run until it has failed: more where finer ones are asked for, as of a method of order 2."""
+    means = effort(problem.scene)
+    return int(means.steps * max(1.0, means.accuracy / problem.accuracy) ** 0.5)
 
 
 def make_slots(problem: Problem, experiments: int) -> tuple[Slot, ...]:

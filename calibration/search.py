@@ -15,18 +15,18 @@ import numpy as np
 from scipy.stats import qmc
 
 from bcfj_jax import simulate
+from bcfj_jax.journal import Journal
+from bcfj_jax.stop import check
 from calibration.effort import effort
 from calibration.evaluate import evaluator as evaluator
 from calibration.evaluate import loosened
 from calibration.horizon import stages, until
-from calibration.journal import Journal
 from calibration.model import Model, values_at
 from calibration.polish import End as End
 from calibration.polish import finish as finish
 from calibration.polish import polished
 from calibration.staged import Interrupted as Interrupted
 from calibration.staged import blocks, named, staged
-from calibration.stop import check
 
 log = logging.getLogger("calibration")
 

@@ -12,13 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bcfj_jax.journal import Journal
+from bcfj_jax.stop import check
 from calibration.descent import Lanes, adam, cost_of, levenberg
 from calibration.effort import effort
 from calibration.evaluate import evaluator, loosened
 from calibration.horizon import impulses, meets, stages, until
-from calibration.journal import Journal
 from calibration.model import Model, values_at
-from calibration.stop import check
 
 log = logging.getLogger("calibration")
 
@@ -119,10 +119,10 @@ def _next(model: Model, leg: _Leg, ends: list[np.ndarray], points: np.ndarray, l
     whole = len(ends) - 1
     if leg.last:
         return None
-    if effort(model.scene).rough:  # A joint's contacts come when its drive brings them, never far off.
-        return _Leg(leg.reached + 1, False, leg.reached + 1 == whole)
     if leg.reached == whole:
         return _Leg(whole, False, True)
+    if effort(model.scene).rough:  # A joint's contacts come when its drive brings them, never far off.
+        return _Leg(leg.reached + 1, False, False)
     residuals, _ = evaluator(loosened(model), log_depth)(points)
     met = meets(model, residuals, ends)
     # The farthest stage up to which most starts meet every contact.

@@ -16,12 +16,12 @@ import pytest
 from conftest import BUILD
 
 from bcfj_jax import InputError
+from bcfj_jax.journal import NAME, Journal, key_of
+from bcfj_jax.stop import check, heeded
 from calibration import command, search
-from calibration.journal import NAME, Journal, key_of
 from calibration.model import build
 from calibration.problemfile import load
 from calibration.search import Interrupted
-from calibration.stop import check, heeded
 
 # A shell's background jobs, and what they start, ignore Ctrl-C; a user's do not.
 COMMAND = (

@@ -61,6 +61,6 @@ def test_a_table_is_put_between_its_markers_and_nowhere_else(tmp_path, monkeypat
     for table in ("first", "second"):
         _common.put_in_readme("x", table)
         assert readme.read_text() == f"before\n<!-- x: begin -->\n{table}\n<!-- x: end -->\nafter\n"
-    with pytest.raises(ValueError, match="y: begin"):
+    with pytest.raises(ValueError, match=r"README\.md: the markers '<!-- y: begin"):
         _common.put_in_readme("y", "lost")
     assert "second" in readme.read_text()

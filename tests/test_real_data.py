@@ -93,12 +93,13 @@ def test_thin_pad_is_a_misfit_whatever_the_noise_is_said_to_be():
     assert all(p.ci95 is None for p in found.parameters.values())
 
 
-def test_two_stages_are_chosen_for_the_thin_pad(thin):
+def test_a_stop_is_chosen_for_the_thin_pad(thin):
     by_name = {r.name: r for r in thin.rivals}
-    one, two = by_name["power law"], by_name["two stages"]
-    assert thin.chosen == "two stages" and thin.rivals[0] is two
-    assert two.held_out < 0.5 * one.held_out
-    assert one.likelihood.bic - two.likelihood.bic > 10.0
-    # Where it bottoms out is inside the data: just short of the greatest penetration of a soft pad alone, v sqrt(m/K).
-    found = two.fit.values
-    assert 0.05 < found["bottoming_penetration"] < 0.08
+    one, two, own = (by_name[name] for name in ("power law", "two stages", "damped stop"))
+    assert thin.chosen == "damped stop" and thin.rivals[0] is own
+    for stop in (two, own):
+        assert stop.held_out < 0.5 * one.held_out
+        # Where it bottoms out is inside the data: just short of what a soft pad alone would be pressed, v sqrt(m/K).
+        assert 0.05 < stop.fit.values["bottoming_penetration"] < 0.08
+    assert one.likelihood.bic - 10.0 > two.likelihood.bic > own.likelihood.bic + 10.0
+    assert own.fit.values["bottoming_damping"] > 3.0 * own.fit.values["damping"]

@@ -1,6 +1,6 @@
 """A crash-safe record of finished work: JSON lines that are on disk before the next begins.
 
-A fit that was cut off, by Ctrl-C or by the power, starts again and finds here what it had finished. The numbers are
+A job that was cut off, by Ctrl-C or by the power, starts again and finds here what it had finished. The numbers are
 written in full, and what is computed from them is the same as without the cut.
 """
 
@@ -9,22 +9,22 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from bcfj_jax import InputError
+from bcfj_jax.errors import InputError
 from bcfj_jax.outputs import plain
 
 NAME = "journal.jsonl"
 
 
-def key_of(*parts: Any) -> str:
-    """SHA-256 of plain data, and of the source of both packages: other code may find other numbers."""
+def key_of(*parts: Any, packages: Sequence[str] = ("bcfj_jax",)) -> str:
+    """SHA-256 of plain data, and of the source of the packages at work: other code may find other numbers."""
     digest = hashlib.sha256(json.dumps([plain(part) for part in parts], sort_keys=True).encode())
     root = Path(__file__).resolve().parent.parent
-    for package in ("bcfj_jax", "calibration"):
+    for package in packages:
         for path in sorted((root / package).rglob("*.py")):
             digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
     return digest.hexdigest()
@@ -64,7 +64,7 @@ class Journal:
             if number == 0 and piece.get("key") != self._key:
                 raise InputError(
                     f"--out {self.path.parent}",
-                    "holds the unfinished fit of another problem, seed, number of starts, or version",
+                    "holds the finished pieces of another problem, of other options, or of another version",
                     f"name another folder, or remove {NAME} there to begin again",
                 )
             if number:

@@ -1,0 +1,35 @@
+"""The Jacobian of a model whose forces come in spikes: its mean over where the estimate may lie.
+
+An arrival that shifts by more than its spike is long moves the forces by less than the Jacobian at one point says; and
+there the integrator's own error is a part of it. The mean of the Jacobian over the estimate's normal distribution is
+the slope of the best straight line through it (Stein 1981, Annals of Statistics 9, lemma 1), and averages that error.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from calibration.descent import Evaluate
+from calibration.polish import End
+
+
+def averaged(evaluate: Evaluate, best: End, covariance: np.ndarray) -> End:
+    """An optimum with the mean of its Jacobian over N(point, covariance).
+
+    By the cubature rule of degree 3 (Arasaratnam and Haykin 2009): 2 P points, sqrt(P) deviations off along the
+    principal axes. Points beyond the box are taken at its wall; pairs that fail are left out.
+
+    Args:
+        evaluate: residuals and Jacobians of points (B, P).
+        best: the optimum.
+        covariance: (P, P) of its coordinates.
+    """
+    sizes, axes = np.linalg.eigh(covariance)
+    steps = np.sqrt(best.point.size * np.maximum(sizes, 0.0))[:, None] * axes.T
+    points = np.clip(np.concatenate([best.point + steps, best.point - steps]), 0.0, 1.0)
+    _, jacobians = evaluate(points)
+    pairs = jacobians.reshape(2, len(steps), *jacobians.shape[1:]).mean(axis=0)
+    sound = np.isfinite(pairs).all(axis=(1, 2))
+    return replace(best, jacobian=pairs[sound].mean(axis=0)) if sound.any() else best
