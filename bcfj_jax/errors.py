@@ -19,6 +19,10 @@ class InputError(ValueError):
         super().__init__(f"{where}: {found}; {remedy}")
         self.where, self.found, self.remedy = where, found, remedy
 
+    def __reduce__(self) -> tuple:
+        """So that one raised in a worker process arrives."""
+        return type(self), (self.where, self.found, self.remedy)
+
 
 def nearest(name: str, known: Iterable[str]) -> str:
     """Say which of the known names was probably meant, or list them all."""

@@ -155,7 +155,7 @@ def bound(contacts: int, noise: float) -> dict[str, Any]:
     stated = problem(*record(contacts, "scipy"), noise, 0)
     model = build(stated, stated.experiments)
     values = np.array(list(TRUTH.values()))
-    depth = reference_depth(model, model.point(values, 0.0), 0.0)
+    depth = reference_depth(model, [model.point(values, 0.0)], 0.0)
     point = model.point(values, depth)
     jacobian = np.asarray(residuals_and_jacobian(model, jnp.asarray(point), jnp.asarray(depth))[1])
     width = np.asarray(model.box(jnp.asarray(depth))[1])

@@ -23,7 +23,7 @@ from calibration.polish import End
 from calibration.problem import Experiment, Problem
 from calibration.records import Record, features_of, hold_out, records_of, rms, series_of
 from calibration.runs import commonest_failure, contacts, failure
-from calibration.search import Screen, lanes, reference_depth, screen, search
+from calibration.search import Screen, by_cost, lanes, reference_depth, screen, search
 from calibration.settle import settle
 from calibration.uncertainty.intervals import Evidence, check_kind, revised
 from calibration.whiteness import residual_tests
@@ -151,8 +151,8 @@ def _checked(
     """The check at the start that was given, or at the best of the design."""
     point, depth = screened.design[int(np.nanargmin(screened.costs))], 0.0
     if model.referenced:
-        start, depth = values_at(model, point, 0.0), reference_depth(model, point, 0.0)
-        point = model.point(start, depth)
+        depth = reference_depth(model, by_cost(screened.design, screened.costs), 0.0)
+        point = model.point(values_at(model, point, 0.0), depth)
     if given:
         point = model.point(given[0], depth)
     return check.at_start(problem, model, labels, point, depth, screened.reach, check.floor(fitted))

@@ -13,6 +13,7 @@ from scipy.optimize import least_squares
 from calibration.descent import Lanes
 from calibration.effort import effort
 from calibration.model import Model, residuals_and_jacobian
+from calibration.runs import refusal
 
 log = logging.getLogger("calibration")
 
@@ -101,5 +102,6 @@ def finish(model: Model, start: np.ndarray, point: np.ndarray, log_depth: float)
         loss=model.loss,
     )
     residuals, jacobian = evaluate(result.x)
-    failure = "the simulation failed" if np.all(residuals == FAILED_RESIDUAL) else ""
+    failed = np.all(residuals == FAILED_RESIDUAL)
+    failure = "the simulation failed" if failed else refusal(model, result.x, log_depth)
     return End(start, result.x, float(model.cost(residuals)), residuals, jacobian, result.status > 0, failure)

@@ -12,7 +12,10 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.derivatives.jacobian import Histories, channel_names, channels, histories
+from bcfj_jax.errors import InputError
 from bcfj_jax.integrate import OK, reason
+from bcfj_jax.joint.checks import check_joint
+from bcfj_jax.joint.scene import Joint
 from calibration.model import Model
 
 _SAMPLES = 2001
@@ -76,8 +79,23 @@ def contacts(model: Model, point: np.ndarray, log_depth: float) -> list[Contact]
     ]
 
 
+def refusal(model: Model, point: np.ndarray, log_depth: float) -> str:
+    """Why the values at a point are no parameters of the scene, as one that contradicts another; "" if they are."""
+    table, _ = model.settings(jnp.asarray(point), jnp.asarray(log_depth))
+    for i in range(len(model.data.times)):
+        try:
+            params = model.scene.parameters({name: float(values[i]) for name, values in table.items()})
+            if isinstance(model.scene, Joint):
+                check_joint(model.scene, params)
+        except InputError as error:
+            return str(error)
+    return ""
+
+
 def failure(model: Model, point: np.ndarray, log_depth: float) -> str:
     """Why the simulations at a point do not count, in words."""
+    if told := refusal(model, point, log_depth):
+        return told
     spans = _spans(model)
     times = np.linspace(np.minimum(spans[:, 0], 0.0), np.maximum(spans[:, 1], 1e-9), _SAMPLES, axis=1)
     _, codes = _histories(model, jnp.asarray(point), jnp.asarray(log_depth), jnp.asarray(times))

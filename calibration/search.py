@@ -9,6 +9,7 @@ Nothing here judges: every start is reported with where it ended, failures inclu
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +26,7 @@ from calibration.model import Model, values_at
 from calibration.polish import End as End
 from calibration.polish import finish as finish
 from calibration.polish import polished
+from calibration.runs import refusal
 from calibration.staged import Interrupted as Interrupted
 from calibration.staged import blocks, named, staged
 
@@ -116,12 +118,11 @@ def search(
     chosen = np.array([*starts, *values_at(model, _spread(design, costs, count), 0.0)])[: max(count, len(starts))]
     log_depth = 0.0
     if model.referenced and np.isfinite(costs).any():
-        log_depth = reference_depth(model, design[int(np.nanargmin(costs))], log_depth)
+        log_depth = reference_depth(model, by_cost(design, costs), log_depth)
     points = np.clip(model.point(chosen, log_depth), 1e-3, 1 - 1e-3)
     found = staged(model, points, log_depth, lanes(len(points)), journal)
     if model.referenced and np.isfinite(found.costs).any():
-        old, best = log_depth, int(np.argmin(found.costs))
-        log_depth = reference_depth(model, found.points[best], old)
+        old, log_depth = log_depth, reference_depth(model, by_cost(found.points, found.costs), log_depth)
         points, moved = (model.point(values_at(model, u, old), log_depth) for u in (points, found.points))
         found = found._replace(points=np.clip(moved, 0.0, 1.0))
     try:
@@ -141,8 +142,16 @@ def _spread(design: np.ndarray, costs: np.ndarray, count: int) -> np.ndarray:
     return design[np.concatenate([good, rest[:: max(1, len(rest) // max(1, count // 2))][: count // 2]])]
 
 
-def reference_depth(model: Model, point: np.ndarray, log_depth: float) -> float:
-    """Force-weighted mean of ln(penetration) over the contact at a point: a depth inside the data."""
+def by_cost(points: np.ndarray, costs: np.ndarray) -> np.ndarray:
+    """The points (B, P) that simulate, best first."""
+    return points[np.argsort(costs, kind="stable")][: np.isfinite(costs).sum()]
+
+
+def reference_depth(model: Model, points: Iterable[np.ndarray], log_depth: float) -> float:
+    """Force-weighted mean of ln(penetration) over the contact at the first point that is a scene's: inside the data."""
+    point = next((p for p in points if not refusal(model, p, log_depth)), None)
+    if point is None:
+        return log_depth
     params = {name: float(v[0]) for name, v in model.data.fixed.items()}
     for slot, value in zip(model.slots, values_at(model, point, log_depth), strict=True):
         if slot.name in params and slot.experiment in (None, 0):

@@ -11,7 +11,8 @@ from bcfj_jax import InputError, scenes
 from calibration import Channel, Experiment, Free, Problem, check, fit, model
 from calibration.clearance import clearance_tests, gap_of, whole_contact_test
 from calibration.fit import AllStartsFailed
-from calibration.runs import contacts, failure
+from calibration.runs import contacts, failure, refusal
+from calibration.search import reference_depth
 
 pytestmark = pytest.mark.filterwarnings("error")
 
@@ -148,3 +149,17 @@ def test_fits_of_other_data_compile_nothing_and_a_short_record_is_said_to_be_sho
         jax.monitoring.clear_event_listeners()
     assert short.verdict != "identified"
     assert any("shorter than a contact" in reason for reason in short.reasons)
+
+
+def test_a_point_whose_values_contradict_each_other_is_named_and_passed_over():
+    scene = scenes.impact(law="hertz", elastic="two_stage", smoothing=False)
+    free = (Free("stiffness", 1e4, 1e6), Free("exponent", 1.0, 2.0), Free("bottoming_width", 1e-6, 1e-2))
+    params = {k: float(v) for k, v in scene.parameters(mass=MASS, bottoming_penetration=1e-3).items()}
+    experiment = Experiment("a", TIMES, (Channel("contact.normal", force(TIMES), 1.0),))
+    built = model.build(Problem(scene, params, (experiment,), free), (experiment,))
+    wide, narrow = (built.point(np.array([STIFFNESS, 1.0, width]), 0.0) for width in (5e-3, 1e-4))
+    assert not refusal(built, narrow, 0.0)
+    told = "bottoming_width = 0.005 is more than bottoming_penetration = 0.001"
+    assert told in refusal(built, wide, 0.0) and told in failure(built, wide, 0.0)
+    assert reference_depth(built, [wide, narrow], 0.5) == reference_depth(built, [narrow], 0.5) != 0.5
+    assert reference_depth(built, [wide], 0.5) == 0.5

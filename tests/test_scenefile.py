@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import inspect
 import math
 import re
@@ -270,3 +271,9 @@ def test_missing_files(tmp_path):
 def test_template_of_an_unknown_scene():
     with pytest.raises(InputError, match="did you mean 'bounce'"):
         scenefile.template("bounc")
+
+
+def test_an_error_can_be_sent_from_a_worker_process():
+    error = InputError("s.toml", "mass = -1 kg", "give more than 0")
+    arrived = copy.copy(error)  # by what multiprocessing sends it by
+    assert str(arrived) == str(error) and arrived.remedy == error.remedy

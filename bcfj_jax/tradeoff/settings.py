@@ -19,7 +19,7 @@ from bcfj_jax.joint.scales import scales as joint_scales
 from bcfj_jax.joint.scene import FIDELITIES, Joint
 from bcfj_jax.laws import FRICTION
 from bcfj_jax.outputs import plain
-from bcfj_jax.scene import AbstractScene
+from bcfj_jax.scene import AbstractScene, Scene
 from bcfj_jax.scenefile import SceneFile
 from bcfj_jax.solvers import named
 
@@ -190,7 +190,7 @@ def _knobs(given: SceneFile, moves: bool) -> Iterator[Setting]:
     changes: list[tuple[str, str, dict[str, Any], str]] = []
     if "smoothing" in values and not values["smoothing"]:
         changes.append(("smoothing", "without smoothing", {"scene": {"smoothing": False}}, ""))
-        depth = float((joint_scales if isinstance(scene, Joint) else state_scales)(scene, given.params)[0])
+        depth = _depth(given)
         for share in _WIDTHS_OF_DEPTH:
             physics = f"contacts begin softly, over {_percent(share)} of a typical penetration"
             parameters = {"parameters": {"smoothing": float(f"{share * depth:.3g}")}}
@@ -214,6 +214,14 @@ def _knobs(given: SceneFile, moves: bool) -> Iterator[Setting]:
             title = f"{name} at {_percent(error)}" if moves else name
             table = overlaid(given.resolved, at)
             yield Setting(title, group, name, error, table, at, physics, derivatives=not joint and group == "smoothing")
+
+
+def _depth(given: SceneFile) -> float:
+    """A typical penetration [m]."""
+    if isinstance(given.scene, Joint):
+        return float(joint_scales(given.scene, given.params)[0])
+    assert isinstance(given.scene, Scene)
+    return float(state_scales(given.scene, given.params)[0])
 
 
 def _outputs(given: SceneFile) -> Iterator[Setting]:
