@@ -20,8 +20,10 @@ class Effort(NamedTuple):
         loose: the same on the way to an optimum.
         steps: attempted steps of a run until it has failed.
         tighter: so many times as tight is the run that tells the integrator's error.
-        rough: whether that error is what the cost's last digits are made of, so that its slopes must tell.
+        rough: whether that error is what the cost's last digits are made of, so that its slopes must tell, and no
+            profile is drawn unless it is asked for.
         apart: whether points are run one by one, as many at a time as there are cores; else a batch in one program.
+            Contacts of such a scene come when its drive brings them: starts need no first-order descent to meet them.
         asked: points of the design that are asked what all data tell of a coordinate.
         kept: starts that are not given up, however far off.
         descend: steps of a batched descent on one leg.
@@ -64,5 +66,5 @@ def effort(scene: AbstractScene) -> Effort:
     """What a scene's runs are worth."""
     if not isinstance(scene, Joint):
         return _MASS
-    # Solved, not integrated: as exact as may be.
-    return _JOINT if scene.fidelity == "dynamic" else _JOINT._replace(accuracy=_MASS.accuracy)
+    # Without inertia it is solved, not integrated: as exact as may be.
+    return _JOINT if scene.fidelity == "dynamic" else _JOINT._replace(accuracy=_MASS.accuracy, rough=False)

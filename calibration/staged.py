@@ -75,7 +75,7 @@ def staged(model: Model, points: np.ndarray, log_depth: float, size: int, journa
     ends, count = stages(model), len(points)
     at, costs, converged = points.copy(), np.full(count, np.inf), np.zeros(count, dtype=bool)
     going, given_up, best = np.arange(count), np.zeros(0, dtype=int), (np.inf, None)
-    leg: _Leg | None = _Leg(0, len(ends) > 1, len(ends) == 1 and effort(model.scene).rough)
+    leg: _Leg | None = _Leg(0, len(ends) > 1, len(ends) == 1 and effort(model.scene).apart)
     while leg is not None:
         part = model if leg.last else loosened(until(model, ends[leg.reached]))
 
@@ -121,7 +121,7 @@ def _next(model: Model, leg: _Leg, ends: list[np.ndarray], points: np.ndarray, l
         return None
     if leg.reached == whole:
         return _Leg(whole, False, True)
-    if effort(model.scene).rough:  # A joint's contacts come when its drive brings them, never far off.
+    if effort(model.scene).apart:  # A joint's contacts come when its drive brings them, never far off.
         return _Leg(leg.reached + 1, False, False)
     residuals, _ = evaluator(loosened(model), log_depth)(points)
     met = meets(model, residuals, ends)
@@ -162,7 +162,7 @@ def _once(
 def _descend(part: Model, points: np.ndarray, log_depth: float, leg: _Leg) -> Lanes:
     """One batch on one leg: far off by Adam, then to the right arrivals, then to the least squares."""
     evaluate, means = evaluator(part, log_depth), effort(part.scene)
-    if means.rough:
+    if means.apart:
         return levenberg(evaluate, points, means.descend, means.tolerance if leg.last else means.roughly)
     if leg.last:
         return levenberg(evaluate, points, means.descend, means.tolerance, patience=_AT_REST)

@@ -10,6 +10,7 @@ import numpy as np
 
 from bcfj_jax import InputError
 from calibration import judge
+from calibration.effort import effort
 from calibration.estimates import Parameter, Reference
 from calibration.model import Model, Slot
 from calibration.uncertainty import posterior, profile
@@ -104,7 +105,8 @@ def revised(
         return parameters, reference, [*_retested(model, labels, tests, ends, why), mixed], Evidence(posterior=drawn)
     failed = {t.name for t in tests if not t.passed}
     bent = {name for name in labels if f"interval of {name}" in failed}
-    if kind == "covariance" and len(failed) > len(bent):  # No interval will be given, whatever a profile says.
+    # Where more fails no interval will be given, whatever a profile says; and a rough cost makes it a profile of noise.
+    if kind == "covariance" and (len(failed) > len(bent) or effort(model.scene).rough):
         return parameters, reference, tests, Evidence()
     names = [*labels, "reference_force"] if kind == "profile" else sorted(bent)
     if not names:
