@@ -16,7 +16,7 @@ from calibration.effort import effort
 from calibration.estimates import Parameter as Parameter
 from calibration.estimates import Reference as Reference
 from calibration.estimates import estimates
-from calibration.evaluate import evaluator
+from calibration.evaluate import evaluator, loosened
 from calibration.model import Model, build, values_at
 from calibration.noise import Estimate
 from calibration.polish import End
@@ -174,7 +174,8 @@ def _judge(
     samples = sum(e.samples for e in fitted)
     spread = judge.spread(best, samples, noise.moved, model.loss)
     if effort(model.scene).rough and spread.covariance is not None:
-        best = averaged(evaluator(model, log_depth), best, spread.covariance)
+        # Loosely: a mean needs no more digits, and tight steps follow swings that the mean is to smooth.
+        best = averaged(evaluator(loosened(model), log_depth), best, spread.covariance)
         spread = judge.spread(best, samples, noise.moved, model.loss)
     records = records_of(model, fitted, best.point, log_depth, False)
     seen = contacts(model, best.point, log_depth)
