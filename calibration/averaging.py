@@ -1,9 +1,9 @@
 """The Jacobian of a model whose forces come in spikes: its mean over where the estimate may lie.
 
-An arrival that shifts by more than its spike is long moves the forces by less than the Jacobian at one point says: of the
-joint, the derivative by the windows' clearance is another one 0.03 % further on (tests/data/joint_derivatives.npz), while
-the clearance itself is known to some 7 %. The mean of the Jacobian over the estimate's normal distribution is the slope
-of the best straight line through it (Stein 1981, Annals of Statistics 9, lemma 1).
+An arrival that shifts by more than its spike is long moves the forces by less than the Jacobian at one point says: of
+the joint, the derivative by the windows' clearance is another one 0.03 % further on (tests/data/joint_derivatives.npz),
+while the clearance itself is known to some 7 %. The mean of the Jacobian over the estimate's normal distribution is the
+slope of the best straight line through it (Stein 1981, Annals of Statistics 9, lemma 1).
 """
 
 from __future__ import annotations
