@@ -230,13 +230,16 @@ def _repeat(t: np.ndarray, values: np.ndarray) -> float:
     top, multiple = rise + int(np.argmax(n[rise : rise + falls[0]])), 1
     base = top
     while True:
-        # Where the next multiple's crest is expected, a tenth of a period either way, past this one and inside the lags.
+        # Where the next multiple's crest is expected, a tenth of a period either way, past this and inside the lags.
         guess, reach = top * (multiple + 1) / multiple, max(2, base // 10)
         low, high = max(round(guess) - reach, top + 1), round(guess) + reach + 1
         if high > n.size or np.max(n[low:high]) < _EQUAL * n[base]:
             break
         top, multiple = low + int(np.argmax(n[low:high])), multiple + 1
-    return float(even[1] - even[0]) * float(_crest(jnp.asarray(n), top)) / multiple
+    crest = float(_crest(jnp.asarray(n), top))
+    if not crest > 0.0:  # Too few samples to have one there.
+        return float("nan")
+    return float(even[1] - even[0]) * crest / multiple
 
 
 @partial(jax.jit, static_argnames="most")
