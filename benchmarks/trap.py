@@ -286,8 +286,7 @@ def main() -> None:
         result["mujoco_sysid"] = load("trap").get("mujoco_sysid") if (RESULTS / "trap.json").exists() else None
     save("trap", result)
     told = f"{table(summaries)}\n\n{excluding} of {printed} printed intervals exclude the truth."
-    if result["mujoco_sysid"]:
-        told += f"\n\n{peer_table(result['mujoco_sysid'])}"
+    told += f"\n\n{peer_table(result['mujoco_sysid'])}" if result["mujoco_sysid"] else ""
     put_in_readme("trap", told, "docs/calibration.md")
     print(told)
 
