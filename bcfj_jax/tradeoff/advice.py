@@ -1,9 +1,8 @@
 """The setting to take for an error budget, as TOML.
 
 A setting is within a budget if ``SAFETY`` times its expected error is: the worst of force rms, peak and impulse there,
-on the next looser rung of its ladder and on every tighter one that was run. Errors of adaptive steps scatter, so that one
-rung may be right by luck. A solver that was off by more than
-``LOST`` on any rung is not recommended on another.
+on the next looser rung of its ladder and on every tighter one that was run. Errors of adaptive steps scatter, so that
+one rung may be right by luck. A solver that was off by more than ``LOST`` on any rung is not recommended on another.
 
 The cheapest wins; of those as cheap, within the ``NOISE`` of walls, one that keeps the user's model, then one that
 keeps the solver, then the most accurate. Settings with other times of output are not recommended: the user asked for
