@@ -10,7 +10,7 @@ import numpy as np
 from bcfj_jax import InputError
 from bcfj_jax.journal import Journal
 from calibration import check, integration, judge, where
-from calibration.averaging import averaged
+from calibration.averaging import averaged, stepped
 from calibration.clearance import clearance_tests, whole_contact_test
 from calibration.effort import effort
 from calibration.estimates import Parameter as Parameter
@@ -176,6 +176,7 @@ def _judge(
     if effort(model.scene).rough and spread.covariance is not None:
         # Loosely: a mean needs no more digits, and tight steps follow swings that the mean is to smooth.
         best = averaged(evaluator(loosened(model), log_depth), best, spread.covariance)
+        best = stepped(evaluator(model, log_depth), best) if model.loss == "linear" else best
         spread = judge.spread(best, samples, noise.moved, model.loss)
     records = records_of(model, fitted, best.point, log_depth, False)
     seen = contacts(model, best.point, log_depth)

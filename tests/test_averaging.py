@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from calibration.averaging import averaged
+from calibration.averaging import averaged, stepped
 from calibration.polish import End
 
 PLACE = np.array([0.5, 0.4])
@@ -56,3 +58,24 @@ def test_points_that_fail_are_left_out():
     assert np.isfinite(averaged(half, end(np.ones((2, 2))), COVARIANCE).jacobian).all()
     none = averaged(lambda p: (cubic(p)[0], np.nan * cubic(p)[1]), end(np.ones((2, 2))), COVARIANCE)
     assert np.array_equal(none.jacobian, np.ones((2, 2)))
+
+
+def test_a_step_leaves_a_little_minimum_for_the_one_that_the_mean_slope_points_to():
+    # A straight line with a ripple on it: 40 waves a unit, steep enough for minima of their own.
+    data = np.linspace(0.0, 1.0, 50)
+    slope = np.ones((50, 1))
+
+    def evaluate(points):
+        u = points[:, :1]
+        rippled = u - 0.45 + 0.01 * np.sin(2 * np.pi * 40 * u + 6 * data)
+        return rippled, np.broadcast_to(slope, (len(points), 50, 1))
+
+    at = np.array([0.52])
+    best = End(at, at, float(np.sum(evaluate(at[None])[0] ** 2)), evaluate(at[None])[0][0], slope, True)
+    found = stepped(evaluate, best)
+    assert abs(found.point[0] - 0.45) < 0.003 < abs(at[0] - 0.45)
+    assert found.cost == pytest.approx(np.sum(found.residuals**2)) and found.cost < best.cost
+    outside = replace(best, jacobian=0.01 * slope)
+    far = replace(best, residuals=20.0 * best.residuals, jacobian=20.0 * slope)
+    assert stepped(evaluate, outside) is outside and stepped(evaluate, far) is far
+    assert stepped(lambda p: (np.nan * evaluate(p)[0], slope[None]), best) is best
