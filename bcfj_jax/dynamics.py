@@ -7,19 +7,26 @@ once and gets rates and force directions from it.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.core import Tracer
 
+from bcfj_jax.errors import InputError
 from bcfj_jax.laws import onset_force
+from bcfj_jax.numerics import positive, smooth_ramp
 from bcfj_jax.scene import Contact, Params, Scene
 
 APART, TOUCHING, STICKING, SLIDING = range(4)
 STATES = ("apart", "touching", "sticking", "sliding")
 UNKNOWN = -1
+
+# Contacts until the end of a run whose errors, all of one sign at worst, the tolerance already allows for.
+_MANY = 5.0
 
 
 class Reading(NamedTuple):
@@ -73,11 +80,13 @@ def initial_state(scene: Scene, params: Params) -> Array:
 
 def normal_force(contact: Contact, penetration: Array, rate: Array, approach: Array | None, params: Params) -> Array:
     """Normal force [N] of a contact from its penetration d [m] and rate d' [m/s], ``laws.onset_force``."""
-    coefficients = {name: params[name] for name in contact.law.needs if name != "approach_speed"}
-    if approach is not None:
-        coefficients["approach_speed"] = approach
     width = params["smoothing"] if contact.smoothed else None
-    return onset_force(contact.law, penetration, rate, coefficients, width)
+    return onset_force(contact.law, penetration, rate, _coefficients(contact, approach, params), width)
+
+
+def _coefficients(contact: Contact, approach: Array | None, params: Params) -> dict[str, Array]:
+    own = {name: params[name] for name in contact.law.needs if name != "approach_speed"}
+    return own if approach is None else own | {"approach_speed": approach}
 
 
 def _approach(contact: Contact, q: Array, v: Array, memory: Array, params: Params) -> Array | None:
@@ -106,7 +115,9 @@ def field(t: Array, state: Array, args: tuple[Scene, Params]) -> Array:
         if contact.remembers and contact.approach and contact.memory_rate:
             target = contact.approach(q, v, params)
             learning = contact.memory_rate(target, params) * (target - remembered)
-            memory_rates.append(jnp.where(gap > 0, learning, 0.0)[None])
+            # Within a smoothed onset there is a force: that is no flight.
+            free = gap > (params["smoothing"] if contact.smoothed else 0.0)
+            memory_rates.append(jnp.where(free, learning, 0.0)[None])
             slot += 1
     mass = jnp.concatenate([jnp.full(body.coordinates, params[body.mass]) for body in scene.bodies])
     return jnp.concatenate([v, total / mass, *memory_rates])
@@ -135,13 +146,68 @@ def state_scales(scene: Scene, params: Params) -> Array:
 
     Error control in these units is error control of the contact force: a position error of a fraction
     of the penetration is that fraction (times n) of the force, be the body a metre away or in contact.
+    A body that starts inside an onset is thrown out of it: what is stored there counts as well.
     """
     mass, speed = scene.impact_scale(params)
-    speed = jnp.maximum(speed, 1e-9)
-    energy = 0.5 * mass * jnp.square(speed)
+    q, _ = scene.start(params)
+    stored = [_stored(contact, q, params) for contact in scene.contacts]
+    energy = 0.5 * mass * jnp.square(jnp.maximum(speed, 1e-9)) + jnp.sum(jnp.stack(stored))
+    speed = jnp.sqrt(2.0 * energy / mass)
     lengths = [_stopping_depth(contact, speed, energy, params) for contact in scene.contacts]
     n, remembered = coordinates(scene), sum(contact.remembers for contact in scene.contacts)
     return jnp.concatenate([jnp.full(n, jnp.min(jnp.stack(lengths))), jnp.full(n + remembered, speed)])
+
+
+def error_sizes(scene: Scene, params: Params, end: Array) -> Array:
+    """What a step's error is measured in: ``state_scales``, less where more than ``_MANY`` contacts come until ``end``.
+
+    Every rebound adds its error to the speed, and to the energy: twice the contacts ask for half of it.
+    """
+    sizes = state_scales(scene, params)
+    return sizes if scene.flight is None else sizes * jnp.minimum(1.0, _MANY * scene.flight(params) / end)
+
+
+def check_start(scene: Scene, params: Params) -> None:
+    """Refuse a body that a smoothed onset throws out, under a law whose damping goes by the approach speed.
+
+    Such a law is rigid to a body that leaves at more than the speed it is told of. Batched and traced values pass.
+
+    Raises:
+        InputError: naming the smoothing, and what would be right.
+    """
+    if not any(contact.smoothed and "approach_speed" in contact.law.needs for contact in scene.contacts):
+        return
+    if any(isinstance(value, Tracer) or np.ndim(value) for value in params.values()):
+        return
+    width = float(params["smoothing"])
+    for gap, thrown in _starts(scene, dict(params)) if width > 0.0 else ():
+        if thrown:
+            found = f"an onset of {width:g} m throws out the body, which starts {float(gap):g} m away"
+            remedy = "give less smoothing, a start further away, or a law without restitution (memory_free)"
+            raise InputError(f"scene '{scene.kind}' smoothing", found, remedy)
+
+
+@partial(jax.jit, static_argnums=0)
+def _starts(scene: Scene, params: Params) -> list[tuple[Array, Array]]:
+    """Gap [m] at the start, and whether more is stored there than the approach brings, of each contact that has one."""
+    q, v = scene.start(params)
+    found = []
+    for contact in scene.contacts:
+        first = contact.first or contact.approach
+        if contact.smoothed and first:
+            brought = 0.5 * scene.impact_scale(params)[0] * jnp.square(first(q, v, params))
+            found.append((contact.gap(q, params), _stored(contact, q, params) > brought))
+    return found
+
+
+def _stored(contact: Contact, q: Array, params: Params) -> Array:
+    """Energy [J] of a contact with a body at rest at q, to a factor of n + 1: force times depth, of its onset's."""
+    depth = positive(-contact.gap(q, params))
+    if contact.smoothed:
+        depth, _ = smooth_ramp(-contact.gap(q, params), params["smoothing"])
+    # At rest no approach speed counts.
+    at_rest = _coefficients(contact, jnp.ones_like(depth), params)
+    return contact.law.force(depth, jnp.zeros_like(depth), at_rest) * depth
 
 
 def _stopping_depth(contact: Contact, speed: Array, energy: Array, params: Params) -> Array:

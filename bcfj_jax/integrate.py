@@ -29,7 +29,9 @@ import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.directions import together
-from bcfj_jax.dynamics import field, initial_state, state_scales
+from bcfj_jax.dynamics import error_sizes, field, initial_state
+from bcfj_jax.endings import NOT_FINITE, OK, SOLVER, STEPS, UNBALANCED
+from bcfj_jax.endings import reason as reason
 from bcfj_jax.errors import InputError, nearest
 from bcfj_jax.joint.arrowhead import Arrowhead
 from bcfj_jax.joint.constants import constants
@@ -37,7 +39,7 @@ from bcfj_jax.joint.kinematic import kinematic_states
 from bcfj_jax.joint.quasistatic import quasistatic
 from bcfj_jax.joint.scales import scales as joint_scales
 from bcfj_jax.joint.scales import tolerance as joint_tolerance
-from bcfj_jax.joint.scene import Joint
+from bcfj_jax.joint.scene import AUTO, FIDELITIES, Joint
 from bcfj_jax.joint.start import nominal
 from bcfj_jax.scene import AbstractScene, Params, Scene
 from bcfj_jax.solvers import bdf, named
@@ -58,13 +60,8 @@ _TOLERANCE_PER_ERROR = 0.002
 # is asked for (benchmarks/joint_derivatives.py, at a tolerance of 1e-4: 9 % without, 0.7 % with).
 _TANGENTS_FROM = 1e-4
 
-OK, STEPS, NOT_FINITE, SOLVER, UNBALANCED = range(5)
-_REASONS = {
-    STEPS: "the step budget of {max_steps} steps was spent",
-    NOT_FINITE: "the state stopped being finite",
-    SOLVER: "the solver could not go on: forces that are not finite, or that jump",
-    UNBALANCED: "no equilibrium was found",
-}
+# What no step can better, in units of the state itself: a body far away must not wait for it.
+_ROUNDING = 4e-16
 
 
 class Plan(eqx.Module):
@@ -103,8 +100,13 @@ def plan(
         solver: a name of ``solvers.named`` in place of the scene's own.
 
     Raises:
-        InputError: for an unknown level or solver, an error out of range or a budget below 1.
+        InputError: for an unknown level or solver, an error out of range, a budget below 1, and where the host has
+            switched JAX back to 32-bit numbers (``benchmarks/precision.py`` says what they would cost).
     """
+    if not jax.config.jax_enable_x64:
+        raise InputError(
+            "jax_enable_x64", "is off: numbers would have 32 bits", "leave it as importing bcfj_jax set it"
+        )
     if max_steps < 1:
         raise InputError("max_steps", f"{max_steps}", "give 1 or more")
     if isinstance(accuracy, str):
@@ -118,11 +120,6 @@ def plan(
     named.check(solver, joint)
     tangents = solver == "bdf" or (solver is None and joint and accuracy <= _TANGENTS_FROM)
     return Plan(jnp.asarray(tolerance, dtype=jnp.float64), max_steps, tangents, solver)
-
-
-def reason(code: int, max_steps: int) -> str:
-    """A failure code in words; empty when there is none."""
-    return _REASONS.get(int(code), "").format(max_steps=max_steps)
 
 
 def _safe_norm(scaled_error: Array) -> Array:
@@ -145,7 +142,7 @@ class _Problem(NamedTuple):
     norm: Callable[[Array], Array] = _safe_norm
 
 
-def _problem(scene: AbstractScene, params: Params, how: Plan, differentiable: bool) -> _Problem:
+def _problem(scene: AbstractScene, params: Params, end: Array, how: Plan, differentiable: bool) -> _Problem:
     if isinstance(scene, Joint):
         c = constants(scene, params)
         scales = jax.lax.stop_gradient(joint_scales(scene, params))
@@ -154,7 +151,7 @@ def _problem(scene: AbstractScene, params: Params, how: Plan, differentiable: bo
         start = nominal(scene, params, jnp.zeros(()))
         return _Problem(solver.structure.field, (scene, c), start, scales, jnp.asarray(1e-6), 1e-15, (0.4, 0.3), solver)
     assert isinstance(scene, Scene)
-    scales = jax.lax.stop_gradient(state_scales(scene, params))
+    scales = jax.lax.stop_gradient(error_sizes(scene, params, end))
     start, solver = initial_state(scene, params), named.SPRINGS[how.solver or "tsit5"]()
     return _Problem(field, (scene, params), start, scales, 1e-2 * scales[0] / scales[-1], None, (0.2, 0.5), solver)
 
@@ -185,14 +182,17 @@ def integrate(
     from there on and ``code`` says why.
 
     Raises:
-        InputError: for derivatives by a solver that has none.
+        InputError: for derivatives by a solver that has none, and for a joint whose fidelity is not chosen yet.
     """
     times = jnp.maximum(times, 0.0)
+    if isinstance(scene, Joint) and scene.fidelity == AUTO:
+        remedy = f"give one of {', '.join(FIDELITIES)}: simulate alone chooses, and its run says what"
+        raise InputError("scene 'joint' fidelity", "'auto', which is no model", remedy)
     if isinstance(scene, Joint) and scene.fidelity != "dynamic":
         return _without_inertia(scene, params, times)
     if differentiable and how.solver in named.VALUES_ONLY:
         raise InputError("solver", f"'{how.solver}' has no derivatives", "leave it out, or take sdirk2 or bdf")
-    problem = _problem(scene, params, how, differentiable)
+    problem = _problem(scene, params, times[-1], how, differentiable)
     if isinstance(scene, Joint) and differentiable and isinstance(adjoint, dfx.ForwardMode):
         return _with_tangents(problem, times, how)
     if isinstance(scene, Joint) and how.solver == "bdf" and not differentiable:
@@ -204,7 +204,7 @@ def integrate(
 
 def _solved(problem: _Problem, times: Array, how: Plan, adjoint: dfx.AbstractAdjoint) -> Solution:
     controller = dfx.PIDController(
-        rtol=0.0,
+        rtol=_ROUNDING,
         atol=how.tolerance * problem.scales,
         pcoeff=problem.gains[0],
         icoeff=problem.gains[1],
@@ -216,7 +216,7 @@ def _solved(problem: _Problem, times: Array, how: Plan, adjoint: dfx.AbstractAdj
         dfx.ODETerm(problem.field),  # pyright: ignore[reportArgumentType]
         problem.solver,
         t0=0.0,
-        t1=jnp.maximum(times[-1], problem.first_step),
+        t1=jnp.where(times[-1] > 0.0, times[-1], problem.first_step),
         dt0=problem.first_step,
         y0=problem.start,
         args=problem.args,

@@ -177,7 +177,7 @@ def share_of_time(times: np.ndarray, state: np.ndarray) -> dict[str, float]:
 
 
 def summary(run: Run) -> dict[str, Any]:
-    """``summary.json``: status, every contact's features, what the solver did.
+    """``summary.json``: status, every contact's features, what the solver did, and a rung that was chosen, and why.
 
     The period of a scene that turns is that of its force history, of the last two thirds; else that of its contacts.
     """
@@ -196,7 +196,8 @@ def summary(run: Run) -> dict[str, Any]:
             contacts[name]["period"] = histories.period(run.times, force[:, 0], settled) if enough else float("nan")
     for name, state in channels(run.state).items():
         contacts[name]["share_of_time"] = share_of_time(run.times, state)
-    return {
+    chosen = {"fidelity": run.choice._asdict()} if run.choice else {}
+    return chosen | {
         "status": run.status,
         "reason": run.reason,
         "failure_time": run.failure_time,

@@ -129,6 +129,7 @@ class Scene(AbstractScene, eqx.Module):
             control takes its units.
         horizon: (params) -> a sensible end time [s] where the user gives none.
         samples: a number of output times over that horizon that resolves a contact.
+        flight: (params) -> time from a contact to the next [s], where there is more than one.
     """
 
     kind: str = eqx.field(static=True)
@@ -141,6 +142,7 @@ class Scene(AbstractScene, eqx.Module):
     impact_scale: Callable[[Params], tuple[Array, Array]] = eqx.field(static=True)
     horizon: Callable[[Params], Array] = eqx.field(static=True)
     samples: int = eqx.field(static=True, default=1001)
+    flight: Callable[[Params], Array] | None = eqx.field(static=True, default=None)
 
     @property
     def quantities(self) -> dict[str, Quantity]:

@@ -116,7 +116,7 @@ def _fall_speed(q: Array, v: Array, params: Params) -> Array:
 
 def _sag(params: Params) -> Array:
     """Penetration under the body's own weight [m], (m g/K)^(1/n); of conformal contacts its order of magnitude."""
-    weight, exponent = params["mass"] * jnp.maximum(params["gravity"], 1e-9), params.get("exponent", jnp.asarray(1.5))
+    weight, exponent = params["mass"] * jnp.maximum(params["gravity"], 1e-9), params.get("exponent", jnp.asarray(1.0))
     if "stiffness" in params:
         return (weight / params["stiffness"]) ** (1.0 / exponent)
     if "reference_force" in params:
@@ -138,7 +138,12 @@ def _forget(approach: Array, params: Params) -> Array:
 
 
 def _bounce_scale(params: Params) -> tuple[Array, Array]:
-    return params["mass"], jnp.sqrt(2.0 * params["gravity"] * params["drop_height"])
+    # A body let go on the surface falls by its sag.
+    return params["mass"], jnp.sqrt(2.0 * params["gravity"] * (params["drop_height"] + _sag(params)))
+
+
+def _bounce_flight(params: Params) -> Array:
+    return 2.0 * jnp.sqrt(2.0 * (params["drop_height"] + _sag(params)) / jnp.maximum(params["gravity"], 1e-9))
 
 
 def _bounce_horizon(params: Params) -> Array:
@@ -169,6 +174,7 @@ def bounce(law: str = "memory_free", elastic: str | None = None, smoothing: bool
         impact_scale=_bounce_scale,
         horizon=_bounce_horizon,
         samples=10001,
+        flight=_bounce_flight,
     )
 
 
@@ -203,7 +209,8 @@ def joint(
         cage: "free", or "fixed" to the bisecting plane.
         head: "free" to shift, or "fixed" at the centre; it turns either way.
         drive: "prescribed" speed of the seat, or "flexible".
-        fidelity: "dynamic"; "quasistatic": equilibrium at each angle; "kinematic": closed-form load sharing.
+        fidelity: "dynamic"; "quasistatic": equilibrium at each angle; "kinematic": closed-form load sharing; "auto":
+            ``simulate`` takes the cheapest that keeps the accuracy asked for (``bcfj_jax.fidelity``).
         balls: their number, at least 3.
 
     Raises:
@@ -211,7 +218,7 @@ def joint(
     """
     where = "scene 'joint'"
     choices = {"track": joints.TRACKS, "cage": joints.CAGES, "head": joints.HEADS}
-    choices |= {"drive": joints.DRIVES, "fidelity": joints.FIDELITIES}
+    choices |= {"drive": joints.DRIVES, "fidelity": (*joints.FIDELITIES, joints.AUTO)}
     given = {"track": track, "cage": cage, "head": head, "drive": drive, "fidelity": fidelity}
     for name, value in given.items():
         if value not in choices[name]:

@@ -7,8 +7,9 @@ from collections.abc import Iterable
 from bcfj_jax import laws, scenes
 from bcfj_jax.errors import InputError, nearest
 from bcfj_jax.joint.defaults import DEFAULTS
-from bcfj_jax.joint.scene import CAGES, CONTACTS, DRIVES, FIDELITIES, HEADS, TRACKS, Joint
+from bcfj_jax.joint.scene import AUTO, CAGES, CONTACTS, DRIVES, FIDELITIES, HEADS, TRACKS, Joint
 from bcfj_jax.quantities import Quantity
+from bcfj_jax.solvers import named
 from bcfj_jax.units import format_si
 
 # Nowhere stated; scenes.py says why the number is what it is.
@@ -51,6 +52,7 @@ def template(kind: str) -> str:
     shared = [(q, defaults[name.rpartition(".")[2]]) for name, q in scene.quantities.items() if name not in defaults]
     lines = [_parameter(quantity, value, sources.get(quantity.name)) for quantity, value in given]
     own = [f"# {_parameter(quantity, value, None)}" for quantity, value in shared]
+    names = named.ARROWHEAD if joint else tuple(named.SPRINGS)
     return f"""# A scene of bcfj-jax: run it with  bcfj simulate {kind}.toml
 # Numbers are SI; a text may carry a unit, such as "1.2 mm". The values here are the defaults.
 
@@ -72,6 +74,7 @@ samples = {scene.samples}  # equally spaced, the first at 0
 level = "balanced"  # fast (5 % of the peak force), balanced (1 %), reference (0.001 %)
 # force_error = "1 %"  # of the peak force, in place of a level
 max_steps = 400000  # attempted steps; beyond them the run fails
+# solver = "{names[0]}"  # in place of the scene's own, {_wrapped(names)}
 """
 
 
@@ -97,8 +100,9 @@ spin = false  # true lets the balls turn, and so roll; without, a ball is a part
 cage = "free"  # {_wrapped(CAGES)}: to the bisecting plane, turning with the drive
 head = "free"  # {_wrapped(HEADS)}: at the centre; it turns about its own axis either way
 drive = "prescribed"  # {_wrapped(DRIVES)}: adds seat_inertia, drive_stiffness and drive_damping
-fidelity = "dynamic"  # {_wrapped(FIDELITIES)}
+fidelity = "dynamic"  # {_wrapped((*FIDELITIES, AUTO))}
 #    kinematic: closed-form load sharing. quasistatic: equilibrium at each instant, without friction. dynamic: motion.
+#    auto: the cheapest that keeps [accuracy], and motion of the last pitch repeated where it repeats itself.
 balls = 6  # 3 or more, each in a track of its own
 """
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import diffrax as dfx
 import equinox as eqx
@@ -14,15 +14,16 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from bcfj_jax.dynamics import Reading, contact_state, observe
+from bcfj_jax.dynamics import Reading, check_start, contact_state, observe
 from bcfj_jax.errors import InputError
-from bcfj_jax.integrate import MAX_STEPS, OK, Plan, Solution, integrate, plan, reason
+from bcfj_jax.fidelity import Choice, adaptive
+from bcfj_jax.integrate import LEVELS, MAX_STEPS, OK, Plan, Solution, integrate, plan, reason
 from bcfj_jax.joint.checks import check_joint
 from bcfj_jax.joint.constants import constants
 from bcfj_jax.joint.kinematic import kinematic_readings
 from bcfj_jax.joint.observe import contact_states, observe_at_rest, pressed
 from bcfj_jax.joint.observe import observe as observe_joint
-from bcfj_jax.joint.scene import Joint
+from bcfj_jax.joint.scene import AUTO, Joint
 from bcfj_jax.quantities import increasing
 from bcfj_jax.scene import AbstractScene, Params, Scene
 from bcfj_jax.two_way import two_way
@@ -46,6 +47,7 @@ class Run(NamedTuple):
         state: per contact (T,): codes of ``dynamics.contact_state`` that count ``dynamics.STATES`` (apart, touching,
             sticking, sliding), -1 where the run failed; empty for a run that ``simulate`` did not make.
         trajectory: (T, n) the flat states themselves, as ``dynamics`` and ``joint.system`` read them; None likewise.
+        choice: the rung that a joint of fidelity "auto" was run at, and why; None for every other scene.
     """
 
     times: np.ndarray
@@ -59,6 +61,19 @@ class Run(NamedTuple):
     stats: dict[str, float]
     state: dict[str, np.ndarray] = {}
     trajectory: np.ndarray | None = None
+    choice: Choice | None = None
+
+
+def check(scene: AbstractScene, params: Params) -> None:
+    """Refuse what no run can answer: a joint that cannot be built, a start that its law has no answer to.
+
+    Raises:
+        InputError: ``joint.checks.check_joint``, ``dynamics.check_start``.
+    """
+    if isinstance(scene, Joint):
+        check_joint(scene, params)
+    elif isinstance(scene, Scene):
+        check_start(scene, params)
 
 
 def outcome(
@@ -155,11 +170,15 @@ def simulate(
 
     Raises:
         InputError: for times that are not finite and increasing, an unknown accuracy or solver, a budget below 1, and
-            a joint that cannot be built.
+            a scene that ``check`` refuses.
     """
     values = increasing(times)
-    if isinstance(scene, Joint):
-        check_joint(scene, params)
+    check(scene, params)
+    if isinstance(scene, Joint) and scene.fidelity == AUTO:
+        plan(scene, accuracy, max_steps, solver)
+        effort: dict[str, Any] = {"accuracy": accuracy, "max_steps": max_steps, "solver": solver}
+        budget = LEVELS[accuracy] if isinstance(accuracy, str) else accuracy
+        return adaptive(scene, params, values, budget, lambda rung, at: simulate(rung, params, at, **effort))
     # Values alone: one program, whether or not derivatives would need their own error controlled.
     how = Plan(plan(scene, accuracy, max_steps, solver).tolerance, max_steps, solver=solver)
     arguments = (scene, dict(params), jnp.asarray(values), how)

@@ -9,9 +9,10 @@ from typing import Any
 import jax
 import numpy as np
 
-from bcfj_jax import features, outputs, plots, report
+from bcfj_jax import envelope, features, outputs, plots, report
+from bcfj_jax.fidelity import resolved
 from bcfj_jax.joint.observe import whole
-from bcfj_jax.joint.scene import Joint
+from bcfj_jax.joint.scene import AUTO, Joint
 from bcfj_jax.scene import AbstractScene
 from bcfj_jax.scenefile import SceneFile
 from bcfj_jax.simulation import Run
@@ -35,7 +36,17 @@ def files(scene: AbstractScene) -> tuple[str, ...]:
 
 
 def _moves_as_a_whole(scene: AbstractScene) -> bool:
-    return isinstance(scene, Joint) and scene.fidelity == "dynamic"
+    return isinstance(scene, Joint) and scene.fidelity in ("dynamic", AUTO)
+
+
+def _as_run(scene: AbstractScene, run: Run) -> AbstractScene:
+    """The scene at the rung that was chosen for it, if one was."""
+    return resolved(scene, run.choice.fidelity) if isinstance(scene, Joint) and run.choice else scene
+
+
+def choice_sentence(run: Run) -> str:
+    """Which rung was chosen for a joint of fidelity "auto", and why; "" where nothing was to be chosen."""
+    return f"Fidelity {run.choice.fidelity}: {run.choice.reason}." if run.choice else ""
 
 
 def verdict(run: Run) -> str:
@@ -105,13 +116,16 @@ def write(folder: Path, given: SceneFile, run: Run, stem: str) -> tuple[str, lis
         The results as a text table, and what to warn of.
     """
     summary, warnings = outputs.summary(run), resolution_warnings(run)
+    warnings += envelope.warnings(given.scene, given.params, run.times)
     source = str(given.source) if given.source else f"the built-in scene '{stem}'"
-    outputs.write_toml(folder / "run.toml", given.resolved, f"{source}, as it was run: every default, SI")
+    head = f"{source}, as it was run: every default, SI\n{choice_sentence(run)}".strip()
+    outputs.write_toml(folder / "run.toml", given.resolved, head)
     outputs.write_json(folder / "environment.json", outputs.environment(data=[given.source] if given.source else []))
     outputs.write_forces(folder / "forces.csv", run)
     outputs.write_contacts(folder / "contacts.csv", run)
-    if _moves_as_a_whole(given.scene):
-        found = jax.device_get(whole(given.scene, dict(given.params), run.times, run.trajectory))
+    scene = _as_run(given.scene, run)
+    if _moves_as_a_whole(scene):
+        found = jax.device_get(whole(scene, dict(given.params), run.times, run.trajectory))
         outputs.write_resultants(folder / "resultants.csv", run, found.resultants)
         summary |= outputs.joint_summary(run.times, found)
     outputs.write_json(folder / "summary.json", summary | {"warnings": warnings})
@@ -120,5 +134,6 @@ def write(folder: Path, given: SceneFile, run: Run, stem: str) -> tuple[str, lis
     rows = _contacts(summary["contacts"])
     tables = [("Contacts", rows), ("Input", _input_rows(given)), ("Solver", report.solver_rows(run.stats))]
     pictures = [folder / "forces.png", folder / "force_penetration.png"]
-    report.write(folder, f"Simulation of {stem}", verdict(run), tables, pictures, warnings)
-    return f"{verdict(run)}\n\n{report.text(rows)}\n", warnings
+    said = f"{verdict(run)} {choice_sentence(run)}".strip()
+    report.write(folder, f"Simulation of {stem}", said, tables, pictures, warnings)
+    return f"{said}\n\n{report.text(rows)}\n", warnings

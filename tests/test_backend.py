@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bcfj_jax import Body, Contact, Scene, force_history, laws, scenes, simulate
+from bcfj_jax import Body, Contact, InputError, Scene, force_history, laws, scenes, simulate
 
 LANES = 20_000
 
@@ -122,3 +122,10 @@ def test_importing_switches_on_64_bits_and_loads_no_tools():
     done = subprocess.run([sys.executable, "-c", _PROBE], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines() == ["['jax_enable_x64']", "[]", "float64"]
+
+
+def test_32_bit_numbers_are_refused():
+    scene = scenes.impact()
+    params = scene.parameters()
+    with jax.enable_x64(False), pytest.raises(InputError, match=r"jax_enable_x64.*32 bits"):
+        simulate(scene, params, [0.0, 1e-4])

@@ -17,7 +17,8 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.dynamics import state_scales
-from bcfj_jax.integrate import OK, Plan
+from bcfj_jax.endings import OK, STEEP
+from bcfj_jax.integrate import Plan
 from bcfj_jax.joint.scales import scales as joint_scales
 from bcfj_jax.joint.scene import OF_A_BALL, Joint
 from bcfj_jax.scene import AbstractScene, Params, Scene
@@ -63,7 +64,7 @@ class Rung(NamedTuple):
     @property
     def good(self) -> bool:
         """Whether the run reached its end and every derivative is finite."""
-        return self.code == OK and bool(np.isfinite(self.derivative.force).all())
+        return self.code == OK
 
 
 def channels(scene: AbstractScene) -> dict[str, int]:
@@ -129,6 +130,10 @@ def rung(scene: AbstractScene, params: Params, times: np.ndarray, wrt: tuple[str
     wall = time.perf_counter() - begin
     # One dictionary by name in every field of the histories.
     derivative = Histories(*(np.stack([part[name] for name in wrt]) for part in slopes))
+    # A force that is 0 has a derivative of 0, whatever the state's is.
+    finite = np.isfinite(derivative.force).all(axis=(0, 2, 3)) & np.isfinite(derivative.state).all(axis=(0, 2))
+    if code == OK and not finite.all():
+        code, end = STEEP, times[np.argmin(finite)]
     return Rung(
         float(how.tolerance), value, derivative, int(code), float(end), int(accepted), int(rejected), wall, compile_s
     )

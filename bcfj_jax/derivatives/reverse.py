@@ -17,8 +17,9 @@ from bcfj_jax.derivatives.certificate import Certificate, Check
 from bcfj_jax.derivatives.jacobian import compiled, histories
 from bcfj_jax.derivatives.measures import vector
 from bcfj_jax.derivatives.names import Feature
+from bcfj_jax.endings import OK, STEEP
 from bcfj_jax.errors import InputError
-from bcfj_jax.integrate import OK, Plan
+from bcfj_jax.integrate import Plan
 from bcfj_jax.scene import AbstractScene, Params
 
 _REVERSE = dfx.RecursiveCheckpointAdjoint()
@@ -77,6 +78,8 @@ def gradient(
     stats = {"accepted": int(accepted), "rejected": int(rejected), "tolerance": tolerance}
     stats |= {"wall_s": wall, "compile_s": compile_s}
     matrix = np.stack([slopes[name] for name in wrt], axis=1)
+    if code == OK and not np.isfinite(matrix[np.isfinite(numbers)]).all():
+        code, end = STEEP, times[-1]
     return Gradient(tolerance, numbers, matrix, force, int(code), float(end), stats)
 
 

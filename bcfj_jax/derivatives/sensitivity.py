@@ -19,10 +19,10 @@ from bcfj_jax.derivatives.names import feature as named
 from bcfj_jax.derivatives.reverse import Gradient, gradient, reversed_certificate, reversible
 from bcfj_jax.errors import InputError, nearest
 from bcfj_jax.integrate import LEVELS, MAX_STEPS, OK, Plan, plan, reason
-from bcfj_jax.joint.checks import check_joint
 from bcfj_jax.joint.scene import Joint
 from bcfj_jax.quantities import increasing
 from bcfj_jax.scene import AbstractScene, Params
+from bcfj_jax.simulation import check
 
 MODES = ("auto", "forward", "reverse")
 DIFFERENCES = ("direction", "each", "none")
@@ -95,8 +95,7 @@ def sensitivity(
         InputError: for names that are not known, with the nearest, and for times and options that are not right.
     """
     t = increasing(times)
-    if isinstance(scene, Joint):
-        check_joint(scene, params)
+    check(scene, params)
     full, names = complete(scene, params, wrt)
     contacts = channels(scene)
     asked = (features,) if isinstance(features, str) else features

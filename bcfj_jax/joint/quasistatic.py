@@ -63,7 +63,7 @@ def quasistatic(scene: Joint, params: Params, times: Array) -> QuasistaticSoluti
     problem, drift = _moving_problem(scene, params, times)
     at = _equilibrium(scene)(problem, found.places)
     rates = _rates_of(scene)(problem, drift, at, found.rates)
-    value, rate = jax.jvp(partial(_flat, scene), (problem, at), (drift, rates))
+    value, rate = jax.jvp(partial(flat_places, scene), (problem, at), (drift, rates))
     states = _with_rates(scene, problem.c, value, rate)
     return QuasistaticSolution(jnp.where(found.converged[:, None], states, jnp.nan), found.converged, found.iterations)
 
@@ -90,8 +90,8 @@ def quasistatic_forces(scene: Joint, params: Params, times: Array, found: Found 
     """
     times = jnp.asarray(times, dtype=float)
     found = quasistatic_places(scene, params, times) if found is None else found
-    problem = _problem(scene, params, times)
-    value = _flat(scene, problem, _equilibrium(scene)(problem, jax.lax.stop_gradient(found.places)))
+    problem = posed(scene, params, times)
+    value = flat_places(scene, problem, _equilibrium(scene)(problem, jax.lax.stop_gradient(found.places)))
     states = _with_rates(scene, problem.c, value, jnp.zeros_like(value))
     still = jnp.where(jnp.arange(scene.states) < value.shape[1], states, 0.0)
     readings = jax.vmap(lambda y: observe(scene, problem.c, y))(still)
@@ -99,7 +99,8 @@ def quasistatic_forces(scene: Joint, params: Params, times: Array, found: Found 
     return {name: jnp.where(found.converged, x, jnp.nan).T for name, x in force.items()}
 
 
-def _problem(scene: Joint, params: Params, times: Array) -> Problem:
+def posed(scene: Joint, params: Params, times: Array) -> Problem:
+    """What equilibrium depends on at each time."""
     p, n = params, scene.balls
     c = constants(scene, params)
     seat = p["drive_speed"] * times
@@ -114,8 +115,8 @@ def _problem(scene: Joint, params: Params, times: Array) -> Problem:
     )
 
 
-def _flat(scene: Joint, problem: Problem, at: Places) -> Array:
-    """Places of the flat state (T, 3 n + border)."""
+def flat_places(scene: Joint, problem: Problem, at: Places) -> Array:
+    """Places of the flat state (T, 3 n + border), from displacements."""
     slots, seat = slots_of(scene), problem.seat
     parts = {"head_turn": (seat + at.border[slots["turn"]][0] / problem.lever)[None], "seat_turn": seat[None]}
     if "head" in slots:
@@ -130,7 +131,7 @@ def _flat(scene: Joint, problem: Problem, at: Places) -> Array:
 
 def _moving_problem(scene: Joint, params: Params, times: Array) -> tuple[Problem, Problem]:
     """The problem and its rate."""
-    return jax.jvp(lambda t: _problem(scene, params, t), (times,), (jnp.ones_like(times),))
+    return jax.jvp(lambda t: posed(scene, params, t), (times,), (jnp.ones_like(times),))
 
 
 def _rates_of(scene: Joint) -> Any:

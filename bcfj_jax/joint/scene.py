@@ -22,6 +22,8 @@ GROOVES = ("seat_ball", "head_ball")
 PILOTS = ("seat_cage", "head_cage")
 OF_A_BALL = ("cage_ball", "seat_ball", "head_ball")
 FIDELITIES = ("kinematic", "quasistatic", "dynamic")
+# In place of one of them: ``bcfj_jax.fidelity`` chooses.
+AUTO = "auto"
 TRACKS = ("gothic", "circular")
 CAGES = HEADS = ("free", "fixed")
 DRIVES = ("prescribed", "flexible")
@@ -52,7 +54,7 @@ class Joint(AbstractScene, eqx.Module):
         head: "free" to shift, or "fixed" at the centre; it always turns about its own axis.
         drive: "prescribed" speed, or "flexible": a seat with inertia behind a spring and a damper.
         smoothing: whether penetration has a smoothed onset.
-        fidelity: "dynamic", "quasistatic" or "kinematic".
+        fidelity: "dynamic", "quasistatic" or "kinematic"; "auto" for a scene that ``simulate`` alone can run.
     """
 
     contacts: tuple[JointContact, ...]

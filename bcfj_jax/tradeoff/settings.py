@@ -16,7 +16,7 @@ from bcfj_jax.dynamics import state_scales
 from bcfj_jax.errors import InputError, nearest
 from bcfj_jax.integrate import LEVELS, plan
 from bcfj_jax.joint.scales import scales as joint_scales
-from bcfj_jax.joint.scene import FIDELITIES, Joint
+from bcfj_jax.joint.scene import AUTO, FIDELITIES, Joint
 from bcfj_jax.laws import FRICTION
 from bcfj_jax.outputs import plain
 from bcfj_jax.scene import AbstractScene, Scene
@@ -117,8 +117,11 @@ def settings(given: SceneFile, only: Sequence[str] = (), derivatives: bool = Tru
         derivatives: whether derivatives are measured where they can be.
 
     Raises:
-        InputError: for a group or a solver that this scene has not, with the nearest that it has.
+        InputError: for a group or a solver that this scene has not, with the nearest that it has, and for a joint of
+            fidelity "auto".
     """
+    if isinstance(given.scene, Joint) and given.scene.fidelity == AUTO:
+        raise InputError("[scene] fidelity", f"'{AUTO}' is no model to compare with", "give dynamic: all are tried")
     every = _every(given)
     known = dict.fromkeys([s.group for s in every] + [s.ladder for s in every if s.group == "tolerance"])
     for name in only:

@@ -1,0 +1,210 @@
+"""Accuracy levels from measurement: how wrong and how dear runs are at a tolerance, and what a level may take.
+
+Random scenes of every kind (``random_scenes``) are run down a ladder of tolerances and compared with a tight run that
+another method confirms. A scene's error is the worst of force rms, peak and impulse. Of every promise the largest
+tolerance that keeps it on all of these scenes is derived; ``tests/test_levels.py`` holds ``integrate`` to that, and the
+promise to scenes drawn anew.
+
+    python benchmarks/levels.py [--scenes 60] [--joints 30] [--only KIND ...]
+        writes results/levels.json, docs/images/levels.png and the table in docs/tradeoff.md
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+os.environ.setdefault("EQX_ON_ERROR", "nan")
+
+import diffrax as dfx
+import jax
+import jax.numpy as jnp
+import matplotlib.pyplot as plt
+import numpy as np
+from _common import RESULTS, ROOT, load, markdown, put_in_readme, save
+from random_scenes import LAWS, joints, springs
+
+from bcfj_jax import scenes
+from bcfj_jax.envelope import measures
+from bcfj_jax.integrate import LEVELS, Plan, plan
+from bcfj_jax.scene import AbstractScene, Params
+from bcfj_jax.simulation import outcome
+from bcfj_jax.tradeoff.measures import Measured, errors, worst
+
+KINDS = ("impact", "bounce", "joint")
+_HALVES = tuple(4e-4 * 0.5**k for k in range(19))
+LADDER = {"impact": _HALVES, "bounce": _HALVES, "joint": (0.1, 0.05, 0.02, 0.01, 3e-3, 1e-3, 3e-4, 1e-4)}
+PROMISES = (5e-2, 1e-2, 1e-3, 1e-4, 1e-5)
+# Of the runs at every promise all must keep it; and references further apart than a fraction of the promise are none.
+CERTAIN = 0.1
+BUDGET = 200_000
+Row = dict[str, Any]
+# Stands for the error of a failed run.
+LOST = 1e9
+SAMPLES, JOINT_TIMES = {"impact": 2001, "bounce": 20001}, np.linspace(0.0, 0.6, 601)
+
+
+def runner(scene: AbstractScene, lanes: bool) -> Callable[..., tuple[Any, Any, Any]]:
+    """(params, times, plan) -> forces by contact, code, steps; over lanes of params and times, or of one scene."""
+
+    def one(p: Params, t: jax.Array, how: Plan) -> tuple[dict[str, jax.Array], jax.Array, jax.Array]:
+        solution, readings = outcome(scene, p, t, how, dfx.ForwardMode())
+        forces = {name: reading.force for name, reading in readings.items()}
+        return forces, solution.code, solution.accepted + solution.rejected
+
+    return jax.jit(jax.vmap(one, in_axes=(0, 0, None)) if lanes else one)
+
+
+def compared(forces: dict[str, np.ndarray]) -> Measured:
+    """Forces by contact, (T, 3) or (T, members, 3), as ``measures.errors`` compares them."""
+    parts = [f.reshape(f.shape[0], -1, 3) for f in forces.values()]
+    owners = np.repeat(np.arange(len(parts)), [part.shape[1] for part in parts])
+    nothing = np.zeros(len(owners))
+    return Measured(np.concatenate(parts, 1), owners, nothing * np.nan, nothing, nothing)
+
+
+def off(found: dict[str, np.ndarray], truth: dict[str, np.ndarray], times: np.ndarray) -> float:
+    """The worst error of a run; ``LOST`` where it is not finite."""
+    value = worst(errors(compared(found), compared(truth), times))
+    return float(value) if np.isfinite(value) else LOST
+
+
+def springs_down(kind: str, law: str, count: int, seed: int, ladder: Sequence[float], wide: bool = False) -> list[Row]:
+    """Errors, steps and seconds a lane down the ladder, of random scenes of a law, all in one batch."""
+    scene, params, ends = springs(kind, law, count, seed, wide)
+    grid = np.linspace(0.0, 1.0, SAMPLES[kind]) * ends[:, None]
+    run = runner(scene, lanes=True)
+
+    def at(tolerance: float, solver: str | None = None) -> tuple[list[dict[str, np.ndarray]], Any, Any]:
+        how = Plan(jnp.asarray(tolerance), BUDGET, solver=solver)
+        forces, code, steps = jax.device_get(run(params, jnp.asarray(grid), how))
+        each = [{name: f[k] for name, f in forces.items()} for k in range(count)]
+        return each, code, steps
+
+    truth, code, _ = at(1e-11)
+    other, code_2, _ = at(1e-10, "dopri5")
+    rows: list[Row] = [
+        {"law": law, "apart": off(b, a, t) if c == d == 0 else LOST, "error": [], "steps": [], "lane_s": []}
+        for a, b, c, d, t in zip(truth, other, code, code_2, grid, strict=True)
+    ]
+    for k, row in enumerate(rows):
+        row["measures"] = measures(scene, {name: value[k] for name, value in params.items()}, grid[k])
+    for tolerance in ladder:
+        found, code, steps = at(tolerance)
+        begin = time.process_time()
+        at(tolerance)
+        lane_s = (time.process_time() - begin) / count
+        for k, row in enumerate(rows):
+            row["error"].append(off(found[k], truth[k], grid[k]) if code[k] == 0 else LOST)
+            row["steps"].append(int(steps[k]))
+            row["lane_s"].append(lane_s)
+    return rows
+
+
+def joints_down(count: int, seed: int, ladder: Sequence[float], wide: bool = False) -> list[Row]:
+    """The same of dynamic joints, each by itself; the reference is BDF's, confirmed by RODAS3."""
+    scene, rows = scenes.joint(), []
+    run, times = runner(scene, lanes=False), jnp.asarray(JOINT_TIMES)
+    for params in joints(count, seed, wide):
+
+        def at(tolerance: float, solver: str | None = None, params: Params = params) -> tuple[Any, int, int, float]:
+            begin = time.process_time()
+            how = Plan(jnp.asarray(tolerance), BUDGET, solver=solver)
+            forces, code, steps = jax.device_get(run(params, times, how))
+            return forces, int(code), int(steps), time.process_time() - begin
+
+        truth, code, _, _ = at(1e-6, "bdf")
+        other, code_2, _, _ = at(3e-5)
+        apart = off(other, truth, JOINT_TIMES) if code == code_2 == 0 else LOST
+        row: dict[str, Any] = {"law": "default", "apart": apart, "error": [], "steps": [], "lane_s": []}
+        row["measures"] = measures(scene, params, JOINT_TIMES)
+        for tolerance in ladder:
+            found, code, steps, seconds = at(tolerance)
+            row["error"].append(off(found, truth, JOINT_TIMES) if code == 0 else LOST)
+            row["steps"].append(steps)
+            row["lane_s"].append(seconds)
+        rows.append(row)
+        print(f"joint {len(rows)}: apart {apart:.1e}, errors {np.array(row['error'])}", flush=True)
+    return rows
+
+
+def derived(kind: str, rows: list[Row]) -> list[Row]:
+    """Of every promise the largest tolerance at which, and at all tighter ones, every scene kept it."""
+    table = []
+    for promise in PROMISES:
+        sure = [row for row in rows if row["apart"] <= CERTAIN * promise]
+        broken = np.array([[e > promise for e in row["error"]] for row in sure]).sum(axis=0)
+        after = int(np.flatnonzero(broken).max(initial=-1)) + 1
+        kept = float(LADDER[kind][after]) if after < len(broken) else float("nan")
+        table.append({"promise": promise, "scenes": len(sure), "broken": broken.tolist(), "tolerance": kept})
+    return table
+
+
+def cost(kind: str, rows: list[Row], tolerance: float) -> tuple[float, float, float]:
+    """Steps (median), seconds a lane and worst error at a tolerance: those of the next tighter rung of the ladder."""
+    k = next((k for k, rung in enumerate(LADDER[kind]) if rung <= tolerance * 1.001), len(LADDER[kind]) - 1)
+    sure = [row for row in rows if row["apart"] < LOST]
+    steps, lane_s = (float(np.median([row[key][k] for row in sure])) for key in ("steps", "lane_s"))
+    return steps, lane_s, float(np.max([row["error"][k] for row in sure]))
+
+
+def report(kept: dict[str, Any]) -> None:
+    """The table of the levels and the picture."""
+    table = [["scene", "level", "promise", "tolerance", "worst error seen", "steps (median)", "as dear as balanced"]]
+    figure, axes = plt.subplots(1, len(KINDS), figsize=(12, 4), sharey=True, layout="constrained")
+    for axis, kind in zip(axes, KINDS, strict=True):
+        if kind not in kept:
+            continue
+        rows = kept[kind]["rows"]
+        scene = scenes.joint() if kind == "joint" else getattr(scenes, kind)()
+        balanced = cost(kind, rows, float(plan(scene, "balanced").tolerance))
+        for level, promise in LEVELS.items():
+            tolerance = float(plan(scene, level).tolerance)
+            steps, lane_s, error = cost(kind, rows, tolerance)
+            table.append(
+                [kind, level, f"{100 * promise:g} %", f"{tolerance:.1g}", f"{100 * error:.2g} %", f"{steps:.0f}",
+                 f"{lane_s / balanced[1]:.2g}"]
+            )  # fmt: skip
+        errors_ = np.array([row["error"] for row in rows if row["apart"] < LOST])
+        axis.loglog(LADDER[kind], np.maximum(errors_, 1e-12).T, color="0.7", lw=0.6)
+        axis.loglog(LADDER[kind], errors_.max(axis=0), "C3", label="worst scene")
+        axis.loglog(LADDER[kind], np.median(errors_, axis=0), "C0", label="median scene")
+        asked = np.array(PROMISES)
+        used = [float(plan(scene, float(e)).tolerance) for e in asked]
+        axis.loglog(used, asked, "k.--", label="promise at its tolerance")
+        axis.set(title=kind, xlabel="tolerance [state sizes]", ylim=(1e-9, 3))
+        axis.grid(alpha=0.3)
+    axes[0].set_ylabel("worst of force rms, peak, impulse [of peak]")
+    axes[0].legend(fontsize=8)
+    figure.savefig(ROOT / "docs" / "images" / "levels.png", dpi=110)
+    put_in_readme("levels", markdown(table), "docs/tradeoff.md")
+    print(markdown(table))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scenes", type=int, default=60, help="of each law")
+    parser.add_argument("--joints", type=int, default=30)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", nargs="*", default=KINDS, choices=KINDS)
+    asked = parser.parse_args()
+    jax.config.update("jax_compilation_cache_dir", str(ROOT / "build" / "jax-cache"))
+    kept: dict[str, Any] = {}
+    for kind in asked.only:
+        if kind == "joint":
+            rows = joints_down(asked.joints, asked.seed, LADDER["joint"])
+        else:
+            rows = [row for law in LAWS for row in springs_down(kind, law, asked.scenes, asked.seed, LADDER[kind])]
+        # What another process measured meanwhile stays.
+        kept = {k: v for k, v in load("levels").items() if k in KINDS} if (RESULTS / "levels.json").exists() else {}
+        kept[kind] = {"ladder": LADDER[kind], "derived": derived(kind, rows), "rows": rows}
+        print(kind, kept[kind]["derived"], flush=True)
+        save("levels", kept)
+    report(kept)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,127 @@
+"""The trade of every built-in scene: ``bcfj tradeoff`` on impact, bounce and the joint, kept, drawn, and in the README.
+
+Beside it the levels: seconds of ``fast``, ``balanced`` and ``reference`` on the same scene, their error against the
+study's own truth. A study goes on where it was cut off (build/tradeoff).
+
+    python benchmarks/tradeoff.py [SCENE ...] [--budget 900] [--drawn]
+        writes results/tradeoff_SCENE.json, docs/images/tradeoff.png and the README's table; --drawn measures nothing
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from typing import Any
+
+os.environ.setdefault("EQX_ON_ERROR", "nan")
+
+import jax
+import numpy as np
+from _common import ROOT, load, markdown, put_in_readme, save
+
+from bcfj_jax import plots
+from bcfj_jax.integrate import LEVELS
+from bcfj_jax.journal import Journal, key_of
+from bcfj_jax.outputs import plain
+from bcfj_jax.scenefile import from_table
+from bcfj_jax.stop import heeded
+from bcfj_jax.tradeoff import advice
+from bcfj_jax.tradeoff.command import as_json
+from bcfj_jax.tradeoff.measures import errors, measured, worst
+from bcfj_jax.tradeoff.settings import overlaid, settings
+from bcfj_jax.tradeoff.study import OK, Study, study
+from bcfj_jax.tradeoff.trial import loaded, trial
+
+TABLES: dict[str, dict[str, Any]] = {
+    "impact": {"scene": {"kind": "impact"}},
+    "bounce": {"scene": {"kind": "bounce"}},
+    "joint": {"scene": {"kind": "joint"}, "time": {"end": 0.6, "samples": 601}},
+}
+BUDGETS = ("5 %", "1 %", "0.1 %")
+
+
+def levels(given: Any, found: Study) -> dict[str, dict[str, float]]:
+    """Wall, steps and error of every level, on the scene of a study."""
+    assert found.reference is not None and found.reference.truth is not None
+    kept = {}
+    for level in LEVELS:
+        run, cost = trial(loaded(overlaid(given.resolved, {"accuracy": {"level": level}})))
+        kept[level] = cost | {"error": worst(errors(measured(run, given.times), found.reference.truth, given.times))}
+    return kept
+
+
+def measure(name: str, budget: float) -> None:
+    """Study a scene, or go on with it; keep what is known."""
+    given = from_table(TABLES[name], None)
+    folder = ROOT / "build" / "tradeoff" / name
+    folder.mkdir(parents=True, exist_ok=True)
+    with heeded(), Journal(folder, key_of("tradeoff", given.resolved)) as journal:
+        found = study(given, settings(given), journal, budget, lambda text: print(name, text, flush=True))
+    told = as_json(found, advice.recommended(found), advice.doubts(found.reference))
+    save(f"tradeoff_{name}", plain({**told, "levels": levels(given, found)}))
+
+
+def table() -> str:
+    """The levels, and what is recommended, of every scene."""
+    rows = [["scene", "", "wall", "steps", "worst error", "as fast as `reference`"]]
+    for name in TABLES:
+        kept = load(f"tradeoff_{name}")
+        slowest = kept["levels"]["reference"]["wall_s"]
+        for level, one in kept["levels"].items():
+            rows.append(
+                [name, f"`{level}`: {100 * LEVELS[level]:g} %", f"{1e3 * one['wall_s']:.3g} ms", f"{one['steps']:.0f}",
+                 f"{100 * one['error']:.2g} %", f"{slowest / one['wall_s']:.2g}"]
+            )  # fmt: skip
+        for budget in BUDGETS:
+            one = kept["recommended"][budget]
+            if one["setting"]:
+                error = f"{100 * max(one['errors'].values()):.2g} %"
+                wall = f"{1e3 * one['wall_s']:.3g} ms"
+                text = f"advice for {budget}: {one['setting']}"
+                rows.append([name, text, wall, "", error, f"{slowest / one['wall_s']:.2g}"])
+    return markdown(rows)
+
+
+def picture() -> None:
+    """Error against wall of every setting of every scene; ladders of solvers as lines."""
+    with plots.style():
+        figure, axes = plots.figure(1, len(TABLES), width=14.0, height=5.0)
+        for axis, name in zip(axes, TABLES, strict=True):
+            kept = load(f"tradeoff_{name}")
+            rows = [row for row in kept["settings"] if row["status"] == OK]
+            groups: dict[str, list[tuple[float, float]]] = {}
+            for row in rows:
+                ladder = row["setting"].split(" at ")[0] if row["group"] == "tolerance" else row["group"]
+                if row["setting"] != "as given":
+                    groups.setdefault(ladder, []).append((row["wall_s"], worst(row)))
+            solvers = {r["setting"].split(" at ")[0] for r in rows if r["group"] == "tolerance"}
+            for number, (label, points) in enumerate(groups.items()):
+                x, y = np.array(points).T
+                how = {"color": plots.COLOURS[number % len(plots.COLOURS)], "label": label, "markersize": 4}
+                axis.loglog(x, np.clip(y, 1e-12, 10.0), "o-" if label in solvers else "x", linewidth=0.8, **how)
+            for level, one in kept["levels"].items():
+                place = (one["wall_s"], max(one["error"], 1e-12))
+                axis.loglog(*place, "k*", markersize=11, zorder=5)
+                axis.annotate(level, place, (8, 4), textcoords="offset points", fontsize=9)
+            axis.set_title(name)
+            axis.set_xlabel("wall time of a run, compiled [s]")
+            axis.legend(fontsize=7)
+        axes[0].set_ylabel("worst of force rms, peak and impulse [of the peak]")
+        plots.save(figure, ROOT / "docs" / "images" / "tradeoff.png")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"by default all of {', '.join(TABLES)}")
+    parser.add_argument("--budget", type=float, default=900.0, help="seconds a scene")
+    parser.add_argument("--drawn", action="store_true")
+    asked = parser.parse_args()
+    jax.config.update("jax_compilation_cache_dir", str(ROOT / "build" / "jax-cache"))
+    for name in () if asked.drawn else asked.scenes or TABLES:
+        measure(name, asked.budget)
+    picture()
+    put_in_readme("tradeoff", table())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,107 @@
+"""Levels of accuracy and the envelope: derived from committed results, and kept on scenes drawn anew."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from _common import load
+from levels import CERTAIN, KINDS, compared, derived, joints_down, off, springs_down
+from random_scenes import LAWS
+
+from bcfj_jax import envelope, scenes, simulate
+from bcfj_jax.integrate import LEVELS, plan
+from bcfj_jax.simulation_results import write
+
+UNSEEN = 20261121
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_levels_take_no_more_than_was_derived(kind):
+    kept = load("levels")[kind]
+    assert derived(kind, kept["rows"]) == kept["derived"]
+    for one in kept["derived"]:
+        if kind != "joint" or one["promise"] >= LEVELS["balanced"]:
+            assert float(plan(scenes.make(kind), one["promise"]).tolerance) <= 1.001 * one["tolerance"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["impact", "bounce"])
+@pytest.mark.parametrize("law", LAWS)
+def test_promises_hold_on_unseen_scenes(kind, law):
+    ladder = [float(plan(scenes.make(kind), error).tolerance) for error in LEVELS.values()]
+    rows = springs_down(kind, law, 16, UNSEEN, ladder)
+    for k, promise in enumerate(LEVELS.values()):
+        sure = [row for row in rows if row["apart"] <= CERTAIN * promise]
+        assert len(sure) > 12
+        assert max(row["error"][k] for row in sure) <= promise
+
+
+@pytest.mark.slow
+def test_promises_hold_on_unseen_joints():
+    ladder = [float(plan(scenes.joint(), error).tolerance) for error in (LEVELS["fast"], LEVELS["balanced"])]
+    rows = joints_down(3, UNSEEN, ladder)
+    for k, promise in enumerate((LEVELS["fast"], LEVELS["balanced"])):
+        sure = [row for row in rows if row["apart"] <= CERTAIN * promise]
+        assert sure and max(row["error"][k] for row in sure) <= promise
+
+
+def test_an_error_is_the_worst_of_three():
+    # A rectangle of 1 N for 1 s beside one of 1.1 N: 10 % of the peak in rms, peak and impulse.
+    times = np.linspace(0.0, 1.0, 101)
+    truth = {"contact": np.stack([np.ones(101), np.zeros(101), np.zeros(101)], 1)}
+    assert off({"contact": 1.1 * truth["contact"]}, truth, times) == pytest.approx(0.1)
+    assert compared({"balls": np.ones((5, 6, 3))}).force.shape == (5, 6, 3)
+
+
+def test_the_envelope_is_that_of_the_levels():
+    from envelope import ranges as measured_ranges
+
+    kept = load("levels")
+    assert envelope.guaranteed() == {
+        kind: {name: tuple(x) for name, x in measured_ranges(kept[kind]["rows"]).items()} for kind in KINDS
+    }
+
+
+def test_measures_by_hand():
+    # K d^(n+1)/(n+1) = m v^2/2 for n = 1: d = v sqrt(m/K) = 1 mm; force times depth is twice the energy there.
+    scene = scenes.impact(law="kelvin_voigt")
+    params = scene.parameters(
+        mass=1.0, stiffness=1e6, approach_speed=1.0, dashpot=100.0, smoothing=1e-4, clearance_contact=1e-3
+    )
+    found = envelope.measures(scene, params, np.array([0.0, 6e-3]))
+    assert found == pytest.approx({"onset": 0.1, "loss": 0.1, "durations": 2.0}, rel=1e-6)
+    joint = scenes.joint()
+    params = joint.parameters()
+    found = envelope.measures(joint, params, np.array([0.0, 0.6]))
+    assert found["revolutions"] == pytest.approx(1.0)
+    load = float(params["load_torque"] / params["pitch_radius"] + params["axial_load"]) / 6
+    assert found["ball_load"] == pytest.approx(load)
+    assert envelope.measures(scenes.joint(fidelity="kinematic"), params, np.array([0.0, 0.6])) == {}
+
+
+def test_a_run_beyond_the_envelope_is_told(tmp_path):
+    from bcfj_jax.scenefile import from_table
+
+    table = {
+        "scene": {"kind": "impact"},
+        "parameters": {"damping": 40.0},
+        "time": {"end": 1e-3, "samples": 201},
+    }
+    given = from_table(table, None)
+    run = simulate(given.scene, given.params, given.times)
+    _, warned = write(tmp_path, given, run, "impact")
+    told = [text for text in warned if "not guaranteed" in text]
+    assert len(told) == 1 and "share of the speed that damping takes" in told[0] and " 60," in told[0]
+    assert told[0] in json.loads((tmp_path / "summary.json").read_text())["warnings"]
+    usual = from_table({"scene": {"kind": "impact"}}, None)
+    assert envelope.warnings(usual.scene, usual.params, usual.times) == []
+
+
+def test_the_defaults_are_inside():
+    for kind in KINDS:
+        scene = scenes.make(kind)
+        params = scene.parameters()
+        end = 0.6 if kind == "joint" else float(scene.horizon(params))
+        assert envelope.warnings(scene, params, np.array([0.0, end])) == [], kind
