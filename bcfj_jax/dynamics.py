@@ -27,6 +27,10 @@ UNKNOWN = -1
 
 # Contacts until the end of a run whose errors, all of one sign at worst, the tolerance already allows for.
 _MANY = 5.0
+# A flight of so many contacts' length shifts a force by no more than the tolerance allows for.
+_RARE = 10.0
+# An undamped contact lasts some three times its depth over its speed.
+CONTACT = 3.0
 
 
 class Reading(NamedTuple):
@@ -159,12 +163,18 @@ def state_scales(scene: Scene, params: Params) -> Array:
 
 
 def error_sizes(scene: Scene, params: Params, end: Array) -> Array:
-    """What a step's error is measured in: ``state_scales``, less where more than ``_MANY`` contacts come until ``end``.
+    """What a step's error is measured in: ``state_scales``, less where contacts are many until ``end`` [s], or rare.
 
-    Every rebound adds its error to the speed, and to the energy: twice the contacts ask for half of it.
+    Every rebound adds its error to the speed, and to the energy: twice the contacts ask for half of it. A speed that is
+    wrong shifts the next touch by that part of a flight, and a force that lasts a thousandth of it is gone: errors go
+    as flight over contact (benchmarks/levels.py: to the power 0.99).
     """
     sizes = state_scales(scene, params)
-    return sizes if scene.flight is None else sizes * jnp.minimum(1.0, _MANY * scene.flight(params) / end)
+    if scene.flight is None:
+        return sizes
+    flight = scene.flight(params)
+    rarity = flight * sizes[-1] / (CONTACT * sizes[0])
+    return sizes * jnp.minimum(1.0, _MANY * flight / end) * jnp.minimum(1.0, _RARE / rarity)
 
 
 def check_start(scene: Scene, params: Params) -> None:

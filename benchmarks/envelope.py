@@ -3,7 +3,7 @@
 Wider random scenes are run at the level ``balanced`` beside those of the levels; the pictures show by every measure
 what error they had as a share of the promise.
 
-    python benchmarks/envelope.py [--scenes 40] [--joints 20] [--drawn]
+    python benchmarks/envelope.py [--scenes 40] [--drawn]
         writes bcfj_jax/envelope.json, results/envelope.json, docs/envelope.md and docs/images/envelope_*.png;
         --drawn takes the wider scenes from results/envelope.json
 """
@@ -20,7 +20,7 @@ import jax
 import matplotlib.pyplot as plt
 import numpy as np
 from _common import ROOT, load, markdown, put_in_readme, save
-from levels import CERTAIN, KINDS, LADDER, PROMISES, joints_down, springs_down
+from levels import CERTAIN, LADDER, PROMISES, springs_down
 from random_scenes import LAWS
 
 from bcfj_jax import scenes
@@ -29,6 +29,10 @@ from bcfj_jax.integrate import LEVELS, plan
 from bcfj_jax.outputs import write_json
 
 PAGE = "docs/envelope.md"
+# The joint has no guaranteed range yet: not every random one kept its promise.
+SCENES = ("impact", "bounce")
+# Measures that a scene may have too little of, too.
+BOTH_WAYS = ("exponent",)
 Row = dict[str, Any]
 
 
@@ -38,10 +42,19 @@ def balanced(kind: str) -> float:
 
 
 def ranges(rows: list[Row]) -> dict[str, list[float]]:
-    """Of every measure the range over the scenes of the levels, three digits."""
+    """Of every measure the range over the scenes of the levels, to two digits outward; from 0 where less is easier."""
     names = dict.fromkeys(name for row in rows for name in row["measures"])
     every = {name: [row["measures"][name] for row in rows if name in row["measures"]] for name in names}
-    return {name: [float(f"{f(values):.3g}") for f in (min, max)] for name, values in every.items()}
+    return {
+        name: [outward(min(values), np.floor) if name in BOTH_WAYS else 0.0, outward(max(values), np.ceil)]
+        for name, values in every.items()
+    }
+
+
+def outward(value: float, rounded: Any) -> float:
+    """A value to two digits, rounded by ``floor`` or ``ceil``."""
+    unit = 10.0 ** (np.floor(np.log10(value)) - 1.0) if value > 0.0 else 1.0
+    return float(f"{rounded(value / unit) * unit:.2g}")
 
 
 def share(kind: str, row: Row) -> float:
@@ -104,23 +117,19 @@ def section(kind: str, inside: list[Row], wider: list[Row]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenes", type=int, default=40, help="wider ones of each law")
-    parser.add_argument("--joints", type=int, default=20)
     parser.add_argument("--drawn", action="store_true")
     asked = parser.parse_args()
     jax.config.update("jax_compilation_cache_dir", str(ROOT / "build" / "jax-cache"))
     levels = load("levels")
     wider = load("envelope")["wider"] if asked.drawn else {}
-    for kind in () if asked.drawn else KINDS:
+    for kind in () if asked.drawn else SCENES:
         at = (balanced(kind),)
-        if kind == "joint":
-            wider[kind] = joints_down(asked.joints, 1, at, wide=True)
-        else:
-            wider[kind] = [r for law in LAWS for r in springs_down(kind, law, asked.scenes, 1, at, wide=True)]
+        wider[kind] = [r for law in LAWS for r in springs_down(kind, law, asked.scenes, 1, at, wide=True)]
     save("envelope", {"wider": wider})
-    write_json(ROOT / "bcfj_jax" / KEPT, {kind: ranges(levels[kind]["rows"]) for kind in KINDS})
-    for kind in KINDS:
+    write_json(ROOT / "bcfj_jax" / KEPT, {kind: ranges(levels[kind]["rows"]) for kind in SCENES})
+    for kind in SCENES:
         picture(kind, levels[kind]["rows"], wider[kind])
-    put_in_readme("guaranteed", "\n\n".join(section(k, levels[k]["rows"], wider[k]) for k in KINDS), PAGE)
+    put_in_readme("guaranteed", "\n\n".join(section(k, levels[k]["rows"], wider[k]) for k in SCENES), PAGE)
 
 
 if __name__ == "__main__":

@@ -37,6 +37,7 @@ from bcfj_jax.endings import OK, STEEP, reason
 from bcfj_jax.integrate import plan
 from bcfj_jax.joint.constants import constants
 from bcfj_jax.joint.energy import stored
+from bcfj_jax.joint.scales import scales as joint_scales
 from bcfj_jax.joint.system import view
 from bcfj_jax.simulation import check, outcome
 
@@ -149,8 +150,9 @@ def created(variant: Variant, scene: Any, p: dict[str, np.ndarray], times: Any, 
     """Energy that a case has created, ``gained``; 0 where none is known."""
     if variant.name == "passive":
         books = np.asarray(passive_energy(scene, {k: jnp.asarray(v) for k, v in p.items()}, times, states))
-        # What is stored while the head falls by its play is as large as what it gives.
-        return gained(books, np.nanmax(np.abs(books), 1, keepdims=True))
+        # What is stored while the head falls is as large as what it gives; unloaded, 10 N count (``joint.scales``).
+        depth = np.asarray(jax.vmap(lambda q: joint_scales(scene, q)[0])({k: jnp.asarray(v) for k, v in p.items()}))
+        return gained(books, np.nanmax(np.abs(books), 1, keepdims=True) + 10.0 * depth[:, None])
     if variant.scene not in ("impact", "bounce"):
         return np.zeros(states.shape[0])
     return gained(*energies(p, variant.scene, states))

@@ -26,18 +26,19 @@ from _common import markdown, save
 from random_scenes import BY_DECADES, EVENLY, joint
 
 import bcfj_jax as bj
+from bcfj_jax.scene import Params
 
 END, ANGLES, STEPS = 3.0, 180, 20_000
 AUTO, MOTION = bj.scenes.joint(fidelity="auto"), bj.scenes.joint()
 
 
-def window(params: dict[str, Any]) -> np.ndarray:
+def window(params: Params) -> np.ndarray:
     """Times of the last revolution before ``END`` [s]."""
     turn = 2.0 * np.pi / float(params["drive_speed"])
     return END - turn + turn * np.arange(1, ANGLES + 1) / ANGLES
 
 
-def timed(scene: Any, params: dict[str, Any], budget: float) -> tuple[Any, float]:
+def timed(scene: Any, params: Params, budget: float) -> tuple[Any, float]:
     """A run, and the seconds of this process that it took, compilation apart (a first run compiles)."""
     begin = time.process_time()
     run = bj.simulate(scene, params, window(params), accuracy=budget, max_steps=STEPS)

@@ -2,8 +2,8 @@
 
 Random scenes of every kind (``random_scenes``) are run down a ladder of tolerances and compared with a tight run that
 another method confirms. A scene's error is the worst of force rms, peak and impulse. Of every promise the largest
-tolerance that keeps it on all of these scenes is derived; ``tests/test_levels.py`` holds ``integrate`` to that, and the
-promise to scenes drawn anew.
+tolerance that keeps it on nearly all of these scenes is derived; ``tests/test_levels.py`` holds ``integrate`` to that,
+and the promise to scenes drawn anew.
 
     python benchmarks/levels.py [--scenes 60] [--joints 30] [--only KIND ...]
         writes results/levels.json, docs/images/levels.png and the table in docs/tradeoff.md
@@ -38,8 +38,10 @@ KINDS = ("impact", "bounce", "joint")
 _HALVES = tuple(4e-4 * 0.5**k for k in range(19))
 LADDER = {"impact": _HALVES, "bounce": _HALVES, "joint": (0.1, 0.05, 0.02, 0.01, 3e-3, 1e-3, 3e-4, 1e-4)}
 PROMISES = (5e-2, 1e-2, 1e-3, 1e-4, 1e-5)
-# Of the runs at every promise all must keep it; and references further apart than a fraction of the promise are none.
-CERTAIN = 0.1
+# References further apart than this fraction of the promise are none.
+CERTAIN = 0.05
+# A steep edge of a force may fall on either side of an output time, however small the error: 2 in 100 are let pass.
+MOST = 0.98
 BUDGET = 200_000
 Row = dict[str, Any]
 # Stands for the error of a failed run.
@@ -84,8 +86,8 @@ def springs_down(kind: str, law: str, count: int, seed: int, ladder: Sequence[fl
         each = [{name: f[k] for name, f in forces.items()} for k in range(count)]
         return each, code, steps
 
-    truth, code, _ = at(1e-11)
-    other, code_2, _ = at(1e-10, "dopri5")
+    truth, code, _ = at(1e-10)
+    other, code_2, _ = at(1e-9, "dopri5")
     rows: list[Row] = [
         {"law": law, "apart": off(b, a, t) if c == d == 0 else LOST, "error": [], "steps": [], "lane_s": []}
         for a, b, c, d, t in zip(truth, other, code, code_2, grid, strict=True)
@@ -117,12 +119,13 @@ def joints_down(count: int, seed: int, ladder: Sequence[float], wide: bool = Fal
             return forces, int(code), int(steps), time.process_time() - begin
 
         truth, code, _, _ = at(1e-6, "bdf")
-        other, code_2, _, _ = at(3e-5)
+        other, code_2, _, _ = at(3e-5) if code == 0 else ({}, 1, 0, 0.0)
         apart = off(other, truth, JOINT_TIMES) if code == code_2 == 0 else LOST
-        row: dict[str, Any] = {"law": "default", "apart": apart, "error": [], "steps": [], "lane_s": []}
+        row: Row = {"law": "default", "apart": apart, "error": [], "steps": [], "lane_s": []}
         row["measures"] = measures(scene, params, JOINT_TIMES)
         for tolerance in ladder:
-            found, code, steps, seconds = at(tolerance)
+            # Without a truth there is no error to tell.
+            found, code, steps, seconds = at(tolerance) if apart < LOST else ({}, 1, 0, 0.0)
             row["error"].append(off(found, truth, JOINT_TIMES) if code == 0 else LOST)
             row["steps"].append(steps)
             row["lane_s"].append(seconds)
@@ -132,42 +135,47 @@ def joints_down(count: int, seed: int, ladder: Sequence[float], wide: bool = Fal
 
 
 def derived(kind: str, rows: list[Row]) -> list[Row]:
-    """Of every promise the largest tolerance at which, and at all tighter ones, every scene kept it."""
+    """Of every promise the largest tolerance at which, and at all tighter ones, ``MOST`` kept it; None for none."""
     table = []
     for promise in PROMISES:
         sure = [row for row in rows if row["apart"] <= CERTAIN * promise]
-        broken = np.array([[e > promise for e in row["error"]] for row in sure]).sum(axis=0)
-        after = int(np.flatnonzero(broken).max(initial=-1)) + 1
-        kept = float(LADDER[kind][after]) if after < len(broken) else float("nan")
-        table.append({"promise": promise, "scenes": len(sure), "broken": broken.tolist(), "tolerance": kept})
+        broken = np.sum([[e > promise for e in row["error"]] for row in sure] or [np.zeros(len(LADDER[kind]))], axis=0)
+        after = int(np.flatnonzero(broken > (1.0 - MOST) * len(sure)).max(initial=-1)) + 1
+        kept = float(LADDER[kind][after]) if sure and after < len(broken) else None
+        table.append(
+            {"promise": promise, "scenes": len(sure), "broken": broken.astype(int).tolist(), "tolerance": kept}
+        )
     return table
 
 
-def cost(kind: str, rows: list[Row], tolerance: float) -> tuple[float, float, float]:
-    """Steps (median), seconds a lane and worst error at a tolerance: those of the next tighter rung of the ladder."""
+def at_level(kind: str, rows: list[Row], level: str) -> list[str]:
+    """A row of the table: a level's promise, and what came of it at the next tighter rung of the ladder."""
+    promise, tolerance = LEVELS[level], float(plan(scenes.make(kind), level).tolerance)
     k = next((k for k, rung in enumerate(LADDER[kind]) if rung <= tolerance * 1.001), len(LADDER[kind]) - 1)
-    sure = [row for row in rows if row["apart"] < LOST]
-    steps, lane_s = (float(np.median([row[key][k] for row in sure])) for key in ("steps", "lane_s"))
-    return steps, lane_s, float(np.max([row["error"][k] for row in sure]))
+    sure = [row["error"][k] for row in rows if row["apart"] <= CERTAIN * promise]
+    steps = np.median([row["steps"][k] for row in rows if row["apart"] < LOST])
+    kept = sum(error <= promise for error in sure)
+    worst_seen = f"{100 * max(sure):.2g} %" if sure else "-"
+    return [
+        kind,
+        level,
+        f"{100 * promise:g} %",
+        f"{tolerance:.1g}",
+        f"{kept} of {len(sure)}",
+        worst_seen,
+        f"{steps:.0f}",
+    ]
 
 
 def report(kept: dict[str, Any]) -> None:
     """The table of the levels and the picture."""
-    table = [["scene", "level", "promise", "tolerance", "worst error seen", "steps (median)", "as dear as balanced"]]
+    table = [["scene", "level", "promise", "tolerance", "kept it", "worst error", "steps (median)"]]
     figure, axes = plt.subplots(1, len(KINDS), figsize=(12, 4), sharey=True, layout="constrained")
     for axis, kind in zip(axes, KINDS, strict=True):
         if kind not in kept:
             continue
-        rows = kept[kind]["rows"]
-        scene = scenes.joint() if kind == "joint" else getattr(scenes, kind)()
-        balanced = cost(kind, rows, float(plan(scene, "balanced").tolerance))
-        for level, promise in LEVELS.items():
-            tolerance = float(plan(scene, level).tolerance)
-            steps, lane_s, error = cost(kind, rows, tolerance)
-            table.append(
-                [kind, level, f"{100 * promise:g} %", f"{tolerance:.1g}", f"{100 * error:.2g} %", f"{steps:.0f}",
-                 f"{lane_s / balanced[1]:.2g}"]
-            )  # fmt: skip
+        rows, scene = kept[kind]["rows"], scenes.make(kind)
+        table += [at_level(kind, rows, level) for level in LEVELS]
         errors_ = np.array([row["error"] for row in rows if row["apart"] < LOST])
         axis.loglog(LADDER[kind], np.maximum(errors_, 1e-12).T, color="0.7", lw=0.6)
         axis.loglog(LADDER[kind], errors_.max(axis=0), "C3", label="worst scene")

@@ -82,7 +82,7 @@ def child(bits: int, lanes: int, folder: Path) -> None:
         asks = (*ASKED, TIGHT) if bits == 64 else ASKED
         for asked in asks:
             found, walls[f"{case} {asked:g}"] = measured(case, lanes, asked, REPEATS if asked in ASKED else 0)
-            np.savez(folder / f"{bits} {case} {asked:g}.npz", **found)
+            np.savez(folder / f"{bits} {case} {asked:g}.npz", allow_pickle=False, **found)
     (folder / f"{bits}.json").write_text(json.dumps(walls))
 
 

@@ -49,10 +49,9 @@ class Effort(NamedTuple):
     elsewhere: float
 
 
-# The forces of a tenth bounce are wrong by sixty times the accuracy, 6e-6 of the peak; at 1e-5 by 4e-4. Loosely, thirty
-# contacts go wrong by less than a percent's noise.
+# Errors a tenth of the finest that a record is taken to be known to (``integration``); loosely as fine as that.
 _MASS = Effort(
-    accuracy=1e-7, loose=1e-6, steps=20_000, tighter=100.0, rough=False, apart=False, asked=64, kept=6,
+    accuracy=1e-6, loose=1e-5, steps=20_000, tighter=100.0, rough=False, apart=False, asked=64, kept=6,
     descend=40, roughly=1.0, tolerance=1e-2, step=1e-8, gain=1e-9, elsewhere=1e-3,
 )  # fmt: skip
 # It takes some thousand steps a revolution, and its error goes with the tolerance as their number does.

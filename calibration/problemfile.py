@@ -8,7 +8,7 @@ scene = "impact.toml"            a scene file (relative to this one) or a built-
                                  record down to that rate; align = "onset" puts time 0 where the force first exceeds
                                  a tenth of its peak; window = [from, to] keeps those times (after aligning)
 loss = "linear"                  what a residual costs, as in ``Problem``
-accuracy = 1e-7                  error of the simulated forces as a share of their peak, likewise
+accuracy = 1e-6                  error of the simulated forces as a share of their peak, likewise
 [free.NAME]                      lower, upper, start, scale; each = true gives every experiment its own
 [[model]], [[candidate]]         other models of the same data, experiments that might be made: ``alternatives``
 """

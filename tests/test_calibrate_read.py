@@ -14,7 +14,7 @@ pytestmark = pytest.mark.filterwarnings("error")
 
 
 def test_accuracy_is_what_the_file_says(here):
-    assert load("p.toml").accuracy == 1e-7
+    assert load("p.toml").accuracy == 1e-6
     swap("scene", "accuracy = 1e-4\nscene")()
     assert load("p.toml").accuracy == 1e-4
 
