@@ -17,7 +17,7 @@ os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import jax
 import numpy as np
-from _common import ROOT, load, markdown, put_in_readme, save
+from _common import RESULTS, ROOT, load, markdown, put_in_readme, save
 
 from bcfj_jax import plots
 from bcfj_jax.integrate import LEVELS
@@ -61,10 +61,15 @@ def measure(name: str, budget: float) -> None:
     save(f"tradeoff_{name}", plain({**told, "levels": levels(given, found)}))
 
 
+def known() -> list[str]:
+    """Scenes with a kept study."""
+    return [name for name in TABLES if (RESULTS / f"tradeoff_{name}.json").exists()]
+
+
 def table() -> str:
     """The levels, and what is recommended, of every scene."""
     rows = [["scene", "", "wall", "steps", "worst error", "as fast as `reference`"]]
-    for name in TABLES:
+    for name in known():
         kept = load(f"tradeoff_{name}")
         slowest = kept["levels"]["reference"]["wall_s"]
         for level, one in kept["levels"].items():
@@ -85,8 +90,8 @@ def table() -> str:
 def picture() -> None:
     """Error against wall of every setting of every scene; ladders of solvers as lines."""
     with plots.style():
-        figure, axes = plots.figure(1, len(TABLES), width=14.0, height=5.0)
-        for axis, name in zip(axes, TABLES, strict=True):
+        figure, axes = plots.figure(1, len(known()), width=14.0, height=5.0)
+        for axis, name in zip(axes, known(), strict=True):
             kept = load(f"tradeoff_{name}")
             rows = [row for row in kept["settings"] if row["status"] == OK]
             groups: dict[str, list[tuple[float, float]]] = {}
