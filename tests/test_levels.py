@@ -31,10 +31,15 @@ def test_levels_take_no_more_than_was_derived(kind):
 @pytest.mark.parametrize("law", LAWS)
 def test_promises_hold_on_unseen_scenes(kind, law):
     ladder = [float(plan(scenes.make(kind), error).tolerance) for error in LEVELS.values()]
-    rows = springs_down(kind, law, 16, UNSEEN, ladder)
+    box = envelope.guaranteed()[kind]
+    rows = [
+        row
+        for row in springs_down(kind, law, 16, UNSEEN, ladder)
+        if all(box[name][0] <= value <= box[name][1] for name, value in row["measures"].items())
+    ]
     for k, promise in enumerate(LEVELS.values()):
         sure = [row for row in rows if row["apart"] <= CERTAIN * promise]
-        assert len(sure) > 12
+        assert len(sure) >= 8
         # A steep edge may fall on either side of an output time.
         assert sum(row["error"][k] > promise for row in sure) <= 1
         assert np.median([row["error"][k] for row in sure]) <= 0.5 * promise
