@@ -29,8 +29,6 @@ UNKNOWN = -1
 _MANY = 5.0
 # A flight of so many contacts' length shifts a force by no more than the tolerance allows for.
 _RARE = 10.0
-# An undamped contact lasts some three times its depth over its speed.
-CONTACT = 3.0
 
 
 class Reading(NamedTuple):
@@ -173,8 +171,12 @@ def error_sizes(scene: Scene, params: Params, end: Array) -> Array:
     if scene.flight is None:
         return sizes
     flight = scene.flight(params)
-    rarity = flight * sizes[-1] / (CONTACT * sizes[0])
-    return sizes * jnp.minimum(1.0, _MANY * flight / end) * jnp.minimum(1.0, _RARE / rarity)
+    return sizes * jnp.minimum(1.0, _MANY * flight / end) * jnp.minimum(1.0, _RARE * contact_time(sizes) / flight)
+
+
+def contact_time(sizes: Array) -> Array:
+    """Duration [s] of an undamped contact, some three times its depth over its speed, from ``state_scales``."""
+    return 3.0 * sizes[0] / sizes[-1]
 
 
 def check_start(scene: Scene, params: Params) -> None:

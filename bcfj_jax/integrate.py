@@ -31,7 +31,6 @@ from jax import Array
 from bcfj_jax.directions import together
 from bcfj_jax.dynamics import error_sizes, field, initial_state
 from bcfj_jax.endings import NOT_FINITE, OK, SOLVER, STEPS, UNBALANCED
-from bcfj_jax.endings import reason as reason
 from bcfj_jax.errors import InputError, nearest
 from bcfj_jax.joint.arrowhead import Arrowhead
 from bcfj_jax.joint.constants import constants

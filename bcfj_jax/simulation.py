@@ -15,9 +15,10 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from bcfj_jax.dynamics import Reading, check_start, contact_state, observe
+from bcfj_jax.endings import OK, reason
 from bcfj_jax.errors import InputError
 from bcfj_jax.fidelity import Choice, adaptive
-from bcfj_jax.integrate import LEVELS, MAX_STEPS, OK, Plan, Solution, integrate, plan, reason
+from bcfj_jax.integrate import LEVELS, MAX_STEPS, Plan, Solution, integrate, plan
 from bcfj_jax.joint.checks import check_joint
 from bcfj_jax.joint.constants import constants
 from bcfj_jax.joint.kinematic import kinematic_readings

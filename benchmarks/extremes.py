@@ -41,8 +41,6 @@ from bcfj_jax.joint.scales import scales as joint_scales
 from bcfj_jax.joint.system import view
 from bcfj_jax.simulation import check, outcome
 
-jax.config.update("jax_compilation_cache_dir", str(ROOT / "build" / "jax-cache"))
-
 KEPT = ROOT / "build" / "extremes"
 ACCURACY = "balanced"
 # Lanes side by side, instants, and cases of a scene. An equilibrium is searched for case by case: no lane waits.
@@ -279,6 +277,7 @@ def main() -> None:
     parser.add_argument("--cases", type=int, help="Sobol cases of a scene; a quarter as many corners come on top")
     parser.add_argument("--fresh", action="store_true", help="measure kept pieces again")
     asked = parser.parse_args()
+    jax.config.update("jax_compilation_cache_dir", str(ROOT / "build" / "jax-cache"))
     results = load("extremes")["scenes"] if (RESULTS / "extremes.json").exists() else {}
     for name in asked.scenes or scenes:
         mine = [variant for variant in VARIANTS if variant.scene == name]

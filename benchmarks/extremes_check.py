@@ -27,7 +27,6 @@ from scipy.special import gamma
 
 import bcfj_jax as bj
 
-jax.config.update("jax_compilation_cache_dir", str(ROOT / "build" / "jax-cache"))
 PROMISED, CONTACTS, SAMPLES = 1e-2, 3, 301
 
 
@@ -225,6 +224,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])  # pyright: ignore[reportOptionalMemberAccess]
     parser.add_argument("--cases", type=int, default=110, help="cases of a scene")
     count = parser.parse_args().cases
+    jax.config.update("jax_compilation_cache_dir", str(ROOT / "build" / "jax-cache"))
     results = load("extremes")["scenes"]
     for kind in ("impact", "bounce"):
         rows = []

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -75,7 +74,7 @@ def off(found: dict[str, np.ndarray], truth: dict[str, np.ndarray], times: np.nd
 
 
 def springs_down(kind: str, law: str, count: int, seed: int, ladder: Sequence[float], wide: bool = False) -> list[Row]:
-    """Errors, steps and seconds a lane down the ladder, of random scenes of a law, all in one batch."""
+    """Errors and steps down the ladder, of random scenes of a law, all in one batch."""
     scene, params, ends = springs(kind, law, count, seed, wide)
     grid = np.linspace(0.0, 1.0, SAMPLES[kind]) * ends[:, None]
     run = runner(scene, lanes=True)
@@ -89,46 +88,39 @@ def springs_down(kind: str, law: str, count: int, seed: int, ladder: Sequence[fl
     truth, code, _ = at(1e-10)
     other, code_2, _ = at(1e-9, "dopri5")
     rows: list[Row] = [
-        {"law": law, "apart": off(b, a, t) if c == d == 0 else LOST, "error": [], "steps": [], "lane_s": []}
+        {"law": law, "apart": off(b, a, t) if c == d == 0 else LOST, "error": [], "steps": []}
         for a, b, c, d, t in zip(truth, other, code, code_2, grid, strict=True)
     ]
     for k, row in enumerate(rows):
         row["measures"] = measures(scene, {name: value[k] for name, value in params.items()}, grid[k])
     for tolerance in ladder:
         found, code, steps = at(tolerance)
-        begin = time.process_time()
-        at(tolerance)
-        lane_s = (time.process_time() - begin) / count
         for k, row in enumerate(rows):
             row["error"].append(off(found[k], truth[k], grid[k]) if code[k] == 0 else LOST)
             row["steps"].append(int(steps[k]))
-            row["lane_s"].append(lane_s)
     return rows
 
 
-def joints_down(count: int, seed: int, ladder: Sequence[float], wide: bool = False) -> list[Row]:
+def joints_down(count: int, seed: int, ladder: Sequence[float]) -> list[Row]:
     """The same of dynamic joints, each by itself; the reference is BDF's, confirmed by RODAS3."""
     scene, rows = scenes.joint(), []
     run, times = runner(scene, lanes=False), jnp.asarray(JOINT_TIMES)
-    for params in joints(count, seed, wide):
+    for params in joints(count, seed):
 
-        def at(tolerance: float, solver: str | None = None, params: Params = params) -> tuple[Any, int, int, float]:
-            begin = time.process_time()
+        def at(tolerance: float, solver: str | None = None, params: Params = params) -> tuple[Any, int, int]:
             how = Plan(jnp.asarray(tolerance), BUDGET, solver=solver)
             forces, code, steps = jax.device_get(run(params, times, how))
-            return forces, int(code), int(steps), time.process_time() - begin
+            return forces, int(code), int(steps)
 
-        truth, code, _, _ = at(1e-6, "bdf")
-        other, code_2, _, _ = at(3e-5) if code == 0 else ({}, 1, 0, 0.0)
+        truth, code, _ = at(1e-6, "bdf")
+        other, code_2, _ = at(3e-5) if code == 0 else ({}, 1, 0)
         apart = off(other, truth, JOINT_TIMES) if code == code_2 == 0 else LOST
-        row: Row = {"law": "default", "apart": apart, "error": [], "steps": [], "lane_s": []}
-        row["measures"] = measures(scene, params, JOINT_TIMES)
+        row: Row = {"law": "default", "apart": apart, "error": [], "steps": []}
         for tolerance in ladder:
             # Without a truth there is no error to tell.
-            found, code, steps, seconds = at(tolerance) if apart < LOST else ({}, 1, 0, 0.0)
+            found, code, steps = at(tolerance) if apart < LOST else ({}, 1, 0)
             row["error"].append(off(found, truth, JOINT_TIMES) if code == 0 else LOST)
             row["steps"].append(steps)
-            row["lane_s"].append(seconds)
         rows.append(row)
         print(f"joint {len(rows)}: apart {apart:.1e}, errors {np.array(row['error'])}", flush=True)
     return rows

@@ -101,15 +101,15 @@ def joint(rng: np.random.Generator, friction: float = 1.0) -> Params:
         return params
 
 
-def joints(count: int, seed: int, wide: bool = False) -> list[Params]:
+def joints(count: int, seed: int) -> list[Params]:
     """Random joints, the first of many those of few.
 
     Their balls have less play than the onset of contact is wide, as the defaults' have: else balls that carry nothing
-    rattle without order, and there is no true history. ``wide`` leaves the play as ``joint`` draws it.
+    rattle without order, and there is no true history.
     """
-    rng, found = np.random.default_rng([seed, wide]), []
+    rng, found = np.random.default_rng([seed, 0]), []
     for _ in range(count):
         params = joint(rng)
         calm = {f"clearance_{name}": params["smoothing"] * rng.uniform(0.1, 0.6) for name in OF_A_BALL}
-        found.append(params if wide else {**params, **calm})
+        found.append({**params, **calm})
     return found

@@ -12,10 +12,9 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.derivatives.jacobian import Histories, channel_names, channels, histories
+from bcfj_jax.endings import OK, reason
 from bcfj_jax.errors import InputError
-from bcfj_jax.integrate import OK, reason
-from bcfj_jax.joint.checks import check_joint
-from bcfj_jax.joint.scene import Joint
+from bcfj_jax.simulation import check
 from calibration.model import Model
 
 _SAMPLES = 2001
@@ -84,9 +83,7 @@ def refusal(model: Model, point: np.ndarray, log_depth: float) -> str:
     table, _ = model.settings(jnp.asarray(point), jnp.asarray(log_depth))
     for i in range(len(model.data.times)):
         try:
-            params = model.scene.parameters({name: float(values[i]) for name, values in table.items()})
-            if isinstance(model.scene, Joint):
-                check_joint(model.scene, params)
+            check(model.scene, model.scene.parameters({name: float(values[i]) for name, values in table.items()}))
         except InputError as error:
             return str(error)
     return ""

@@ -71,13 +71,6 @@ def test_measures_by_hand():
     )
     found = envelope.measures(scene, params, np.array([0.0, 6e-3]))
     assert found == pytest.approx({"onset": 0.1, "loss": 0.1, "durations": 2.0}, rel=1e-6)
-    joint = scenes.joint()
-    params = joint.parameters()
-    found = envelope.measures(joint, params, np.array([0.0, 0.6]))
-    assert found["revolutions"] == pytest.approx(1.0)
-    load = float(params["load_torque"] / params["pitch_radius"] + params["axial_load"]) / 6
-    assert found["ball_load"] == pytest.approx(load)
-    assert envelope.measures(scenes.joint(fidelity="kinematic"), params, np.array([0.0, 0.6])) == {}
 
 
 def test_a_run_beyond_the_envelope_is_told(tmp_path):

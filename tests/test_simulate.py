@@ -46,7 +46,7 @@ def strike(scene, accuracy="reference", until=2.0, **values):
 def test_a_mass_let_go_on_the_surface_comes_to_rest(elastic, restitution):
     scene = scenes.bounce("flores", elastic)
     params = scene.parameters(drop_height=0.0, restitution=restitution)
-    run = simulate(scene, params, np.linspace(0.0, 0.1, 11), accuracy=1e-3)
+    run = simulate(scene, params, np.linspace(0.0, 0.1, 11))
     assert run.status == "ok"
     assert run.force["contact"][-1, 0] == pytest.approx(float(params["mass"] * params["gravity"]), rel=1e-3)
 

@@ -17,8 +17,9 @@ from bcfj_jax.derivatives.measures import measure
 from bcfj_jax.derivatives.names import Feature, complete, default_features
 from bcfj_jax.derivatives.names import feature as named
 from bcfj_jax.derivatives.reverse import Gradient, gradient, reversed_certificate, reversible
+from bcfj_jax.endings import OK, reason
 from bcfj_jax.errors import InputError, nearest
-from bcfj_jax.integrate import LEVELS, MAX_STEPS, OK, Plan, plan, reason
+from bcfj_jax.integrate import LEVELS, MAX_STEPS, Plan, plan
 from bcfj_jax.joint.scene import Joint
 from bcfj_jax.quantities import increasing
 from bcfj_jax.scene import AbstractScene, Params

@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bcfj_jax.derivatives.jacobian import rung
+from bcfj_jax.endings import reason
 from bcfj_jax.errors import InputError
-from bcfj_jax.integrate import plan, reason
+from bcfj_jax.integrate import plan
 from bcfj_jax.scenefile import SceneFile, from_table
 from bcfj_jax.simulation import Run, simulate
 
