@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from bcfj_jax.simulation import Run as Run
     from bcfj_jax.simulation import force_history as force_history
     from bcfj_jax.simulation import simulate as simulate
+    from bcfj_jax.studies.api import study as study
 
 # Public names by the module that holds them; a module's own name stands for the module.
 _PUBLIC = {
@@ -45,6 +46,7 @@ _PUBLIC = {
     **{name: "scene" for name in ("Body", "Contact", "Load", "Scene", "check_value")},
     **{name: "simulation" for name in ("Run", "force_history", "simulate")},
     **{name: "derivatives.sensitivity" for name in ("Sensitivity", "sensitivity")},
+    "study": "studies.api",
     "smoothing_ladder": "derivatives.ladder",
     "hessian_vector": "derivatives.curvature",
 }

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import functools
 import logging
-import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Annotated
 
 import typer
 
+from bcfj_jax.compile_cache import use_compile_cache
 from bcfj_jax.errors import InputError
 
 DONE, BAD_INPUT, SIMULATION_FAILED, INTERRUPTED = 0, 2, 3, 5
@@ -57,24 +57,6 @@ def _guarded(verb: Callable[..., int]) -> Callable[..., None]:
         raise typer.Exit(code)
 
     return wrapped
-
-
-def use_compile_cache() -> None:
-    """Keep compiled programs between runs: ``BCFJ_CACHE``, JAX's own setting, or the user's cache folder."""
-    import jax
-    import platformdirs
-
-    # JAX keeps no program that calls back to the host, as diffrax's checks do to raise. Here they give NaN instead,
-    # which a run reports as its failure. Read when equinox is first imported, so it must be set before.
-    os.environ.setdefault("EQX_ON_ERROR", "nan")
-    own = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
-    folder = os.environ.get("BCFJ_CACHE") or own
-    if folder == "off":
-        return
-    folder = folder or platformdirs.user_cache_dir("bcfj-jax")
-    jax.config.update("jax_compilation_cache_dir", str(folder))
-    # JAX's own threshold of a second would leave out most of these programs.
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 
 def _show_version(wanted: bool) -> None:
@@ -220,6 +202,70 @@ def init(
     write_text(path, text)
     typer.echo(f"wrote {path}")
     return DONE
+
+
+studies = typer.Typer(help="Run a scene at many points of its parameters.", no_args_is_help=True, epilog=_EPILOG)
+app.add_typer(studies, name="study")
+
+StudyFile = Annotated[str, typer.Argument(metavar="STUDY", help="A study file, or a built-in study: clearance.")]
+StudyOut = Annotated[Path | None, typer.Option("--out", help="Folder of the study; by default results/study-NAME.")]
+Workers = Annotated[int | None, typer.Option(min=1, help="Processes on this machine; by default one a core.")]
+Scheduler = Annotated[str | None, typer.Option(help="Dask scheduler that shall do the work: tcp://HOST:PORT.")]
+
+
+def _study(study: str, out: Path | None, workers: int | None, scheduler: str | None, dry: bool, resuming: bool) -> int:
+    use_compile_cache()
+    from bcfj_jax.studies import command
+
+    text, code = command.run(study, out, workers, scheduler, dry, _log, resuming)
+    typer.echo(text)
+    return code
+
+
+@studies.command("run", epilog=_EPILOG)
+@_guarded
+def study_run(
+    study: StudyFile,
+    out: StudyOut = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Count points, estimate time and disk; no more.")] = False,
+) -> int:
+    """Run a study: results.parquet, study.json, a picture and report.html; goes on with what its folder holds."""
+    return _study(study, out, workers, scheduler, dry_run, False)
+
+
+@studies.command("resume", epilog=_EPILOG)
+@_guarded
+def study_resume(study: StudyFile, out: StudyOut = None, workers: Workers = None, scheduler: Scheduler = None) -> int:
+    """Compute what is missing of a study that was cut off."""
+    return _study(study, out, workers, scheduler, False, True)
+
+
+@studies.command("status", epilog=_EPILOG)
+@_guarded
+def study_status(study: StudyFile, out: StudyOut = None) -> int:
+    """Say what is finished, what failed and what is left (then the exit code is 5)."""
+    from bcfj_jax.studies import command
+
+    text, code = command.status(study, out)
+    typer.echo(text)
+    return code
+
+
+@studies.command("merge", epilog=_EPILOG)
+@_guarded
+def study_merge(
+    study: StudyFile,
+    out: StudyOut = None,
+    other: Annotated[list[Path] | None, typer.Option("--from", help="Another folder of the same study.")] = None,
+) -> int:
+    """Take in blocks that were computed elsewhere, and write results.parquet when none is missing."""
+    from bcfj_jax.studies import command
+
+    text, code = command.merge(study, out, other or [])
+    typer.echo(text)
+    return code
 
 
 def main() -> None:

@@ -127,7 +127,7 @@ def _safe_norm(scaled_error: Array) -> Array:
     return jnp.where(jnp.isfinite(norm), norm, jnp.inf)
 
 
-class _Problem(NamedTuple):
+class Problem(NamedTuple):
     """A scene as diffrax takes it. ``gains``: proportional and integral, of the step control."""
 
     field: Callable
@@ -141,18 +141,19 @@ class _Problem(NamedTuple):
     norm: Callable[[Array], Array] = _safe_norm
 
 
-def _problem(scene: AbstractScene, params: Params, end: Array, how: Plan, differentiable: bool) -> _Problem:
+def problem(scene: AbstractScene, params: Params, end: Array, how: Plan, differentiable: bool) -> Problem:
+    """A scene with a history, to be solved until ``end`` [s]."""
     if isinstance(scene, Joint):
         c = constants(scene, params)
         scales = jax.lax.stop_gradient(joint_scales(scene, params))
         implicit = differentiable or how.solver in ("sdirk2", "bdf")
         solver = Sdirk(Arrowhead(), how.tolerance * scales) if implicit else Rodas(Arrowhead())
         start = nominal(scene, params, jnp.zeros(()))
-        return _Problem(solver.structure.field, (scene, c), start, scales, jnp.asarray(1e-6), 1e-15, (0.4, 0.3), solver)
+        return Problem(solver.structure.field, (scene, c), start, scales, jnp.asarray(1e-6), 1e-15, (0.4, 0.3), solver)
     assert isinstance(scene, Scene)
     scales = jax.lax.stop_gradient(error_sizes(scene, params, end))
     start, solver = initial_state(scene, params), named.SPRINGS[how.solver or "tsit5"]()
-    return _Problem(field, (scene, params), start, scales, 1e-2 * scales[0] / scales[-1], None, (0.2, 0.5), solver)
+    return Problem(field, (scene, params), start, scales, 1e-2 * scales[0] / scales[-1], None, (0.2, 0.5), solver)
 
 
 def _without_inertia(scene: Joint, params: Params, times: Array) -> Solution:
@@ -191,18 +192,19 @@ def integrate(
         return _without_inertia(scene, params, times)
     if differentiable and how.solver in named.VALUES_ONLY:
         raise InputError("solver", f"'{how.solver}' has no derivatives", "leave it out, or take sdirk2 or bdf")
-    problem = _problem(scene, params, times[-1], how, differentiable)
+    posed = problem(scene, params, times[-1], how, differentiable)
     if isinstance(scene, Joint) and differentiable and isinstance(adjoint, dfx.ForwardMode):
-        return _with_tangents(problem, times, how)
+        return _with_tangents(posed, times, how)
     if isinstance(scene, Joint) and how.solver == "bdf" and not differentiable:
-        assert isinstance(problem.solver, Sdirk)
-        found = _by_bdf(problem, problem.solver, None, problem.start[None], times, how)
+        assert isinstance(posed.solver, Sdirk)
+        found = _by_bdf(posed, posed.solver, None, posed.start[None], times, how)
         return found._replace(states=found.states[:, 0])
-    return _solved(problem, times, how, adjoint)
+    return _solved(posed, times, how, adjoint)
 
 
-def _solved(problem: _Problem, times: Array, how: Plan, adjoint: dfx.AbstractAdjoint) -> Solution:
-    controller = dfx.PIDController(
+def controller(problem: Problem, how: Plan) -> dfx.PIDController:
+    """How steps are chosen."""
+    return dfx.PIDController(
         rtol=_ROUNDING,
         atol=how.tolerance * problem.scales,
         pcoeff=problem.gains[0],
@@ -211,6 +213,9 @@ def _solved(problem: _Problem, times: Array, how: Plan, adjoint: dfx.AbstractAdj
         dtmin=problem.shortest_step,
         force_dtmin=False,
     )
+
+
+def _solved(problem: Problem, times: Array, how: Plan, adjoint: dfx.AbstractAdjoint) -> Solution:
     solution = dfx.diffeqsolve(
         dfx.ODETerm(problem.field),  # pyright: ignore[reportArgumentType]
         problem.solver,
@@ -220,7 +225,7 @@ def _solved(problem: _Problem, times: Array, how: Plan, adjoint: dfx.AbstractAdj
         y0=problem.start,
         args=problem.args,
         saveat=dfx.SaveAt(subs=(dfx.SubSaveAt(ts=times), dfx.SubSaveAt(t1=True))),
-        stepsize_controller=controller,
+        stepsize_controller=controller(problem, how),
         adjoint=adjoint,
         max_steps=how.max_steps,
         throw=False,
@@ -238,7 +243,7 @@ def _solved(problem: _Problem, times: Array, how: Plan, adjoint: dfx.AbstractAdj
     return Solution(states, code, solution.ts[1][0], stats["num_accepted_steps"], stats["num_rejected_steps"])
 
 
-def _by_bdf(problem: _Problem, solver: Sdirk, changes: tuple | None, start: Array, times: Array, how: Plan) -> Solution:
+def _by_bdf(problem: Problem, solver: Sdirk, changes: tuple | None, start: Array, times: Array, how: Plan) -> Solution:
     """Rows (T, 1 + k, n) of state and tangents, both in the step control."""
     found = bdf.solve(
         solver, problem.args, changes, start, problem.scales, times, problem.first_step, problem.shortest_step,
@@ -251,13 +256,13 @@ def _by_bdf(problem: _Problem, solver: Sdirk, changes: tuple | None, start: Arra
     return Solution(found.rows, code, end, found.accepted, found.rejected)
 
 
-def _with_tangents(problem: _Problem, times: Array, how: Plan) -> Solution:
+def _with_tangents(problem: Problem, times: Array, how: Plan) -> Solution:
     """A run whose forward tangents are solved beside it (``solvers.tangents``)."""
     scene, _ = problem.args
     assert isinstance(problem.solver, Sdirk)
     structure, controlled = problem.solver.structure, how.tangents
 
-    def of(x: tuple) -> tuple[_Problem, Sdirk, Array, Plan]:
+    def of(x: tuple) -> tuple[Problem, Sdirk, Array, Plan]:
         c, start, times, scales, tolerance = x
         solver = Sdirk(structure, tolerance * scales)
         made = problem._replace(args=(scene, c), start=start, scales=scales, solver=solver)

@@ -128,6 +128,8 @@ _ORDERED = (
     ("friction_dynamic", "friction_static", "sliding does not hold more than sticking"),
     ("bottoming_width", "bottoming_penetration", "the backing does not push before the layer is touched"),
 )
+# Their names.
+ORDERED = frozenset(name for low, high, _ in _ORDERED for name in (low, high))
 
 
 def check_value(where: str, quantity: Quantity, value: ArrayLike) -> None:

@@ -87,13 +87,18 @@ def outcome(
 ) -> tuple[Solution, dict[str, Reading]]:
     """States at the times as ``integrate`` gives them, and what every contact reads in them; arguments are its own."""
     solution = integrate(scene, params, times, how, adjoint, differentiable)
+    return solution, readings(scene, params, times, solution.states)
+
+
+def readings(scene: AbstractScene, params: Params, times: Array, states: Array) -> dict[str, Reading]:
+    """What every contact reads in states (T, n) at times (T,)."""
     if isinstance(scene, Joint):
         if scene.fidelity == "kinematic":
-            return solution, kinematic_readings(scene, params, times)
+            return kinematic_readings(scene, params, times)
         c, look = constants(scene, params), observe_at_rest if scene.fidelity == "quasistatic" else observe_joint
-        return solution, jax.vmap(lambda state: look(scene, c, state))(solution.states)
+        return jax.vmap(lambda state: look(scene, c, state))(states)
     assert isinstance(scene, Scene)
-    return solution, jax.vmap(lambda state: observe(scene, state, params))(solution.states)
+    return jax.vmap(lambda state: observe(scene, state, params))(states)
 
 
 def _forces(

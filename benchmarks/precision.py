@@ -3,11 +3,12 @@
 The package refuses 32-bit numbers (``integrate.plan``); this works below that, on ``simulation.outcome``. A process of
 its own runs the batches in each; the parent compares.
 
-    python benchmarks/precision.py [LANES]    writes results/precision.json and the table in docs/tradeoff.md
+    python benchmarks/precision.py [CASE ...]    writes results/precision.json and the table in docs/tradeoff.md
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import statistics
@@ -16,6 +17,7 @@ import sys
 import tempfile
 import time
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +31,7 @@ import numpy as np
 from _common import ROOT, markdown, put_in_readme, save
 
 from bcfj_jax import scenes
-from bcfj_jax.integrate import plan
+from bcfj_jax.integrate import Plan, plan
 from bcfj_jax.simulation import outcome
 
 LANES, REPEATS, BUDGET = 16, 5, 20_000
@@ -45,43 +47,44 @@ CASES: dict[str, tuple[str, dict[str, Any], str, int, float | None]] = {
 }
 
 
-def measured(case: str, lanes: int, asked: float, repeats: int) -> tuple[dict[str, np.ndarray], float]:
-    """Forces and codes of every lane, and the median wall of the batch [s], compiling apart."""
+def measured(case: str, lanes: int, asks: tuple[float, ...]) -> Iterator[tuple[float, dict[str, np.ndarray], float]]:
+    """At each accuracy forces and codes of every lane, and the median wall of the batch [s], compiling apart."""
     name, options, varied, samples, end = CASES[case]
     scene = scenes.make(name, **options)
     params = scene.parameters()
     times = jnp.linspace(0.0, float(scene.horizon(params)) if end is None else end, samples)
     values = jnp.asarray(np.geomspace(0.7, 1.4, lanes) * float(params[varied]))
     numbers = {key: jnp.asarray(np.asarray(value)) for key, value in params.items()}
-    with jax.enable_x64(True):
-        planned = plan(scene, asked, BUDGET)
-    how = eqx.tree_at(lambda p: p.tolerance, planned, jnp.asarray(float(planned.tolerance)))
 
-    def one(value: jax.Array) -> tuple[jax.Array, dict[str, jax.Array]]:
+    def one(value: jax.Array, how: Plan) -> tuple[jax.Array, dict[str, jax.Array]]:
         solution, readings = outcome(scene, {**numbers, varied: value}, times, how, dfx.ForwardMode())
         return solution.code, {key: reading.force for key, reading in readings.items()}
 
-    run = jax.jit(jax.vmap(one))
-    code, force = jax.device_get(run(values))
-    walls = []
-    for _ in range(repeats):
-        begin = time.perf_counter()
-        jax.block_until_ready(run(values))
-        walls.append(time.perf_counter() - begin)
-    found = {f"force {key}": np.asarray(x, float) for key, x in force.items()}
-    return found | {"code": np.asarray(code)}, statistics.median(walls) if walls else float("nan")
+    run = jax.jit(jax.vmap(one, in_axes=(0, None)))
+    for asked in asks:
+        with jax.enable_x64(True):
+            planned = plan(scene, asked, BUDGET)
+        how = eqx.tree_at(lambda p: p.tolerance, planned, jnp.asarray(float(planned.tolerance)))
+        code, force = jax.device_get(run(values, how))
+        walls = []
+        for _ in range(REPEATS if asked in ASKED else 0):
+            begin = time.perf_counter()
+            jax.block_until_ready(run(values, how))
+            walls.append(time.perf_counter() - begin)
+        found = {f"force {key}": np.asarray(x, float) for key, x in force.items()}
+        yield asked, found | {"code": np.asarray(code)}, statistics.median(walls) if walls else float("nan")
 
 
-def child(bits: int, lanes: int, folder: Path) -> None:
-    """Run every case in numbers of so many bits."""
+def child(bits: int, cases: list[str], folder: Path) -> None:
+    """Run cases in numbers of so many bits."""
     if bits == 32:
         jax.config.update("jax_enable_x64", False)
         warnings.filterwarnings("ignore", message="Explicitly requested dtype")
     walls = {}
-    for case in CASES:
-        asks = (*ASKED, TIGHT) if bits == 64 else ASKED
-        for asked in asks:
-            found, walls[f"{case} {asked:g}"] = measured(case, lanes, asked, REPEATS if asked in ASKED else 0)
+    for case in cases:
+        for asked, found, wall in measured(case, LANES, (*ASKED, TIGHT) if bits == 64 else ASKED):
+            walls[f"{case} {asked:g}"] = wall
+            print(f"{bits} bits, {case}, {asked:g}: {wall:.3g} s", flush=True)
             np.savez(folder / f"{bits} {case} {asked:g}.npz", allow_pickle=False, **found)
     (folder / f"{bits}.json").write_text(json.dumps(walls))
 
@@ -102,14 +105,14 @@ def error(found: dict[str, np.ndarray], truth: dict[str, np.ndarray]) -> float:
     return worst
 
 
-def main(lanes: int) -> None:
+def main(cases: list[str]) -> None:
     rows = []
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
         for bits in ("64", "32"):
-            subprocess.run([sys.executable, __file__, str(lanes), bits, place], check=True)
+            subprocess.run([sys.executable, __file__, *cases, "--bits", bits, "--folder", place], check=True)
         walls = {bits: json.loads((folder / f"{bits}.json").read_text()) for bits in (64, 32)}
-        for case in CASES:
+        for case in cases:
             truth = dict(np.load(folder / f"64 {case} {TIGHT:g}.npz"))
             for asked in ASKED:
                 key = f"{case} {asked:g}"
@@ -118,10 +121,10 @@ def main(lanes: int) -> None:
                     "case": case, "asked": asked,
                     "error": {bits: error(found, truth) for bits, found in both.items()},
                     "failed": {bits: int((found["code"] != 0).sum()) for bits, found in both.items()},
-                    "lane_ms": {bits: 1e3 * walls[bits][key] / lanes for bits in both},
+                    "lane_ms": {bits: 1e3 * walls[bits][key] / LANES for bits in both},
                 })  # fmt: skip
-    save("precision", {"lanes": lanes, "rows": rows})
-    table = [["scene", "asked", "error, 64 bit", "32 bit", "failed of " + str(lanes), "64 bit over 32 bit, time"]]
+    save("precision", {"lanes": LANES, "rows": rows})
+    table = [["scene", "asked", "error, 64 bit", "32 bit", f"failed of {LANES}", "64 bit over 32 bit, time"]]
     for row in rows:
         e, ms = row["error"], row["lane_ms"]
         worst = "-" if np.isnan(e[32]) else f"{100 * e[32]:.1g} %"
@@ -134,8 +137,13 @@ def main(lanes: int) -> None:
 
 
 if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("cases", nargs="*", metavar="CASE", help=f"by default all of {', '.join(CASES)}")
+    parser.add_argument("--bits", type=int, choices=(32, 64), help="be the process that runs them in these")
+    parser.add_argument("--folder", type=Path)
+    asked = parser.parse_args()
     jax.config.update("jax_compilation_cache_dir", str(ROOT / "build" / "jax-cache"))
-    if len(sys.argv) > 2:
-        child(int(sys.argv[2]), int(sys.argv[1]), Path(sys.argv[3]))
+    if asked.bits:
+        child(asked.bits, asked.cases, asked.folder)
     else:
-        main(int(sys.argv[1]) if len(sys.argv) > 1 else LANES)
+        main(asked.cases or list(CASES))

@@ -50,13 +50,15 @@ def levels(given: Any, found: Study) -> dict[str, dict[str, float]]:
     return kept
 
 
-def measure(name: str, budget: float) -> None:
+def measure(name: str, budget: float, only: list[str], derivatives: bool) -> None:
     """Study a scene, or go on with it; keep what is known."""
     given = from_table(TABLES[name], None)
     folder = ROOT / "build" / "tradeoff" / name
     folder.mkdir(parents=True, exist_ok=True)
-    with heeded(), Journal(folder, key_of("tradeoff", given.resolved)) as journal:
-        found = study(given, settings(given), journal, budget, lambda text: print(name, text, flush=True))
+    with heeded(), Journal(folder, key_of("tradeoff", given.resolved, derivatives)) as journal:
+        found = study(
+            given, settings(given, only, derivatives), journal, budget, lambda text: print(name, text, flush=True)
+        )
     told = as_json(found, advice.recommended(found), advice.doubts(found.reference))
     save(f"tradeoff_{name}", plain({**told, "levels": levels(given, found)}))
 
@@ -104,10 +106,18 @@ def picture() -> None:
                 x, y = np.array(points).T
                 how = {"color": plots.COLOURS[number % len(plots.COLOURS)], "label": label, "markersize": 4}
                 axis.loglog(x, np.clip(y, 1e-12, 10.0), "o-" if label in solvers else "x", linewidth=0.8, **how)
+            # Levels that are one run, but for the noise of walls, share a star.
+            names: dict[float, list[str]] = {}
             for level, one in kept["levels"].items():
-                place = (one["wall_s"], max(one["error"], 1e-12))
+                names.setdefault(max(one["error"], 1e-12), []).append(level)
+            for error, same in names.items():
+                place = (min(kept["levels"][level]["wall_s"] for level in same), error)
                 axis.loglog(*place, "k*", markersize=11, zorder=5)
-                axis.annotate(level, place, (8, 4), textcoords="offset points", fontsize=9)
+                ground = {"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.8}
+                text = {"textcoords": "offset points", "fontsize": 9, "zorder": 6, "bbox": ground}
+                axis.annotate(", ".join(same), place, (9, 3), **text)
+            # Of less than a decade the numbers between are many, and long.
+            axis.xaxis.set_minor_formatter("")
             axis.set_title(name)
             axis.set_xlabel("wall time of a run, compiled [s]")
             axis.legend(fontsize=7)
@@ -119,11 +129,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"by default all of {', '.join(TABLES)}")
     parser.add_argument("--budget", type=float, default=900.0, help="seconds a scene")
+    parser.add_argument(
+        "--no-derivatives", action="store_true", help="values alone: most of a joint's cost is left out"
+    )
+    parser.add_argument("--only", default="", help="groups of settings or solvers, as of bcfj tradeoff")
     parser.add_argument("--drawn", action="store_true")
     asked = parser.parse_args()
     jax.config.update("jax_compilation_cache_dir", str(ROOT / "build" / "jax-cache"))
     for name in () if asked.drawn else asked.scenes or TABLES:
-        measure(name, asked.budget)
+        measure(name, asked.budget, [x for x in asked.only.split(",") if x], not asked.no_derivatives)
     picture()
     put_in_readme("tradeoff", table())
 

@@ -11,7 +11,7 @@ ROOT = Path(__file__).resolve().parent.parent
 # A room may import from rooms further left. Rooms of one floor may import each other only as WITHIN says.
 FLOORS = {
     "bcfj_jax": (
-        {"errors", "endings", "numerics", "quantities", "directions"},
+        {"errors", "endings", "numerics", "quantities", "directions", "compile_cache"},
         {"restitution", "elliptic", "stiffness"},
         {"laws"},
         {"scene"},
@@ -19,12 +19,12 @@ FLOORS = {
         {"joint"},
         {"scenes"},
         {"integrate", "two_way"},
-        {"ledger", "envelope", "fidelity"},
+        {"ledger", "envelope", "fidelity", "lanes"},
         {"simulation"},
         {"features", "histories", "units", "tables", "spheres", "scenetemplate", "scenefile", "provenance", "stop"},
         {"outputs", "plots", "report"},
         {"simulation_results", "reproduction", "derivatives", "journal"},
-        {"tradeoff"},
+        {"tradeoff", "studies"},
         {"cli"},
     ),
     "calibration": (
@@ -67,7 +67,7 @@ WITHIN = {
 }
 PHYSICS = {"laws", "numerics", "restitution", "elliptic", "stiffness", "dynamics", "integrate", "simulation", "two_way"}
 PHYSICS |= {"scene", "scenes", "quantities", "errors", "features", "histories", "joint", "solvers", "ledger"}
-PHYSICS |= {"envelope", "fidelity"}
+PHYSICS |= {"envelope", "fidelity", "lanes"}
 TOOLS = {"pint", "pydantic", "typer", "matplotlib", "calibration"}
 # What fulfils a documented abstract method or property is documented there: of a law, of diffrax's solvers and
 # interpolations, of a structure.

@@ -83,14 +83,20 @@ def histories(
 ) -> tuple[Histories, tuple]:
     """Histories by the solver meant for derivatives, and (code, end, accepted, rejected). Pure."""
     solution, readings = outcome(scene, params, times, how, adjoint, True)
-    count = times.shape[0]
+    force, depth, rate = by_channel(scene, readings)
+    found = Histories(force, depth, rate, solution.states / _sizes(scene, params))
+    return found, (solution.code, solution.end, solution.accepted, solution.rejected)
+
+
+def by_channel(scene: AbstractScene, readings: Mapping[str, Any]) -> tuple[Array, Array, Array]:
+    """Forces (T, C, 3), penetrations and their rates (T, C) of all channels. Pure."""
     ordered = [readings[contact.name] for contact in scene.contacts]
+    count = ordered[0].force.shape[0]
     force = jnp.concatenate([r.force.reshape(count, -1, 3) for r in ordered], axis=1)
     depth, rate = (
         jnp.concatenate([getattr(r, k).reshape(count, -1) for r in ordered], 1) for k in ("penetration", "rate")
     )
-    found = Histories(force, depth, rate, solution.states / _sizes(scene, params))
-    return found, (solution.code, solution.end, solution.accepted, solution.rejected)
+    return force, depth, rate
 
 
 def _sizes(scene: AbstractScene, params: Params) -> Array:
@@ -144,7 +150,7 @@ def forces(scene: AbstractScene, params: Params, times: np.ndarray, how: Plan) -
 
     def values(params: dict, times: Array, how: Plan) -> Array:
         _, readings = outcome(scene, params, times, how, _FORWARD)
-        return jnp.concatenate([readings[c.name].force.reshape(times.shape[0], -1, 3) for c in scene.contacts], axis=1)
+        return by_channel(scene, readings)[0]
 
     arguments = (dict(params), jnp.asarray(times), how)
     key = ("forces", scene, len(times))

@@ -100,12 +100,13 @@ class _Lanes(NamedTuple):
     trials: Array
 
 
-def search(scene: Joint, problem: Problem, drift: Problem, times: Array) -> Found:
-    """Newton's method at every instant."""
+def search(scene: Joint, problem: Problem, drift: Problem, times: Array, near: Places | None = None) -> Found:
+    """Newton's method at every instant; from ``near``, a solution for other parameters, where there is one."""
     count, n = times.size, scene.balls
     size = 3 * n + sum(slot.stop - slot.start for slot in slots_of(scene).values())
     lanes = min(_LANES, count)
-    order, left, right = (jnp.asarray(x) for x in _queue(count))
+    alone = np.arange(count), np.full(count, -1), np.full(count, -1)
+    order, left, right = (jnp.asarray(x) for x in (_queue(count) if near is None else alone))
     order = jnp.concatenate([order, jnp.full(lanes, count)])
     pitch = 2.0 * np.pi / n
     rank, place = _neighbourhood(problem, pitch, times)
@@ -137,6 +138,8 @@ def search(scene: Joint, problem: Problem, drift: Problem, times: Array) -> Foun
         at = split(x)
         return join(at._replace(ball=jnp.take_along_axis(at.ball, which[None], 1)))
 
+    origin = jnp.zeros((size, count)) if near is None else join(near)[:, rank]
+
     def more(carry: Any) -> Array:
         return jnp.any(carry[0].index < count) | (carry[3] == 0)
 
@@ -162,7 +165,9 @@ def search(scene: Joint, problem: Problem, drift: Problem, times: Array) -> Foun
             jnp.where(turned, pool.part * cut, jnp.minimum(1.0, _REACH / longest)),
             trials,
         )
-        stuck = (trials == _PATIENCE) & (left[jnp.minimum(pool.index, count - 1)] >= 0)
+        stuck = trials == _PATIENCE
+        if near is None:
+            stuck &= left[jnp.minimum(pool.index, count - 1)] >= 0
         nowhere = _Lanes(*(jnp.zeros_like(part) for part in pool))._replace(index=pool.index, trials=trials)
         pool = jax.tree.map(lambda new, old: jnp.where(stuck, new, old), nowhere, pool)
         busy = pool.index < count
@@ -182,11 +187,11 @@ def search(scene: Joint, problem: Problem, drift: Problem, times: Array) -> Foun
         blocked = jnp.cumsum(idle & ~ready & (candidate < count)) > 0
         candidate = jnp.where(blocked, count, candidate)
         taken = taken + jnp.sum(idle & (candidate < count))
-        # Between the neighbours; from one where the other failed; from zero where there is none.
+        # Between the neighbours; from one where the other failed; from the origin where there is none.
         first, last = ((left[i] >= 0) & (state[s[i]] == 1) for s in (left, right))
         share = jnp.where(first & last, weight[i], jnp.where(last, 1.0, 0.0))
         a, b = (jnp.where(k, renumbered(known[:, s[i]], i, s[i]), 0.0) for k, s in ((first, left), (last, right)))
-        guess = a + share * (b - a)
+        guess = jnp.where(left[i] < 0, origin[:, i], a + share * (b - a))
         fresh = _Lanes(candidate, guess, jnp.zeros_like(x), jnp.zeros(lanes), jnp.ones(lanes), jnp.zeros(lanes, int))
         pool = jax.tree.map(lambda new, old: jnp.where(idle, new, old), fresh, pool)
         x = pool.base - pool.part * pool.step

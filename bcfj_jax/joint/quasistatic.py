@@ -39,15 +39,17 @@ class QuasistaticSolution(NamedTuple):
             own rates of change; a ball spins as the cage does.
         converged: (T,) whether Newton's method did.
         iterations: (T,) evaluations of the forces it took.
+        places: displacements from the zero-clearance position, 0 where not converged; without derivatives.
     """
 
     states: Array
     converged: Array
     iterations: Array
+    places: Places
 
 
 @partial(jax.jit, static_argnums=0)
-def quasistatic(scene: Joint, params: Params, times: Array) -> QuasistaticSolution:
+def quasistatic(scene: Joint, params: Params, times: Array, near: Places | None = None) -> QuasistaticSolution:
     """Equilibrium at each time. Compiled once a scene and number of times.
 
     Differentiable in ``params`` and ``times``, forward and reverse, to any order, by the implicit function theorem;
@@ -57,22 +59,35 @@ def quasistatic(scene: Joint, params: Params, times: Array) -> QuasistaticSoluti
         scene: any joint; its friction, damping, masses and drive compliance are not read.
         params: its parameters [SI].
         times: (T,) [s], in any order; the load ramp is read at them.
+        near: as ``quasistatic_places``.
     """
     times = jnp.asarray(times, dtype=float)
-    found = quasistatic_places(scene, params, times)
+    found = quasistatic_places(scene, params, times, near)
     problem, drift = _moving_problem(scene, params, times)
     at = _equilibrium(scene)(problem, found.places)
     rates = _rates_of(scene)(problem, drift, at, found.rates)
     value, rate = jax.jvp(partial(flat_places, scene), (problem, at), (drift, rates))
     states = _with_rates(scene, problem.c, value, rate)
-    return QuasistaticSolution(jnp.where(found.converged[:, None], states, jnp.nan), found.converged, found.iterations)
+    states = jnp.where(found.converged[:, None], states, jnp.nan)
+    return QuasistaticSolution(states, found.converged, found.iterations, found.places)
+
+
+def zero_clearance(scene: Joint, count: int) -> Places:
+    """No displacements at ``count`` instants."""
+    size = sum(slot.stop - slot.start for slot in slots_of(scene).values())
+    return Places(jnp.zeros((3, scene.balls, count)), jnp.zeros((size, count)))
 
 
 @partial(jax.jit, static_argnums=0)
-def quasistatic_places(scene: Joint, params: Params, times: Array) -> Found:
-    """The search for equilibrium and nothing else; without derivatives."""
+def quasistatic_places(scene: Joint, params: Params, times: Array, near: Places | None = None) -> Found:
+    """The search for equilibrium and nothing else; without derivatives.
+
+    Args:
+        scene, params, times: as ``quasistatic``.
+        near: places at the same times in equilibrium under other parameters, from which to start.
+    """
     params, times = jax.lax.stop_gradient((params, jnp.asarray(times, dtype=float)))
-    found = search(scene, *_moving_problem(scene, params, times), times)
+    found = search(scene, *_moving_problem(scene, params, times), times, near)
     # From zero where the search failed: a NaN would spoil the others' derivatives in reverse mode.
     places, rates = (jax.tree.map(lambda x: jnp.where(found.converged, x, 0.0), p) for p in (found.places, found.rates))
     return jax.lax.stop_gradient(Found(places, rates, found.converged, found.iterations))
