@@ -34,7 +34,7 @@ class _Slot(NamedTuple):
     arrays: Any
     end: Array
     time: Array
-    goal: Array
+    goal: Any
     state: Array
     memory: Any
     control: Any
@@ -115,7 +115,7 @@ def integrate_lanes(
         code = jnp.where(fine == dfx.RESULTS.successful, spent, SOLVER)
         code = jnp.where(done & (goal >= slot.end), OK, code)
 
-        def chosen(which: Array, new: Any, old: Any) -> Any:
+        def chosen(which: Any, new: Any, old: Any) -> Any:
             return jax.tree.map(lambda x, y: jnp.where(which, x, y), new, old)
 
         moved = slot._replace(

@@ -59,11 +59,11 @@ def has_history(scene: AbstractScene) -> bool:
     return not isinstance(scene, Joint) or scene.fidelity == "dynamic"
 
 
-def slots(scene: AbstractScene) -> int:
+def slots() -> int:
     """Runs under way at one time: what keeps a core busy and its cache not full; an accelerator wants many."""
     if jax.default_backend() != "cpu":
         return 1024
-    return 16 if isinstance(scene, Joint) else 32
+    return 32
 
 
 def run(
@@ -98,8 +98,10 @@ def run(
     key = ("batch", scene, size, grid.tobytes(), tuple(wanted), host, how.max_steps, devices)
     program = compiled(key, lambda *x: _program(scene, grid, tuple(wanted), host, *x), *arguments)[0]
     found = jax.device_get(program(*arguments))
-    values, code, end, steps, rounds, *read = (x if x is None or not np.ndim(x) else x[:count] for x in found)
-    force, depth, rate = read
+    values, code, end, steps, rounds = (np.asarray(x) if not np.ndim(x) else x[:count] for x in found[:5])
+    # Histories only where they are asked for.
+    nothing = np.zeros((count, 0, 0, 0))
+    force, depth, rate = (x[:count] for x in found[5:]) if host else (nothing,) * 3
     values = np.array(values)
     for k, feature in enumerate(wanted):
         if feature.kind in HOST:
@@ -110,7 +112,7 @@ def run(
         if feature.kind in _PER_SECOND:
             values[:, k] *= ends
     values[code != 0] = np.nan
-    return Batch(values, code, end, steps, int(np.max(rounds)), force if forces else np.zeros((count, 0, 0, 0)))
+    return Batch(values, code, end, steps, int(np.max(rounds)), force if forces else nothing)
 
 
 def _program(
@@ -149,9 +151,7 @@ def _part(
 
     rounds = jnp.asarray(0)
     if has_history(scene):
-        solution, rounds = integrate_lanes(
-            scene, params, ends, jnp.asarray(grid), how, count, min(slots(scene), ends.size)
-        )
+        solution, rounds = integrate_lanes(scene, params, ends, jnp.asarray(grid), how, count, min(slots(), ends.size))
     elif isinstance(scene, Joint) and scene.fidelity == "quasistatic":
         solution = equilibria(scene, params, ends, jnp.asarray(grid))
     else:

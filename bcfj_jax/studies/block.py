@@ -193,7 +193,7 @@ def _one_by_one(study: Study, values: np.ndarray, last: np.ndarray, grid: np.nda
             single = simulate(scene, one, times, accuracy=max(1e-9, accuracy * safety), **effort)
             histories = ((single.force, 1), (single.penetration, 0), (single.rate, 0))
             read = [np.stack(list(outputs.channels(x, axes).values()), 1) for x, axes in histories]
-            value, slopes = Histories(*read, None), Histories(*(np.zeros((0, *x.shape)) for x in read), None)
+            value, slopes = (Histories(read[0], read[1], read[2], None), _no_slopes(read))
             code, stop = (OK, end) if single.status == "ok" else (NOT_FINITE, single.failure_time)
             steps = int(single.stats["accepted"] + single.stats["rejected"])
         numbers, by = measure(times, value, slopes, study.features, contacts, isinstance(scene, Joint))
@@ -201,6 +201,11 @@ def _one_by_one(study: Study, values: np.ndarray, last: np.ndarray, grid: np.nda
         rows.append((np.where(code == OK, row, np.nan), code, stop, steps, value.force))
     features, code, stop, steps, force = map(np.array, zip(*rows, strict=True))
     return Batch(features, code, stop, steps, 0, force)
+
+
+def _no_slopes(read: list[np.ndarray]) -> Histories:
+    force, depth, rate = (np.zeros((0, *x.shape)) for x in read)
+    return Histories(force, depth, rate, None)
 
 
 def _refusals(study: Study, values: np.ndarray) -> list[str]:
