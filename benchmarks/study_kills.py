@@ -138,7 +138,8 @@ def main() -> None:
             same = (folder / "results.parquet").read_bytes() == expected
             rows.append({"kind": kind, "moment_s": moment, "blocks_there": there, "same": same})
             print(rows[-1], flush=True)
-    save("study_kills", {"undisturbed_s": lasts, "trials": rows, "same": sum(r["same"] for r in rows)})
+            save("study_kills", {"undisturbed_s": lasts, "trials": rows, "same": sum(r["same"] for r in rows)})
+
     print(f"{sum(r['same'] for r in rows)} of {len(rows)} tables are byte-identical")
 
 
