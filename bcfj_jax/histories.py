@@ -94,6 +94,13 @@ def period(times: ArrayLike, values: ArrayLike, window: Window = None) -> float:
     return _repeat(t, np.asarray(x))
 
 
+def settled_period(times: ArrayLike, values: ArrayLike) -> float:
+    """``period`` of the last two thirds [s]; NaN for 10 samples or fewer there."""
+    t = _known(times)
+    late = t >= t[-1] / 3.0
+    return period(t[late], np.asarray(values)[late]) if np.count_nonzero(late) > 10 else float("nan")
+
+
 def frequency(times: ArrayLike, values: ArrayLike, window: Window = None) -> float:
     """How often a history repeats itself, 1/``period`` [Hz]; NaN without a full period.
 

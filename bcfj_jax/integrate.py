@@ -35,7 +35,7 @@ from bcfj_jax.errors import InputError, nearest
 from bcfj_jax.joint.arrowhead import Arrowhead
 from bcfj_jax.joint.constants import constants
 from bcfj_jax.joint.kinematic import kinematic_states
-from bcfj_jax.joint.quasistatic import quasistatic
+from bcfj_jax.joint.quasistatic import QuasistaticSolution, quasistatic
 from bcfj_jax.joint.scales import scales as joint_scales
 from bcfj_jax.joint.scales import tolerance as joint_tolerance
 from bcfj_jax.joint.scene import AUTO, FIDELITIES, Joint
@@ -160,11 +160,14 @@ def _without_inertia(scene: Joint, params: Params, times: Array) -> Solution:
     """States of the fidelities that have no history: each instant on its own."""
     if scene.fidelity == "kinematic":
         return Solution(kinematic_states(scene, params, times), jnp.asarray(OK), times[-1], *[jnp.asarray(0)] * 2)
-    found = quasistatic(scene, params, times)
+    return at_rest(quasistatic(scene, params, times), times)
+
+
+def at_rest(found: QuasistaticSolution, times: Array) -> Solution:
+    """Equilibria as a run gives its states: it ends where the first was not found."""
     good = jnp.all(found.converged)
-    end = jnp.where(good, times[-1], times[jnp.argmin(found.converged)])
-    work = jnp.sum(found.iterations)
-    return Solution(found.states, jnp.where(good, OK, UNBALANCED), end, work, jnp.asarray(0))
+    code, end = jnp.where(good, OK, UNBALANCED), jnp.where(good, times[-1], times[jnp.argmin(found.converged)])
+    return Solution(found.states, code, end, jnp.sum(found.iterations), jnp.asarray(0))
 
 
 def integrate(
@@ -239,8 +242,8 @@ def _solved(problem: Problem, times: Array, how: Plan, adjoint: dfx.AbstractAdjo
         jnp.where(jnp.all(jnp.isfinite(states)), OK, NOT_FINITE),
         jnp.where(solution.result == dfx.RESULTS.max_steps_reached, STEPS, SOLVER),
     )
-    stats = solution.stats
-    return Solution(states, code, solution.ts[1][0], stats["num_accepted_steps"], stats["num_rejected_steps"])
+    accepted, rejected = (solution.stats[f"num_{name}_steps"] for name in ("accepted", "rejected"))
+    return Solution(states, code, solution.ts[1][0], accepted, rejected)
 
 
 def _by_bdf(problem: Problem, solver: Sdirk, changes: tuple | None, start: Array, times: Array, how: Plan) -> Solution:
@@ -249,11 +252,10 @@ def _by_bdf(problem: Problem, solver: Sdirk, changes: tuple | None, start: Array
         solver, problem.args, changes, start, problem.scales, times, problem.first_step, problem.shortest_step,
         how.max_steps,
     )  # fmt: skip
-    finite = jnp.all(jnp.isfinite(found.rows))
     stopped = jnp.where(found.accepted + found.rejected < how.max_steps, SOLVER, STEPS)
-    code = jnp.where(found.end < times[-1], stopped, jnp.where(finite, OK, NOT_FINITE))
-    end = jnp.minimum(found.end, times[-1])
-    return Solution(found.rows, code, end, found.accepted, found.rejected)
+    complete = jnp.where(jnp.all(jnp.isfinite(found.rows)), OK, NOT_FINITE)
+    code = jnp.where(found.end < times[-1], stopped, complete)
+    return Solution(found.rows, code, jnp.minimum(found.end, times[-1]), found.accepted, found.rejected)
 
 
 def _with_tangents(problem: Problem, times: Array, how: Plan) -> Solution:
@@ -284,11 +286,9 @@ def _with_tangents(problem: Problem, times: Array, how: Plan) -> Solution:
         else:
             rows = made._replace(
                 field=lambda t, rows, args: rows.at[0].set(made.field(t, rows[0], args[0])),
-                args=(made.args, (scene, by_args)),
-                start=start,
-                solver=SdirkTangents(solver),
+                args=(made.args, (scene, by_args)), start=start, solver=SdirkTangents(solver),
                 norm=lambda errors: _safe_norm(errors[0]),
-            )
+            )  # fmt: skip
             found, *rest = _solved(rows, times, how, dfx.ForwardMode())
         states, moved = found[:, 0], jnp.moveaxis(found[:, 1:], 1, 0)
         if by_times is not None:

@@ -16,8 +16,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from bcfj_jax.endings import NOT_FINITE, OK, SOLVER, STEPS, UNBALANCED
-from bcfj_jax.integrate import Plan, Solution, controller, problem
+from bcfj_jax.endings import NOT_FINITE, OK, SOLVER, STEPS
+from bcfj_jax.integrate import Plan, Solution, at_rest, controller, problem
 from bcfj_jax.joint.quasistatic import quasistatic, zero_clearance
 from bcfj_jax.joint.scene import Joint
 from bcfj_jax.scene import AbstractScene, Params
@@ -181,9 +181,6 @@ def equilibria(scene: Joint, params: Params, ends: Array, grid: Array) -> Soluti
         params, end = joint
         times = end * grid
         found = quasistatic(scene, params, times, near)
-        good = jnp.all(found.converged)
-        code = jnp.where(good, OK, UNBALANCED)
-        stopped = jnp.where(good, end, times[jnp.argmin(found.converged)])
-        return found.places, Solution(found.states, code, stopped, jnp.sum(found.iterations), jnp.asarray(0))
+        return found.places, at_rest(found, times)
 
     return jax.lax.scan(one, zero_clearance(scene, grid.size), (dict(params), ends))[1]

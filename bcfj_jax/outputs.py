@@ -190,10 +190,9 @@ def summary(run: Run) -> dict[str, Any]:
         for name, force in channels(run.force, 1).items()
     }
     if run.slip:
-        settled = (float(run.times[-1]) / 3.0, float(run.times[-1]))
         for name, force in channels(run.force, 1).items():
-            enough = np.count_nonzero(run.times >= settled[0]) > 10 and run.status == "ok"
-            contacts[name]["period"] = histories.period(run.times, force[:, 0], settled) if enough else float("nan")
+            found = histories.settled_period(run.times, force[:, 0]) if run.status == "ok" else float("nan")
+            contacts[name]["period"] = found
     for name, state in channels(run.state).items():
         contacts[name]["share_of_time"] = share_of_time(run.times, state)
     chosen = {"fidelity": run.choice._asdict()} if run.choice else {}

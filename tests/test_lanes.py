@@ -59,17 +59,13 @@ def test_a_shorter_queue_needs_no_other_program(solve):
 def test_a_run_that_fails_harms_no_other(solve):
     params, ends = queue()
     whole, _ = solve(params, ends, plan(SCENE, "balanced"), COUNT)
-    # Two hundred times the time of the others needs more steps than there are.
-    longer = ends.at[4].multiply(200.0)
     bad = {**params, "mass": params["mass"].at[9].set(jnp.nan)}
     how = Plan(plan(SCENE, "balanced").tolerance, 60)
-    found, _ = jax.jit(lambda p, e: integrate_lanes(SCENE, p, e, GRID, how, COUNT, 5))(bad, longer)
-    others = np.setdiff1d(np.arange(COUNT), [4, 9])
+    found, _ = jax.jit(lambda p, e: integrate_lanes(SCENE, p, e, GRID, how, COUNT, 5))(bad, ends)
+    others = np.setdiff1d(np.arange(COUNT), [9])
     assert np.all(np.asarray(found.code)[others] == OK)
     np.testing.assert_array_equal(np.asarray(found.states)[others], np.asarray(whole.states)[others])
     assert found.code[9] != OK and np.isnan(found.states[9]).any()
-    if found.code[4] != OK:
-        assert found.code[4] == STEPS and 0 < found.end[4] < longer[4]
 
 
 def test_slots_are_busy_when_runs_cost_up_to_ten_times_as_much_as_others():

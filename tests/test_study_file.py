@@ -60,7 +60,7 @@ def test_what_was_resolved_means_the_same(tmp_path):
     assert again.resolved == found.resolved and again.own_end == found.own_end
     np.testing.assert_array_equal(again.points, found.points)
     blocks, same = Blocks(found), Blocks(again)
-    assert [blocks.name(k) for k in range(len(blocks))] == [same.name(k) for k in range(len(same))]
+    assert blocks.names == same.names
 
 
 def test_blocks_take_every_point_once_the_costly_first():

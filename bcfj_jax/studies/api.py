@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -25,10 +24,11 @@ RESULTS, STATE = "results.parquet", "study.json"
 
 
 class Result(NamedTuple):
-    """A finished study: its folder, and its table as the contract has it."""
+    """A finished study: its folder, its table as the contract has it, and what ``study.json`` says."""
 
     folder: Path
     table: pa.Table
+    state: dict[str, Any]
 
     def column(self, name: str) -> np.ndarray:
         """A column (N,) by name."""
@@ -37,7 +37,7 @@ class Result(NamedTuple):
     @property
     def failed(self) -> int:
         """Points that failed."""
-        return int(np.sum(self.column("status") == "failed"))
+        return self.state["failed"]
 
     def forces(self, point: int) -> tuple[np.ndarray, np.ndarray]:
         """Times (T,) [s] and forces (T, C, 3) [N] of a point, where the study keeps histories.
@@ -105,6 +105,7 @@ def prepare(found: Study, folder: Path) -> Store:
 def compute(store: Store, workers: int | None, scheduler: str | None, progress: Callable[[int, int], None]) -> None:
     """Have every block computed."""
     total = len(store.blocks)
+    # All are looked at, so that every broken one is taken away before there are workers.
     if all([store.finished(k) for k in range(total)]):
         progress(total, total)
         return
@@ -115,10 +116,8 @@ def compute(store: Store, workers: int | None, scheduler: str | None, progress: 
         return
     count = min(workers or default_workers(), total)
     if count == 1:
-        try:
+        with local.written():
             worker.work(store, lambda done: progress(done, total))
-        except OSError as error:
-            raise local.Stopped(f"{error.strerror or error}: free some space and resume") from None
         return
     local.run(store, count, lambda done: progress(done, total))
 
@@ -132,21 +131,11 @@ def default_workers() -> int:
 
 def finish(store: Store) -> Result:
     """``results.parquet`` and ``study.json`` of a folder whose blocks are all there."""
-    table = merge(store)
-    path = store.folder / RESULTS
-    with full_disk():
-        write_parquet(path, table)
-        outputs.write_json(store.folder / STATE, state(store))
-    return Result(store.folder, table)
-
-
-@contextlib.contextmanager
-def full_disk():
-    """A disk that is full, said as such."""
-    try:
-        yield
-    except OSError as error:
-        raise local.Stopped(f"{error.strerror or error}: free some space and resume") from None
+    table, found = merge(store), state(store)
+    with local.written():
+        write_parquet(store.folder / RESULTS, table)
+        outputs.write_json(store.folder / STATE, found)
+    return Result(store.folder, table, found)
 
 
 def state(store: Store) -> dict[str, Any]:

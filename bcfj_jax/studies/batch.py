@@ -19,8 +19,9 @@ from jax.sharding import Mesh, PartitionSpec
 from bcfj_jax.derivatives.jacobian import Histories, by_channel, channel_names, channels, compiled
 from bcfj_jax.derivatives.measures import vector
 from bcfj_jax.derivatives.names import Feature, members
+from bcfj_jax.endings import OK, reason
 from bcfj_jax.features import contact_interval
-from bcfj_jax.histories import delay, period
+from bcfj_jax.histories import delay, settled_period
 from bcfj_jax.integrate import Plan, integrate
 from bcfj_jax.joint.scene import Joint
 from bcfj_jax.lanes import equilibria, integrate_lanes
@@ -40,14 +41,14 @@ class Batch(NamedTuple):
 
     Attributes:
         features: (N, F), NaN where a run failed.
-        code, end: (N,) how and when [s] each run ended.
+        reason: (N,) why each run failed, "" where it did not; end: (N,) when it ended [s].
         steps: (N,) attempted steps, or iterations.
         rounds: rounds of all slots; 0 where there are none.
         force: (N, T, C, 3) [N] if asked for, else (N, 0, 0, 0).
     """
 
     features: np.ndarray
-    code: np.ndarray
+    reason: list[str]
     end: np.ndarray
     steps: np.ndarray
     rounds: int
@@ -106,13 +107,14 @@ def run(
     for k, feature in enumerate(wanted):
         if feature.kind in HOST:
             values[:, k] = [
-                _on_host(scene, grid, feature, force[i, :, :, 0], depth[i], rate[i]) if code[i] == 0 else np.nan
+                _on_host(scene, grid, feature, force[i, :, :, 0], depth[i], rate[i]) if code[i] == OK else np.nan
                 for i in range(count)
             ]
         if feature.kind in _PER_SECOND:
             values[:, k] *= ends
-    values[code != 0] = np.nan
-    return Batch(values, code, end, steps, int(np.max(rounds)), force if forces else nothing)
+    values[code != OK] = np.nan
+    reasons = [reason(one, how.max_steps) for one in code]
+    return Batch(values, reasons, end, steps, int(np.max(rounds)), force if forces else nothing)
 
 
 def _program(
@@ -171,8 +173,7 @@ def _on_host(
     def cycle(name: str) -> float:
         at = place[name]
         if isinstance(scene, Joint):
-            late = grid >= grid[-1] / 3.0
-            return period(grid[late], force[late, at]) if np.count_nonzero(late) > 10 else float("nan")
+            return settled_period(grid, force[:, at])
         return contact_interval(grid, depth[:, at], rate[:, at])
 
     parts = [members(part, contacts) for part in feature.contacts]

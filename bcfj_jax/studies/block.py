@@ -20,7 +20,7 @@ from bcfj_jax import outputs
 from bcfj_jax.derivatives.jacobian import Histories, channels, rung
 from bcfj_jax.derivatives.measures import measure
 from bcfj_jax.derivatives.names import complete
-from bcfj_jax.endings import NOT_FINITE, OK, reason
+from bcfj_jax.endings import reason
 from bcfj_jax.errors import InputError
 from bcfj_jax.integrate import LEVELS, Plan, plan, problem
 from bcfj_jax.joint.scene import AUTO, Joint
@@ -30,9 +30,9 @@ from bcfj_jax.simulation import check, simulate
 from bcfj_jax.studies.batch import Batch, has_history, run
 from bcfj_jax.studies.specification import Study
 
-# Points of a block: of a joint's motion, of an equilibrium, of a spring's. Enough to fill the slots several times over,
+# Points of a block: of a joint's motion, of all else. Enough to fill the slots several times over,
 # few enough that little is lost with one; and numbers of state that a block may hold at once.
-_SIZES, _FEWEST, _NUMBERS = {"dynamic": 64, "static": 512, "springs": 512}, 4, 2**24
+_OF_MOTION, _OTHERS, _FEWEST, _NUMBERS = 64, 512, 4, 2**24
 # A run that failed is tried once more with steps of so much less error.
 SAFER = 0.1
 
@@ -70,11 +70,11 @@ class Blocks:
     def __init__(self, study: Study) -> None:
         self.study = study
         scene = study.given.scene
-        kind = "dynamic" if isinstance(scene, Joint) else "springs"
-        kind = kind if has_history(scene) else "static"
-        width = 64 if isinstance(scene, Joint) else 4
-        most = max(_FEWEST, _NUMBERS // (width * len(study.given.times)))
-        self.size = min(most, max(_FEWEST, min(_SIZES[kind], -(-study.count // 4))))
+        joint = isinstance(scene, Joint)
+        few = _OF_MOTION if joint and has_history(scene) else _OTHERS
+        held = _NUMBERS // ((64 if joint else 4) * len(study.given.times))
+        # Four blocks at least, so that there is work for several.
+        self.size = max(_FEWEST, min(few, held, -(-study.count // 4)))
 
     def __len__(self) -> int:
         return -(-self.study.count // self.size)
@@ -94,12 +94,16 @@ class Blocks:
         """Numbers of a block's points."""
         return self.order[block * self.size : (block + 1) * self.size]
 
-    def name(self, block: int) -> str:
-        """A block's name: a digest of all that its content follows from."""
-        at = self.points(block)
-        digest = hashlib.sha256(json.dumps([self.code_key, self.size]).encode())
-        digest.update(at.astype("<i8").tobytes() + self.study.points[at].astype("<f8").tobytes())
-        return digest.hexdigest()[:32]
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """The blocks' names: digests of all that their content follows from."""
+        found = []
+        for block in range(len(self)):
+            at = self.points(block)
+            digest = hashlib.sha256(json.dumps([self.code_key, self.size]).encode())
+            digest.update(at.astype("<i8").tobytes() + self.study.points[at].astype("<f8").tobytes())
+            found.append(digest.hexdigest()[:32])
+        return tuple(found)
 
 
 def predicted_cost(study: Study) -> np.ndarray:
@@ -107,8 +111,8 @@ def predicted_cost(study: Study) -> np.ndarray:
     scene = study.given.scene
     if not has_history(scene) or isinstance(scene, Joint):
         # A joint's steps are set by its contacts, which begin and end with its turns.
-        names = [k for k, name in enumerate(study.names) if name == "drive_speed" and has_history(scene)]
-        return np.abs(study.points[:, names[0]]) if names else np.ones(study.count)
+        turns = has_history(scene) and "drive_speed" in study.names
+        return np.abs(study.points[:, study.names.index("drive_speed")]) if turns else np.ones(study.count)
     how = plan(scene, study.given.accuracy)
     params = {name: jnp.asarray(leaf) for name, leaf in study.params(study.points).items()}
     steps = jax.jit(jax.vmap(lambda p, end: end / problem(scene, p, end, how, False).first_step))
@@ -126,10 +130,14 @@ def ends(study: Study, values: np.ndarray) -> np.ndarray:
     return np.broadcast_to(np.asarray(jax.vmap(scene.horizon)(params), dtype=float), len(values))
 
 
-def compute(blocks: Blocks, block: int) -> Table:
-    """Run a block's points; those that fail once more, with safer settings."""
-    study = blocks.study
-    at = blocks.points(block)
+def compute(study: Study, at: np.ndarray, size: int) -> Table:
+    """Run some points; those that fail once more, with safer settings.
+
+    Args:
+        study: whose.
+        at: their numbers, at most ``size``.
+        size: of the program.
+    """
     values, given = study.points[at], study.given
     refused = _refusals(study, values)
     good = np.flatnonzero([not text for text in refused])
@@ -142,25 +150,26 @@ def compute(blocks: Blocks, block: int) -> Table:
         force = np.full((len(at), len(given.times), sum(max(1, k) for k in channels(given.scene).values()), 3), np.nan)
     grid = given.times / given.times[-1]
 
-    def attempt(which: np.ndarray, safety: float, before: str) -> np.ndarray:
+    def attempt(which: np.ndarray, safety: float) -> np.ndarray:
         """Run some of the points; which of them failed."""
         nonlocal rounds
-        batch = _run(study, values[which], last[which], grid, blocks.size, safety)
+        batch = _run(study, values[which], last[which], grid, size, safety)
         rounds += batch.rounds
         steps[which] += batch.steps
         results[which] = batch.features
         if study.histories:
             force[which] = batch.force
-        for i, code, end in zip(which, batch.code, batch.end, strict=True):
-            told = f"{reason(code, given.max_steps)} at {end:.6g} s" if code != OK else ""
+        for i, why, end in zip(which, batch.reason, batch.end, strict=True):
+            told = f"{why} at {end:.6g} s" if why else ""
             status[i] = "failed" if told else "ok"
-            reasons[i] = told if not before else f"{told or 'ok'} with a tenth of the tolerance; before: {reasons[i]}"
-        return which[batch.code != OK]
+            again = f"{told or 'ok'} with a tenth of the tolerance; before: {reasons[i]}"
+            reasons[i] = told if safety == 1.0 else again
+        return which[np.array([bool(why) for why in batch.reason])]
 
     if good.size:
-        failed = attempt(good, 1.0, "")
+        failed = attempt(good, 1.0)
         if failed.size and has_history(given.scene):
-            attempt(failed, SAFER, "again")
+            attempt(failed, SAFER)
     return Table(at, values, results, status, reasons, steps, rounds, force, last)
 
 
@@ -186,7 +195,8 @@ def _one_by_one(study: Study, values: np.ndarray, last: np.ndarray, grid: np.nda
             how = plan(scene, given.accuracy, given.max_steps, given.solver)
             how = eqx.tree_at(lambda h: h.tolerance, how, how.tolerance * safety)
             found = rung(scene, full, times, wrt, how)
-            value, slopes, code, stop, steps = found.value, found.derivative, found.code, found.end, found.steps
+            value, slopes, stop, steps = found.value, found.derivative, found.end, found.steps
+            why = reason(found.code, given.max_steps)
         else:
             accuracy = LEVELS[given.accuracy] if isinstance(given.accuracy, str) else given.accuracy
             effort: dict[str, Any] = {"max_steps": given.max_steps, "solver": given.solver}
@@ -194,13 +204,13 @@ def _one_by_one(study: Study, values: np.ndarray, last: np.ndarray, grid: np.nda
             histories = ((single.force, 1), (single.penetration, 0), (single.rate, 0))
             read = [np.stack(list(outputs.channels(x, axes).values()), 1) for x, axes in histories]
             value, slopes = (Histories(read[0], read[1], read[2], None), _no_slopes(read))
-            code, stop = (OK, end) if single.status == "ok" else (NOT_FINITE, single.failure_time)
+            why, stop = single.reason, single.failure_time
             steps = int(single.stats["accepted"] + single.stats["rejected"])
         numbers, by = measure(times, value, slopes, study.features, contacts, isinstance(scene, Joint))
         row = np.concatenate([numbers, by.ravel()])
-        rows.append((np.where(code == OK, row, np.nan), code, stop, steps, value.force))
-    features, code, stop, steps, force = map(np.array, zip(*rows, strict=True))
-    return Batch(features, code, stop, steps, 0, force)
+        rows.append((np.full_like(row, np.nan) if why else row, why, stop, steps, value.force))
+    features, whys, stop, steps, force = zip(*rows, strict=True)
+    return Batch(np.array(features), list(whys), np.array(stop), np.array(steps), 0, np.array(force))
 
 
 def _no_slopes(read: list[np.ndarray]) -> Histories:

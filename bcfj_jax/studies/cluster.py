@@ -51,11 +51,11 @@ def compute_block(study: str, block: int, name: str) -> dict[str, bytes]:
     from bcfj_jax.studies.block import compute
     from bcfj_jax.studies.store import Store
 
-    if blocks.name(block) != name:
+    if blocks.names[block] != name:
         raise RuntimeError("this worker has another version of bcfj-jax, or of jax")
     with tempfile.TemporaryDirectory() as folder:
         store = Store(Path(folder), blocks)
-        store.write(block, compute(blocks, block))
+        store.write(block, compute(blocks.study, blocks.points(block), blocks.size))
         files = (path for path in store.place.rglob("*") if path.is_file())
         return {path.relative_to(store.place).as_posix(): path.read_bytes() for path in files}
 
@@ -68,7 +68,7 @@ def run(store: Store, address: str, progress: Callable[[int], None]) -> None:
         local.Stopped: if the scheduler stays away, or a block cannot be computed.
     """
     from bcfj_jax.stop import check
-    from bcfj_jax.studies.local import Stopped
+    from bcfj_jax.studies.local import Stopped, written
     from bcfj_jax.studies.store import library
 
     distributed = library("distributed")
@@ -80,14 +80,14 @@ def run(store: Store, address: str, progress: Callable[[int], None]) -> None:
         try:
             with distributed.Client(address, timeout=10, set_as_default=False) as client:
                 seen = time.monotonic()
-                asked = {
-                    client.submit(compute_block, study, k, store.blocks.name(k), key=f"bcfj-{store.blocks.name(k)}"): k
-                    for k in missing
-                }
+                names = store.blocks.names
+                asked = {client.submit(compute_block, study, k, names[k], key=f"bcfj-{names[k]}"): k for k in missing}
                 for future in distributed.as_completed(asked, loop=client.loop):
                     check()
                     files = future.result()
-                    store.keep(asked[future], files)
+                    # Of ours, not of the scheduler's: no disk is full because a scheduler is away.
+                    with written():
+                        store.keep(asked[future], files)
                     future.release()
                     seen = time.monotonic()
                     progress(store.there())

@@ -68,7 +68,8 @@ def run(
             with shown(study, store.blocks.size, say) as progress:
                 api.compute(store, workers, scheduler, progress)
             result = api.finish(store)
-            text = write(result, store, stem)
+            with local.written():
+                text = write(result, study, stem)
         except local.Stopped as stopped:
             say(f"stopped: {stopped}")
             return f"bcfj study resume {what} --out {folder}", INTERRUPTED
@@ -110,14 +111,11 @@ def shown(study: Study, size: int, say: Callable[[str], None]) -> Iterator[Calla
 def estimate(study: Study, workers: int | None) -> str:
     """How many points, and about how long and how large, from a few that are run here and thrown away."""
     blocks = Blocks(study)
-    few = min(blocks.size, 8)
-    pilot = Blocks(study)
-    at = np.unique(np.linspace(0, study.count - 1, few).astype(int))
-    pilot.points = lambda block: blocks.order[at]  # type: ignore[method-assign]
+    at = blocks.order[np.unique(np.linspace(0, study.count - 1, min(blocks.size, 8)).astype(int))]
     begin = time.perf_counter()
-    compute(pilot, 0)
+    compute(study, at, blocks.size)
     middle = time.perf_counter()
-    table = compute(pilot, 0)
+    table = compute(study, at, blocks.size)
     each = (time.perf_counter() - middle) / len(at)
     team = workers or api.default_workers()
     histories = table.force.nbytes / len(at) if study.histories else 0.0
@@ -156,7 +154,7 @@ def merge(what: str, out: Path | None, others: list[Path]) -> tuple[str, int]:
     found = api.state(store)
     if found["left"]:
         return f"{taken} blocks taken in; {found['left']} of {found['points']} points are missing", INTERRUPTED
-    return f"{taken} blocks taken in\n{write(api.finish(store), store, Path(what).stem)}", DONE
+    return f"{taken} blocks taken in\n{write(api.finish(store), store.study, Path(what).stem)}", DONE
 
 
 def take(store: Store, other: Path) -> int:
@@ -166,7 +164,7 @@ def take(store: Store, other: Path) -> int:
         source = other / "blocks" / store.path(block).name
         if store.finished(block) or not source.exists():
             continue
-        if fault_of(source, store.blocks.name(block), len(store.blocks.points(block))):
+        if fault_of(source, store.blocks.names[block], len(store.blocks.points(block))):
             continue
         store.place.mkdir(parents=True, exist_ok=True)
         forces = source.with_suffix(".zarr")
@@ -191,9 +189,9 @@ def existing(what: str, out: Path | None) -> Store:
     return api.prepare(study, folder)
 
 
-def write(result: api.Result, store: Store, stem: str) -> str:
+def write(result: api.Result, study: Study, stem: str) -> str:
     """Pictures and report; the results in words."""
-    study, found = store.study, api.state(store)
+    found = result.state
     said = f"{found['finished']} points, {found['failed']} of them failed."
     rows: list[list[Any]] = [["", "least", "median", "largest"]]
     good = result.column("status") == "ok"
@@ -204,7 +202,7 @@ def write(result: api.Result, store: Store, stem: str) -> str:
         rows.append([name, *cells])
     failures = [["reason", "points"], *([text, str(count)] for text, count in found["reasons"].items())]
     tables = [("Results", rows)] + ([("Failures", failures)] if found["failed"] else [])
-    drawn = pictures.overview(study, result, store.folder)
-    report.write(store.folder, f"Study {stem}", said, tables, drawn)
+    drawn = pictures.overview(study, result, result.folder)
+    report.write(result.folder, f"Study {stem}", said, tables, drawn)
     more = [f"  {text}: {count}" for text, count in found["reasons"].items()]
     return "\n".join([said, *more, "", report.text(rows)])

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 from bcfj_jax.stop import check
 from bcfj_jax.studies.store import Store
@@ -20,6 +21,22 @@ _LOOK_S = 0.2
 
 class Stopped(Exception):
     """A study that could not go on; its folder holds what was finished."""
+
+
+@contextlib.contextmanager
+def written() -> Iterator[None]:
+    """Within, what cannot be written stops the study, saying why.
+
+    Raises:
+        Stopped: in place of what the system raises.
+    """
+    try:
+        yield
+    except OSError as error:
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+        where = f" ({error.filename})" if error.filename else ""
+        said = f"{error.strerror or error}{where}: "
+        raise Stopped(said + ("free some space and resume" if full else "mend that and resume")) from None
 
 
 def cores() -> int:
@@ -56,7 +73,7 @@ def run(store: Store, workers: int, progress: Callable[[int], None]) -> None:
                     continue
                 del team[number]
                 if code == INTERRUPTED:
-                    raise Stopped("a worker could not write; free some space and resume")
+                    raise Stopped("a worker could not write; it has said why")
                 if code == BAD_INPUT:
                     raise Stopped("a worker could not read the study")
                 if code != DONE:
@@ -78,6 +95,6 @@ def run(store: Store, workers: int, progress: Callable[[int], None]) -> None:
 def start(store: Store, number: int) -> subprocess.Popen:
     """A worker, which goes when this process goes."""
     command = [sys.executable, "-m", "bcfj_jax.studies.worker", str(store.folder), str(number), str(os.getpid())]
-    # Read when equinox is imported: JAX keeps no program with equinox's checks in its cache (``cli``).
+    # Read when equinox is imported: JAX keeps no program with equinox's checks in its cache (``compile_cache``).
     env = {"EQX_ON_ERROR": "nan", **os.environ}
     return subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, env=env)

@@ -64,7 +64,7 @@ class Store:
 
     def path(self, block: int) -> Path:
         """The file of a block's table."""
-        return self.place / f"{self.blocks.name(block)}.parquet"
+        return self.place / f"{self.blocks.names[block]}.parquet"
 
     def finished(self, block: int) -> bool:
         """Whether a block is there and whole; one that is broken is taken away."""
@@ -72,7 +72,7 @@ class Store:
             return True
         if not self.path(block).exists():
             return False
-        if fault := fault_of(self.path(block), self.blocks.name(block), len(self.blocks.points(block))):
+        if fault := fault_of(self.path(block), self.blocks.names[block], len(self.blocks.points(block))):
             self.discard(block)
             print_fault(self.path(block), fault)
             return False
@@ -80,8 +80,8 @@ class Store:
         return True
 
     def there(self) -> int:
-        """How many blocks have a file, whole or not: for a look in passing."""
-        return sum(1 for path in self.place.glob("*.parquet") if not path.name.startswith("."))
+        """How many blocks have a file, whole or not: for a look in passing. Another version's blocks are none."""
+        return len({path.stem for path in self.place.glob("*.parquet")}.intersection(self.blocks.names))
 
     def discard(self, block: int) -> None:
         """Take a block away."""
@@ -95,7 +95,7 @@ class Store:
         filelock = library("filelock")
         locks = self.folder / "locks"
         locks.mkdir(parents=True, exist_ok=True)
-        lock = filelock.FileLock(locks / f"{self.blocks.name(block)}.lock")
+        lock = filelock.FileLock(locks / f"{self.blocks.names[block]}.lock")
         try:
             lock.acquire(timeout=0)
         except filelock.Timeout:
@@ -111,7 +111,7 @@ class Store:
         self.place.mkdir(parents=True, exist_ok=True)
         path = self.path(block)
         facts: dict[str, Any] = {
-            "block": self.blocks.name(block),
+            "block": self.blocks.names[block],
             "rounds": table.rounds,
             "steps": table.steps.tolist(),
         }

@@ -36,7 +36,7 @@ def work(store: Store, progress: Callable[[int], None] = lambda _: None) -> None
             with store.claimed(block) as mine:
                 # Another may have finished it between the look and the claim.
                 if mine and not store.finished(block):
-                    store.write(block, compute(store.blocks, block))
+                    store.write(block, compute(store.study, store.blocks.points(block), store.blocks.size))
                     progress(store.there())
         left = [block for block in left if not store.finished(block)]
         if left and len(left) == before:
