@@ -16,6 +16,9 @@ from calibration.model import Model, residuals_and_jacobian
 from calibration.polish import End
 from calibration.problem import NUISANCES
 
+# In half-widths of an interval.
+_NEAR = 0.1
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -69,25 +72,30 @@ def estimates(
         slopes[k, n] = -log_depth * (values[n] if model.slots[n].log else 1.0) * width[n]
     parameters: dict[str, Parameter] = {}
     tests: list[judge.Test] = []
+    reaches: list[float] = []
     for i, (slot, label) in enumerate(zip(model.slots, labels, strict=True)):
         half = spread.half_width(slopes[i])
         widest = np.log(judge.WIDEST_FACTOR) if slot.log else judge.WIDEST_SHARE * (slot.upper - slot.lower)
         identifiable = bool(half < widest)
-        edges = (z[i] - half, z[i] + half)
+        quantity = {**model.scene.quantities, **NUISANCES}[slot.name]
+        # No lower than the quantity can be: a clearance that may be closed.
+        reach = 1.0 if slot.log or not identifiable else min(1.0, (values[i] - quantity.low) / half)
+        reaches.append(reach)
+        edges = (z[i] - reach * half, z[i] + half)
         interval = tuple(float(np.exp(e)) if slot.log else float(e) for e in edges) if identifiable else None
         margin = 1e-3 * (slot.upper - slot.lower)
         at_bound = "lower" if z[i] < slot.lower + margin else "upper" if z[i] > slot.upper - margin else ""
-        unit = {**model.scene.quantities, **NUISANCES}[slot.name].unit
         kind = "derived" if pair and i == pair[0] else "fitted"
-        parameters[label] = Parameter(values[i], unit, interval, identifiable, at_bound, kind)  # type: ignore[arg-type]
+        parameters[label] = Parameter(values[i], quantity.unit, interval, identifiable, at_bound, kind)  # type: ignore[arg-type]
         reason = f"the data do not determine {label}: they allow a factor or share beyond the limit"
         tests.append(judge.Test(f"{label} determined", half, widest, identifiable, reason))
         tests.append(
             judge.Test(f"{label} inside its bounds", 0, 0, not at_bound, f"{label} is at its {at_bound} bound")
         )
     if all(t.passed for t in tests):  # Else no interval is given, and the ends of most lie where nothing simulates.
-        for slope, label in zip(slopes, labels, strict=True):
-            tests.append(judge.curvature_test(label, _curvature(model, best, depth, spread, slope, rough)))
+        for slope, label, reach in zip(slopes, labels, reaches, strict=True):
+            ratio = _curvature(model, best, depth, spread, slope, (-reach, 1.0), rough)
+            tests.append(judge.curvature_test(label, ratio))
     tests.append(judge.rank_test(spread))
     if not all(t.passed for t in tests if t.name.endswith("determined")):
         names = [labels[k] for k in np.argsort(-np.abs(spread.weakest))[:2]]
@@ -104,13 +112,19 @@ def _reference(spread: judge.Spread, log_depth: float, centre: float, slope: np.
     return Reference(float(np.exp(log_depth)), float(np.exp(centre)), interval if known else None)
 
 
-def _curvature(model: Model, best: End, depth, spread: judge.Spread, slope: np.ndarray, rough: bool) -> float:
-    """Rise of the cost at both ends of an interval, the other parameters following, over the quadratic rise."""
+def _curvature(
+    model: Model, best: End, depth, spread: judge.Spread, slope: np.ndarray, reaches: tuple[float, float], rough: bool
+) -> float:
+    """Rise of the cost at the ends of an interval, the other parameters following, over the quadratic rise.
+
+    ``reaches``: where those ends are, in half-widths; one that is no way off tells nothing.
+    """
     assert spread.covariance is not None
     quantile, along = spread.quantile_of(slope), spread.covariance @ slope
-    expected = quantile**2 * spread.rise
-    step = quantile * along / np.sqrt(slope @ along)
-    ends = np.array([best.point - step, best.point + step])
+    shares = np.array([r for r in reaches if abs(r) > _NEAR])
+    expected = quantile**2 * spread.rise * shares**2
+    steps = shares[:, None] * quantile * along / np.sqrt(slope @ along)
+    ends = best.point + steps
     if effort(model.scene).apart:
         residuals, jacobians = evaluator(model, float(depth))(ends)
     else:
@@ -121,9 +135,9 @@ def _curvature(model: Model, best: End, depth, spread: judge.Spread, slope: np.n
         # the end's, of a cost of third order. Of what the predictions change by: the residuals at the optimum are all
         # noise, and times the Jacobian's own error as large as the rise.
         base, _ = straightened(model.loss, jnp.asarray(best.residuals), jnp.asarray(best.jacobian))
-        pairs = zip(residuals, jacobians, (-step, step), strict=True)
-        rises = [(expected + 2.0 * float((r - np.asarray(base)) @ (j @ s))) / 3.0 for r, j, s in pairs]
+        told = zip(residuals, jacobians, steps, expected, strict=True)
+        rises = [(rise + 2.0 * float((r - np.asarray(base)) @ (j @ s))) / 3.0 for r, j, s, rise in told]
     else:
         rises = [float(np.sum(np.square(r))) - best.cost for r in residuals]
-    worst = max(rises, key=lambda r: abs(np.log(max(r, 1e-300) / expected)) if np.isfinite(r) else np.inf)
-    return worst / expected
+    ratios = np.array(rises) / expected
+    return max(ratios, key=lambda r: abs(np.log(max(r, 1e-300))) if np.isfinite(r) else np.inf)

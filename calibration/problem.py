@@ -94,6 +94,10 @@ class Free:
     """A parameter to be found between two bounds; ``start`` adds a start there to the design.
 
     ``each`` gives every experiment its own value (always so for nuisances).
+
+    ``scale`` is that of the search and of the interval: the one on which the data are about as exact everywhere. Forces
+    tell a stiffness to a share of itself, but a clearance to a length, however small it is. On a logarithmic scale a
+    clearance's large estimates seem better known than its small ones, and would be believed more often.
     """
 
     name: str
@@ -105,8 +109,8 @@ class Free:
 
     @property
     def log(self) -> bool:
-        """Whether it is searched on a logarithmic scale: by default where both bounds are positive."""
-        return self.scale == "log" if self.scale else bool(self.lower > 0)
+        """Whether its scale is logarithmic: by default where both bounds are positive, but for clearances."""
+        return self.scale == "log" if self.scale else bool(self.lower > 0) and not self.name.startswith("clearance")
 
     @property
     def per_experiment(self) -> bool:

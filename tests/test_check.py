@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from bcfj_jax import InputError, scenes
-from calibration import Channel, Experiment, Free, Problem, check, fit, model
+from calibration import Channel, Experiment, Free, Problem, check, fit, judge, model
 from calibration.clearance import clearance_tests, gap_of, whole_contact_test
+from calibration.estimates import estimates
 from calibration.fit import AllStartsFailed
+from calibration.polish import End
 from calibration.runs import contacts, failure, refusal
 from calibration.search import reference_depth
 
@@ -108,6 +110,21 @@ def test_a_clearance_must_be_seen_crossed(last, gap, passed, words):
         assert seen[0].durations == pytest.approx([np.pi / OMEGA], abs=1e-5)
         assert whole_contact_test(built, seen, True)[0].passed
         assert "shorter than a contact" in whole_contact_test(built, seen, False)[0].reason
+
+
+@pytest.mark.parametrize("gap", [0.3e-3, 1.2e-3])
+def test_how_well_a_clearance_is_told_does_not_hang_on_how_large_it_comes_out(gap):
+    """Else the verdict would pick large estimates, and intervals of those it picked would miss the truth."""
+    known = 0.5e-3
+    assert not Free("clearance_contact", 1e-4, 3e-3).log and Free("stiffness", 1e4, 1e6).log
+    _, built, point, labels = at(LAW, {"stiffness": STIFFNESS, "clearance_contact": gap})
+    width = np.array([np.log(100.0), 2.9e-3])
+    jacobian = np.diag(width / [0.1, known])
+    best = End(point, point, 0.0, np.zeros(2), jacobian, True)
+    found, _, _ = estimates(built, labels, best, 0.0, judge.spread(best, 50, [], "linear"))
+    gap_found, half = found["clearance_contact"], 1.96 * known
+    assert gap_found.identifiable
+    assert gap_found.ci95 == pytest.approx((max(gap - half, 0.0), gap + half), rel=1e-3)
 
 
 def test_names_that_mean_a_gap():
