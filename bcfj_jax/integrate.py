@@ -145,11 +145,12 @@ def problem(scene: AbstractScene, params: Params, end: Array, how: Plan, differe
     """A scene with a history, to be solved until ``end`` [s]."""
     if isinstance(scene, Joint):
         c = constants(scene, params)
-        scales = jax.lax.stop_gradient(joint_scales(scene, params))
+        scales = jax.lax.stop_gradient(joint_scales(scene, params, end))
         implicit = differentiable or how.solver in ("sdirk2", "bdf")
         solver = Sdirk(Arrowhead(), how.tolerance * scales) if implicit else Rodas(Arrowhead())
         start = nominal(scene, params, jnp.zeros(()))
-        return Problem(solver.structure.field, (scene, c), start, scales, jnp.asarray(1e-6), 1e-15, (0.4, 0.3), solver)
+        force, first = solver.structure.field, jnp.minimum(1e-6, 1e-2 * end)
+        return Problem(force, (scene, c), start, scales, first, 1e-15, (0.4, 0.3), solver)
     assert isinstance(scene, Scene)
     scales = jax.lax.stop_gradient(error_sizes(scene, params, end))
     start, solver = initial_state(scene, params), named.SPRINGS[how.solver or "tsit5"]()

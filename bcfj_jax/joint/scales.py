@@ -7,26 +7,37 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.joint.bristles import flat
+from bcfj_jax.joint.constants import skin_of
 from bcfj_jax.joint.scene import PILOTS, Joint
+from bcfj_jax.numerics import smooth_ramp, smooth_rise
 from bcfj_jax.scene import Params
 
+# Load of a ball that nothing loads [N].
+LEAST = 1e-2
 
-def scales(scene: Joint, params: Params) -> Array:
-    """Size of each state: a place by the penetration of a ball that carries its share of the torque, a velocity
-    by friction's transition speed; turns by these over the pitch radius, a ball's spin by that over its own; a
-    bristle by its deflection at break-away.
+
+def scales(scene: Joint, params: Params, end: Array | float = jnp.inf) -> Array:
+    """Size of each state: a place by the penetration of a ball that carries its share of the load, a velocity by
+    friction's transition speed; turns by these over the pitch radius, a ball's spin by that over its own; a bristle by
+    its deflection at break-away.
+
+    The load is the greatest until ``end`` [s]: torque, axial load and centrifugal force. A run that ends while the
+    torque still rises has no other peak to be judged by. Where an onset is smoothed, the penetration r(d) over its
+    slope dr/dd stands for it, which is how far d may move until r has changed by itself.
 
     An error of a place in these units is about that fraction (times n) of a ball's force. An error of a
     velocity is that fraction of the friction of a sticking contact. Without friction a quarter of the rim speed
     stands in: only damping reads velocities then.
     """
     p = params
-    load = jnp.abs(p["load_torque"]) / (scene.balls * p["pitch_radius"]) + jnp.abs(p["axial_load"]) / scene.balls + 10.0
-    law = scene.contact("seat_ball").law
-    coefficients = {name: scene.coefficient(p, "seat_ball", name) for name in law.needs}
-    trial = jnp.logspace(-8, -3, 51)
-    force = law.force(trial, jnp.zeros(51), {k: jnp.broadcast_to(v, (51,)) for k, v in coefficients.items()})
-    place = jnp.clip(jnp.interp(load, force, trial), 1e-7, 1e-3)
+    torque = jnp.abs(p["load_torque"]) * smooth_rise(end / p["load_ramp"])
+    load = torque / (scene.balls * p["pitch_radius"]) + jnp.abs(p["axial_load"]) / scene.balls
+    load = load + p["ball_mass"] * p["pitch_radius"] * p["drive_speed"] ** 2 + LEAST
+    skin = skin_of(scene, p, "seat_ball")
+    width = jnp.zeros(()) if skin.smoothing is None else skin.smoothing
+    depth, slope = smooth_ramp(jnp.logspace(-11, -2, 91) - width, width)
+    force = skin.law.force(depth, jnp.zeros(91), {k: jnp.broadcast_to(v, (91,)) for k, v in skin.coefficients.items()})
+    place = jnp.minimum(jnp.interp(load, force, depth / slope), 1e-3)
     speeds = [scene.coefficient(p, x.name, "friction_speed") for x in scene.contacts if x.friction is not None]
     speed = jnp.min(jnp.stack(speeds)) if speeds else 0.25 * jnp.abs(p["drive_speed"]) * p["pitch_radius"] + 1e-3
     turning = np.zeros(scene.border, bool)
