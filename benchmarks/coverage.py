@@ -196,7 +196,7 @@ def finished(name: str, noise: float) -> list[dict[str, Any]]:
 def summary(name: str, noise: float, rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Coverage and efficiency of each parameter over a case's replicates."""
     case, least = CASES[name], bound(CASES[name], noise)
-    log, parameters = {f.name: f.log for f in case.problem(noise, 0).free}, {}
+    log, parameters = {f.name: f.told_as_share for f in case.problem(noise, 0).free}, {}
     for parameter, true in case.truth.items():
         values, intervals, identifiable = zip(*(r["parameters"][parameter] for r in rows), strict=True)
         printed = [ends for ends in intervals if ends]

@@ -83,7 +83,8 @@ def estimates(
         reaches.append(reach)
         edges = (z[i] - reach * half, z[i] + half)
         interval = tuple(float(np.exp(e)) if slot.log else float(e) for e in edges) if identifiable else None
-        margin = 1e-3 * (slot.upper - slot.lower)
+        # Of many decades the lowest are no thousandth of the range.
+        margin = 1e-3 * (min(slot.upper - slot.lower, values[i]) if slot.decades else slot.upper - slot.lower)
         at_bound = "lower" if z[i] < slot.lower + margin else "upper" if z[i] > slot.upper - margin else ""
         kind = "derived" if pair and i == pair[0] else "fitted"
         parameters[label] = Parameter(values[i], quantity.unit, interval, identifiable, at_bound, kind)  # type: ignore[arg-type]

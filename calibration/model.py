@@ -8,7 +8,6 @@ F_ref = K d_ref^n at a penetration d_ref inside the data, which the data determi
 from __future__ import annotations
 
 from functools import partial
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -26,25 +25,11 @@ from calibration.effort import effort
 from calibration.losses import loss_of, straightened
 from calibration.observables import Watch, fine, grid, low_pass, measured, tabulated, watches
 from calibration.problem import COMPONENTS, NUISANCES, Experiment, Problem
+from calibration.slots import Slot, make_slots
 
 # Steps over a record that its force is sampled in where a sensor's low-pass is to be applied.
 _FINE_STEPS = 2000
 _NO_LOW_PASS = 1e12  # [Hz]
-
-
-class Slot(NamedTuple):
-    """One coordinate: which parameter, which experiment (None: shared), its bounds on the search scale."""
-
-    name: str
-    experiment: int | None
-    log: bool
-    lower: float
-    upper: float
-
-    def label(self, experiments: tuple[Experiment, ...]) -> str:
-        """Name in results: the experiment is added where there are several."""
-        own = self.experiment is not None and len(experiments) > 1
-        return f"{self.name}[{experiments[self.experiment].name}]" if own and self.experiment is not None else self.name
 
 
 class Data(eqx.Module):
@@ -288,13 +273,3 @@ def _steps(problem: Problem) -> int:
     """Attempted steps of a run until it has failed: more where finer ones are asked for, as of a method of order 2."""
     means = effort(problem.scene)
     return int(means.steps * max(1.0, means.accuracy / problem.accuracy) ** 0.5)
-
-
-def make_slots(problem: Problem, experiments: int) -> tuple[Slot, ...]:
-    """One coordinate for each shared parameter, then one for each experiment of the others."""
-    slots = []
-    for f in sorted(problem.free, key=lambda f: f.per_experiment):
-        low, high = (np.log(f.lower), np.log(f.upper)) if f.log else (f.lower, f.upper)
-        owners = range(experiments) if f.per_experiment else [None]
-        slots += [Slot(f.name, owner, f.log, float(low), float(high)) for owner in owners]
-    return tuple(slots)

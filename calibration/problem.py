@@ -95,9 +95,7 @@ class Free:
 
     ``each`` gives every experiment its own value (always so for nuisances).
 
-    ``scale`` is that of the search and of the interval: the one on which the data are about as exact everywhere. Forces
-    tell a stiffness to a share of itself, but a clearance to a length, however small it is. On a logarithmic scale a
-    clearance's large estimates seem better known than its small ones, and would be believed more often.
+    ``scale`` is that on which starts are drawn; and of the interval, but for a clearance whose ``scale`` is not said.
     """
 
     name: str
@@ -109,8 +107,17 @@ class Free:
 
     @property
     def log(self) -> bool:
-        """Whether its scale is logarithmic: by default where both bounds are positive, but for clearances."""
-        return self.scale == "log" if self.scale else bool(self.lower > 0) and not self.name.startswith("clearance")
+        """Whether starts are drawn on a logarithmic scale: by default where both bounds are positive."""
+        return self.scale == "log" if self.scale else bool(self.lower > 0)
+
+    @property
+    def told_as_share(self) -> bool:
+        """Whether the interval is one of the logarithm, as data tell a stiffness: to a share of itself.
+
+        They tell a clearance to a length, however small it is. On a logarithmic scale its large estimates would seem
+        better known than its small ones, and the verdict would pick those that came out too large.
+        """
+        return self.log and (self.scale == "log" or not self.name.startswith("clearance"))
 
     @property
     def per_experiment(self) -> bool:

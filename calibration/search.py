@@ -78,7 +78,8 @@ def screen(model: Model, count: int, seed: int) -> Screen:
 
 
 def _screened(model: Model, count: int, seed: int) -> Screen:
-    design = qmc.Sobol(len(model.slots), rng=seed).random_base2(3 + int(np.ceil(np.log2(count))))
+    even = qmc.Sobol(len(model.slots), rng=seed).random_base2(3 + int(np.ceil(np.log2(count))))
+    design = np.stack([slot.drawn(u) for slot, u in zip(model.slots, even.T, strict=True)], axis=1)
     ends, depth, reach = stages(model), 0.0, np.zeros(design.shape[1])
     first, costs = evaluator(loosened(until(model, ends[0])), depth), []
     for block in blocks(design, lanes(count)):

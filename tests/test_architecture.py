@@ -30,7 +30,7 @@ FLOORS = {
     "calibration": (
         {"effort"},
         {"problem"},
-        {"losses", "observables"},
+        {"losses", "observables", "slots"},
         {"model"},
         {"integration"},
         {"noise", "runs", "check"},

@@ -12,7 +12,8 @@ from bcfj_jax import InputError
 from calibration import judge
 from calibration.effort import effort
 from calibration.estimates import Parameter, Reference
-from calibration.model import Model, Slot
+from calibration.model import Model
+from calibration.slots import Slot
 from calibration.uncertainty import posterior, profile
 from calibration.uncertainty.posterior import WORST_RHAT, Chains, Posterior
 from calibration.uncertainty.profile import Profile

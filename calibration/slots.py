@@ -1,0 +1,43 @@
+"""Coordinates of the search: what a point of the unit box stands for, and on which scale."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from calibration.problem import Experiment, Problem
+
+
+class Slot(NamedTuple):
+    """One coordinate: which parameter, which experiment (None: shared), its scale, and its bounds on that.
+
+    ``decades``: whether starts are drawn over the logarithm of a coordinate that is linear.
+    """
+
+    name: str
+    experiment: int | None
+    log: bool
+    lower: float
+    upper: float
+    decades: bool = False
+
+    def drawn(self, u: np.ndarray) -> np.ndarray:
+        """Unit-box coordinates of numbers (N,) that are even over (0, 1)."""
+        return np.expm1(u * np.log(self.upper / self.lower)) / (self.upper / self.lower - 1.0) if self.decades else u
+
+    def label(self, experiments: tuple[Experiment, ...]) -> str:
+        """Name in results: the experiment is added where there are several."""
+        own = self.experiment is not None and len(experiments) > 1
+        return f"{self.name}[{experiments[self.experiment].name}]" if own and self.experiment is not None else self.name
+
+
+def make_slots(problem: Problem, experiments: int) -> tuple[Slot, ...]:
+    """One coordinate for each shared parameter, then one for each experiment of the others."""
+    slots = []
+    for f in sorted(problem.free, key=lambda f: f.per_experiment):
+        share = f.told_as_share
+        low, high = (np.log(f.lower), np.log(f.upper)) if share else (f.lower, f.upper)
+        owners = range(experiments) if f.per_experiment else [None]
+        slots += [Slot(f.name, owner, share, float(low), float(high), f.log and not share) for owner in owners]
+    return tuple(slots)
