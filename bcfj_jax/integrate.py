@@ -149,7 +149,7 @@ def problem(scene: AbstractScene, params: Params, end: Array, how: Plan, differe
         implicit = differentiable or how.solver in ("sdirk2", "bdf")
         solver = Sdirk(Arrowhead(), how.tolerance * scales) if implicit else Rodas(Arrowhead())
         start = nominal(scene, params, jnp.zeros(()))
-        force, first = solver.structure.field, jnp.minimum(1e-6, 1e-2 * end)
+        force, first = solver.structure.field, jnp.where(end > 0, jnp.minimum(1e-6, 1e-2 * end), 1e-6)
         return Problem(force, (scene, c), start, scales, first, 1e-15, (0.4, 0.3), solver)
     assert isinstance(scene, Scene)
     scales = jax.lax.stop_gradient(error_sizes(scene, params, end))
@@ -172,13 +172,9 @@ def at_rest(found: QuasistaticSolution, times: Array) -> Solution:
 
 
 def integrate(
-    scene: AbstractScene,
-    params: Params,
-    times: Array,
-    how: Plan,
-    adjoint: dfx.AbstractAdjoint,
+    scene: AbstractScene, params: Params, times: Array, how: Plan, adjoint: dfx.AbstractAdjoint,
     differentiable: bool = False,
-) -> Solution:
+) -> Solution:  # fmt: skip
     """Integrate from time 0 and return the states at ``times`` (a time before 0 reads the initial state).
 
     Pure: jit, vmap, and the derivatives that ``adjoint`` supports go through; those of a joint only where
