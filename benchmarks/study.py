@@ -4,7 +4,7 @@
 writes results/study.json and the table in docs/studies.md. Side by side in one run, compiled programs kept:
 
 - the dynamic joint, clearances of the seat's pilot over a decade, 0.6 s, 601 samples, at ``balanced``;
-- the same against the slots of a batch (with one core);
+- the same against the slots of a batch (with one core), also as docs/images/study_slots.png;
 - a bounce whose points cost up to ten times as much as others: the share of slots at work;
 - the quasistatic joint at 13 instants of a ball's pitch under full load.
 """
@@ -27,8 +27,9 @@ os.environ.setdefault("EQX_ON_ERROR", "nan")
 import jax
 import numpy as np
 from _common import ROOT, markdown, put_in_readme, save
+from matplotlib.figure import Figure
 
-from bcfj_jax import scenes, simulate
+from bcfj_jax import plots, scenes, simulate
 from bcfj_jax.derivatives.names import feature
 from bcfj_jax.integrate import plan
 from bcfj_jax.studies import api, batch
@@ -113,7 +114,7 @@ def by_slots(count: int) -> list[dict[str, float]]:
     params["clearance_seat_cage"] = np.geomspace(LOW, HIGH, count)
     wanted = [feature(name, {"seat_cage": 0, "seat_ball": 6}) for name in FEATURES]
     given = batch.slots
-    for slots in (1, 8, 16, 32, 64):
+    for slots in (1, 2, 4, 8, 16, 32, 64, 128):
         batch.slots = lambda slots=slots: slots
         # Another size for each: the program's key does not know the slots.
         args = (scene, params, np.full(count, 0.6), TIMES / 0.6, wanted, plan(scene), count + slots)
@@ -124,6 +125,19 @@ def by_slots(count: int) -> list[dict[str, float]]:
         print(rows[-1], flush=True)
     batch.slots = given
     return rows
+
+
+def drawn(rows: list[dict[str, float]], path: Path) -> None:
+    with plots.style():
+        figure = Figure(figsize=(5.5, 3.4), layout="constrained")
+        axes = figure.subplots()
+        axes.plot([r["slots"] for r in rows], [r["rate"] for r in rows], "o-")
+        axes.set_xscale("log", base=2)
+        axes.set_xticks([r["slots"] for r in rows], [f"{r['slots']}" for r in rows])
+        axes.set_ylim(0.0)
+        axes.set_xlabel("slots of a batch")
+        axes.set_ylabel("joints of 0.6 s a second, one core")
+        figure.savefig(path, dpi=110)
 
 
 def spread() -> dict[str, Any]:
@@ -157,7 +171,8 @@ def main() -> None:
     print("quasistatic", still, flush=True)
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-    wide, slots = spread(), by_slots(64)
+    wide, slots = spread(), by_slots(128)
+    drawn(slots, ROOT / "docs" / "images" / "study_slots.png")
     content = {
         "loop_points_s": loop, "pool_points_s": pair, "dynamic": joint, "over_loop": joint["rate"] / one,
         "over_pool": joint["rate"] / pair, "quasistatic": still, "spread": wide, "slots": slots,
@@ -178,7 +193,7 @@ def main() -> None:
         ["slots", *(str(r["slots"]) for r in slots)],
         ["points a second, one core", *(f"{r['rate']:.3g}" for r in slots)],
     ]
-    text = f"{markdown(rows)}\n\n{markdown(more)}\n\n"
+    text = f"{markdown(rows)}\n\n{markdown(more)}\n\n![points a second against slots](images/study_slots.png)\n\n"
     text += (
         f"Runs that cost up to {wide['largest_over_least']:.0f} times as much as others keep {wide['efficiency']:.0%} "
     )
