@@ -268,6 +268,25 @@ def study_merge(
     return code
 
 
+Features = Annotated[list[str] | None, typer.Option("--feature", help="Such as contact.peak; by default every one.")]
+
+
+@studies.command("indices", epilog=_EPILOG)
+@_guarded
+def study_indices(
+    study: StudyFile,
+    out: StudyOut = None,
+    feature: Features = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the bootstrap.")] = 0,
+) -> int:
+    """Say how much of each feature's variation each parameter brings: a table, indices.json and bars."""
+    from bcfj_jax.studies import indices_command
+
+    text, code = indices_command.run(study, out, feature or [], seed)
+    typer.echo(text)
+    return code
+
+
 def main() -> None:
     """Entry point of the command ``bcfj``."""
     try:
