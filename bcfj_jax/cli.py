@@ -287,6 +287,23 @@ def study_indices(
     return code
 
 
+@studies.command("surface", epilog=_EPILOG)
+@_guarded
+def study_surface(
+    study: StudyFile,
+    out: StudyOut = None,
+    feature: Features = None,
+    derivatives: Annotated[bool, typer.Option(help="Whether to use the study's derivatives, if it kept any.")] = True,
+) -> int:
+    """Lay a response surface through each feature: its errors, surface.json and a picture a feature."""
+    use_compile_cache()
+    from bcfj_jax.studies import surface_command
+
+    text, code = surface_command.run(study, out, feature or [], derivatives)
+    typer.echo(text)
+    return code
+
+
 def main() -> None:
     """Entry point of the command ``bcfj``."""
     try:

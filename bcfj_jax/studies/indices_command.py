@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from bcfj_jax import outputs, plots, report
+from bcfj_jax.derivatives.names import UNITS
 from bcfj_jax.errors import InputError
 from bcfj_jax.studies import sensitivity
 from bcfj_jax.studies.api import RESULTS, prepare
@@ -22,7 +23,7 @@ _MOST = 12  # panels
 _BARS = {
     "Sobol": (("S1", "first order"), ("ST", "total")),
     "Morris": (("mu_star", "mu*"), ("sigma", "sigma")),
-    "RBD-FAST, PAWN": (("S1", "first order (RBD-FAST)"), ("pawn", "PAWN")),
+    "RBD-FAST, PAWN": (("S1", "first order"), ("pawn", "PAWN")),
 }
 
 
@@ -139,7 +140,9 @@ def picture(good: Sequence[Indices], path: Path) -> None:
                 axis.axvline(one.dummy, color="#777777", lw=1.0, ls="--", label="PAWN of nothing")
             axis.set_yticks(at, [one.parameters[k] for k in order])
             axis.grid(False, axis="y")
+            axis.set_axisbelow(True)
             axis.axvline(0.0, color="#333333", lw=0.8)
             axis.set_title(one.feature)
-            axis.set_xlabel("change over the whole range, in the feature's unit" if one.method == "Morris" else "index")
-            axis.legend(fontsize=8, loc="lower right")
+            unit = UNITS[one.feature.rpartition(".")[2]]
+            axis.set_xlabel(plots.label("change over the range", unit) if one.method == "Morris" else "index")
+            axis.legend(fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, columnspacing=1.0)
