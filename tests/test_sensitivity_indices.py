@@ -165,3 +165,25 @@ def test_on_the_command_line(here):
     Path("out/results.parquet").unlink()
     unfinished = bcfj("study", "indices", "study.toml", "--out", "out")
     assert unfinished.exit_code == 5 and "resume" in unfinished.output
+
+
+@pytest.mark.slow  # A program of its own.
+def test_runs_that_fail_take_their_blocks_along(here):
+    table = {
+        "scene": {
+            "scene": {"kind": "bounce"},
+            "time": {"end": 0.6, "samples": 1001},
+            "accuracy": {"level": "balanced", "max_steps": 130},
+        },
+        "design": {"kind": "saltelli", "samples": 64},
+        "vary": {"drop_height": {"lower": 0.05, "upper": 0.5}, "damping": {"lower": 0.0, "upper": 0.3}},
+        "results": {"features": ["contact.peak", "contact.period"]},
+    }
+    result = bj.study(table, here / "out", workers=1)
+    bad = np.flatnonzero(result.column("status") == "failed")
+    assert 0 < bad.size < 60
+    found = sensitivity.indices(result, "contact.peak")
+    assert found.failed == bad.size and found.dropped == np.unique(bad // 4).size
+    assert found.points == 4 * found.blocks == 256 - 4 * found.dropped
+    good, without = sensitivity.every(result)
+    assert [one.feature for one in good] == ["contact.peak"] and "64 blocks" in without["contact.period"]

@@ -184,3 +184,12 @@ def test_of_a_study_with_derivatives(here):
     assert f"surface-{PEAK}.png" in os.listdir("out")
     wrong = CliRunner().invoke(app, ["study", "surface", "study.toml", "--out", "out", "--feature", "contact.peek"])
     assert wrong.exit_code == 2 and "did you mean 'contact.peak'" in wrong.stderr
+
+
+def test_derivatives_that_mean_nothing_do_little_harm():
+    whole, rng = closed(32), np.random.default_rng(4)
+    wild = {name: x * 10 ** rng.standard_normal(32) * rng.choice([-1, 1], 32) for name, x in whole.columns.items()}
+    found = surface.fit(whole._replace(columns=wild | {PEAK: whole.columns[PEAK]}), PEAK)
+    assert found.directions == ALL and found.fitted.hyper.rough > 0.1
+    mean, _ = found.predict(closed(1000, 9).values)
+    assert np.std(np.asarray(mean) - closed(1000, 9).columns[PEAK]) < 0.05 * found.error.spread

@@ -108,7 +108,9 @@ def _curves(one: Surface, found: Finished, path: Path) -> None:
         values[:, k] = axis.at(np.linspace(0.0, 1.0, _CURVE))
         lines.append((values[:, k], *(np.asarray(x) for x in one.predict(values))))
     scale, prefix = plots.engineering(np.concatenate([mean for _, mean, _ in lines]))
-    with plots.panels(len(lines), 3, path, 4.6 if len(lines) > 1 else 6.5, 3.6) as axes:
+    with plots.panels(len(lines), 2 if len(lines) == 4 else 3, path, 4.6 if len(lines) > 1 else 6.5, 3.6) as axes:
+        ends = [(mean + side * deviation) * scale for _, mean, deviation in lines for side in (-2, 2)]
+        margin = 0.05 * np.ptp(ends)
         for k, (panel, (x, mean, deviation)) in enumerate(zip(axes, lines, strict=True)):
             low, high = (mean - 2 * deviation) * scale, (mean + 2 * deviation) * scale
             panel.fill_between(x, low, high, alpha=0.25, lw=0, label="± 2 deviations")
@@ -116,6 +118,9 @@ def _curves(one: Surface, found: Finished, path: Path) -> None:
             if len(lines) == 1:
                 panel.plot(found.values[:, 0], y * scale, "o", ms=4, color="#333333", label="study")
             _scale(panel, "x", one.axes[k])
+            # One scale for all, so that what matters shows.
+            if len(lines) > 1:
+                panel.set_ylim(np.min(ends) - margin, np.max(ends) + margin)
             panel.set(xlabel=pictures.label(found.study, one.axes[k].name), ylabel=plots.label(kind, unit, prefix))
             rest = "" if len(lines) == 1 else ", the others in the middle"
             panel.set_title(f"{one.feature}{rest if k == 0 else ''}")
