@@ -173,7 +173,7 @@ def test_runs_that_fail_take_their_blocks_along(here):
         "scene": {
             "scene": {"kind": "bounce"},
             "time": {"end": 0.6, "samples": 1001},
-            "accuracy": {"level": "balanced", "max_steps": 130},
+            "accuracy": {"level": "balanced", "max_steps": 170},
         },
         "design": {"kind": "saltelli", "samples": 64},
         "vary": {"drop_height": {"lower": 0.05, "upper": 0.5}, "damping": {"lower": 0.0, "upper": 0.3}},

@@ -29,9 +29,11 @@ from bcfj_jax.studies.kriging import Fitted, Hyper
 MOST = 2000
 # Fewer points than this for each parameter do not tell its correlation length.
 _FEWEST_EACH = 3
-# Correlation lengths in shares of the box, and noise: from rounding to as large as the feature itself.
-_LENGTHS, _NOISES = (0.02, 30.0), (1e-10, 1.0)
-_STARTS = (0.3, 1.5)
+# Correlation lengths in shares of the box; noise from rounding to as large as the feature itself, and of derivatives
+# that mean nothing far larger than any that the feature can have.
+_LENGTHS, _NOISES, _ROUGH = (0.02, 30.0), (1e-10, 1.0), (1e-10, 1e6)
+# Lengths and noise of derivatives to start from: good ones, and bad ones, to which there is a wall in between.
+_STARTS = ((0.3, 1e-6), (1.5, 1e-6), (1.5, 1e2))
 
 
 class Error(NamedTuple):
@@ -153,7 +155,8 @@ def likeliest(x: Array, y: Array, directions: tuple[int, ...]) -> Hyper:
     """Hyperparameters of the largest likelihood of observations y (M,) at points x (N, D), from a few starts."""
     count = x.shape[1]
     value = partial(_value, directions=directions)
-    bounds = [tuple(np.log(_LENGTHS))] * count + [tuple(np.log(_NOISES))] * (2 if directions else 1)
+    noises = [_NOISES, _ROUGH] if directions else [_NOISES]
+    bounds = [tuple(np.log(ends)) for ends in [_LENGTHS] * count + noises]
 
     def cost(logs: np.ndarray) -> tuple[float, np.ndarray]:
         found, slope = jax.device_get(value(jnp.asarray(logs), x, y))
@@ -161,8 +164,8 @@ def likeliest(x: Array, y: Array, directions: tuple[int, ...]) -> Hyper:
         return (float(found), np.asarray(slope)) if np.isfinite(found) else (1e10, np.zeros_like(logs))
 
     best: Any = None
-    for length in _STARTS:
-        start = np.log([length] * count + [1e-6] * (len(bounds) - count))
+    for length, rough in _STARTS if directions else _STARTS[:2]:
+        start = np.log([length] * count + [1e-6, rough])[: len(bounds)]
         found = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 100})
         best = found if best is None or found.fun < best.fun else best
     return _hyper(jnp.asarray(best.x), count)
