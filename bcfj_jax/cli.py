@@ -269,16 +269,13 @@ def study_merge(
 
 
 Features = Annotated[list[str] | None, typer.Option("--feature", help="Such as contact.peak; by default every one.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of the bootstrap.")]
+Slopes = Annotated[bool, typer.Option(help="Whether to use the study's derivatives, if it kept any.")]
 
 
 @studies.command("indices", epilog=_EPILOG)
 @_guarded
-def study_indices(
-    study: StudyFile,
-    out: StudyOut = None,
-    feature: Features = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the bootstrap.")] = 0,
-) -> int:
+def study_indices(study: StudyFile, out: StudyOut = None, feature: Features = None, seed: Seed = 0) -> int:
     """Say how much of each feature's variation each parameter brings: a table, indices.json and bars."""
     from bcfj_jax.studies import indices_command
 
@@ -289,12 +286,7 @@ def study_indices(
 
 @studies.command("surface", epilog=_EPILOG)
 @_guarded
-def study_surface(
-    study: StudyFile,
-    out: StudyOut = None,
-    feature: Features = None,
-    derivatives: Annotated[bool, typer.Option(help="Whether to use the study's derivatives, if it kept any.")] = True,
-) -> int:
+def study_surface(study: StudyFile, out: StudyOut = None, feature: Features = None, derivatives: Slopes = True) -> int:
     """Lay a response surface through each feature: its errors, surface.json and a picture a feature."""
     use_compile_cache()
     from bcfj_jax.studies import surface_command
