@@ -210,6 +210,8 @@ app.add_typer(studies, name="study")
 StudyFile = Annotated[str, typer.Argument(metavar="STUDY", help="A study file, or a built-in study: clearance.")]
 StudyOut = Annotated[Path | None, typer.Option("--out", help="Folder of the study; by default results/study-NAME.")]
 Workers = Annotated[int | None, typer.Option(min=1, help="Processes on this machine; by default one a core.")]
+Others = Annotated[list[Path] | None, typer.Option("--from", help="Another folder of the same study.")]
+Dry = Annotated[bool, typer.Option("--dry-run", help="Count points, estimate time and disk; no more.")]
 Scheduler = Annotated[str | None, typer.Option(help="Dask scheduler that shall do the work: tcp://HOST:PORT.")]
 
 
@@ -225,11 +227,7 @@ def _study(study: str, out: Path | None, workers: int | None, scheduler: str | N
 @studies.command("run", epilog=_EPILOG)
 @_guarded
 def study_run(
-    study: StudyFile,
-    out: StudyOut = None,
-    workers: Workers = None,
-    scheduler: Scheduler = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Count points, estimate time and disk; no more.")] = False,
+    study: StudyFile, out: StudyOut = None, workers: Workers = None, scheduler: Scheduler = None, dry_run: Dry = False
 ) -> int:
     """Run a study: results.parquet, study.json, a picture and report.html; goes on with what its folder holds."""
     return _study(study, out, workers, scheduler, dry_run, False)
@@ -255,11 +253,7 @@ def study_status(study: StudyFile, out: StudyOut = None) -> int:
 
 @studies.command("merge", epilog=_EPILOG)
 @_guarded
-def study_merge(
-    study: StudyFile,
-    out: StudyOut = None,
-    other: Annotated[list[Path] | None, typer.Option("--from", help="Another folder of the same study.")] = None,
-) -> int:
+def study_merge(study: StudyFile, out: StudyOut = None, other: Others = None) -> int:
     """Take in blocks that were computed elsewhere, and write results.parquet when none is missing."""
     from bcfj_jax.studies import command
 
