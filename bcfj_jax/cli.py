@@ -210,6 +210,8 @@ app.add_typer(studies, name="study")
 StudyFile = Annotated[str, typer.Argument(metavar="STUDY", help="A study file, or a built-in study: clearance.")]
 StudyOut = Annotated[Path | None, typer.Option("--out", help="Folder of the study; by default results/study-NAME.")]
 Workers = Annotated[int | None, typer.Option(min=1, help="Processes on this machine; by default one a core.")]
+Others = Annotated[list[Path] | None, typer.Option("--from", help="Another folder of the same study.")]
+Dry = Annotated[bool, typer.Option("--dry-run", help="Count points, estimate time and disk; no more.")]
 Scheduler = Annotated[str | None, typer.Option(help="Dask scheduler that shall do the work: tcp://HOST:PORT.")]
 
 
@@ -225,11 +227,7 @@ def _study(study: str, out: Path | None, workers: int | None, scheduler: str | N
 @studies.command("run", epilog=_EPILOG)
 @_guarded
 def study_run(
-    study: StudyFile,
-    out: StudyOut = None,
-    workers: Workers = None,
-    scheduler: Scheduler = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Count points, estimate time and disk; no more.")] = False,
+    study: StudyFile, out: StudyOut = None, workers: Workers = None, scheduler: Scheduler = None, dry_run: Dry = False
 ) -> int:
     """Run a study: results.parquet, study.json, a picture and report.html; goes on with what its folder holds."""
     return _study(study, out, workers, scheduler, dry_run, False)
@@ -255,15 +253,39 @@ def study_status(study: StudyFile, out: StudyOut = None) -> int:
 
 @studies.command("merge", epilog=_EPILOG)
 @_guarded
-def study_merge(
-    study: StudyFile,
-    out: StudyOut = None,
-    other: Annotated[list[Path] | None, typer.Option("--from", help="Another folder of the same study.")] = None,
-) -> int:
+def study_merge(study: StudyFile, out: StudyOut = None, other: Others = None) -> int:
     """Take in blocks that were computed elsewhere, and write results.parquet when none is missing."""
     from bcfj_jax.studies import command
 
     text, code = command.merge(study, out, other or [])
+    typer.echo(text)
+    return code
+
+
+Features = Annotated[list[str] | None, typer.Option("--feature", help="Such as contact.peak; by default every one.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of the bootstrap.")]
+Slopes = Annotated[bool, typer.Option(help="Whether to use the study's derivatives, if it kept any.")]
+
+
+@studies.command("indices", epilog=_EPILOG)
+@_guarded
+def study_indices(study: StudyFile, out: StudyOut = None, feature: Features = None, seed: Seed = 0) -> int:
+    """Say how much of each feature's variation each parameter brings: a table, indices.json and bars."""
+    from bcfj_jax.studies import indices_command
+
+    text, code = indices_command.run(study, out, feature or [], seed)
+    typer.echo(text)
+    return code
+
+
+@studies.command("surface", epilog=_EPILOG)
+@_guarded
+def study_surface(study: StudyFile, out: StudyOut = None, feature: Features = None, derivatives: Slopes = True) -> int:
+    """Lay a response surface through each feature: its errors, surface.json and a picture a feature."""
+    use_compile_cache()
+    from bcfj_jax.studies import surface_command
+
+    text, code = surface_command.run(study, out, feature or [], derivatives)
     typer.echo(text)
     return code
 

@@ -50,10 +50,44 @@ def test_drawn_designs_fill_every_stratum_and_are_the_same_for_the_same_seed(kin
     assert all(sorted((64 * column).astype(int)) == list(range(64)) for column in shares.T)
 
 
-def test_what_was_resolved_means_the_same(tmp_path):
+DRAWN = (
+    'scene = "impact"\n[design]\nKIND\nseed = 0\n'
+    '[vary.mass]\nlower = 0.1\nupper = 10.0\nscale = "log"\n[vary.damping]\nlower = 0.0\nupper = 0.5'
+)
+
+
+@pytest.mark.parametrize(("options", "length"), [("second_order = false", 4), ("second_order = true", 6)])
+def test_saltellis_blocks_take_one_parameter_from_the_other_sample(options, length):
+    pytest.importorskip("SALib", reason="the extra study is not installed")
+    found = given(DRAWN.replace("KIND", f'kind = "saltelli"\nsamples = 8\n{options}'))
+    assert found.count == 8 * length and found.points.shape == (8 * length, 2)
+    for block in found.points.reshape(8, length, 2):
+        a, b = block[0], block[-1]
+        np.testing.assert_array_equal(block[1:3], [[b[0], a[1]], [a[0], b[1]]])
+
+
+def test_a_trajectory_of_morris_moves_each_parameter_once_and_evenly_on_a_log_axis():
+    pytest.importorskip("SALib", reason="the extra study is not installed")
+    found = given(DRAWN.replace("KIND", 'kind = "morris"\ntrajectories = 8\nlevels = 4'))
+    assert found.count == 8 * 3
+    shares = np.stack([axis.share(found.points[:, k]) for k, axis in enumerate(found.axes)], axis=1)
+    steps = np.abs(np.diff(shares.reshape(8, 3, 2), axis=1))
+    np.testing.assert_allclose(steps.sum(axis=1), 2 / 3, atol=1e-12)
+    assert np.all(np.count_nonzero(steps, axis=2) == 1)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        STUDY,
+        DRAWN.replace("KIND", 'kind = "saltelli"\nsamples = 16\nsecond_order = true'),
+        DRAWN.replace("KIND", 'kind = "morris"\ntrajectories = 16\nlevels = 6'),
+    ],
+)
+def test_what_was_resolved_means_the_same(tmp_path, text):
     import tomli_w
 
-    found = given(STUDY)
+    found = given(text)
     path = tmp_path / "run.toml"
     path.write_text(tomli_w.dumps(found.resolved))
     again = load(path)
@@ -81,6 +115,11 @@ def test_blocks_take_every_point_once_the_costly_first():
         (('kind = "grid"', 'kind = "gird"'), r"\[design\] kind: no design 'gird'; .*grid"),
         (('kind = "grid"', 'kind = "sobol"'), r"points: missing for sobol"),
         (('kind = "grid"', 'kind = "grid"\npoints = 3'), r"points: a grid has as many"),
+        (('kind = "grid"', 'kind = "saltelli"'), r"samples: missing for saltelli"),
+        (('kind = "grid"', 'kind = "saltelli"\npoints = 64'), r"points: no key of a saltelli; say samples"),
+        (('kind = "grid"', 'kind = "morris"\ntrajectories = 9\nlevels = 5'), r"levels: 5 is odd"),
+        (('kind = "grid"', 'kind = "morris"\ntrajectories = 9\nsecond_order = true'), r"second_order: no key of a"),
+        (('kind = "grid"', 'kind = "grid"\nlevels = 4'), r"levels: no key of a grid; take it out"),
         (("steps = 7", ""), r"vary.stiffness\] steps: missing"),
         (("lower = 1e6", "lower = 1e9"), r"is not below upper"),
         (("lower = 1e6", "lower = -1.0"), r"out of range"),

@@ -14,8 +14,9 @@ from bcfj_jax.errors import InputError
 from bcfj_jax.stop import heeded
 from bcfj_jax.studies import local, specification, worker
 from bcfj_jax.studies.block import Blocks
+from bcfj_jax.studies.extra import library
 from bcfj_jax.studies.specification import Study
-from bcfj_jax.studies.store import Store, facts_of, library, merge, write_parquet
+from bcfj_jax.studies.store import Store, facts_of, merge, write_parquet
 
 if TYPE_CHECKING:
     import pyarrow as pa

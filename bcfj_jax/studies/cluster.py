@@ -68,8 +68,8 @@ def run(store: Store, address: str, progress: Callable[[int], None]) -> None:
         local.Stopped: if the scheduler stays away, or a block cannot be computed.
     """
     from bcfj_jax.stop import check
+    from bcfj_jax.studies.extra import library
     from bcfj_jax.studies.local import Stopped, written
-    from bcfj_jax.studies.store import library
 
     distributed = library("distributed")
     study = (store.folder / "run.toml").read_text(encoding="utf-8")

@@ -2,6 +2,7 @@
 
 scene     a scene file (beside the study file), a built-in scene's name, or a table with a scene file's content
 [design]  kind = grid | list | latin_hypercube | sobol; points and seed of the last two
+          saltelli: samples, second_order, seed; morris: trajectories, levels, seed (for global sensitivities)
 [vary.X]  lower, upper, steps, scale = linear | log; or values
 [results] features, histories, derivatives
 """
@@ -23,7 +24,7 @@ from bcfj_jax.derivatives.names import Feature, complete, feature
 from bcfj_jax.errors import InputError, nearest
 from bcfj_jax.quantities import CATALOGUE, check_value
 from bcfj_jax.scenefile import SceneFile
-from bcfj_jax.studies.design import KINDS, SCALES, Axis, number, points
+from bcfj_jax.studies.design import DEFAULTS, DRAWN, KINDS, SCALES, Axis, Options, block_length, number, points
 from bcfj_jax.units import quantity
 
 MOST_POINTS = 100_000_000
@@ -35,7 +36,7 @@ class Study:
 
     Attributes:
         given: the scene that is varied.
-        kind, axes, count, seed: the design, as ``design.points``.
+        kind, axes, count, seed, options: the design, as ``design.points``.
         features: what is kept of each point.
         histories: whether forces are kept, too.
         derivatives: parameters by which features are differentiated.
@@ -53,11 +54,12 @@ class Study:
     derivatives: tuple[str, ...]
     own_end: bool
     resolved: dict[str, Any]
+    options: Options = DEFAULTS
 
     @cached_property
     def points(self) -> np.ndarray:
         """(N, D) values of the varied parameters."""
-        return points(self.kind, self.axes, self.count, self.seed)
+        return points(self.kind, self.axes, self.count, self.seed, self.options)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -79,6 +81,10 @@ class Study:
 class _Design(tables.Table):
     kind: str = "grid"
     points: int | None = pydantic.Field(default=None, ge=1, le=MOST_POINTS)
+    samples: int | None = pydantic.Field(default=None, ge=1, le=MOST_POINTS)
+    second_order: bool | None = None
+    trajectories: int | None = pydantic.Field(default=None, ge=1, le=MOST_POINTS)
+    levels: int | None = pydantic.Field(default=None, ge=2, le=1000)
     seed: int = pydantic.Field(default=0, ge=0)
 
 
@@ -124,18 +130,15 @@ def from_table(table: Mapping[str, Any], where: str = "study", beside: Path = Pa
     kind = file.design.kind
     if kind not in KINDS:
         raise InputError(f"{where}: [design] kind", f"no design '{kind}'", nearest(kind, KINDS))
-    drawn = kind in ("latin_hypercube", "sobol")
-    if drawn and file.design.points is None:
-        raise InputError(f"{where}: [design] points", f"missing for {kind}", "say how many points to draw")
-    if not drawn and file.design.points is not None:
-        raise InputError(f"{where}: [design] points", f"a {kind} has as many as its axes say", "take it out")
+    drawn, size = kind in DRAWN, _size(file.design, where)
     if not file.vary:
         raise InputError(f"{where}: [vary]", "nothing is varied", f"vary one of {', '.join(given.scene.quantities)}")
     axes = tuple(_axis(given, name, one, kind, where) for name, one in file.vary.items())
     if kind == "list" and len({axis.steps for axis in axes}) > 1:
         found = ", ".join(f"{axis.name}: {axis.steps}" for axis in axes)
         raise InputError(f"{where}: [vary]", f"values of a list side by side: {found}", "give as many of each")
-    count = number(kind, axes, file.design.points or 0)
+    options = Options(file.design.second_order or False, file.design.levels or DEFAULTS.levels)
+    count = number(kind, axes, block_length(kind, len(axes), options) * size)
     if count > MOST_POINTS:
         raise InputError(f"{where}: [vary]", f"{count} points", f"a study has at most {MOST_POINTS}")
     members = channels(given.scene)
@@ -154,15 +157,54 @@ def from_table(table: Mapping[str, Any], where: str = "study", beside: Path = Pa
         raise InputError(f"{where}: [results] {error.where}", error.found, error.remedy) from None
     resolved = {
         "scene": _inline(given, own_end),
-        "design": {"kind": kind, "seed": file.design.seed} | ({"points": count} if drawn else {}),
+        "design": {"kind": kind, "seed": file.design.seed} | _resolved_design(kind, size, options),
         "vary": {axis.name: _resolved(axis, drawn) for axis in axes},
         "results": {
             "features": [f.name for f in features], "histories": file.results.histories, "derivatives": list(slopes)
         },
     }  # fmt: skip
     return Study(
-        given, kind, axes, count, file.design.seed, features, file.results.histories, slopes, own_end, resolved
+        given,
+        kind,
+        axes,
+        count,
+        file.design.seed,
+        features,
+        file.results.histories,
+        slopes,
+        own_end,
+        resolved,
+        options,
     )
+
+
+# What says how large a design is, and what else it may say.
+_SIZES = {"latin_hypercube": "points", "sobol": "points", "saltelli": "samples", "morris": "trajectories"}
+_OPTIONS = {"saltelli": "second_order", "morris": "levels"}
+
+
+def _size(design: _Design, where: str) -> int:
+    """How many points, base samples or trajectories; 0 for a design that its axes make."""
+    kind = design.kind
+    own = _SIZES.get(kind)
+    for key in ("points", "samples", "trajectories", "second_order", "levels"):
+        if getattr(design, key) is None or key in (own, _OPTIONS.get(kind)):
+            continue
+        found = f"a {kind} has as many as its axes say" if key == "points" and own is None else f"no key of a {kind}"
+        remedy = f"say {own}" if own and key in _SIZES.values() else "take it out"
+        raise InputError(f"{where}: [design] {key}", found, remedy)
+    if own is None:
+        return 0
+    if getattr(design, own) is None:
+        raise InputError(f"{where}: [design] {own}", f"missing for {kind}", f"say how many {own} to draw")
+    if design.levels is not None and design.levels % 2:
+        raise InputError(f"{where}: [design] levels", f"{design.levels} is odd", "give an even number (Morris 1991)")
+    return getattr(design, own)
+
+
+def _resolved_design(kind: str, size: int, options: Options) -> dict[str, Any]:
+    sized = {_SIZES[kind]: size} if kind in _SIZES else {}
+    return sized | ({_OPTIONS[kind]: getattr(options, _OPTIONS[kind])} if kind in _OPTIONS else {})
 
 
 def _scene(scene: Any, where: str, beside: Path) -> tuple[SceneFile, bool]:
@@ -198,7 +240,7 @@ def _axis(given: SceneFile, name: str, table: _Axis, kind: str, where: str) -> A
         raise InputError(place, f"scene '{given.scene.kind}' has no parameter '{name}'", hint)
     if table.scale not in SCALES:
         raise InputError(f"{place} scale", f"no scale '{table.scale}'", nearest(table.scale, SCALES))
-    drawn = kind in ("latin_hypercube", "sobol")
+    drawn = kind in DRAWN
     bounded = table.lower is not None or table.upper is not None
     if table.values is not None:
         if bounded or table.steps is not None:
@@ -214,7 +256,7 @@ def _axis(given: SceneFile, name: str, table: _Axis, kind: str, where: str) -> A
     if kind == "list":
         raise InputError(place, "a list needs values", "give values = [...]")
     if drawn and table.steps is not None:
-        raise InputError(f"{place} steps", f"a {kind} has no steps", "say [design] points in place of it")
+        raise InputError(f"{place} steps", f"a {kind} has no steps", f"say [design] {_SIZES[kind]} in place of it")
     if not drawn and table.steps is None:
         raise InputError(f"{place} steps", "missing", "say how many values the grid takes of it")
     lower, upper = (_value(given, name, getattr(table, end), f"{place} {end}") for end in ("lower", "upper"))

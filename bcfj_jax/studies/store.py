@@ -27,26 +27,13 @@ import numpy as np
 from bcfj_jax.derivatives.jacobian import channel_names, channels
 from bcfj_jax.errors import InputError
 from bcfj_jax.studies.block import Blocks, Table
+from bcfj_jax.studies.extra import library
 from bcfj_jax.studies.specification import Study
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 _FACTS = b"bcfj"
-
-
-def library(name: str) -> Any:
-    """A library of the extra ``study``.
-
-    Raises:
-        InputError: if it is not installed.
-    """
-    import importlib
-
-    try:
-        return importlib.import_module(name)
-    except ImportError:
-        raise InputError("bcfj study", f"needs {name}, which is not installed", "install bcfj-jax[study]") from None
 
 
 class Store:
