@@ -129,3 +129,14 @@ def test_joint_forgets_its_start_with_the_default_onset_and_not_with_a_sharp_one
     assert calm.value < -20.0 and calm.standard_error < 1.0
     rattling = nonlinear.scene_exponent(scene, scene.parameters(smoothing=1e-6), 12, settle=1.2, batches=4)
     assert rattling.value > 100.0
+
+
+def test_what_two_trajectories_have_in_common_is_not_told_apart():
+    """A phase beside the logistic map is exactly neutral, and would hold the exponent at 0 or above on a cycle."""
+
+    def step(s):
+        return jnp.stack([3.2 * s[0] * (1.0 - s[0]), s[1] + 0.1])
+
+    start, scales = jnp.array([0.3, 0.0]), np.array([1.0, 0.0])
+    found = nonlinear.two_trajectories(step, start, 400, transients=500, scales=scales)
+    assert found.value == pytest.approx(0.5 * math.log(abs(4.0 + 6.4 - 3.2**2)), rel=1e-3)

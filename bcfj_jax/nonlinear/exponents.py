@@ -199,7 +199,8 @@ def two_trajectories(
 
     Args:
         separation: rms distance of the two, in units of the scales.
-        scales: size of each state, an array like the flattened state or one number.
+        scales: size of each state, an array like the flattened state or one number; 0 for what both have in common,
+            such as a time or the phase of a drive.
         step, state, iterations, transients, interval, batches, seed: as ``map_exponent``.
 
     Raises:
@@ -214,15 +215,17 @@ def two_trajectories(
     def flat(y: Array) -> Array:
         return ravel_pytree(step(rebuild(y)))[0]
 
+    told = unit > 0.0
+
     def rms(w: Array) -> Array:
-        return jnp.sqrt(jnp.mean(jnp.square(w / unit)))
+        return jnp.sqrt(jnp.sum(jnp.square(jnp.where(told, w / jnp.where(told, unit, 1.0), 0.0))) / jnp.sum(told))
 
     def once(carry: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], Array]:
         y, apart = carry
         y, other = jax.lax.map(flat, jnp.stack([y, y + apart]))
         size = rms(other - y)
         # Two orbits that rounding has made one grow no more.
-        again = (other - y) * (separation / jnp.where(size > 0.0, size, 1.0))
+        again = jnp.where(told, other - y, 0.0) * (separation / jnp.where(size > 0.0, size, 1.0))
         return (y, again), jnp.log(size / separation)
 
     def whole(y: Array) -> Array:

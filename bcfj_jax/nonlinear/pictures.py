@@ -11,7 +11,7 @@ from bcfj_jax import plots
 from bcfj_jax.nonlinear.exponents import Exponent
 
 # Dots of a diagram shrink with their number: between a dot that is seen and a cloud that has structure.
-_LARGE, _SMALL = 9.0, 0.2
+_LARGE, _SMALL = 9.0, 0.5
 
 
 def _dots(count: int) -> float:

@@ -46,7 +46,7 @@ def contact_portrait(run: Run, contact: str, path: Path, *, window: Window = Non
         d_scale, d_prefix = plots.engineering(np.concatenate(list(depth.values())))
         v_scale, v_prefix = plots.engineering(np.concatenate(list(rate.values())))
         for member in depth:
-            axis.plot(depth[member] * d_scale, rate[member] * v_scale, lw=0.8, label=member)
+            axis.plot(depth[member] * d_scale, rate[member] * v_scale, lw=0.7, alpha=0.8, label=member)
         axis.axvline(0.0, color="#4a4a4a", lw=0.8, ls="--")
         axis.set_title(f"{contact}: rate against penetration")
         axis.set_xlabel(plots.label("penetration (negative: gap)", "m", d_prefix))
@@ -140,6 +140,7 @@ def contact_raster(run: Run, path: Path, *, impact_time: float, window: Window =
         for k, codes in enumerate(rows.values()):
             shares = " / ".join(f"{100.0 * np.mean(codes == mode):.0f}" for mode in range(len(MODES)))
             axis.text(1.01, k + 0.5, f"{shares} %", fontsize=8, va="center", transform=axis.get_yaxis_transform())
+        axis.text(1.01, -0.1, "share", fontsize=8, va="bottom", transform=axis.get_yaxis_transform())
         axis.set_xlabel(plots.label("time", "s", prefix))
         axis.legend(
             [Patch(color=_SHADES[mode]) for mode in MODES], MODES, ncols=3, fontsize=8, loc="lower right",
@@ -178,7 +179,9 @@ def ball_loads(run: Run, scene: Joint, path: Path, *, contact: str = "seat_ball"
         drawing = Figure(figsize=(5.6, 5.4), layout="constrained")
         axis = drawing.add_subplot(projection="polar")
         for k, azimuth in enumerate(scene.azimuths):
-            axis.plot(turn + azimuth, load[:, k] * scale, lw=1.0, label=str(k + 1))
+            # Thinner and thinner: where all balls do the same, all are still seen.
+            width = 0.8 + 2.4 * (1.0 - k / scene.balls)
+            axis.plot(turn + azimuth, load[:, k] * scale, lw=width, label=str(k + 1))
         axis.set_title(f"{contact}: normal force [{prefix.replace('u', 'µ')}N] against azimuth", pad=16)
         axis.set_ylim(bottom=0.0)  # type: ignore[call-arg]
         axis.set_rlabel_position(112.5)  # type: ignore[attr-defined]

@@ -114,7 +114,7 @@ def _growth(
         return tangent / jnp.where(size > 0.0, size, 1.0), size
 
     def once(rows: Array, k: Array) -> tuple[Array, tuple[Array, Array]]:
-        found, code = _advance(both, how, rows, settle + k * interval, settle + (k + 1) * interval)
+        found, code = advance(both, how, rows, settle + k * interval, settle + (k + 1) * interval)
         tangent, size = unit(found[0], found[1])
         return jnp.stack([found[0], tangent]), (jnp.log(size), code)
 
@@ -142,7 +142,8 @@ def _beside(scene: AbstractScene, posed: Problem) -> Problem:
     return posed._replace(field=field, norm=lambda errors: jnp.maximum(posed.norm(errors[0]), posed.norm(errors[1])))
 
 
-def _advance(both: Problem, how: Plan, rows: Array, begin: Array, end: Array) -> tuple[Array, Array]:
+def advance(both: Problem, how: Plan, rows: Array, begin: Array, end: Array) -> tuple[Array, Array]:
+    """Rows, or a state alone, carried from one time to another [s]; with an ending's code (``endings``)."""
     solution = dfx.diffeqsolve(
         dfx.ODETerm(both.field),  # pyright: ignore[reportArgumentType]
         both.solver,
