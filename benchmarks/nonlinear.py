@@ -1,12 +1,14 @@
 """Nonlinear dynamics: the exponents and bifurcations that are known, and what the joint does.
 
-    python benchmarks/nonlinear.py [--only known exponents clearance portraits]
-writes results/nonlinear.json (costs in CPU seconds), the tables in docs/nonlinear.md and docs/images/nonlinear_*.png. On one core:
+    python benchmarks/nonlinear.py [--only known exponents clearance scatter crossing portraits]
+writes results/nonlinear.json (costs in CPU seconds), the tables in docs/nonlinear.md and its pictures. On one core:
 
 - known: maps and flows with published or closed-form exponents, period doublings, a bouncing ball;
-- exponents: of the joint with the default onset and with a sharp one, by its tangent at three accuracies and by two
+- exponents: of the joint with the default onset and with a sharp one, by its tangent at four accuracies and by two
   trajectories of another solver;
 - clearance: what a window contact's section is at 10 clearances, both onsets: the two minutes' example;
+- scatter: how much of the calm joint's scatter is the solver's;
+- crossing: the exponent against the same clearance, default onset;
 - portraits: of one revolution of the joint.
 """
 
@@ -140,16 +142,16 @@ def pair_of_runs(smoothing: float, interval: float, intervals: int, separation: 
 def exponents() -> dict[str, Any]:
     scene = scenes.joint()
     told: dict[str, Any] = {}
-    shown, table = {}, [("joint", "force error 1e-3", "1e-4", "1e-5", "two trajectories")]
+    shown, table = {}, [("joint", "force error 1e-3", "1e-4", "1e-5", "1e-6", "two trajectories")]
     for name, smoothing in ONSETS.items():
         params, row = scene.parameters(smoothing=smoothing), {}
-        for accuracy in (1e-3, 1e-4, 1e-5):
+        for accuracy in (1e-3, 1e-4, 1e-5, 1e-6):
             begin = time.process_time()
             one = nonlinear.scene_exponent(scene, params, 36, settle=1.2, accuracy=accuracy, batches=6)
             row[f"{accuracy:g}"] = {
                 "found": one.value, "standard_error": one.standard_error, "cpu_s": time.process_time() - begin,
             }  # fmt: skip
-            if accuracy == 1e-5:
+            if accuracy == 1e-6:
                 shown[name] = one
         begin = time.process_time()
         # Two pitches of the rattle, whose separation grows; six of the calm joint.
@@ -192,6 +194,43 @@ def clearance() -> dict[str, Any]:
     return told
 
 
+def scatter() -> dict[str, Any]:
+    """How far the unloaded ball's section at the default onset scatters, against the accuracy asked for."""
+    scene, told = scenes.joint(), {}
+    values = np.array([12e-6, 20e-6, 40e-6])
+    table = [("force error", *(f"{1e6 * value:.0f} µm" for value in values))]
+    for accuracy in (1e-4, 1e-5, 1e-6):
+        found = nonlinear.bifurcation(
+            scene, scene.parameters(), "clearance_cage_ball", values, 9, transients=5, accuracy=accuracy, slots=3
+        )
+        spread = np.ptp(found.penetration["cage_ball"], axis=1).max(axis=1)
+        told[f"{accuracy:g}"] = spread.tolist()
+        table.append((f"{accuracy:g}", *(f"{1e6 * one:.2g} µm" for one in spread)))
+        print(accuracy, spread, flush=True)
+    put_in_readme("scatter", markdown(table), PAGE)
+    return {"clearances_m": values.tolist(), "spread_m": told}
+
+
+def crossing() -> dict[str, Any]:
+    """The joint's exponent against the clearance of the windows."""
+    scene = scenes.joint()
+    values, found = np.array([8.0, 12.0, 16.0, 20.0, 30.0, 40.0]) * 1e-6, []
+    for value in values:
+        params = scene.parameters(clearance_cage_ball=value)
+        found.append(nonlinear.scene_exponent(scene, params, 36, settle=1.2, accuracy=1e-5, batches=6))
+        print(value, found[-1].value, found[-1].standard_error, flush=True)
+    labels = {"parameter": "clearance of the windows [µm]", "reading": "largest Lyapunov exponent [1/s]"}
+    numbers = np.array([[one.value] for one in found])
+    nonlinear.draw_bifurcation(1e6 * values, numbers, IMAGES / "nonlinear_crossing.png", **labels)
+    table = [("clearance of the windows", *(f"{1e6 * value:.0f} µm" for value in values))]
+    table.append(("exponent [1/s]", *(f"{one.value:.4g} ± {one.standard_error:.1g}" for one in found)))
+    put_in_readme("crossing", markdown(table), PAGE)
+    return {
+        "clearances_m": values.tolist(), "found": numbers[:, 0].tolist(),
+        "standard_error": [one.standard_error for one in found],
+    }  # fmt: skip
+
+
 def portraits() -> dict[str, Any]:
     scene = scenes.joint()
     params = scene.parameters(smoothing=SHARP)
@@ -207,7 +246,14 @@ def portraits() -> dict[str, Any]:
     return {"drawn": [path.name for path in drawn]}
 
 
-PARTS = {"known": known, "exponents": exponents, "clearance": clearance, "portraits": portraits}
+PARTS = {
+    "known": known,
+    "exponents": exponents,
+    "clearance": clearance,
+    "scatter": scatter,
+    "crossing": crossing,
+    "portraits": portraits,
+}
 
 
 def main() -> None:

@@ -41,8 +41,9 @@ def draw_bifurcation(values: ArrayLike, points: ArrayLike, path: Path, *, parame
             foot = axis.get_xaxis_transform()
             axis.plot(x[failed], np.zeros(failed.sum()), "kx", ms=5, label="failed", transform=foot, clip_on=False)
         if y.shape[2] > 1 or failed.any():
-            axis.legend(ncols=8, fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), markerscale=3, borderpad=0)
+            axis.legend(ncols=8, fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), markerscale=2, borderpad=0)
         axis.set(xlabel=parameter, ylabel=reading)
+        axis.set_axisbelow(True)
         axis.set_xmargin(0.01)
         plots.save(drawing, path)
     return path
