@@ -142,7 +142,8 @@ def pair_of_runs(smoothing: float, interval: float, intervals: int, separation: 
 def exponents() -> dict[str, Any]:
     scene = scenes.joint()
     told: dict[str, Any] = {}
-    shown, table = {}, [("joint", "force error 1e-3", "1e-4", "1e-5", "1e-6", "two trajectories")]
+    shown = {}
+    table: list[tuple[str, ...]] = [("joint", "force error 1e-3", "1e-4", "1e-5", "1e-6", "two trajectories")]
     for name, smoothing in ONSETS.items():
         params, row = scene.parameters(smoothing=smoothing), {}
         for accuracy in (1e-3, 1e-4, 1e-5, 1e-6):
@@ -219,14 +220,11 @@ def crossing() -> dict[str, Any]:
         params = scene.parameters(clearance_cage_ball=value)
         found.append(nonlinear.scene_exponent(scene, params, 36, settle=1.2, accuracy=1e-5, batches=6))
         print(value, found[-1].value, found[-1].standard_error, flush=True)
-    labels = {"parameter": "clearance of the windows [µm]", "reading": "largest Lyapunov exponent [1/s]"}
-    numbers = np.array([[one.value] for one in found])
-    nonlinear.draw_bifurcation(1e6 * values, numbers, IMAGES / "nonlinear_crossing.png", **labels)
     table = [("clearance of the windows", *(f"{1e6 * value:.0f} µm" for value in values))]
     table.append(("exponent [1/s]", *(f"{one.value:.4g} ± {one.standard_error:.1g}" for one in found)))
     put_in_readme("crossing", markdown(table), PAGE)
     return {
-        "clearances_m": values.tolist(), "found": numbers[:, 0].tolist(),
+        "clearances_m": values.tolist(), "found": [one.value for one in found],
         "standard_error": [one.standard_error for one in found],
     }  # fmt: skip
 

@@ -10,6 +10,7 @@ import pytest
 
 from bcfj_jax import nonlinear, scenes
 from bcfj_jax.errors import InputError
+from bcfj_jax.nonlinear.exponents import from_growth
 
 
 def henon(s):
@@ -83,7 +84,7 @@ def test_standard_error_is_that_of_independent_batches():
     """White growths of unit variance: 1/sqrt(N), within what 20 batches can tell."""
     rng = np.random.default_rng(1)
     growth = rng.normal(size=200_000)
-    found = nonlinear.exponents.from_growth(growth, 0.5, 20)
+    found = from_growth(growth, 0.5, 20)
     assert found.standard_error == pytest.approx(2.0 / math.sqrt(200_000), rel=0.4)
     assert abs(found.value) < 4 * found.standard_error
 

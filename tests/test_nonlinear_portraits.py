@@ -119,7 +119,7 @@ def test_what_is_wrong_with_a_picture_is_said(tmp_path):
     with pytest.raises(InputError, match="cage_turn"):
         nonlinear.state_portrait(run, scene, "cage_turn", path)
     with pytest.raises(InputError, match="no joint"):
-        nonlinear.ball_loads(run, bounce, path)
+        nonlinear.ball_loads(run, bounce, path)  # pyright: ignore[reportArgumentType]
     with pytest.raises(InputError, match="contact of a ball"):
         nonlinear.ball_loads(run, scene, path, contact="seat_cage")
     with pytest.raises(InputError, match="no states"):
