@@ -20,6 +20,7 @@ _jax.config.update("jax_enable_x64", True)
 
 if TYPE_CHECKING:
     from bcfj_jax import laws as laws
+    from bcfj_jax import nonlinear as nonlinear
     from bcfj_jax import restitution as restitution
     from bcfj_jax import scenes as scenes
     from bcfj_jax import stiffness as stiffness
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
 
 # Public names by the module that holds them; a module's own name stands for the module.
 _PUBLIC = {
-    **{module: module for module in ("laws", "restitution", "scenes", "stiffness")},
+    **{module: module for module in ("laws", "nonlinear", "restitution", "scenes", "stiffness")},
     **{name: "errors" for name in ("InputError", "nearest")},
     **{name: "scene" for name in ("Body", "Contact", "Load", "Scene", "check_value")},
     **{name: "simulation" for name in ("Run", "force_history", "simulate")},
