@@ -60,7 +60,7 @@ def design(
 
     Starts (the given design, and points of a scrambled Sobol design) descend by L-BFGS-B in one compiled batch; the
     best is polished by Newton's method on the gradient to 1e-6 of every range; an independent run confirms the gain.
-    Compiles once per scene, times, names, objective and number of starts.
+    Runs compile once per scene, number of times, names and starts; another objective compiles in a second.
 
     Args:
         scene: any but a joint of fidelity "auto". A dynamic joint is chaotic over long times: take "quasistatic", or a
@@ -91,8 +91,8 @@ def design(
     sign = _sign(sense, distribution, kappa, samples, starts, norms, iterations)
     if isinstance(scene, Joint) and scene.fidelity == AUTO:
         raise InputError("scene 'joint' fidelity", "'auto', which is no model", "give one by name")
-    contacts, full = channels(scene), complete(scene, params, tuple(free))[0] if free else dict(params)
-    wanted, box = _objective(objective, features, contacts), space(scene, full, free)
+    wanted, box = _objective(objective, features, channels(scene)), space(scene, params, free)
+    full = complete(scene, params, box.names)[0]
     check(scene, full)
     if norms is None:
         norms = (40.0,) if isinstance(scene, Joint) and wanted.peaked else ()

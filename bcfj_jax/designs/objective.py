@@ -73,15 +73,18 @@ def objective(
             raise InputError("features", "none", "name the features that the objective reads")
         names, weights, combine = tuple(features), (1.0,) * len(features), asked
         text, unit = getattr(asked, "__name__", "objective"), ""
+        parts = tuple(_feature(name, contacts) for name in names)
     else:
         table = {asked: 1.0} if isinstance(asked, str) else dict(asked)
         names, weights, combine = tuple(table), tuple(float(w) for w in table.values()), None
         if not names or not np.isfinite(weights).all():
             raise InputError("objective", f"{asked}", "give one feature or more, each with a finite weight")
         alone = len(names) == 1 and weights == (1.0,)
+        # Known to be a feature's name from here on.
+        parts = tuple(_feature(name, contacts) for name in names)
         text = names[0] if alone else " + ".join(f"{w:.3g} {n}" for n, w in table.items())
         unit = unit_of(names[0]) if alone else ""
-    return Objective(text, tuple(_feature(name, contacts) for name in names), weights, combine, unit)
+    return Objective(text, parts, weights, combine, unit)
 
 
 def unit_of(name: str) -> str:
@@ -152,19 +155,24 @@ def crest(values: Array) -> Array:
         return first, 2.0 * c[2] + s * (6.0 * c[3] + s * 12.0 * c[4])
 
     fixed, s = jax.lax.stop_gradient(c), jnp.zeros(())
-    for _ in range(6):
+
+    def closer(_: int, s: Array) -> Array:
         first, second = step(fixed, s)
-        s = jnp.clip(s - first / jnp.where(second < 0.0, second, -jnp.inf), -1.0, 1.0)
-    first, second = step(fixed, s)
+        return jnp.clip(s - first / jnp.where(second < 0.0, second, -jnp.inf), -1.0, 1.0)
+
+    s = jax.lax.stop_gradient(jax.lax.fori_loop(0, 6, closer, s))
+    second = step(fixed, s)[1]
     inside = (top >= 2) & (top < count - 2) & (second < 0.0) & (jnp.abs(s) < 1.0)
     safe = jnp.where(inside, second, -1.0)
     s = s - jnp.where(inside, step(c, s)[0], 0.0) / safe
     high = c[0] + s * (c[1] + s * (c[2] + s * (c[3] + s * c[4]))) + jax.lax.stop_gradient(near[2])
-    # A jump within the five samples makes a quartic that rises above all of them.
+    # A parabola's rises by up to 1/24; a jump within the five samples makes a quartic that rises further.
     spread = jax.lax.stop_gradient(jnp.max(near) - jnp.min(near))
-    return jnp.where(inside & (high - greatest <= 0.2 * spread), high, greatest)
+    return jnp.where(inside & (high - greatest <= _RISE * spread), high, greatest)
 
 
+# How far a crest may rise above its greatest sample, over the spread of its five.
+_RISE = 0.06
 # Coefficients of the quartic through samples at -2 .. 2.
 _TAYLOR = np.linalg.inv(np.vander(np.arange(-2.0, 3.0), 5, increasing=True))
 

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from bcfj_jax.designs.result import Design
 
 _BEST, _OTHER, _GIVEN = COLOURS[0], "#b5b5b5", COLOURS[1]
-# A start's course is drawn up to this much of the range from the best to the given design above it.
-_HEADROOM = 0.6
 
 
 def starts(found: Design, path: Path) -> None:
@@ -35,12 +33,7 @@ def starts(found: Design, path: Path) -> None:
             axis.plot(count, way.best * scale, color=colour, linewidth=1.8 if text else 1.0, label=text)
             axis.plot(count[-1:], way.best[-1:] * scale, "o", color=colour, markersize=4)
         axis.axhline(found.before * scale, color=_GIVEN, linestyle="--", linewidth=1.0, label="given design")
-        lines = [way.best[0] for way in found.starts if len(way.best)] + [found.before, found.after]
-        known = np.array([x for x in lines if np.isfinite(x)]) * scale
-        axis.margins(y=0.08)
-        if known.size:
-            axis.set_xscale("symlog", linthresh=10)
-            axis.set_xlim(left=1)
+        axis.set_xlim(left=1)
         axis.set_title(f"{found.objective}: {found.agree} of {len(found.starts)} starts agree")
         axis.set_xlabel("evaluations of a start")
         axis.set_ylabel(label("best so far", found.unit, prefix) if found.unit else "best so far")

@@ -1,0 +1,105 @@
+"""Design of the joint against cage forces: clearances and geometry within the ranges usual for such joints.
+
+    python benchmarks/design.py          # some minutes on one core
+    python benchmarks/design.py draw     # the page's table and pictures from the kept result
+
+The greatest force of the cage's windows on a ball, and the seat pilot's, each made least by equilibria over one pitch
+of the balls under full load, and checked by the equations of motion with friction, by two solvers, after the load has
+risen and a pitch has passed. Ranges are those of the physics sheet, 5.1; tolerances are GUESSES of what grinding holds.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+
+import numpy as np
+from _common import ROOT, load, markdown, put_in_readme, save
+
+import bcfj_jax as bj
+from bcfj_jax.derivatives.jacobian import channels
+from bcfj_jax.designs import pictures
+from bcfj_jax.designs.confirm import confirm
+from bcfj_jax.designs.objective import objective
+
+# Lower, upper, tolerance. PCR/r_ball 3.8 to 4.6 would leave the spheres: the pitch circle stays 1 mm about its place.
+FREE = {
+    "offset": ("2.84 mm", "4.97 mm", "20 um"),
+    "contact_angle": ("35 deg", "45 deg", "1 deg"),
+    "pitch_radius": ("34.5 mm", "36.5 mm", "20 um"),
+    "clearance_seat_cage": ("20 um", "100 um", "10 um"),
+    "clearance_head_cage": ("20 um", "100 um", "10 um"),
+    "clearance_cage_ball": ("0 um", "40 um", "5 um"),
+    "clearance_seat_ball": ("10 um", "60 um", "5 um"),
+    "clearance_head_ball": ("10 um", "60 um", "5 um"),
+}
+OBJECTIVES = ("cage_ball.largest", "seat_cage.peak")
+STARTS, SAMPLES = 8, 61
+
+
+def times(params: dict) -> np.ndarray:
+    """One pitch of the balls, after the load's rise and a pitch more [s]."""
+    pitch = 2.0 * np.pi / 6.0 / float(params["drive_speed"])
+    return float(params["load_ramp"]) + pitch + np.linspace(0.0, pitch, SAMPLES)
+
+
+def main() -> None:
+    scene, motion = bj.scenes.joint(fidelity="quasistatic"), bj.scenes.joint()
+    params = scene.parameters()
+    t, results, began = times(params), {}, time.perf_counter()
+    for name in OBJECTIVES:
+        begin = time.perf_counter()
+        found = bj.design(scene, params, t, name, FREE, starts=STARTS)
+        wall = time.perf_counter() - begin
+        print(f"{name}: {found.status} in {wall:.0f} s\n  {found.reason}\n  {found.before:.1f} -> {found.after:.1f}", flush=True)
+        wanted = objective(name, (), channels(motion))
+        designs = params, {**params, **found.values}
+        other = confirm(scene, motion, "bdf", designs, t, wanted, 1.0, found.gain, 1e-5)
+        print(f"  {found.values}\n  {found.confirmation}\n  {other}\n  {found.robustness}")
+        images = ROOT / "docs" / "images"
+        stem = name.replace(".", "_")
+        pictures.starts(found, images / f"design_{stem}_starts.png")
+        pictures.slices(found, images / f"design_{stem}.png")
+        results[name] = {**found.content(), "by_bdf": other._asdict(), "seconds": wall}
+    save("design", {"designs": results, "seconds": time.perf_counter() - began})
+    draw()
+
+
+def draw() -> None:
+    """The table of the page."""
+    kept = load("design")["designs"]
+    rows = [["", *(f"`{name}`" for name in kept)]]
+
+    def row(text: str, of) -> None:
+        rows.append([text, *(of(one) for one in kept.values())])
+
+    for name in FREE:
+        row(f"`{name}`", lambda one, name=name: _value(one, name))
+    row("status", lambda one: one["status"])
+    row("equilibrium, before", lambda one: f"{one['before']:.0f} N")
+    row("after", lambda one: _less(one["after"], one["gain"], one["before"]))
+    for key, text in (("confirmation", "motion, RODAS3 at 1e-6"), ("by_bdf", "motion, BDF at 1e-5")):
+        row(f"{text}, before", lambda one, key=key: f"{one[key]['before']:.0f} N")
+        row("after", lambda one, key=key: _less(one[key]["after"], one[key]["gain"], one[key]["before"]))
+    row("worst over tolerances, by gradient", lambda one: f"{one['robustness']['linear_worst']:.0f} N")
+    row("by runs", lambda one: f"{one['robustness']['sampled_worst']:.0f} N")
+    row("standard deviation, by gradient", lambda one: f"{one['robustness']['linear_deviation']:.1f} N")
+    row("by runs", lambda one: f"{one['robustness']['sampled_deviation']:.1f} N")
+    row("starts that agree", lambda one: f"{one['agree']} of {len(one['starts'])}")
+    row("seconds", lambda one: f"{one['seconds']:.0f}")
+    put_in_readme("design", markdown(rows), "docs/design.md")
+
+
+def _less(after: float, gain: float, before: float) -> str:
+    return f"{after:.0f} N ({-100.0 * gain / before:+.1f} %)"
+
+
+def _value(one: dict, name: str) -> str:
+    value, before, unit = one["values"][name], one["before_values"][name], one["free"][name]["unit"]
+    scale, shown = (np.degrees(1.0), "deg") if unit == "rad" else (1e6, "um") if "clearance" in name else (1e3, "mm")
+    side = one["at_bound"].get(name)
+    return f"{before * scale:.4g} -> {value * scale:.5g} {shown}" + (f", {side} bound" if side else "")
+
+
+if __name__ == "__main__":
+    draw() if sys.argv[1:] == ["draw"] else main()
