@@ -34,7 +34,7 @@ FREE = {
     "clearance_head_ball": ("10 um", "60 um", "5 um"),
 }
 OBJECTIVES = ("cage_ball.largest", "seat_cage.peak")
-STARTS, SAMPLES = 8, 61
+STARTS, SAMPLES = 8, 49
 
 
 def times(params: dict) -> np.ndarray:
@@ -51,7 +51,10 @@ def main() -> None:
         begin = time.perf_counter()
         found = bj.design(scene, params, t, name, FREE, starts=STARTS)
         wall = time.perf_counter() - begin
-        print(f"{name}: {found.status} in {wall:.0f} s\n  {found.reason}\n  {found.before:.1f} -> {found.after:.1f}", flush=True)
+        print(
+            f"{name}: {found.status} in {wall:.0f} s\n  {found.reason}\n  {found.before:.1f} -> {found.after:.1f}",
+            flush=True,
+        )
         wanted = objective(name, (), channels(motion))
         designs = params, {**params, **found.values}
         other = confirm(scene, motion, "bdf", designs, t, wanted, 1.0, found.gain, 1e-5)

@@ -15,7 +15,8 @@ from bcfj_jax.derivatives.sensitivity import sensitivity
 from bcfj_jax.designs.confirm import Confirmation, confirm, independent, tighter
 from bcfj_jax.designs.descent import Path, descend, starts
 from bcfj_jax.designs.evaluate import Effort, Evaluator
-from bcfj_jax.designs.newton import Polished, polish
+from bcfj_jax.designs.minimax import Kink, minimax
+from bcfj_jax.designs.newton import ARRIVED, Polished, polish
 from bcfj_jax.designs.objective import Combine, Objective, objective
 from bcfj_jax.designs.result import ALONE, FAILED, NO_GAIN, NOT_CONFIRMED, NOT_TRUSTED, OK, ROUGH, Design, Slice
 from bcfj_jax.designs.space import Free, Space, space
@@ -107,10 +108,18 @@ def design(
     if not np.isfinite(best.goal):
         return _failed(plain, wanted, sense, box, given, before.true[0], ways)
     polished = polish(goal, best.end)
-    here = plain(polished.point[None])
     if polished.values.reasons[0] or polished.values.goal[0] > best.goal + 1e-9 * abs(best.goal):
         polished = polished._replace(point=best.end, values=goal(best.end[None], np.inf), arrived=False)
-        here = plain(best.end[None])
+    kink = None
+    if not polished.arrived and not kappa and sense == "minimise":
+        kink = minimax(plain, polished.point, seed)
+        if kink is not None and kink.value <= plain(polished.point[None]).true[0]:
+            values = goal(kink.point[None], np.inf)
+            active = np.where(kink.point <= ARRIVED, -1, np.where(kink.point >= 1.0 - ARRIVED, 1, 0))
+            polished = Polished(kink.point, values, active, kink.step, np.nan, kink.arrived)
+        else:
+            kink = None
+    here = plain(polished.point[None])
     at = box.values(polished.point)
     after, first = float(here.true[0]), float(before.true[0])
     gain = sign * (first - after)
@@ -124,7 +133,7 @@ def design(
         wide_before = robustness(plain, box.unit(given), before, distribution, samples, seed)
     cuts = _slices(plain, polished.point) if slices else {}
     status, reason = _judged(
-        polished, checked, certificate, agree, near, ways, gain, after, kappa, plain, box, before.reasons[0]
+        polished, kink, checked, certificate, agree, near, ways, gain, kappa, plain, before.reasons[0]
     )
     sides = {-1: "lower", 1: "upper"}
     return Design(
@@ -209,8 +218,8 @@ def _slices(plain: Evaluator, point: np.ndarray) -> dict[str, Slice]:
 
 
 def _judged(
-    polished: Polished, checked: Confirmation | None, certificate: Certificate | None, agree: int, near: int,
-    ways: Sequence[Path], gain: float, after: float, kappa: float, plain: Evaluator, box: Space, unborn: str,
+    polished: Polished, kink: Kink | None, checked: Confirmation | None, certificate: Certificate | None, agree: int,
+    near: int, ways: Sequence[Path], gain: float, kappa: float, plain: Evaluator, unborn: str,
 ) -> tuple[str, str]:  # fmt: skip
     """The worst of what is wrong, and everything in words."""
     words, wrong = [], []
@@ -232,11 +241,8 @@ def _judged(
     if not polished.arrived:
         wrong.append(ROUGH)
         words.append("no optimum in the sense of derivatives: a kink, a flat place, or too few iterations")
-    bounds = [
-        f"{n} at its {'upper' if a > 0 else 'lower'} bound"
-        for n, a in zip(box.names, polished.active, strict=True)
-        if a
-    ]
+    held = [(n, a) for n, a in zip(plain.space.names, polished.active, strict=True) if a]
+    bounds = [f"{name} at its {'upper' if side > 0 else 'lower'} bound" for name, side in held]
     words += [", ".join(bounds)] if bounds else []
     if agree < 2 and len(ways) > 1:
         wrong.append(ALONE)

@@ -86,7 +86,8 @@ def confirm(
     Raises:
         InputError: as ``simulate``.
     """
-    runs = [simulate(judge, params, times, accuracy=accuracy, solver=solver) for params in designs]
+    both = [{name: jnp.asarray(x, dtype=float) for name, x in params.items()} for params in designs]
+    runs = [simulate(judge, params, times, accuracy=accuracy, solver=solver) for params in both]
     tables = [features(run, judge, times, objective) for run in runs]
     before, after = (float(objective.of([jnp.asarray(x) for x in table.values()])) for table in tables)
     found = sign * (before - after)

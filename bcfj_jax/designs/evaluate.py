@@ -18,11 +18,12 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.derivatives.jacobian import Histories, channels, compiled, histories
-from bcfj_jax.designs.objective import Objective, measured
+from bcfj_jax.designs.objective import Objective, measured, sampled
 from bcfj_jax.designs.space import Space
 from bcfj_jax.endings import OK, STEEP, reason
 from bcfj_jax.errors import InputError
 from bcfj_jax.integrate import Plan
+from bcfj_jax.joint.scene import Joint
 from bcfj_jax.scene import AbstractScene, Params
 from bcfj_jax.simulation import check
 
@@ -98,23 +99,14 @@ class Evaluator:
         found = Values(nothing.copy(), np.full(values.shape, np.nan), nothing.copy(), nothing.copy(), refused)
         if not good:
             return found
-        # What fills up is the first good point again.
-        rows = np.array([good[i] if i < len(good) else good[0] for i in range(self.lanes)])
-        fixed = {name: jnp.asarray(x) for name, x in self.params.items()}
-        arguments = fixed, jnp.asarray(values[rows]), jnp.asarray(self.times), self.how
-        key = ("design runs", self.scene, len(self.times), self.space.names, self.lanes)
-        runs, first = compiled(key, self._runs, *arguments)
-        begin = time.perf_counter()
-        *read, code = runs(*arguments)
+        *read, code = self._read(values[good])
         given = *read, jnp.asarray(float(norm))
-        between = time.perf_counter()
         key = ("design objective", self.scene, self.times.tobytes(), self.space.names, self.objective, self.lanes)
-        program, second = compiled(key, self._objectives, *given)
-        after = time.perf_counter()
+        program, compile_s = compiled(key, self._objectives, *given)
+        begin = time.perf_counter()
         smooth, slope, goal, true, code = (np.asarray(x)[: len(good)] for x in (*program(*given), code))
-        self.spent.wall_s += time.perf_counter() - after + between - begin
-        self.spent.compile_s += first + second
-        self.spent.batches += 1
+        self.spent.wall_s += time.perf_counter() - begin
+        self.spent.compile_s += compile_s
         slope = self.sign * slope * self.space.slope(values[good])
         finite = np.isfinite(smooth) & np.isfinite(goal) & np.isfinite(true) & np.isfinite(slope).all(axis=1)
         code = np.where((code == OK) & ~finite, STEEP, code)
@@ -125,6 +117,34 @@ class Evaluator:
             else:
                 found.reasons[k] = reason(int(code[i]), self.how.max_steps)
                 self.spent.failures[found.reasons[k]] += 1
+        return found
+
+    def samples(self, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        """What the greatest sample is chosen from at one point (P,): (K,) values and (K, P) slopes by unit coordinates.
+
+        None where the run fails, and for an objective that is no greatest sample.
+        """
+        values = self.space.values(unit)
+        self.spent.points += 1
+        if not self.objective.sampled or self._refusal(values):
+            return None
+        *read, code = (np.asarray(x)[0] for x in self._read(values[None]))
+        if code != OK:
+            return None
+        return sampled(read, self.objective, channels(self.scene), self.space.slope(values))
+
+    def _read(self, points: np.ndarray) -> tuple:
+        """What ``_runs`` gives of points that can be built, (n, P) SI, n up to the lanes; filled up with the first."""
+        rows = np.array([i if i < len(points) else 0 for i in range(self.lanes)])
+        fixed = {name: jnp.asarray(x) for name, x in self.params.items()}
+        arguments = fixed, jnp.asarray(points[rows]), jnp.asarray(self.times), self.how, jnp.asarray(len(points))
+        key = ("design runs", self.scene, len(self.times), self.space.names, self.lanes)
+        runs, compile_s = compiled(key, self._runs, *arguments)
+        begin = time.perf_counter()
+        found = jax.block_until_ready(runs(*arguments))
+        self.spent.wall_s += time.perf_counter() - begin
+        self.spent.compile_s += compile_s
+        self.spent.batches += 1
         return found
 
     def _refusal(self, point: np.ndarray) -> str:
@@ -138,7 +158,7 @@ class Evaluator:
             return str(error)
         return ""
 
-    def _runs(self, fixed: dict, points: Array, times: Array, how: Plan) -> tuple:
+    def _runs(self, fixed: dict, points: Array, times: Array, how: Plan, count: Array) -> tuple:
         """Normal forces and penetrations (N, T, C), their tangents (N, T, C, P), and codes: whatever the objective."""
 
         def one(theta: Array) -> tuple[tuple, tuple]:
@@ -147,7 +167,16 @@ class Evaluator:
             read = found.force[:, :, 0], found.penetration
             return read, (read, code)
 
-        slopes, (read, code) = jax.vmap(jax.jacfwd(one, has_aux=True))(points)
+        whole = jax.jacfwd(one, has_aux=True)
+        if isinstance(self.scene, Joint) and jax.default_backend() == "cpu":
+            # Side by side a joint gains nothing on a core; one by one, those beyond the count cost nothing.
+            nothing = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(whole, points[0]))
+            each = (jnp.arange(self.lanes), points)
+            slopes, (read, code) = jax.lax.map(
+                lambda x: jax.lax.cond(x[0] < count, whole, lambda _: nothing, x[1]), each
+            )
+        else:
+            slopes, (read, code) = jax.vmap(whole)(points)
         return *read, *slopes, code
 
     def _objectives(self, force: Array, depth: Array, force_slope: Array, depth_slope: Array, norm: Array) -> tuple:

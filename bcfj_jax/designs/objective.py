@@ -48,6 +48,11 @@ class Objective(NamedTuple):
         """Whether a maximum over time is in it."""
         return any(f.kind in _PEAKS for f in self.features)
 
+    @property
+    def sampled(self) -> bool:
+        """Whether it is one greatest sample and nothing else."""
+        return self.combine is None and self.weights == (1.0,) and self.peaked
+
     def of(self, values: Sequence[Array]) -> Array:
         """The objective of the features' values. Pure."""
         if self.combine is not None:
@@ -126,6 +131,25 @@ def measured(
         return jnp.where(jnp.isfinite(norm), _norm(times, values, jnp.where(jnp.isfinite(norm), norm, 2.0)), top)
 
     return [one(feature) for feature in wanted.features]
+
+
+def sampled(
+    read: Sequence[np.ndarray], wanted: Objective, contacts: Mapping[str, int], stretch: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The samples (K,) whose greatest is the objective, with slopes (K, P); |F| is the greater of F and -F.
+
+    Args:
+        read: force and penetration (T, C), and their slopes (T, C, P).
+        wanted, contacts: an objective that is ``sampled``.
+        stretch: (P,) what slopes are multiplied by.
+    """
+    feature, names = wanted.features[0], channel_names(contacts)
+    index = np.array([names.index(m) for m in members(feature.contacts[0], contacts)])
+    k = int(feature.kind == "peak_penetration")
+    values, slopes = read[k][:, index].ravel(), read[2 + k][:, index].reshape(-1, stretch.size) * stretch
+    if feature.kind == "largest":
+        return np.concatenate([values, -values]), np.concatenate([slopes, -slopes])
+    return values, slopes
 
 
 def _even(times: np.ndarray) -> bool:
