@@ -315,7 +315,7 @@ class Lines:
         self.slopes, self.offsets = np.array(slopes, float), np.array(offsets, float)
 
     def samples(self, unit):
-        return self.slopes @ unit + self.offsets, self.slopes
+        return self.slopes @ unit + self.offsets, self.slopes, self.offsets > 0
 
 
 def test_the_least_of_the_greatest_of_three_planes():
@@ -330,8 +330,8 @@ def test_the_least_of_the_greatest_of_three_planes():
 
 def test_a_place_that_is_no_optimum_has_a_residual():
     planes = Lines([[1, 0], [-1, 1], [0, -1]], [1.7, 1.7, 2.6])
-    assert stationarity(np.array([0.3, 0.6]), *planes.samples(np.array([0.3, 0.6])))[1] < 1e-12
-    assert stationarity(np.array([0.5, 0.6]), *planes.samples(np.array([0.5, 0.6])))[1] > 0.1
+    assert stationarity(np.array([0.3, 0.6]), *planes.samples(np.array([0.3, 0.6]))[:2])[1] < 1e-12
+    assert stationarity(np.array([0.5, 0.6]), *planes.samples(np.array([0.5, 0.6]))[:2])[1] > 0.1
     # At a bound that the slope pushes against, and at the other one.
     one = np.array([2.0]), np.array([[1.0]])
     assert stationarity(np.array([0.0]), *one)[1] < 1e-12 and stationarity(np.array([1.0]), *one)[1] > 0.1

@@ -127,10 +127,10 @@ def design(
     designs = full, {**full, **dict(zip(box.names, at, strict=True))}
     checked = _confirmed(scene, confirm, designs, t, wanted, sign, gain, accuracy)
     certificate = _certified(scene, designs[1], t, box, wanted, accuracy, max_steps) if certify else None
-    wide = robustness(plain, polished.point, here, distribution, samples, seed)
+    wide = robustness(plain, polished.point, here, distribution, samples, seed, kink is not None)
     wide_before = None
     if wide is not None and not before.reasons[0]:
-        wide_before = robustness(plain, box.unit(given), before, distribution, samples, seed)
+        wide_before = robustness(plain, box.unit(given), before, distribution, samples, seed, False)
     cuts = _slices(plain, polished.point) if slices else {}
     status, reason = _judged(
         polished, kink, checked, certificate, agree, near, ways, gain, kappa, plain, before.reasons[0]

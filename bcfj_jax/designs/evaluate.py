@@ -119,8 +119,8 @@ class Evaluator:
                 self.spent.failures[found.reasons[k]] += 1
         return found
 
-    def samples(self, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """What the greatest sample is chosen from at one point (P,): (K,) values and (K, P) slopes by unit coordinates.
+    def samples(self, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """What the greatest sample is chosen from at one point (P,): ``objective.sampled``, by unit coordinates.
 
         None where the run fails, and for an objective that is no greatest sample.
         """

@@ -58,7 +58,7 @@ def minimax(evaluate: Evaluator, point: np.ndarray, seed: int) -> Kink | None:
     good = [(float(read[0].max()), u, read) for u, read in ends if read is not None]
     if not good:
         return None
-    value, u, (values, slopes) = min(good, key=lambda end: end[0])
+    value, u, (values, slopes, _) = min(good, key=lambda end: end[0])
     step = float(np.max(np.abs(first - second))) if second is not None else float("nan")
     equal, residual = stationarity(u, values, slopes)
     return Kink(u, value, equal, residual, step, bool(residual < _STATIONARY and step < ARRIVED))
@@ -72,11 +72,12 @@ def _descend(evaluate: Evaluator, point: np.ndarray) -> np.ndarray | None:
     rows = begin[0] >= begin[0].max() - _LOW * size
     last: list = [point, begin]
 
-    def read(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def read(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         if not np.array_equal(x[:-1], last[0]):
             found = evaluate.samples(np.clip(x[:-1], 0.0, 1.0))
             # A failed run stands far above all others.
-            last[:] = x[:-1].copy(), found or (np.full(rows.size, 10.0 * size), np.zeros((rows.size, point.size)))
+            high = np.full(rows.size, 10.0 * size), np.zeros((rows.size, point.size)), rows
+            last[:] = x[:-1].copy(), found or high
         return last[1]
 
     below = {

@@ -135,8 +135,9 @@ def measured(
 
 def sampled(
     read: Sequence[np.ndarray], wanted: Objective, contacts: Mapping[str, int], stretch: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """The samples (K,) whose greatest is the objective, with slopes (K, P); |F| is the greater of F and -F.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The samples (K,) whose greatest is the objective, with slopes (K, P), and which of them no neighbour in time is
+    above; |F| is the greater of F and -F.
 
     Args:
         read: force and penetration (T, C), and their slopes (T, C, P).
@@ -146,10 +147,12 @@ def sampled(
     feature, names = wanted.features[0], channel_names(contacts)
     index = np.array([names.index(m) for m in members(feature.contacts[0], contacts)])
     k = int(feature.kind == "peak_penetration")
-    values, slopes = read[k][:, index].ravel(), read[2 + k][:, index].reshape(-1, stretch.size) * stretch
+    values, slopes = read[k][:, index], read[2 + k][:, index] * stretch
     if feature.kind == "largest":
-        return np.concatenate([values, -values]), np.concatenate([slopes, -slopes])
-    return values, slopes
+        values, slopes = np.concatenate([values, -values], axis=1), np.concatenate([slopes, -slopes], axis=1)
+    beside = np.pad(values, ((1, 1), (0, 0)), constant_values=-np.inf)
+    peaks = (values >= beside[:-2]) & (values >= beside[2:])
+    return values.ravel(), slopes.reshape(-1, stretch.size), peaks.ravel()
 
 
 def _even(times: np.ndarray) -> bool:

@@ -5,8 +5,9 @@ With half widths t_i of the tolerance box and g_i = df/dp_i at the nominal value
     worst change = sum_i |g_i| t_i,     standard deviation = sqrt(sum_i (g_i s_i)^2),
 
 s_i = t_i/3 where deviations are normal, t_i/sqrt(3) where they are uniform: first order, and right only while the box
-is small beside the feature's bends. The same by runs: at scrambled Sobol points of the box, and at the corner the
-gradient points to, and for normal deviations at as many normal points.
+is small beside the feature's bends. Where several peaks are equally high it is the highest of their own worst
+cases, and the deviation is by one peak's slopes alone. The same by runs: at scrambled Sobol
+points of the box, and at the corner the slopes point to, and for normal deviations at as many normal points.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ class Robustness(NamedTuple):
 
 
 def robustness(
-    evaluate: Evaluator, unit: np.ndarray, values: Values, distribution: str, samples: int, seed: int
+    evaluate: Evaluator, unit: np.ndarray, values: Values, distribution: str, samples: int, seed: int, kinked: bool
 ) -> Robustness | None:
     """Of a design (P,) in unit coordinates and the values of that one point; None without any tolerance.
 
@@ -62,14 +63,21 @@ def robustness(
         distribution: "normal" or "uniform" deviations; the worst case is that of the box either way.
         samples: runs of each kind.
         seed: of the Sobol points.
+        kinked: whether several peaks are equally high there, so that a single gradient tells nothing.
     """
     space = evaluate.space
     at = space.values(unit)
     halves = space.halves(at)
     if not halves.any():
         return None
-    toward = np.sign(values.slope[0] / space.slope(at))
-    changes = values.slope[0] / space.slope(at) * halves
+    widths = halves / space.slope(at)
+    changes, nominal = values.slope[0] * widths, float(values.true[0])
+    steepest, toward = nominal + evaluate.sign * float(np.abs(changes).sum()), np.sign(values.slope[0])
+    read = evaluate.samples(unit) if kinked else None
+    if read is not None:
+        reach = np.where(read[2], read[0] + np.abs(read[1] * widths).sum(axis=1), -np.inf)
+        k = int(np.argmax(reach))
+        steepest, toward = float(reach[k]), np.sign(read[1][k])
     moved = np.flatnonzero(halves)
     shares = qmc.Sobol(moved.size, rng=np.random.default_rng(seed)).random_base2(int(np.ceil(np.log2(samples))))
     box = np.zeros((len(shares), len(at)))
@@ -88,10 +96,9 @@ def robustness(
     reasons: dict[str, int] = {}
     for text in filter(None, found.reasons):
         reasons[text] = reasons.get(text, 0) + 1
-    nominal = float(values.true[0])
     return Robustness(
         nominal,
-        nominal + evaluate.sign * float(np.abs(changes).sum()),
+        steepest,
         float(np.linalg.norm(changes) / _SIGMAS[distribution]),
         float(found.true[worst]) if known else np.nan,
         float(good.std()) if good.size else np.nan,
