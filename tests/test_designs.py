@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +13,9 @@ import pytest
 from scipy.optimize import brentq
 
 import bcfj_jax as bj
+from bcfj_jax.derivatives.certificate import Certificate, Check
 from bcfj_jax.derivatives.jacobian import channels
+from bcfj_jax.designs import api
 from bcfj_jax.designs.descent import descend, starts
 from bcfj_jax.designs.evaluate import Effort, Evaluator, Values
 from bcfj_jax.designs.minimax import minimax, stationarity
@@ -124,6 +127,15 @@ def test_a_gain_that_another_model_does_not_see(dashpot):
     assert found.status == "not confirmed"
     assert found.gain > 100.0 and found.confirmation.gain == pytest.approx(0.0, abs=1e-6)
     assert "not confirmed by the impact" in found.reason
+
+
+def test_a_gradient_that_is_not_trusted(dashpot, monkeypatch):
+    check = Check("not differentiable here", "chaotic", (), 1.0, 1.0, {}, 1e9, 10.0, 1.0, 0.0, 0.0)
+    chaos = Certificate("not differentiable here", {"dashpot": check}, 5e-3, 0.03, (1e-6,), (10,), None)
+    monkeypatch.setattr(api, "sensitivity", lambda *_, **__: SimpleNamespace(certificate=chaos))
+    found = bj.design(*dashpot, TIMES, "contact.peak", {"dashpot": BOX}, confirm=None, slices=False, **HOW)
+    assert found.status == "gradient not trusted"
+    assert "dashpot (chaotic)" in found.reason
 
 
 def test_runs_that_cannot_be_are_counted(dashpot):
@@ -335,3 +347,23 @@ def test_a_place_that_is_no_optimum_has_a_residual():
     # At a bound that the slope pushes against, and at the other one.
     one = np.array([2.0]), np.array([[1.0]])
     assert stationarity(np.array([0.0]), *one)[1] < 1e-12 and stationarity(np.array([1.0]), *one)[1] > 0.1
+
+
+@pytest.mark.slow
+def test_a_joint_against_a_grid_of_plain_runs():
+    """Equilibria: nothing on a grid over both parameters, by ``simulate`` alone, is below what was found."""
+    scene = bj.scenes.joint(fidelity="quasistatic")
+    params = scene.parameters()
+    t = 0.2 + np.linspace(0.0, 0.1, 13)
+    free = {"offset": ("3 mm", "5 mm", "20 um"), "contact_angle": ("35 deg", "45 deg", "1 deg")}
+    found = bj.design(scene, params, t, "cage_ball.largest", free, starts=3, samples=8, confirm=None, slices=False)
+    assert found.status in ("ok", "one start alone"), found.reason
+    assert found.after < found.before
+
+    def largest(offset, angle):
+        run = bj.simulate(scene, scene.parameters(offset=offset, contact_angle=angle), t)
+        return float(np.abs(run.force["cage_ball"][..., 0]).max())
+
+    grid = [largest(e, a) for e in np.linspace(3e-3, 5e-3, 6) for a in np.radians(np.linspace(35.0, 45.0, 6))]
+    assert found.after <= min(grid) * (1.0 + 1e-9)
+    assert largest(found.values["offset"], found.values["contact_angle"]) == pytest.approx(found.after, rel=1e-8)
