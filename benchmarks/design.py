@@ -30,7 +30,8 @@ FREE = {
     "pitch_radius": ("34.5 mm", "36.5 mm", "20 um"),
     "clearance_seat_cage": ("20 um", "100 um", "10 um"),
     "clearance_head_cage": ("20 um", "100 um", "10 um"),
-    "clearance_cage_ball": ("0 um", "40 um", "5 um"),
+    # From -30 um on, but the model takes no window smaller than its ball, nor may a tolerance make it so.
+    "clearance_cage_ball": ("5 um", "40 um", "5 um"),
     "clearance_seat_ball": ("10 um", "60 um", "5 um"),
     "clearance_head_ball": ("10 um", "60 um", "5 um"),
 }
@@ -55,13 +56,13 @@ def main(names: list[str]) -> None:
         print(f"{name}: {found.status}, {wall:.0f} s of one core\n  {found.reason}", flush=True)
         wanted = objective(name, (), channels(motion))
         designs = params, {**params, **found.values}
-        other = confirm(scene, motion, "bdf", designs, t, wanted, 1.0, found.gain, 1e-5)
+        other = confirm(scene, motion, "sdirk2", designs, t, wanted, 1.0, found.gain, 1e-4)
         print(f"  {found.values}\n  {found.confirmation}\n  {other}\n  {found.robustness}")
         images = ROOT / "docs" / "images"
-        stem = name.replace(".", "_")
-        pictures.starts(found, images / f"design_{stem}_starts.png")
-        pictures.slices(found, images / f"design_{stem}.png")
-        results[name] = {**found.content(), "by_bdf": other._asdict(), "seconds": wall}
+        if name == OBJECTIVES[0]:
+            pictures.starts(found, images / "design_starts.png")
+            pictures.slices(found, images / "design.png")
+        results[name] = {**found.content(), "by_sdirk2": other._asdict(), "seconds": wall}
     # Objectives may be run apart.
     kept = load("design")["designs"] if (RESULTS / "design.json").exists() else {}
     designs = {name: one for name, one in {**kept, **results}.items() if name in OBJECTIVES}
@@ -82,7 +83,7 @@ def draw() -> None:
     row("status", lambda one: one["status"])
     row("equilibrium, before", lambda one: f"{one['before']:.0f} N")
     row("after", lambda one: _less(one["after"], one["gain"], one["before"]))
-    for key, text in (("confirmation", "motion, RODAS3 at 1e-6"), ("by_bdf", "motion, BDF at 1e-5")):
+    for key, text in (("confirmation", "motion, RODAS3 at 1e-6"), ("by_sdirk2", "motion, SDIRK2 at 1e-4")):
         row(f"{text}, before", lambda one, key=key: f"{one[key]['before']:.0f} N")
         row("after", lambda one, key=key: _less(one[key]["after"], one[key]["gain"], one[key]["before"]))
     row("worst over tolerances, by gradient", lambda one: f"{one['robustness']['linear_worst']:.0f} N")

@@ -56,16 +56,19 @@ def slices(found: Design, path: Path) -> None:
             at, half = found.values[name] * wide, halves[k] * wide
             axis.plot(cut.values * wide, cut.objective * scale, color=_BEST)
             if half:
-                axis.axvspan(at - half, at + half, color=_BEST, alpha=0.15, linewidth=0)
-            axis.plot(at, found.after * scale, "o", color=_BEST, markersize=6)
-            axis.axvline(found.before_values[name] * wide, color=_GIVEN, linestyle="--", linewidth=1.0)
-            for bound in (found.space.lower[k], found.space.upper[k]):
-                axis.axvline(bound * wide, color="#4a4a4a", linewidth=1.2)
+                axis.axvspan(at - half, at + half, color=_BEST, alpha=0.15, linewidth=0, label="its tolerance")
+            axis.plot(at, found.after * scale, "o", color=_BEST, markersize=6, label="optimum")
+            given = found.before_values[name] * wide
+            axis.axvline(given, color=_GIVEN, linestyle="--", linewidth=1.0, label="given design")
+            for bound, text in ((found.space.lower[k], "bounds"), (found.space.upper[k], None)):
+                axis.axvline(bound * wide, color="#4a4a4a", linewidth=1.2, label=text)
             if found.space.log[k]:
                 axis.set_xscale("log")
             side = found.at_bound.get(name)
             axis.set_title(name + (f" ({side} bound)" if side else ""), fontsize=9.5)
             unit = "deg" if angle else quantity.unit
             axis.set_xlabel(label("value", unit, small) if unit != "1" else "value")
+            if k == 0:
+                axis.legend(fontsize=7, loc="best")
             if k % 3 == 0:
                 axis.set_ylabel(label(found.objective, found.unit, prefix) if found.unit else "objective")
