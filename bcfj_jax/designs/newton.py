@@ -50,7 +50,7 @@ def activity(point: np.ndarray, slope: np.ndarray) -> np.ndarray:
 
 def polish(evaluate: Evaluate, point: np.ndarray) -> Polished:
     """Newton's method from a descent's end (P,); steps are kept only where they lessen the projected gradient."""
-    u = np.where(point <= ARRIVED, 0.0, np.where(point >= 1.0 - ARRIVED, 1.0, point))
+    u = _snapped(point)
     here = evaluate(u[None])
     best, step, curvature = (u, here), np.nan, np.nan
     for _ in range(_ITERATIONS):
@@ -74,7 +74,7 @@ def polish(evaluate: Evaluate, point: np.ndarray) -> Polished:
             break
         move = np.zeros_like(u)
         move[free] = -np.linalg.solve(hessian, slope[free])
-        trial = np.clip(u + move, 0.0, 1.0)
+        trial = _snapped(u + move)
         step = float(np.max(np.abs(trial - u)))
         if step < 1e-10 or step > _LONGEST:
             break
@@ -85,6 +85,11 @@ def polish(evaluate: Evaluate, point: np.ndarray) -> Polished:
     u, here = best
     active = np.zeros(len(u), dtype=int) if here.reasons[0] else activity(u, here.slope[0])
     return Polished(u, here, active, step, curvature, bool(step < ARRIVED and curvature > 0.0))
+
+
+def _snapped(point: np.ndarray) -> np.ndarray:
+    """Within the box; on a bound what is as good as there."""
+    return np.where(point <= ARRIVED, 0.0, np.where(point >= 1.0 - ARRIVED, 1.0, point))
 
 
 def _pull(u: np.ndarray, values: Values) -> float:
