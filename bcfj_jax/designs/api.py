@@ -123,7 +123,7 @@ def design(
     at = box.values(polished.point)
     after, first = float(here.true[0]), float(before.true[0])
     gain = sign * (first - after)
-    agree, near = _agreement(ways, float(polished.values.goal[0]), polished.point)
+    agree, near = _agreement(ways, best)
     designs = full, {**full, **dict(zip(box.names, at, strict=True))}
     checked = _confirmed(scene, confirm, designs, t, wanted, sign, gain, accuracy)
     certificate = _certified(scene, designs[1], t, box, wanted, accuracy, max_steps) if certify else None
@@ -176,9 +176,10 @@ def _stats(plain: Evaluator) -> dict[str, float]:
     }  # fmt: skip
 
 
-def _agreement(ways: Sequence[Path], best: float, point: np.ndarray) -> tuple[int, int]:
-    same = [way for way in ways if abs(way.goal - best) <= _AGREE * abs(best)]
-    return len(same), sum(bool(np.all(np.abs(way.end - point) <= _NEAR)) for way in same)
+def _agreement(ways: Sequence[Path], best: Path) -> tuple[int, int]:
+    """Ends of descents beside the best one's, which the last digits may still better."""
+    same = [way for way in ways if abs(way.goal - best.goal) <= _AGREE * abs(best.goal)]
+    return len(same), sum(bool(np.all(np.abs(way.end - best.end) <= _NEAR)) for way in same)
 
 
 def _confirmed(
@@ -241,12 +242,14 @@ def _judged(
     if not polished.arrived:
         wrong.append(ROUGH)
         words.append("no optimum in the sense of derivatives: a kink, a flat place, or too few iterations")
+    if kink is not None:
+        words.append(f"samples equally high there: {kink.equal}; residual of Clarke's condition {kink.residual:.1e}")
     held = [(n, a) for n, a in zip(plain.space.names, polished.active, strict=True) if a]
     bounds = [f"{name} at its {'upper' if side > 0 else 'lower'} bound" for name, side in held]
     words += [", ".join(bounds)] if bounds else []
     if agree < 2 and len(ways) > 1:
         wrong.append(ALONE)
-    words.append(f"{agree} of {len(ways)} starts end at this value, {near} of them at this place")
+    words.append(f"{agree} of {len(ways)} descents end at the best one's value, {near} of them at its place")
     failed = sum(plain.spent.failures.values())
     if failed:
         most = ", ".join(f"{text} ({n})" for text, n in plain.spent.failures.most_common(3))

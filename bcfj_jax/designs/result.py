@@ -42,7 +42,7 @@ class Design(NamedTuple):
         gradient: by name, of the crest (with the robust part, if any), per SI unit.
         step, curvature: as ``newton.Polished``: how far the optimum may still be, a share of a range.
         starts: of every start its way, first that of the given design; agree: how many ended within 1e-4 of the best
-            value, near: how many of these within 1e-2 of every range of it.
+            descent's value, near: how many of these within 1e-2 of every range of its place.
         confirmation: the independent run beside; None where it was not asked for.
         certificate: of the derivatives at the optimum; None for equilibria and where it was not asked for.
         robustness: over the tolerances, of the optimum and of the design before; None without tolerances.
