@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from bcfj_jax.derivatives.ladder import smoothing_ladder as smoothing_ladder
     from bcfj_jax.derivatives.sensitivity import Sensitivity as Sensitivity
     from bcfj_jax.derivatives.sensitivity import sensitivity as sensitivity
+    from bcfj_jax.designs.api import design as design
+    from bcfj_jax.designs.space import Free as Free
     from bcfj_jax.errors import InputError as InputError
     from bcfj_jax.errors import nearest as nearest
     from bcfj_jax.scene import Body as Body
@@ -48,6 +50,8 @@ _PUBLIC = {
     **{name: "simulation" for name in ("Run", "force_history", "simulate")},
     **{name: "derivatives.sensitivity" for name in ("Sensitivity", "sensitivity")},
     "study": "studies.api",
+    "design": "designs.api",
+    "Free": "designs.space",
     "smoothing_ladder": "derivatives.ladder",
     "hessian_vector": "derivatives.curvature",
 }

@@ -24,7 +24,7 @@ FLOORS = {
         {"features", "histories", "units", "tables", "spheres", "scenetemplate", "scenefile", "provenance", "stop"},
         {"outputs", "plots", "report"},
         {"simulation_results", "reproduction", "derivatives", "journal"},
-        {"tradeoff", "studies", "nonlinear"},
+        {"tradeoff", "studies", "nonlinear", "designs"},
         {"cli"},
     ),
     "calibration": (
