@@ -74,11 +74,16 @@ def studied(points: int, workers: int, every: bool, folder: Path) -> dict[str, A
     return found
 
 
+def rank(x: list[float], y: list[float]) -> float:
+    """Spearman's rank correlation."""
+    return float(spearmanr(x, y).statistic)  # pyright: ignore[reportAttributeAccessIssue]
+
+
 def claims(found: dict[str, Any]) -> dict[str, Any]:
     """Each claim with what the model says of it."""
     x = found["clearance"]
     names = [n for n in found if isinstance(found[n], dict)]
-    grows = {n: float(spearmanr(x, found[n]["normal"])[0]) for n in names}
+    grows = {n: rank(x, found[n]["normal"]) for n in names}
     ratio = {n: found[n]["normal"][-1] / found[n]["normal"][0] for n in names}
     seat, axial = (np.array(found["seat_cage"][part]) for part in ("normal", "axial"))
     ball = np.array(found["seat_ball"]["normal"])
@@ -90,7 +95,7 @@ def claims(found: dict[str, Any]) -> dict[str, Any]:
         "axial_over_normal_seat_cage": float(np.median(axial / seat)),
         "ball_less_than_cage": float(np.mean(ball < seat)), "ball_over_cage": float(np.median(ball / seat)),
         "impacts": [min(found["seat_cage"]["contacts"]), max(found["seat_cage"]["contacts"])],
-        "higher_impacts_spearman": float(spearmanr(x, found["seat_cage"]["peak"])[0]),
+        "higher_impacts_spearman": rank(x, found["seat_cage"]["peak"]),
     }  # fmt: skip
 
 

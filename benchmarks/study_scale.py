@@ -73,7 +73,7 @@ def memory() -> dict[str, Any]:
             table = folder / "out" / "results.parquet"
             frame = pandas.read_parquet(table)
             query = f"select count(*), max(\"seat_ball.peak\") from '{table}' where status = 'ok'"
-            good, peak = duckdb.sql(query).fetchall()[0]
+            good, peak = duckdb.execute(query).fetchall()[0]
             assert len(frame) == points and good == (frame["status"] == "ok").sum()
             assert np.isclose(peak, frame["seat_ball.peak"].max(), rtol=0)
             rows.append(
