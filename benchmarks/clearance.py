@@ -146,8 +146,8 @@ def table(found: dict[str, dict[str, Any]]) -> str:
     said(
         "fewer, higher impacts of cage and seat",
         lambda c: (
-            f"{c['impacts'][0]:.0f} to {c['impacts'][1]:.0f} onsets; rank correlation of the peak "
-            f"{c['higher_impacts_spearman']:.2f}"
+            (f"{c['impacts'][0]:.0f} to {c['impacts'][1]:.0f} onsets" if c["impacts"][1] else "none: it never lets go")
+            + f"; rank correlation of the peak {c['higher_impacts_spearman']:.2f}"
         ),
     )
     return markdown(rows)
