@@ -149,7 +149,8 @@ def problem(scene: AbstractScene, params: Params, end: Array, how: Plan, differe
         implicit = differentiable or how.solver in ("sdirk2", "bdf")
         solver = Sdirk(Arrowhead(), how.tolerance * scales) if implicit else Rodas(Arrowhead())
         start = nominal(scene, params, jnp.zeros(()))
-        force, first = solver.structure.field, jnp.where(end > 0, jnp.minimum(1e-6, 1e-2 * end), 1e-6)
+        force, last = solver.structure.field, jax.lax.stop_gradient(end)
+        first = jnp.where(last > 0, jnp.minimum(1e-6, 1e-2 * last), 1e-6)
         return Problem(force, (scene, c), start, scales, first, 1e-15, (0.4, 0.3), solver)
     assert isinstance(scene, Scene)
     scales = jax.lax.stop_gradient(error_sizes(scene, params, end))
@@ -262,9 +263,9 @@ def _with_tangents(problem: Problem, times: Array, how: Plan) -> Solution:
     structure, controlled = problem.solver.structure, how.tangents
 
     def of(x: tuple) -> tuple[Problem, Sdirk, Array, Plan]:
-        c, start, times, scales, tolerance = x
+        c, start, times, scales, first, tolerance = x
         solver = Sdirk(structure, tolerance * scales)
-        made = problem._replace(args=(scene, c), start=start, scales=scales, solver=solver)
+        made = problem._replace(args=(scene, c), start=start, scales=scales, first_step=first, solver=solver)
         return made, solver, times, Plan(tolerance, how.max_steps)
 
     def value(x: tuple) -> tuple[Array, tuple]:
@@ -292,6 +293,6 @@ def _with_tangents(problem: Problem, times: Array, how: Plan) -> Solution:
             moved = moved + by_times[:, :, None] * jax.vmap(lambda t, y: made.field(t, y, made.args))(times, states)
         return (states, tuple(rest)), moved
 
-    x = (*problem.args[1:], problem.start, times, problem.scales, how.tolerance)
+    x = (*problem.args[1:], problem.start, times, problem.scales, problem.first_step, how.tolerance)
     states, rest = together(value, ahead)(x)
     return Solution(states, *rest)

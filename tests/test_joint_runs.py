@@ -72,6 +72,22 @@ def test_a_batch_equals_its_members_and_is_traced_once():
     assert len(traces) == 1
 
 
+def test_a_batch_of_durations_has_derivatives():
+    """Traced only: what a run's end decides must not be closed over where directions are gathered."""
+    scene, params = little()
+
+    def forces(stiffness, times):
+        values = {**params, "stiffness": stiffness}
+        return simulation.force_history(scene, values, times, accuracy="fast", mode="forward")["seat_ball"]
+
+    def moved(stiffness, change, times):
+        return jax.jvp(lambda k: forces(k, times), (stiffness,), (change,))[1]
+
+    times = jnp.asarray(SHORT) * jnp.array([[1.0], [2.0]])
+    found = jax.eval_shape(jax.vmap(moved), jnp.full(2, 3e10), jnp.ones(2), times)
+    assert found.shape == (2, 5, scene.balls, 3)
+
+
 @functools.cache
 def derivatives():
     """Both directions of the derivative of 10 ms of a dynamic joint with friction, compiled; values; weights."""
