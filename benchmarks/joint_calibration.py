@@ -90,7 +90,7 @@ def row(found: Fit, seed: int, clocks: tuple[float, float, float]) -> dict[str, 
     return {
         "seed": seed, "verdict": found.verdict, "reasons": found.reasons, "parameters": parameters,
         "reduced_chi2": found.residual["reduced_chi2"], "wall_s": wall, "cpu_s": cpu, "compiling_s": compiling,
-        "starts_at_the_optimum": sum(s["chi2"] - found.starts[0]["chi2"] < 3.0 for s in found.starts),
+        "starts_at_the_optimum": next(int(t.value) for t in found.tests if t.name == "agreement of starts"),
     }  # fmt: skip
 
 

@@ -182,7 +182,7 @@ def _judge(
     seen = contacts(model, best.point, log_depth)
     errors = integration.errors(model, best.point, log_depth, best.residuals)
     tests = [
-        *judge.agreement(ends, spread.covariance, errors),
+        *judge.agreement((best, *ends[1:]), spread.covariance, errors, effort(model.scene).rough),
         judge.integration_test(errors, best.jacobian),
     ]
     # A rival that fits as well is another answer, not a failed search.

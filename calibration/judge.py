@@ -113,12 +113,19 @@ def spread(end: End, samples: int, moved: list[tuple[np.ndarray, float]], loss: 
     return found._replace(quantile=max(found.quantile_of(unit) for unit in np.eye(count)))
 
 
-def agreement(ends: tuple[End, ...], covariance: np.ndarray | None, errors: np.ndarray) -> list[Test]:
+def agreement(
+    ends: tuple[End, ...], covariance: np.ndarray | None, errors: np.ndarray, rough: bool = False
+) -> list[Test]:
     """Whether independent starts ended in one optimum, and whether a rival explains the data as well.
+
+    A rough cost has many little minima within the uncertainty of the estimate. There, starts also agree whose costs the
+    data cannot tell apart and whose points x are as near as two draws of the estimate might be, less than
+    (x - y)^T C^-1 (x - y) = P.
 
     Args:
         ends: best first.
         covariance: of the coordinates, or None.
+        rough: whether the cost is.
         errors: (N,) the integrator's part in the best end's white residuals. They make costs |r|^2 uncertain by some
             2 |e|, and starts need agree no better.
     """
@@ -128,7 +135,12 @@ def agreement(ends: tuple[End, ...], covariance: np.ndarray | None, errors: np.n
     best = good[0]
     sigma = np.sqrt(np.diag(covariance)) if covariance is not None else np.full(best.point.size, 1e-3)
     # By cost: along a direction that the data leave free, starts that found the optimum lie apart.
-    same = [e.cost - best.cost < alike for e in good]
+    lowest = min(e.cost for e in good)
+    same = [e.cost - lowest < alike for e in good]
+    if rough and covariance is not None:
+        inverse = np.linalg.inv(covariance)
+        near = [(e.point - best.point) @ inverse @ (e.point - best.point) < best.point.size for e in good]
+        same = [a or (b and e.cost - lowest < RIVAL_COST) for a, b, e in zip(same, near, good, strict=True)]
     close = [e for e in good if e.converged and e.cost - best.cost < RIVAL_COST]
     rivals = [e for e in close if np.any(np.abs(e.point - best.point) > 4.0 * sigma)]
     count = int(sum(same))

@@ -129,6 +129,22 @@ def test_how_well_a_clearance_is_told_does_not_hang_on_how_large_it_comes_out(ga
     assert gap_found.ci95 == pytest.approx((max(gap - half, 0.0), gap + half), rel=1e-3)
 
 
+def test_little_minima_within_the_uncertainty_are_one_optimum_where_a_cost_is_rough():
+    def ends(at, rise):
+        places = [np.array([0.5, 0.5]), *([np.array([0.5 + at, 0.5])] * 3)]
+        return tuple(
+            End(p, p, 100.0 + rise * (i > 0), np.zeros(0), np.zeros((0, 2)), True) for i, p in enumerate(places)
+        )
+
+    def agreeing(at, rise, rough):
+        return judge.agreement(ends(at, rise), 1e-4 * np.eye(2), np.zeros(1), rough)[0].value
+
+    # A deviation is 0.01; two draws of two coordinates are some 1.4 apart.
+    assert agreeing(0.01, 5.0, True) == 4 and agreeing(0.01, 5.0, False) == 1
+    assert agreeing(0.02, 5.0, True) == agreeing(0.01, 10.0, True) == 1
+    assert agreeing(0.02, 0.05, True) == agreeing(0.02, 0.05, False) == 4
+
+
 def test_names_that_mean_a_gap():
     assert gap_of("clearance_seat_cage") == "seat_cage" and gap_of("drop_height") == "contact"
     assert gap_of("stiffness") is None
