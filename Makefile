@@ -12,9 +12,9 @@ demo: $(RUNTIME)
 	$(BIN)/bcfj calibrate examples/chung_ooi_fit.toml --out build/demo
 	$(BIN)/python examples/compare_with_hertz.py build/demo
 
-# The slow tier as far as seven minutes allow; all-tests runs the whole of it.
+# The slow tier as far as six minutes allow; all-tests runs the whole of it.
 test: lint types
-	$(PYTEST) --slow-until 420
+	$(PYTEST) --slow-until 360 --durations 25
 
 fast: $(TOOLS)
 	$(PYTEST) -m "not slow"
