@@ -25,7 +25,7 @@ STUDY = """
 scene = { scene = { kind = "bounce" }, time = { end = 1.0, samples = 2001 } }
 [design]
 kind = "sobol"
-points = 12000
+points = 6000
 [vary.stiffness]
 lower = 1e5
 upper = 1e8
