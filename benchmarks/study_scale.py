@@ -178,7 +178,10 @@ def text(content: dict[str, Any]) -> str:
             [f"{r['points']}", f"{r['failed']}", f"{r['seconds']:.0f}", f"{r['largest_mb']:.0f} MB",
              f"{r['disk_mb']:.1f} MB"] for r in found["rows"]
         ]  # fmt: skip
-        said.append(markdown(head + body) + "\n\npandas and DuckDB read the table as it stands.")
+        said.append(
+            markdown(head + body)
+            + "\n\nThe smaller one, which came first, compiled. pandas and DuckDB read the table as it stands."
+        )
     if (found := content.get("disk")) and found["mounted"]:
         said.append(
             f"A full disk: exit code {found['exit']}, “{found['said'].strip()}”; resumed with room, the table is "
