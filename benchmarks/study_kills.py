@@ -1,6 +1,6 @@
 """``kill -9`` at random moments of a study: of a worker, of the whole run, of a Dask scheduler with its worker.
 
-    python benchmarks/study_kills.py [TRIALS] [--kinds worker run scheduler]
+    python benchmarks/study_kills.py [TRIALS] [--add] [--kinds worker run scheduler]
 writes results/study_kills.json. A trial starts a study in a fresh folder, kills once at a random moment, lets the study
 go on (or resumes it), and compares ``results.parquet`` byte for byte with that of an undisturbed run.
 """
@@ -19,7 +19,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from _common import ROOT, save
+from _common import ROOT, load, save
 
 STUDY = """
 scene = { scene = { kind = "bounce" }, time = { end = 1.0, samples = 2001 } }
@@ -119,9 +119,11 @@ def trial(kind: str, study: Path, folder: Path, last: float, draw: random.Random
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("trials", type=int, nargs="?", default=100)
+    parser.add_argument("--add", action="store_true", help="to the trials that are kept, at other moments")
     parser.add_argument("--kinds", nargs="+", default=["worker", "run", "scheduler"])
     given = parser.parse_args()
-    draw, rows = random.Random(0), []
+    rows = load("study_kills")["trials"] if given.add else []
+    draw = random.Random(len(rows))
     with tempfile.TemporaryDirectory() as place:
         study = Path(place) / "study.toml"
         study.write_text(STUDY)
