@@ -6,7 +6,7 @@ writes results/study_scale.json and the table in docs/studies.md; every part by 
 - memory: the quasistatic joint, 10 000 and 100 000 points; the largest process of each study, and whether pandas and
   DuckDB read the table as it stands.
 - disk: a study in a tmpfs that is too small for it, resumed in one that is not. Needs the right to mount.
-- dask: 512 clearances of the dynamic joint by one local Dask worker and by two, and against the in-process table.
+- dask: 2048 clearances of the dynamic joint by one local Dask worker and by two, and against the in-process table.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ def disk() -> dict[str, Any]:
     return {"mounted": True, "exit": code, "said": told, "blocks_kept": blocks, "resumed": resumed, "same_bytes": same}
 
 
-def dask(points: int = 512) -> dict[str, Any]:
+def dask(points: int = 2048) -> dict[str, Any]:
     table, found = dynamic(points), {}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
