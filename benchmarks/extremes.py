@@ -148,7 +148,7 @@ def created(variant: Variant, scene: Any, p: dict[str, np.ndarray], times: Any, 
     """Energy that a case has created, ``gained``; 0 where none is known."""
     if variant.name == "passive":
         books = np.asarray(passive_energy(scene, {k: jnp.asarray(v) for k, v in p.items()}, times, states))
-        # What is stored while the head falls is as large as what it gives; unloaded, 10 N count (``joint.scales``).
+        # What is stored while the head falls is as large as what it gives; unloaded, 10 N through the unit of places.
         depth = np.asarray(jax.vmap(lambda q: joint_scales(scene, q)[0])({k: jnp.asarray(v) for k, v in p.items()}))
         return gained(books, np.nanmax(np.abs(books), 1, keepdims=True) + 10.0 * depth[:, None])
     if variant.scene not in ("impact", "bounce"):
