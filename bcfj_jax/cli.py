@@ -87,10 +87,10 @@ def simulate(
     use_compile_cache()
     from bcfj_jax import simulation_results
     from bcfj_jax.outputs import open_folder
-    from bcfj_jax.scenefile import load
+    from bcfj_jax.scenefile import load, quickest
     from bcfj_jax.simulation import simulate as run_scene
 
-    given = load(scene)
+    given = quickest(load(scene))
     stem = given.source.stem if given.source else scene
     folder = open_folder(out, "simulate", stem, simulation_results.files(given.scene))
     _log(f"simulating {scene}: {len(given.times)} samples to {given.times[-1]:.6g} s")

@@ -2,13 +2,14 @@
 
 A scene is placed by a few numbers, most of them without unit (``measures``). Within the ranges of ``envelope.json``
 every random scene of ``benchmarks/levels.py`` kept its promised error at every level; beyond them runs are usable and
-nothing is promised, which ``warnings`` says. The joint has no range yet: not every random one kept its promise. What
-cannot be computed is refused before (``quantities``, ``simulation.check``). ``docs/envelope.md`` is made of the same
-numbers.
+nothing is promised, which ``warnings`` says. A joint's promise begins when its load has risen and a ball's pitch has
+passed, which is when it has forgotten its start: ``of_the_start`` says which peaks are from before. What cannot be
+computed is refused before (``quantities``, ``simulation.check``). ``docs/envelope.md`` is made of the same numbers.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Mapping
 from functools import cache
@@ -16,8 +17,13 @@ from importlib import resources
 
 import numpy as np
 
+from bcfj_jax import scenes
 from bcfj_jax.dynamics import contact_time, state_scales
+from bcfj_jax.joint.repeat import risen
+from bcfj_jax.joint.scales import scales
+from bcfj_jax.joint.scene import AUTO, OF_A_BALL, Joint
 from bcfj_jax.scene import AbstractScene, Params, Scene
+from bcfj_jax.units import format_si
 
 # What a measure is, in words for a warning.
 MEANING = {
@@ -27,9 +33,20 @@ MEANING = {
     "flights": "end time over the first flight's",
     "rarity": "first flight over its contact",
     "durations": "end time over the contact's",
+    "sliding": "a ball's speed along its track over friction's transition speed",
+    "play": "a ball's clearance over the onset of contact",
+    "knock": "the cage's clearance over the onset of contact",
+    "onset_under_load": "onset of contact over the penetration under load",
+    "angle": "joint angle [rad]",
+    "friction": "static friction",
+    "damping": "damping [s/m]",
+    "centrifugal": "centrifugal force of a ball over its load",
+    "axial": "axial load over the balls' load",
 }
 
 KEPT = "envelope.json"
+# When a joint's promise begins.
+_FROM = "the load has risen and a ball's pitch has passed"
 
 
 @cache
@@ -41,25 +58,68 @@ def guaranteed() -> dict[str, dict[str, tuple[float, float]]]:
 
 def warnings(scene: AbstractScene, params: Params, times: np.ndarray) -> list[str]:
     """What of a scene lies beyond the ranges in which its promised error is known to hold; none for other scenes."""
-    box, found = guaranteed().get(scene.kind), []
-    if box is None or not isinstance(scene, Scene):
+    if isinstance(scene, Joint) and scene.fidelity not in ("dynamic", AUTO):
+        # Nothing is integrated.
         return []
+    box, found = guaranteed()[scene.kind], []
     for name, value in measures(scene, params, times).items():
         low, high = box.get(name, (-np.inf, np.inf))
         if not low <= value <= high:
             found.append(f"{MEANING[name]} is {value:.3g}, tried from {low:.3g} to {high:.3g}")
+    if isinstance(scene, Joint):
+        found += _untried(scene, params, times)
     if not found:
         return []
     return [f"the promised force error is not guaranteed here (docs/envelope.md): {'; '.join(found)}"]
 
 
-def measures(scene: Scene, params: Params, times: np.ndarray) -> dict[str, float]:
-    """The numbers that place a scene of springs, by name; see ``MEANING``.
+def _untried(scene: Joint, params: Params, times: np.ndarray) -> list[str]:
+    """What of a joint no number tells."""
+    found = []
+    if dataclasses.replace(scene, fidelity="dynamic") != scenes.joint():
+        found.append("options other than the defaults")
+    if times[-1] <= risen(scene, params, 1):
+        found.append(f"the run ends before {_FROM} ({format_si(risen(scene, params, 1), 's')})")
+    return found
+
+
+def of_the_start(
+    scene: AbstractScene, params: Params, times: np.ndarray, forces: Mapping[str, np.ndarray]
+) -> list[str]:
+    """Contacts of a moving joint whose peak is from before its promise begins.
+
+    Args:
+        scene, params: as ``simulate`` takes them.
+        times: (T,) [s].
+        forces: per contact (T, 3) or (T, members, 3) [N].
+    """
+    if not isinstance(scene, Joint) or scene.fidelity not in ("dynamic", AUTO):
+        return []
+    begin, found = risen(scene, params, 1), []
+    for name, force in forces.items():
+        normal = np.abs(force[..., 0]).reshape(len(times), -1).max(axis=1)
+        first = int(normal.argmax())
+        if times[first] < begin < times[-1] and np.isfinite(normal).all():
+            after = normal[times >= begin].max()
+            found.append(
+                f"{name} {format_si(normal[first], 'N')} at {format_si(times[first], 's')} "
+                f"({format_si(after, 'N')} from then on)"
+            )
+    if not found:
+        return []
+    return [f"no error is promised of peaks before {_FROM} ({format_si(begin, 's')}): {'; '.join(found)}"]
+
+
+def measures(scene: AbstractScene, params: Params, times: np.ndarray) -> dict[str, float]:
+    """The numbers that place a scene, by name; see ``MEANING``.
 
     Args:
         scene, params: as ``simulate`` takes them, values only.
         times: (T,) [s]; the last counts.
     """
+    if isinstance(scene, Joint):
+        return _of_a_joint(scene, params)
+    assert isinstance(scene, Scene)
     p = {name: float(value) for name, value in params.items()}
     sizes = state_scales(scene, params)
     depth, speed, contact = float(sizes[0]), float(sizes[-1]), float(contact_time(sizes))
@@ -72,6 +132,42 @@ def measures(scene: Scene, params: Params, times: np.ndarray) -> dict[str, float
     else:
         found["durations"] = float(times[-1]) / contact
     return found
+
+
+def _of_a_joint(scene: Joint, params: Params) -> dict[str, float]:
+    """The worst contact counts; what the joint has not is left out."""
+    p = {name: float(value) for name, value in params.items()}
+    speed, radius = abs(p["drive_speed"]), p["pitch_radius"]
+    load = abs(p["load_torque"]) / (scene.balls * radius)
+    rubbing = [x.name for x in scene.contacts if x.friction is not None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        along = np.float64(speed * radius * np.sin(p["joint_angle"]))
+        found = {
+            "angle": p["joint_angle"],
+            "centrifugal": float(np.float64(p["ball_mass"] * radius * speed**2) / load),
+            "axial": float(np.float64(abs(p["axial_load"]) / scene.balls) / load),
+            **{name: _worst(scene, params, name) for name in ("exponent", "damping") if name in p},
+        }
+        if rubbing:
+            slowest = min(float(scene.coefficient(params, name, "friction_speed")) for name in rubbing)
+            found |= {"friction": _worst(scene, params, "friction_static"), "sliding": float(along / slowest)}
+        if scene.smoothing:
+            place = float(scales(scene, params)[0])
+            found["onset_under_load"] = _worst(scene, params, "smoothing") / place
+            for what, names in (("play", OF_A_BALL), ("knock", scene.pilots)):
+                ratios = [
+                    np.float64(p[f"clearance_{name}"]) / float(scene.coefficient(params, name, "smoothing"))
+                    for name in names
+                    if scene.has(name)
+                ]
+                found |= {what: float(max(ratios))} if ratios else {}
+    return found
+
+
+def _worst(scene: Joint, params: Params, name: str) -> float:
+    """The largest of the contacts' own values of a coefficient."""
+    own = {name, *(f"{contact.name}.{name}" for contact in scene.contacts)} & set(params)
+    return max(float(params[key]) for key in own)
 
 
 def _loss(p: Mapping[str, float], depth: float, speed: float) -> float:

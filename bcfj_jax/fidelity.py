@@ -157,7 +157,7 @@ def adaptive(
                 reason = f"what it leaves out changes the forces by {_percent(error)}, within {_percent(budget)}"
                 return chosen(run(resolved(scene, name), times), name, reason)
     motion = resolved(scene, "dynamic")
-    ends = [repeat.short_end(scene, params, count) for count in _PITCHES]
+    ends = [repeat.risen(scene, params, count) for count in _PITCHES]
     ends = [end for end in ends if _LONG * end < times[-1]]
     for end in ends:
         folded = repeat.fold(scene, params, times, end)

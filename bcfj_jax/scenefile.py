@@ -14,7 +14,7 @@ import inspect
 import math
 import typing
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ from bcfj_jax import laws, scenes, tables
 from bcfj_jax.errors import InputError, nearest
 from bcfj_jax.integrate import LEVELS, MAX_STEPS
 from bcfj_jax.joint.checks import check_joint
-from bcfj_jax.joint.scene import Joint
+from bcfj_jax.joint.scene import AUTO, Joint
 from bcfj_jax.quantities import CATALOGUE, check_order, check_value
 from bcfj_jax.scene import AbstractScene
 from bcfj_jax.scenetemplate import template as template
@@ -48,6 +48,7 @@ class SceneFile:
         source: the file; None for a built-in scene's defaults.
         max_steps: budget of attempted steps.
         solver: by which values are integrated; None: the scene's own.
+        open: whether a joint's fidelity was left to what runs it.
     """
 
     scene: AbstractScene
@@ -58,6 +59,7 @@ class SceneFile:
     source: Path | None
     max_steps: int = MAX_STEPS
     solver: str | None = None
+    open: bool = False
 
 
 class _Time(tables.Table):
@@ -118,7 +120,19 @@ def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
         | ({"solver": solver} if solver else {}),
     }
     times = np.linspace(0.0, end, samples)
-    return SceneFile(scene, params, times, accuracy, resolved, source, file.accuracy.max_steps, solver)
+    free = isinstance(scene, Joint) and "fidelity" not in file.scene
+    return SceneFile(scene, params, times, accuracy, resolved, source, file.accuracy.max_steps, solver, free)
+
+
+def quickest(given: SceneFile) -> SceneFile:
+    """A scene file as ``bcfj simulate`` runs it: at the level ``fast`` a joint of open fidelity takes ``auto``.
+
+    It keeps the 5 % all the same. Derivatives and fits need a model by name, and take the dynamic one.
+    """
+    if not (given.open and given.accuracy == "fast" and isinstance(given.scene, Joint)):
+        return given
+    resolved = given.resolved | {"scene": given.resolved["scene"] | {"fidelity": AUTO}}
+    return replace(given, scene=replace(given.scene, fidelity=AUTO), resolved=resolved)
 
 
 def _resolved_options(scene: AbstractScene, file: _File) -> dict[str, Any]:

@@ -103,6 +103,7 @@ drive = "prescribed"  # {_wrapped(DRIVES)}: adds seat_inertia, drive_stiffness a
 fidelity = "dynamic"  # {_wrapped((*FIDELITIES, AUTO))}
 #    kinematic: closed-form load sharing. quasistatic: equilibrium at each instant, without friction. dynamic: motion.
 #    auto: the cheapest that keeps [accuracy], and motion of the last pitch repeated where it repeats itself.
+#    Without this line: dynamic, and at the level fast auto.
 balls = 6  # 3 or more, each in a track of its own
 """
 

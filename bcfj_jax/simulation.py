@@ -187,8 +187,13 @@ def simulate(
         return adaptive(scene, params, values, budget, lambda rung, at: simulate(rung, params, at, **effort))
     # Values alone: one program, whether or not derivatives would need their own error controlled.
     how = Plan(plan(scene, accuracy, max_steps, solver).tolerance, max_steps, solver=solver)
+    return timed(scene, params, values, how)
+
+
+def timed(scene: AbstractScene, params: Params, values: np.ndarray, how: Plan) -> Run:
+    """A run as planned, at times (T,) [s], with the seconds it took; nothing is checked."""
     arguments = (scene, dict(params), jnp.asarray(values), how)
-    key = (scene, len(values), max_steps, solver, jax.tree.structure(params))
+    key = (scene, len(values), how.max_steps, how.solver, jax.tree.structure(params))
     begin = time.perf_counter()
     if key not in _compiled:
         _compiled[key] = _run.lower(*arguments).compile()

@@ -117,6 +117,7 @@ def write(folder: Path, given: SceneFile, run: Run, stem: str) -> tuple[str, lis
     """
     summary, warnings = outputs.summary(run), resolution_warnings(run)
     warnings += envelope.warnings(given.scene, given.params, run.times)
+    warnings += envelope.of_the_start(given.scene, given.params, run.times, run.force)
     source = str(given.source) if given.source else f"the built-in scene '{stem}'"
     head = f"{source}, as it was run: every default, SI\n{choice_sentence(run)}".strip()
     outputs.write_toml(folder / "run.toml", given.resolved, head)

@@ -101,15 +101,18 @@ def joint(rng: np.random.Generator, friction: float = 1.0) -> Params:
         return params
 
 
-def joints(count: int, seed: int) -> list[Params]:
+def joints(count: int, seed: int, wide: bool = False) -> list[Params]:
     """Random joints, the first of many those of few.
 
     Their balls have less play than the onset of contact is wide, as the defaults' have: else balls that carry nothing
-    rattle without order, and there is no true history.
+    rattle without order, and there is no true history. ``wide`` leaves their play as it was drawn.
     """
-    rng, found = np.random.default_rng([seed, 0]), []
+    rng, found = np.random.default_rng([seed, int(wide)]), []
     for _ in range(count):
         params = joint(rng)
+        if wide:
+            found.append(params)
+            continue
         calm = {f"clearance_{name}": params["smoothing"] * rng.uniform(0.1, 0.6) for name in OF_A_BALL}
         found.append({**params, **calm})
     return found

@@ -22,6 +22,7 @@ from bcfj_jax.joint.kinematic import kinematic_states
 from bcfj_jax.joint.observe import observe
 from bcfj_jax.joint.omitted import statics
 from bcfj_jax.joint.start import nominal
+from bcfj_jax.scenefile import from_table, quickest
 from bcfj_jax.simulation import Run
 
 AUTO = bj.scenes.joint(fidelity="auto")
@@ -38,7 +39,7 @@ def periodic_force(times, speed, decay=0.0, balls=6):
 
 def folded_at(speed, count=2, **more):
     params = AUTO.parameters(drive_speed=speed)
-    return params, repeat.fold(AUTO, params, TIMES, repeat.short_end(AUTO, params, count), **more)
+    return params, repeat.fold(AUTO, params, TIMES, repeat.risen(AUTO, params, count), **more)
 
 
 @pytest.mark.parametrize("speed", [10.0, -17.3])
@@ -73,7 +74,7 @@ def test_mismatch_is_the_difference_of_two_pitches():
 def test_states_are_unfolded_as_the_closed_form_motion_goes_on():
     scene = bj.scenes.joint(spin=True, friction="lugre")
     params = scene.parameters(drive_speed=-12.0)
-    folded = repeat.fold(scene, params, TIMES, repeat.short_end(scene, params, 2))
+    folded = repeat.fold(scene, params, TIMES, repeat.risen(scene, params, 2))
     states = jax.jit(kinematic_states, static_argnums=0)
     short, right = (np.asarray(states(scene, params, t)) for t in (folded.times, TIMES))
     np.testing.assert_allclose(repeat.unfolded_states(scene, params, folded, short), right, atol=1e-7)
@@ -232,6 +233,19 @@ def test_without_friction_a_static_rung_is_right(tmp_path):
     simulated(tmp_path / "again", tmp_path / "run" / "run.toml")
     one, two = ((tmp_path / name / "forces.csv").read_text() for name in ("run", "again"))
     assert one == two
+
+
+def test_fast_leaves_an_open_fidelity_to_auto():
+    def given(scene=(), **accuracy):
+        return from_table({"scene": {"kind": "joint", **dict(scene)}, "accuracy": accuracy}, None)
+
+    found = quickest(given(level="fast"))
+    assert found.scene.fidelity == found.resolved["scene"]["fidelity"] == "auto"
+    assert from_table(found.resolved, None).resolved == found.resolved
+    # What derivatives and fits read is the dynamic model all the same.
+    assert given(level="fast").scene.fidelity == "dynamic"
+    for other in (given(level="balanced"), given(force_error=0.05), given({"fidelity": "dynamic"}, level="fast")):
+        assert quickest(other) is other and other.scene.fidelity == "dynamic"
 
 
 def test_commands_that_need_a_model_refuse(tmp_path):

@@ -45,8 +45,8 @@ def pitch(scene: Joint, params: Params) -> float:
     return 2.0 * np.pi / (scene.balls * speed) if speed > 0.0 else np.inf
 
 
-def short_end(scene: Joint, params: Params, count: float) -> float:
-    """End of the short run [s]: the load has risen, and ``count`` pitches have passed."""
+def risen(scene: Joint, params: Params, count: float) -> float:
+    """When the load has risen and ``count`` pitches have passed [s]; after one the start is forgotten."""
     return float(params["load_ramp"]) + count * pitch(scene, params)
 
 

@@ -2,11 +2,13 @@
 
 A setting is within a budget if ``SAFETY`` times its expected error is: the worst of force rms, peak and impulse there,
 on the next looser rung of its ladder and on every tighter one that was run. Errors of adaptive steps scatter, so that
-one rung may be right by luck. A solver that was off by more than ``LOST`` on any rung is not recommended on another.
+one rung may be right by luck. A solver that was off by more than ``LOST`` on any rung is not recommended on another,
+and none at a force error that is looser than the budget: what is right here may not be so beside it, where only what
+was asked for is promised (``benchmarks/advice.py``).
 
 The cheapest wins; of those as cheap, within the ``NOISE`` of walls, one that keeps the user's model, then one that
 keeps the solver, then the most accurate. Settings with other times of output are not recommended: the user asked for
-these times.
+these times; nor are 32-bit numbers, which the package refuses.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from bcfj_jax.joint.scene import FIDELITIES
 from bcfj_jax.tradeoff.measures import MAIN, worst
 from bcfj_jax.tradeoff.reference import Reference
 from bcfj_jax.tradeoff.settings import AS_GIVEN, Setting
@@ -35,7 +38,7 @@ def expected(study: Study) -> list[float]:
             ladders.setdefault(setting.ladder, []).append((setting.error, error if math.isfinite(error) else math.inf))
 
     def one(setting: Setting, row: Mapping[str, Any]) -> float:
-        if row["status"] != OK or setting.group == "output":
+        if row["status"] != OK or setting.group in ("output", "precision"):
             return math.inf
         ladder = ladders[setting.ladder]
         if any(error > LOST for _, error in ladder):
@@ -58,7 +61,11 @@ def _one(study: Study, known: Sequence[float], budget: float, trusted: bool) -> 
         return {"setting": None, "reason": "no reference to judge by"}
     if SAFETY * study.reference.floor > budget:
         return {"setting": None, "reason": f"the reference is certain to {study.reference.floor:.1e} only"}
-    within = [k for k, error in enumerate(known) if SAFETY * error <= budget]
+    within = [
+        k
+        for k, (setting, error) in enumerate(zip(study.settings, known, strict=True))
+        if SAFETY * error <= budget and asks(setting, budget)
+    ]
     if not within:
         missing = sum(row["status"].startswith("not run") for row in study.rows)
         also = f"; {missing} settings were not run" if missing else ""
@@ -84,6 +91,12 @@ def _one(study: Study, known: Sequence[float], budget: float, trusted: bool) -> 
         "change": change(setting),
         "toml": file(setting, f"{100 * budget:g} %"),
     }
+
+
+def asks(setting: Setting, budget: float) -> bool:
+    """Whether a setting asks for a budget, or for less; equilibria and closed forms ask for no error."""
+    static = setting.table["scene"].get("fidelity") in FIDELITIES[:-1]
+    return static or setting.error <= budget
 
 
 def shared(advice: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:

@@ -26,7 +26,7 @@ from bcfj_jax.solvers import named
 AS_GIVEN = "as given"
 ERRORS = (0.2, 0.1, 0.05, 0.02, 0.01, 5e-3, 2e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 1e-6)
 # Force errors at which anything but the tolerance is tried; the joint's runs are dear.
-_KNOBS_AT = {"springs": (1e-2, 1e-3), "joint": (2e-3,)}
+_KNOBS_AT = {"springs": (1e-2, 1e-3), "joint": (5e-3,)}
 _WIDTHS_OF_DEPTH = (0.01, 0.03, 0.1, 0.3)
 _FACTORS = {"smoothing": (0.25, 0.5, 2.0, 4.0), "friction_speed": (1 / 3, 2.0, 3.0, 10.0)}
 _THINNED = (4, 16)
@@ -50,13 +50,14 @@ class Setting:
 
     Attributes:
         name: unique in a study.
-        group: what is set: tolerance, fidelity, smoothing, friction speed, friction law or output.
+        group: what is set: tolerance, fidelity, smoothing, friction speed, friction law, output or precision.
         ladder: settings of one ladder differ in tolerance alone.
         error: the force error asked for, a fraction of the peak.
         table: the whole scene file, as TOML holds it.
         change: what of it is not the user's, section by section.
         physics: what it changes in the model, in words; "" where only numbers are computed in another way.
         derivatives: whether its derivatives are measured, too.
+        bits: of the numbers it is computed in.
     """
 
     name: str
@@ -67,11 +68,13 @@ class Setting:
     change: Mapping[str, Any] = field(default_factory=dict)
     physics: str = ""
     derivatives: bool = False
+    bits: int = 64
 
     @property
     def digest(self) -> str:
         """SHA-256 of all that decides what comes out."""
-        return hashlib.sha256(json.dumps(plain([self.table, self.derivatives]), sort_keys=True).encode()).hexdigest()
+        decisive = plain([self.table, self.derivatives, self.bits])
+        return hashlib.sha256(json.dumps(decisive, sort_keys=True).encode()).hexdigest()
 
 
 def overlaid(resolved: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
@@ -137,9 +140,10 @@ def _every(given: SceneFile) -> list[Setting]:
     # An empty change: the file as it stands.
     own = Setting(AS_GIVEN, "tolerance", solver, own_error(given), given.resolved, derivatives=moves)
     more = [*(_tolerances(given) if moves else ()), *_fidelities(given), *_knobs(given, moves), *_outputs(given)]
+    more += _precisions(given, moves)
     seen, found = set(), [own]
     for setting in sorted(more, key=lambda s: (-s.error, s.group != "tolerance")):
-        key = _same(setting.table)
+        key = _same(setting.table) + ("" if setting.bits == 64 else f"{setting.bits}")
         if key not in seen and key != _same(given.resolved):
             seen.add(key)
             found.append(setting)
@@ -212,11 +216,23 @@ def _knobs(given: SceneFile, moves: bool) -> Iterator[Setting]:
                 physics = f"friction by the law {law}" if law else "no friction at all"
                 changes.append(("friction law", f"friction {law or 'none'}", {"scene": {"friction": law}}, physics))
     for group, name, change, physics in changes:
-        for error in rungs(scene, _KNOBS_AT["joint" if joint else "springs"]):
+        for error in _knobs_at(scene):
             at = {**change, "accuracy": _accuracy(given, error)} if moves else change
             title = f"{name} at {_percent(error)}" if moves else name
             table = overlaid(given.resolved, at)
             yield Setting(title, group, name, error, table, at, physics, derivatives=not joint and group == "smoothing")
+
+
+def _knobs_at(scene: AbstractScene) -> list[float]:
+    return rungs(scene, _KNOBS_AT["joint" if isinstance(scene, Joint) else "springs"])
+
+
+def _precisions(given: SceneFile, moves: bool) -> Iterator[Setting]:
+    name = "32-bit numbers"
+    for error in _knobs_at(given.scene) if moves else (own_error(given),):
+        change = {"accuracy": _accuracy(given, error)} if moves else {}
+        title = f"{name} at {_percent(error)}" if moves else name
+        yield Setting(title, "precision", name, error, overlaid(given.resolved, change), change, bits=32)
 
 
 def _depth(given: SceneFile) -> float:

@@ -17,6 +17,7 @@ from bcfj_jax.tradeoff import reference as references
 from bcfj_jax.tradeoff.measures import UNKNOWN, derivative_error, errors, measured, worst
 from bcfj_jax.tradeoff.reference import Reference, reference, restore
 from bcfj_jax.tradeoff.settings import Setting
+from bcfj_jax.tradeoff.single import single
 from bcfj_jax.tradeoff.trial import loaded, slopes, trial
 
 OK, FAILED = "ok", "failed"
@@ -128,11 +129,11 @@ def _row(given: SceneFile, setting: Setting, truth: Reference, journal: Journal,
         return {"status": NO_REFERENCE, "reason": truth.certificate["reason"]}
     try:
         file = loaded(setting.table)
-        program = (file.scene, len(file.times), file.solver, file.max_steps)
+        program = (file.scene, len(file.times), file.solver, file.max_steps, setting.bits)
         if clock.takes(setting, program) > clock.left():
             return {"status": NO_TIME, "reason": f"{max(clock.left(), 0.0):.0f} s are left"}
         begin = time.monotonic()
-        row = _measured(given, file, setting, truth)
+        row = _measured(given, file, setting, truth, clock.left())
         seconds = time.monotonic() - begin
         spent = [row[key] for key in ("compile_s", "derivative_compile_s") if np.isfinite(row.get(key, np.nan))]
         clock.took(setting, program, sum(spent), seconds)
@@ -142,10 +143,10 @@ def _row(given: SceneFile, setting: Setting, truth: Reference, journal: Journal,
     return row
 
 
-def _measured(given: SceneFile, file: SceneFile, setting: Setting, truth: Reference) -> dict[str, Any]:
+def _measured(given: SceneFile, file: SceneFile, setting: Setting, truth: Reference, left: float) -> dict[str, Any]:
     assert truth.truth is not None
-    found, cost = trial(file)
-    row: dict[str, Any] = {**cost, "precision": str(next(iter(found.force.values())).dtype)}
+    found, cost = trial(file) if setting.bits == 64 else single(setting.table, left)
+    row: dict[str, Any] = {**cost, "precision": f"float{setting.bits}"}
     if found.status != "ok":
         return row | {"status": FAILED, "reason": f"{found.reason}, at {found.failure_time:g} s"}
     row |= {"status": OK, **errors(measured(found, given.times), truth.truth, given.times)}
@@ -161,9 +162,13 @@ def _measured(given: SceneFile, file: SceneFile, setting: Setting, truth: Refere
 
 
 def _fronted(rows: list[dict[str, Any]], truth: Reference | None) -> list[dict[str, Any]]:
-    """Rows with the Pareto front of wall time and worst error marked; below the reference's own error all are equal."""
+    """Rows with the Pareto front of wall time and worst error marked; below the reference's own error all are equal.
+
+    Numbers that the package refuses are on no front.
+    """
     floor = truth.floor if truth and truth.truth else 0.0
-    place = [(row["wall_s"], np.maximum(worst(row), floor)) if row["status"] == OK else None for row in rows]
+    runs = [row["status"] == OK and row["group"] != "precision" for row in rows]
+    place = [(r["wall_s"], np.maximum(worst(r), floor)) if here else None for r, here in zip(rows, runs, strict=True)]
     known = [p for p in place if p is not None and np.isfinite(p[1])]
 
     def best(p: tuple[float, float] | None) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -45,6 +45,11 @@ def trial(given: SceneFile, repeated: bool = True) -> Trial:
         effort: dict[str, Any] = {"max_steps": given.max_steps, "solver": given.solver}
         return simulate(given.scene, given.params, given.times, accuracy=given.accuracy, **effort)
 
+    return repeatedly(once, repeated)
+
+
+def repeatedly(once: Callable[[], Run], repeated: bool = True) -> Trial:
+    """The first of several runs that are the same, and what they cost."""
     run = once()
     compile_s, walls = run.stats["compile_s"], [run.stats["wall_s"]]
     if repeated and walls[0] < _ONCE:
