@@ -45,6 +45,8 @@ MEANING = {
 }
 
 KEPT = "envelope.json"
+# Peaks as high as later ones, to a percent, are told by these.
+_HIGHER = 0.01
 # When a joint's promise begins.
 _FROM = "the load has risen and a ball's pitch has passed"
 
@@ -86,7 +88,7 @@ def _untried(scene: Joint, params: Params, times: np.ndarray) -> list[str]:
 def of_the_start(
     scene: AbstractScene, params: Params, times: np.ndarray, forces: Mapping[str, np.ndarray]
 ) -> list[str]:
-    """Contacts of a moving joint whose peak is from before its promise begins.
+    """Contacts of a moving joint whose peak is from before its promise begins, and higher than any later.
 
     Args:
         scene, params: as ``simulate`` takes them.
@@ -99,8 +101,10 @@ def of_the_start(
     for name, force in forces.items():
         normal = np.abs(force[..., 0]).reshape(len(times), -1).max(axis=1)
         first = int(normal.argmax())
-        if times[first] < begin < times[-1] and np.isfinite(normal).all():
-            after = normal[times >= begin].max()
+        if not times[first] < begin < times[-1] or not np.isfinite(normal).all():
+            continue
+        after = normal[times >= begin].max()
+        if normal[first] > (1.0 + _HIGHER) * after:
             found.append(
                 f"{name} {format_si(normal[first], 'N')} at {format_si(times[first], 's')} "
                 f"({format_si(after, 'N')} from then on)"

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import textwrap
 from typing import Any
 
 os.environ.setdefault("EQX_ON_ERROR", "nan")
@@ -86,9 +87,10 @@ def picture(kind: str, inside: list[Row], wider: list[Row]) -> None:
         axis.axvspan(low, high, color="C2", alpha=0.12, label="guaranteed")
         axis.axhline(1.0, color="k", lw=0.8)
         spread = [r["measures"][name] for r in (*inside, *wider) if name in r["measures"]]
-        axis.set(yscale="log", xlabel=MEANING[name], ylim=(1e-7, 2e3))
+        axis.set(yscale="log", xlabel=textwrap.fill(MEANING[name], 44), ylim=(1e-7, 2e3))
         if min(spread) > 0 and max(spread) > 20 * min(spread):
             axis.set_xscale("log")
+            axis.xaxis.set_minor_formatter("")
         axis.xaxis.label.set_fontsize(8)
     for axis in axes.flat[len(box) :]:
         axis.axis("off")

@@ -210,7 +210,7 @@ def simulated(folder, path):
 
 @pytest.mark.parametrize(("errors", "expected"), [((0.009, 0.001), "kinematic"), ((0.02, 0.009), "quasistatic")])
 def test_the_cheapest_rung_within_the_budget_is_taken(monkeypatch, errors, expected):
-    params = AUTO.parameters(friction_static=0.02, friction_dynamic=0.01)
+    params = AUTO.parameters(friction_static=0.002, friction_dynamic=0.001)
     told = dict(zip(("kinematic", "quasistatic"), errors, strict=True))
     monkeypatch.setattr(fidelity, "_look", lambda *_: (told, {"wall_s": 0.25, "compile_s": 1.0}))
     ran = []
