@@ -64,7 +64,7 @@ def runner(scene: AbstractScene, lanes: bool) -> Callable[..., tuple[Any, Any, A
 
 def compared(forces: dict[str, np.ndarray]) -> Measured:
     """Forces by contact, (T, 3) or (T, members, 3), as ``measures.errors`` compares them."""
-    parts = [f.reshape(f.shape[0], -1, 3) for f in forces.values()]
+    parts = [forces[name].reshape(len(forces[name]), -1, 3) for name in sorted(forces)]
     owners = np.repeat(np.arange(len(parts)), [part.shape[1] for part in parts])
     nothing = np.zeros(len(owners))
     return Measured(np.concatenate(parts, 1), owners, nothing * np.nan, nothing, nothing)

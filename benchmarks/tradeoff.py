@@ -1,8 +1,8 @@
 """The trade of every built-in scene: ``bcfj tradeoff`` on impact, bounce and the joint, kept, drawn, and in the README.
 
 Beside it the levels as ``bcfj simulate`` runs them: seconds of ``fast``, ``balanced`` and ``reference`` on the same
-scene, their error against the study's own truth; of the joint its 3 s, against CVODES (``joint_reference``), from a
-pitch after the load has risen. A study goes on where it was cut off (build/tradeoff).
+scene, their error against the study's own truth; of the joint against CVODES (``joint_reference``), from a pitch after
+the load has risen. A study goes on where it was cut off (build/tradeoff).
 
     python benchmarks/tradeoff.py [SCENE ...] [--budget 900] [--drawn]
         writes results/tradeoff_SCENE.json, docs/images/tradeoff.png and the README's table; --drawn measures nothing
@@ -40,18 +40,17 @@ from bcfj_jax.tradeoff.trial import trial
 TABLES: dict[str, dict[str, Any]] = {
     "impact": {"scene": {"kind": "impact"}},
     "bounce": {"scene": {"kind": "bounce"}},
-    "joint": {"scene": {"kind": "joint"}, "time": {"end": 0.6, "samples": 601}},
+    "joint": {"scene": {"kind": "joint"}},
 }
 BUDGETS = ("5 %", "1 %", "0.1 %")
 
 
 def levels(name: str, found: Study) -> dict[str, dict[str, float]]:
-    """Wall, steps and error of every level, on the scene of a study; of the joint on all of its 3 s."""
+    """Wall, steps and error of every level, on the scene of a study."""
     assert found.reference is not None and found.reference.truth is not None
-    table = {"scene": TABLES[name]["scene"]} if name == "joint" else TABLES[name]
     kept = {}
     for level in LEVELS:
-        given = quickest(from_table({**table, "accuracy": {"level": level}}, None))
+        given = quickest(from_table({**TABLES[name], "accuracy": {"level": level}}, None))
         run, cost = trial(given)
         if isinstance(given.scene, Joint):
             truth = joint_reference.load()
