@@ -8,7 +8,7 @@ tolerance, ``integrate`` runs it. Which solver a scene gets:
 | ``impact``, ``bounce`` | Tsit5 | a few elastic or damped springs are oscillatory, not stiff: explicit wins |
 | ``joint``, values | RODAS3 on the arrowhead | friction is stiff; no iteration, so no lane of a batch waits |
 | ``joint``, derivatives | SDIRK2 on the arrowhead | every stage implicit and converged: tangents stay bounded |
-| ... tighter than a percent | BDF on the arrowhead | tangents' own error controlled: high order, one matrix a step |
+| ... tighter than 0.05 % | BDF on the arrowhead | tangents' own error controlled: high order, one matrix a step |
 | ``joint``, quasistatic or kinematic | none | each instant on its own: equilibrium, or closed form |
 
 Tsit5 and not Dopri8: Tsit5 evaluates the force at the end of a step and weighs it in the error estimate, so a
@@ -54,10 +54,10 @@ MAX_STEPS = 400_000
 # benchmarks/levels.py: the force error of random impacts and bounces stays below what was asked with this ratio.
 _TOLERANCE_PER_ERROR = 5e-4
 
-# Force error from which on tangents count in the step control. A ball that carries nothing swings below 1 N, and
+# Force error below which tangents count in the step control. A ball that carries nothing swings below 1 N, and
 # tangents hang on its phase: loose steps damp the swing, and tight ones resolve it only where the tangents' own error
 # is asked for (benchmarks/joint_derivatives.py, at a tolerance of 1e-4: 9 % without, 0.7 % with).
-_TANGENTS_FROM = 1e-4
+_TANGENTS_BELOW = 5e-4
 
 # What no step can better, in units of the state itself: a body far away must not wait for it.
 _ROUNDING = 4e-16
@@ -117,7 +117,7 @@ def plan(
     joint = isinstance(scene, Joint)
     tolerance = joint_tolerance(accuracy) if joint else _TOLERANCE_PER_ERROR * accuracy
     named.check(solver, joint)
-    tangents = solver == "bdf" or (solver is None and joint and accuracy <= _TANGENTS_FROM)
+    tangents = solver == "bdf" or (solver is None and joint and accuracy < _TANGENTS_BELOW)
     return Plan(jnp.asarray(tolerance, dtype=jnp.float64), max_steps, tangents, solver)
 
 

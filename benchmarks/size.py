@@ -100,12 +100,13 @@ def reserved(scene: Any, params: Any, end: float) -> dict[str, float]:
 
 
 def sized(params: Any, balls: int) -> dict[str, float]:
-    """Numbers of a joint of so many balls that fit, each loaded as one of the six."""
+    """Numbers of a joint of so many balls that fit, each loaded as one of the six, and sliding as fast."""
     grow = max(1.0, balls / 9)
     pitch, wall = grow * float(params["pitch_radius"]), float(params["seat_radius"] - params["pitch_radius"])
     radii = {"pitch_radius": pitch, "seat_radius": pitch + wall, "head_radius": pitch - wall}
     torque = float(params["load_torque"]) * balls / 6 * grow
-    return {"load_torque": torque, "offset": grow * float(params["offset"]), **radii}
+    speed = grow * float(params["friction_speed"])
+    return {"load_torque": torque, "offset": grow * float(params["offset"]), "friction_speed": speed, **radii}
 
 
 def main() -> None:

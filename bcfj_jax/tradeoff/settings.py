@@ -173,8 +173,8 @@ def _tolerances(given: SceneFile) -> Iterator[Setting]:
     for solver in named.ARROWHEAD if joint else named.SPRINGS:
         for place, error in enumerate(rungs(given.scene)):
             change = {"accuracy": _accuracy(given, error, solver)}
-            # The tangents' own control from 1e-4 on is BDF's; looser ones are SDIRK2's (integrate).
-            fit = {"sdirk2": error > 1e-4, "bdf": 1e-5 <= error <= 1e-4, "rodas3": False}
+            # The tangents' own control below 5e-4 is BDF's; looser ones are SDIRK2's (integrate).
+            fit = {"sdirk2": error >= 5e-4, "bdf": 1e-5 <= error < 5e-4, "rodas3": False}
             wanted = fit[solver] if joint else place % 2 == 0
             name, table = f"{solver} at {_percent(error)}", overlaid(given.resolved, change)
             yield Setting(name, "tolerance", solver, error, table, change, derivatives=wanted)
