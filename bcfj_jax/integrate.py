@@ -30,7 +30,7 @@ from jax import Array
 
 from bcfj_jax.directions import together
 from bcfj_jax.dynamics import error_sizes, field, initial_state
-from bcfj_jax.endings import NOT_FINITE, OK, SOLVER, STEPS, UNBALANCED
+from bcfj_jax.endings import NOT_FINITE, OK, SOLVER, STEPS, UNBALANCED, code_of
 from bcfj_jax.errors import InputError, nearest
 from bcfj_jax.joint.arrowhead import Arrowhead
 from bcfj_jax.joint.constants import constants
@@ -235,13 +235,8 @@ def _solved(problem: Problem, times: Array, how: Plan, adjoint: dfx.AbstractAdjo
     assert solution.ts is not None
     states, _ = solution.ys
     states = jnp.where(jnp.isfinite(states), states, jnp.nan)
-    code = jnp.where(
-        solution.result == dfx.RESULTS.successful,
-        jnp.where(jnp.all(jnp.isfinite(states)), OK, NOT_FINITE),
-        jnp.where(solution.result == dfx.RESULTS.max_steps_reached, STEPS, SOLVER),
-    )
     accepted, rejected = (solution.stats[f"num_{name}_steps"] for name in ("accepted", "rejected"))
-    return Solution(states, code, solution.ts[1][0], accepted, rejected)
+    return Solution(states, code_of(solution.result, states), solution.ts[1][0], accepted, rejected)
 
 
 def _by_bdf(problem: Problem, solver: Sdirk, changes: tuple | None, start: Array, times: Array, how: Plan) -> Solution:

@@ -55,8 +55,8 @@ def levels(name: str, found: Study) -> dict[str, dict[str, float]]:
         if isinstance(given.scene, Joint):
             truth = joint_reference.load()
             late = truth.times >= risen(given.scene, given.params, 1)
-            some = ({key: force[late] for key, force in x.force.items()} for x in (run, truth))
-            error = off(*some, truth.times[late])
+            ours, theirs = ({key: force[late] for key, force in x.force.items()} for x in (run, truth))
+            error = off(ours, theirs, truth.times[late])
         else:
             error = worst(errors(measured(run, given.times), found.reference.truth, given.times))
         kept[level] = cost | {"error": error}

@@ -75,7 +75,7 @@ def estimates(
     reaches: list[float] = []
     for i, (slot, label) in enumerate(zip(model.slots, labels, strict=True)):
         half = spread.half_width(slopes[i])
-        widest = np.log(judge.WIDEST_FACTOR) if slot.log else judge.WIDEST_SHARE * (slot.upper - slot.lower)
+        widest = judge.widest(slot)
         identifiable = bool(half < widest)
         quantity = {**model.scene.quantities, **NUISANCES}[slot.name]
         # No lower than the quantity can be: a clearance that may be closed.

@@ -16,6 +16,7 @@ from scipy import stats
 
 from calibration.losses import influence
 from calibration.polish import End
+from calibration.slots import Slot
 
 LEVEL = 1e-3  # of a test of the residuals: a right model is called wrong once in a thousand
 AGREEING_STARTS = 3
@@ -29,6 +30,11 @@ RIVAL_COST = 9.0
 WIDEST_FACTOR, WIDEST_SHARE = 2.0, 0.5
 # A Jacobian with a larger ratio of singular values has lost a direction to rounding.
 WORST_CONDITION = 1e10
+
+
+def widest(slot: Slot) -> float:
+    """Half width of an interval, in the parameter's coordinate, from which on it is not determined."""
+    return float(np.log(WIDEST_FACTOR)) if slot.log else WIDEST_SHARE * (slot.upper - slot.lower)
 
 
 class Test(NamedTuple):

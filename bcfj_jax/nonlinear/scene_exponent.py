@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.endings import NOT_FINITE, OK, SOLVER, STEPS, reason
+from bcfj_jax.endings import OK, code_of, reason
 from bcfj_jax.errors import InputError
 from bcfj_jax.integrate import MAX_STEPS, Plan, Problem, controller, integrate, plan, problem
 from bcfj_jax.joint.scene import Joint
@@ -161,9 +161,7 @@ def advance(both: Problem, how: Plan, rows: Array, begin: Array, end: Array) -> 
     )
     assert solution.ys is not None
     found = solution.ys[0]
-    late = jnp.where(solution.result == dfx.RESULTS.max_steps_reached, STEPS, SOLVER)
-    good = jnp.where(jnp.all(jnp.isfinite(found)), OK, NOT_FINITE)
-    return found, jnp.where(solution.result == dfx.RESULTS.successful, good, late)
+    return found, code_of(solution.result, found)
 
 
 def _transverse(scene: AbstractScene, state: Array, tangent: Array) -> Array:

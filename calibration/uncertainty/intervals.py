@@ -13,7 +13,6 @@ from calibration import judge
 from calibration.effort import effort
 from calibration.estimates import Parameter, Reference
 from calibration.model import Model
-from calibration.slots import Slot
 from calibration.uncertainty import posterior, profile
 from calibration.uncertainty.posterior import WORST_RHAT, Chains, Posterior
 from calibration.uncertainty.profile import Profile
@@ -132,7 +131,7 @@ def _replaced(
     changed = dict(parameters)
     for slot, name in zip(model.slots, labels, strict=True):
         if name in ends:
-            known = _half(ends[name], slot.log) < _widest(slot)
+            known = _half(ends[name], slot.log) < judge.widest(slot)
             own = ends[name] if known else None
             changed[name] = replace(parameters[name], ci95=own, identifiable=known, interval_kind=kind)
     if reference and "reference_force" in ends:
@@ -148,10 +147,6 @@ def _half(ends: tuple[float, float] | None, log: bool) -> float:
     return 0.5 * float(np.log(ends[1] / ends[0]) if log else ends[1] - ends[0])
 
 
-def _widest(slot: Slot) -> float:
-    return float(np.log(judge.WIDEST_FACTOR)) if slot.log else judge.WIDEST_SHARE * (slot.upper - slot.lower)
-
-
 def _retested(
     model: Model,
     labels: Sequence[str],
@@ -163,7 +158,7 @@ def _retested(
     changed = []
     for slot, name in zip(model.slots, labels, strict=True):
         if name in ends:
-            half, limit = _half(ends[name], slot.log), _widest(slot)
+            half, limit = _half(ends[name], slot.log), judge.widest(slot)
             reason = f"the data do not determine {name}: they allow a factor or share beyond the limit"
             reason = why[name] if ends[name] is None else reason
             changed.append(judge.Test(f"{name} determined", half, limit, half < limit, reason))
