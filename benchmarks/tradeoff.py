@@ -115,10 +115,12 @@ def picture() -> None:
                 if row["setting"] != "as given":
                     groups.setdefault(ladder, []).append((row["wall_s"], worst(row)))
             solvers = {r["setting"].split(" at ")[0] for r in rows if r["group"] == "tolerance"}
-            for number, (label, points) in enumerate(groups.items()):
+            # Solvers first: theirs are the colours that do not come again.
+            for number, (label, points) in enumerate(sorted(groups.items(), key=lambda item: item[0] not in solvers)):
                 x, y = np.array(points).T
                 how = {"color": plots.COLOURS[number % len(plots.COLOURS)], "label": label, "markersize": 4}
-                axis.loglog(x, np.clip(y, 1e-12, 10.0), "o-" if label in solvers else "x", linewidth=0.8, **how)
+                mark = "o-" if label in solvers else "x+*1"[number % 4]
+                axis.loglog(x, np.clip(y, 1e-12, 10.0), mark, linewidth=0.8, **how)
             # Levels that are one run, but for the noise of walls, share a star.
             names: dict[float, list[str]] = {}
             for level, one in kept["levels"].items():

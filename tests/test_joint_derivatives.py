@@ -12,6 +12,7 @@ import pytest
 
 import bcfj_jax as bj
 from bcfj_jax.integrate import Plan, plan
+from bcfj_jax.simulation import _backward
 
 pytestmark = pytest.mark.slow
 SCENE = bj.scenes.joint()
@@ -80,6 +81,13 @@ def test_derivatives_are_bounded_and_converge():
     order = np.polyfit(np.log(tolerances), np.log(errors), 1)[0]
     assert order > 0.4, errors
     assert errors[-1] < 0.007
+
+
+def test_a_gradient_is_solved_no_tighter_than_its_derivatives_bear():
+    for asked, expected in (("balanced", 0.02), ("reference", 1e-3), (1e-4, 1e-3)):
+        assert float(_backward(SCENE, plan(SCENE, asked)).tolerance) == expected
+    impact = bj.scenes.impact()
+    assert _backward(impact, plan(impact, "reference")) == plan(impact, "reference")
 
 
 def test_reverse_is_forward_through_rejected_steps():
