@@ -56,7 +56,7 @@ _MASS = Effort(
 )  # fmt: skip
 # It takes some thousand steps a revolution, and its error goes with the tolerance as their number does.
 _JOINT = Effort(
-    accuracy=5e-4, loose="balanced", steps=8_000, tighter=4.0, rough=True, apart=True, asked=4, kept=4,
+    accuracy=1e-3, loose="balanced", steps=8_000, tighter=4.0, rough=True, apart=True, asked=4, kept=4,
     descend=12, roughly=10.0, tolerance=1.0, step=1e-4, gain=1e-6, elsewhere=1e-2,
 )  # fmt: skip
 

@@ -129,7 +129,7 @@ class Free:
 class Problem:
     """Scene, fixed parameter values, experiments and free parameters.
 
-    ``accuracy`` is the error of the simulated forces as a share of their peak; by default 1e-6, and 5e-4 of a joint's
+    ``accuracy`` is the error of the simulated forces as a share of their peak; by default 1e-6, and 1e-3 of a joint's
     motion, whose derivatives would take ten times as long. ``loss`` is SciPy's name for what a residual of z standard
     deviations costs (``losses.loss_of``).
 
