@@ -16,6 +16,7 @@ import typer
 
 from bcfj_jax.compile_cache import use_compile_cache
 from bcfj_jax.errors import InputError
+from bcfj_jax.stop import heeded
 
 DONE, BAD_INPUT, SIMULATION_FAILED, INTERRUPTED = 0, 2, 3, 5
 
@@ -291,8 +292,9 @@ def study_surface(study: StudyFile, out: StudyOut = None, feature: Features = No
 
 
 def main() -> None:
-    """Entry point of the command ``bcfj``."""
+    """Entry point of the command ``bcfj``. Ctrl-C is heeded from here on: modules that load may swallow it."""
     try:
-        app()
+        with heeded():
+            app()
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)

@@ -15,20 +15,30 @@ from types import FrameType
 _asked = threading.Event()
 
 
+def _remember(_: int, __: FrameType | None) -> None:
+    _asked.set()
+    raise KeyboardInterrupt
+
+
 @contextlib.contextmanager
 def heeded() -> Iterator[None]:
-    """Within, Ctrl-C is remembered. Where it is ignored, as by a shell's background jobs, it stays ignored."""
+    """Within, Ctrl-C is remembered. Where it is ignored, as by a shell's background jobs, it stays ignored.
+
+    Within another, what came since the outer one began, and was told to nobody, is raised at once.
+
+    Raises:
+        KeyboardInterrupt: if Ctrl-C came since an outer one began.
+    """
     before = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or before is signal.SIG_IGN:
         yield
         return
-
-    def remember(_: int, __: FrameType | None) -> None:
-        _asked.set()
-        raise KeyboardInterrupt
-
+    if before is _remember:
+        check()
+        yield
+        return
     _asked.clear()
-    signal.signal(signal.SIGINT, remember)
+    signal.signal(signal.SIGINT, _remember)
     try:
         yield
     finally:

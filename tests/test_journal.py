@@ -145,6 +145,9 @@ def test_ctrl_c_that_was_swallowed_comes_back():
             signal.raise_signal(signal.SIGINT)
         with pytest.raises(KeyboardInterrupt):
             check()
+        # A verb that begins after the modules that swallowed it were loaded.
+        with pytest.raises(KeyboardInterrupt), heeded():
+            pytest.fail("the verb began")
     check()
     assert signal.signal(signal.SIGINT, found) is before
 
