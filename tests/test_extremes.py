@@ -206,13 +206,15 @@ def test_derivatives_beyond_all_numbers_are_a_failure():
     """Those of bounces without loss grow at every touch: after some thousand they are no numbers, once "ok"."""
     scene, drop = scenes.bounce("hertz", smoothing=False), 1e-3
     params = scene.parameters(stiffness=1e13, drop_height=drop)
-    times = np.linspace(0.0, 4000 * np.sqrt(2 * drop / GRAVITY), 101)
-    found = sensitivity(scene, params, times, ("drop_height",), certify=False)
+    # They grow by 1e20 to 1e30 in a thousand drops, as rounding has it.
+    times = np.linspace(0.0, 20_000 * np.sqrt(2 * drop / GRAVITY), 101)
+    found = sensitivity(scene, params, times, ("drop_height",), accuracy=0.1, certify=False, max_steps=4_000_000)
     assert found.status == "failed" and found.reason == "the derivatives stopped being finite"
     assert 0.0 < found.failure_time < times[-1]
     # The run itself did not fail.
     assert np.isfinite(found.force["contact"]).all()
-    judged = sensitivity(scene, params, times, ("drop_height",)).certificate.parameters["drop_height"]
+    judged = sensitivity(scene, params, times, ("drop_height",), accuracy=0.1, max_steps=4_000_000)
+    judged = judged.certificate.parameters["drop_height"]
     assert judged.verdict == "not differentiable here" and judged.breakdown <= found.failure_time
 
 

@@ -127,5 +127,6 @@ def test_a_joint_runs_on_bristles():
     assert run.trajectory is not None and np.all(np.isfinite(run.trajectory))
     bent = np.abs(run.trajectory[-1, scene.moving :])
     assert 1e-8 < bent.max() < 1e-5
-    books = ledger.balance(scene, params, times)
+    # What is left is the quadrature's, of bristles that settle within some 10 us: it goes as the square of the panel.
+    books = ledger.balance(scene, params, times, step=5e-6)
     assert books.closure < 1e-3
