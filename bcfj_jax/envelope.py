@@ -21,7 +21,7 @@ from bcfj_jax import scenes
 from bcfj_jax.dynamics import contact_time, state_scales
 from bcfj_jax.joint.repeat import risen
 from bcfj_jax.joint.scales import scales
-from bcfj_jax.joint.scene import AUTO, OF_A_BALL, Joint
+from bcfj_jax.joint.scene import OF_A_BALL, Joint
 from bcfj_jax.scene import AbstractScene, Params, Scene
 from bcfj_jax.units import format_si
 
@@ -60,7 +60,7 @@ def guaranteed() -> dict[str, dict[str, tuple[float, float]]]:
 
 def warnings(scene: AbstractScene, params: Params, times: np.ndarray) -> list[str]:
     """What of a scene lies beyond the ranges in which its promised error is known to hold; none for other scenes."""
-    if isinstance(scene, Joint) and scene.fidelity not in ("dynamic", AUTO):
+    if isinstance(scene, Joint) and not scene.in_motion:
         # Nothing is integrated.
         return []
     box, found = guaranteed()[scene.kind], []
@@ -95,7 +95,7 @@ def of_the_start(
         times: (T,) [s].
         forces: per contact (T, 3) or (T, members, 3) [N].
     """
-    if not isinstance(scene, Joint) or scene.fidelity not in ("dynamic", AUTO):
+    if not isinstance(scene, Joint) or not scene.in_motion:
         return []
     begin, found = risen(scene, params, 1), []
     for name, force in forces.items():
@@ -169,9 +169,9 @@ def _of_a_joint(scene: Joint, params: Params) -> dict[str, float]:
 
 
 def _worst(scene: Joint, params: Params, name: str) -> float:
-    """The largest of the contacts' own values of a coefficient."""
-    own = {name, *(f"{contact.name}.{name}" for contact in scene.contacts)} & set(params)
-    return max(float(params[key]) for key in own)
+    """The largest value of a coefficient over the contacts that read it; every one reads its onset."""
+    readers = [x.name for x in scene.contacts if name in (*x.needs, "smoothing")]
+    return max(float(scene.coefficient(params, contact, name)) for contact in readers)
 
 
 def _loss(p: Mapping[str, float], depth: float, speed: float) -> float:

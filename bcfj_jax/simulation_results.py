@@ -12,7 +12,7 @@ import numpy as np
 from bcfj_jax import envelope, features, outputs, plots, report
 from bcfj_jax.fidelity import resolved
 from bcfj_jax.joint.observe import whole
-from bcfj_jax.joint.scene import AUTO, Joint
+from bcfj_jax.joint.scene import Joint
 from bcfj_jax.scene import AbstractScene
 from bcfj_jax.scenefile import SceneFile
 from bcfj_jax.simulation import Run
@@ -32,11 +32,7 @@ FILES = (
 
 def files(scene: AbstractScene) -> tuple[str, ...]:
     """Names of the files that ``write`` leaves for a scene."""
-    return (*FILES, "resultants.csv") if _moves_as_a_whole(scene) else FILES
-
-
-def _moves_as_a_whole(scene: AbstractScene) -> bool:
-    return isinstance(scene, Joint) and scene.fidelity in ("dynamic", AUTO)
+    return (*FILES, "resultants.csv") if isinstance(scene, Joint) and scene.in_motion else FILES
 
 
 def _as_run(scene: AbstractScene, run: Run) -> AbstractScene:
@@ -125,7 +121,7 @@ def write(folder: Path, given: SceneFile, run: Run, stem: str) -> tuple[str, lis
     outputs.write_forces(folder / "forces.csv", run)
     outputs.write_contacts(folder / "contacts.csv", run)
     scene = _as_run(given.scene, run)
-    if _moves_as_a_whole(scene):
+    if isinstance(scene, Joint) and scene.in_motion:
         found = jax.device_get(whole(scene, dict(given.params), run.times, run.trajectory))
         outputs.write_resultants(folder / "resultants.csv", run, found.resultants)
         summary |= outputs.joint_summary(run.times, found)

@@ -63,17 +63,28 @@ def test_a_loose_tolerance_is_caught_and_tightened_away():
     assert all(found.certificate.parameters[name].average < 0.03 for name in NAMES)
 
 
+def over_stated(height):
+    """Pointwise errors of the derivatives of a drop from there, over the figures that the certificate states."""
+    params = {**SOFT, "drop_height": jnp.asarray(height)}
+    tight, found = (bj.sensitivity(BOUNCE, params, TIMES, NAMES, accuracy=x) for x in ("reference", "balanced"))
+    ratios = []
+    for name in NAMES:
+        best = tight.derivative[name]["contact"]
+        error = norm(TIMES, found.derivative[name]["contact"] - best) / norm(TIMES, best)
+        ratios.append(error / found.certificate.parameters[name].pointwise)
+    return ratios
+
+
+@pytest.mark.slow
+@pytest.mark.xfail(reason="two rungs may agree by luck: 0.05 to 4.8 times the figure was measured", strict=False)
+@pytest.mark.parametrize("height", [0.09, 0.1])
+def test_the_figure_stated_is_not_less_than_the_error_itself(height):
+    assert max(over_stated(height)) < 1.0
+
+
 @pytest.mark.slow
 def test_the_figure_stated_is_the_size_of_the_error():
-    # No bound: two rungs may agree by luck. Of single ones the error was 0.05 to 4.8 times the figure.
-    ratios = []
-    for height in (0.08, 0.09, 0.0999, 0.1, 0.1001, 0.11, 0.12):
-        params = {**SOFT, "drop_height": jnp.asarray(height)}
-        tight, found = (bj.sensitivity(BOUNCE, params, TIMES, NAMES, accuracy=x) for x in ("reference", "balanced"))
-        for name in NAMES:
-            best = tight.derivative[name]["contact"]
-            error = norm(TIMES, found.derivative[name]["contact"] - best) / norm(TIMES, best)
-            ratios.append(error / found.certificate.parameters[name].pointwise)
+    ratios = [ratio for height in (0.08, 0.09, 0.0999, 0.1, 0.1001, 0.11, 0.12) for ratio in over_stated(height)]
     assert np.median(ratios) < 1.0, ratios
 
 

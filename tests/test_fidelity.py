@@ -147,6 +147,13 @@ def made_up(decay=0.0, failure=np.nan):
     return run, calls
 
 
+def test_what_has_not_settled_is_repeated_for_no_budget():
+    params = AUTO.parameters(drive_speed=10.0)
+    told = [fidelity.adaptive(AUTO, params, TIMES, budget, made_up(decay=1e5)[0]).choice for budget in (0.5, 0.01)]
+    assert 0.01 < told[0].errors["periodic"] < 0.5
+    assert told[0].fidelity == told[1].fidelity == "dynamic" and "more than 1 %" in told[0].reason
+
+
 def test_a_motion_that_repeats_is_not_solved_to_the_end():
     run, calls = made_up()
     found = fidelity.adaptive(AUTO, AUTO.parameters(drive_speed=10.0), TIMES, 0.01, run)

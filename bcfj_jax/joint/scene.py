@@ -91,6 +91,11 @@ class Joint(AbstractScene, eqx.Module):
     def _reads(self, contact: JointContact) -> tuple[str, ...]:
         return (*contact.needs, *(("smoothing",) if self.smoothing else ()))
 
+    @property
+    def in_motion(self) -> bool:
+        """Whether its history is one of motion: each instant hangs on those before it."""
+        return self.fidelity in ("dynamic", AUTO)
+
     def horizon(self, params: Params) -> Array:
         """The paper's 3 s."""
         del params

@@ -141,10 +141,10 @@ def _every(given: SceneFile) -> list[Setting]:
     own = Setting(AS_GIVEN, "tolerance", solver, own_error(given), given.resolved, derivatives=moves)
     more = [*(_tolerances(given) if moves else ()), *_fidelities(given), *_knobs(given, moves), *_outputs(given)]
     more += _precisions(given, moves)
-    seen, found = set(), [own]
+    seen, found = {(_same(given.resolved), own.bits)}, [own]
     for setting in sorted(more, key=lambda s: (-s.error, s.group != "tolerance")):
-        key = _same(setting.table) + ("" if setting.bits == 64 else f"{setting.bits}")
-        if key not in seen and key != _same(given.resolved):
+        key = _same(setting.table), setting.bits
+        if key not in seen:
             seen.add(key)
             found.append(setting)
     return found
