@@ -19,22 +19,34 @@ from bcfj_jax.tradeoff.single import single
 from bcfj_jax.tradeoff.trial import loaded, trial
 
 
+def advised(todo, errors):
+    """What is recommended of settings with these errors, the tighter the dearer."""
+    rows = [
+        dict.fromkeys(advice.MAIN, error) | {"setting": s.name, "status": "ok", "wall_s": 1.0 / s.error}
+        for s, error in zip(todo, errors, strict=True)
+    ]
+    truth = reference.Reference(SimpleNamespace(), None, {"errors": dict.fromkeys(advice.MAIN, 1e-9)})
+    return advice.recommended(study.Study(todo, rows, truth, False))
+
+
 def test_advice_takes_no_lucky_rung():
     """One rung right by luck between two wrong ones; a solver that was lost on another rung."""
-    given = load("bounce")
-    todo = [s for s in settings(given) if s.ladder in ("tsit5", "dopri8") and s.group == "tolerance"]
-    rows = []
-    for s in todo:
-        error = {"tsit5": s.error, "dopri8": 1e-6}[s.ladder]
-        error = {("tsit5", 0.1): 1e-6, ("dopri8", 1e-3): 30.0}.get((s.ladder, s.error), error)
-        wall = 1.0 / s.error
-        rows.append(dict.fromkeys(advice.MAIN, error) | {"setting": s.name, "status": "ok", "wall_s": wall})
-    truth = reference.Reference(SimpleNamespace(), None, {"errors": dict.fromkeys(advice.MAIN, 1e-9)})
-    found = advice.recommended(study.Study(todo, rows, truth, False))
+    todo = [s for s in settings(load("bounce")) if s.ladder in ("tsit5", "dopri8") and s.group == "tolerance"]
+    lucky = {("tsit5", 0.1): 1e-6, ("dopri8", 1e-3): 30.0}
+    usual = {"tsit5": 1.0, "dopri8": 0.0}
+    found = advised(todo, [lucky.get((s.ladder, s.error), max(usual[s.ladder] * s.error, 1e-6)) for s in todo])
     # Twice the error of the next looser rung has to fit, and of every tighter one: not 10 %, with its 1e-6.
     assert found["10 %"]["setting"] == "tsit5 at 5 %"
     assert found["1 %"]["setting"] == "tsit5 at 0.2 %"
     assert not any("dopri8" in one["setting"] for one in found.values())
+
+
+def test_advice_asks_for_no_less_than_its_budget():
+    """However right a loose rung is on the scene itself."""
+    todo = [s for s in settings(load("bounce")) if s.ladder == "tsit5" and s.group == "tolerance"]
+    found = advised(todo, [1e-9] * len(todo))
+    told = {budget: next(s.error for s in todo if s.name == one["setting"]) for budget, one in found.items()}
+    assert told == {"10 %": 0.1, "5 %": 0.05, "2 %": 0.02, "1 %": 0.01, "0.5 %": 5e-3, "0.1 %": 1e-3}
 
 
 def test_errors_of_known_histories():
