@@ -30,9 +30,9 @@ types: $(TOOLS)
 	$(BIN)/pyright
 
 bench: $(RUNTIME)
-	$(BIN)/python benchmarks/demo.py
-	$(BIN)/python benchmarks/times.py
-	$(BIN)/python benchmarks/accuracy.py
+	$(BIN)/python -m benchmarks.calibration.demo
+	$(BIN)/python -m benchmarks.solve.times
+	$(BIN)/python -m benchmarks.solve.accuracy
 
 clean:
 	rm -rf .venv build

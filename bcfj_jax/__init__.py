@@ -19,49 +19,55 @@ import jax as _jax
 _jax.config.update("jax_enable_x64", True)
 
 if TYPE_CHECKING:
-    from bcfj_jax import laws as laws
-    from bcfj_jax import nonlinear as nonlinear
-    from bcfj_jax import restitution as restitution
-    from bcfj_jax import scenes as scenes
-    from bcfj_jax import stiffness as stiffness
-    from bcfj_jax.derivatives.curvature import hessian_vector as hessian_vector
-    from bcfj_jax.derivatives.ladder import smoothing_ladder as smoothing_ladder
-    from bcfj_jax.derivatives.sensitivity import Sensitivity as Sensitivity
-    from bcfj_jax.derivatives.sensitivity import sensitivity as sensitivity
-    from bcfj_jax.designs.api import design as design
-    from bcfj_jax.designs.space import Free as Free
-    from bcfj_jax.errors import InputError as InputError
-    from bcfj_jax.errors import nearest as nearest
-    from bcfj_jax.scene import Body as Body
-    from bcfj_jax.scene import Contact as Contact
-    from bcfj_jax.scene import Load as Load
-    from bcfj_jax.scene import Scene as Scene
-    from bcfj_jax.scene import check_value as check_value
-    from bcfj_jax.simulation import Run as Run
-    from bcfj_jax.simulation import force_history as force_history
-    from bcfj_jax.simulation import simulate as simulate
-    from bcfj_jax.studies.api import study as study
+    from bcfj_jax.analysis import nonlinear as nonlinear
+    from bcfj_jax.analysis.derivatives.curvature import hessian_vector as hessian_vector
+    from bcfj_jax.analysis.derivatives.ladder import smoothing_ladder as smoothing_ladder
+    from bcfj_jax.analysis.derivatives.sensitivity import Sensitivity as Sensitivity
+    from bcfj_jax.analysis.derivatives.sensitivity import sensitivity as sensitivity
+    from bcfj_jax.analysis.designs.api import design as design
+    from bcfj_jax.analysis.designs.space import Free as Free
+    from bcfj_jax.analysis.studies.api import study as study
+    from bcfj_jax.contact import laws as laws
+    from bcfj_jax.contact import restitution as restitution
+    from bcfj_jax.contact import stiffness as stiffness
+    from bcfj_jax.core.errors import InputError as InputError
+    from bcfj_jax.core.errors import nearest as nearest
+    from bcfj_jax.mechanism.scene import Body as Body
+    from bcfj_jax.mechanism.scene import Contact as Contact
+    from bcfj_jax.mechanism.scene import Load as Load
+    from bcfj_jax.mechanism.scene import Scene as Scene
+    from bcfj_jax.mechanism.scene import check_value as check_value
+    from bcfj_jax.models import scenes as scenes
+    from bcfj_jax.solve.simulation import Run as Run
+    from bcfj_jax.solve.simulation import force_history as force_history
+    from bcfj_jax.solve.simulation import simulate as simulate
 
-# Public names by the module that holds them; a module's own name stands for the module.
+# Public names by the module that holds them; a name of its own stands for a module.
 _PUBLIC = {
-    **{module: module for module in ("laws", "nonlinear", "restitution", "scenes", "stiffness")},
-    **{name: "errors" for name in ("InputError", "nearest")},
-    **{name: "scene" for name in ("Body", "Contact", "Load", "Scene", "check_value")},
-    **{name: "simulation" for name in ("Run", "force_history", "simulate")},
-    **{name: "derivatives.sensitivity" for name in ("Sensitivity", "sensitivity")},
-    "study": "studies.api",
-    "design": "designs.api",
-    "Free": "designs.space",
-    "smoothing_ladder": "derivatives.ladder",
-    "hessian_vector": "derivatives.curvature",
+    "laws": "contact.laws",
+    "restitution": "contact.restitution",
+    "stiffness": "contact.stiffness",
+    "scenes": "models.scenes",
+    "nonlinear": "analysis.nonlinear",
+    **{name: "core.errors" for name in ("InputError", "nearest")},
+    **{name: "mechanism.scene" for name in ("Body", "Contact", "Load", "Scene")},
+    "check_value": "core.quantities",
+    **{name: "solve.simulation" for name in ("Run", "force_history", "simulate")},
+    **{name: "analysis.derivatives.sensitivity" for name in ("Sensitivity", "sensitivity")},
+    "study": "analysis.studies.api",
+    "design": "analysis.designs.api",
+    "Free": "analysis.designs.space",
+    "smoothing_ladder": "analysis.derivatives.ladder",
+    "hessian_vector": "analysis.derivatives.curvature",
 }
+_MODULES = ("laws", "restitution", "stiffness", "scenes", "nonlinear")
 
 
 def __getattr__(name: str) -> object:
     if name not in _PUBLIC:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
     module = importlib.import_module(f"{__name__}.{_PUBLIC[name]}")
-    value = module if _PUBLIC[name] == name else getattr(module, name)
+    value = module if name in _MODULES else getattr(module, name)
     globals()[name] = value
     return value
 

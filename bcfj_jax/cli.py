@@ -14,9 +14,9 @@ from typing import Annotated
 
 import typer
 
-from bcfj_jax.compile_cache import use_compile_cache
-from bcfj_jax.errors import InputError
-from bcfj_jax.stop import heeded
+from bcfj_jax.core.compile_cache import use_compile_cache
+from bcfj_jax.core.errors import InputError
+from bcfj_jax.io.stop import heeded
 
 DONE, BAD_INPUT, SIMULATION_FAILED, INTERRUPTED = 0, 2, 3, 5
 
@@ -62,7 +62,7 @@ def _guarded(verb: Callable[..., int]) -> Callable[..., None]:
 
 def _show_version(wanted: bool) -> None:
     if wanted:
-        from bcfj_jax.provenance import version
+        from bcfj_jax.io.provenance import version
 
         typer.echo(f"bcfj-jax {version()}")
         raise typer.Exit(DONE)
@@ -86,10 +86,10 @@ def simulate(
     """Run a scene: forces.csv, summary.json, pictures and report.html."""
     # First: JAX decides at its first compilation, which reading a scene may be, whether there is a cache.
     use_compile_cache()
-    from bcfj_jax import simulation_results
-    from bcfj_jax.outputs import open_folder
-    from bcfj_jax.scenefile import load, quickest
-    from bcfj_jax.simulation import simulate as run_scene
+    from bcfj_jax.io import simulation_results
+    from bcfj_jax.io.outputs import open_folder
+    from bcfj_jax.io.scenefile import load, quickest
+    from bcfj_jax.solve.simulation import simulate as run_scene
 
     given = quickest(load(scene))
     stem = given.source.stem if given.source else scene
@@ -145,7 +145,7 @@ def sensitivity(
 ) -> int:
     """Differentiate a run: sensitivity.csv, certificate.json, a ranked table, pictures and report.html."""
     use_compile_cache()
-    from bcfj_jax.derivatives import command
+    from bcfj_jax.analysis.derivatives import command
 
     names, wanted = ([n.strip() for n in text.split(",") if n.strip()] for text in (wrt, features))
     text, good = command.run(scene, names, wanted, certify, out, _log)
@@ -168,7 +168,7 @@ def tradeoff(
     code 5), after a crash, and with what the budget left out.
     """
     use_compile_cache()
-    from bcfj_jax.tradeoff import command
+    from bcfj_jax.analysis.tradeoff import command
 
     wanted = [name.strip() for name in only.split(",") if name.strip()]
     text, code = command.run(scene, wanted, derivatives, budget, out, _log)
@@ -195,8 +195,8 @@ def init(
     out: Annotated[Path | None, typer.Option("--out", help="Folder for SCENE.toml; by default this one.")] = None,
 ) -> int:
     """Write a commented scene file to start from."""
-    from bcfj_jax.outputs import open_folder, write_text
-    from bcfj_jax.scenetemplate import template
+    from bcfj_jax.io.outputs import open_folder, write_text
+    from bcfj_jax.io.scenetemplate import template
 
     text, name = template(scene), f"{scene}.toml"
     path = open_folder(out or Path("."), "init", scene, [name]) / name
@@ -218,7 +218,7 @@ Scheduler = Annotated[str | None, typer.Option(help="Dask scheduler that shall d
 
 def _study(study: str, out: Path | None, workers: int | None, scheduler: str | None, dry: bool, resuming: bool) -> int:
     use_compile_cache()
-    from bcfj_jax.studies import command
+    from bcfj_jax.analysis.studies import command
 
     text, code = command.run(study, out, workers, scheduler, dry, _log, resuming)
     typer.echo(text)
@@ -245,7 +245,7 @@ def study_resume(study: StudyFile, out: StudyOut = None, workers: Workers = None
 @_guarded
 def study_status(study: StudyFile, out: StudyOut = None) -> int:
     """Say what is finished, what failed and what is left (then the exit code is 5)."""
-    from bcfj_jax.studies import command
+    from bcfj_jax.analysis.studies import command
 
     text, code = command.status(study, out)
     typer.echo(text)
@@ -256,7 +256,7 @@ def study_status(study: StudyFile, out: StudyOut = None) -> int:
 @_guarded
 def study_merge(study: StudyFile, out: StudyOut = None, other: Others = None) -> int:
     """Take in blocks that were computed elsewhere, and write results.parquet when none is missing."""
-    from bcfj_jax.studies import command
+    from bcfj_jax.analysis.studies import command
 
     text, code = command.merge(study, out, other or [])
     typer.echo(text)
@@ -272,7 +272,7 @@ Slopes = Annotated[bool, typer.Option(help="Whether to use the study's derivativ
 @_guarded
 def study_indices(study: StudyFile, out: StudyOut = None, feature: Features = None, seed: Seed = 0) -> int:
     """Say how much of each feature's variation each parameter brings: a table, indices.json and bars."""
-    from bcfj_jax.studies import indices_command
+    from bcfj_jax.analysis.studies import indices_command
 
     text, code = indices_command.run(study, out, feature or [], seed)
     typer.echo(text)
@@ -284,7 +284,7 @@ def study_indices(study: StudyFile, out: StudyOut = None, feature: Features = No
 def study_surface(study: StudyFile, out: StudyOut = None, feature: Features = None, derivatives: Slopes = True) -> int:
     """Lay a response surface through each feature: its errors, surface.json and a picture a feature."""
     use_compile_cache()
-    from bcfj_jax.studies import surface_command
+    from bcfj_jax.analysis.studies import surface_command
 
     text, code = surface_command.run(study, out, feature or [], derivatives)
     typer.echo(text)

@@ -3,13 +3,13 @@
 Reading order: ``problem`` (plain data), ``model`` (residuals), ``search`` (optima), ``judge`` (tests), ``fit``.
 """
 
-from calibration.choice import choose as choose
 from calibration.fit import Fit as Fit
 from calibration.fit import fit as fit
-from calibration.next_experiment import Candidate as Candidate
-from calibration.next_experiment import next_experiment as next_experiment
 from calibration.problem import Channel as Channel
 from calibration.problem import Experiment as Experiment
 from calibration.problem import Free as Free
 from calibration.problem import Problem as Problem
 from calibration.problemfile import load as load
+from calibration.selection.choice import choose as choose
+from calibration.selection.next_experiment import Candidate as Candidate
+from calibration.selection.next_experiment import next_experiment as next_experiment

@@ -8,19 +8,21 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from bcfj_jax import InputError, outputs, report, scenefile, tables
-from bcfj_jax.journal import NAME, Journal, key_of
-from bcfj_jax.stop import heeded
-from bcfj_jax.units import format_si
-from calibration import choice, plots, plots_uncertainty
-from calibration.alternatives import Outcome, solve
+from bcfj_jax import InputError
+from bcfj_jax.io import outputs, report, scenefile, tables
+from bcfj_jax.io.journal import NAME, Journal, key_of
+from bcfj_jax.io.stop import heeded
+from bcfj_jax.io.units import format_si
 from calibration.data import plot as dataplot
 from calibration.fit import AllStartsFailed, Fit, Parameter
-from calibration.next_experiment import as_json as candidates_json
-from calibration.next_experiment import table as candidates_table
 from calibration.problem import Problem
 from calibration.problemfile import load, prepared, sources
-from calibration.search import Interrupted
+from calibration.report import plots, plots_uncertainty
+from calibration.search.starts import Interrupted
+from calibration.selection import choice
+from calibration.selection.alternatives import Outcome, solve
+from calibration.selection.next_experiment import as_json as candidates_json
+from calibration.selection.next_experiment import table as candidates_table
 from calibration.uncertainty import intervals as uncertainty
 
 DONE, FAILED, NOT_IDENTIFIED, INTERRUPTED = 0, 3, 4, 5

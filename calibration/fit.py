@@ -8,25 +8,26 @@ from typing import Any
 import numpy as np
 
 from bcfj_jax import InputError
-from bcfj_jax.journal import Journal
-from calibration import check, integration, judge, where
-from calibration.averaging import averaged, stepped
-from calibration.clearance import clearance_tests, whole_contact_test
-from calibration.effort import effort
-from calibration.estimates import Parameter as Parameter
-from calibration.estimates import Reference as Reference
-from calibration.estimates import estimates
-from calibration.evaluate import evaluator, loosened
-from calibration.model import Model, build, values_at
-from calibration.noise import Estimate
-from calibration.polish import End
+from bcfj_jax.io.journal import Journal
+from calibration.diagnostics import fit_tests, influence, misfit_location
+from calibration.diagnostics.clearance import clearance_tests, whole_contact_test
+from calibration.diagnostics.records import Record, features_of, hold_out, records_of, rms, series_of
+from calibration.diagnostics.residual_tests import residual_tests
+from calibration.forward import integration
+from calibration.forward.model import Model, build, values_at
+from calibration.forward.runs import commonest_failure, contacts, failure
+from calibration.noise.averaging import averaged, stepped
+from calibration.noise.estimation import settle
+from calibration.noise.noise_model import Estimate
 from calibration.problem import Experiment, Problem
-from calibration.records import Record, features_of, hold_out, records_of, rms, series_of
-from calibration.runs import commonest_failure, contacts, failure
-from calibration.search import Screen, by_cost, lanes, reference_depth, screen, search
-from calibration.settle import settle
+from calibration.search.evaluate import evaluator, loosened
+from calibration.search.refinement import End
+from calibration.search.starts import Screen, by_cost, lanes, reference_depth, screen, search
+from calibration.solver_budget import effort
+from calibration.uncertainty.estimates import Parameter as Parameter
+from calibration.uncertainty.estimates import Reference as Reference
+from calibration.uncertainty.estimates import estimates
 from calibration.uncertainty.intervals import Evidence, check_kind, revised
-from calibration.whiteness import residual_tests
 
 # Failed points of a design that are asked why.
 _ASKED = 16
@@ -51,7 +52,7 @@ class Optimum:
     model: Model
     end: End
     log_depth: float
-    spread: judge.Spread
+    spread: fit_tests.Spread
     noise: Estimate
 
 
@@ -60,14 +61,14 @@ class Fit:
     """Outcome of a calibration; ``verdict`` first.
 
     ``noise`` is what was estimated of it: by channel its "sigma" [N] and "correlation" [s]. ``check`` is what could be
-    said before the solve (``check.at_start``). ``notes`` say what a reader must know though nothing failed.
+    said before the solve (``influence.at_start``). ``notes`` say what a reader must know though nothing failed.
     """
 
     verdict: str
     reasons: list[str]
     parameters: dict[str, Parameter]
     reference: Reference | None
-    tests: list[judge.Test]
+    tests: list[fit_tests.Test]
     starts: list[dict[str, Any]]
     residual: dict[str, Any]
     held_out: dict[str, dict[str, float]] | None
@@ -112,7 +113,7 @@ def fit(
     if starts < 4:
         raise InputError("starts", f"{starts}", "use at least 4: agreement of fewer proves nothing")
     check_kind(intervals)
-    check.refuse_data(problem)
+    influence.refuse_data(problem)
     fitted = tuple(e for e in problem.experiments if not e.hold_out)
     model = build(problem, fitted)
     labels = tuple(slot.label(fitted) for slot in model.slots)
@@ -155,7 +156,7 @@ def _checked(
         point = model.point(values_at(model, point, 0.0), depth)
     if given:
         point = model.point(given[0], depth)
-    return check.at_start(problem, model, labels, point, depth, screened.reach, check.floor(fitted))
+    return influence.at_start(problem, model, labels, point, depth, screened.reach, influence.floor(fitted))
 
 
 def _judge(
@@ -172,18 +173,18 @@ def _judge(
 ) -> Fit:
     best = ends[0]
     samples = sum(e.samples for e in fitted)
-    spread = judge.spread(best, samples, noise.moved, model.loss)
+    spread = fit_tests.spread(best, samples, noise.moved, model.loss)
     if effort(model.scene).rough and spread.covariance is not None:
         # Loosely: a mean needs no more digits, and tight steps follow swings that the mean is to smooth.
         best = averaged(evaluator(loosened(model), log_depth), best, spread.covariance)
         best = stepped(evaluator(model, log_depth), best) if model.loss == "linear" else best
-        spread = judge.spread(best, samples, noise.moved, model.loss)
+        spread = fit_tests.spread(best, samples, noise.moved, model.loss)
     records = records_of(model, fitted, best.point, log_depth, False)
     seen = contacts(model, best.point, log_depth)
     errors = integration.errors(model, best.point, log_depth, best.residuals)
     tests = [
-        *judge.agreement((best, *ends[1:]), spread.covariance, errors, effort(model.scene).rough),
-        judge.integration_test(errors, best.jacobian),
+        *fit_tests.agreement((best, *ends[1:]), spread.covariance, errors, effort(model.scene).rough),
+        fit_tests.integration_test(errors, best.jacobian),
     ]
     # A rival that fits as well is another answer, not a failed search.
     kinds = ("not_converged", "not_identified", "not_converged")
@@ -207,7 +208,7 @@ def _judge(
     identification += others
     verdicts |= {"not_identified" for t in identification if not t.passed}
     tests += quality + identification
-    verdict = judge.order(verdicts)
+    verdict = fit_tests.order(verdicts)
     if verdict != "identified":
         parameters = {name: replace(p, ci95=None) for name, p in parameters.items()}
         reference = reference and replace(reference, ci95=None)
@@ -219,7 +220,8 @@ def _judge(
     sigma = np.sqrt(np.diag(spread.covariance)) if spread.covariance is not None else None
     return Fit(
         verdict=verdict,
-        reasons=[t.reason for t in tests if not t.passed] + (where.reasons(records) if "misfit" in verdicts else []),
+        reasons=[t.reason for t in tests if not t.passed]
+        + (misfit_location.reasons(records) if "misfit" in verdicts else []),
         parameters=parameters,
         reference=reference,
         tests=tests,

@@ -8,11 +8,11 @@ from typing import Literal
 import numpy as np
 
 from bcfj_jax import InputError, check_value, nearest
-from bcfj_jax.derivatives.jacobian import channel_names, channels
-from bcfj_jax.derivatives.names import feature
-from bcfj_jax.quantities import Quantity
-from bcfj_jax.scene import AbstractScene
-from calibration.effort import effort
+from bcfj_jax.analysis.derivatives.jacobian import channel_names, channels
+from bcfj_jax.analysis.derivatives.names import feature
+from bcfj_jax.core.quantities import Quantity
+from bcfj_jax.mechanism.scene import AbstractScene
+from calibration.solver_budget import effort
 
 # Nuisance parameters of the measuring chain: reading(t) = gain L[F](t - time_offset) + force_offset, with L a sensor of
 # first order, y' = 2 pi bandwidth (F - y).

@@ -21,9 +21,11 @@ from typing import Any, Literal
 import numpy as np
 import pydantic
 
-from bcfj_jax import InputError, nearest, scenefile, scenes, tables
-from bcfj_jax.quantities import Quantity
-from bcfj_jax.units import quantity
+from bcfj_jax import InputError, nearest
+from bcfj_jax.core.quantities import Quantity
+from bcfj_jax.io import scenefile, tables
+from bcfj_jax.io.units import quantity
+from bcfj_jax.models import scenes
 from calibration.data import stated
 from calibration.data.preparation import Prepared, Recipe, prepare
 from calibration.data.readers import read

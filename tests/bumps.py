@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 
 from bcfj_jax import laws
-from bcfj_jax.scene import Body, Contact, Load, Scene
+from bcfj_jax.mechanism.scene import Body, Contact, Load, Scene
 
 
 def _gap(q, params):

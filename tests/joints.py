@@ -11,12 +11,12 @@ import numpy as np
 from hypothesis import strategies as st
 
 import bcfj_jax as bj
-from bcfj_jax.joint import system
-from bcfj_jax.joint.arrowhead import Arrowhead
-from bcfj_jax.joint.constants import constants as make_constants
-from bcfj_jax.joint.scales import scales
-from bcfj_jax.joint.start import nominal
-from bcfj_jax.solvers.rodas import Rodas
+from bcfj_jax.models.joint import system
+from bcfj_jax.models.joint.arrowhead import Arrowhead
+from bcfj_jax.models.joint.constants import constants as make_constants
+from bcfj_jax.models.joint.scales import scales
+from bcfj_jax.models.joint.start import nominal
+from bcfj_jax.solve.rodas import Rodas
 
 SEEDS = st.integers(0, 2**31 - 1)
 JOINT = bj.scenes.joint()

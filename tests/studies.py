@@ -6,9 +6,9 @@ import tomllib
 
 import numpy as np
 
-from bcfj_jax.studies.design import Axis
-from bcfj_jax.studies.finished import Finished
-from bcfj_jax.studies.specification import Study, from_table
+from bcfj_jax.analysis.studies.design import Axis
+from bcfj_jax.analysis.studies.finished import Finished
+from bcfj_jax.analysis.studies.specification import Study, from_table
 
 STUDY = """
 scene = "impact"

@@ -6,12 +6,12 @@ import os
 import re
 from pathlib import Path
 
-import _common
-import accuracy
-import demo
 import pytest
-import times
-from _common import load
+
+from benchmarks import common
+from benchmarks.calibration import demo
+from benchmarks.common import load
+from benchmarks.solve import accuracy, times
 
 ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text()
@@ -26,7 +26,7 @@ def test_the_joints_table_is_that_of_the_kept_results(monkeypatch):
     # The benchmark asks for one thread where it is imported: of itself alone.
     for name in ("XLA_FLAGS", "EQX_ON_ERROR"):
         monkeypatch.setenv(name, os.environ.get(name, ""))
-    import joint
+    from benchmarks.models import joint
 
     shown = re.search(r"<!-- joint: begin -->\n(.*?)\n<!-- joint: end -->", README, re.DOTALL)
     assert shown and shown[1] == joint.readme()
@@ -55,12 +55,12 @@ def test_python_examples_run(monkeypatch):
 
 
 def test_a_table_is_put_between_its_markers_and_nowhere_else(tmp_path, monkeypatch):
-    monkeypatch.setattr(_common, "ROOT", tmp_path)
+    monkeypatch.setattr(common, "ROOT", tmp_path)
     readme = tmp_path / "README.md"
     readme.write_text("before\n<!-- x: begin -->\n<!-- x: end -->\nafter\n")
     for table in ("first", "second"):
-        _common.put_in_readme("x", table)
+        common.put_in_readme("x", table)
         assert readme.read_text() == f"before\n<!-- x: begin -->\n{table}\n<!-- x: end -->\nafter\n"
     with pytest.raises(ValueError, match=r"README\.md: the markers '<!-- y: begin"):
-        _common.put_in_readme("y", "lost")
+        common.put_in_readme("y", "lost")
     assert "second" in readme.read_text()

@@ -10,18 +10,18 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from bcfj_jax import outputs, report
-from bcfj_jax.joint.scene import Joint
+from bcfj_jax.io import outputs, report
+from bcfj_jax.io.units import format_si
+from bcfj_jax.mechanism.scene import Params
+from bcfj_jax.models.joint.scene import Joint
+from bcfj_jax.models.scenes import joint
 from bcfj_jax.reproduction import pictures, tables
 from bcfj_jax.reproduction.claims import CLAIMS, FIGURE
 from bcfj_jax.reproduction.fit import ERROR, PeakFit, fit, targets
 from bcfj_jax.reproduction.measures import Inequality, Measured, inequalities, measure
 from bcfj_jax.reproduction.peaks import TARGETS
 from bcfj_jax.reproduction.record import ACCURACY, END, STEP, Record, record
-from bcfj_jax.scene import Params
-from bcfj_jax.scenes import joint
-from bcfj_jax.simulation import Run
-from bcfj_jax.units import format_si
+from bcfj_jax.solve.simulation import Run
 
 FILES = ("reproduce.json", "reproduce.md", "report.html", "environment.json", "run.toml", *pictures.FILES)
 TITLE = "The paper's run beside the model"

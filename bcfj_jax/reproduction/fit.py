@@ -16,9 +16,9 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import qmc
 
+from bcfj_jax.mechanism.scene import Params
 from bcfj_jax.reproduction.claims import claim
 from bcfj_jax.reproduction.peaks import TARGETS, peaks, still_scene
-from bcfj_jax.scene import Params
 
 # What a peak of the paper is taken to be known to: a share of it. A GUESS; the paper states no error.
 ERROR = 0.05

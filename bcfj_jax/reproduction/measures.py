@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bcfj_jax import features, histories
-from bcfj_jax.errors import InputError
+from bcfj_jax.analysis import features, histories
+from bcfj_jax.core.errors import InputError
 from bcfj_jax.reproduction.claims import claim
 from bcfj_jax.reproduction.record import Balance
-from bcfj_jax.simulation import Run
+from bcfj_jax.solve.simulation import Run
 
 # Share of the run that counts as its start.
 _EARLY = 0.4

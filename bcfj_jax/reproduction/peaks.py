@@ -12,10 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.joint.quasistatic import Found, quasistatic_forces, quasistatic_places
-from bcfj_jax.joint.scene import Joint
-from bcfj_jax.scene import Params
-from bcfj_jax.scenes import joint
+from bcfj_jax.mechanism.scene import Params
+from bcfj_jax.models.joint.quasistatic import Found, quasistatic_forces, quasistatic_places
+from bcfj_jax.models.joint.scene import Joint
+from bcfj_jax.models.scenes import joint
 
 # The numbers fitted, in this order, and the claims they are of; Q23 is a range, and so two numbers.
 TARGETS = ("Q20", "Q21", "Q23 least", "Q23 greatest", "Q26", "Q27")

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bcfj_jax import features, plots
+from bcfj_jax.analysis import features
+from bcfj_jax.io import plots
 from bcfj_jax.reproduction.claims import claim
 from bcfj_jax.reproduction.measures import ORDER, WINDOW_AXIAL, WINDOW_NORMAL, resultant
-from bcfj_jax.simulation import Run
+from bcfj_jax.solve.simulation import Run
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

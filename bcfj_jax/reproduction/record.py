@@ -13,14 +13,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.dynamics import Reading
-from bcfj_jax.integrate import Plan, Solution, integrate, plan
-from bcfj_jax.joint.constants import constants
-from bcfj_jax.joint.observe import observe
-from bcfj_jax.joint.scene import Joint
-from bcfj_jax.joint.system import on_bodies, touches, view
-from bcfj_jax.scene import Params
-from bcfj_jax.simulation import Run, story
+from bcfj_jax.mechanism.dynamics import Reading
+from bcfj_jax.mechanism.scene import Params
+from bcfj_jax.models.joint.constants import constants
+from bcfj_jax.models.joint.observe import observe
+from bcfj_jax.models.joint.scene import Joint
+from bcfj_jax.models.joint.system import on_bodies, touches, view
+from bcfj_jax.solve.integrate import Plan, Solution, integrate, plan
+from bcfj_jax.solve.simulation import Run, story
 
 END, STEP, INSTANT = 3.0, 1e-3, 1.51
 # Of a force error in fractions of the peak, as ``simulate`` takes it.

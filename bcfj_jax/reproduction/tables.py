@@ -6,13 +6,13 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bcfj_jax.joint.defaults import DEFAULTS
+from bcfj_jax.io.units import format_si
+from bcfj_jax.mechanism.scene import Params
+from bcfj_jax.models.joint.defaults import DEFAULTS
 from bcfj_jax.reproduction.claims import CLAIMS, FIGURE, INPUT, Claim
 from bcfj_jax.reproduction.fit import ERROR, KNOWN, UNKNOWNS, PeakFit, combination, targets
 from bcfj_jax.reproduction.measures import Inequality, Measured
 from bcfj_jax.reproduction.peaks import TARGETS
-from bcfj_jax.scene import Params
-from bcfj_jax.units import format_si
 
 HEAD = ["id", "quantity", "paper", "as given", "calibrated", "remark"]
 FITTED_TO = "Q20, Q21, Q23, Q26, Q27"

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from bcfj_jax import InputError
-from bcfj_jax.units import format_si
+from bcfj_jax.io.units import format_si
 from calibration.data.table import Table
 
 # A step of the clock that much above all but the longest tenth of the steps is a gap.

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bcfj_jax.plots import COLOURS, engineering, label, panels
+from bcfj_jax.io.plots import COLOURS, engineering, label, panels
 from calibration.data.inspection import TOUCHING
 from calibration.data.preparation import Prepared
 

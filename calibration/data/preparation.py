@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bcfj_jax import InputError
-from bcfj_jax.units import format_si
+from bcfj_jax.io.units import format_si
 from calibration.data.inspection import (
     TOUCHING,
     channel_notes,

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bcfj_jax import InputError, nearest
-from bcfj_jax.units import column
+from bcfj_jax.io.units import column
 from calibration.data import table
 from calibration.data.table import Table
 

@@ -7,7 +7,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt
 
 from bcfj_jax import InputError
-from bcfj_jax.units import format_si
+from bcfj_jax.io.units import format_si
 
 # The low-pass against aliasing: order of each of its two passes, its edge as a share of the new rate, and how many
 # samples its passes need at the ends.

@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bcfj_jax import InputError, nearest
-from bcfj_jax.derivatives.names import UNITS
-from bcfj_jax.units import quantity
+from bcfj_jax.analysis.derivatives.names import UNITS
+from bcfj_jax.io.units import quantity
 from calibration.problem import Observation
 
 _OF_READING = re.compile(r"(.*%)\s*of\s+(?:the\s+)?reading")

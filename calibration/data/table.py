@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from bcfj_jax import InputError, nearest
-from bcfj_jax.units import column, scale_of
+from bcfj_jax.io.units import column, scale_of
 
 # An unfiltered column of one of these names numbers runs: each of its values is an experiment.
 RUN_COLUMNS = ("run", "experiment", "trial")

@@ -12,8 +12,8 @@ from typing import Any
 
 from petab.v2.models.model import Model
 
-from bcfj_jax.outputs import write_toml
-from bcfj_jax.scene import AbstractScene
+from bcfj_jax.io.outputs import write_toml
+from bcfj_jax.mechanism.scene import AbstractScene
 from calibration.problem import NUISANCES
 
 LANGUAGE = "bcfj"

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from bcfj_jax import InputError, nearest, scenefile
-from bcfj_jax.derivatives.names import UNITS
+from bcfj_jax import InputError, nearest
+from bcfj_jax.analysis.derivatives.names import UNITS
+from bcfj_jax.io import scenefile
 from calibration.data.readers import library
 from calibration.problem import COMPONENTS, NUISANCES, Channel, Experiment, Free, Observation, Problem
 

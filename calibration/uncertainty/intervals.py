@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from bcfj_jax import InputError
-from calibration import judge
-from calibration.effort import effort
-from calibration.estimates import Parameter, Reference
-from calibration.model import Model
+from calibration.diagnostics import fit_tests
+from calibration.forward.model import Model
+from calibration.solver_budget import effort
 from calibration.uncertainty import posterior, profile
+from calibration.uncertainty.estimates import Parameter, Reference
 from calibration.uncertainty.posterior import WORST_RHAT, Chains, Posterior
 from calibration.uncertainty.profile import Profile
 
@@ -70,15 +70,15 @@ def revised(
     labels: Sequence[str],
     place: np.ndarray,
     log_depth: float,
-    quality: judge.Spread,
+    quality: fit_tests.Spread,
     parameters: dict[str, Parameter],
     reference: Reference | None,
-    tests: list[judge.Test],
+    tests: list[fit_tests.Test],
     *,
     estimated: Sequence[str],
     lanes: int,
     seed: int,
-) -> tuple[dict[str, Parameter], Reference | None, list[judge.Test], Evidence]:
+) -> tuple[dict[str, Parameter], Reference | None, list[fit_tests.Test], Evidence]:
     """Estimates and their tests with the intervals that were asked for.
 
     With "covariance", a parameter whose cost does not rise as the covariance says gets its profile's interval instead,
@@ -100,7 +100,9 @@ def revised(
         )
         ends, why = drawn.intervals, dict.fromkeys(labels, drawn.refusal)
         told = f"posterior: {drawn.refusal}"
-        mixed = judge.Test("chains of the posterior", float(np.max(drawn.rhat)), WORST_RHAT, not drawn.refusal, told)
+        mixed = fit_tests.Test(
+            "chains of the posterior", float(np.max(drawn.rhat)), WORST_RHAT, not drawn.refusal, told
+        )
         parameters, reference = _replaced(kind, model, labels, parameters, reference, ends)
         return parameters, reference, [*_retested(model, labels, tests, ends, why), mixed], Evidence(posterior=drawn)
     failed = {t.name for t in tests if not t.passed}
@@ -131,11 +133,11 @@ def _replaced(
     changed = dict(parameters)
     for slot, name in zip(model.slots, labels, strict=True):
         if name in ends:
-            known = _half(ends[name], slot.log) < judge.widest(slot)
+            known = _half(ends[name], slot.log) < fit_tests.widest(slot)
             own = ends[name] if known else None
             changed[name] = replace(parameters[name], ci95=own, identifiable=known, interval_kind=kind)
     if reference and "reference_force" in ends:
-        known = _half(ends["reference_force"], True) < np.log(judge.WIDEST_FACTOR)
+        known = _half(ends["reference_force"], True) < np.log(fit_tests.WIDEST_FACTOR)
         reference = replace(reference, ci95=ends["reference_force"] if known else None, interval_kind=kind)
     return changed, reference
 
@@ -150,18 +152,18 @@ def _half(ends: tuple[float, float] | None, log: bool) -> float:
 def _retested(
     model: Model,
     labels: Sequence[str],
-    tests: list[judge.Test],
+    tests: list[fit_tests.Test],
     ends: Mapping[str, tuple[float, float] | None],
     why: Mapping[str, str],
-) -> list[judge.Test]:
+) -> list[fit_tests.Test]:
     """Tests of the covariance's intervals give way to those of the intervals that replace them."""
     changed = []
     for slot, name in zip(model.slots, labels, strict=True):
         if name in ends:
-            half, limit = _half(ends[name], slot.log), judge.widest(slot)
+            half, limit = _half(ends[name], slot.log), fit_tests.widest(slot)
             reason = f"the data do not determine {name}: they allow a factor or share beyond the limit"
             reason = why[name] if ends[name] is None else reason
-            changed.append(judge.Test(f"{name} determined", half, limit, half < limit, reason))
+            changed.append(fit_tests.Test(f"{name} determined", half, limit, half < limit, reason))
     gone = {f"interval of {name}" for name in ends} | {t.name for t in changed}
     # That direction is the covariance's: where every parameter turns out bounded it is not weak.
     if set(labels) <= set(ends) and all(t.passed for t in changed):

@@ -17,9 +17,9 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax import InputError
-from bcfj_jax.directions import with_jacobian
-from calibration.losses import loss_of
-from calibration.model import Model
+from bcfj_jax.solve.batched_jvp import with_jacobian
+from calibration.forward.losses import loss_of
+from calibration.forward.model import Model
 
 # Gelman and Rubin's statistic above which chains have not mixed.
 WORST_RHAT = 1.01

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 
-from calibration.judge import Spread
-from calibration.model import Model
-from calibration.search import evaluator
+from calibration.diagnostics.fit_tests import Spread
+from calibration.forward.model import Model
+from calibration.search.starts import evaluator
 from calibration.uncertainty.walk import Residuals, Side, Target, together, walk
 
 # A fall of the cost, on the way outwards, by this share of the threshold is a second minimum.

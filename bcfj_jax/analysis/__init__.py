@@ -1,0 +1,1 @@
+"""What is asked of runs: features, sensitivities, studies, designs, trade-offs, nonlinear dynamics."""

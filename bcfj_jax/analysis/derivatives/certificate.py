@@ -1,0 +1,199 @@
+"""The certificate: what each derivative was compared with, by how much it differs, and what it is good for.
+
+Two comparisons. *Rungs*: the same derivative at a tolerance four times tighter; this puts it into the error control.
+*Differences*: central differences of force histories that were computed without any derivative, by the solver meant
+for values; along one random direction of all parameters first, one by one where that one disagrees. Differences
+have errors of their own, told by a second step a quarter as long, and only what exceeds these counts.
+
+| verdict | when |
+|---|---|
+| ``trusted`` | the pointwise difference is at most 3 % |
+| ``averaged only`` | that of the moving average is at most 10 % |
+| ``not differentiable here`` | else; or chaotic: tangents grow by more than 1e6 and rungs disagree |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from bcfj_jax.analysis.derivatives.jacobian import Rung
+from bcfj_jax.analysis.derivatives.norms import (
+    CHAOTIC_GROWTH,
+    Difference,
+    Growth,
+    averaged,
+    difference,
+    growth,
+    norm,
+)  # fmt: skip
+
+TRUSTED, AVERAGED, NOT = "trusted", "averaged only", "not differentiable here"
+POINTWISE, BROKEN = 0.03, 0.10
+# A parameter below this share of the largest influence does not ask for another rung.
+INFLUENCE = 0.01
+
+
+class Check(NamedTuple):
+    """One parameter's part of a certificate.
+
+    Attributes:
+        verdict: ``trusted``, ``averaged only`` or ``not differentiable here``.
+        remark: why, in words; "" where the figures say it.
+        compared_with: in words, each comparison.
+        pointwise, average: relative L2 differences over the horizon, the worst of the comparisons.
+        features: relative difference of each feature's derivative between the last rungs.
+        growth: of the state's tangent over the horizon [-]; exponent: of that growth [1/s].
+        influence: ||p dF/dp|| over that of the strongest parameter [-].
+        where: time by which half of the pointwise difference has come about [s].
+        breakdown: time from which on the averages' running difference exceeds 10 % [s]; NaN: it does not at the end.
+    """
+
+    verdict: str
+    remark: str
+    compared_with: tuple[str, ...]
+    pointwise: float
+    average: float
+    features: dict[str, float]
+    growth: float
+    exponent: float
+    influence: float
+    where: float
+    breakdown: float
+
+
+class Certificate(NamedTuple):
+    """How good the derivatives are.
+
+    Attributes:
+        verdict: the worst of the parameters'.
+        parameters: a ``Check`` by name.
+        average: width of the moving average [s].
+        target: relative difference of the averages that ended the tightening, where it was reached.
+        tolerances, steps: of every rung, loosest first; derivatives reported are the last's.
+        direction: pointwise and average difference from central differences along one random direction of all
+            parameters, less the differences' own error; None: not taken.
+    """
+
+    verdict: str
+    parameters: dict[str, Check]
+    average: float
+    target: float
+    tolerances: tuple[float, ...]
+    steps: tuple[int, ...]
+    direction: dict[str, float] | None
+
+
+class Comparison(NamedTuple):
+    """What was found for one parameter in one comparison."""
+
+    what: str
+    pointwise: Difference
+    average: Difference
+
+
+def flat(derivative: np.ndarray) -> np.ndarray:
+    """(P, T, C, 3) -> (P, T, 3 C)."""
+    return derivative.reshape(*derivative.shape[:2], -1)
+
+
+def influences(times: np.ndarray, rung: Rung, values: np.ndarray) -> np.ndarray:
+    """Each parameter's ||p dF/dp|| over the largest (P,); a parameter that is 0 counts by 1 unit."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        sizes = norm(times, flat(rung.derivative.force)) * np.where(values == 0, 1.0, np.abs(values))
+    largest = sizes.max(initial=0.0)
+    return sizes / largest if largest > 0 else sizes
+
+
+def between(times: np.ndarray, coarse: Rung, fine: Rung, values: np.ndarray, width: float) -> list[Comparison]:
+    """Comparisons of two rungs, one a parameter."""
+    what = f"the same derivative at a tolerance of {coarse.tolerance:.3g} against {fine.tolerance:.3g}"
+    floor = 1e-3 * float(np.sqrt(np.mean(np.sum(fine.value.force**2, axis=(1, 2)))))
+    first, second = flat(coarse.derivative.force), flat(fine.derivative.force)
+    return [
+        compare(what, times, a, b, floor / max(abs(p), 1e-30), width)
+        for a, b, p in zip(first, second, values, strict=True)
+    ]
+
+
+def compare(what: str, times: np.ndarray, a: np.ndarray, b: np.ndarray, floor: float, width: float) -> Comparison:
+    """Two derivatives (T, M) of one parameter."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        means = averaged(times, a, width), averaged(times, b, width)
+    return Comparison(what, difference(times, a, b, floor, BROKEN), difference(times, *means, floor, BROKEN))
+
+
+def growths(times: np.ndarray, rung: Rung, values: np.ndarray) -> list[Growth]:
+    """Growth of the state's tangent, one a parameter."""
+    sizes = np.where(values == 0, 1.0, np.abs(values))
+    return [growth(times, size * state) for size, state in zip(sizes, rung.derivative.state, strict=True)]
+
+
+def chaotic(grown: Growth, found: Comparison) -> bool:
+    """Whether a derivative means nothing: it grows without bound and depends on the tolerance."""
+    return grown.factor > CHAOTIC_GROWTH and not grown.exponent <= 0 and not found.average.relative <= POINTWISE
+
+
+def apart(first: np.ndarray, second: np.ndarray, numbers: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Relative difference of features' derivatives (F, P); 0 where both are 0, NaN where one is unknown.
+
+    A derivative below 0.01 % of the feature (F,) per 1 % of the parameter's value (P,) counts as that much.
+    """
+    least = 1e-2 * np.abs(numbers)[:, None] / np.maximum(np.abs(values), 1e-30) * (values != 0)
+    size = np.maximum(np.maximum(np.abs(first), np.abs(second)), least)
+    return np.where(size > 0, np.abs(first - second) / np.where(size > 0, size, 1.0), size)
+
+
+def check(
+    comparisons: Sequence[Comparison],
+    features: Mapping[str, float],
+    grown: Growth,
+    influence: float,
+    end: float,
+    also: str = "",
+) -> Check:
+    """One parameter's verdict.
+
+    Args:
+        comparisons: of this parameter, that of the rungs first.
+        features, grown, influence: as ``Check``.
+        end: of a run that failed [s], or NaN.
+        also: a comparison of all parameters together, which they passed.
+    """
+    worst = max(comparisons, key=lambda c: c.average.relative)
+    pointwise = max(c.pointwise.relative for c in comparisons)
+    nothing = influence == 0.0
+    remark, breakdown = "", float("nan")
+    if np.isfinite(end):
+        verdict, remark, breakdown = NOT, "the run failed", end
+    elif chaotic(grown, comparisons[0]):
+        verdict, breakdown = NOT, worst.average.broken
+        rate = f"about {grown.exponent:.3g} per second" if np.isfinite(grown.exponent) else "beyond all numbers"
+        remark = f"chaotic: the largest Lyapunov exponent is {rate}"
+    elif pointwise <= POINTWISE:
+        verdict, remark = TRUSTED, "no influence" if nothing else ""
+    elif worst.average.relative <= BROKEN:
+        verdict = AVERAGED
+    else:
+        verdict, breakdown = NOT, worst.average.broken
+        if worst is not comparisons[0] and not np.isfinite(worst.average.relative):
+            remark = "a run beside this one failed: central differences check nothing"
+        elif worst is not comparisons[0]:
+            remark = "central differences find another derivative: the force has a kink or a jump here"
+        elif grown.factor > CHAOTIC_GROWTH:
+            remark = "tangents grow by more than a million"
+        else:
+            remark = "it depends on the tolerance: give a tighter accuracy or a larger smoothing"
+            remark += "; its influence is weak" if influence < INFLUENCE else ""
+    return Check(
+        verdict, remark, (*(c.what for c in comparisons), *([also] if also else [])), pointwise,
+        worst.average.relative, dict(features),
+        grown.factor, grown.exponent, float(influence), worst.pointwise.where, breakdown,
+    )  # fmt: skip
+
+
+def worst_verdict(checks: Mapping[str, Check]) -> str:
+    """The least of several verdicts."""
+    return max((c.verdict for c in checks.values()), key=[TRUSTED, AVERAGED, NOT].index)

@@ -1,0 +1,121 @@
+"""``bcfj sensitivity``: derivatives of a scene's histories and features, in a folder and in a table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bcfj_jax.analysis.derivatives import pictures
+from bcfj_jax.analysis.derivatives.names import UNITS, complete, derivative_unit
+from bcfj_jax.analysis.derivatives.ranking import certificate_rows, ranked_rows, ranking, said
+from bcfj_jax.analysis.derivatives.sensitivity import Sensitivity, sensitivity
+from bcfj_jax.io import outputs, report
+from bcfj_jax.io.scenefile import load
+from bcfj_jax.mechanism.scene import AbstractScene
+
+FILES = (
+    "sensitivity.csv", "certificate.json", "tornado.png", "histories.png", "report.html", "run.toml",
+    "environment.json",
+)  # fmt: skip
+
+
+def run(
+    what: str, wrt: Sequence[str], features: Sequence[str], certify: bool, out: Path | None, say: Callable[[str], None]
+) -> tuple[str, bool]:
+    """Differentiate a scene file's run, judge and write.
+
+    Args:
+        what: a scene file, or a built-in scene's name.
+        wrt, features, certify: as ``sensitivity``.
+        out: folder for the results, None for one made up.
+        say: is told of the progress.
+
+    Returns:
+        The results in words, and whether the simulation ended well.
+
+    Raises:
+        InputError: for bad input, and where something would be overwritten.
+    """
+    given = load(what)
+    params, names = complete(given.scene, given.params, wrt)
+    stem = given.source.stem if given.source else what
+    folder = outputs.open_folder(out, "sensitivity", stem, FILES)
+    say(f"differentiating {what} by {', '.join(names)}: {len(given.times)} samples to {given.times[-1]:.6g} s")
+    found = sensitivity(
+        given.scene, params, given.times, names, accuracy=given.accuracy, features=features, mode="forward",
+        certify=certify, max_steps=given.max_steps,
+    )  # fmt: skip
+    stats = found.stats
+    say(
+        f"{stats['rungs']} solve(s), the last of {stats['accepted']} steps, {stats['wall_s']:.2f} s, "
+        f"compiled in {stats['compile_s']:.1f} s"
+    )
+    ranked = ranking(found, params)
+    tables = [("Percent change of features per percent change of parameters", ranked_rows(found, ranked, UNITS))]
+    if found.certificate:
+        tables.insert(0, ("Certificate", certificate_rows(found.certificate)))
+    options: dict[str, Any] = {"wrt": list(names), "features": list(features), "certify": certify}
+    outputs.write_toml(folder / "run.toml", {**given.resolved, "sensitivity": options}, f"{what}, every default, SI")
+    outputs.write_json(folder / "environment.json", outputs.environment(data=[given.source] if given.source else []))
+    write_histories(folder / "sensitivity.csv", given.scene, found)
+    outputs.write_json(folder / "certificate.json", certificate_json(found, params, given.scene))
+    pictures.tornado(ranked, folder / "tornado.png")
+    pictures.bands(found, params, folder / "histories.png")
+    shown = [folder / "tornado.png", folder / "histories.png"]
+    title, *costs = report.solver_rows(stats)
+    solver = [title, ["solves", str(stats["rungs"])], *costs]
+    report.write(folder, f"Sensitivity of {stem}", said(found), [*tables, ("Solver", solver)], shown)
+    parts = [said(found), *(f"{head}\n{report.text(rows)}" for head, rows in tables), f"results in {folder}"]
+    return "\n\n".join(parts), found.status == "ok"
+
+
+def write_histories(path: Path, scene: AbstractScene, found: Sensitivity) -> None:
+    """``sensitivity.csv``: time [s], then d(<contact>.<component>)/d(<parameter>) [N per SI unit].
+
+    What the certificate calls not differentiable is left out from where it breaks down.
+    """
+    header, columns = ["time [s]"], [found.times]
+    for name in found.wrt:
+        unit = derivative_unit("N", scene.quantities[name].unit)
+        for contact, slope in outputs.channels(found.derivative[name], 1).items():
+            header += [f"d({contact}.{part})/d({name}) [{unit}]" for part in outputs.COMPONENTS]
+            columns += list(np.where(found.times < _end(found, name), slope.T, np.nan))
+    outputs.write_csv(path, header, np.column_stack(columns).tolist())
+
+
+def _end(found: Sensitivity, name: str) -> float:
+    """Time up to which a parameter's derivatives mean something."""
+    broken = found.certificate.parameters[name].breakdown if found.certificate else float("nan")
+    return broken if np.isfinite(broken) else float("inf")
+
+
+def certificate_json(found: Sensitivity, params: Any, scene: AbstractScene) -> dict[str, Any]:
+    """``certificate.json``: the verdicts, and features with their derivatives."""
+    certificate = found.certificate
+    features = {
+        name: {
+            "value": value,
+            "unit": UNITS[name.rpartition(".")[2]],
+            "derivatives": {p: found.feature_derivatives[p][name] for p in found.wrt},
+        }
+        for name, value in found.features.items()
+    }
+    content: dict[str, Any] = {
+        "status": found.status,
+        "reason": found.reason,
+        "failure_time": found.failure_time,
+        "verdict": certificate.verdict if certificate else None,
+        "parameters": {},
+        "features": features,
+        "solver": found.stats,
+    }
+    for name in found.wrt:
+        content["parameters"][name] = {"value": float(params[name]), "unit": scene.quantities[name].unit}
+        if certificate:
+            content["parameters"][name] |= certificate.parameters[name]._asdict()
+    if certificate:
+        content |= {key: value for key, value in certificate._asdict().items() if key not in ("parameters", "verdict")}
+    return content

@@ -1,0 +1,85 @@
+"""Second derivatives of a feature along a direction, for the small scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from bcfj_jax.analysis.derivatives.jacobian import channel_names, channels, compiled, histories
+from bcfj_jax.analysis.derivatives.measures import vector as feature_vector
+from bcfj_jax.analysis.derivatives.names import complete
+from bcfj_jax.analysis.derivatives.names import feature as named
+from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.quantities import increasing
+from bcfj_jax.mechanism.scene import AbstractScene, Params, Scene
+from bcfj_jax.solve.integrate import MAX_STEPS, plan
+
+
+def hessian_vector(
+    scene: AbstractScene,
+    params: Params,
+    times: ArrayLike,
+    feature: str,
+    wrt: Sequence[str],
+    vector: ArrayLike,
+    *,
+    accuracy: str | float = "reference",
+    max_steps: int = MAX_STEPS,
+) -> np.ndarray:
+    """Hessian of a feature times a vector, sum_j d2f/(dp_i dp_j) v_j, (P,) in SI units; forward over forward.
+
+    A peak is that of the parabola through the greatest sample and its neighbours: a fixed sample would leave out that
+    the peak's time moves, which first derivatives do not see and second ones do. Its samples count as equally spaced.
+
+    Args:
+        scene, params, times, wrt, accuracy, max_steps: as ``sensitivity``.
+        feature: a name as there; no period and no delay.
+        vector: v (P,), per parameter in its SI unit.
+
+    Raises:
+        InputError: for a joint, whose implicit solver is differentiated once only; for unknown names; and for a
+            vector that does not have one finite number a parameter.
+    """
+    if not isinstance(scene, Scene):
+        raise InputError(f"scene '{scene.kind}'", "no second derivatives", "they are for scenes of one body")
+    t = increasing(times)
+    full, names = complete(scene, params, wrt)
+    contacts = channels(scene)
+    wanted = named(feature, contacts)
+    if wanted.kind in ("period", "delay"):
+        raise InputError(f"feature '{feature}'", "no second derivatives", "take peak, mean, impulse or another")
+    v = np.asarray(vector, dtype=float)
+    if v.shape != (len(names),) or not np.isfinite(v).all():
+        raise InputError("vector", f"shape {v.shape}", f"give {len(names)} finite number(s), one a parameter")
+    place = channel_names(contacts).index(wanted.contacts[0])
+
+    def product(params: dict, times: Array, how, v: Array):
+        def scalar(theta: Array) -> Array:
+            values = {**params, **{name: theta[k] for k, name in enumerate(names)}}
+            found, _ = histories(scene, values, times, how)
+            if wanted.kind == "peak":
+                return _smooth_peak(found.force[:, place, 0])
+            return feature_vector(t, found, [wanted], contacts, {})[0]
+
+        theta = jnp.stack([params[name] for name in names])
+        return jax.jacfwd(lambda x: jax.jvp(scalar, (x,), (v,))[1])(theta)
+
+    arguments = (dict(full), jnp.asarray(t), plan(scene, accuracy, max_steps), jnp.asarray(v))
+    key = ("hessian", scene, t.tobytes(), names, wanted)
+    return np.asarray(compiled(key, product, *arguments)[0](*arguments))
+
+
+def _smooth_peak(force: Array) -> Array:
+    """Crest of the parabola through the greatest sample and its neighbours; that sample where it has none."""
+    if force.shape[0] < 3:
+        return jnp.max(force)
+    top = jnp.argmax(force)
+    low, middle, high = (force[jnp.clip(top + k, 0, force.shape[0] - 1)] for k in (-1, 0, 1))
+    bend = low - 2.0 * middle + high
+    inside = (top > 0) & (top < force.shape[0] - 1) & (bend < 0)
+    return middle - jnp.where(inside, (high - low) ** 2 / (8.0 * jnp.where(inside, bend, -1.0)), 0.0)

@@ -1,0 +1,78 @@
+"""Central differences of histories against derivatives, with what the differences themselves are worth.
+
+A step changes the forces by about a share h of themselves: parameter k moves by h s_k,
+
+    s_k = min(|p_k|, ||F||/||dF/dp_k||),    h = 0.3 e^(1/3),
+
+e the force error of the histories, so that their noise e/h and the truncation h^2 are alike. A second step a quarter
+as long tells the error of the first; what exceeds it and the noise is the derivative's. Where a run of the shorter
+step fails, the difference is infinite: nothing was checked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from bcfj_jax.analysis.derivatives.certificate import Comparison, compare
+from bcfj_jax.analysis.derivatives.norms import Difference, norm
+
+Forces = Callable[[np.ndarray], np.ndarray]
+_SEED = 4
+
+
+def scales(times: np.ndarray, values: np.ndarray, force: np.ndarray, derivative: np.ndarray) -> np.ndarray:
+    """s_k (P,), in each parameter's unit; 0 for a parameter at 0, whose other side may not exist."""
+    size = norm(times, force)
+    slope = norm(times, derivative)
+    with np.errstate(divide="ignore", over="ignore"):
+        reach = np.where((slope > 0) & np.isfinite(slope), size / np.where(slope > 0, slope, 1.0), np.inf)
+    return np.minimum(np.abs(values), reach)
+
+
+def signs(count: int) -> np.ndarray:
+    """A direction of all parameters, +1 or -1 each, the same at every run."""
+    return np.random.default_rng(_SEED).choice([-1.0, 1.0], count)
+
+
+def against(
+    what: str,
+    times: np.ndarray,
+    forces: Forces,
+    values: np.ndarray,
+    step: np.ndarray,
+    derivative: np.ndarray,
+    error: float,
+    width: float,
+) -> Comparison:
+    """The derivative along ``step`` (P,) held against central differences of ``forces``.
+
+    Args:
+        what: in words.
+        times: (T,).
+        forces: values (P,) -> forces (T, M) without derivatives.
+        values: where (P,).
+        step: the direction, scaled by ``scales``.
+        derivative: (T, M) along it.
+        error: e of the forces.
+        width: of the moving average [s].
+    """
+    h = 0.3 * error ** (1.0 / 3.0)
+
+    def slope(h: float) -> np.ndarray:
+        return (forces(values + h * step) - forces(values - h * step)) / (2.0 * h)
+
+    far, near = slope(h), slope(0.25 * h)
+    noise = error * float(np.sqrt(np.mean(np.sum(forces(values) ** 2, axis=-1)))) / (0.25 * h)
+    found = compare(f"{what}, relative steps of {h:.2g} and {0.25 * h:.2g}", times, derivative, near, noise, width)
+    own = compare("", times, far, near, noise, width)
+    size = max(float(norm(times, derivative)), float(norm(times, near)), 1e-300)
+    told = noise * float(np.sqrt(max(times[-1] - times[0], 0.0) or 1.0)) / size
+
+    def excess(d: Difference, o: Difference) -> Difference:
+        # Where the longer step's run failed nothing is known of the differences' own error, and none is taken off.
+        known = o.relative if np.isfinite(o.relative) else 0.0
+        return d._replace(relative=max(0.0, d.relative - known - told) if np.isfinite(d.relative) else d.relative)
+
+    return found._replace(pointwise=excess(found.pointwise, own.pointwise), average=excess(found.average, own.average))

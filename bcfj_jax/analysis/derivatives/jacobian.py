@@ -1,0 +1,157 @@
+"""Histories and their derivatives by named parameters: one compiled program, all parameters together.
+
+Forward mode: the tangents of all parameters go through one solve and share its factorisations. The tolerance is
+traced, so that the same program climbs a certificate's rungs.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import diffrax as dfx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from bcfj_jax.core.status import OK, STEEP
+from bcfj_jax.mechanism.dynamics import state_scales
+from bcfj_jax.mechanism.scene import AbstractScene, Params, Scene
+from bcfj_jax.models.joint.scales import scales as joint_scales
+from bcfj_jax.models.joint.scene import OF_A_BALL, Joint
+from bcfj_jax.solve.integrate import Plan
+
+# The histories behind ``force_history``, with penetrations and states beside the forces.
+from bcfj_jax.solve.simulation import outcome
+
+_FORWARD = dfx.ForwardMode()
+
+
+class Histories(NamedTuple):
+    """What a run left at T times; of a derivative, the same with parameters (P,) as the first axis.
+
+    Attributes:
+        force: (T, C, 3) [N], penetration, rate: (T, C) [m, m/s] of C channels, a contact's members one by one.
+        state: (T, n) in units of the states' natural sizes.
+    """
+
+    force: Any
+    penetration: Any
+    rate: Any
+    state: Any
+
+
+class Rung(NamedTuple):
+    """One solve with its derivatives: at which tolerance, what came out, what it cost, how it ended."""
+
+    tolerance: float
+    value: Histories
+    derivative: Histories
+    code: int
+    end: float
+    accepted: int
+    rejected: int
+    wall_s: float
+    compile_s: float
+
+    @property
+    def steps(self) -> int:
+        """Attempted steps."""
+        return self.accepted + self.rejected
+
+    @property
+    def good(self) -> bool:
+        """Whether the run reached its end and every derivative is finite."""
+        return self.code == OK
+
+
+def channels(scene: AbstractScene) -> dict[str, int]:
+    """Number of members by contact in the scene's order; 0 for a contact without members."""
+    balls = scene.balls if isinstance(scene, Joint) else 0
+    return {contact.name: balls if contact.name in OF_A_BALL else 0 for contact in scene.contacts}
+
+
+def channel_names(contacts: Mapping[str, int]) -> list[str]:
+    """Names of the channels in the order of ``Histories``."""
+    return [n for c, k in contacts.items() for n in ([f"{c}_{i + 1}" for i in range(k)] if k else [c])]
+
+
+def histories(
+    scene: AbstractScene, params: Params, times: Array, how: Plan, adjoint: Any = _FORWARD
+) -> tuple[Histories, tuple]:
+    """Histories by the solver meant for derivatives, and (code, end, accepted, rejected). Pure."""
+    solution, readings = outcome(scene, params, times, how, adjoint, True)
+    force, depth, rate = by_channel(scene, readings)
+    found = Histories(force, depth, rate, solution.states / _sizes(scene, params))
+    return found, (solution.code, solution.end, solution.accepted, solution.rejected)
+
+
+def by_channel(scene: AbstractScene, readings: Mapping[str, Any]) -> tuple[Array, Array, Array]:
+    """Forces (T, C, 3), penetrations and their rates (T, C) of all channels. Pure."""
+    ordered = [readings[contact.name] for contact in scene.contacts]
+    count = ordered[0].force.shape[0]
+    force = jnp.concatenate([r.force.reshape(count, -1, 3) for r in ordered], axis=1)
+    depth, rate = (
+        jnp.concatenate([getattr(r, k).reshape(count, -1) for r in ordered], 1) for k in ("penetration", "rate")
+    )
+    return force, depth, rate
+
+
+def _sizes(scene: AbstractScene, params: Params) -> Array:
+    if isinstance(scene, Joint):
+        return jax.lax.stop_gradient(joint_scales(scene, params))
+    assert isinstance(scene, Scene)
+    return jax.lax.stop_gradient(state_scales(scene, params))
+
+
+_compiled: dict[object, Callable] = {}
+
+
+def compiled(key: tuple, function: Callable, *arguments: Any) -> tuple[Callable, float]:
+    """A function compiled for arguments like these, kept under its key and theirs, and the seconds that took now."""
+    begin = time.perf_counter()
+    key = (*key, jax.tree.structure(arguments))
+    if key not in _compiled:
+        _compiled[key] = jax.jit(function).lower(*arguments).compile()
+    return _compiled[key], time.perf_counter() - begin
+
+
+def rung(scene: AbstractScene, params: Params, times: np.ndarray, wrt: tuple[str, ...], how: Plan) -> Rung:
+    """Solve once with the derivatives by all of ``wrt``, per SI unit."""
+
+    def jacobian(params: dict, times: Array, how: Plan):
+        def at(theta: dict):
+            found, end = histories(scene, {**params, **theta}, times, how)
+            return found, (found, end)
+
+        return jax.jacfwd(at, has_aux=True)({name: params[name] for name in wrt})
+
+    arguments = (dict(params), jnp.asarray(times), how)
+    key = ("jacobian", scene, len(times), wrt)
+    program, compile_s = compiled(key, jacobian, *arguments)
+    begin = time.perf_counter()
+    slopes, (value, (code, end, accepted, rejected)) = jax.device_get(program(*arguments))
+    wall = time.perf_counter() - begin
+    # One dictionary by name in every field of the histories.
+    derivative = Histories(*(np.stack([part[name] for name in wrt]) for part in slopes))
+    # A force that is 0 has a derivative of 0, whatever the state's is.
+    finite = np.isfinite(derivative.force).all(axis=(0, 2, 3)) & np.isfinite(derivative.state).all(axis=(0, 2))
+    if code == OK and not finite.all():
+        code, end = STEEP, times[np.argmin(finite)]
+    return Rung(
+        float(how.tolerance), value, derivative, int(code), float(end), int(accepted), int(rejected), wall, compile_s
+    )
+
+
+def forces(scene: AbstractScene, params: Params, times: np.ndarray, how: Plan) -> np.ndarray:
+    """Forces (T, C, 3) without derivatives, by the solver meant for values."""
+
+    def values(params: dict, times: Array, how: Plan) -> Array:
+        _, readings = outcome(scene, params, times, how, _FORWARD)
+        return by_channel(scene, readings)[0]
+
+    arguments = (dict(params), jnp.asarray(times), how)
+    key = ("forces", scene, len(times))
+    return np.asarray(compiled(key, values, *arguments)[0](*arguments))

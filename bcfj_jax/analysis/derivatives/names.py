@@ -1,0 +1,93 @@
+"""What is differentiated and by what: names of parameters and of features, checked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+from jax import Array
+
+from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.mechanism.scene import AbstractScene, Params
+
+FEATURES = (
+    "peak", "mean", "impulse", "period", "dissipated_work", "residual_oscillation", "contact_fraction",
+)  # fmt: skip
+UNITS: dict[str, str] = dict(zip((*FEATURES, "delay"), ("N", "N", "N s", "s", "J", "N", "1", "s"), strict=True))
+
+
+class Feature(NamedTuple):
+    """One number of a run: its full name, its kind (of ``UNITS``) and the contact, or the pair, it is of."""
+
+    name: str
+    kind: str
+    contacts: tuple[str, ...]
+
+
+def complete(scene: AbstractScene, params: Params, wrt: Sequence[str]) -> tuple[dict[str, Array], tuple[str, ...]]:
+    """Parameters in which every name of ``wrt`` has a value of its own, and the names, checked.
+
+    A contact's own coefficient that the parameters leave to the shared one is given the shared value.
+
+    Raises:
+        InputError: for no name, an unknown one (with the nearest) or a repeated one, and one without a value.
+    """
+    names = (wrt,) if isinstance(wrt, str) else tuple(wrt)
+    if not names:
+        raise InputError("wrt", "no parameter", f"name one or more of {', '.join(scene.quantities)}")
+    full = dict(params)
+    for name in names:
+        if name not in scene.quantities:
+            raise InputError("wrt", f"scene '{scene.kind}' has no parameter '{name}'", nearest(name, scene.quantities))
+        if names.count(name) > 1:
+            raise InputError("wrt", f"'{name}' is named twice", "name it once")
+        shared = name.rpartition(".")[2]
+        if name not in full and shared not in full:
+            raise InputError("wrt", f"'{name}' has no value here", f"give one: scene.parameters({{'{name}': ...}})")
+        full[name] = full[name] if name in full else full[shared]
+    return full, names
+
+
+def feature(name: str, contacts: Mapping[str, int]) -> Feature:
+    """A feature by name: ``contact.peak``, ``contact_3.peak`` of one member, ``first:second.delay`` of a pair.
+
+    Args:
+        name: as above. Without a member's number, of a contact with members, ``peak`` is the largest member's and
+            the other features are the members' mean; a delay between contacts of unlike numbers is that of the first
+            members.
+        contacts: number of members by contact; 0 for a contact without.
+
+    Raises:
+        InputError: for what is not known, with the nearest that is.
+    """
+    place, _, kind = name.rpartition(".")
+    if kind not in UNITS or not place:
+        found = f"no feature '{kind}'" if place else f"'{name}' is not <contact>.<feature>"
+        raise InputError(f"feature '{name}'", found, nearest(kind, UNITS))
+    parts = tuple(place.split(":"))
+    if len(parts) != (2 if kind == "delay" else 1):
+        right = "write <first>:<second>.delay" if kind == "delay" else f"write <contact>.{kind}"
+        raise InputError(f"feature '{name}'", f"of {len(parts)} contact(s)", right)
+    known = [*contacts, *(f"{c}_{k + 1}" for c, members in contacts.items() for k in range(members))]
+    for part in parts:
+        if part not in known:
+            raise InputError(f"feature '{name}'", f"no contact '{part}'", nearest(part, known))
+    return Feature(name, kind, parts)
+
+
+def default_features(contacts: Mapping[str, int]) -> list[Feature]:
+    """Every feature of every contact, members taken together."""
+    return [Feature(f"{contact}.{kind}", kind, (contact,)) for contact in contacts for kind in FEATURES]
+
+
+def members(place: str, contacts: Mapping[str, int]) -> list[str]:
+    """The channels a place in a feature's name stands for: seat_ball -> seat_ball_1 .. seat_ball_6."""
+    return [f"{place}_{k + 1}" for k in range(contacts[place])] if contacts.get(place) else [place]
+
+
+def derivative_unit(unit: str, parameter_unit: str) -> str:
+    """Unit of a derivative: ("N", "kg") -> "N/kg", ("N", "N/m^n") -> "N/(N/m^n)"."""
+    if parameter_unit == "1":
+        return unit
+    plain = parameter_unit.replace("^", "").isalnum()
+    return f"{unit}/{parameter_unit}" if plain else f"{unit}/({parameter_unit})"

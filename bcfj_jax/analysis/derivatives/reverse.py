@@ -1,0 +1,106 @@
+"""Gradients of features by many parameters, one checkpointed backward solve a feature, and their certificate."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import diffrax as dfx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from bcfj_jax.analysis.derivatives import certificate as judged
+from bcfj_jax.analysis.derivatives.certificate import Certificate, Check
+from bcfj_jax.analysis.derivatives.jacobian import compiled, histories
+from bcfj_jax.analysis.derivatives.measures import vector
+from bcfj_jax.analysis.derivatives.names import Feature
+from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.status import OK, STEEP
+from bcfj_jax.mechanism.scene import AbstractScene, Params
+from bcfj_jax.solve.integrate import Plan
+
+_REVERSE = dfx.RecursiveCheckpointAdjoint()
+
+
+class Gradient(NamedTuple):
+    """Features (F,), their derivatives (F, P), the forces (T, C, 3), how the run ended and what it cost."""
+
+    tolerance: float
+    numbers: np.ndarray
+    slopes: np.ndarray
+    force: np.ndarray
+    code: int
+    end: float
+    stats: dict[str, float]
+
+
+def reversible(wanted: Sequence[Feature]) -> list[Feature]:
+    """Features that JAX differentiates backward.
+
+    Raises:
+        InputError: where there is none.
+    """
+    good = [f for f in wanted if f.kind not in ("period", "delay")]
+    if not good:
+        found = ", ".join(f.name for f in wanted)
+        raise InputError("features", found, "periods and delays are differentiated with mode='forward'")
+    return good
+
+
+def gradient(
+    scene: AbstractScene,
+    params: Params,
+    times: np.ndarray,
+    wrt: tuple[str, ...],
+    how: Plan,
+    wanted: Sequence[Feature],
+    contacts: Mapping[str, int],
+) -> Gradient:
+    """Features and their derivatives by all of ``wrt``, per SI unit. Times are compiled in."""
+
+    def jacobian(params: dict, how: Plan):
+        def at(theta: dict):
+            found, end = histories(scene, {**params, **theta}, jnp.asarray(times), how, _REVERSE)
+            numbers = vector(times, found, wanted, contacts, {})
+            return numbers, (numbers, found.force, end)
+
+        return jax.jacrev(at, has_aux=True)({name: params[name] for name in wrt})
+
+    arguments: tuple[dict[str, Array], Plan] = (dict(params), how)
+    key = ("gradient", scene, times.tobytes(), wrt, tuple(wanted))
+    program, compile_s = compiled(key, jacobian, *arguments)
+    begin = time.perf_counter()
+    slopes, (numbers, force, (code, end, accepted, rejected)) = jax.device_get(program(*arguments))
+    tolerance, wall = float(how.tolerance), time.perf_counter() - begin
+    stats = {"accepted": int(accepted), "rejected": int(rejected), "tolerance": tolerance}
+    stats |= {"wall_s": wall, "compile_s": compile_s}
+    matrix = np.stack([slopes[name] for name in wrt], axis=1)
+    if code == OK and not np.isfinite(matrix[np.isfinite(numbers)]).all():
+        code, end = STEEP, times[-1]
+    return Gradient(tolerance, numbers, matrix, force, int(code), float(end), stats)
+
+
+def reversed_certificate(
+    names: Sequence[str], values: np.ndarray, wanted: Sequence[Feature], solved: Sequence[Gradient]
+) -> Certificate:
+    """How far the gradients at two tolerances are apart; the values (P,) are the parameters'."""
+    apart = judged.apart(solved[0].slopes, solved[1].slopes, solved[1].numbers, values)
+    loose, tight = (s.tolerance for s in solved)
+    what = f"the same derivatives of features at a tolerance of {loose:.3g} against {tight:.3g}"
+    nan, failed = float("nan"), solved[-1].code != OK
+    broken = solved[-1].end if failed else nan
+    checks: dict[str, Check] = {}
+    for k, name in enumerate(names):
+        found = {f.name: float(apart[i, k]) for i, f in enumerate(wanted)}
+        worst = float(np.max(apart[:, k]))
+        verdict = judged.TRUSTED if worst <= judged.POINTWISE else judged.NOT
+        remark = "" if np.any(solved[-1].slopes[:, k]) else "no influence"
+        remark = "the run failed" if failed else remark
+        checks[name] = Check(verdict, remark, (what,), nan, nan, found, nan, nan, nan, nan, broken)
+    return Certificate(
+        judged.worst_verdict(checks), checks, 0.0, judged.POINTWISE, tuple(s.tolerance for s in solved),
+        tuple(int(s.stats["accepted"] + s.stats["rejected"]) for s in solved), None,
+    )  # fmt: skip

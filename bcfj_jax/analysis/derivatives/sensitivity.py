@@ -1,0 +1,280 @@
+"""The verb ``sensitivity``: histories, their derivatives, those of features, and what they are worth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Literal, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+
+from bcfj_jax.analysis.derivatives import certificate as judged
+from bcfj_jax.analysis.derivatives.certificate import Certificate, Check, Comparison
+from bcfj_jax.analysis.derivatives.differences import against, scales, signs
+from bcfj_jax.analysis.derivatives.jacobian import Rung, channels, forces, rung
+from bcfj_jax.analysis.derivatives.measures import measure
+from bcfj_jax.analysis.derivatives.names import Feature, complete, default_features
+from bcfj_jax.analysis.derivatives.names import feature as named
+from bcfj_jax.analysis.derivatives.reverse import Gradient, gradient, reversed_certificate, reversible
+from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.quantities import increasing
+from bcfj_jax.core.status import OK, reason
+from bcfj_jax.mechanism.scene import AbstractScene, Params
+from bcfj_jax.models.joint.scene import Joint
+from bcfj_jax.solve.integrate import LEVELS, MAX_STEPS, Plan, plan
+from bcfj_jax.solve.simulation import check
+
+MODES = ("auto", "forward", "reverse")
+DIFFERENCES = ("direction", "each", "none")
+_MANY = 50
+
+
+class Sensitivity(NamedTuple):
+    """Derivatives of a run, as NumPy arrays.
+
+    Attributes:
+        times: (T,) [s].
+        wrt: names of the parameters.
+        force: per contact (T, 3) or (T, k, 3) [N], from the same solve as the derivatives.
+        derivative: per parameter and contact the same shape [N per SI unit]; empty in reverse mode.
+        features: value by name, in ``derivatives.names.UNITS``.
+        feature_derivatives: per parameter and feature, per SI unit.
+        certificate: how good they are; None where it was not asked for.
+        status, reason, failure_time: as ``Run``.
+        stats: steps, tolerance, wall_s and compile_s of all solves with derivatives, rungs.
+    """
+
+    times: np.ndarray
+    wrt: tuple[str, ...]
+    force: dict[str, np.ndarray]
+    derivative: dict[str, dict[str, np.ndarray]]
+    features: dict[str, float]
+    feature_derivatives: dict[str, dict[str, float]]
+    certificate: Certificate | None
+    status: str
+    reason: str
+    failure_time: float
+    stats: dict[str, float]
+
+
+def sensitivity(
+    scene: AbstractScene,
+    params: Params,
+    times: ArrayLike,
+    wrt: Sequence[str],
+    *,
+    accuracy: str | float = "balanced",
+    features: Sequence[str] = (),
+    average: float = 5e-3,
+    mode: Literal["auto", "forward", "reverse"] = "auto",
+    certify: bool = True,
+    differences: Literal["direction", "each", "none"] = "direction",
+    rungs: int = 6,
+    max_steps: int = MAX_STEPS,
+) -> Sensitivity:
+    """Derivatives of force histories and features by named parameters, with a certificate.
+
+    One compiled program per scene, number of times and ``wrt``; other values, times and accuracies reuse it. With a
+    certificate the tolerance is tightened by 4 until the averaged derivatives of every parameter with more than 1 %
+    of the largest influence agree with those before, within ``3 force_error`` (1 % to 10 %; 3 % at ``balanced``).
+
+    Args:
+        scene, params, times, accuracy, max_steps: as ``simulate``.
+        wrt: names of parameters; a contact's own (``seat_ball.stiffness``) starts from the shared value.
+        features: names as ``seat_ball.peak``, ``seat_ball_2.mean``, ``seat_ball:head_ball.delay``; by default every
+            feature of every contact.
+        average: width of the certificate's moving average [s], at most a tenth of the horizon.
+        mode: "forward" for histories and features; "reverse" for features alone, without periods and delays, by a
+            program compiled per times and features too; "auto": reverse from 51 parameters.
+        certify: whether to certify.
+        differences: central differences along one random direction, and of "each" parameter where that disagrees;
+            of each always; or none.
+        rungs: most tightenings by 4.
+
+    Raises:
+        InputError: for names that are not known, with the nearest, and for times and options that are not right.
+    """
+    t = increasing(times)
+    check(scene, params)
+    full, names = complete(scene, params, wrt)
+    contacts = channels(scene)
+    asked = (features,) if isinstance(features, str) else features
+    wanted = [named(name, contacts) for name in asked] or default_features(contacts)
+    for what, value, known in (("mode", mode, MODES), ("differences", differences, DIFFERENCES)):
+        if value not in known:
+            raise InputError(what, f"no {what} '{value}'", nearest(value, known))
+    if not average > 0 or rungs < 1:
+        found = f"average = {average:g} s, rungs = {rungs}"
+        raise InputError("certificate", found, "give an average > 0 and at least 1 rung")
+    how = plan(scene, accuracy, max_steps)
+    if mode == "reverse" or (mode == "auto" and len(names) > _MANY):
+        able = reversible(wanted)
+        # The second is a certificate's rung.
+        plans = [how, Plan(how.tolerance * 0.25, max_steps, how.tangents)] if certify else [how]
+        solved = [gradient(scene, full, t, names, each, able, contacts) for each in plans]
+        return _reverse(t, names, _values(full, names), able, contacts, solved, max_steps)
+    error = LEVELS[accuracy] if isinstance(accuracy, str) else accuracy
+    climbed = _climb(scene, full, t, names, how, error, average, rungs if certify else 0)
+    last = climbed[-1]
+    turning = isinstance(scene, Joint)
+    numbers, slopes = measure(t, last.value, last.derivative, wanted, contacts, turning)
+    found = None
+    if certify:
+        before = measure(t, climbed[-2].value, climbed[-2].derivative, wanted, contacts, turning)[1]
+        agree = judged.apart(before, slopes, numbers, _values(full, names))
+        table = {n: {f.name: float(agree[i, k]) for i, f in enumerate(wanted)} for k, n in enumerate(names)}
+        found = _certificate(scene, full, t, names, climbed, error, average, differences, table)
+    failed = last.code != OK
+    return Sensitivity(
+        t,
+        names,
+        _by_contact(last.value.force, contacts),
+        {name: _by_contact(last.derivative.force[k], contacts) for k, name in enumerate(names)},
+        {f.name: float(x) for f, x in zip(wanted, numbers, strict=True)},
+        {name: {f.name: float(slopes[i, k]) for i, f in enumerate(wanted)} for k, name in enumerate(names)},
+        found,
+        "failed" if failed else "ok",
+        reason(last.code, max_steps),
+        last.end if failed else float("nan"),
+        {
+            "accepted": last.accepted,
+            "rejected": last.rejected,
+            "tolerance": last.tolerance,
+            "wall_s": sum(r.wall_s for r in climbed),
+            "compile_s": sum(r.compile_s for r in climbed),
+            "rungs": len(climbed),
+        },
+    )
+
+
+def target(error: float) -> float:
+    """Difference of averages at which the tightening ends: 10 % fast, 3 % balanced, 1 % reference."""
+    return float(np.clip(3.0 * error, 0.01, 0.10))
+
+
+def _width(times: np.ndarray, average: float) -> float:
+    return min(average, 0.1 * float(times[-1] - times[0]))
+
+
+def _values(params: Params, names: Sequence[str]) -> np.ndarray:
+    return np.array([float(params[name]) for name in names])
+
+
+def _climb(scene, params, times, names, how: Plan, error: float, average: float, rungs: int) -> list[Rung]:
+    """Solves at tolerances 4 times tighter each, until two agree, the budget is spent or nothing helps.
+
+    A joint whose first two disagree goes on at ``reference``, tangents in the step control.
+    """
+    climbed = [rung(scene, params, times, names, how)]
+    values, width = _values(params, names), _width(times, average)
+    while len(climbed) <= rungs and climbed[-1].good:
+        tighter = Plan(climbed[-1].tolerance * jnp.asarray(0.25), how.max_steps, how.tangents)
+        if isinstance(scene, Joint) and len(climbed) > 1 and not how.tangents:
+            # In between errors have a hump: a free ball's swing, there with a wrong phase (docs/derivatives.md).
+            good = plan(scene, "reference")
+            how = tighter = Plan(jnp.minimum(tighter.tolerance, good.tolerance), how.max_steps, good.tangents)
+        climbed.append(rung(scene, params, times, names, tighter))
+        if not climbed[-1].good:
+            break
+        found = judged.between(times, climbed[-2], climbed[-1], values, width)
+        strong = judged.influences(times, climbed[-1], values) > judged.INFLUENCE
+        worst = max((c.average.relative for c, s in zip(found, strong, strict=True) if s), default=0.0)
+        lost = worst > 0.5 and any(map(judged.chaotic, judged.growths(times, climbed[-1], values), found))
+        # A solve at a quarter of the tolerance takes 4^(1/2) times the steps at most.
+        if worst <= target(error) or lost or 2 * climbed[-1].steps > how.max_steps:
+            break
+    # A certificate compares two; a run that failed is compared with itself.
+    return climbed if len(climbed) > 1 or not rungs else climbed * 2
+
+
+def _certificate(
+    scene: AbstractScene,
+    params: Params,
+    times: np.ndarray,
+    names: tuple[str, ...],
+    climbed: Sequence[Rung],
+    error: float,
+    average: float,
+    differences: str,
+    features: Mapping[str, Mapping[str, float]],
+) -> Certificate:
+    values, width, last = _values(params, names), _width(times, average), climbed[-1]
+    found: list[list[Comparison]] = [[c] for c in judged.between(times, climbed[-2], last, values, width)]
+    grown, strength = judged.growths(times, last, values), judged.influences(times, last, values)
+    direction, also = None, [""] * len(names)
+    lost = any(judged.chaotic(g, c[0]) for g, c in zip(grown, found, strict=True))
+    if differences != "none" and last.good and not lost:
+        # Noise of the forces is amplified by 1/h: they are computed at a tolerance of their own.
+        fine = min(error * 0.25 ** (len(climbed) - 1), 1e-5 if isinstance(scene, Joint) else 1e-7)
+        how = plan(scene, max(fine, 1e-9), last_budget(climbed))
+        slopes = judged.flat(last.derivative.force)
+        size = last.value.force.reshape(len(times), -1)
+        step = np.array([scales(times, p, size, d) for p, d in zip(values, slopes, strict=True)])
+
+        def run(at: np.ndarray) -> np.ndarray:
+            new = {**params, **{n: jnp.asarray(x) for n, x in zip(names, at, strict=True)}}
+            return forces(scene, new, times, how).reshape(len(times), -1)
+
+        def along(what: str, way: np.ndarray) -> Comparison:
+            return against(what, times, run, values, way, np.tensordot(way, slopes, 1), max(fine, 1e-9), width)
+
+        each = differences == "each"
+        if not each and np.any(step):
+            both = along("central differences along one random direction of all parameters", step * signs(len(names)))
+            direction = {"pointwise": both.pointwise.relative, "average": both.average.relative}
+            # What the rungs know of already needs no second witness.
+            strong = strength > judged.INFLUENCE
+            known = max((c.pointwise.relative for (c,), s in zip(found, strong, strict=True) if s), default=0.0)
+            each = both.average.relative > target(error) or both.pointwise.relative > max(judged.POINTWISE, known)
+            # A parameter at 0 was not moved.
+            also = [both.what if s and not each else "" for s in step]
+        for k in np.flatnonzero(step) if each else ():
+            unit = np.where(np.arange(len(names)) == k, step, 0.0)
+            found[k].append(along("central differences", unit))
+    end = last.end if last.code != OK else float("nan")
+    checks: dict[str, Check] = {
+        name: judged.check(found[k], features[name], grown[k], float(strength[k]), end, also[k])
+        for k, name in enumerate(names)
+    }
+    return Certificate(
+        judged.worst_verdict(checks), checks, width, target(error), tuple(r.tolerance for r in climbed),
+        tuple(r.steps for r in climbed), direction,
+    )  # fmt: skip
+
+
+def last_budget(climbed: Sequence[Rung]) -> int:
+    """Steps allowed to the forces that differences are taken of: twenty times those of the last rung, or more."""
+    return max(100_000, 20 * climbed[-1].steps)
+
+
+def _by_contact(force: np.ndarray, contacts: Mapping[str, int]) -> dict[str, np.ndarray]:
+    """(T, C, 3) apart by contact, (T, 3) or (T, k, 3)."""
+    apart, start = {}, 0
+    for name, members in contacts.items():
+        apart[name] = force[:, start : start + members] if members else force[:, start]
+        start += members or 1
+    return apart
+
+
+def _reverse(
+    times: np.ndarray,
+    names: tuple[str, ...],
+    values: np.ndarray,
+    wanted: Sequence[Feature],
+    contacts: Mapping[str, int],
+    solved: Sequence[Gradient],
+    max_steps: int,
+) -> Sensitivity:
+    """Features only; certified where two tolerances were solved."""
+    last = solved[-1]
+    slopes = {n: {f.name: float(last.slopes[i, k]) for i, f in enumerate(wanted)} for k, n in enumerate(names)}
+    spent = {key: sum(s.stats[key] for s in solved) for key in ("wall_s", "compile_s")}
+    failed = last.code != OK
+    return Sensitivity(
+        times, names, _by_contact(last.force, contacts), {},
+        {f.name: float(x) for f, x in zip(wanted, last.numbers, strict=True)},
+        slopes, reversed_certificate(names, values, wanted, solved) if len(solved) > 1 else None,
+        "failed" if failed else "ok", reason(last.code, max_steps), last.end if failed else float("nan"),
+        {**last.stats, **spent, "rungs": len(solved)},
+    )  # fmt: skip

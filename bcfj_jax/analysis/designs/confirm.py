@@ -1,0 +1,117 @@
+"""The check: the design before and after by runs that know nothing of gradients, norms or batches.
+
+``simulate`` at a tighter tolerance and, where there is another, by another solver. A design of equilibria is checked by
+the equations of motion, which have what equilibrium leaves out: inertia, friction, damping and impacts.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from bcfj_jax.analysis.derivatives.jacobian import Histories, channels
+from bcfj_jax.analysis.designs.objective import Objective, measured
+from bcfj_jax.mechanism.scene import AbstractScene, Params
+from bcfj_jax.models.joint.scene import Joint
+from bcfj_jax.solve.integrate import LEVELS
+from bcfj_jax.solve.simulation import Run, simulate
+
+# Share of the gain that must be seen again: with the same model, and with one that has more in it.
+SAME, OTHER = 0.9, 0.5
+_TIGHTEST = 1e-9
+
+
+class Confirmation(NamedTuple):
+    """What independent runs found.
+
+    Attributes:
+        before, after: the true objective; NaN where a run failed.
+        features_before, features_after: what it is made of, by name.
+        gain: of the objective, positive where it became better.
+        share: that gain over the optimiser's.
+        confirmed: whether the share is enough, ``SAME`` or ``OTHER``.
+        how: in words: fidelity, solver, accuracy.
+        reason: why a run failed; "" for none.
+    """
+
+    before: float
+    after: float
+    features_before: dict[str, float]
+    features_after: dict[str, float]
+    gain: float
+    share: float
+    confirmed: bool
+    how: str
+    reason: str
+
+
+def independent(scene: AbstractScene) -> tuple[AbstractScene, str | None]:
+    """A scene and a solver to check a design of this scene with: the motion of a joint, another method for springs."""
+    if isinstance(scene, Joint):
+        return dataclasses.replace(scene, fidelity="dynamic"), "rodas3"
+    return scene, "dopri5"
+
+
+def tighter(accuracy: str | float) -> float:
+    """Force error of the check: a tenth of the optimiser's, and no more than ``reference``."""
+    asked = LEVELS[accuracy] if isinstance(accuracy, str) else accuracy
+    return max(min(0.1 * asked, LEVELS["reference"]), _TIGHTEST)
+
+
+def confirm(
+    scene: AbstractScene,
+    judge: AbstractScene,
+    solver: str | None,
+    designs: tuple[Params, Params],
+    times: np.ndarray,
+    objective: Objective,
+    sign: float,
+    gain: float,
+    accuracy: float,
+) -> Confirmation:
+    """Run both designs again.
+
+    Args:
+        scene: the one that was optimised; judge: the one that checks.
+        solver: of the check.
+        designs: parameters before and after.
+        times, objective, sign: as the optimiser had them.
+        gain: that the optimiser saw.
+        accuracy: force error of the check.
+
+    Raises:
+        InputError: as ``simulate``.
+    """
+    both = [{name: jnp.asarray(x, dtype=float) for name, x in params.items()} for params in designs]
+    runs = [simulate(judge, params, times, accuracy=accuracy, solver=solver) for params in both]
+    tables = [features(run, judge, times, objective) for run in runs]
+    before, after = (float(objective.of([jnp.asarray(x) for x in table.values()])) for table in tables)
+    found = sign * (before - after)
+    share = found / gain if gain else np.nan
+    same = judge == scene
+    model = f"{judge.fidelity} joint" if isinstance(judge, Joint) else judge.kind
+    least = SAME if same else OTHER
+    return Confirmation(
+        before, after, tables[0], tables[1], found, share, bool(gain > 0 and share >= least),
+        f"{model} by {solver or 'its own solver'} at a force error of {accuracy:.0e}",
+        "; ".join(run.reason for run in runs if run.status != "ok"),
+    )  # fmt: skip
+
+
+def features(run: Run, scene: AbstractScene, times: np.ndarray, objective: Objective) -> dict[str, float]:
+    """The objective's true features of a run, by name; NaN where it failed."""
+    contacts = channels(scene)
+
+    def stacked(table: Mapping[str, np.ndarray], axes: int) -> np.ndarray:
+        parts = [table[name] if contacts[name] else table[name][:, None] for name in contacts]
+        assert all(part.ndim == axes for part in parts)
+        return np.concatenate(parts, axis=1)
+
+    force, depth = jnp.asarray(stacked(run.force, 3)), jnp.asarray(stacked(run.penetration, 2))
+    values = measured(times, Histories(force, depth, None, None), objective, contacts, None)
+    bad = run.status != "ok"
+    return {f.name: float("nan") if bad else float(x) for f, x in zip(objective.features, values, strict=True)}

@@ -1,0 +1,197 @@
+"""The objective and its gradient at many points of the unit box: one compiled batch, whatever asks.
+
+Descents, polish, curvature and tolerances all go through here. One program makes the runs and their tangents, a small
+one the objective out of them, so that another objective costs no other simulation to compile. A point that is refused
+(a joint that does not assemble) or whose run fails is NaN, and is told with its reason.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from bcfj_jax.analysis.derivatives.jacobian import Histories, channels, compiled, histories
+from bcfj_jax.analysis.designs.objective import Objective, measured, sampled
+from bcfj_jax.analysis.designs.space import Space
+from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.status import OK, STEEP, reason
+from bcfj_jax.mechanism.scene import AbstractScene, Params
+from bcfj_jax.models.joint.scene import Joint
+from bcfj_jax.solve.integrate import Plan
+from bcfj_jax.solve.simulation import check
+
+
+class Values(NamedTuple):
+    """At N points: what the descent sees, its gradient by unit coordinates, and the true objective.
+
+    Attributes:
+        smooth: (N,) with norms or crests in place of peaks, times the sign that makes less better.
+        slope: (N, P).
+        goal: (N,) as ``smooth``, always with crests: by it points are compared.
+        true: (N,) with greatest samples, without that sign.
+        reasons: (N,) why a point has no value; "" where it has one.
+    """
+
+    smooth: np.ndarray
+    slope: np.ndarray
+    goal: np.ndarray
+    true: np.ndarray
+    reasons: list[str]
+
+
+@dataclass
+class Effort:
+    """What was spent: batches, points that were asked for, seconds, and failures by reason."""
+
+    batches: int = 0
+    points: int = 0
+    wall_s: float = 0.0
+    compile_s: float = 0.0
+    failures: Counter = field(default_factory=Counter)
+
+
+@dataclass(frozen=True)
+class Evaluator:
+    """A scene's objective over the unit box of its free parameters.
+
+    Attributes:
+        scene, params, times, how: as ``force_history`` takes them.
+        space, objective: what is free, what is made least.
+        sign: 1 to make it least, -1 to make it most.
+        lanes: points in one batch.
+        spent: the account of all calls.
+    """
+
+    scene: AbstractScene
+    params: Params
+    times: np.ndarray
+    how: Plan
+    space: Space
+    objective: Objective
+    sign: float
+    lanes: int
+    spent: Effort
+
+    def __call__(self, unit: np.ndarray, norm: float = np.inf) -> Values:
+        """Values at points (N, P), with the norm q in place of peaks; infinity takes crests."""
+        return self.at(self.space.values(unit), norm)
+
+    def at(self, values: np.ndarray, norm: float = np.inf) -> Values:
+        """As a call, at SI values (N, P), which may lie outside of the bounds."""
+        parts = [self._block(values[k : k + self.lanes], norm) for k in range(0, len(values), self.lanes)]
+        joined = [np.concatenate([part[i] for part in parts]) for i in range(4)]
+        reasons = [text for part in parts for text in part.reasons]
+        return Values(joined[0], joined[1], joined[2], joined[3], reasons)
+
+    def _block(self, values: np.ndarray, norm: float) -> Values:
+        refused = [self._refusal(point) for point in values]
+        good = [k for k, text in enumerate(refused) if not text]
+        self.spent.points += len(values)
+        self.spent.failures.update(text.split(":")[0] for text in refused if text)
+        nothing = np.full(len(values), np.nan)
+        found = Values(nothing.copy(), np.full(values.shape, np.nan), nothing.copy(), nothing.copy(), refused)
+        if not good:
+            return found
+        *read, code = self._read(values[good])
+        given = *read, jnp.asarray(float(norm))
+        key = ("design objective", self.scene, self.times.tobytes(), self.space.names, self.objective, self.lanes)
+        program, compile_s = compiled(key, self._objectives, *given)
+        begin = time.perf_counter()
+        smooth, slope, goal, true, code = (np.asarray(x)[: len(good)] for x in (*program(*given), code))
+        self.spent.wall_s += time.perf_counter() - begin
+        self.spent.compile_s += compile_s
+        slope = self.sign * slope * self.space.slope(values[good])
+        finite = np.isfinite(smooth) & np.isfinite(goal) & np.isfinite(true) & np.isfinite(slope).all(axis=1)
+        code = np.where((code == OK) & ~finite, STEEP, code)
+        for i, k in enumerate(good):
+            if code[i] == OK:
+                found.smooth[k], found.goal[k] = self.sign * smooth[i], self.sign * goal[i]
+                found.slope[k], found.true[k] = slope[i], true[i]
+            else:
+                found.reasons[k] = reason(int(code[i]), self.how.max_steps)
+                self.spent.failures[found.reasons[k]] += 1
+        return found
+
+    def samples(self, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """What the greatest sample is chosen from at one point (P,): ``objective.sampled``, by unit coordinates.
+
+        None where the run fails, and for an objective that is no greatest sample.
+        """
+        values = self.space.values(unit)
+        self.spent.points += 1
+        if not self.objective.sampled or self._refusal(values):
+            return None
+        *read, code = (np.asarray(x)[0] for x in self._read(values[None]))
+        if code != OK:
+            return None
+        return sampled(read, self.objective, channels(self.scene), self.space.slope(values))
+
+    def _read(self, points: np.ndarray) -> tuple:
+        """What ``_runs`` gives of points that can be built, (n, P) SI, n up to the lanes; filled up with the first."""
+        rows = np.array([i if i < len(points) else 0 for i in range(self.lanes)])
+        fixed = {name: jnp.asarray(x) for name, x in self.params.items()}
+        arguments = fixed, jnp.asarray(points[rows]), jnp.asarray(self.times), self.how, jnp.asarray(len(points))
+        key = ("design runs", self.scene, len(self.times), self.space.names, self.lanes)
+        runs, compile_s = compiled(key, self._runs, *arguments)
+        begin = time.perf_counter()
+        found = jax.block_until_ready(runs(*arguments))
+        self.spent.wall_s += time.perf_counter() - begin
+        self.spent.compile_s += compile_s
+        self.spent.batches += 1
+        return found
+
+    def _refusal(self, point: np.ndarray) -> str:
+        """Why a point cannot be built; "" if it can."""
+        illegal = self.space.legal(point)
+        if illegal:
+            return illegal
+        try:
+            check(self.scene, {**self.params, **dict(zip(self.space.names, point, strict=True))})
+        except InputError as error:
+            return str(error)
+        return ""
+
+    def _runs(self, fixed: dict, points: Array, times: Array, how: Plan, count: Array) -> tuple:
+        """Normal forces and penetrations (N, T, C), their tangents (N, T, C, P), and codes: whatever the objective."""
+
+        def one(theta: Array) -> tuple[tuple, tuple]:
+            params = {**fixed, **{name: theta[k] for k, name in enumerate(self.space.names)}}
+            found, (code, *_) = histories(self.scene, params, times, how)
+            read = found.force[:, :, 0], found.penetration
+            return read, (read, code)
+
+        whole = jax.jacfwd(one, has_aux=True)
+        if isinstance(self.scene, Joint) and jax.default_backend() == "cpu":
+            # Side by side a joint gains nothing on a core; one by one, those beyond the count cost nothing.
+            nothing = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(whole, points[0]))
+            each = (jnp.arange(self.lanes), points)
+            slopes, (read, code) = jax.lax.map(
+                lambda x: jax.lax.cond(x[0] < count, whole, lambda _: nothing, x[1]), each
+            )
+        else:
+            slopes, (read, code) = jax.vmap(whole)(points)
+        return *read, *slopes, code
+
+    def _objectives(self, force: Array, depth: Array, force_slope: Array, depth_slope: Array, norm: Array) -> tuple:
+        """The objective on norms with its gradient, on crests, and on greatest samples, of N runs."""
+        contacts = channels(self.scene)
+
+        def of(force: Array, depth: Array, norm: Array | None) -> Array:
+            found = Histories(force[:, :, None], depth, None, None)
+            return self.objective.of(measured(self.times, found, self.objective, contacts, norm))
+
+        def one(force: Array, depth: Array, force_slope: Array, depth_slope: Array) -> tuple:
+            def push(*along: Array) -> Array:
+                return jax.jvp(lambda f, d: of(f, d, norm), (force, depth), along)[1]
+
+            slope = jax.vmap(push, in_axes=-1)(force_slope, depth_slope)
+            return of(force, depth, norm), slope, of(force, depth, jnp.asarray(jnp.inf)), of(force, depth, None)
+
+        return jax.vmap(one)(force, depth, force_slope, depth_slope)

@@ -1,0 +1,216 @@
+"""What is made least: a feature, a weighted sum of features, or a function of several.
+
+A peak is a maximum over samples: as a parameter moves, the greatest sample changes and the slope jumps. Two stand-ins
+that do not:
+
+- the *crest*, the maximum of the quartic through the greatest sample and its four neighbours; its own place follows
+  the parameters, so that second derivatives are right, too. Good to (omega dt)^5;
+- the *norm*, ||F||_q = (1/T integral |F|^q dt)^(1/q) over time and members, which tends to the maximum from below as q
+  grows and sees several equal peaks at once; a descent begins with it where ``norms`` says so.
+
+What is reported is neither, but the greatest sample.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from bcfj_jax.analysis.derivatives.jacobian import Histories, channel_names
+from bcfj_jax.analysis.derivatives.measures import vector
+from bcfj_jax.analysis.derivatives.names import UNITS, Feature, feature, members
+from bcfj_jax.core.errors import InputError
+
+# Beside the features of ``derivatives``: the deepest penetration, and the greatest |F| where a force has two signs.
+OWN = {"peak_penetration": "m", "largest": "N"}
+_PEAKS = ("peak", *OWN)
+_NOT = ("period",)
+
+Combine = Callable[[Mapping[str, Array]], Array]
+
+
+class Objective(NamedTuple):
+    """Features, and what is made of them: their weighted sum, or ``combine`` of all by name."""
+
+    name: str
+    features: tuple[Feature, ...]
+    weights: tuple[float, ...]
+    combine: Combine | None
+    unit: str
+
+    @property
+    def peaked(self) -> bool:
+        """Whether a maximum over time is in it."""
+        return any(f.kind in _PEAKS for f in self.features)
+
+    @property
+    def sampled(self) -> bool:
+        """Whether it is one greatest sample and nothing else."""
+        return self.combine is None and self.weights == (1.0,) and self.peaked
+
+    def of(self, values: Sequence[Array]) -> Array:
+        """The objective of the features' values. Pure."""
+        if self.combine is not None:
+            return self.combine({f.name: x for f, x in zip(self.features, values, strict=True)})
+        return sum((w * x for w, x in zip(self.weights, values, strict=True)), start=jnp.zeros(()))
+
+
+def objective(
+    asked: str | Mapping[str, float] | Combine, features: Sequence[str], contacts: Mapping[str, int]
+) -> Objective:
+    """What ``design`` was asked to make least.
+
+    Args:
+        asked: a feature's name, weights by name, or a function of a dict of features by name.
+        features: the names that the function reads.
+        contacts: number of members by contact, ``jacobian.channels``.
+
+    Raises:
+        InputError: for a name that is not known, and a period, which is found on the host.
+    """
+    if callable(asked):
+        if not features:
+            raise InputError("features", "none", "name the features that the objective reads")
+        names, weights, combine = tuple(features), (1.0,) * len(features), asked
+        text, unit = getattr(asked, "__name__", "objective"), ""
+        parts = tuple(_feature(name, contacts) for name in names)
+    else:
+        table = {asked: 1.0} if isinstance(asked, str) else dict(asked)
+        names, weights, combine = tuple(table), tuple(float(w) for w in table.values()), None
+        if not names or not np.isfinite(weights).all():
+            raise InputError("objective", f"{asked}", "give one feature or more, each with a finite weight")
+        alone = len(names) == 1 and weights == (1.0,)
+        # Known to be a feature's name from here on.
+        parts = tuple(_feature(name, contacts) for name in names)
+        text = names[0] if alone else " + ".join(f"{w:.3g} {n}" for n, w in table.items())
+        unit = unit_of(names[0]) if alone else ""
+    return Objective(text, parts, weights, combine, unit)
+
+
+def unit_of(name: str) -> str:
+    """Unit of a feature by its name."""
+    return ({**UNITS, **OWN})[name.rpartition(".")[2]]
+
+
+def _feature(name: str, contacts: Mapping[str, int]) -> Feature:
+    place, _, kind = name.rpartition(".")
+    if kind in _NOT:
+        raise InputError(f"feature '{name}'", f"a {kind} has no derivative in a batch", "take another feature")
+    if kind in OWN:
+        return Feature(name, kind, feature(f"{place}.peak", contacts).contacts)
+    return feature(name, contacts)
+
+
+def measured(
+    times: np.ndarray, found: Histories, wanted: Objective, contacts: Mapping[str, int], norm: Array | None
+) -> list[Array]:
+    """Values of the objective's features. Pure, differentiable.
+
+    Args:
+        times: (T,) [s], numbers.
+        found: histories of one run.
+        wanted, contacts: as ``objective`` made it, and as it was given.
+        norm: q; infinity takes crests, None the greatest samples.
+    """
+    names = channel_names(contacts)
+
+    def one(feature: Feature) -> Array:
+        if feature.kind not in _PEAKS:
+            return vector(times, found, [feature], contacts, {})[0]
+        index = np.array([names.index(m) for m in members(feature.contacts[0], contacts)])
+        values = (found.penetration if feature.kind == "peak_penetration" else found.force[:, :, 0])[:, index]
+        values = jnp.abs(values) if feature.kind == "largest" else values
+        if norm is None:
+            return jnp.max(values)
+        top = crest(values) if _even(times) else jnp.max(values)
+        return jnp.where(jnp.isfinite(norm), _norm(times, values, jnp.where(jnp.isfinite(norm), norm, 2.0)), top)
+
+    return [one(feature) for feature in wanted.features]
+
+
+def sampled(
+    read: Sequence[np.ndarray], wanted: Objective, contacts: Mapping[str, int], stretch: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The samples (K,) whose greatest is the objective, with slopes (K, P), and which of them no neighbour in time is
+    above; |F| is the greater of F and -F.
+
+    Args:
+        read: force and penetration (T, C), and their slopes (T, C, P).
+        wanted, contacts: an objective that is ``sampled``.
+        stretch: (P,) what slopes are multiplied by.
+    """
+    feature, names = wanted.features[0], channel_names(contacts)
+    index = np.array([names.index(m) for m in members(feature.contacts[0], contacts)])
+    k = int(feature.kind == "peak_penetration")
+    values, slopes = read[k][:, index], read[2 + k][:, index] * stretch
+    if feature.kind == "largest":
+        values, slopes = np.concatenate([values, -values], axis=1), np.concatenate([slopes, -slopes], axis=1)
+    beside = np.pad(values, ((1, 1), (0, 0)), constant_values=-np.inf)
+    peaks = (values >= beside[:-2]) & (values >= beside[2:])
+    return values.ravel(), slopes.reshape(-1, stretch.size), peaks.ravel()
+
+
+def _even(times: np.ndarray) -> bool:
+    gaps = np.diff(times)
+    return bool(gaps.size and np.ptp(gaps) <= 1e-6 * gaps.max())
+
+
+def crest(values: Array) -> Array:
+    """Maximum over time and members of (T, k) samples at even times, between samples, too.
+
+    With s the place of the quartic's maximum in samples from the greatest one: Newton's method finds it, and one more
+    step of it that is differentiated carries ds/dF = -(dp'/dF)/p''. The greatest sample itself, where it is the
+    first or last two, or the quartic has no maximum within a sample of it.
+    """
+    count = values.shape[0]
+    greatest = jnp.max(values)
+    if count < 5:
+        return greatest
+    flat = jnp.argmax(jax.lax.stop_gradient(values))
+    top, member = flat // values.shape[1], flat % values.shape[1]
+    start = jnp.clip(top - 2, 0, count - 5)
+    near = jax.lax.dynamic_slice_in_dim(jnp.take(values, member, axis=1), start, 5)
+    c = jnp.asarray(_TAYLOR) @ (near - jax.lax.stop_gradient(near[2]))
+
+    def step(c: Array, s: Array) -> tuple[Array, Array]:
+        first = c[1] + s * (2.0 * c[2] + s * (3.0 * c[3] + s * 4.0 * c[4]))
+        return first, 2.0 * c[2] + s * (6.0 * c[3] + s * 12.0 * c[4])
+
+    fixed, s = jax.lax.stop_gradient(c), jnp.zeros(())
+
+    def closer(_: int, s: Array) -> Array:
+        first, second = step(fixed, s)
+        return jnp.clip(s - first / jnp.where(second < 0.0, second, -jnp.inf), -1.0, 1.0)
+
+    s = jax.lax.stop_gradient(jax.lax.fori_loop(0, 6, closer, s))
+    second = step(fixed, s)[1]
+    inside = (top >= 2) & (top < count - 2) & (second < 0.0) & (jnp.abs(s) < 1.0)
+    safe = jnp.where(inside, second, -1.0)
+    s = s - jnp.where(inside, step(c, s)[0], 0.0) / safe
+    high = c[0] + s * (c[1] + s * (c[2] + s * (c[3] + s * c[4]))) + jax.lax.stop_gradient(near[2])
+    # A parabola's rises by up to 1/24; a jump within the five samples makes a quartic that rises further.
+    spread = jax.lax.stop_gradient(jnp.max(near) - jnp.min(near))
+    return jnp.where(inside & (high - greatest <= _RISE * spread), high, greatest)
+
+
+# How far a crest may rise above its greatest sample, over the spread of its five.
+_RISE = 0.06
+# Coefficients of the quartic through samples at -2 .. 2.
+_TAYLOR = np.linalg.inv(np.vander(np.arange(-2.0, 3.0), 5, increasing=True))
+
+
+def _norm(times: np.ndarray, values: Array, q: Array) -> Array:
+    """||F||_q over time, of what presses, the largest of members counting together."""
+    pressed = jnp.maximum(values, 0.0)
+    size = jax.lax.stop_gradient(jnp.max(pressed))
+    size = jnp.where(size > 0.0, size, 1.0)
+    share = pressed / size
+    # |x|^q and its slope are 0 at x = 0 for q > 1; the logarithm must not be asked.
+    power = jnp.where(share > 0.0, jnp.exp(q * jnp.log(jnp.where(share > 0.0, share, 1.0))), 0.0)
+    mean = jnp.trapezoid(jnp.sum(power, axis=1), jnp.asarray(times)) / (times[-1] - times[0])
+    return size * jnp.where(mean > 0.0, jnp.exp(jnp.log(jnp.where(mean > 0.0, mean, 1.0)) / q), 0.0)

@@ -1,0 +1,154 @@
+"""What manufacture makes of a design: worst case and scatter over its tolerances, by gradient and by runs.
+
+With half widths t_i of the tolerance box and g_i = df/dp_i at the nominal values,
+
+    worst change = sum_i |g_i| t_i,     standard deviation = sqrt(sum_i (g_i s_i)^2),
+
+s_i = t_i/3 where deviations are normal, t_i/sqrt(3) where they are uniform: first order, and right only while the box
+is small beside the feature's bends. Where several peaks are equally high it is the highest of their own worst
+cases, and the deviation is by one peak's slopes alone. The same by runs: at scrambled Sobol
+points of the box, and at the corner the slopes point to, and for normal deviations at as many normal points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import norm as normal
+from scipy.stats import qmc
+
+from bcfj_jax.analysis.designs.evaluate import Evaluator, Values
+
+DISTRIBUTIONS = ("normal", "uniform")
+# Half widths of a box in standard deviations, by distribution.
+_SIGMAS = {"normal": 3.0, "uniform": np.sqrt(3.0)}
+# Differences for the gradient of a worst change, over a range; and where |g_i| t_i is rounded, over the objective.
+_DIFFERENCE, _ROUNDED = 1e-4, 1e-6
+
+
+class Robustness(NamedTuple):
+    """Of the true feature at the nominal design; NaN where unknown.
+
+    Attributes:
+        nominal: its value.
+        linear_worst, linear_deviation: worst value and standard deviation by the gradient.
+        sampled_worst, sampled_deviation, sampled_mean: by runs.
+        worst_at: SI values of the worst run, by name.
+        samples, failed: runs asked for, and those without a value.
+        reasons: of these, with their numbers.
+    """
+
+    nominal: float
+    linear_worst: float
+    linear_deviation: float
+    sampled_worst: float
+    sampled_deviation: float
+    sampled_mean: float
+    worst_at: dict[str, float]
+    samples: int
+    failed: int
+    reasons: dict[str, int]
+
+
+def robustness(
+    evaluate: Evaluator, unit: np.ndarray, values: Values, distribution: str, samples: int, seed: int, kinked: bool
+) -> Robustness | None:
+    """Of a design (P,) in unit coordinates and the values of that one point; None without any tolerance.
+
+    Args:
+        evaluate: the objective without tolerances.
+        unit, values: the design.
+        distribution: "normal" or "uniform" deviations; the worst case is that of the box either way.
+        samples: runs of each kind.
+        seed: of the Sobol points.
+        kinked: whether several peaks are equally high there, so that a single gradient tells nothing.
+    """
+    space = evaluate.space
+    at = space.values(unit)
+    halves = space.halves(at)
+    if not halves.any():
+        return None
+    widths = halves / space.slope(at)
+    changes, nominal = values.slope[0] * widths, float(values.true[0])
+    steepest, toward = nominal + evaluate.sign * float(np.abs(changes).sum()), np.sign(values.slope[0])
+    read = evaluate.samples(unit) if kinked else None
+    if read is not None:
+        reach = np.where(read[2], read[0] + np.abs(read[1] * widths).sum(axis=1), -np.inf)
+        k = int(np.argmax(reach))
+        steepest, toward = float(reach[k]), np.sign(read[1][k])
+    moved = np.flatnonzero(halves)
+    shares = qmc.Sobol(moved.size, rng=np.random.default_rng(seed)).random_base2(int(np.ceil(np.log2(samples))))
+    box = np.zeros((len(shares), len(at)))
+    box[:, moved] = 2.0 * shares - 1.0
+    points = [at + halves * toward, *(at + halves * box)]
+    if distribution == "normal":
+        scatter = np.zeros_like(box)
+        scatter[:, moved] = normal.ppf(np.clip(shares, 1e-9, 1.0 - 1e-9)) / _SIGMAS["normal"]
+        points += [*(at + halves * scatter)]
+    found = evaluate.at(np.array(points))
+    signed = evaluate.sign * found.true
+    inside, drawn = signed[: 1 + len(box)], (found.true[1 + len(box) :] if distribution == "normal" else found.true[1:])
+    known = np.isfinite(inside).any()
+    worst = int(np.nanargmax(inside)) if known else 0
+    good = drawn[np.isfinite(drawn)]
+    reasons: dict[str, int] = {}
+    for text in filter(None, found.reasons):
+        reasons[text] = reasons.get(text, 0) + 1
+    return Robustness(
+        nominal,
+        steepest,
+        float(np.linalg.norm(changes) / _SIGMAS[distribution]),
+        float(found.true[worst]) if known else np.nan,
+        float(good.std()) if good.size else np.nan,
+        float(good.mean()) if good.size else np.nan,
+        dict(zip(space.names, map(float, points[worst]), strict=True)) if known else {},
+        len(points),
+        sum(reasons.values()),
+        reasons,
+    )
+
+
+def robust(evaluate: Evaluator, kappa: float) -> Callable[..., Values]:
+    """The objective with  kappa sum_i |g_i| t_i  added, and its gradient.
+
+    |x| is rounded, sqrt(x^2 + (1e-6 f)^2): the optimum often has a g_i = 0. The gradient of the sum is H d with
+    d_i = sign(g_i) t_i, taken as a central difference of two gradients along d. ``true`` stays the feature alone.
+    """
+    if not kappa:
+        return evaluate
+    space = evaluate.space
+
+    def widths(unit: np.ndarray) -> np.ndarray:
+        """Half widths in unit coordinates, (N, P)."""
+        at = space.values(unit)
+        return space.halves(at) / space.slope(at)
+
+    def wrapped(unit: np.ndarray, norm: float = np.inf) -> Values:
+        here, halves = evaluate(unit, norm), widths(unit)
+        # Relative tolerances, and logarithmic axes, have widths that change with the place.
+        growth = (widths(unit + _DIFFERENCE) - widths(unit - _DIFFERENCE)) / (2.0 * _DIFFERENCE)
+        small = _ROUNDED * np.abs(here.goal)[:, None]
+        change = np.sqrt((here.slope * halves) ** 2 + small**2)
+        share = here.slope**2 * halves / np.where(change > 0, change, 1.0)
+        along = np.where(halves > 0, share * halves / np.where(here.slope == 0, 1.0, here.slope), 0.0)
+        bend = _along(evaluate, unit, along, norm)
+        total, slope = np.sum(change - small, axis=1), bend + share * growth
+        return here._replace(
+            smooth=here.smooth + kappa * total, slope=here.slope + kappa * slope, goal=here.goal + kappa * total
+        )
+
+    return wrapped
+
+
+def _along(evaluate: Evaluator, unit: np.ndarray, along: np.ndarray, norm: float) -> np.ndarray:
+    """Hessian times a vector at each point (N, P); from one side where the other one leaves the box."""
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    way = _DIFFERENCE * np.where(np.isfinite(along), along, 0.0) / np.where(length > 0, length, 1.0)
+    out = [np.any((unit + s * way < 0.0) | (unit + s * way > 1.0), axis=1, keepdims=True) for s in (1.0, -1.0)]
+    sides = [np.where(o, 0.0, s) for o, s in zip(out, (1.0, -1.0), strict=True)]
+    # In a corner that both leave, both are taken: a bound is no wall of the model.
+    sides = [np.where(out[0] & out[1], s, side) for side, s in zip(sides, (1.0, -1.0), strict=True)]
+    ahead, behind = (evaluate(unit + side * way, norm).slope for side in sides)
+    return (ahead - behind) / ((sides[0] - sides[1]) * _DIFFERENCE) * length

@@ -1,0 +1,298 @@
+"""Histories held against time and against each other: windows, periods, delays, start-up, settling.
+
+A history is an array of shape (T,) over times of shape (T,) [s]. ``period``, ``frequency``, ``start_up_time`` and
+``settling_time`` are NumPy and give a float; ``delay`` is JAX, differentiable in the histories.
+
+A window is a pair (start, end) [s], both ends included, None for all times. What takes one needs times that are
+known numbers (close over them under ``jit`` or ``vmap``; the force may be traced) and raises ``InputError`` where they
+are traced, fewer than two, not finite or do not increase, where a history has another length, and where the window has
+no length, leaves the times or holds fewer than two samples. A history with NaN in it gives NaN.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.core import Tracer
+from jax.typing import ArrayLike
+
+from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.numerics import power
+from bcfj_jax.core.quantities import increasing
+
+Window = tuple[float, float] | None
+
+# Shares of a correlation's greatest value: above the first a crest equals it, below the second a crest is over.
+_EQUAL, _OVER = 0.9, 0.8
+
+
+def within(times: ArrayLike, window: Window) -> slice:
+    """Slice of the samples of a window, to restrict a feature that takes none: ``peak(force[within(...)])``.
+
+    A sample counts as inside up to 1e-9 of the whole span past an end, so that 1.18 holds its own rounding.
+
+    Raises:
+        InputError: see the top of the file.
+    """
+    t = _known(times)
+    if window is None:
+        return slice(0, t.size)
+    start, end, slack = float(window[0]), float(window[1]), 1e-9 * float(t[-1] - t[0])
+    if not start < end:
+        raise InputError("window", f"{start:g} s to {end:g} s", "give a start before the end")
+    if start < t[0] - slack or end > t[-1] + slack:
+        raise InputError("window", f"{start:g} s to {end:g} s", f"stay inside the history, {t[0]:g} s to {t[-1]:g} s")
+    return slice(int(np.searchsorted(t, start - slack)), int(np.searchsorted(t, end + slack, side="right")))
+
+
+def samples(times: ArrayLike, window: Window, *values: ArrayLike) -> tuple[np.ndarray, list[Array]]:
+    """Times and histories of a window, checked: see the top of the file."""
+    t = _known(times)
+    arrays = [jnp.asarray(x, dtype=float) for x in values]
+    for x in arrays:
+        if x.shape != t.shape:
+            raise InputError("history", f"shape {x.shape} over times of shape {t.shape}", "give one sample a time")
+    part = within(t, window)
+    if part.stop - part.start < 2:
+        raise InputError("window", f"{part.stop - part.start} samples", "take a wider window, of at least 2 samples")
+    return t[part], [x[part] for x in arrays]
+
+
+def _known(times: ArrayLike) -> np.ndarray:
+    """The times as checked numbers."""
+    if isinstance(times, Tracer):
+        raise InputError("times", "traced by JAX", "close over the times instead of passing them through jit or vmap")
+    return increasing(times, 2)
+
+
+def period(times: ArrayLike, values: ArrayLike, window: Window = None) -> float:
+    """Time after which a history repeats itself, by autocorrelation [s].
+
+    On N even steps, x less its mean, the normalised square difference at a lag of k steps (McLeod, Wyvill 2005) is
+
+        n(k) = 1 - sum_j (x_j+k - x_j)^2 / sum_j (x_j+k^2 + x_j^2),      j + k < N,      n <= 1,
+
+    and 1 at every period whatever the window's length. Past the first n <= 0 and up to 3/4 of the window, the first
+    crest within 10 % of the greatest is the period; its last multiple m with such a crest places it, T = k_m/m, k_m
+    between samples from a least-squares quartic. A window of less than about one and a half periods, a constant, and
+    what repeats itself by less than half (n < 0.5: noise, one impact, a start-up that outweighs the rest: leave it out
+    of the window) have none: NaN. So do lags whose overlap holds less than a quarter of its share of sum x^2. A history
+    that nearly repeats itself sooner, with n within 10 % of the greatest, has that for its period.
+    ``features.contact_interval`` counts onsets instead.
+
+    Raises:
+        InputError: see the top of the file; or fewer than 8 samples in the window.
+    """
+    t, (x,) = samples(times, window, values)
+    if t.size < 8:
+        raise InputError("window", f"{t.size} samples", "a period needs 8 or more")
+    return _repeat(t, np.asarray(x))
+
+
+def settled_period(times: ArrayLike, values: ArrayLike) -> float:
+    """``period`` of the last two thirds [s]; NaN for 10 samples or fewer there."""
+    t = _known(times)
+    late = t >= t[-1] / 3.0
+    return period(t[late], np.asarray(values)[late]) if np.count_nonzero(late) > 10 else float("nan")
+
+
+def frequency(times: ArrayLike, values: ArrayLike, window: Window = None) -> float:
+    """How often a history repeats itself, 1/``period`` [Hz]; NaN without a full period.
+
+    Raises:
+        InputError: as ``period``.
+    """
+    return 1.0 / period(times, values, window)
+
+
+def delay(
+    times: ArrayLike, first: ArrayLike, second: ArrayLike, period: float | None = None, window: Window = None
+) -> Array:
+    """Shift of the second history against the first at their best correlation [s]; > 0 where the second comes later.
+
+    argmax over |s| <= period/2 of the correlation coefficient (Pearson) of first(t) and second(t + s) over the times
+    that both have, so that neither scale nor offset matters; between samples by a least-squares quartic over the crest.
+    Without a period given, that of the first history is taken, or the window where it does not repeat itself.
+    NaN where one is constant or nothing correlates.
+
+    Raises:
+        InputError: see the top of the file; or a period that is not > 0, shorter than 4 steps or longer than the
+            window; or none where the first history is traced.
+    """
+    t, (a, b) = samples(times, window, first, second)
+    if period is None:
+        if isinstance(a, Tracer):
+            raise InputError("period", "none, of a history traced by JAX", "give the period")
+        cycle = _repeat(t, np.asarray(a)) if t.size >= 8 else math.nan
+        period = cycle if math.isfinite(cycle) else float(t[-1] - t[0])
+    _check_period(t, period)
+    even = np.linspace(t[0], t[-1], t.size)
+    step = even[1] - even[0]
+    most = int(np.floor(0.5 * period / step + 1e-9))
+    if most < 2:
+        raise InputError("period", f"{period:g} s in steps of {step:g} s", "give one of at least 4 steps")
+    place, best = _best_shift(*(jnp.interp(even, t, x) for x in (a, b)), most)
+    return jnp.where(best > 0, jnp.clip(step * place, -0.5 * period, 0.5 * period), jnp.nan)
+
+
+def start_up_time(times: ArrayLike, force: ArrayLike, level: float = 0.5, period: float | None = None) -> float:
+    """End of the start-up: first time at which |F| reaches ``level`` of its settled peak [s].
+
+    The settled peak is max|F| over the last full period; F is linear between samples. The first sample's time where
+    |F| is there from the start. Without a period given, ``period`` of F over the later half is taken. NaN without a
+    period or a load.
+
+    Raises:
+        InputError: see the top of the file; or a level outside ]0, 1], a period not > 0 or longer than the history, or
+            fewer than 16 samples without a period.
+    """
+    t, (f,) = samples(times, None, force)
+    if not 0 < level <= 1:
+        raise InputError("level", f"{level:g}", "give a share of the settled peak, above 0 and at most 1")
+    if period is None and t.size < 16:
+        raise InputError("times", f"{t.size} samples", "give the period, or 16 or more samples to find it from")
+    if period is not None:
+        _check_period(t, period)
+    f = np.asarray(f)
+    cycle = _repeat(t[t.size // 2 :], f[t.size // 2 :]) if period is None else period
+    f = np.abs(f)
+    wanted = level * _settled_peak(t, f, cycle) if np.isfinite(f).all() and np.isfinite(cycle) else 0.0
+    if wanted == 0.0:
+        return float("nan")
+    k = int(np.argmax(f >= wanted))
+    if k == 0:
+        return float(t[0])
+    return float(t[k - 1] + (wanted - f[k - 1]) / (f[k] - f[k - 1]) * (t[k] - t[k - 1]))
+
+
+def settling_time(times: ArrayLike, force: ArrayLike, period: float, tolerance: float = 0.05) -> float:
+    """Stabilisation: earliest sample from which the force repeats itself one period later, up to the end [s].
+
+    Earliest t_j with |F(t_i + period) - F(t_i)| <= tolerance max|F| for every sample i >= j with t_i + period inside
+    the history; max|F| over the last full period, F linear between samples. NaN where fewer than a full period is
+    repeated so, t_j > t_end - 2 period: a few last samples that agree by chance are no steady state. Impacts a sample
+    long never repeat to a few per cent: sample them finely.
+
+    Raises:
+        InputError: see the top of the file; or a tolerance or period not > 0, or a history shorter than two periods.
+    """
+    t, (f,) = samples(times, None, force)
+    f = np.asarray(f)
+    if not tolerance > 0:
+        raise InputError("tolerance", f"{tolerance:g}", "give a share of the peak above 0")
+    _check_period(t, period, 2)
+    if not np.isfinite(f).all():
+        return float("nan")
+    slack = 1e-9 * (t[-1] - t[0])
+    early = t + period <= t[-1] + slack
+    apart = np.abs(np.interp(t[early] + period, t, f) - f[early]) > tolerance * _settled_peak(t, np.abs(f), period)
+    settled = int(np.flatnonzero(apart)[-1]) + 1 if apart.any() else 0
+    return float(t[settled]) if t[settled] <= t[-1] - 2 * period + slack else float("nan")
+
+
+# --- shared parts
+
+
+def _check_period(t: np.ndarray, period: float, times: int = 1) -> None:
+    """Raise where a period is none, or does not fit into the times."""
+    span = float(t[-1] - t[0])
+    if not (period > 0 and times * period <= span * (1 + 1e-9)):
+        found = f"{period:g} s in a history of {span:g} s"
+        raise InputError("period", found, f"give one above 0 and at most {span / times:g} s, or a longer history")
+
+
+def _settled_peak(t: np.ndarray, magnitude: np.ndarray, cycle: float) -> float:
+    """Greatest sample of the last full period."""
+    return float(np.max(magnitude[t >= t[-1] - cycle * (1 + 1e-9)]))
+
+
+def _repeat(t: np.ndarray, values: np.ndarray) -> float:
+    """See ``period``."""
+    if not np.isfinite(values).all() or np.ptp(values) <= 1e-12 * np.max(np.abs(values)):
+        return float("nan")
+    even = np.linspace(t[0], t[-1], t.size)
+    x = np.interp(even, t, values)
+    x = x - np.mean(x)
+    most = 3 * x.size // 4
+    energy = np.concatenate([[0.0], np.cumsum(x * x)])
+    k = np.arange(most + 1)
+    pairs = np.fft.irfft(np.abs(np.fft.rfft(x, 2 * x.size)) ** 2, 2 * x.size)[k]
+    size = energy[x.size - k] + energy[-1] - energy[k]
+    # What overlaps may be the quiet between two impacts, which repeats itself without saying so.
+    told = size > 0.5 * energy[-1] * (1 - k / x.size)
+    n = np.where(told, 2.0 * pairs / np.where(told, size, 1.0), 0.0)
+    first = int(np.argmax(n <= 0))
+    best = float(np.max(n[first:]))
+    if first == 0 or best < 0.5:
+        return float("nan")
+    rise = first + int(np.argmax(n[first:] >= _EQUAL * best))
+    falls = np.flatnonzero(n[rise:] < _OVER * best)
+    if not falls.size:
+        return float("nan")
+    top, multiple = rise + int(np.argmax(n[rise : rise + falls[0]])), 1
+    base = top
+    while True:
+        # Where the next multiple's crest is expected, a tenth of a period either way, past this and inside the lags.
+        guess, reach = top * (multiple + 1) / multiple, max(2, base // 10)
+        low, high = max(round(guess) - reach, top + 1), round(guess) + reach + 1
+        if high > n.size or np.max(n[low:high]) < _EQUAL * n[base]:
+            break
+        top, multiple = low + int(np.argmax(n[low:high])), multiple + 1
+    crest = float(_crest(jnp.asarray(n), top))
+    if not crest > 0.0:  # Too few samples to have one there.
+        return float("nan")
+    return float(even[1] - even[0]) * crest / multiple
+
+
+@partial(jax.jit, static_argnames="most")
+def _best_shift(a: Array, b: Array, most: int) -> tuple[Array, Array]:
+    """Lag [samples], up to ``most`` either way, of the greatest correlation coefficient, and that of the samples."""
+    lags = np.arange(-most, most + 1)
+    count, from_a, from_b = a.size - np.abs(lags), np.maximum(0, -lags), np.maximum(0, lags)
+
+    def sums(values: Array, start: np.ndarray) -> Array:
+        total = jnp.concatenate([jnp.zeros(1), jnp.cumsum(values)])
+        return total[start + count] - total[start]
+
+    raw_a, raw_b = jnp.mean(a * a), jnp.mean(b * b)
+    a, b = a - jnp.mean(a), b - jnp.mean(b)
+    size = 2 * a.size
+    cross = jnp.fft.irfft(jnp.conj(jnp.fft.rfft(a, size)) * jnp.fft.rfft(b, size), size)[lags]
+    sum_a, sum_b = sums(a, from_a), sums(b, from_b)
+    spread_a, spread_b = sums(a * a, from_a) - sum_a**2 / count, sums(b * b, from_b) - sum_b**2 / count
+    # Where one is all but flat, over the shared times or at all, the coefficient is rounding.
+    told_a = spread_a > count * jnp.maximum(0.01 * jnp.mean(a * a), 1e-24 * raw_a)
+    told = told_a & (spread_b > count * jnp.maximum(0.01 * jnp.mean(b * b), 1e-24 * raw_b))
+    scale = power(jnp.where(told, spread_a * spread_b, 1.0), 0.5)
+    match = jnp.where(told, (cross - sum_a * sum_b / count) / scale, -1.0)
+    return _crest(match, jnp.argmax(match)) - most, jnp.max(match)
+
+
+@jax.jit
+def _crest(values: Array, top: ArrayLike) -> Array:
+    """Place of a maximum between samples, counted in samples: crest of the least-squares quartic about ``top``.
+
+    Over as many samples either side, two or more, as are within 10 % of the greatest without a gap.
+    """
+    k = jnp.arange(values.shape[0])
+    fixed = jax.lax.stop_gradient(values)
+    low = fixed < _EQUAL * fixed[top]
+    middle = jnp.clip(top, 2, values.shape[0] - 3)
+    left = middle - jnp.max(jnp.where(low & (k < top), k + 1, 0))
+    right = jnp.min(jnp.where(low & (k > top), k - 1, values.shape[0] - 1)) - middle
+    half = jnp.maximum(2, jnp.minimum(left, right))
+    u = (k - middle) / half
+    basis = jnp.where((jnp.abs(u) <= 1)[:, None], u[:, None] ** jnp.arange(5), 0.0)
+    c = jnp.linalg.solve(basis.T @ basis, basis.T @ values)
+    start = u[jnp.argmax(jnp.where(jnp.abs(u) <= 1, jax.lax.stop_gradient(basis @ c), -jnp.inf))]
+    place = start
+    for _ in range(6):
+        slope = c[1] + place * (2 * c[2] + place * (3 * c[3] + place * 4 * c[4]))
+        bend = 2 * c[2] + place * (6 * c[3] + place * 12 * c[4])
+        place = jnp.clip(place - slope / jnp.where(bend < 0, bend, -1.0), start - 1.0 / half, start + 1.0 / half)
+    return middle + half * place

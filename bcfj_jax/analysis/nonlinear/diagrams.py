@@ -1,0 +1,218 @@
+"""Bifurcation diagrams: what a section settles to, against one parameter, all values in one compiled program.
+
+Every value of the parameter begins at the scene's own start, so the diagram shows the attractor which that start goes
+to, and no hysteresis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from numpy.typing import ArrayLike
+
+from bcfj_jax.analysis.nonlinear.sections import drive_period, impacts, revolutions_to_keep
+from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.status import OK, reason
+from bcfj_jax.mechanism.dynamics import Reading
+from bcfj_jax.mechanism.scene import AbstractScene, Params, Scene
+from bcfj_jax.solve.integrate import MAX_STEPS, Plan, Solution, plan
+from bcfj_jax.solve.simulation import check, readings
+from bcfj_jax.solve.work_queue import integrate_lanes
+
+
+class Diagram(NamedTuple):
+    """Sections at P values of a parameter; a value whose run failed is NaN throughout.
+
+    Attributes:
+        name, values: the parameter, and its values (P,) in SI.
+        times: (P, N) [s] of the section.
+        force: per contact (P, N, 3), or (P, N, balls, 3): normal, axial, tangential [N].
+        penetration, rate: per contact (P, N), or (P, N, balls): [m], [m/s].
+        reasons: P texts, why a run failed; "" for a good one.
+    """
+
+    name: str
+    values: np.ndarray
+    times: np.ndarray
+    force: dict[str, np.ndarray]
+    penetration: dict[str, np.ndarray]
+    rate: dict[str, np.ndarray]
+    reasons: list[str]
+
+    @property
+    def failed(self) -> np.ndarray:
+        """Which values' runs failed, (P,)."""
+        return np.array([bool(text) for text in self.reasons])
+
+
+def map_bifurcation(
+    step: Callable[[Any, Array], Any], start: Any, values: ArrayLike, *, transients: int, kept: int
+) -> Any:
+    """Orbits of a map at many values of its parameter, one ``vmap``.
+
+    Args:
+        step: (state, value) -> state, traceable.
+        start: state that every orbit begins at.
+        values: (P,) of the parameter.
+        transients: iterations that are not kept.
+        kept: N, those that are.
+
+    Returns:
+        The states, like ``start``, with leading axes (P, N).
+    """
+
+    def orbit(value: Array) -> Any:
+        begun = jax.tree.map(lambda x: jnp.asarray(x, float), start)
+        settled = jax.lax.fori_loop(0, transients, lambda _, state: step(state, value), begun)
+
+        def once(state: Any, _: None) -> tuple[Any, Any]:
+            state = step(state, value)
+            return state, state
+
+        return jax.lax.scan(once, settled, None, kept)[1]
+
+    return jax.tree.map(np.array, jax.jit(jax.vmap(orbit))(jnp.asarray(values, float)))
+
+
+def bifurcation(
+    scene: AbstractScene,
+    params: Params,
+    name: str,
+    values: ArrayLike,
+    revolutions: int = 40,
+    *,
+    transients: int = 20,
+    phase: float = 0.0,
+    accuracy: str | float = "balanced",
+    max_steps: int = MAX_STEPS,
+    slots: int = 8,
+) -> Diagram:
+    """Stroboscopic sections of a driven scene against one parameter: clearance, drive speed, friction.
+
+    Args:
+        name, values: the parameter to change and its values (P,) in SI.
+        slots: runs under way at one time (``lanes``); one that ends makes room for the next.
+        scene, params, revolutions, transients, phase, accuracy, max_steps: as ``sections.stroboscopic``. Each value has
+            the revolutions of its own drive speed.
+
+    Raises:
+        InputError: for a parameter the scene does not have, for values it cannot take, and as ``stroboscopic``.
+    """
+    batch, each = _batch(scene, params, name, values)
+    turns = revolutions_to_keep(revolutions, transients, phase)
+    ends = np.array([turns[-1] * drive_period(scene, one) for one in each])
+    found, seen = _solve(scene, batch, ends, np.concatenate([[0.0], turns / turns[-1]]), (accuracy, max_steps, slots))
+    reasons = _reasons(found, max_steps)
+    kept = {contact: jax.tree.map(lambda x: _without(x, reasons)[:, 1:], r) for contact, r in seen.items()}
+    return Diagram(
+        name,
+        np.asarray(batch[name]),
+        ends[:, None] * (turns / turns[-1]),
+        {contact: r.force for contact, r in kept.items()},
+        {contact: r.penetration for contact, r in kept.items()},
+        {contact: r.rate for contact, r in kept.items()},
+        reasons,
+    )
+
+
+def impact_bifurcation(
+    scene: Scene,
+    params: Params,
+    name: str,
+    values: ArrayLike,
+    end: float,
+    kept: int,
+    *,
+    contact: str = "contact",
+    samples: int = 10_001,
+    accuracy: str | float = "balanced",
+    max_steps: int = MAX_STEPS,
+    slots: int = 8,
+) -> tuple[np.ndarray, list[str]]:
+    """Approach speeds at the last touches of a scene without a drive, against one parameter.
+
+    Args:
+        end: of every run [s].
+        kept: N, how many of the last touches to keep.
+        contact: which contact.
+        samples: over the run; they must resolve a flight (``sections.impacts``).
+        scene, params, name, values, accuracy, max_steps, slots: as ``bifurcation``.
+
+    Returns:
+        Speeds (P, N) [m/s], the last at the end, NaN in front where there were fewer and wherever a run failed; and P
+        reasons as in ``Diagram``.
+
+    Raises:
+        InputError: for a parameter or a contact the scene does not have, and for values it cannot take.
+    """
+    known = [one.name for one in scene.contacts]
+    if contact not in known:
+        raise InputError(f"scene '{scene.kind}'", f"no contact '{contact}'", nearest(contact, known))
+    batch, each = _batch(scene, params, name, values)
+    grid = np.linspace(0.0, 1.0, samples)
+    ends = np.full(len(each), float(end))
+    found, seen = _solve(scene, batch, ends, grid, (accuracy, max_steps, slots))
+    reasons, read = _reasons(found, max_steps), seen[contact]
+    speeds = np.full((len(each), kept), np.nan)
+    for row, text in enumerate(reasons):
+        if not text:
+            last = impacts(end * grid, read.penetration[row], read.rate[row]).speeds[-kept:]
+            speeds[row, kept - last.size :] = last
+    return speeds, reasons
+
+
+def _batch(scene: AbstractScene, params: Params, name: str, values: ArrayLike) -> tuple[dict[str, Array], list[Params]]:
+    """Parameters with leaves (P,), and one by one."""
+    if name not in params:
+        raise InputError(f"scene '{scene.kind}'", f"no parameter '{name}'", nearest(name, params))
+    some = np.asarray(values, dtype=float)
+    if some.ndim != 1 or some.size < 1:
+        raise InputError(name, f"values of shape {some.shape}", "give a list of one or more")
+    each: list[Params] = [scene.parameters({**params, name: value}) for value in some]
+    for one in each:
+        check(scene, one)
+    return {key: jnp.stack([one[key] for one in each]) for key in each[0]}, each
+
+
+def _solve(
+    scene: AbstractScene,
+    batch: dict[str, Array],
+    ends: np.ndarray,
+    grid: np.ndarray,
+    effort: tuple[str | float, int, int],
+) -> tuple[Solution, dict[str, Reading]]:
+    accuracy, max_steps, slots = effort
+    how = plan(scene, accuracy, max_steps)
+    return jax.device_get(_run(scene, batch, jnp.asarray(ends), jnp.asarray(grid), how.tolerance, max_steps, slots))
+
+
+@partial(jax.jit, static_argnums=(0, 5, 6))
+def _run(
+    scene: AbstractScene,
+    batch: dict[str, Array],
+    ends: Array,
+    grid: Array,
+    tolerance: Array,
+    max_steps: int,
+    slots: int,
+) -> tuple[Solution, dict[str, Reading]]:
+    how = Plan(tolerance, max_steps)
+    found, _ = integrate_lanes(scene, batch, ends, grid, how, jnp.asarray(ends.size), min(slots, ends.size))
+    seen = jax.vmap(lambda p, end, states: readings(scene, p, end * grid, states))(batch, ends, found.states)
+    return found, seen
+
+
+def _reasons(found: Solution, max_steps: int) -> list[str]:
+    return [reason(int(code), max_steps) if code != OK else "" for code in found.code]
+
+
+def _without(x: np.ndarray, reasons: list[str]) -> np.ndarray:
+    """NaN in every row that failed: what a run showed before it did was perhaps still a transient."""
+    failed = np.array([bool(text) for text in reasons])
+    return np.where(failed.reshape(-1, *[1] * (x.ndim - 1)), np.nan, x)

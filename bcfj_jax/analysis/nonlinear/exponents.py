@@ -1,0 +1,266 @@
+"""Largest Lyapunov exponent of any map or flow, after Benettin, Galgani, Giorgilli and Strelcyn, Meccanica 15, 1980.
+
+A tangent w is carried along the orbit and brought back to length 1 after every step:
+
+    w <- DP(y) w,   g_k = ln|w|,   w <- w/|w|,      lambda = <g>/interval.
+
+DP(y) w is one ``jax.jvp`` of a map, or of a flow's field all along, so no separation has to be chosen.
+``two_trajectories`` is the older way, two orbits at a small finite distance, for steps that have no derivative and as a
+check.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import diffrax as dfx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.flatten_util import ravel_pytree
+
+from bcfj_jax.core.errors import InputError
+
+Step = Callable[[Any], Any]
+Field = Callable[[Array, Array], Array]
+
+
+class Exponent(NamedTuple):
+    """A largest Lyapunov exponent and how it came about.
+
+    Attributes:
+        value: [1/s], or per iteration where the interval is 1; NaN where the orbit failed.
+        standard_error: of the value, by batch means; NaN for fewer than 2 batches.
+        history: (N,) the estimate after each step, to be looked at for convergence.
+        growth: (N,) logarithm of the tangent's growth in each step.
+        interval: duration of a step [s], or 1.
+        reason: why the orbit failed; "" for a good one.
+    """
+
+    value: float
+    standard_error: float
+    history: np.ndarray
+    growth: np.ndarray
+    interval: float
+    reason: str = ""
+
+
+def from_growth(growth: np.ndarray, interval: float, batches: int, reason: str = "") -> Exponent:
+    """The exponent of logarithmic growths (N,) in steps of so long.
+
+    Standard error by batch means (Law and Kelton, Simulation modeling and analysis, 9.5.3): growths of neighbouring
+    steps are correlated, means of long batches hardly; s(means)/sqrt(batches).
+    """
+    mean = np.cumsum(growth) / np.arange(1, growth.size + 1) / interval
+    size = growth.size // batches if batches else 0
+    error = float("nan")
+    if batches > 1 and size > 0 and np.isfinite(growth).all():
+        # The first few are left out where the number does not divide.
+        means = growth[growth.size - batches * size :].reshape(batches, size).mean(axis=1) / interval
+        error = float(np.std(means, ddof=1) / np.sqrt(batches))
+    return Exponent(float(mean[-1]), error, mean, growth, interval, reason)
+
+
+def check_counts(iterations: int, transients: int, batches: int) -> None:
+    """Refuse numbers that make no mean.
+
+    Raises:
+        InputError: for no iterations, negative transients, or more batches than iterations.
+    """
+    if iterations < 1 or transients < 0:
+        raise InputError("iterations", f"{iterations} after {transients}", "give 1 or more, after 0 or more")
+    if batches < 0 or batches > iterations:
+        raise InputError("batches", f"{batches} of {iterations} iterations", "give no more batches than iterations")
+
+
+def map_exponent(
+    step: Step,
+    state: Any,
+    iterations: int,
+    *,
+    transients: int = 0,
+    interval: float = 1.0,
+    batches: int = 20,
+    seed: int = 0,
+) -> Exponent:
+    """Largest Lyapunov exponent of a differentiable map by its tangent.
+
+    Args:
+        step: state -> state, traceable and differentiable by ``jax.jvp``; any pytree of floats.
+        state: where the orbit begins.
+        iterations: so many count.
+        transients: iterations before these, for orbit and tangent alike: the tangent turns to the direction that
+            grows most while the orbit comes to its attractor.
+        interval: time that a step stands for [s]; 1 gives the exponent per iteration.
+        batches: for the standard error.
+        seed: of the tangent's first direction.
+
+    Returns:
+        The exponent; -inf for a superstable orbit, whose tangent vanishes.
+
+    Raises:
+        InputError: ``check_counts``.
+    """
+    check_counts(iterations, transients, batches)
+    start, rebuild = ravel_pytree(jax.tree.map(lambda x: jnp.asarray(x, float), state))
+
+    def flat(y: Array) -> Array:
+        return ravel_pytree(step(rebuild(y)))[0]
+
+    def along(y: Array, w: Array) -> tuple[Array, Array]:
+        return jax.jvp(flat, (y,), (w,))
+
+    growth = _renormalised(along, start, transients + iterations, seed)[transients:]
+    return from_growth(growth, interval, batches)
+
+
+def flow_exponent(
+    field: Field,
+    state: Any,
+    intervals: int,
+    *,
+    interval: float,
+    transients: int = 0,
+    tolerance: float = 1e-7,
+    max_steps: int = 100_000,
+    batches: int = 20,
+    seed: int = 0,
+) -> Exponent:
+    """Largest Lyapunov exponent [1/s] of a flow, state and tangent solved side by side by Tsit5.
+
+        y' = f(t, y),   w' = (df/dy) w,
+
+    with both in the error control: where the orbit comes to rest only the tangent says how long a step may be.
+
+    Args:
+        field: (t, y) -> dy/dt of an array; where it depends on time, for t from 0 to the interval, with a period that
+            divides it.
+        state: (n,) where the orbit begins.
+        intervals: so many count; the tangent is brought back to length 1 after each.
+        interval: [s].
+        transients: intervals before these.
+        tolerance: local error per step, relative and absolute.
+        max_steps: in an interval; beyond it the exponent is NaN.
+        batches, seed: as ``map_exponent``.
+
+    Raises:
+        InputError: ``check_counts``.
+    """
+    check_counts(intervals, transients, batches)
+
+    def both(t: Array, rows: Array) -> Array:
+        return jnp.stack(jax.jvp(lambda y: field(t, y), (rows[0],), (rows[1],)))
+
+    step = flow_step(both, interval, tolerance, max_steps)
+
+    def along(y: Array, w: Array) -> tuple[Array, Array]:
+        found = step(jnp.stack([y, w]))
+        return found[0], found[1]
+
+    growth = _renormalised(along, jnp.asarray(state, float), transients + intervals, seed)[transients:]
+    return from_growth(growth, interval, batches, "" if np.isfinite(growth).all() else "the flow could not be solved")
+
+
+def _renormalised(
+    along: Callable[[Array, Array], tuple[Array, Array]], start: Array, iterations: int, seed: int
+) -> np.ndarray:
+    """Logarithms of a tangent's growth over each step."""
+
+    def once(carry: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], Array]:
+        y, w = along(*carry)
+        size = jnp.linalg.norm(w)
+        return (y, w / jnp.where(size > 0.0, size, 1.0)), jnp.log(size)
+
+    def whole(y: Array) -> Array:
+        w = jax.random.normal(jax.random.key(seed), y.shape)
+        return jax.lax.scan(once, (y, w / jnp.linalg.norm(w)), None, iterations)[1]
+
+    return np.asarray(jax.jit(whole)(start))
+
+
+def two_trajectories(
+    step: Step,
+    state: Any,
+    iterations: int,
+    *,
+    separation: float = 1e-7,
+    scales: Any = 1.0,
+    transients: int = 0,
+    interval: float = 1.0,
+    batches: int = 20,
+    seed: int = 0,
+) -> Exponent:
+    """Largest Lyapunov exponent from two orbits, brought back to a separation after every step.
+
+    Needs no derivative. The separation must be far above what the step itself gets wrong between two neighbours (an
+    adaptive solver chooses other steps for each: its tolerance) and far below the attractor's size.
+
+    Args:
+        separation: rms distance of the two, in units of the scales.
+        scales: size of each state, an array like the flattened state or one number; 0 for what both have in common,
+            such as a time or the phase of a drive.
+        step, state, iterations, transients, interval, batches, seed: as ``map_exponent``.
+
+    Raises:
+        InputError: ``check_counts``, or a separation that is not positive.
+    """
+    check_counts(iterations, transients, batches)
+    if not separation > 0.0:
+        raise InputError("separation", f"{separation:g}", "give more than 0")
+    start, rebuild = ravel_pytree(jax.tree.map(lambda x: jnp.asarray(x, float), state))
+    unit = jnp.broadcast_to(jnp.asarray(scales, float), start.shape)
+
+    def flat(y: Array) -> Array:
+        return ravel_pytree(step(rebuild(y)))[0]
+
+    told = unit > 0.0
+
+    def rms(w: Array) -> Array:
+        return jnp.sqrt(jnp.sum(jnp.square(jnp.where(told, w / jnp.where(told, unit, 1.0), 0.0))) / jnp.sum(told))
+
+    def once(carry: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], Array]:
+        y, apart = carry
+        y, other = jax.lax.map(flat, jnp.stack([y, y + apart]))
+        size = rms(other - y)
+        # Two orbits that rounding has made one grow no more.
+        again = jnp.where(told, other - y, 0.0) * (separation / jnp.where(size > 0.0, size, 1.0))
+        return (y, again), jnp.log(size / separation)
+
+    def whole(y: Array) -> Array:
+        w = jax.random.normal(jax.random.key(seed), y.shape) * unit
+        carry = (y, w * (separation / rms(w)))
+        return jax.lax.scan(once, carry, None, transients + iterations)[1]
+
+    growth = np.asarray(jax.jit(whole)(start))[transients:]
+    return from_growth(growth, interval, batches)
+
+
+def flow_step(field: Field, interval: float, tolerance: float = 1e-7, max_steps: int = 100_000) -> Step:
+    """The map of a flow over an interval, y(0) -> y(interval), by Tsit5; for ``two_trajectories`` and diagrams.
+
+    Derivatives go forward through it, but their own error is not controlled: for a tangent take ``flow_exponent``.
+
+    Args:
+        field, interval, tolerance, max_steps: as ``flow_exponent``; what cannot be solved is NaN.
+    """
+
+    def step(y: Array) -> Array:
+        solution = dfx.diffeqsolve(
+            dfx.ODETerm(lambda t, y, _: field(t, y)),  # pyright: ignore[reportArgumentType]
+            dfx.Tsit5(),
+            t0=0.0,
+            t1=interval,
+            dt0=None,
+            y0=y,
+            saveat=dfx.SaveAt(t1=True),
+            stepsize_controller=dfx.PIDController(rtol=tolerance, atol=tolerance),
+            adjoint=dfx.ForwardMode(),
+            max_steps=max_steps,
+            throw=False,
+        )
+        assert solution.ys is not None
+        return jnp.where(solution.result == dfx.RESULTS.successful, solution.ys[0], jnp.nan)
+
+    return step

@@ -1,0 +1,196 @@
+"""Portraits of a finished run: phase portraits, contact modes over time, ball loads around the joint."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bcfj_jax.analysis.histories import Window, within
+from bcfj_jax.analysis.nonlinear.modes import MODES, contact_modes
+from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.io import plots
+from bcfj_jax.io.outputs import channels
+from bcfj_jax.mechanism.scene import AbstractScene, Scene
+from bcfj_jax.models.joint.scene import OF_A_BALL, Joint
+from bcfj_jax.solve.simulation import Run
+
+_SHADES = {"free": "#e2e2e2", "impact": "#c4501b", "continuous": "#1f5fa8"}
+
+
+def _known(name: str, names: object, what: str) -> None:
+    if name not in list(names):  # type: ignore[call-overload]
+        raise InputError(what, f"no {what} '{name}'", nearest(name, list(names)))  # type: ignore[call-overload]
+
+
+def contact_portrait(run: Run, contact: str, path: Path, *, window: Window = None) -> Path:
+    """Phase portrait of a contact: rate d' against penetration d, members on top of each other.
+
+    d < 0 is the gap. Every loop around d = 0 is an impact; its loss of speed is the damping's.
+
+    Args:
+        run: a finished one.
+        contact: its name.
+        path: of the PNG.
+        window: (start, end) [s] to draw; None for all of the run.
+
+    Raises:
+        InputError: for a contact that the run has not, and a window outside it.
+    """
+    _known(contact, run.penetration, "contact")
+    part = within(run.times, window)
+    depth, rate = (channels({contact: x[contact][part]}) for x in (run.penetration, run.rate))
+    with plots.style():
+        drawing, (axis,) = plots.figure(1, width=6.0, height=4.4)
+        d_scale, d_prefix = plots.engineering(np.concatenate(list(depth.values())))
+        v_scale, v_prefix = plots.engineering(np.concatenate(list(rate.values())))
+        for member in depth:
+            axis.plot(depth[member] * d_scale, rate[member] * v_scale, lw=0.7, alpha=0.8, label=member)
+        axis.axvline(0.0, color="#4a4a4a", lw=0.8, ls="--")
+        axis.set_title(f"{contact}: rate against penetration")
+        axis.set_xlabel(plots.label("penetration (negative: gap)", "m", d_prefix))
+        axis.set_ylabel(plots.label("rate", "m/s", v_prefix))
+        _legend(axis, len(depth))
+        plots.save(drawing, path)
+    return path
+
+
+def state_portrait(run: Run, scene: AbstractScene, coordinate: str, path: Path, *, window: Window = None) -> Path:
+    """Phase portrait of a coordinate of the state: x' against x.
+
+    Args:
+        run: a finished one of the scene, made by ``simulate``.
+        coordinate: of a joint "cage.x", "head.z", "ball[1].y", "head_turn" and the like; else the name of a body.
+        path, window: as ``contact_portrait``.
+
+    Raises:
+        InputError: for a coordinate that the scene has not, a run without states, and a window outside it.
+    """
+    places = coordinates(scene)
+    _known(coordinate, places, "coordinate")
+    if run.trajectory is None:
+        raise InputError("run", "holds no states", "take one that simulate made")
+    part, (at, rate_at) = within(run.times, window), places[coordinate]
+    x, rate = run.trajectory[part, at], run.trajectory[part, rate_at]
+    unit = "rad" if coordinate.endswith("turn") else "m"
+    with plots.style():
+        drawing, (axis,) = plots.figure(1, width=6.0, height=4.4)
+        (x_scale, x_prefix), (v_scale, v_prefix) = plots.engineering(x), plots.engineering(rate)
+        axis.plot(x * x_scale, rate * v_scale, lw=0.8)
+        axis.set_title(f"{coordinate}: rate against place")
+        axis.set_xlabel(plots.label("x", unit, x_prefix))
+        axis.set_ylabel(plots.label("x'", f"{unit}/s", v_prefix))
+        plots.save(drawing, path)
+    return path
+
+
+def coordinates(scene: AbstractScene) -> dict[str, tuple[int, int]]:
+    """Where the flat state has each place and its rate. A joint's cage_turn is an axis with a spin, no such pair."""
+    if isinstance(scene, Scene):
+        names = [f"{b.name}.{k}" if b.coordinates > 1 else b.name for b in scene.bodies for k in range(b.coordinates)]
+        return {name: (k, len(names) + k) for k, name in enumerate(names)}
+    assert isinstance(scene, Joint)
+    balls, places = scene.balls, 3 * scene.balls + scene.border
+    found = {
+        f"ball[{i + 1}].{axis}": (3 * i + k, places + scene.twist * i + k)
+        for i in range(balls)
+        for k, axis in enumerate("xyz")
+    }
+    for name, slot in scene.slots.items():
+        if slot is None or name == "cage_turn":
+            continue
+        for k in range(slot.stop - slot.start):
+            own = f"{name}.{'xyz'[k]}" if slot.stop - slot.start > 1 else name
+            found[own] = (3 * balls + slot.start + k, places + scene.twist * balls + slot.start + k)
+    return found
+
+
+def contact_raster(run: Run, path: Path, *, impact_time: float, window: Window = None) -> Path:
+    """What every contact is doing over time: free, in an impact, in continuous contact; a row each member.
+
+    The share of the time in either mode stands beside each row. White: the run failed.
+
+    Args:
+        run, path, window: as ``contact_portrait``.
+        impact_time: the longest contact that counts as an impact [s], see ``modes.contact_modes``.
+
+    Raises:
+        InputError: for an impact time that is not positive, and a window outside the run.
+    """
+    part = within(run.times, window)
+    times = run.times[part]
+    # Over the whole run: a contact that the window cuts is as long as it is.
+    depth, rate = channels(run.penetration), channels(run.rate)
+    rows = {name: contact_modes(run.times, depth[name], rate[name], impact_time)[part] for name in depth}
+    scale, prefix = plots.engineering(times)
+    edges = np.concatenate([[times[0]], 0.5 * (times[1:] + times[:-1]), [times[-1]]]) * scale
+    with plots.style():
+        from matplotlib.colors import ListedColormap
+        from matplotlib.patches import Patch
+
+        drawing, (axis,) = plots.figure(1, height=1.4 + 0.26 * len(rows))
+        table = np.ma.masked_less(np.array(list(rows.values())), 0)
+        colours = ListedColormap([_SHADES[mode] for mode in MODES])
+        axis.pcolormesh(edges, np.arange(len(rows) + 1), table, cmap=colours, vmin=-0.5, vmax=2.5, rasterized=True)
+        axis.hlines(np.arange(1, len(rows)), edges[0], edges[-1], color="white", lw=1.5)
+        axis.set_yticks(np.arange(len(rows)) + 0.5, list(rows), fontsize=8)
+        axis.invert_yaxis()
+        axis.grid(False)
+        for k, codes in enumerate(rows.values()):
+            shares = " / ".join(f"{100.0 * np.mean(codes == mode):.0f}" for mode in range(len(MODES)))
+            axis.text(1.01, k + 0.5, f"{shares} %", fontsize=8, va="center", transform=axis.get_yaxis_transform())
+        axis.text(1.01, -0.1, "share", fontsize=8, va="bottom", transform=axis.get_yaxis_transform())
+        axis.set_xlabel(plots.label("time", "s", prefix))
+        axis.legend(
+            [Patch(color=_SHADES[mode]) for mode in MODES], MODES, ncols=3, fontsize=8, loc="lower right",
+            bbox_to_anchor=(1.0, 1.0), borderpad=0.2,
+        )  # fmt: skip
+        plots.save(drawing, path)
+    return path
+
+
+def ball_loads(run: Run, scene: Joint, path: Path, *, contact: str = "seat_ball", window: Window = None) -> Path:
+    """Ball load around the joint, polar: size of the normal force against the azimuth of the ball's track.
+
+    Azimuth = seat's turn + 2 pi k/balls about the seat's axis; 0 is where the head's axis leans to.
+
+    Args:
+        run: a finished one of the scene, made by ``simulate``.
+        scene: the joint.
+        contact: one that every ball has.
+        path, window: as ``contact_portrait``; a revolution is a good window.
+
+    Raises:
+        InputError: for a scene that is no joint, another contact, a run without states, and a window outside it.
+    """
+    if not isinstance(scene, Joint):
+        raise InputError("scene", "is no joint: it has no balls", "give a joint")
+    _known(contact, [name for name in OF_A_BALL if name in run.force], "contact of a ball")
+    if run.trajectory is None:
+        raise InputError("run", "holds no states", "take one that simulate made")
+    part = within(run.times, window)
+    turn = run.trajectory[part, coordinates(scene)["seat_turn"][0]]
+    load = np.abs(run.force[contact][part, :, 0])
+    scale, prefix = plots.engineering(load.ravel())
+    with plots.style():
+        from matplotlib.figure import Figure
+
+        drawing = Figure(figsize=(5.6, 5.4), layout="constrained")
+        axis = drawing.add_subplot(projection="polar")
+        for k, azimuth in enumerate(scene.azimuths):
+            # Thinner and thinner: where all balls do the same, all are still seen.
+            width = 0.8 + 2.4 * (1.0 - k / scene.balls)
+            axis.plot(turn + azimuth, load[:, k] * scale, lw=width, label=str(k + 1))
+        axis.set_title(f"{contact}: normal force [{prefix.replace('u', 'µ')}N] against azimuth", pad=16)
+        axis.set_ylim(bottom=0.0)  # type: ignore[call-arg]
+        axis.set_rlabel_position(112.5)  # type: ignore[attr-defined]
+        axis.legend(title="ball", fontsize=8, loc="lower left", bbox_to_anchor=(0.98, 0.0), borderpad=0)
+        plots.save(drawing, path)
+    return path
+
+
+def _legend(axis: Any, count: int) -> None:
+    """Under the axes, where there is more than one member."""
+    if count > 1:
+        axis.legend(ncols=min(count, 3), fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.16))

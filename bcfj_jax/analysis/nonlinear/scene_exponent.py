@@ -1,0 +1,181 @@
+"""Largest Lyapunov exponent of a scene, by the tangent of its own equations beside its own state.
+
+Why the tangent and not two runs: two runs of an adaptive solver take different steps, so that their distance is never
+below the tolerance, which at a force error of 1e-4 is 1e-3 of a ball's penetration; that is too near to the size of the
+play itself. The tangent takes the state's own steps and one matrix serves both (``solvers.tangents``): SDIRK2 on the
+arrowhead for the joint, bounded however stiff friction is, and Tsit5 for ``impact`` and ``bounce``. Contact
+forces are continuous, so a tangent needs no jump where a contact begins (no saltation matrix); that of a law whose
+damping begins at once, ``kelvin_voigt`` without an onset, would, and is not right here.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, cast
+
+import diffrax as dfx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from bcfj_jax.analysis.nonlinear.exponents import Exponent, check_counts, from_growth
+from bcfj_jax.analysis.nonlinear.sections import drive_period
+from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.status import OK, code_of, reason
+from bcfj_jax.mechanism.scene import AbstractScene, Params
+from bcfj_jax.models.joint.scene import Joint
+from bcfj_jax.solve.integrate import MAX_STEPS, Plan, Problem, controller, integrate, plan, problem
+from bcfj_jax.solve.sdirk import Sdirk
+from bcfj_jax.solve.simulation import check
+from bcfj_jax.solve.tangents import SdirkTangents
+
+
+def scene_exponent(
+    scene: AbstractScene,
+    params: Params,
+    intervals: int,
+    *,
+    interval: float | None = None,
+    settle: float | None = None,
+    accuracy: str | float = 1e-5,
+    max_steps: int = MAX_STEPS,
+    batches: int = 10,
+    seed: int = 0,
+) -> Exponent:
+    """Largest Lyapunov exponent of a scene [1/s], along the motion that its start settles to.
+
+    A joint's is that of its stroboscopic map: what would only shift its phase or leave its manifold is taken out of the
+    tangent, as both are exactly neutral: turn and speed of a ``prescribed`` seat, and the length of the cage's axis. A
+    joint that repeats itself then has a negative exponent. Lengths of tangents are rms in units of the error control.
+
+    Args:
+        scene, params, accuracy, max_steps: as ``simulate``; the tangent's own error is not controlled
+            in a joint, and at 1e-4 one that rattles was seen to have six times its exponent.
+        intervals: N, after each of which the tangent is brought back to length 1.
+        interval: [s]; of a joint by default a ball's pitch, 2 pi/(balls |drive_speed|). Tangents of
+            ``impact`` and ``bounce`` should not shrink by more than some 1e4 in it, for their error is held absolutely;
+            each interval costs a restart of the solver.
+        settle: time before the first interval [s], not counted; of a joint by default 5 revolutions. The load must
+            have risen by then. A tenth of the intervals more turn the tangent before counting begins.
+        batches: for the standard error.
+        seed: of the tangent's first direction.
+
+    Returns:
+        The exponent; NaN, with a reason, where the motion could not be solved.
+
+    Raises:
+        InputError: for a scene without a drive and no interval and settle given, for a joint that has no dynamics,
+            for times that are not positive, and as ``simulate``.
+    """
+    check_counts(intervals, 0, batches)
+    if isinstance(scene, Joint):
+        turn = drive_period(scene, params)
+        interval = turn / scene.balls if interval is None else interval
+        settle = 5.0 * turn if settle is None else settle
+        if settle < float(params["load_ramp"]):
+            found = f"{settle:g} s, while the load rises for {float(params['load_ramp']):g} s"
+            raise InputError("settle", found, "settle for longer")
+    if interval is None or settle is None:
+        raise InputError(f"scene '{scene.kind}'", "has no period of its own", "give interval and settle")
+    if not (interval > 0.0 and settle >= 0.0):
+        raise InputError("interval, settle", f"{interval:g} s, {settle:g} s", "give times that are positive")
+    check(scene, params)
+    tolerance = plan(scene, accuracy, max_steps).tolerance
+    turning = -(-intervals // 10)
+    values = jnp.asarray(settle), jnp.asarray(interval), tolerance
+    growth, codes = jax.device_get(_growth(scene, dict(params), *values, max_steps, turning, intervals, seed))
+    bad = np.flatnonzero(codes != OK)
+    why = reason(int(codes[bad[0]]), max_steps) if bad.size else ""
+    return from_growth(growth[turning:] if not why else np.full(intervals, np.nan), interval, batches, why)
+
+
+@partial(jax.jit, static_argnums=(0, 5, 6, 7, 8))
+def _growth(
+    scene: AbstractScene,
+    params: Params,
+    settle: Array,
+    interval: Array,
+    tolerance: Array,
+    max_steps: int,
+    turning: int,
+    intervals: int,
+    seed: int,
+) -> tuple[Array, Array]:
+    """Logarithms of growth and endings of every interval; the first ending is the settling's where that failed."""
+    how, count = Plan(tolerance, max_steps), turning + intervals
+    settled = integrate(scene, params, jnp.stack([0.5 * settle, settle]), how, dfx.ForwardMode())
+    posed = problem(scene, params, settle + count * interval, how, True)
+    both = _beside(scene, posed)
+    start = jnp.where(settle > 0.0, settled.states[-1], posed.start)
+
+    def unit(state: Array, tangent: Array) -> tuple[Array, Array]:
+        tangent = _transverse(scene, state, tangent)
+        size = jnp.sqrt(jnp.mean(jnp.square(tangent / posed.scales)))
+        return tangent / jnp.where(size > 0.0, size, 1.0), size
+
+    def once(rows: Array, k: Array) -> tuple[Array, tuple[Array, Array]]:
+        found, code = advance(both, how, rows, settle + k * interval, settle + (k + 1) * interval)
+        tangent, size = unit(found[0], found[1])
+        return jnp.stack([found[0], tangent]), (jnp.log(size), code)
+
+    first, _ = unit(start, posed.scales * jax.random.normal(jax.random.key(seed), start.shape))
+    growth, codes = jax.lax.scan(once, jnp.stack([start, first]), jnp.arange(count))[1]
+    begun = jnp.where((settle > 0.0) & (settled.code != OK), settled.code, codes[0])
+    return growth, codes.at[0].set(begun)
+
+
+def _beside(scene: AbstractScene, posed: Problem) -> Problem:
+    """The problem of rows (2, n): a state, and its tangent, without a change of parameters."""
+    if isinstance(scene, Joint):
+        return posed._replace(
+            field=lambda t, rows, args: rows.at[0].set(posed.field(t, rows[0], args[0])),
+            args=(posed.args, None),
+            solver=SdirkTangents(cast(Sdirk, posed.solver)),
+            # The state is never at rest, and its steps resolve what moves; errors of tangents are not told.
+            norm=lambda errors: posed.norm(errors[0]),
+        )
+
+    def field(t: Any, rows: Array, args: Any) -> Array:
+        return jnp.stack(jax.jvp(lambda y: posed.field(t, y, args), (rows[0],), (rows[1],)))
+
+    # Both rows in the control: a body at rest has no error, and its tangent still swings.
+    return posed._replace(field=field, norm=lambda errors: jnp.maximum(posed.norm(errors[0]), posed.norm(errors[1])))
+
+
+def advance(both: Problem, how: Plan, rows: Array, begin: Array, end: Array) -> tuple[Array, Array]:
+    """Rows, or a state alone, carried from one time to another [s]; with an ending's code (``endings``)."""
+    solution = dfx.diffeqsolve(
+        dfx.ODETerm(both.field),  # pyright: ignore[reportArgumentType]
+        both.solver,
+        t0=begin,
+        t1=end,
+        dt0=jnp.minimum(both.first_step, end - begin),
+        y0=rows,
+        args=both.args,
+        saveat=dfx.SaveAt(t1=True),
+        stepsize_controller=controller(both, how),
+        adjoint=dfx.ForwardMode(),
+        max_steps=how.max_steps,
+        throw=False,
+    )
+    assert solution.ys is not None
+    found = solution.ys[0]
+    return found, code_of(solution.result, found)
+
+
+def _transverse(scene: AbstractScene, state: Array, tangent: Array) -> Array:
+    """A joint's tangent without its neutral parts: the phase of a prescribed drive, the length of the cage's axis."""
+    if not isinstance(scene, Joint):
+        return tangent
+    places = 3 * scene.balls
+    rates = places + scene.border + scene.balls * scene.twist
+    seat, cage = scene.slots["seat_turn"], scene.slots["cage_turn"]
+    assert seat is not None
+    if scene.drive == "prescribed":
+        tangent = tangent.at[jnp.array([places + seat.start, rates + seat.start])].set(0.0)
+    if cage is not None:
+        at = slice(places + cage.start, places + cage.stop)
+        axis = state[at]
+        tangent = tangent.at[at].add(-axis * (axis @ tangent[at]) / (axis @ axis))
+    return tangent

@@ -1,0 +1,167 @@
+"""Poincaré sections: a driven scene once per revolution of its drive, an undriven one at every touch.
+
+    P : y(t_k) -> y(t_k + T),   T = 2 pi/|drive_speed|,   t_k = (k + phase/2 pi) T
+
+(the stroboscopic section; Guckenheimer and Holmes 1983, section 1.5). ``impact`` and ``bounce`` have no drive: their
+section is the surface itself, crossed inwards, and what is read there is the approach speed.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bcfj_jax.analysis.features import onsets
+from bcfj_jax.core.errors import InputError
+from bcfj_jax.mechanism.scene import AbstractScene, Params
+from bcfj_jax.models.joint.scene import Joint
+from bcfj_jax.solve.integrate import MAX_STEPS
+from bcfj_jax.solve.simulation import simulate
+
+
+class Section(NamedTuple):
+    """What a driven scene reads once per revolution, at N instants; NaN from a failure on.
+
+    Attributes:
+        times: (N,) [s].
+        states: (N, n) flat states, as ``joint.system`` reads them.
+        force: per contact (N, 3), or (N, balls, 3): normal, axial, tangential [N].
+        penetration, rate: per contact (N,), or (N, balls): [m], [m/s].
+        reason: why the run failed; "" for a good one.
+    """
+
+    times: np.ndarray
+    states: np.ndarray
+    force: dict[str, np.ndarray]
+    penetration: dict[str, np.ndarray]
+    rate: dict[str, np.ndarray]
+    reason: str
+
+
+class Impacts(NamedTuple):
+    """Successive touches of one contact: times [s] and approach speeds [m/s], (N,) each."""
+
+    times: np.ndarray
+    speeds: np.ndarray
+
+
+def drive_period(scene: AbstractScene, params: Params) -> float:
+    """Duration of one revolution of the drive, 2 pi/|drive_speed| [s].
+
+    Raises:
+        InputError: for a scene without a drive, or without a history (a fidelity that is no ``dynamic`` one), and for
+            a drive that stands still.
+    """
+    if not isinstance(scene, Joint):
+        raise InputError(f"scene '{scene.kind}'", "has no drive, so no revolution", "take impacts, of a run")
+    if scene.fidelity != "dynamic":
+        raise InputError("scene 'joint' fidelity", f"'{scene.fidelity}' has no dynamics", "give fidelity = 'dynamic'")
+    speed = abs(float(params["drive_speed"]))
+    if not speed > 0.0:
+        raise InputError("drive_speed", f"{speed:g} rad/s", "give a speed other than 0")
+    return 2.0 * math.pi / speed
+
+
+def revolutions_to_keep(revolutions: int, transients: int, phase: float) -> np.ndarray:
+    """Drive angles of the section over 2 pi, (N,): transients, transients + 1 .. revolutions, each plus the phase.
+
+    Raises:
+        InputError: for a phase outside [0, 2 pi), a negative number of transients, and for nothing to keep.
+    """
+    if not 0.0 <= phase < 2.0 * math.pi:
+        raise InputError("phase", f"{phase:g} rad", "give 0 to below 2 pi")
+    if transients < 0 or revolutions < max(transients, 1):
+        found = f"{revolutions} with {transients} transients"
+        raise InputError("revolutions", found, "give more revolutions than transients")
+    first = max(transients, 0 if phase > 0.0 else 1)
+    return np.arange(first, revolutions + 1) + phase / (2.0 * math.pi)
+
+
+def stroboscopic(
+    scene: AbstractScene,
+    params: Params,
+    revolutions: int = 40,
+    *,
+    transients: int = 20,
+    phase: float = 0.0,
+    accuracy: str | float = "balanced",
+    max_steps: int = MAX_STEPS,
+) -> Section:
+    """States and contact readings of a driven scene, once per revolution of its drive.
+
+    Sampled by the drive's phase: with a ``flexible`` drive the seat itself is ahead or behind. The load must have
+    risen (``load_ramp``) before the transients are over, or the section sees it rise.
+
+    Args:
+        scene, params, accuracy, max_steps: as ``simulate``.
+        revolutions: of the whole run.
+        transients: of which so many are not kept.
+        phase: drive angle of the section [rad], 0 to 2 pi.
+
+    Raises:
+        InputError: ``drive_period``, ``revolutions_to_keep``, ``simulate``.
+    """
+    times = revolutions_to_keep(revolutions, transients, phase) * drive_period(scene, params)
+    run = simulate(scene, params, times, accuracy=accuracy, max_steps=max_steps)
+    assert run.trajectory is not None
+    return Section(run.times, run.trajectory, run.force, run.penetration, run.rate, run.reason)
+
+
+def impacts(times: ArrayLike, penetration: ArrayLike, rate: ArrayLike) -> Impacts:
+    """Approach speed at every touch of a contact, from its history in samples that resolve flights.
+
+    The touch is the onset that ``features.onsets`` finds. What comes before a touch knows nothing of it, so from the
+    last two samples apart, t_j and t_k, the flight is continued with constant acceleration a = (v_k - v_j)/(t_k - t_j):
+
+        d_k + v_k s + a s^2/2 = 0,   speed = v_k + a s = sqrt(v_k^2 - 2 a d_k),
+
+    exact under gravity; else wrong by a jerk's worth, O(h^2). With no second sample apart, a = 0. A contact at the
+    first sample has no approach and is left out.
+
+    Args:
+        times, penetration, rate: (T,) [s], [m] (negative: gap), [m/s], as in a ``Run``.
+    """
+    t, d, v = (np.asarray(x, dtype=float) for x in (times, penetration, rate))
+    starts = [start for start, _ in onsets(t, d, v)]
+    found: list[tuple[float, float]] = []
+    for start in starts:
+        k = int(np.searchsorted(t, start, side="right")) - 1
+        # At a root the Hermite cubic may be a rounding beyond the sample that is pressed.
+        k -= k > 0 and d[k] > 0
+        if d[k] > 0:
+            continue
+        j = k - 1
+        still = j >= 0 and d[j] <= 0
+        acceleration = (v[k] - v[j]) / (t[k] - t[j]) if still else 0.0
+        # A flight that began within the interval has turned round in it: no constant acceleration.
+        if still and v[j] > 0 > v[k]:
+            acceleration = 0.0
+        square = v[k] ** 2 - 2.0 * acceleration * d[k]
+        speed = math.sqrt(square) if square > 0.0 else max(v[k], 0.0)
+        if acceleration != 0.0 and speed > 0.0:
+            start = t[k] + (speed - v[k]) / acceleration
+        found.append((start, speed))
+    both = np.asarray(found).reshape(-1, 2)
+    return Impacts(both[:, 0], both[:, 1])
+
+
+def period_number(values: ArrayLike, tolerance: float, most: int = 16) -> int:
+    """Of how many points a settled section consists: the least p with |x_(k+p) - x_k| <= tolerance for all k.
+
+    Args:
+        values: (N,) or (N, m) section values, transients left out.
+        tolerance: in units of the values.
+        most: the largest p tried; p needs N >= 2 p.
+
+    Returns:
+        p, or 0 where there is none: a longer period, quasi-periodic, chaotic, or a section that failed.
+    """
+    x = np.asarray(values, dtype=float)
+    for p in range(1, min(most, len(x) // 2) + 1):
+        # NaN compares false, so that a failed section has no period.
+        if np.all(np.abs(x[p:] - x[:-p]) <= tolerance):
+            return p
+    return 0

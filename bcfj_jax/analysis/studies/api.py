@@ -1,0 +1,165 @@
+"""``study``: the verb. A study in, a finished folder and its table out; what was finished before is not done again."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from bcfj_jax.analysis.studies import local, specification, worker
+from bcfj_jax.analysis.studies.block import Blocks
+from bcfj_jax.analysis.studies.extra import library
+from bcfj_jax.analysis.studies.specification import Study
+from bcfj_jax.analysis.studies.store import Store, facts_of, merge, write_parquet
+from bcfj_jax.core.errors import InputError
+from bcfj_jax.io import outputs
+from bcfj_jax.io.stop import heeded
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+RESULTS, STATE = "results.parquet", "study.json"
+
+
+class Result(NamedTuple):
+    """A finished study: its folder, its table as the contract has it, and what ``study.json`` says."""
+
+    folder: Path
+    table: pa.Table
+    state: dict[str, Any]
+
+    def column(self, name: str) -> np.ndarray:
+        """A column (N,) by name."""
+        return self.table.column(name).to_numpy(zero_copy_only=False)
+
+    @property
+    def failed(self) -> int:
+        """Points that failed."""
+        return self.state["failed"]
+
+    def forces(self, point: int) -> tuple[np.ndarray, np.ndarray]:
+        """Times (T,) [s] and forces (T, C, 3) [N] of a point, where the study keeps histories.
+
+        Raises:
+            InputError: for a point the study does not have, or a study without histories.
+        """
+        zarr = library("zarr")
+        for path in sorted((self.folder / "blocks").glob("*.zarr")):
+            group = zarr.open_group(path, mode="r")
+            at = np.flatnonzero(group["point"][:] == point)
+            if at.size:
+                return group["time"][int(at[0])], group["force"][int(at[0])]
+        raise InputError(f"point {point}", "no forces of it are kept", "say histories = true, and give a point it has")
+
+
+def study(
+    what: Path | str | Mapping[str, Any],
+    out: Path | str,
+    *,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    progress: Callable[[int, int], None] = lambda done, all: None,
+) -> Result:
+    """Run a study, or what is missing of it.
+
+    Args:
+        what: a study file, or its content.
+        out: the folder; one that holds the same study is gone on with.
+        workers: processes on this machine; None: one a core, or one in all where there is an accelerator.
+        scheduler: address of a Dask scheduler that shall do the work in place of this machine.
+        progress: is told finished and all blocks.
+
+    Raises:
+        InputError: for bad input, and a folder that holds another study.
+        local.Stopped: if the disk is full, or workers die again and again. What is finished stays.
+    """
+    found = specification.from_table(what) if isinstance(what, Mapping) else specification.load(Path(what))
+    store = prepare(found, Path(out))
+    with heeded():
+        compute(store, workers, scheduler, progress)
+    return finish(store)
+
+
+def prepare(found: Study, folder: Path) -> Store:
+    """The folder of a study, made if it is not there.
+
+    Raises:
+        InputError: if it holds another study, or is no folder.
+    """
+    library("pyarrow")
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"--out {folder}", "this is not a folder", "name a folder")
+    said = folder / "run.toml"
+    if said.exists():
+        if specification.load(said).resolved != found.resolved:
+            raise InputError(f"--out {folder}", "holds another study", "name another folder: nothing is overwritten")
+    else:
+        outputs.open_folder(folder, "study", "", (RESULTS, STATE))
+        outputs.write_toml(said, found.resolved, "the study as it was run: every default, SI")
+        outputs.write_json(folder / "environment.json", outputs.environment(seed=found.seed))
+    return Store(folder, Blocks(found))
+
+
+def compute(store: Store, workers: int | None, scheduler: str | None, progress: Callable[[int, int], None]) -> None:
+    """Have every block computed."""
+    total = len(store.blocks)
+    # All are looked at, so that every broken one is taken away before there are workers.
+    if all([store.finished(k) for k in range(total)]):
+        progress(total, total)
+        return
+    if scheduler is not None:
+        from bcfj_jax.analysis.studies import cluster
+
+        cluster.run(store, scheduler, lambda done: progress(done, total))
+        return
+    count = min(workers or default_workers(), total)
+    if count == 1:
+        with local.written():
+            worker.work(store, lambda done: progress(done, total))
+        return
+    local.run(store, count, lambda done: progress(done, total))
+
+
+def default_workers() -> int:
+    """One a core; one in all where an accelerator does the work."""
+    import jax
+
+    return local.cores() if jax.default_backend() == "cpu" else 1
+
+
+def finish(store: Store) -> Result:
+    """``results.parquet`` and ``study.json`` of a folder whose blocks are all there."""
+    table, found = merge(store), state(store)
+    with local.written():
+        write_parquet(store.folder / RESULTS, table)
+        outputs.write_json(store.folder / STATE, found)
+    return Result(store.folder, table, found)
+
+
+def state(store: Store) -> dict[str, Any]:
+    """What ran and what is left."""
+    blocks, study = store.blocks, store.study
+    finished = [k for k in range(len(blocks)) if store.finished(k)]
+    points = sum(len(blocks.points(k)) for k in finished)
+    failed, reasons, steps, slots = 0, {}, 0, 0
+    for k in finished:
+        table, facts = store.read(k), facts_of(store.path(k))
+        bad = [
+            text
+            for text, status in zip(table["reason"].to_pylist(), table["status"].to_pylist(), strict=True)
+            if status == "failed"
+        ]
+        failed += len(bad)
+        for text in bad:
+            kind = text.split(" at ")[0]
+            reasons[kind] = reasons.get(kind, 0) + 1
+        steps, slots = steps + sum(facts["steps"]), slots + facts["rounds"]
+    return {
+        "points": study.count, "finished": points, "left": study.count - points, "failed": failed,
+        "reasons": reasons, "blocks": len(blocks), "blocks_finished": len(finished), "steps": steps, "rounds": slots,
+        "status": "finished" if points == study.count else "unfinished",
+        "written": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+    }  # fmt: skip

@@ -1,0 +1,188 @@
+"""Many points at once: how each run ended, its features, and on request its forces. One program a size of batch.
+
+Scenes with a history go through ``lanes``; equilibria and closed forms, all of equal cost, side by side. On several
+devices each has its own part of the batch and its own queue.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import diffrax as dfx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.sharding import Mesh, PartitionSpec
+
+from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel, channel_names, channels, compiled
+from bcfj_jax.analysis.derivatives.measures import vector
+from bcfj_jax.analysis.derivatives.names import Feature, members
+from bcfj_jax.analysis.features import contact_interval
+from bcfj_jax.analysis.histories import delay, settled_period
+from bcfj_jax.core.status import OK, reason
+from bcfj_jax.mechanism.scene import AbstractScene
+from bcfj_jax.models.joint.scene import Joint
+from bcfj_jax.solve.integrate import Plan, integrate
+from bcfj_jax.solve.simulation import readings
+from bcfj_jax.solve.work_queue import equilibria, integrate_lanes
+
+# What grows with the duration where the samples' times are those of a run that takes one second.
+_PER_SECOND = ("impulse", "period", "delay")
+# A period and a delay are sought on the host.
+HOST = ("period", "delay")
+# Points whose histories are in memory at once while features are taken.
+_AT_ONCE = 8
+
+
+class Batch(NamedTuple):
+    """What N points gave.
+
+    Attributes:
+        features: (N, F), NaN where a run failed.
+        reason: (N,) why each run failed, "" where it did not; end: (N,) when it ended [s].
+        steps: (N,) attempted steps, or iterations.
+        rounds: rounds of all slots; 0 where there are none.
+        force: (N, T, C, 3) [N] if asked for, else (N, 0, 0, 0).
+    """
+
+    features: np.ndarray
+    reason: list[str]
+    end: np.ndarray
+    steps: np.ndarray
+    rounds: int
+    force: np.ndarray
+
+
+def has_history(scene: AbstractScene) -> bool:
+    """Whether the scene is integrated."""
+    return not isinstance(scene, Joint) or scene.fidelity == "dynamic"
+
+
+def slots() -> int:
+    """Runs under way at one time: what keeps a core busy and its cache not full; an accelerator wants many."""
+    if jax.default_backend() != "cpu":
+        return 1024
+    return 32
+
+
+def run(
+    scene: AbstractScene,
+    params: Mapping[str, np.ndarray],
+    ends: np.ndarray,
+    grid: np.ndarray,
+    wanted: Sequence[Feature],
+    how: Plan,
+    size: int,
+    forces: bool = False,
+) -> Batch:
+    """Run N points, N at most ``size``.
+
+    Args:
+        scene: of fixed fidelity.
+        params: leaves (N,).
+        ends: (N,) last time of each [s].
+        grid: (T,) from 0 to 1.
+        wanted: the features.
+        how: tolerance and budget of steps.
+        size: of the program; fewer points need no other one.
+        forces: whether forces are given back.
+    """
+    count, devices = len(ends), len(jax.local_devices())
+    size = -(-size // devices) * devices
+    # What fills up is the first point again, which is computed only where lanes have no queue.
+    fill = np.where(np.arange(size) < count, np.arange(size), 0)
+    host = forces or any(feature.kind in HOST for feature in wanted)
+    filled = {name: jnp.asarray(leaf[fill]) for name, leaf in params.items()}
+    arguments = filled, jnp.asarray(ends[fill]), how, jnp.asarray(count)
+    key = ("batch", scene, size, grid.tobytes(), tuple(wanted), host, how.max_steps, devices)
+    program = compiled(key, lambda *x: _program(scene, grid, tuple(wanted), host, *x), *arguments)[0]
+    found = jax.device_get(program(*arguments))
+    values, code, end, steps, rounds = (np.asarray(x) if not np.ndim(x) else x[:count] for x in found[:5])
+    # Histories only where they are asked for.
+    nothing = np.zeros((count, 0, 0, 0))
+    force, depth, rate = (x[:count] for x in found[5:]) if host else (nothing,) * 3
+    values = np.array(values)
+    for k, feature in enumerate(wanted):
+        if feature.kind in HOST:
+            values[:, k] = [
+                _on_host(scene, grid, feature, force[i, :, :, 0], depth[i], rate[i]) if code[i] == OK else np.nan
+                for i in range(count)
+            ]
+        if feature.kind in _PER_SECOND:
+            values[:, k] *= ends
+    values[code != OK] = np.nan
+    reasons = [reason(one, how.max_steps) for one in code]
+    return Batch(values, reasons, end, steps, int(np.max(rounds)), force if forces else nothing)
+
+
+def _program(
+    scene: AbstractScene, grid: np.ndarray, wanted: tuple[Feature, ...], host: bool, params: dict, ends: Array,
+    how: Plan, count: Array,
+) -> tuple:  # fmt: skip
+    devices = jax.local_devices()
+    if len(devices) == 1:
+        return _part(scene, grid, wanted, host, params, ends, how, count)
+    share = ends.size // len(devices)
+    lanes, every = PartitionSpec("lanes"), PartitionSpec()
+
+    def part(params: dict, ends: Array, how: Plan, count: Array) -> tuple:
+        mine = jnp.clip(count - share * jax.lax.axis_index("lanes"), 0, share)
+        found = _part(scene, grid, wanted, host, params, ends, how, mine)
+        return (*found[:4], found[4][None], *found[5:])
+
+    return jax.shard_map(
+        part, mesh=Mesh(np.array(devices), ("lanes",)), in_specs=(lanes, lanes, every, every), out_specs=lanes,
+        check_vma=False,
+    )(params, ends, how, count)  # fmt: skip
+
+
+def _part(
+    scene: AbstractScene, grid: np.ndarray, wanted: tuple[Feature, ...], host: bool, params: dict, ends: Array,
+    how: Plan, count: Array,
+) -> tuple:  # fmt: skip
+    """What one device does."""
+    contacts = channels(scene)
+
+    def look(one: tuple) -> tuple:
+        params, end, states = one
+        force, depth, rate = read = by_channel(scene, readings(scene, params, end * grid, states))
+        features = vector(grid, Histories(force, depth, rate, None), wanted, contacts, {})
+        return features, *(read if host else (None, None, None))
+
+    rounds = jnp.asarray(0)
+    if has_history(scene):
+        solution, rounds = integrate_lanes(scene, params, ends, jnp.asarray(grid), how, count, min(slots(), ends.size))
+    elif isinstance(scene, Joint) and scene.fidelity == "quasistatic":
+        solution = equilibria(scene, params, ends, jnp.asarray(grid))
+    else:
+        alone = lambda params, end: integrate(scene, params, end * grid, how, dfx.ForwardMode())  # noqa: E731
+        solution = jax.vmap(alone)(params, ends)
+    features, *read = jax.lax.map(look, (params, ends, solution.states), batch_size=min(_AT_ONCE, ends.size))
+    return features, solution.code, solution.end, solution.accepted + solution.rejected, rounds, *read
+
+
+def _on_host(
+    scene: AbstractScene, grid: np.ndarray, feature: Feature, force: np.ndarray, depth: np.ndarray, rate: np.ndarray
+) -> float:
+    """A period or a delay of a run that takes one second, as ``outputs.summary`` and ``measures`` have it."""
+    contacts = channels(scene)
+    place = {name: i for i, name in enumerate(channel_names(contacts))}
+
+    def cycle(name: str) -> float:
+        at = place[name]
+        if isinstance(scene, Joint):
+            return settled_period(grid, force[:, at])
+        return contact_interval(grid, depth[:, at], rate[:, at])
+
+    parts = [members(part, contacts) for part in feature.contacts]
+    if feature.kind == "period":
+        return float(np.mean([cycle(name) for name in parts[0]]))
+    first, second = parts if len(parts[0]) == len(parts[1]) else (parts[0][:1], parts[1][:1])
+    shifts = []
+    for a, b in zip(first, second, strict=True):
+        span = cycle(a)
+        within = span if np.isfinite(span) else float(grid[-1] - grid[0])
+        shifts.append(float(delay(grid, force[:, place[a]], force[:, place[b]], within)))
+    return float(np.mean(shifts))

@@ -1,0 +1,241 @@
+"""A block of a study: some of its points, computed together and never apart, as a table.
+
+A block's content follows from the study and the block's number alone, not from who computes it nor when: that is what
+lets it be thrown away and done again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from bcfj_jax.analysis.derivatives.jacobian import Histories, channels, rung
+from bcfj_jax.analysis.derivatives.measures import measure
+from bcfj_jax.analysis.derivatives.names import complete
+from bcfj_jax.analysis.studies.batch import Batch, has_history, run
+from bcfj_jax.analysis.studies.specification import Study
+from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.quantities import ORDERED, check_order, check_value
+from bcfj_jax.core.status import reason
+from bcfj_jax.io import outputs
+from bcfj_jax.io.journal import key_of
+from bcfj_jax.models.joint.scene import AUTO, Joint
+from bcfj_jax.solve.integrate import LEVELS, Plan, plan, problem
+from bcfj_jax.solve.simulation import check, simulate
+
+# Points of a block: of a joint's motion, of all else. Enough to fill the slots several times over,
+# few enough that little is lost with one; and numbers of state that a block may hold at once.
+_OF_MOTION, _OTHERS, _FEWEST, _NUMBERS = 64, 512, 4, 2**24
+# A run that failed is tried once more with steps of so much less error.
+SAFER = 0.1
+
+
+class Table(NamedTuple):
+    """What a block's points gave, one row a point.
+
+    Attributes:
+        point: (n,) numbers in the design.
+        values: (n, D) of the varied parameters.
+        results: (n, F) of ``Study.columns``.
+        status, reason: (n,) texts.
+        steps: (n,) attempted steps; rounds: of all slots (``lanes``).
+        force: (n, T, C, 3) [N], or empty.
+        ends: (n,) last times [s].
+    """
+
+    point: np.ndarray
+    values: np.ndarray
+    results: np.ndarray
+    status: list[str]
+    reason: list[str]
+    steps: np.ndarray
+    rounds: int
+    force: np.ndarray
+    ends: np.ndarray
+
+
+class Blocks:
+    """A study cut into blocks.
+
+    Costly points come first, so that no worker begins a long block when all others are done.
+    """
+
+    def __init__(self, study: Study) -> None:
+        self.study = study
+        scene = study.given.scene
+        joint = isinstance(scene, Joint)
+        few = _OF_MOTION if joint and has_history(scene) else _OTHERS
+        held = _NUMBERS // ((64 if joint else 4) * len(study.given.times))
+        # Four blocks at least, so that there is work for several.
+        self.size = max(_FEWEST, min(few, held, -(-study.count // 4)))
+
+    def __len__(self) -> int:
+        return -(-self.study.count // self.size)
+
+    @cached_property
+    def order(self) -> np.ndarray:
+        """(N,) points in the order of the blocks."""
+        return np.argsort(-predicted_cost(self.study), kind="stable")
+
+    @cached_property
+    def code_key(self) -> str:
+        """Of the study's scene and results, and of the code: blocks of the same points under another are others."""
+        resolved = {k: v for k, v in self.study.resolved.items() if k in ("scene", "results")}
+        return key_of("study", resolved, self.study.names, [jax.__version__])
+
+    def points(self, block: int) -> np.ndarray:
+        """Numbers of a block's points."""
+        return self.order[block * self.size : (block + 1) * self.size]
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """The blocks' names: digests of all that their content follows from."""
+        found = []
+        for block in range(len(self)):
+            at = self.points(block)
+            digest = hashlib.sha256(json.dumps([self.code_key, self.size]).encode())
+            digest.update(at.astype("<i8").tobytes() + self.study.points[at].astype("<f8").tobytes())
+            found.append(digest.hexdigest()[:32])
+        return tuple(found)
+
+
+def predicted_cost(study: Study) -> np.ndarray:
+    """(N,) of each point in units of its own: the time simulated over a contact's time; 1 where all cost alike."""
+    scene = study.given.scene
+    if not has_history(scene) or isinstance(scene, Joint):
+        # A joint's steps are set by its contacts, which begin and end with its turns.
+        turns = has_history(scene) and "drive_speed" in study.names
+        return np.abs(study.points[:, study.names.index("drive_speed")]) if turns else np.ones(study.count)
+    how = plan(scene, study.given.accuracy)
+    params = {name: jnp.asarray(leaf) for name, leaf in study.params(study.points).items()}
+    steps = jax.jit(jax.vmap(lambda p, end: end / problem(scene, p, end, how, False).first_step))
+    found = steps(params, jnp.asarray(ends(study, study.points)))
+    # Not to the last bit: what rounds differently elsewhere must not change the order.
+    return np.asarray([float(f"{x:.3g}") for x in np.asarray(found)])
+
+
+def ends(study: Study, values: np.ndarray) -> np.ndarray:
+    """(n,) last time of each point's run [s]."""
+    if not study.own_end:
+        return np.full(len(values), study.given.times[-1])
+    scene: Any = study.given.scene
+    params = {name: jnp.asarray(leaf) for name, leaf in study.params(values).items()}
+    return np.broadcast_to(np.asarray(jax.vmap(scene.horizon)(params), dtype=float), len(values))
+
+
+def compute(study: Study, at: np.ndarray, size: int) -> Table:
+    """Run some points; those that fail once more, with safer settings.
+
+    Args:
+        study: whose.
+        at: their numbers, at most ``size``.
+        size: of the program.
+    """
+    values, given = study.points[at], study.given
+    refused = _refusals(study, values)
+    good = np.flatnonzero([not text for text in refused])
+    last = np.asarray(ends(study, values))
+    results = np.full((len(at), len(study.columns)), np.nan)
+    status, reasons = ["failed"] * len(at), list(refused)
+    steps, rounds = np.zeros(len(at), int), 0
+    force = np.zeros((len(at), 0, 0, 0))
+    if study.histories:
+        force = np.full((len(at), len(given.times), sum(max(1, k) for k in channels(given.scene).values()), 3), np.nan)
+    grid = given.times / given.times[-1]
+
+    def attempt(which: np.ndarray, safety: float) -> np.ndarray:
+        """Run some of the points; which of them failed."""
+        nonlocal rounds
+        batch = _run(study, values[which], last[which], grid, size, safety)
+        rounds += batch.rounds
+        steps[which] += batch.steps
+        results[which] = batch.features
+        if study.histories:
+            force[which] = batch.force
+        for i, why, end in zip(which, batch.reason, batch.end, strict=True):
+            told = f"{why} at {end:.6g} s" if why else ""
+            status[i] = "failed" if told else "ok"
+            again = f"{told or 'ok'} with a tenth of the tolerance; before: {reasons[i]}"
+            reasons[i] = told if safety == 1.0 else again
+        return which[np.array([bool(why) for why in batch.reason])]
+
+    if good.size:
+        failed = attempt(good, 1.0)
+        if failed.size and has_history(given.scene):
+            attempt(failed, SAFER)
+    return Table(at, values, results, status, reasons, steps, rounds, force, last)
+
+
+def _run(study: Study, values: np.ndarray, last: np.ndarray, grid: np.ndarray, size: int, safety: float) -> Batch:
+    given = study.given
+    scene: Any = given.scene
+    if study.derivatives or given.solver is not None or (isinstance(scene, Joint) and scene.fidelity == AUTO):
+        return _one_by_one(study, values, last, grid, safety)
+    how = Plan(safety * plan(scene, given.accuracy).tolerance, given.max_steps)
+    return run(scene, study.params(values), last, grid, study.features, how, size, study.histories)
+
+
+def _one_by_one(study: Study, values: np.ndarray, last: np.ndarray, grid: np.ndarray, safety: float) -> Batch:
+    """As ``batch.run``, for what has no batch: derivatives, a solver of one's own, a fidelity to be chosen."""
+    given = study.given
+    scene, contacts, params = given.scene, channels(given.scene), study.params(values)
+    rows: list[tuple] = []
+    for i, end in enumerate(last):
+        one = {name: jnp.asarray(leaf[i]) for name, leaf in params.items()}
+        times = end * grid
+        if study.derivatives:
+            full, wrt = complete(scene, one, study.derivatives)
+            how = plan(scene, given.accuracy, given.max_steps, given.solver)
+            how = eqx.tree_at(lambda h: h.tolerance, how, how.tolerance * safety)
+            found = rung(scene, full, times, wrt, how)
+            value, slopes, stop, steps = found.value, found.derivative, found.end, found.steps
+            why = reason(found.code, given.max_steps)
+        else:
+            accuracy = LEVELS[given.accuracy] if isinstance(given.accuracy, str) else given.accuracy
+            effort: dict[str, Any] = {"max_steps": given.max_steps, "solver": given.solver}
+            single = simulate(scene, one, times, accuracy=max(1e-9, accuracy * safety), **effort)
+            histories = ((single.force, 1), (single.penetration, 0), (single.rate, 0))
+            read = [np.stack(list(outputs.channels(x, axes).values()), 1) for x, axes in histories]
+            value, slopes = (Histories(read[0], read[1], read[2], None), _no_slopes(read))
+            why, stop = single.reason, single.failure_time
+            steps = int(single.stats["accepted"] + single.stats["rejected"])
+        numbers, by = measure(times, value, slopes, study.features, contacts, isinstance(scene, Joint))
+        row = np.concatenate([numbers, by.ravel()])
+        rows.append((np.full_like(row, np.nan) if why else row, why, stop, steps, value.force))
+    features, whys, stop, steps, force = zip(*rows, strict=True)
+    return Batch(np.array(features), list(whys), np.array(stop), np.array(steps), 0, np.array(force))
+
+
+def _no_slopes(read: list[np.ndarray]) -> Histories:
+    force, depth, rate = (np.zeros((0, *x.shape)) for x in read)
+    return Histories(force, depth, rate, None)
+
+
+def _refusals(study: Study, values: np.ndarray) -> list[str]:
+    """Why points (n, D) cannot be run; "" where they can."""
+    scene = study.given.scene
+    known = {name: scene.quantities[name] for name in study.names}
+    # Plain numbers once, for what thousands of points share.
+    params = {name: float(value) for name, value in study.given.params.items()}
+    ordered = any(name.rpartition(".")[2] in ORDERED for name in study.names)
+    found = []
+    for row in values:
+        params |= {name: float(x) for name, x in zip(study.names, row, strict=True)}
+        try:
+            for name, quantity in known.items():
+                check_value("", quantity, params[name])
+            if ordered:
+                check_order("", scene.quantities, params)
+            check(scene, params)  # pyright: ignore[reportArgumentType]
+        except InputError as error:
+            found.append(f"{error.where}: {error.found}; {error.remedy}".strip(": "))
+        else:
+            found.append("")
+    return found

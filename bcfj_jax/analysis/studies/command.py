@@ -1,0 +1,208 @@
+"""``bcfj study``: a study of a folder, its progress and what it says in the end."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bcfj_jax.analysis.studies import api, local, pictures, specification
+from bcfj_jax.analysis.studies.block import Blocks, compute
+from bcfj_jax.analysis.studies.specification import Study
+from bcfj_jax.analysis.studies.store import Store, fault_of
+from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.io import outputs, report
+from bcfj_jax.io.stop import heeded
+from bcfj_jax.io.units import format_si
+
+DONE, FAILED, INTERRUPTED = 0, 3, 5
+BUILT_IN = Path(__file__).with_name("built_in")
+# Without a terminal: a line so often [s].
+_EVERY_S = 10.0
+
+
+def find(what: str) -> tuple[Study, str]:
+    """A study file, or a built-in study's name; the study, and what to call it.
+
+    Raises:
+        InputError: for neither, and for anything in the file that is not right.
+    """
+    known = {path.stem: path for path in sorted(BUILT_IN.glob("*.toml"))}
+    if what in known:
+        return specification.load(known[what]), what
+    if not what.endswith(".toml"):
+        raise InputError(what, "no study file and no built-in study", nearest(what, list(known)))
+    return specification.load(Path(what)), Path(what).stem
+
+
+def folder_of(out: Path | None, stem: str) -> Path:
+    """Where a study is, unless it is said."""
+    return out or Path("results") / f"study-{stem}"
+
+
+def run(
+    what: str, out: Path | None, workers: int | None, scheduler: str | None, dry: bool, say: Callable[[str], None],
+    resuming: bool = False,
+) -> tuple[str, int]:  # fmt: skip
+    """Run a study, or go on with it; the results in words, and the exit code.
+
+    Raises:
+        InputError: for bad input, a folder that holds another study, and nothing there to resume.
+    """
+    study, stem = find(what)
+    folder = folder_of(out, stem)
+    if resuming and not (folder / "run.toml").exists():
+        raise InputError(f"--out {folder}", "there is no study to resume", "say run, or name its folder")
+    if dry:
+        return estimate(study, workers), DONE
+    store = api.prepare(study, folder)
+    say(f"{study.count} points in {len(store.blocks)} blocks of {store.blocks.size}, in {folder}")
+    with heeded():
+        try:
+            with shown(study, store.blocks.size, say) as progress:
+                api.compute(store, workers, scheduler, progress)
+            result = api.finish(store)
+            with local.written():
+                text = write(result, study, stem)
+        except local.Stopped as stopped:
+            say(f"stopped: {stopped}")
+            return f"bcfj study resume {what} --out {folder}", INTERRUPTED
+        except KeyboardInterrupt:
+            say(f"interrupted: {store.there()} of {len(store.blocks)} blocks are finished")
+            return f"bcfj study resume {what} --out {folder}", INTERRUPTED
+    return f"{text}\nresults in {folder}", FAILED if result.failed == study.count else DONE
+
+
+@contextlib.contextmanager
+def shown(study: Study, size: int, say: Callable[[str], None]) -> Iterator[Callable[[int, int], None]]:
+    """Progress in points: a bar on a terminal, else a line now and then. Rate and time left are of this call."""
+    begin, first, spoken = time.monotonic(), None, time.monotonic()
+    if sys.stderr.isatty():
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        columns = (BarColumn(), MofNCompleteColumn(), TextColumn("points"), TimeRemainingColumn())
+        with Progress(*columns, console=Console(stderr=True)) as bar:
+            task = bar.add_task("study", total=study.count)
+            yield lambda done, _: bar.update(task, completed=min(done * size, study.count))
+        return
+
+    def line(done: int, total: int) -> None:
+        nonlocal first, spoken
+        now = time.monotonic()
+        first = done if first is None else first
+        if now - spoken < _EVERY_S and done < total:
+            return
+        spoken = now
+        points, fresh = min(done * size, study.count), (done - first) * size
+        rate = fresh / (now - begin)
+        left = format_si((study.count - points) / rate, "s", 2) if rate else "unknown"
+        say(f"{points} of {study.count} points, {rate:.3g} a second, {left} left")
+
+    yield line
+
+
+def estimate(study: Study, workers: int | None) -> str:
+    """How many points, and about how long and how large, from a few that are run here and thrown away."""
+    blocks = Blocks(study)
+    at = blocks.order[np.unique(np.linspace(0, study.count - 1, min(blocks.size, 8)).astype(int))]
+    begin = time.perf_counter()
+    compute(study, at, blocks.size)
+    middle = time.perf_counter()
+    table = compute(study, at, blocks.size)
+    each = (time.perf_counter() - middle) / len(at)
+    team = workers or api.default_workers()
+    histories = table.force.nbytes / len(at) if study.histories else 0.0
+    disk = study.count * (8.0 * (len(study.names) + len(study.columns) + 1) + histories)
+    rows = [
+        ["points", str(study.count)],
+        ["blocks", f"{len(blocks)} of {blocks.size}"],
+        ["compiling", f"{middle - begin - each * len(at):.1f} s"],
+        ["computing", f"about {format_si(study.count * each / min(team, len(blocks)), 's', 2)} with {team} workers"],
+        ["disk", f"about {disk / 1e6:.3g} MB"],
+    ]
+    return report.text(rows)
+
+
+def status(what: str, out: Path | None) -> tuple[str, int]:
+    """What is finished and what is left; the exit code is 5 while something is.
+
+    Raises:
+        InputError: where there is no such study.
+    """
+    store = existing(what, out)
+    found = api.state(store)
+    rows = [[key.replace("_", " "), str(found[key])] for key in ("status", "points", "finished", "left", "failed")]
+    rows += [[f"  {text}", str(count)] for text, count in sorted(found["reasons"].items(), key=lambda item: -item[1])]
+    return report.text(rows), DONE if found["status"] == "finished" else INTERRUPTED
+
+
+def merge(what: str, out: Path | None, others: list[Path]) -> tuple[str, int]:
+    """Take in other folders' blocks and write the table if none is missing.
+
+    Raises:
+        InputError: where there is no such study.
+    """
+    store = existing(what, out)
+    taken = sum(take(store, other) for other in others)
+    found = api.state(store)
+    if found["left"]:
+        return f"{taken} blocks taken in; {found['left']} of {found['points']} points are missing", INTERRUPTED
+    return f"{taken} blocks taken in\n{write(api.finish(store), store.study, Path(what).stem)}", DONE
+
+
+def take(store: Store, other: Path) -> int:
+    """Copy the blocks that are whole in another folder and missing here; their number."""
+    count = 0
+    for block in range(len(store.blocks)):
+        source = other / "blocks" / store.path(block).name
+        if store.finished(block) or not source.exists():
+            continue
+        if fault_of(source, store.blocks.names[block], len(store.blocks.points(block))):
+            continue
+        store.place.mkdir(parents=True, exist_ok=True)
+        forces = source.with_suffix(".zarr")
+        if forces.exists():
+            shutil.copytree(forces, store.path(block).with_suffix(".zarr"), dirs_exist_ok=True)
+        with outputs.atomic(store.path(block)) as temporary:
+            shutil.copyfile(source, temporary)
+        count += 1
+    return count
+
+
+def existing(what: str, out: Path | None) -> Store:
+    """The store of a study that was begun.
+
+    Raises:
+        InputError: where there is none, or another.
+    """
+    study, stem = find(what)
+    folder = folder_of(out, stem)
+    if not (folder / "run.toml").exists():
+        raise InputError(f"--out {folder}", "there is no study", "say bcfj study run first, or name its folder")
+    return api.prepare(study, folder)
+
+
+def write(result: api.Result, study: Study, stem: str) -> str:
+    """Pictures and report; the results in words."""
+    found = result.state
+    said = f"{found['finished']} points, {found['failed']} of them failed."
+    rows: list[list[Any]] = [["", "least", "median", "largest"]]
+    good = result.column("status") == "ok"
+    for name in study.columns:
+        values = result.column(name)[good]
+        values = values[np.isfinite(values)]
+        cells = [f"{x:.6g}" for x in (np.min(values), np.median(values), np.max(values))] if values.size else ["-"] * 3
+        rows.append([name, *cells])
+    failures = [["reason", "points"], *([text, str(count)] for text, count in found["reasons"].items())]
+    tables = [("Results", rows)] + ([("Failures", failures)] if found["failed"] else [])
+    drawn = pictures.overview(study, result, result.folder)
+    report.write(result.folder, f"Study {stem}", said, tables, drawn)
+    more = [f"  {text}: {count}" for text, count in found["reasons"].items()]
+    return "\n".join([said, *more, "", report.text(rows)])

@@ -1,0 +1,79 @@
+"""A finished study as its analyses read it: points as shares of their ranges, features, and which rows are usable."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from bcfj_jax.analysis.studies import specification
+from bcfj_jax.analysis.studies.api import RESULTS, Result
+from bcfj_jax.analysis.studies.extra import library
+from bcfj_jax.analysis.studies.specification import Study
+from bcfj_jax.core.errors import InputError, nearest
+
+
+class Finished(NamedTuple):
+    """A study and its table, in the order of the points.
+
+    Attributes:
+        study: what was asked.
+        values: (N, D) of the varied parameters, as they were run [SI].
+        columns: (N,) of each of ``study.columns``, NaN where a run failed.
+        ok: (N,) whether each run did not fail.
+    """
+
+    study: Study
+    values: np.ndarray
+    columns: Mapping[str, np.ndarray]
+    ok: np.ndarray
+
+    @property
+    def shares(self) -> np.ndarray:
+        """(N, D) of the way from each lower bound to the upper one, in the logarithm on a log axis."""
+        return np.stack([axis.share(self.values[:, k]) for k, axis in enumerate(self.study.axes)], axis=1)
+
+    def feature(self, name: str) -> np.ndarray:
+        """A feature (N,), NaN where the run failed.
+
+        Raises:
+            InputError: for a feature that the study did not keep, with the nearest it did.
+        """
+        known = [f.name for f in self.study.features]
+        if name not in known:
+            raise InputError(f"feature '{name}'", "the study did not keep it", nearest(name, known))
+        return np.where(self.ok, self.columns[name], np.nan)
+
+
+Source = Finished | Result | Path | str
+
+
+def read(source: Source) -> Finished:
+    """A finished study, from what ``bcfj_jax.study`` gave back or from its folder.
+
+    Raises:
+        InputError: for a folder without a study, or one that is not finished.
+    """
+    if isinstance(source, Finished):
+        return source
+    folder = source.folder if isinstance(source, Result) else Path(source)
+    if not (folder / "run.toml").exists():
+        raise InputError(str(folder), "there is no study", "name the folder of one: what --out said")
+    study = specification.load(folder / "run.toml")
+    if isinstance(source, Result):
+        table = source.table
+    elif (folder / RESULTS).exists():
+        table = library("pyarrow.parquet").read_table(folder / RESULTS)
+    else:
+        raise InputError(str(folder), f"there is no {RESULTS}: the study is not finished", "say bcfj study resume")
+    if table.num_rows != study.count:
+        found = f"{table.num_rows} rows for {study.count} points"
+        raise InputError(str(folder / RESULTS), found, "say bcfj study resume")
+
+    def column(name: str) -> np.ndarray:
+        return table.column(name).to_numpy(zero_copy_only=False)
+
+    values = np.stack([column(name) for name in study.names], axis=1)
+    return Finished(study, values, {name: column(name) for name in study.columns}, column("status") == "ok")

@@ -1,0 +1,107 @@
+"""Workers on this machine: processes that are started, watched, started again when they die, and stopped."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+
+from bcfj_jax.analysis.studies.store import Store
+from bcfj_jax.analysis.studies.worker import BAD_INPUT, DONE, INTERRUPTED
+from bcfj_jax.io.stop import check
+
+# Workers that may die one after the other without a block being finished.
+_DEATHS = 6
+_LOOK_S = 0.2
+
+
+class Stopped(Exception):
+    """A study that could not go on; its folder holds what was finished."""
+
+
+@contextlib.contextmanager
+def written() -> Iterator[None]:
+    """Within, what cannot be written stops the study, saying why.
+
+    Raises:
+        Stopped: in place of what the system raises.
+    """
+    try:
+        yield
+    except OSError as error:
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+        where = f" ({error.filename})" if error.filename else ""
+        said = f"{error.strerror or error}{where}: "
+        raise Stopped(said + ("free some space and resume" if full else "mend that and resume")) from None
+
+
+def cores() -> int:
+    """Cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def run(store: Store, workers: int, progress: Callable[[int], None]) -> None:
+    """Have all blocks computed by processes of their own; they end with this one.
+
+    Args:
+        store: the folder.
+        workers: how many.
+        progress: is told the number of finished blocks.
+
+    Raises:
+        Stopped: if the disk is full, or workers die again and again.
+        KeyboardInterrupt: Ctrl-C.
+    """
+    team: dict[int, subprocess.Popen] = {}
+    deaths, most = 0, store.there()
+    try:
+        for number in range(workers):
+            team[number] = start(store, number)
+        while team:
+            check()
+            time.sleep(_LOOK_S)
+            there = store.there()
+            deaths, most = (0, there) if there > most else (deaths, most)
+            progress(there)
+            for number, worker in list(team.items()):
+                code = worker.poll()
+                if code is None:
+                    continue
+                del team[number]
+                if code == INTERRUPTED:
+                    raise Stopped("a worker could not write; it has said why")
+                if code == BAD_INPUT:
+                    raise Stopped("a worker could not read the study")
+                if code != DONE:
+                    deaths += 1
+                    if deaths >= _DEATHS:
+                        raise Stopped(f"{deaths} workers ended (code {code}) and no block was finished in between")
+                    sys.stderr.write(f"worker {number} ended (code {code}); another takes its place\n")
+                    team[number] = start(store, number)
+    finally:
+        for worker in team.values():
+            worker.terminate()
+        for worker in team.values():
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                worker.wait(5)
+            worker.kill()
+            worker.wait()
+
+
+def start(store: Store, number: int) -> subprocess.Popen:
+    """A worker, which goes when this process goes."""
+    command = [
+        sys.executable,
+        "-m",
+        "bcfj_jax.analysis.studies.worker",
+        str(store.folder),
+        str(number),
+        str(os.getpid()),
+    ]
+    # Read when equinox is imported: JAX keeps no program with equinox's checks in its cache (``compile_cache``).
+    env = {"EQX_ON_ERROR": "nan", **os.environ}
+    return subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, env=env)

@@ -1,0 +1,276 @@
+"""Study files: which points of which scene, and what is kept of each; checked, in SI.
+
+scene     a scene file (beside the study file), a built-in scene's name, or a table with a scene file's content
+[design]  kind = grid | list | latin_hypercube | sobol; points and seed of the last two
+          saltelli: samples, second_order, seed; morris: trajectories, levels, seed (for global sensitivities)
+[vary.X]  lower, upper, steps, scale = linear | log; or values
+[results] features, histories, derivatives
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pydantic
+
+from bcfj_jax.analysis.derivatives.jacobian import channels
+from bcfj_jax.analysis.derivatives.names import Feature, complete, feature
+from bcfj_jax.analysis.studies.design import DEFAULTS, DRAWN, KINDS, SCALES, Axis, Options, block_length, number, points
+from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.quantities import CATALOGUE, check_value
+from bcfj_jax.io import scenefile, tables
+from bcfj_jax.io.scenefile import SceneFile
+from bcfj_jax.io.units import quantity
+
+MOST_POINTS = 100_000_000
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study ready to run.
+
+    Attributes:
+        given: the scene that is varied.
+        kind, axes, count, seed, options: the design, as ``design.points``.
+        features: what is kept of each point.
+        histories: whether forces are kept, too.
+        derivatives: parameters by which features are differentiated.
+        own_end: whether each point runs to the horizon of its own parameters.
+        resolved: the study with every default, SI: a study file itself.
+    """
+
+    given: SceneFile
+    kind: str
+    axes: tuple[Axis, ...]
+    count: int
+    seed: int
+    features: tuple[Feature, ...]
+    histories: bool
+    derivatives: tuple[str, ...]
+    own_end: bool
+    resolved: dict[str, Any]
+    options: Options = DEFAULTS
+
+    @cached_property
+    def points(self) -> np.ndarray:
+        """(N, D) values of the varied parameters."""
+        return points(self.kind, self.axes, self.count, self.seed, self.options)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The varied parameters."""
+        return tuple(axis.name for axis in self.axes)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of what is computed: features, then d(feature)/d(parameter)."""
+        slopes = (f"d({f.name})/d({p})" for f in self.features for p in self.derivatives)
+        return (*(f.name for f in self.features), *slopes)
+
+    def params(self, values: np.ndarray) -> dict[str, np.ndarray]:
+        """Parameters of points (n, D): leaves (n,), those that do not vary too."""
+        fixed = {name: np.full(len(values), float(value)) for name, value in self.given.params.items()}
+        return fixed | {name: values[:, k].astype(float) for k, name in enumerate(self.names)}
+
+
+class _Design(tables.Table):
+    kind: str = "grid"
+    points: int | None = pydantic.Field(default=None, ge=1, le=MOST_POINTS)
+    samples: int | None = pydantic.Field(default=None, ge=1, le=MOST_POINTS)
+    second_order: bool | None = None
+    trajectories: int | None = pydantic.Field(default=None, ge=1, le=MOST_POINTS)
+    levels: int | None = pydantic.Field(default=None, ge=2, le=1000)
+    seed: int = pydantic.Field(default=0, ge=0)
+
+
+class _Axis(tables.Table):
+    lower: Any = None
+    upper: Any = None
+    steps: int | None = pydantic.Field(default=None, ge=1, le=MOST_POINTS)
+    scale: str = "linear"
+    values: list[Any] | None = None
+
+
+class _Results(tables.Table):
+    features: list[str] | None = None
+    histories: bool = False
+    derivatives: list[str] = pydantic.Field(default_factory=list)
+
+
+class _File(tables.Table):
+    scene: Any
+    design: _Design = _Design()
+    vary: dict[str, _Axis]
+    results: _Results = _Results()
+
+
+def load(path: Path) -> Study:
+    """A study file; errors as ``from_table``, and for a file that is missing or no TOML."""
+    return from_table(tables.read(path), str(path), path.parent)
+
+
+def from_table(table: Mapping[str, Any], where: str = "study", beside: Path = Path(".")) -> Study:
+    """The study that a file's content describes.
+
+    Args:
+        table: the content.
+        where: the file, for messages.
+        beside: folder in which a scene file is sought.
+
+    Raises:
+        InputError: for anything that is not right, naming the key and what would be.
+    """
+    file = tables.validated(_File, dict(table), where)
+    given, own_end = _scene(file.scene, where, beside)
+    kind = file.design.kind
+    if kind not in KINDS:
+        raise InputError(f"{where}: [design] kind", f"no design '{kind}'", nearest(kind, KINDS))
+    drawn, size = kind in DRAWN, _size(file.design, where)
+    if not file.vary:
+        raise InputError(f"{where}: [vary]", "nothing is varied", f"vary one of {', '.join(given.scene.quantities)}")
+    axes = tuple(_axis(given, name, one, kind, where) for name, one in file.vary.items())
+    if kind == "list" and len({axis.steps for axis in axes}) > 1:
+        found = ", ".join(f"{axis.name}: {axis.steps}" for axis in axes)
+        raise InputError(f"{where}: [vary]", f"values of a list side by side: {found}", "give as many of each")
+    options = Options(file.design.second_order or False, file.design.levels or DEFAULTS.levels)
+    count = number(kind, axes, block_length(kind, len(axes), options) * size)
+    if count > MOST_POINTS:
+        raise InputError(f"{where}: [vary]", f"{count} points", f"a study has at most {MOST_POINTS}")
+    members = channels(given.scene)
+    wanted = file.results.features
+    if wanted is None:
+        wanted = [f"{contact}.peak" for contact in members]
+    if len(set(wanted)) < len(wanted):
+        twice = next(name for name in wanted if wanted.count(name) > 1)
+        raise InputError(f"{where}: [results] features", f"'{twice}' is there twice", "name it once")
+    slopes = tuple(file.results.derivatives)
+    try:
+        features = tuple(feature(name, members) for name in wanted)
+        if slopes:
+            complete(given.scene, given.params, slopes)
+    except InputError as error:
+        raise InputError(f"{where}: [results] {error.where}", error.found, error.remedy) from None
+    resolved = {
+        "scene": _inline(given, own_end),
+        "design": {"kind": kind, "seed": file.design.seed} | _resolved_design(kind, size, options),
+        "vary": {axis.name: _resolved(axis, drawn) for axis in axes},
+        "results": {
+            "features": [f.name for f in features], "histories": file.results.histories, "derivatives": list(slopes)
+        },
+    }  # fmt: skip
+    return Study(
+        given,
+        kind,
+        axes,
+        count,
+        file.design.seed,
+        features,
+        file.results.histories,
+        slopes,
+        own_end,
+        resolved,
+        options,
+    )
+
+
+# What says how large a design is, and what else it may say.
+_SIZES = {"latin_hypercube": "points", "sobol": "points", "saltelli": "samples", "morris": "trajectories"}
+_OPTIONS = {"saltelli": "second_order", "morris": "levels"}
+
+
+def _size(design: _Design, where: str) -> int:
+    """How many points, base samples or trajectories; 0 for a design that its axes make."""
+    kind = design.kind
+    own = _SIZES.get(kind)
+    for key in ("points", "samples", "trajectories", "second_order", "levels"):
+        if getattr(design, key) is None or key in (own, _OPTIONS.get(kind)):
+            continue
+        found = f"a {kind} has as many as its axes say" if key == "points" and own is None else f"no key of a {kind}"
+        remedy = f"say {own}" if own and key in _SIZES.values() else "take it out"
+        raise InputError(f"{where}: [design] {key}", found, remedy)
+    if own is None:
+        return 0
+    if getattr(design, own) is None:
+        raise InputError(f"{where}: [design] {own}", f"missing for {kind}", f"say how many {own} to draw")
+    if design.levels is not None and design.levels % 2:
+        raise InputError(f"{where}: [design] levels", f"{design.levels} is odd", "give an even number (Morris 1991)")
+    return getattr(design, own)
+
+
+def _resolved_design(kind: str, size: int, options: Options) -> dict[str, Any]:
+    sized = {_SIZES[kind]: size} if kind in _SIZES else {}
+    return sized | ({_OPTIONS[kind]: getattr(options, _OPTIONS[kind])} if kind in _OPTIONS else {})
+
+
+def _scene(scene: Any, where: str, beside: Path) -> tuple[SceneFile, bool]:
+    """The scene, and whether it leaves the end to each point's parameters."""
+    if isinstance(scene, Mapping):
+        table, given = scene, scenefile.from_table(scene, None)
+    elif isinstance(scene, str):
+        path = beside / scene
+        found = path if scene.endswith(".toml") and path.exists() else scene
+        given = scenefile.load(found)
+        table = tables.read(Path(found)) if given.source else {}
+    else:
+        raise InputError(f"{where}: scene", f"{scene!r}", "give a scene file, or the name of a built-in scene")
+    return given, "end" not in table.get("time", {})
+
+
+def _inline(given: SceneFile, own_end: bool) -> dict[str, Any]:
+    time = {k: v for k, v in given.resolved["time"].items() if not (own_end and k == "end")}
+    return {**given.resolved, "time": time}
+
+
+def _resolved(axis: Axis, drawn: bool) -> dict[str, Any]:
+    if axis.values is not None:
+        return {"values": list(axis.values)}
+    bounds = {"lower": axis.lower, "upper": axis.upper, "scale": axis.scale}
+    return bounds if drawn else bounds | {"steps": axis.steps}
+
+
+def _axis(given: SceneFile, name: str, table: _Axis, kind: str, where: str) -> Axis:
+    place, known = f"{where}: [vary.{name}]", given.scene.quantities
+    if name not in known:
+        hint = f"known here: {', '.join(sorted(known))}" if name in CATALOGUE else nearest(name, known)
+        raise InputError(place, f"scene '{given.scene.kind}' has no parameter '{name}'", hint)
+    if table.scale not in SCALES:
+        raise InputError(f"{place} scale", f"no scale '{table.scale}'", nearest(table.scale, SCALES))
+    drawn = kind in DRAWN
+    bounded = table.lower is not None or table.upper is not None
+    if table.values is not None:
+        if bounded or table.steps is not None:
+            raise InputError(place, "values and bounds are both given", "give one of them")
+        if drawn:
+            raise InputError(f"{place} values", f"a {kind} draws between bounds", "give lower and upper")
+        if not table.values:
+            raise InputError(f"{place} values", "is empty", "give one value or more")
+        values = tuple(_value(given, name, x, f"{place} values") for x in table.values)
+        return Axis(name, values, min(values), max(values), "linear", len(values))
+    if table.lower is None or table.upper is None:
+        raise InputError(place, "no bounds", "give lower and upper, or values")
+    if kind == "list":
+        raise InputError(place, "a list needs values", "give values = [...]")
+    if drawn and table.steps is not None:
+        raise InputError(f"{place} steps", f"a {kind} has no steps", f"say [design] {_SIZES[kind]} in place of it")
+    if not drawn and table.steps is None:
+        raise InputError(f"{place} steps", "missing", "say how many values the grid takes of it")
+    lower, upper = (_value(given, name, getattr(table, end), f"{place} {end}") for end in ("lower", "upper"))
+    if not lower < upper:
+        raise InputError(place, f"lower = {lower:g} is not below upper = {upper:g}", "give lower < upper")
+    if table.scale == "log" and lower <= 0:
+        raise InputError(f"{place} lower", f"{lower:g} on a log scale", "give a lower bound > 0")
+    return Axis(name, None, lower, upper, table.scale, table.steps or 0)
+
+
+def _value(given: SceneFile, name: str, value: Any, place: str) -> float:
+    contact, known = name.rpartition(".")[0], given.scene.quantities
+    keys = [f"{contact}.exponent" if contact else "exponent", "exponent"]
+    exponent = next((float(given.params[key]) for key in keys if key in given.params), 1.0)
+    found = quantity(value, known[name].unit, place, exponent=exponent)
+    check_value(place, known[name], found)
+    return found

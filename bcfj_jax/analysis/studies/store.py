@@ -1,0 +1,232 @@
+"""A study's folder: one file a finished block, whole or not there at all; what is missing is what is left to do.
+
+    run.toml            the study with every default
+    study.json          what ran and what is left, for people and scripts
+    blocks/NAME.parquet a block's table; NAME is a digest of all that its content follows from
+    blocks/NAME.zarr    its forces, where they are kept
+    results.parquet     all tables as one, in the order of the points
+
+A block is written under another name, brought to the disk and moved. It counts as finished if it can be read, its
+checksums hold and it says that it is what its name says; else it is done again. A lock that dies with its process
+keeps two workers from one block; if the file system has none, both compute the same bytes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bcfj_jax.analysis.derivatives.jacobian import channel_names, channels
+from bcfj_jax.analysis.studies.block import Blocks, Table
+from bcfj_jax.analysis.studies.extra import library
+from bcfj_jax.analysis.studies.specification import Study
+from bcfj_jax.core.errors import InputError
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+_FACTS = b"bcfj"
+
+
+class Store:
+    """The folder of a study.
+
+    Args:
+        folder: where.
+        blocks: the study, cut.
+    """
+
+    def __init__(self, folder: Path, blocks: Blocks) -> None:
+        self.folder, self.blocks, self.study = folder, blocks, blocks.study
+        self.place = folder / "blocks"
+        self._finished: set[int] = set()
+
+    def path(self, block: int) -> Path:
+        """The file of a block's table."""
+        return self.place / f"{self.blocks.names[block]}.parquet"
+
+    def finished(self, block: int) -> bool:
+        """Whether a block is there and whole; one that is broken is taken away."""
+        if block in self._finished:
+            return True
+        if not self.path(block).exists():
+            return False
+        if fault := fault_of(self.path(block), self.blocks.names[block], len(self.blocks.points(block))):
+            self.discard(block)
+            print_fault(self.path(block), fault)
+            return False
+        self._finished.add(block)
+        return True
+
+    def there(self) -> int:
+        """How many blocks have a file, whole or not: for a look in passing. Another version's blocks are none."""
+        return len({path.stem for path in self.place.glob("*.parquet")}.intersection(self.blocks.names))
+
+    def discard(self, block: int) -> None:
+        """Take a block away."""
+        self.path(block).unlink(missing_ok=True)
+        shutil.rmtree(self.path(block).with_suffix(".zarr"), ignore_errors=True)
+        self._finished.discard(block)
+
+    @contextmanager
+    def claimed(self, block: int) -> Iterator[bool]:
+        """Whether this process alone has the block, within."""
+        filelock = library("filelock")
+        locks = self.folder / "locks"
+        locks.mkdir(parents=True, exist_ok=True)
+        lock = filelock.FileLock(locks / f"{self.blocks.names[block]}.lock")
+        try:
+            lock.acquire(timeout=0)
+        except filelock.Timeout:
+            yield False
+            return
+        try:
+            yield True
+        finally:
+            lock.release()
+
+    def write(self, block: int, table: Table) -> None:
+        """Keep a block; on disk when this returns."""
+        self.place.mkdir(parents=True, exist_ok=True)
+        path = self.path(block)
+        facts: dict[str, Any] = {
+            "block": self.blocks.names[block],
+            "rounds": table.rounds,
+            "steps": table.steps.tolist(),
+        }
+        if self.study.histories:
+            facts["histories"] = _write_forces(path.with_suffix(".zarr"), self.study, table)
+        write_parquet(path, arrow(self.study, table), facts)
+        self._finished.add(block)
+
+    def keep(self, block: int, files: Mapping[str, bytes]) -> None:
+        """Keep a block whose files were written elsewhere; on disk when this returns."""
+        self.place.mkdir(parents=True, exist_ok=True)
+        path = self.path(block)
+        forces, temporary = path.with_suffix(".zarr"), self.place / f".{path.stem}.{os.getpid()}"
+        try:
+            for name, content in files.items():
+                target = temporary / name
+                target.parent.mkdir(parents=True, exist_ok=True)
+                target.write_bytes(content)
+                to_disk(target)
+            if (temporary / forces.name).exists():
+                shutil.rmtree(forces, ignore_errors=True)
+                os.replace(temporary / forces.name, forces)
+            os.replace(temporary / path.name, path)
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
+        to_disk(self.place)
+
+    def read(self, block: int) -> pa.Table:
+        """A finished block's table."""
+        return library("pyarrow.parquet").read_table(self.path(block), page_checksum_verification=True)
+
+
+def print_fault(path: Path, fault: str) -> None:
+    """Tell people that a block is done again."""
+    import sys
+
+    sys.stderr.write(f"{path.name}: {fault}; it is computed again\n")
+
+
+def arrow(study: Study, table: Table) -> pa.Table:
+    """A block's table as the contract has it: point, varied parameters, features, status, reason."""
+    pyarrow = library("pyarrow")
+    columns = {"point": table.point.astype(np.int64)}
+    columns |= {name: table.values[:, k] for k, name in enumerate(study.names)}
+    columns |= {name: table.results[:, k] for k, name in enumerate(study.columns)}
+    return pyarrow.table({**columns, "status": table.status, "reason": table.reason})
+
+
+def write_parquet(path: Path, table: pa.Table, facts: dict[str, Any] | None = None) -> None:
+    """A Parquet file with checksums, whole or not at all: the same bytes for the same content."""
+    parquet = library("pyarrow.parquet")
+    if facts is not None:
+        table = table.replace_schema_metadata({_FACTS: json.dumps(facts, sort_keys=True).encode()})
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        parquet.write_table(table, temporary, write_page_checksum=True)
+        to_disk(temporary)
+        os.replace(temporary, path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+    to_disk(path.parent)
+
+
+def to_disk(path: Path) -> None:
+    """Wait until a file, or the names in a folder, are on disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def facts_of(path: Path) -> dict[str, Any]:
+    """What a block's file says of itself."""
+    metadata = library("pyarrow.parquet").read_schema(path).metadata or {}
+    return json.loads(metadata.get(_FACTS, b"{}"))
+
+
+def fault_of(path: Path, name: str, rows: int) -> str:
+    """What is wrong with a block's file; "" if nothing."""
+    try:
+        table = library("pyarrow.parquet").read_table(path, page_checksum_verification=True)
+        facts = facts_of(path)
+    except InputError:
+        raise
+    except Exception as error:  # Whatever its reader makes of broken bytes.
+        return f"cannot be read ({type(error).__name__})"
+    if facts.get("block") != name or table.num_rows != rows:
+        return "is not what its name says"
+    where = path.with_suffix(".zarr")
+    for part, digest in facts.get("histories", {}).items():
+        if not (where / part).exists() or _digest(where / part) != digest:
+            return f"{where.name}/{part} is missing or broken"
+    return ""
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _write_forces(path: Path, study: Study, table: Table) -> dict[str, str]:
+    """Forces (n, T, C, 3) [N], times (n, T) [s] and points (n,) as a Zarr group; digests of its files."""
+    zarr = library("zarr")
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    shutil.rmtree(temporary, ignore_errors=True)
+    try:
+        group = zarr.open_group(temporary, mode="w")
+        grid = study.given.times / study.given.times[-1]
+        group.create_array("force", data=table.force, chunks=(1, *table.force.shape[1:]))
+        group.create_array("time", data=table.ends[:, None] * grid)
+        group.create_array("point", data=table.point.astype(np.int64))
+        group.attrs["contacts"] = channel_names(channels(study.given.scene))
+        group.attrs["components"] = ["normal", "axial", "tangential"]
+        files = sorted(p for p in temporary.rglob("*") if p.is_file())
+        for file in files:
+            to_disk(file)
+        shutil.rmtree(path, ignore_errors=True)
+        os.replace(temporary, path)
+    except BaseException:
+        shutil.rmtree(temporary, ignore_errors=True)
+        raise
+    return {file.relative_to(temporary).as_posix(): _digest(path / file.relative_to(temporary)) for file in files}
+
+
+def merge(store: Store) -> pa.Table:
+    """All finished blocks as one table, in the order of the points."""
+    pyarrow = library("pyarrow")
+    parts = [store.read(k).replace_schema_metadata(None) for k in range(len(store.blocks)) if store.finished(k)]
+    whole = pyarrow.concat_tables(parts).combine_chunks()
+    return whole.sort_by("point")

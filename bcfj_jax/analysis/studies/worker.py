@@ -1,0 +1,87 @@
+"""A worker: computes blocks of a study's folder until none is left. ``python -m bcfj_jax.analysis.studies.worker DIR NUMBER
+PARENT``.
+
+Exit codes are those of the command line: 0 nothing is left, 2 the folder cannot be worked on, 5 the disk is full.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from bcfj_jax.analysis.studies.block import Blocks, compute
+from bcfj_jax.analysis.studies.specification import load
+from bcfj_jax.analysis.studies.store import Store
+from bcfj_jax.core.errors import InputError
+from bcfj_jax.io.stop import check, heeded
+
+DONE, BAD_INPUT, INTERRUPTED = 0, 2, 5
+# How long to wait for blocks that others have.
+_PATIENCE_S = 0.5
+
+
+def work(store: Store, progress: Callable[[int], None] = lambda _: None) -> None:
+    """Compute what is missing; return when nothing is, whoever computed it. ``progress`` is told what is there."""
+    left = list(range(len(store.blocks)))
+    while left:
+        before = len(left)
+        for block in left:
+            check()
+            if store.finished(block):
+                continue
+            with store.claimed(block) as mine:
+                # Another may have finished it between the look and the claim.
+                if mine and not store.finished(block):
+                    store.write(block, compute(store.study, store.blocks.points(block), store.blocks.size))
+                    progress(store.there())
+        left = [block for block in left if not store.finished(block)]
+        if left and len(left) == before:
+            time.sleep(_PATIENCE_S)
+
+
+def own_core(number: int) -> None:
+    """Keep a worker to one core, where the system can: two on one core wait for each other's caches."""
+    if hasattr(os, "sched_setaffinity"):
+        cores = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {cores[number % len(cores)]})
+
+
+def go_with(parent: int) -> None:
+    """End when the process that started this one has gone, whatever it died of."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(_PATIENCE_S)
+        os._exit(INTERRUPTED)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def main() -> int:
+    """Entry point."""
+    from bcfj_jax.core.compile_cache import use_compile_cache
+
+    folder, number = Path(sys.argv[1]), int(sys.argv[2])
+    own_core(number)
+    go_with(int(sys.argv[3]))
+    use_compile_cache()
+    try:
+        with heeded():
+            work(Store(folder, Blocks(load(folder / "run.toml"))))
+    except InputError as error:
+        sys.stderr.write(f"error: {error}\n")
+        return BAD_INPUT
+    except OSError as error:
+        sys.stderr.write(f"error: {error.strerror or error}: {error.filename or folder}\n")
+        return INTERRUPTED
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    return DONE
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,143 @@
+"""The setting to take for an error budget, as TOML.
+
+A setting is within a budget if ``SAFETY`` times its expected error is: the worst of force rms, peak and impulse there,
+on the next looser rung of its ladder and on every tighter one that was run. Errors of adaptive steps scatter, so that
+one rung may be right by luck. A solver that was off by more than ``LOST`` on any rung is not recommended on another,
+and none at a force error that is looser than the budget: what is right here may not be so beside it, where only what
+was asked for is promised (``benchmarks/analysis/advice.py``).
+
+The cheapest wins; of those as cheap, within the ``NOISE`` of walls, one that keeps the user's model, then one that
+keeps the solver, then the most accurate. Settings with other times of output are not recommended: the user asked for
+these times; nor are 32-bit numbers, which the package refuses.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from bcfj_jax.analysis.tradeoff.measures import MAIN, worst
+from bcfj_jax.analysis.tradeoff.reference import Reference
+from bcfj_jax.analysis.tradeoff.settings import AS_GIVEN, Setting
+from bcfj_jax.analysis.tradeoff.study import OK, Study
+from bcfj_jax.models.joint.scene import FIDELITIES
+
+BUDGETS = (0.1, 0.05, 0.02, 0.01, 0.005, 0.001)
+SAFETY = 2.0
+LOST = 1.0
+NOISE = 0.25
+
+
+def expected(study: Study) -> list[float]:
+    """Error of each setting that a budget is held against, see the top of the file; inf for none."""
+    ladders: dict[str, list[tuple[float, float]]] = {}
+    for setting, row in zip(study.settings, study.rows, strict=True):
+        if row["status"] == OK:
+            error = worst(row)
+            ladders.setdefault(setting.ladder, []).append((setting.error, error if math.isfinite(error) else math.inf))
+
+    def one(setting: Setting, row: Mapping[str, Any]) -> float:
+        if row["status"] != OK or setting.group in ("output", "precision"):
+            return math.inf
+        ladder = ladders[setting.ladder]
+        if any(error > LOST for _, error in ladder):
+            return math.inf
+        looser = min((asked for asked, _ in ladder if asked > setting.error), default=setting.error)
+        return max(error for asked, error in ladder if asked <= looser)
+
+    return [one(*pair) for pair in zip(study.settings, study.rows, strict=True)]
+
+
+def recommended(study: Study) -> dict[str, dict[str, Any]]:
+    """By budget ("1 %"): setting, its TOML, what it changes, its errors and wall; or why there is none."""
+    trusted = study.reference is not None and study.reference.truth is not None
+    known = expected(study)
+    return {f"{100 * budget:g} %": _one(study, known, budget, trusted) for budget in BUDGETS}
+
+
+def _one(study: Study, known: Sequence[float], budget: float, trusted: bool) -> dict[str, Any]:
+    if not trusted or study.reference is None:
+        return {"setting": None, "reason": "no reference to judge by"}
+    if SAFETY * study.reference.floor > budget:
+        return {"setting": None, "reason": f"the reference is certain to {study.reference.floor:.1e} only"}
+    within = [
+        k
+        for k, (setting, error) in enumerate(zip(study.settings, known, strict=True))
+        if SAFETY * error <= budget and asks(setting, budget)
+    ]
+    if not within:
+        missing = sum(row["status"].startswith("not run") for row in study.rows)
+        also = f"; {missing} settings were not run" if missing else ""
+        return {"setting": None, "reason": f"no setting that was run keeps it{also}"}
+    cheapest = min(study.rows[k]["wall_s"] for k in within)
+    near = [k for k in within if study.rows[k]["wall_s"] <= (1.0 + NOISE) * cheapest]
+    kept = study.settings[0].table["accuracy"].get("solver")
+
+    def preferred(k: int) -> tuple[bool, bool, float]:
+        setting = study.settings[k]
+        return bool(setting.physics), setting.table["accuracy"].get("solver") != kept, known[k]
+
+    best = min(near, key=preferred)
+    setting, row, own = study.settings[best], study.rows[best], study.rows[0]
+    as_fast = own["wall_s"] / row["wall_s"] if own["status"] == OK and own["setting"] == AS_GIVEN else None
+    return {
+        "setting": setting.name,
+        "wall_s": row["wall_s"],
+        "times_as_fast_as_given": as_fast,
+        "errors": {name: row[name] for name in MAIN},
+        "expected_error": known[best],
+        "physics": setting.physics or "the model is the given one",
+        "change": change(setting),
+        "toml": file(setting, f"{100 * budget:g} %"),
+    }
+
+
+def asks(setting: Setting, budget: float) -> bool:
+    """Whether a setting asks for a budget, or for less; equilibria and closed forms ask for no error."""
+    static = setting.table["scene"].get("fidelity") in FIDELITIES[:-1]
+    return static or setting.error <= budget
+
+
+def shared(advice: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+    """Recommended settings by name, each with the budgets it is for: "5 %, 2 %"."""
+    found: dict[str, list[str]] = {}
+    for budget, one in advice.items():
+        if one["setting"]:
+            found.setdefault(one["setting"], []).append(budget.removesuffix(" %"))
+    return {name: f"{', '.join(budgets)} %" for name, budgets in found.items()}
+
+
+def change(setting: Setting) -> str:
+    """What of the user's file it changes, as TOML; "" for the file as it stands."""
+    import tomli_w
+
+    return tomli_w.dumps({section: dict(values) for section, values in setting.change.items()})
+
+
+def file(setting: Setting, budget: str) -> str:
+    """The whole scene file of a setting, which ``scenefile`` loads."""
+    import tomli_w
+
+    head = f"# Recommended by bcfj tradeoff for an error of {budget}: {setting.name}.\n"
+    physics = f"# Another model than the given one: {setting.physics}.\n" if setting.physics else ""
+    return head + physics + tomli_w.dumps({section: dict(values) for section, values in setting.table.items()})
+
+
+def doubts(reference: Reference | None) -> list[str]:
+    """What to know of the reference before its numbers are believed."""
+    if reference is None:
+        return ["the study was cut off before there was a reference"]
+    certificate = reference.certificate
+    if reference.truth is None:
+        return [f"no reference: {certificate['reason']}"]
+    found, smallest = [], BUDGETS[-1]
+    if SAFETY * reference.floor > smallest:
+        why = f": {certificate['reason']}" if certificate["reason"] else ""
+        found.append(
+            f"the two references differ by {worst(certificate['errors']):.1e}: budgets below "
+            f"{100 * SAFETY * reference.floor:.2g} % cannot be judged{why}"
+        )
+    if reference.slopes is None:
+        found.append(f"no reference for derivatives: {certificate['derivatives']['reason']}")
+    return found

@@ -1,0 +1,182 @@
+"""``bcfj tradeoff``: the study of a scene in a folder and in tables; it goes on where it was cut off."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bcfj_jax.analysis.tradeoff import advice as advise
+from bcfj_jax.analysis.tradeoff.measures import NAMES, worst
+from bcfj_jax.analysis.tradeoff.picture import tradeoff
+from bcfj_jax.analysis.tradeoff.settings import settings
+from bcfj_jax.analysis.tradeoff.study import COLUMNS, OK, Study, study
+from bcfj_jax.io import outputs, report
+from bcfj_jax.io.journal import NAME as JOURNAL
+from bcfj_jax.io.journal import Journal, key_of
+from bcfj_jax.io.scenefile import load
+from bcfj_jax.io.stop import heeded
+from bcfj_jax.io.units import format_si
+
+DONE, FAILED, INTERRUPTED = 0, 3, 5
+FILES = ("tradeoff.csv", "tradeoff.json", "tradeoff.png", "report.html", "run.toml", "environment.json")
+Rows = Sequence[Sequence[str]]
+
+
+def run(
+    what: str, only: Sequence[str], derivatives: bool, budget: float, out: Path | None, say: Callable[[str], None]
+) -> tuple[str, int]:
+    """Study a scene file, or go on with a study that its folder holds the journal of.
+
+    Args:
+        what: a scene file, or a built-in scene's name.
+        only, derivatives: as ``settings.settings``.
+        budget: seconds for this call.
+        out: folder for the results, None for one made up.
+        say: is told of the progress.
+
+    Returns:
+        The results in words, and the exit code of the contract.
+
+    Raises:
+        InputError: for bad input, and where something would be overwritten.
+    """
+    given = load(what)
+    todo = settings(given, only, derivatives)
+    stem = given.source.stem if given.source else what
+    begun = out is not None and (out / JOURNAL).exists()
+    folder = out if out and begun else outputs.open_folder(out, "tradeoff", stem, FILES)
+    known = outputs.environment(data=[given.source] if given.source else [])
+    key = key_of("tradeoff", given.resolved, derivatives, known["packages"], known["device"])
+    with heeded(), Journal(folder, key) as journal:
+        if journal.resumed:
+            say(f"going on in {folder}: {len(journal)} pieces are finished")
+        found = study(given, todo, journal, budget, say)
+    options = {"only": list(only), "derivatives": derivatives, "budget": budget}
+    outputs.write_toml(folder / "run.toml", {**given.resolved, "tradeoff": options}, f"{what}, every default, SI")
+    outputs.write_json(folder / "environment.json", known)
+    text = write(folder, found, stem)
+    if found.interrupted:
+        say(f"interrupted; go on with: bcfj tradeoff {what} --out {folder}")
+        return text, INTERRUPTED
+    return text, DONE if found.reference and found.reference.truth else FAILED
+
+
+def write(folder: Path, found: Study, stem: str) -> str:
+    """Write the tables, the picture and the report; the results in words."""
+    advice, doubts = advise.recommended(found), advise.doubts(found.reference)
+    outputs.write_csv(folder / "tradeoff.csv", COLUMNS, [[row[name] for name in COLUMNS] for row in found.rows])
+    outputs.write_json(folder / "tradeoff.json", as_json(found, advice, doubts))
+    chosen, front = recommended_rows(advice), [row for row in found.rows if row["pareto"]]
+    said = verdict(advice, doubts, found)
+    tables: list[tuple[str, Rows]] = [("Recommended settings", chosen)]
+    tables += [("Reference", reference_rows(found)), ("Pareto front", rows_of(front))]
+    pictures = []
+    if any(np.isfinite(worst(row)) for row in found.rows if row["status"] == OK):
+        pictures.append(folder / "tradeoff.png")
+        tradeoff(found, advice, pictures[0], stem)
+    changes = {one["setting"]: one["change"] for one in advice.values() if one["setting"] and one["change"]}
+    blocks = [
+        (f"For {budgets}: set this, [accuracy] in place of yours", [["TOML"], *([x] for x in toml.splitlines())])
+        for name, budgets in advise.shared(advice).items()
+        if (toml := changes.get(name))
+    ]
+    every = ("Every setting, dominated and failed ones too", rows_of(found.rows))
+    report.write(folder, f"Speed and accuracy of {stem}", said, [*tables, *blocks, every], pictures, doubts)
+    parts = [said, *(f"warning: {doubt}" for doubt in doubts)]
+    parts += [f"{head}\n{report.text(rows)}" for head, rows in tables if len(rows) > 1]
+    parts += [f"{head}\n" + "\n".join(row[0] for row in rows[1:]) for head, rows in blocks]
+    return "\n\n".join([*parts, f"every setting, whole scene files to paste, pictures: {folder}"])
+
+
+def as_json(found: Study, advice: dict[str, Any], doubts: list[str]) -> dict[str, Any]:
+    """``tradeoff.json``: status and reasons, the reference's certificate, what is recommended, every setting."""
+    certificate = found.reference.certificate if found.reference else {"status": "not run"}
+    status = "interrupted" if found.interrupted else "ok" if certificate["status"] == "ok" else "failed"
+    expected = advise.expected(found)
+    return {
+        "status": status,
+        "reasons": doubts,
+        "reference": certificate,
+        "safety": advise.SAFETY,
+        "recommended": advice,
+        "settings": [
+            row | {"expected_error": error, "physics": setting.physics, "change": setting.change}
+            for row, setting, error in zip(found.rows, found.settings, expected, strict=True)
+        ],
+    }
+
+
+def verdict(advice: dict[str, Any], doubts: list[str], found: Study) -> str:
+    """The result in a sentence."""
+    walls = {one["setting"]: one["wall_s"] for one in advice.values() if one["setting"]}
+    ran = sum(row["status"] == OK for row in found.rows)
+    head = f"{ran} of {len(found.rows)} settings ran."
+    if not walls:
+        return f"{head} No setting is recommended: {doubts[0] if doubts else 'none keeps a budget'}."
+    parts = [f"for {b}: {name}, {format_si(walls[name], 's', 3)}" for name, b in advise.shared(advice).items()]
+    return f"{head} The cheapest {'; '.join(parts)}."
+
+
+def recommended_rows(advice: dict[str, Any]) -> Rows:
+    """Table of what to take for which budget."""
+    rows = [["budget", "setting", "wall", "as fast as given", "worst error", "model"]]
+    for budget, one in advice.items():
+        if not one["setting"]:
+            rows.append([budget, "-", "-", "-", "-", one["reason"]])
+            continue
+        fast = one["times_as_fast_as_given"]
+        rows.append(
+            [
+                budget,
+                one["setting"],
+                format_si(one["wall_s"], "s", 3),
+                f"{fast:.2g} times" if fast else "-",
+                _share(max(one["errors"].values())),
+                one["physics"],
+            ]
+        )
+    return rows
+
+
+def reference_rows(found: Study) -> Rows:
+    """Table of the reference: its methods, and by how much they differ."""
+    if found.reference is None or found.reference.truth is None:
+        return [["reference", "none"]]
+    certificate = found.reference.certificate
+    rows = [["reference", "value"]]
+    for method in certificate["methods"]:
+        asked = method["force_error"]
+        how = f"force error {asked:g}, " if asked is not None and np.isfinite(asked) else ""
+        rows.append([method["solver"], f"{how}{method['steps']} steps, {format_si(method['wall_s'], 's', 3)}"])
+    rows += [[f"differ by: {name.replace('_', ' ')}", _share(certificate["errors"][name])] for name in NAMES]
+    slopes = certificate["derivatives"]
+    if slopes["methods"]:
+        rows.append(["derivatives by", ", ".join(slopes["parameters"])])
+        rows.append([f"{' and '.join(m['solver'] for m in slopes['methods'])} differ by", _share(slopes["error"])])
+    return rows
+
+
+def rows_of(rows: Sequence[dict[str, Any]]) -> Rows:
+    """Table of settings."""
+    head = [["setting", *(name.removesuffix("_error").replace("_", " ") for name in (*NAMES, "derivative_error"))]]
+    head[0] += ["wall", "compile", "front", "status"]
+    for row in rows:
+        status = f"{row['status']} {row['reason']}".strip()
+        head.append(
+            [
+                row["setting"],
+                *(_share(row[name]) for name in (*NAMES, "derivative_error")),
+                format_si(row["wall_s"], "s", 3),
+                format_si(row["compile_s"], "s", 3),
+                "yes" if row["pareto"] else "",
+                f"{status} (at the reference)" if row["at_reference"] else status,
+            ]
+        )
+    return head
+
+
+def _share(value: float | None) -> str:
+    return "-" if value is None or not np.isfinite(value) else f"{100 * value:.2g} %"

@@ -1,0 +1,218 @@
+"""The truth of a study and how far it can be trusted: two methods that know nothing of each other, both tight.
+
+The first method's run is the truth; its difference from the second, in every error of ``measures``, is the reference's
+own error. Both are tightened until they agree, or until more would cost more than a third of the time left. Where a
+method fails, another takes its place. Equilibria have no steps: there the second run has twice as many instants, which
+other neighbours start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bcfj_jax.analysis.tradeoff.measures import Measured, derivative_error, errors, measured, worst
+from bcfj_jax.analysis.tradeoff.settings import overlaid
+from bcfj_jax.analysis.tradeoff.trial import loaded, parameters, slopes, trial
+from bcfj_jax.core.errors import InputError
+from bcfj_jax.io.outputs import atomic
+from bcfj_jax.io.scenefile import SceneFile
+from bcfj_jax.models.joint.scene import Joint
+from bcfj_jax.solve.integrate import MAX_STEPS
+from bcfj_jax.solve.simulation import Run
+
+NAME = "reference.npz"
+# Below this many times its own error a reference tells settings apart no more.
+TELLS = 3.0
+# Solver and force error, rung by rung; of those in a rung the first two that succeed.
+_SPRINGS = tuple(tuple((solver, e) for solver in ("tsit5", "kvaerno5", "bosh3")) for e in (1e-7, 1e-9))
+_JOINT = tuple((("bdf", e), ("rodas3", 100 * e), ("sdirk2", 100 * e)) for e in (1e-7, 1e-8, 1e-9))
+# The same of derivatives. SDIRK2's are not in its step control, so that a tighter tolerance is not a better one: of the
+# joint both are run, and the nearer witnesses (docs/derivatives.md has tighter ones, which are worse).
+_SLOPES = {
+    False: (("tsit5", 1e-9), ("kvaerno5", 1e-8), ("bosh3", 1e-8)),
+    True: (("bdf", 1e-6), ("sdirk2", 2e-3), ("sdirk2", 1e-3)),
+}
+# Worst difference at which tightening ends.
+_GOAL = {False: 1e-8, True: 1e-5}
+# A rung costs at most so many times the one before.
+_DEARER = 5.0
+
+
+class Reference(NamedTuple):
+    """The truth and its certificate.
+
+    Attributes:
+        truth: forces and what is compared of them; None where two methods could not be had.
+        slopes: d(force)/d ln(parameter) (P, T, C, 3) [N], or None.
+        certificate: methods, their differences, why there is no more; as ``tradeoff.json`` has it.
+    """
+
+    truth: Measured | None
+    slopes: np.ndarray | None
+    certificate: dict[str, Any]
+
+    @property
+    def floor(self) -> float:
+        """Error below which settings are not told apart."""
+        return TELLS * worst(self.certificate["errors"]) if self.truth else float("nan")
+
+    @property
+    def slopes_floor(self) -> float:
+        """The same of derivatives."""
+        return TELLS * float(self.certificate["derivatives"]["error"]) if self.slopes is not None else float("nan")
+
+
+def reference(
+    given: SceneFile, left: Callable[[], float], say: Callable[[str], None], derivatives: bool = True
+) -> Reference:
+    """Certify a scene's truth.
+
+    Args:
+        given: the user's scene file.
+        left: seconds left for the whole study, now.
+        say: is told of the progress.
+        derivatives: whether to certify derivatives, too.
+    """
+    names = parameters(given)
+    without = {"parameters": names, "methods": [], "error": float("nan"), "reason": ""}
+    truth, certificate = _values(given, left, say)
+    certificate |= {"derivatives": without}
+    if truth is None:
+        return Reference(None, None, certificate)
+    found = None
+    if _still(given) or not names or not derivatives:
+        why = "no parameter to take them by" if not names else "fidelities without inertia have no solver"
+        without["reason"] = why if derivatives else "not asked for"
+    else:
+        say(f"reference derivatives by {', '.join(names)}")
+        found, certificate["derivatives"] = _slopes(given, names)
+    return Reference(truth, found, certificate)
+
+
+def _still(given: SceneFile) -> bool:
+    return isinstance(given.scene, Joint) and given.scene.fidelity != "dynamic"
+
+
+def _method(given: SceneFile, solver: str, error: float) -> SceneFile:
+    """The scene by another solver, with steps enough."""
+    accuracy = {"force_error": error, "solver": solver, "max_steps": max(given.max_steps, MAX_STEPS)}
+    return loaded(overlaid(given.resolved, {"accuracy": accuracy}))
+
+
+def _values(given: SceneFile, left: Callable[[], float], say: Callable[[str], None]) -> tuple[Any, dict[str, Any]]:
+    best: dict[str, Any] = {"status": "failed", "reason": "", "methods": [], "errors": {}}
+    truth, failures, spent = None, [], 0.0
+    joint = isinstance(given.scene, Joint)
+    for candidates in _rungs(given):
+        if truth is not None and spent * _DEARER > left() / 3.0:
+            best["reason"] = "a tighter one would take more than a third of the time left"
+            break
+        pair, spent = [], 0.0
+        for label, file, pick in candidates:
+            try:
+                found = trial(file, repeated=False)
+            except RuntimeError as error:  # Of JAX: no memory for it, say.
+                failures.append(f"{label['solver']}: {error}")
+                continue
+            spent += found.cost["wall_s"]
+            if found.run.status == "ok":
+                pair.append((label | found.cost, measured(pick(found.run), given.times)))
+            else:
+                failures.append(f"{label['solver']}: {found.run.reason}")
+            if len(pair) == 2:
+                break
+        if len(pair) < 2:
+            break
+        (first, truth_now), (second, other) = pair
+        apart = errors(other, truth_now, given.times)
+        if truth is not None and not worst(apart) < worst(best["errors"]):
+            break
+        truth = truth_now
+        best |= {"status": "ok", "methods": [first, second], "errors": apart}
+        say(f"reference: {first['solver']} and {second['solver']} differ by {worst(apart):.1e}")
+        if worst(apart) <= _GOAL[joint]:
+            break
+    if truth is None:
+        best["reason"] = f"no two methods reached the end: {'; '.join(failures)}"
+    return truth, best
+
+
+def _rungs(given: SceneFile) -> Iterator[list[tuple[dict[str, Any], SceneFile, Callable[[Run], Run]]]]:
+    """Rungs of candidates: a label, the scene file, and what turns its run into one at the user's times."""
+    if _still(given):
+        count = given.resolved["time"]["samples"]
+        double = loaded(overlaid(given.resolved, {"time": {"samples": 2 * count - 1}}))
+        label = {"solver": given.resolved["scene"]["fidelity"], "force_error": float("nan")}
+        yield [
+            (label, given, lambda run: run),
+            ({**label, "solver": label["solver"] + ", other starts"}, double, _half),
+        ]
+        return
+    for rung in _JOINT if isinstance(given.scene, Joint) else _SPRINGS:
+        yield [
+            ({"solver": solver, "force_error": error}, _method(given, solver, error), lambda run: run)
+            for solver, error in rung
+        ]
+
+
+def _half(run: Run) -> Run:
+    """Every other sample."""
+    parts = {key: {k: x[::2] for k, x in getattr(run, key).items()} for key in ("force", "penetration", "rate", "slip")}
+    return run._replace(times=run.times[::2], **parts)
+
+
+def _slopes(given: SceneFile, names: tuple[str, ...]) -> tuple[np.ndarray | None, dict[str, Any]]:
+    truth, first, failures = None, {}, []
+    witnesses: list[tuple[float, dict[str, Any]]] = []
+    joint = isinstance(given.scene, Joint)
+    for solver, error in _SLOPES[joint]:
+        if solver == first.get("solver"):
+            continue
+        each = slopes(_method(given, solver, error), names)
+        if each.value is None:
+            failures.append(f"{solver}: {each.reason}")
+            continue
+        told = {"solver": solver, "force_error": error, "wall_s": each.wall_s, "compile_s": each.compile_s}
+        if truth is None:
+            truth, first = each.value, told
+            continue
+        witnesses.append((derivative_error(each.value, truth), told))
+        if not joint:
+            break
+    said = {"parameters": names, "methods": [first] if first else [], "error": float("nan")}
+    said["reason"] = "; ".join(failures)
+    if not witnesses:
+        return None, said
+    error, nearest = min(witnesses, key=lambda witness: witness[0])
+    return truth, said | {"methods": [first, nearest], "error": error}
+
+
+def save(found: Reference, folder: Path) -> None:
+    """Keep a reference's arrays beside the journal, which keeps its certificate."""
+    assert found.truth is not None
+    arrays = found.truth._asdict() | ({} if found.slopes is None else {"slopes": found.slopes})
+    with atomic(folder / NAME) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays)
+
+
+def restore(certificate: dict[str, Any], folder: Path) -> Reference:
+    """A kept reference.
+
+    Raises:
+        InputError: if the file is not what ``save`` wrote.
+    """
+    try:
+        with np.load(folder / NAME, allow_pickle=False) as kept:
+            arrays = {name: kept[name] for name in kept.files}
+        found = arrays.pop("slopes", None)
+        # A journal has no word for what is not a number.
+        slopes = certificate["derivatives"]
+        error = float("nan") if slopes["error"] is None else slopes["error"]
+        return Reference(Measured(**arrays), found, certificate | {"derivatives": slopes | {"error": error}})
+    except (OSError, ValueError, TypeError) as error:
+        remedy = "name another folder, or remove journal.jsonl there to begin again"
+        raise InputError(str(folder / NAME), f"is missing or damaged ({error})", remedy) from error

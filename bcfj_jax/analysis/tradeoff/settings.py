@@ -1,0 +1,255 @@
+"""What can be set on a scene to trade accuracy for speed, as whole scene files around the user's own.
+
+A ladder is a row of settings that differ in tolerance alone. The user's own scene is the first setting, ``as given``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from bcfj_jax.contact.laws import FRICTION
+from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.io.outputs import plain
+from bcfj_jax.io.scenefile import SceneFile
+from bcfj_jax.mechanism.dynamics import state_scales
+from bcfj_jax.mechanism.scene import AbstractScene, Scene
+from bcfj_jax.models import scenes
+from bcfj_jax.models.joint.scales import scales as joint_scales
+from bcfj_jax.models.joint.scene import AUTO, FIDELITIES, Joint
+from bcfj_jax.solve import named
+from bcfj_jax.solve.integrate import LEVELS, plan
+
+AS_GIVEN = "as given"
+ERRORS = (0.2, 0.1, 0.05, 0.02, 0.01, 5e-3, 2e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 1e-6)
+# Force errors at which anything but the tolerance is tried; the joint's runs are dear.
+_KNOBS_AT = {"springs": (1e-2, 1e-3), "joint": (5e-3,)}
+_WIDTHS_OF_DEPTH = (0.01, 0.03, 0.1, 0.3)
+_FACTORS = {"smoothing": (0.25, 0.5, 2.0, 4.0), "friction_speed": (1 / 3, 2.0, 3.0, 10.0)}
+_THINNED = (4, 16)
+_PHYSICS = {
+    "fidelity": {
+        "quasistatic": "equilibrium at each instant: no inertia, no friction, no damping, no impacts",
+        "kinematic": "closed-form load sharing: no clearance, no friction, no inertia",
+    },
+    "smoothing": "the onset of penetration is {:.2g} times as wide: contacts begin {}",
+    "friction_speed": "friction's transition speed is {:.2g} times the given: what sticks creeps {}",
+    "output": "a sample of every {} is kept, straight lines between: peaks between samples are cut",
+}
+
+_SHARPER = {"smoothing": "more sharply", "friction_speed": "less"}
+_SOFTER = {"smoothing": "earlier and more softly", "friction_speed": "more"}
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One way to run the scene.
+
+    Attributes:
+        name: unique in a study.
+        group: what is set: tolerance, fidelity, smoothing, friction speed, friction law, output or precision.
+        ladder: settings of one ladder differ in tolerance alone.
+        error: the force error asked for, a fraction of the peak.
+        table: the whole scene file, as TOML holds it.
+        change: what of it is not the user's, section by section.
+        physics: what it changes in the model, in words; "" where only numbers are computed in another way.
+        derivatives: whether its derivatives are measured, too.
+        bits: of the numbers it is computed in.
+    """
+
+    name: str
+    group: str
+    ladder: str
+    error: float
+    table: Mapping[str, Any]
+    change: Mapping[str, Any] = field(default_factory=dict)
+    physics: str = ""
+    derivatives: bool = False
+    bits: int = 64
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all that decides what comes out."""
+        decisive = plain([self.table, self.derivatives, self.bits])
+        return hashlib.sha256(json.dumps(decisive, sort_keys=True).encode()).hexdigest()
+
+
+def overlaid(resolved: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
+    """A resolved scene file with a change in it.
+
+    Parameters that changed options no longer read are left out; accuracy is replaced but for its ``max_steps``.
+    """
+    table = {section: {**resolved[section], **change.get(section, {})} for section in resolved}
+    if "accuracy" in change:
+        table["accuracy"] = {"max_steps": resolved["accuracy"]["max_steps"], **change["accuracy"]}
+    if "scene" in change:
+        options = {name: value for name, value in table["scene"].items() if name != "kind"}
+        try:
+            known = scenes.make(table["scene"]["kind"], **options).quantities
+        except InputError:
+            return table  # It will say why when it is run.
+        table["parameters"] = {name: value for name, value in table["parameters"].items() if name in known}
+    return table
+
+
+def own_error(given: SceneFile) -> float:
+    """The force error that the user's own file asks for."""
+    return LEVELS[given.accuracy] if isinstance(given.accuracy, str) else float(given.accuracy)
+
+
+def own_solver(given: SceneFile) -> str:
+    """The solver of the user's own file."""
+    return given.solver or ("rodas3" if isinstance(given.scene, Joint) else "tsit5")
+
+
+def rungs(scene: AbstractScene, errors: tuple[float, ...] = ERRORS) -> list[float]:
+    """Force errors that are told apart by the tolerance they give; of those alike the smallest."""
+    last: dict[float, float] = {float(plan(scene, error).tolerance): error for error in errors}
+    return list(last.values())
+
+
+def settings(given: SceneFile, only: Sequence[str] = (), derivatives: bool = True) -> list[Setting]:
+    """Every setting worth trying on a scene, the user's own first, then cheap ones before dear ones.
+
+    Args:
+        given: the user's scene file.
+        only: groups and solvers to try; by default all.
+        derivatives: whether derivatives are measured where they can be.
+
+    Raises:
+        InputError: for a group or a solver that this scene has not, with the nearest that it has, and for a joint of
+            fidelity "auto".
+    """
+    if isinstance(given.scene, Joint) and given.scene.fidelity == AUTO:
+        raise InputError("[scene] fidelity", f"'{AUTO}' is no model to compare with", "give dynamic: all are tried")
+    every = _every(given)
+    known = dict.fromkeys([s.group for s in every] + [s.ladder for s in every if s.group == "tolerance"])
+    for name in only:
+        if name not in known:
+            raise InputError("--only", f"no group of settings and no solver '{name}' here", nearest(name, known))
+    wanted = [s for s in every if not only or s.name == AS_GIVEN or {s.group, s.ladder} & set(only)]
+    return wanted if derivatives else [replace(s, derivatives=False) for s in wanted]
+
+
+def _every(given: SceneFile) -> list[Setting]:
+    moves = not (isinstance(given.scene, Joint) and given.scene.fidelity != "dynamic")
+    solver = own_solver(given) if moves else "none"
+    # An empty change: the file as it stands.
+    own = Setting(AS_GIVEN, "tolerance", solver, own_error(given), given.resolved, derivatives=moves)
+    more = [*(_tolerances(given) if moves else ()), *_fidelities(given), *_knobs(given, moves), *_outputs(given)]
+    more += _precisions(given, moves)
+    seen, found = {(_same(given.resolved), own.bits)}, [own]
+    for setting in sorted(more, key=lambda s: (-s.error, s.group != "tolerance")):
+        key = _same(setting.table), setting.bits
+        if key not in seen:
+            seen.add(key)
+            found.append(setting)
+    return found
+
+
+def _same(table: Mapping[str, Any]) -> str:
+    """What two settings that compute the same have in common: a level is its force error."""
+    accuracy = {key: value for key, value in table["accuracy"].items() if key != "level"}
+    if "level" in table["accuracy"]:
+        accuracy["force_error"] = LEVELS[table["accuracy"]["level"]]
+    return json.dumps(plain({**table, "accuracy": accuracy}), sort_keys=True)
+
+
+def _accuracy(given: SceneFile, error: float, solver: str | None = None) -> dict[str, Any]:
+    chosen = solver or given.solver
+    default = "rodas3" if isinstance(given.scene, Joint) else "tsit5"
+    return {"force_error": error} | ({"solver": chosen} if chosen and chosen != default else {})
+
+
+def _percent(error: float) -> str:
+    return f"{100 * error:g} %"
+
+
+def _tolerances(given: SceneFile) -> Iterator[Setting]:
+    joint = isinstance(given.scene, Joint)
+    for solver in named.ARROWHEAD if joint else named.SPRINGS:
+        for place, error in enumerate(rungs(given.scene)):
+            change = {"accuracy": _accuracy(given, error, solver)}
+            # The tangents' own control below 5e-4 is BDF's; looser ones are SDIRK2's (integrate).
+            fit = {"sdirk2": error >= 5e-4, "bdf": 1e-5 <= error < 5e-4, "rodas3": False}
+            wanted = fit[solver] if joint else place % 2 == 0
+            name, table = f"{solver} at {_percent(error)}", overlaid(given.resolved, change)
+            yield Setting(name, "tolerance", solver, error, table, change, derivatives=wanted)
+
+
+def _fidelities(given: SceneFile) -> Iterator[Setting]:
+    if not isinstance(given.scene, Joint):
+        return
+    for fidelity in FIDELITIES[: FIDELITIES.index(given.scene.fidelity)]:
+        change = {"scene": {"fidelity": fidelity}}
+        physics = _PHYSICS["fidelity"][fidelity]
+        table = overlaid(given.resolved, change)
+        # Sorted first: nothing is as cheap.
+        yield Setting(fidelity, "fidelity", fidelity, 1.0, table, change, physics)
+
+
+def _knobs(given: SceneFile, moves: bool) -> Iterator[Setting]:
+    scene, values = given.scene, given.resolved["parameters"]
+    joint = isinstance(scene, Joint)
+    changes: list[tuple[str, str, dict[str, Any], str]] = []
+    if "smoothing" in values and not values["smoothing"]:
+        changes.append(("smoothing", "without smoothing", {"scene": {"smoothing": False}}, ""))
+        depth = _depth(given)
+        for share in _WIDTHS_OF_DEPTH:
+            physics = f"contacts begin softly, over {_percent(share)} of a typical penetration"
+            parameters = {"parameters": {"smoothing": float(f"{share * depth:.3g}")}}
+            changes.append(("smoothing", f"smoothing {share * depth:.2g} m", parameters, physics))
+    for name, factors in _FACTORS.items():
+        scaled = [key for key in values if key.rpartition(".")[2] == name and values[key] > 0]
+        for factor in factors if scaled and (moves or name == "smoothing") else ():
+            parameters = {"parameters": {key: float(f"{factor * values[key]:.3g}") for key in scaled}}
+            physics = _PHYSICS[name].format(factor, _SHARPER[name] if factor < 1 else _SOFTER[name])
+            changes.append((name.replace("_", " "), f"{name} x {factor:.2g}", parameters, physics))
+    if moves and "friction" in given.resolved["scene"]:
+        now = given.resolved["scene"]["friction"]
+        now = "brown_mcphee" if now is True else now
+        for law in (False, *FRICTION):
+            if law != now:
+                physics = f"friction by the law {law}" if law else "no friction at all"
+                changes.append(("friction law", f"friction {law or 'none'}", {"scene": {"friction": law}}, physics))
+    for group, name, change, physics in changes:
+        for error in _knobs_at(scene):
+            at = {**change, "accuracy": _accuracy(given, error)} if moves else change
+            title = f"{name} at {_percent(error)}" if moves else name
+            table = overlaid(given.resolved, at)
+            yield Setting(title, group, name, error, table, at, physics, derivatives=not joint and group == "smoothing")
+
+
+def _knobs_at(scene: AbstractScene) -> list[float]:
+    return rungs(scene, _KNOBS_AT["joint" if isinstance(scene, Joint) else "springs"])
+
+
+def _precisions(given: SceneFile, moves: bool) -> Iterator[Setting]:
+    name = "32-bit numbers"
+    for error in _knobs_at(given.scene) if moves else (own_error(given),):
+        change = {"accuracy": _accuracy(given, error)} if moves else {}
+        title = f"{name} at {_percent(error)}" if moves else name
+        yield Setting(title, "precision", name, error, overlaid(given.resolved, change), change, bits=32)
+
+
+def _depth(given: SceneFile) -> float:
+    """A typical penetration [m]."""
+    if isinstance(given.scene, Joint):
+        return float(joint_scales(given.scene, given.params)[0])
+    assert isinstance(given.scene, Scene)
+    return float(state_scales(given.scene, given.params)[0])
+
+
+def _outputs(given: SceneFile) -> Iterator[Setting]:
+    count = given.resolved["time"]["samples"]
+    for every in _THINNED:
+        samples = (count - 1) // every + 1
+        if samples > 10:
+            change = {"time": {"samples": samples}}
+            table, physics = overlaid(given.resolved, change), _PHYSICS["output"].format(every)
+            yield Setting(
+                f"{samples} samples", "output", f"{samples} samples", own_error(given), table, change, physics
+            )

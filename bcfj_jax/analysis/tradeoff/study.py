@@ -1,0 +1,179 @@
+"""The study: reference first, then settings, cheap ones before dear ones, until all are done or the time is spent."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bcfj_jax.analysis.tradeoff import reference as references
+from bcfj_jax.analysis.tradeoff.measures import UNKNOWN, derivative_error, errors, measured, worst
+from bcfj_jax.analysis.tradeoff.reference import Reference, reference, restore
+from bcfj_jax.analysis.tradeoff.settings import Setting
+from bcfj_jax.analysis.tradeoff.single import single
+from bcfj_jax.analysis.tradeoff.trial import loaded, slopes, trial
+from bcfj_jax.core.errors import InputError
+from bcfj_jax.io.journal import Journal
+from bcfj_jax.io.scenefile import SceneFile
+from bcfj_jax.io.stop import check
+
+OK, FAILED = "ok", "failed"
+NO_TIME, CUT_OFF, NO_REFERENCE = "not run: budget", "not run: interrupted", "not run: no reference"
+COLUMNS = (
+    "setting", "force_rms_error", "peak_error", "impulse_error", "derivative_error", "wall_s", "compile_s", "status",
+    "pareto", "period_error", "dissipated_error", "group", "force_error", "precision", "steps", "repeats",
+    "derivative_wall_s", "derivative_compile_s", "at_reference", "reason",
+)  # fmt: skip
+_NOTHING = {name: float("nan") for name in COLUMNS[1:7]} | {
+    "status": FAILED, "pareto": False, **UNKNOWN, "precision": "", "steps": 0, "repeats": 0,
+    "derivative_wall_s": float("nan"), "derivative_compile_s": float("nan"), "at_reference": False, "reason": "",
+}  # fmt: skip
+# How much dearer the next rung of a ladder is taken to be, at least.
+_NEXT = 1.5
+
+
+class Study(NamedTuple):
+    """What a study found.
+
+    Attributes:
+        settings: all there are, in the order they are run.
+        rows: of each a row with ``COLUMNS``; NaN for what is unknown.
+        reference: the truth, or None where it was cut off before.
+        interrupted: whether Ctrl-C ended it.
+    """
+
+    settings: list[Setting]
+    rows: list[dict[str, Any]]
+    reference: Reference | None
+    interrupted: bool
+
+
+class _Clock:
+    """Seconds left, and what the next piece of work will take by those before it."""
+
+    def __init__(self, budget: float) -> None:
+        self._end = time.monotonic() + budget
+        self._compiles: list[float] = []
+        self._programs: set[Any] = set()
+        self._ladders: dict[str, float] = {}
+
+    def left(self) -> float:
+        return self._end - time.monotonic()
+
+    def takes(self, setting: Setting, program: Any) -> float:
+        compile_s = statistics.median(self._compiles) if self._compiles and program not in self._programs else 0.0
+        return compile_s + _NEXT * self._ladders.get(setting.ladder, 0.0)
+
+    def took(self, setting: Setting, program: Any, compile_s: float, seconds: float) -> None:
+        if compile_s:
+            self._compiles.append(compile_s)
+        self._programs.add(program)
+        self._ladders[setting.ladder] = seconds - compile_s
+
+
+def study(given: SceneFile, todo: list[Setting], journal: Journal, budget: float, say: Callable[[str], None]) -> Study:
+    """Measure settings of a scene.
+
+    Args:
+        given: the user's scene file: as it stands, it defines the truth.
+        todo: the settings, ``settings.settings``.
+        journal: where finished settings are kept, and taken from; the reference's arrays lie beside it.
+        budget: seconds; settings that would not fit any more are not run.
+        say: is told of the progress.
+
+    Ctrl-C ends it with what is finished.
+    """
+    clock = _Clock(budget)
+    rows = [_NOTHING | {"setting": s.name, "group": s.group, "force_error": s.error, "status": CUT_OFF} for s in todo]
+    truth = None
+    try:
+        truth = _certified(given, any(setting.derivatives for setting in todo), journal, clock, say)
+        for number, setting in enumerate(todo):
+            check()
+            rows[number] |= _row(given, setting, truth, journal, clock)
+            say(f"[{number + 1}/{len(todo)}] {setting.name}: {_told(rows[number])}")
+    except KeyboardInterrupt:
+        return Study(todo, _fronted(rows, truth), truth, True)
+    return Study(todo, _fronted(rows, truth), truth, False)
+
+
+def _told(row: dict[str, Any]) -> str:
+    if row["status"] != OK:
+        return f"{row['status']} {row['reason']}".strip()
+    return f"worst error {worst(row):.1e}, {row['wall_s']:.3g} s"
+
+
+def _certified(
+    given: SceneFile, derivatives: bool, journal: Journal, clock: _Clock, say: Callable[[str], None]
+) -> Reference:
+    kept, folder = journal.get("reference"), journal.path.parent
+    if kept is not None:
+        return restore(kept, folder)
+    found = reference(given, clock.left, say, derivatives)
+    if found.truth is not None:
+        references.save(found, folder)
+        journal.add("reference", found.certificate)
+    return found
+
+
+def _row(given: SceneFile, setting: Setting, truth: Reference, journal: Journal, clock: _Clock) -> dict[str, Any]:
+    """A setting's row, from the journal or else by running it; a failure is a row too."""
+    name = f"{setting.name} {setting.digest}"
+    kept = journal.get(name)
+    if kept is not None:
+        return {key: float("nan") if value is None else value for key, value in kept.items()}
+    if truth.truth is None:
+        return {"status": NO_REFERENCE, "reason": truth.certificate["reason"]}
+    try:
+        file = loaded(setting.table)
+        program = (file.scene, len(file.times), file.solver, file.max_steps, setting.bits)
+        if clock.takes(setting, program) > clock.left():
+            return {"status": NO_TIME, "reason": f"{max(clock.left(), 0.0):.0f} s are left"}
+        begin = time.monotonic()
+        row = _measured(given, file, setting, truth, clock.left())
+        seconds = time.monotonic() - begin
+        spent = [row[key] for key in ("compile_s", "derivative_compile_s") if np.isfinite(row.get(key, np.nan))]
+        clock.took(setting, program, sum(spent), seconds)
+    except (InputError, RuntimeError) as error:  # The latter JAX's: no memory for it, say.
+        row = {"status": FAILED, "reason": str(error)}
+    journal.add(name, row)
+    return row
+
+
+def _measured(given: SceneFile, file: SceneFile, setting: Setting, truth: Reference, left: float) -> dict[str, Any]:
+    assert truth.truth is not None
+    found, cost = trial(file) if setting.bits == 64 else single(setting.table, left)
+    row: dict[str, Any] = {**cost, "precision": f"float{setting.bits}"}
+    if found.status != "ok":
+        return row | {"status": FAILED, "reason": f"{found.reason}, at {found.failure_time:g} s"}
+    row |= {"status": OK, **errors(measured(found, given.times), truth.truth, given.times)}
+    row["at_reference"] = worst(row) <= truth.floor
+    if setting.derivatives and truth.slopes is not None:
+        each = slopes(file, tuple(truth.certificate["derivatives"]["parameters"]))
+        row |= {"derivative_wall_s": each.wall_s, "derivative_compile_s": each.compile_s}
+        if each.value is None:
+            row["reason"] = f"no derivatives: {each.reason}"
+        else:
+            row["derivative_error"] = derivative_error(each.value, truth.slopes)
+    return row
+
+
+def _fronted(rows: list[dict[str, Any]], truth: Reference | None) -> list[dict[str, Any]]:
+    """Rows with the Pareto front of wall time and worst error marked; below the reference's own error all are equal.
+
+    Numbers that the package refuses are on no front.
+    """
+    floor = truth.floor if truth and truth.truth else 0.0
+    runs = [row["status"] == OK and row["group"] != "precision" for row in rows]
+    place = [(r["wall_s"], np.maximum(worst(r), floor)) if here else None for r, here in zip(rows, runs, strict=True)]
+    known = [p for p in place if p is not None and np.isfinite(p[1])]
+
+    def best(p: tuple[float, float] | None) -> bool:
+        if p is None or not np.isfinite(p[1]):
+            return False
+        return not any(q[0] <= p[0] and q[1] <= p[1] and q != p for q in known)
+
+    return [row | {"pareto": best(p)} for row, p in zip(rows, place, strict=True)]

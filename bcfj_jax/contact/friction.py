@@ -1,0 +1,233 @@
+"""Friction laws: slip velocity and coefficients in, traction per unit of normal force out.
+
+The friction force on the moving body is -N mobility(v.v) v, with N the normal force and v the slip
+velocity in the contact plane [m/s]. A law is thus a smooth function of v.v: the direction v/|v|, which has no
+derivative at rest, is never formed. These laws creep under load at rest; ``LuGre`` alone sticks, for the price of
+a state.
+
+To add a law: a final module with ``needs`` and ``mobility``, and a line in ``FRICTION``.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import Array
+
+from bcfj_jax.contact.elastic import Coefficients
+from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.numerics import smooth_step
+
+
+def _tanhc(square: Array) -> Array:
+    """tanh(y)/y of y^2 >= 0, with finite and accurate derivatives in y^2 of every order.
+
+    Below y^2 = 0.1 the seventh convergent of Lambert's continued fraction y^2/(1 + y^2/(3 + y^2/(5 + ...))) over
+    y^2, which is exact there to 1e-18. The quotient itself would lose 1e-16/y^(2 k) of its k-th derivative.
+    """
+    small = square < 0.1
+    q = jnp.where(small, square, 0.0)
+    above = 135135.0 + q * (17325.0 + q * (378.0 + q))
+    below = 135135.0 + q * (62370.0 + q * (3150.0 + q * 28.0))
+    y = jnp.sqrt(jnp.where(small, 1.0, square))
+    return jnp.where(small, above / below, jnp.tanh(y) / y)
+
+
+class AbstractFriction(eqx.Module):
+    """Friction coefficient mu(|v|) >= 0 of one contact, as a mobility smooth in v.v.
+
+    ``bristles`` says whether the law carries a state; it then has the methods of ``LuGre``, and ``bond`` is its own.
+    """
+
+    needs: ClassVar[tuple[str, ...]]
+    bristles: ClassVar[bool] = False
+
+    @abstractmethod
+    def mobility(self, speed_squared: Array, c: Coefficients) -> Array:
+        """mu(|v|)/|v| [s/m]; the traction is -N v times this.
+
+        Smooth in v.v, finite at v = 0, with finite derivatives there (forward, reverse, second).
+
+        Args:
+            speed_squared: v.v >= 0 [m^2/s^2] of the slip velocity, of any shape.
+            c: the coefficients named by ``needs``, SI.
+        """
+
+    def bond(self, speed_squared: Array, c: Coefficients) -> tuple[Array, Array, Array]:
+        """What a bristle would do: nothing; the traction is v times the last, the mobility. See ``LuGre.bond``."""
+        mobility = self.mobility(speed_squared, c)
+        return jnp.zeros_like(mobility), jnp.zeros_like(mobility), mobility
+
+    def coefficient(self, speed: Array, c: Coefficients) -> Array:
+        """mu(|v|) [-] of a signed speed [m/s], odd in it: the force is -N times this."""
+        return self.mobility(speed * speed, c) * speed
+
+
+class Coulomb(AbstractFriction):
+    """mu = mu_d v/sqrt(v^2 + v_t^2): Coulomb's constant mu_d, regularised below the transition speed v_t.
+
+    Low by v_t^2/2 v^2 of mu_d at v >> v_t. Coefficients: ``friction_dynamic`` mu_d, ``friction_speed`` v_t [m/s].
+    """
+
+    needs: ClassVar[tuple[str, ...]] = ("friction_dynamic", "friction_speed")
+
+    def mobility(self, speed_squared: Array, c: Coefficients) -> Array:
+        """mu_d/sqrt(v.v + v_t^2)."""
+        return c["friction_dynamic"] / jnp.sqrt(speed_squared + c["friction_speed"] ** 2)
+
+
+class Step(AbstractFriction):
+    """The static-dynamic law of ADAMS and of Bai and Zhao, made of cubic STEPs (physics sheet 2); C1.
+
+    mu_s (3 x - x^3)/2, x = v/v_s, up to the static speed v_s; then mu_s + (mu_d - mu_s) s^2 (3 - 2 s),
+    s = (v - v_s)/(v_d - v_s), up to the dynamic speed v_d = ratio v_s; mu_d above. The first part is the sheet's
+    STEP from (-v_s, -mu_s) to (v_s, mu_s): with s = (x + 1)/2,
+    mu_s [2 s^2 (3 - 2 s) - 1] = mu_s [(x + 1)^2 (2 - x)/2 - 1] = mu_s (3 x - x^3)/2,
+    written so that mu/v is a polynomial in v^2 and the rounding of "- 1" at rest is gone.
+    Coefficients: ``friction_static`` mu_s, ``friction_dynamic`` mu_d, ``friction_speed`` v_s [m/s].
+
+    Args:
+        ratio: v_d/v_s > 1; 10 as in the ADAMS defaults, 100 and 1000 mm/s.
+    """
+
+    needs: ClassVar[tuple[str, ...]] = ("friction_static", "friction_dynamic", "friction_speed")
+    ratio: float = eqx.field(static=True, default=10.0)
+
+    def __check_init__(self):
+        if not self.ratio > 1.0:
+            raise InputError("friction", f"ratio of dynamic to static speed {self.ratio:g}", "give one above 1")
+
+    def mobility(self, speed_squared: Array, c: Coefficients) -> Array:
+        """mu_s (3 - x^2)/2 v_s below the static speed, mu(v)/v above."""
+        static, dynamic, speed = (c[name] for name in self.needs)
+        square = speed_squared / speed**2
+        core = square < 1.0
+        inner = 0.5 * static * (3.0 - square)
+        x = jnp.sqrt(jnp.where(core, 1.0, square))
+        outer = (static + (dynamic - static) * smooth_step((x - 1.0) / (self.ratio - 1.0))) / x
+        return jnp.where(core, inner, outer) / speed
+
+
+class BrownMcPhee(AbstractFriction):
+    """mu = mu_d tanh(4 r) + (mu_s - mu_d) r/(r^2/4 + 3/4)^2, r = v/v_t; smooth of every order.
+
+    Brown and McPhee 2016, without the viscous part. Peaks at r = 1 to within the slope of tanh(4 r) there, with
+    mu_d tanh 4 + mu_s - mu_d = mu_s - 7e-4 mu_d. Needs mu_s >= mu_d to be a Stribeck curve. The default.
+    Coefficients: ``friction_static`` mu_s, ``friction_dynamic`` mu_d, ``friction_speed`` v_t [m/s].
+    """
+
+    needs: ClassVar[tuple[str, ...]] = ("friction_static", "friction_dynamic", "friction_speed")
+
+    def mobility(self, speed_squared: Array, c: Coefficients) -> Array:
+        """4 mu_d tanh(4 r)/(4 r) + (mu_s - mu_d)/(r^2/4 + 3/4)^2, over v_t."""
+        static, dynamic, speed = (c[name] for name in self.needs)
+        square = speed_squared / speed**2
+        bump = 1.0 / (0.25 * square + 0.75)
+        return (4.0 * dynamic * _tanhc(16.0 * square) + (static - dynamic) * bump * bump) / speed
+
+
+class LuGre(AbstractFriction):
+    """Bristles that bend, creep and slide (Canudas de Wit et al. 1995), normalised by the load (physics sheet 2).
+
+    Per unit of normal force, with the deflection z [m] a vector in the contact plane and no viscous part:
+    z' = v - |v| z/g,  g = mu(v)/sigma0,  mu = mu_d + (mu_s - mu_d) exp(-(v/v_s)^2),  traction = sigma0 z + sigma1 z'.
+    At steady slip the traction is mu(v) v/|v|; below break-away the contact is a spring of N sigma0.
+    With sigma0 z.z/2 as store it takes energy at every state where sigma1 |v| <= 4 mu(v), and may give some
+    beyond, being a dashpot of constant sigma1. Whoever keeps z also turns it with the contact plane and lets
+    it go on separation, as ``joint.contacts`` does.
+    |v| here is sqrt(v.v + (1e-9 v_s)^2): its derivative exists at rest, where z relaxes at 1e-9 v_s/g per second.
+    Coefficients: ``friction_static`` mu_s, ``friction_dynamic`` mu_d > 0, ``friction_speed`` v_s [m/s],
+    ``bristle_stiffness`` sigma0 [1/m], ``bristle_damping`` sigma1 [s/m].
+    """
+
+    needs: ClassVar[tuple[str, ...]] = (
+        "friction_static",
+        "friction_dynamic",
+        "friction_speed",
+        "bristle_stiffness",
+        "bristle_damping",
+    )
+    bristles: ClassVar[bool] = True
+
+    def _steady(self, speed_squared: Array, c: Coefficients) -> Array:
+        """mu(v) of steady slip, v > 0."""
+        static, dynamic, speed, *_ = (c[name] for name in self.needs)
+        return dynamic + (static - dynamic) * jnp.exp(-speed_squared / speed**2)
+
+    def _decay(self, slip: Array, c: Coefficients) -> Array:
+        """|v|/g [1/s], the rate at which a deflection is forgotten."""
+        return self.bond(jnp.sum(slip * slip, axis=-1), c)[0]
+
+    def bond(self, speed_squared: Array, c: Coefficients) -> tuple[Array, Array, Array]:
+        """k = |v|/g [1/s], s = sigma0 - sigma1 k [1/m], m = sigma1 [s/m]: z' = v - k z, traction = s z + m v."""
+        speed = jnp.sqrt(speed_squared + (1e-9 * c["friction_speed"]) ** 2)
+        forget = c["bristle_stiffness"] * speed / self._steady(speed_squared, c)
+        stick = c["bristle_stiffness"] - c["bristle_damping"] * forget
+        return forget, stick, jnp.broadcast_to(c["bristle_damping"], forget.shape)
+
+    def mobility(self, speed_squared: Array, c: Coefficients) -> Array:
+        """Steady slip without the state: mu(v)/sqrt(v.v + v_min^2), v_min = 1e-3 v_s.
+
+        mu(v) sign(v) jumps at rest, so this rounds it over v_min, and is low by 5e-7 (v_s/v)^2 of mu at v >> v_min.
+        """
+        least = 1e-3 * c["friction_speed"]
+        return self._steady(speed_squared, c) / jnp.sqrt(speed_squared + least**2)
+
+    def rate(self, z: Array, slip: Array, c: Coefficients) -> Array:
+        """z' = v - |v| z/g [m/s].
+
+        Args:
+            z: deflection [m], components along the last axis.
+            slip: slip velocity v [m/s], of z's shape.
+            c: the coefficients named by ``needs``, SI; scalars or of the shape without the last axis.
+        """
+        return slip - self._decay(slip, c)[..., None] * z
+
+    def traction(self, z: Array, slip: Array, c: Coefficients) -> Array:
+        """sigma0 z + sigma1 z' [-], a vector: the friction force is -N times this. Arguments as ``rate``."""
+        stiffness, damping = (jnp.asarray(c[name])[..., None] for name in ("bristle_stiffness", "bristle_damping"))
+        return stiffness * z + damping * self.rate(z, slip, c)
+
+    def settle(self, z0: Array, slip: Array, time: Array, c: Coefficients) -> Array:
+        """z after a time at constant slip, exactly: z0 exp(-k t) + v (1 - exp(-k t))/k, k = |v|/g.
+
+        Stable for any step, where ``rate`` is stiff: k is sigma0 |v|/mu.
+
+        Args:
+            z0: deflection at the start [m], as z of ``rate``.
+            slip: slip velocity held for the time [m/s].
+            time: t >= 0 [s], scalar or of the shape without the last axis.
+            c: as ``rate``.
+        """
+        age = self._decay(slip, c) * time
+        kept = jnp.exp(-age)
+        # (1 - exp(-a))/a = (1 + exp(-a))/2 tanh(a/2)/(a/2), without the 0/0 of no slip or no time.
+        share = 0.5 * (1.0 + kept) * _tanhc(0.25 * age * age)
+        return kept[..., None] * z0 + (time * share)[..., None] * slip
+
+
+FRICTION: dict[str, AbstractFriction] = {
+    "coulomb": Coulomb(),
+    "step": Step(),
+    "brown_mcphee": BrownMcPhee(),
+    "lugre": LuGre(),
+}
+
+
+def make_friction(name: str | bool) -> AbstractFriction | None:
+    """A friction law by name.
+
+    Args:
+        name: one of ``FRICTION``; True is ``brown_mcphee``, False is no friction, None.
+
+    Raises:
+        InputError: for a name that is not known, with the nearest one that is.
+    """
+    if isinstance(name, bool):
+        return FRICTION["brown_mcphee"] if name else None
+    if name not in FRICTION:
+        raise InputError("friction", f"no friction law '{name}'", nearest(name, FRICTION))
+    return FRICTION[name]

@@ -1,0 +1,46 @@
+"""Contact laws by name: an elastic part (``elastic``) in a normal-force law (``normal``); friction (``friction``)."""
+
+from __future__ import annotations
+
+from bcfj_jax.contact.elastic import ELASTIC as ELASTIC
+from bcfj_jax.contact.elastic import AbstractElastic as AbstractElastic
+from bcfj_jax.contact.elastic import bai_zhao_stiffness as bai_zhao_stiffness
+from bcfj_jax.contact.friction import FRICTION as FRICTION
+from bcfj_jax.contact.friction import AbstractFriction as AbstractFriction
+from bcfj_jax.contact.friction import make_friction as make_friction
+from bcfj_jax.contact.normal import AbstractLaw as AbstractLaw
+from bcfj_jax.contact.normal import AdamsImpact, DampedStop, Hertz, KelvinVoigt, MemoryFree, Restitution
+from bcfj_jax.contact.normal import onset_force as onset_force
+from bcfj_jax.contact.restitution import FACTORS
+from bcfj_jax.core.errors import InputError, nearest
+
+_CLASSES = {
+    "memory_free": MemoryFree,
+    "damped_stop": DampedStop,
+    "hertz": Hertz,
+    "kelvin_voigt": KelvinVoigt,
+    "adams_impact": AdamsImpact,
+}
+LAWS = (*_CLASSES, *FACTORS)
+
+
+def make(law: str = "memory_free", elastic: str | None = None) -> AbstractLaw:
+    """A normal-force law by name.
+
+    Args:
+        law: one of ``LAWS``; a name of ``restitution.FACTORS`` gives that member of the family.
+        elastic: one of ``ELASTIC``; by default ``linear`` for ``kelvin_voigt`` and ``power`` for the rest.
+
+    Raises:
+        InputError: for a name that is not known, with the nearest one that is.
+    """
+    if elastic is None:
+        elastic = "linear" if law == "kelvin_voigt" else "power"
+    if elastic not in ELASTIC:
+        raise InputError("elastic", f"no elastic part '{elastic}'", nearest(elastic, ELASTIC))
+    part = ELASTIC[elastic]
+    if law in _CLASSES:
+        return _CLASSES[law](elastic=part)
+    if law in FACTORS:
+        return Restitution(factor=FACTORS[law], elastic=part)
+    raise InputError("law", f"no law '{law}'", nearest(law, LAWS))

@@ -1,0 +1,1 @@
+"""What everything else stands on: errors, status codes, safe arithmetic, quantities, the compile cache."""

@@ -1,0 +1,188 @@
+"""What every parameter name means: its unit, its range and one sentence. Units are metadata, not magic.
+
+Beside it what is refused of values, of values beside each other, and of times.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from jax.core import Tracer
+from jax.typing import ArrayLike
+
+from bcfj_jax.core.errors import InputError
+
+
+class Quantity(NamedTuple):
+    """One parameter of a scene.
+
+    ``unit`` is how the value is kept (SI); ``N/m^n`` stands for newtons over metres to the contact's
+    exponent. The value must lie in [low, high], without ``low`` itself where ``open_low``.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    low: float = -math.inf
+    high: float = math.inf
+    open_low: bool = False
+
+    def valid(self, value: float) -> bool:
+        """Whether a value lies in the range; NaN and infinities never do."""
+        above = value > self.low if self.open_low else value >= self.low
+        return math.isfinite(value) and above and value <= self.high
+
+    def text(self, value: float, digits: int = 6) -> str:
+        """A value as people read it, with its unit where it has one."""
+        return f"{value:.{digits}g}" if self.unit == "1" else f"{value:.{digits}g} {self.unit}"
+
+    @property
+    def range(self) -> str:
+        """The range in words."""
+        low = "" if self.low == -math.inf else f"{'>' if self.open_low else '>='} {self.low:g}"
+        high = "" if self.high == math.inf else f"<= {self.high:g}"
+        return " and ".join(part for part in (low, high) if part) or "finite"
+
+
+def _positive(name: str, unit: str, meaning: str) -> Quantity:
+    return Quantity(name, unit, meaning, low=0.0, open_low=True)
+
+
+def _not_negative(name: str, unit: str, meaning: str) -> Quantity:
+    return Quantity(name, unit, meaning, low=0.0)
+
+
+CATALOGUE: dict[str, Quantity] = {
+    q.name: q
+    for q in (
+        # coefficients of the contact laws
+        _positive("stiffness", "N/m^n", "contact stiffness K of F = K d^n"),
+        Quantity("exponent", "1", "force exponent n of F = K d^n", 1.0, 3.0),
+        _positive("reference_force", "N", "force at the reference penetration"),
+        _positive("reference_penetration", "m", "penetration at which the reference force is stated"),
+        _not_negative("bottoming_stiffness", "N/m", "stiffness added where the soft layer bottoms out"),
+        _positive("bottoming_penetration", "m", "penetration at which the soft layer bottoms out"),
+        _not_negative("bottoming_width", "m", "half-width of the rounding where the soft layer bottoms out"),
+        _not_negative("bottoming_damping", "s/m", "a of the stop alone, where it has one of its own"),
+        _positive("effective_modulus", "Pa", "E*, 1/E* = (1 - nu1^2)/E1 + (1 - nu2^2)/E2"),
+        _positive("contact_length", "m", "length of the cylindrical contact"),
+        _positive("radius", "m", "radius of the sphere"),
+        _positive("radius_difference", "m", "hole radius less body radius"),
+        _not_negative("damping", "s/m", "a of F = f(d) (1 + a d')"),
+        Quantity("restitution", "1", "coefficient of restitution e the law is asked for", 0.0, 1.0),
+        _not_negative("dashpot", "N s/m", "viscous coefficient c (Kelvin-Voigt), c_max (ADAMS IMPACT)"),
+        _positive("damping_depth", "m", "penetration at which the ADAMS dashpot is fully in"),
+        _not_negative("smoothing", "m", "half-width of the C2 onset of penetration; 0 is the sharp onset"),
+        # coefficients of the friction laws
+        Quantity("friction_static", "1", "friction coefficient mu_s at break-away", 0.0, 2.0, open_low=True),
+        _not_negative("friction_dynamic", "1", "friction coefficient mu_d of fast sliding"),
+        _positive("friction_speed", "m/s", "transition speed of friction: v_t, or v_s of the static peak"),
+        _positive("bristle_stiffness", "1/m", "sigma0 of LuGre: tangential stiffness over normal force"),
+        _not_negative("bristle_damping", "s/m", "sigma1 of LuGre: bristle damping over normal force"),
+        # bodies, motion, loads
+        _positive("mass", "kg", "mass of the moving body (effective mass m1 m2/(m1 + m2) of two)"),
+        _not_negative("approach_speed", "m/s", "speed towards the surface at time 0"),
+        _not_negative("clearance_contact", "m", "gap between body and surface at time 0"),
+        _not_negative("drop_height", "m", "height of the body's lowest point at time 0, at rest"),
+        _not_negative("gravity", "m/s^2", "gravitational acceleration towards the surface"),
+        # the ball-cage flexible joint
+        Quantity("drive_speed", "rad/s", "speed of the seat"),
+        Quantity("load_torque", "N m", "resisting torque on the head, against the drive's sense"),
+        _positive("load_ramp", "s", "time over which the torque is raised"),
+        Quantity("axial_load", "N", "force on the head along its axis, towards the seat (weight on bit)"),
+        Quantity("joint_angle", "rad", "deflection: 180 degrees less the included angle", 0.0, 1.5),
+        _positive("seat_radius", "m", "radius of the seat's hollow sphere"),
+        _positive("head_radius", "m", "radius of the head's sphere"),
+        _positive("ball_radius", "m", "radius of a ball"),
+        _positive("pitch_radius", "m", "distance of the balls from the axis in the undeflected joint"),
+        _not_negative("offset", "m", "distance of either track's centre from the joint's centre"),
+        Quantity("contact_angle", "rad", "angle of the flank contact from the radial direction", 0.0, 1.5707, True),
+        Quantity("conformity", "1", "groove section radius over ball diameter", 0.5, 2.0, True),
+        *(
+            _not_negative(f"clearance_{name}", "m", meaning)
+            for name, meaning in (
+                ("seat_cage", "radial clearance between seat sphere and cage"),
+                ("head_cage", "radial clearance between cage and head sphere"),
+                ("cage_ball", "gap of a centred ball to either window face"),
+                ("seat_ball", "clearance of the ball to the seat's groove, normal to a flank"),
+                ("head_ball", "clearance of the ball to the head's groove, normal to a flank"),
+            )
+        ),
+        _positive("ball_mass", "kg", "mass of a ball"),
+        _positive("head_mass", "kg", "mass of the head and what shifts with it"),
+        _positive("head_inertia", "kg m^2", "inertia of the head about its axis"),
+        _positive("cage_mass", "kg", "mass of the cage"),
+        _positive("cage_inertia", "kg m^2", "inertia of the cage about any axis through its centre"),
+        _positive("seat_inertia", "kg m^2", "inertia of the seat about its axis"),
+        _positive("drive_stiffness", "N m/rad", "torsional stiffness between drive and seat"),
+        _not_negative("drive_damping", "N m s/rad", "torsional damping between drive and seat"),
+    )
+}
+
+
+# The first must not be more than the second, in every contact that reads both, and why.
+_ORDERED = (
+    ("friction_dynamic", "friction_static", "sliding does not hold more than sticking"),
+    ("bottoming_width", "bottoming_penetration", "the backing does not push before the layer is touched"),
+)
+# Their names.
+ORDERED = frozenset(name for low, high, _ in _ORDERED for name in (low, high))
+
+
+def check_value(where: str, quantity: Quantity, value: ArrayLike) -> None:
+    """Refuse numbers outside the quantity's range; traced values cannot be looked at and pass.
+
+    Raises:
+        InputError: naming the place, the value and the range.
+    """
+    if isinstance(value, Tracer):
+        return
+    for number in np.ravel(np.asarray(value, dtype=float)):
+        if not quantity.valid(float(number)):
+            found = f"{quantity.name} = {quantity.text(float(number))} is out of range"
+            raise InputError(where, found, f"{quantity.meaning} must be {quantity.range}")
+
+
+def check_order(where: str, known: Collection[str], values: Mapping[str, ArrayLike]) -> None:
+    """Refuse a sliding friction above the static one, or a rounding wider than the depth it is at; traced values pass.
+
+    In any contact whose law reads both.
+
+    Args:
+        where: place, for the message.
+        known: the scene's parameters: what ``contact.name`` is in it, that contact reads.
+        values: those given and the defaults; a contact reads its own ``contact.name`` before the shared ``name``.
+
+    Raises:
+        InputError: naming the keys and their values.
+    """
+    for low, high, why in _ORDERED:
+        places = {name.removesuffix(low) for name in known if name.endswith(low)}
+        # A scene that names its contacts' own coefficients reads the shared ones through them.
+        for place in sorted(places - {""} or places):
+            keys = [place + name if place + name in values else name for name in (low, high)]
+            if place + high not in known or any(isinstance(values.get(key), (Tracer, type(None))) for key in keys):
+                continue
+            less, more = (np.asarray(values[key], dtype=float) for key in keys)
+            if np.any(less > more):
+                found = f"{keys[0]} = {np.max(less):g} is more than {keys[1]} = {np.min(more):g}"
+                raise InputError(where, found, f"give {keys[0]} <= {keys[1]}: {why}")
+
+
+def increasing(times: ArrayLike, fewest: int = 1) -> np.ndarray:
+    """Times as checked numbers: (T,) float64 [s].
+
+    Raises:
+        InputError: for fewer than ``fewest``, another shape, and times that are not finite or do not increase.
+    """
+    t = np.asarray(times, dtype=float)
+    if t.ndim != 1 or t.size < fewest or not np.isfinite(t).all():
+        raise InputError("times", f"shape {t.shape}", f"give a 1-D array of {fewest} or more finite times [s]")
+    late = np.flatnonzero(np.diff(t) <= 0)
+    if late.size:
+        k = int(late[0])
+        raise InputError("times", f"times[{k + 1}] = {t[k + 1]:g} follows {t[k]:g}", "times must increase")
+    return t

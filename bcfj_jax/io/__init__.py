@@ -1,0 +1,1 @@
+"""Scene and table files, units, results, reports, provenance."""

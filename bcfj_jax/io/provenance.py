@@ -1,0 +1,56 @@
+"""What a result was made with: versions, commit, device, seed and the data's checksums."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import platform
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+_PACKAGES = ("jax", "jaxlib", "diffrax", "equinox", "optimistix", "lineax", "numpy", "scipy", "pint", "pydantic")
+
+
+def version() -> str:
+    """The version of bcfj-jax; "unknown" where it is run from a checkout that is not installed."""
+    return _version("bcfj-jax")
+
+
+def _version(package: str) -> str:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "unknown"
+
+
+def _commit() -> dict[str, Any]:
+    root = Path(__file__).resolve().parents[2]
+    # An installed package may lie inside some other repository, whose commit says nothing.
+    if not (root / ".git").exists():
+        return {"commit": None, "modified": None}
+    git = ["git", "-C", str(root)]
+    try:
+        head = subprocess.run([*git, "rev-parse", "HEAD"], capture_output=True, text=True, timeout=10, check=True)
+        state = subprocess.run([*git, "status", "--porcelain"], capture_output=True, text=True, timeout=10, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return {"commit": None, "modified": None}
+    return {"commit": head.stdout.strip(), "modified": bool(state.stdout.strip())}
+
+
+def environment(seed: int | None = None, data: Sequence[Path] = ()) -> dict[str, Any]:
+    """``environment.json``: versions, device, seed, and the SHA-256 of every data file."""
+    import jax
+
+    return {
+        "bcfj_jax": version(),
+        "git": _commit(),
+        "python": sys.version.split()[0],
+        "platform": platform.platform(),
+        "packages": {name: _version(name) for name in _PACKAGES},
+        "device": {"backend": jax.default_backend(), "devices": [str(d) for d in jax.devices()]},
+        "seed": seed,
+        "data": {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in data},
+    }

@@ -1,0 +1,245 @@
+"""Scene files: what a TOML file says, checked, in SI, with every default filled in.
+
+    [scene]        kind, the scene's options (law, elastic, smoothing), [scene.spheres] for ``impact``
+    [parameters]   values by name, SI numbers or texts with a unit
+    [time]         end, samples; the run starts at 0
+    [accuracy]     force_error or level, max_steps and solver
+
+Without a ``law``, a file that gives ``restitution`` gets the law ``exact``, which delivers it.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+import typing
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pydantic
+from jax import Array
+
+from bcfj_jax.contact import laws
+from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.quantities import CATALOGUE, check_order, check_value
+from bcfj_jax.io import tables
+from bcfj_jax.io.scenetemplate import template as template
+from bcfj_jax.io.spheres import Spheres
+from bcfj_jax.io.units import quantity
+from bcfj_jax.mechanism.scene import AbstractScene
+from bcfj_jax.models import scenes
+from bcfj_jax.models.joint.checks import check_joint
+from bcfj_jax.models.joint.scene import AUTO, Joint
+from bcfj_jax.solve import named
+from bcfj_jax.solve.integrate import LEVELS, MAX_STEPS
+
+_DEFAULT_LEVEL = "balanced"
+
+
+@dataclass(frozen=True)
+class SceneFile:
+    """A scene ready to run.
+
+    Attributes:
+        scene, params, times: what ``simulate`` takes.
+        accuracy: level, or force error as a fraction of the peak.
+        resolved: the file with every default, SI numbers: what ``run.toml`` gets; loads back to the same.
+        source: the file; None for a built-in scene's defaults.
+        max_steps: budget of attempted steps.
+        solver: by which values are integrated; None: the scene's own.
+        open: whether a joint's fidelity was left to what runs it.
+    """
+
+    scene: AbstractScene
+    params: dict[str, Array]
+    times: np.ndarray
+    accuracy: str | float
+    resolved: dict[str, Any]
+    source: Path | None
+    max_steps: int = MAX_STEPS
+    solver: str | None = None
+    open: bool = False
+
+
+class _Time(tables.Table):
+    end: Any = None
+    samples: int | None = pydantic.Field(default=None, ge=2, le=10_000_000)
+
+
+class _Accuracy(tables.Table):
+    force_error: Any = None
+    level: str | None = None
+    max_steps: int = pydantic.Field(default=MAX_STEPS, ge=1, le=1_000_000_000)
+    solver: str | None = None
+
+
+class _File(tables.Table):
+    scene: dict[str, Any]
+    parameters: dict[str, Any] = pydantic.Field(default_factory=dict)
+    time: _Time = _Time()
+    accuracy: _Accuracy = _Accuracy()
+
+
+def load(what: str | Path) -> SceneFile:
+    """A scene file, or the name of a built-in scene, which means its defaults.
+
+    Raises:
+        InputError: for a file that is missing, is no TOML, or holds anything that is not right.
+    """
+    path = Path(what)
+    if str(what) in scenes.SCENES:
+        return from_table({"scene": {"kind": str(what)}}, None)
+    if path.suffix != ".toml" and not path.exists():
+        names = ", ".join(scenes.SCENES)
+        raise InputError(str(what), "no such file and no such scene", f"give a .toml file or a scene's name: {names}")
+    return from_table(tables.read(path), path)
+
+
+def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
+    """The scene that a file's content describes; errors as ``load``."""
+    where = str(source) if source else f"scene '{table['scene']['kind']}'"
+    file = tables.validated(_File, dict(table), where)
+    scene, spheres = _scene(file, where)
+    values = _values(scene, file.parameters, spheres, where)
+    params = scene.parameters(values)
+    if isinstance(scene, Joint):
+        check_joint(scene, params, where)
+    end = _end(scene, params, file.time, where)
+    samples = file.time.samples or scene.samples
+    accuracy, solver = _accuracy(file.accuracy, where), file.accuracy.solver
+    named.check(solver, isinstance(scene, Joint), f"{where}: [accuracy] ")
+    resolved = {
+        "scene": _resolved_options(scene, file),
+        "parameters": {name: float(value) for name, value in params.items()},
+        "time": {"end": end, "samples": samples},
+        "accuracy": {
+            "level" if isinstance(accuracy, str) else "force_error": accuracy,
+            "max_steps": file.accuracy.max_steps,
+        }
+        | ({"solver": solver} if solver else {}),
+    }
+    times = np.linspace(0.0, end, samples)
+    free = isinstance(scene, Joint) and "fidelity" not in file.scene
+    return SceneFile(scene, params, times, accuracy, resolved, source, file.accuracy.max_steps, solver, free)
+
+
+def quickest(given: SceneFile) -> SceneFile:
+    """A scene file as ``bcfj simulate`` runs it: at the level ``fast`` a joint of open fidelity takes ``auto``.
+
+    It keeps the 5 % all the same. Derivatives and fits need a model by name, and take the dynamic one.
+    """
+    if not (given.open and given.accuracy == "fast" and isinstance(given.scene, Joint)):
+        return given
+    resolved = given.resolved | {"scene": given.resolved["scene"] | {"fidelity": AUTO}}
+    return replace(given, scene=replace(given.scene, fidelity=AUTO), resolved=resolved)
+
+
+def _resolved_options(scene: AbstractScene, file: _File) -> dict[str, Any]:
+    """The scene's options with every default; what TOML has no word for (nothing) is left out."""
+    function = inspect.signature(scenes.SCENES[scene.kind]).parameters
+    options = {name: file.scene.get(name, parameter.default) for name, parameter in function.items()}
+    options["law"] = _law_name(file)
+    if isinstance(scene, Joint):
+        # No elastic part to name unless one was given: each contact's law has its own.
+        options["contacts"] = [contact.name for contact in scene.contacts]
+    else:
+        options["elastic"] = _elastic_name(scene)
+    return {"kind": scene.kind} | {name: value for name, value in options.items() if value is not None}
+
+
+def _law_name(file: _File) -> str:
+    return file.scene.get("law") or ("exact" if "restitution" in file.parameters else "memory_free")
+
+
+def _elastic_name(scene: AbstractScene) -> str:
+    part = getattr(scene.contacts[0].law, "elastic", None)
+    return next(name for name, known in laws.ELASTIC.items() if type(known) is type(part))
+
+
+def _scene(file: _File, where: str) -> tuple[AbstractScene, Spheres | None]:
+    kind = file.scene.get("kind")
+    place = f"{where}: [scene]"
+    if kind is None:
+        raise InputError(f"{place} kind", "the key 'kind' is missing", f"give one of {', '.join(scenes.SCENES)}")
+    if not isinstance(kind, str) or kind not in scenes.SCENES:
+        raise InputError(f"{place} kind", f"no scene '{kind}'", nearest(str(kind), scenes.SCENES))
+    checked = tables.validated(_options(kind), file.scene, where, "scene")
+    options = {name: value for name, value in checked if name not in ("kind", "spheres")}
+    options["law"] = _law_name(file)
+    for name, known in (("law", laws.LAWS), ("elastic", laws.ELASTIC)):
+        if options[name] is not None and options[name] not in known:
+            raise InputError(f"{place} {name}", f"no such {name} '{options[name]}'", nearest(options[name], known))
+    try:
+        scene = scenes.make(kind, **options)
+    except InputError as error:
+        key = error.where.removeprefix(f"scene '{kind}'").strip()
+        raise InputError(f"{place} {key}", error.found, error.remedy) from None
+    spheres = getattr(checked, "spheres", None)
+    if spheres and _elastic_name(scene) != "power":
+        found = f"spheres with elastic = '{_elastic_name(scene)}'"
+        raise InputError(f"{place} elastic", found, "spheres are in Hertz contact: leave elastic out, or say 'power'")
+    return scene, spheres
+
+
+def _options(kind: str) -> type[tables.Table]:
+    """The keys of [scene]: the scene function's own keyword arguments."""
+    function = scenes.SCENES[kind]
+    hints = typing.get_type_hints(function)
+    fields: dict[str, Any] = {
+        name: (hints[name], parameter.default) for name, parameter in inspect.signature(function).parameters.items()
+    }
+    if kind == "impact":
+        fields["spheres"] = (Spheres | None, None)
+    return pydantic.create_model("Options", __base__=tables.Table, kind=(str, ...), **fields)
+
+
+def _values(scene: AbstractScene, given: Mapping[str, Any], spheres: Spheres | None, where: str) -> dict[str, float]:
+    derived = spheres.derived(f"{where}: [scene.spheres]") if spheres else {}
+    known = scene.quantities
+    for name in given:
+        place = f"{where}: [parameters] {name}"
+        if name in derived:
+            raise InputError(place, f"'{name}' is given twice", "[scene.spheres] sets it too: take one of them out")
+        if name not in known:
+            # A right name in the wrong place is no misspelling: the law, or another option, does not read it.
+            hint = f"known here: {', '.join(sorted(known))}" if name in CATALOGUE else nearest(name, known)
+            raise InputError(place, f"scene '{scene.kind}' with these options has no parameter '{name}'", hint)
+    values = {name: value for name, value in derived.items() if name in known}
+    defaults = dict(scene.defaults)
+    # Exponents first: the unit of a stiffness depends on its contact's, or else on the shared one.
+    for name in sorted(given, key=lambda name: not name.endswith("exponent")):
+        place = f"{where}: [parameters] {name}"
+        contact = name.rpartition(".")[0]
+        own = f"{contact}.exponent" if contact else "exponent"
+        sources = [(d, key) for key in dict.fromkeys((own, "exponent")) for d in (values, defaults)]
+        # A law that reads no exponent is linear.
+        exponent = next((d[key] for d, key in sources if key in d), 1.0) if own in known else 1.0
+        values[name] = quantity(given[name], known[name].unit, place, exponent=exponent)
+        check_value(place, known[name], values[name])
+    check_order(f"{where}: [parameters]", known, {**defaults, **values})
+    return values
+
+
+def _end(scene: AbstractScene, params: dict[str, Array], time: _Time, where: str) -> float:
+    end = float(scene.horizon(params)) if time.end is None else quantity(time.end, "s", f"{where}: [time] end")
+    if not (math.isfinite(end) and end > 0):
+        raise InputError(f"{where}: [time] end", f"{end:g} s is out of range", "give a time > 0")
+    return end
+
+
+def _accuracy(table: _Accuracy, where: str) -> str | float:
+    place = f"{where}: [accuracy]"
+    if table.level is not None and table.force_error is not None:
+        raise InputError(place, "both level and force_error are given", "give exactly one of them")
+    if table.force_error is None:
+        level = table.level or _DEFAULT_LEVEL
+        if level not in LEVELS:
+            raise InputError(f"{place} level", f"no level '{level}'", nearest(level, LEVELS))
+        return level
+    error = quantity(table.force_error, "1", f"{place} force_error")
+    if not 1e-9 <= error <= 0.5:
+        raise InputError(f"{place} force_error", f"{error:g}", 'give a fraction of the peak from 1e-9 to 0.5, or "1 %"')
+    return error

@@ -1,0 +1,1 @@
+"""Bodies, joints, contacts and loads, and the equations of motion that follow from them."""

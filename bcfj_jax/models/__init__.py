@@ -1,0 +1,1 @@
+"""The built-in scenes: short functions that return a mechanism."""

@@ -1,0 +1,156 @@
+"""The joint's Jacobian by relative motion, and its factorisation as an arrowhead.
+
+Balls touch only seat, head and cage, so with the places eliminated (they are integrals of the velocities) the matrix
+I/s - J  is  one (twist x twist) block a ball, bordered by head, cage and seat. Blocks are eliminated ball by
+ball; what is left is one matrix of the border's size, whose inverse is kept.
+
+``blocks`` has the derivatives. Bristles, local to a face, are eliminated before the balls (``bristles``).
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from bcfj_jax.models.joint import system
+from bcfj_jax.models.joint.blocks import Blocks, blocks
+from bcfj_jax.models.joint.constants import Constants
+from bcfj_jax.models.joint.scene import Joint
+from bcfj_jax.solve.small import inverse, inverse3, inverse6
+from bcfj_jax.solve.structure import AbstractStructure
+
+
+class Factors(NamedTuple):
+    """What ``solve`` reads; s is the scale."""
+
+    blocks: Blocks
+    scale: Array
+    ball_inverse: Array
+    column: Array
+    row: Array
+    border_inverse: Array
+    axis: Array
+    spin: Array
+    ball_lightness: Array
+    border_lightness: Array
+
+
+def _cayley(vector: Array, spin: Array, scale: Array) -> Array:
+    """(I - s [w]x)^-1 x, in closed form: (x + s w x x + s^2 w (w . x)) / (1 + s^2 w . w)."""
+    w = scale * spin
+    return (vector + jnp.cross(w, vector) + w * (vector @ w)[..., None]) / (1.0 + w @ w)
+
+
+@partial(jax.jit, static_argnums=0, inline=True)
+def _field(scene: Joint, c: Constants, t: Array, y: Array) -> Array:
+    return system.field(t, y, (scene, c))
+
+
+@partial(jax.jit, static_argnums=0, inline=True)
+def _blocks(scene: Joint, c: Constants, y: Array, scale: Any) -> Blocks:
+    return blocks(scene, c, y, scale)
+
+
+class Arrowhead(AbstractStructure):
+    """The joint's field with its structure; ``args`` is (scene, constants).
+
+    Solvers call these several times a step, and diffrax traces a step more than once: what is long to trace is
+    traced once, under an inlined ``jit``.
+    """
+
+    def field(self, t: Any, y: Array, args: Any) -> Array:
+        """``system.field``."""
+        return _field(*args, t, y)
+
+    def time_derivative(self, t: Any, y: Array, args: Any) -> Array:
+        """Of load and drive, the only things that depend on time."""
+        scene, c = args
+        state = system.view(scene, c, y)
+        rate = jax.jvp(lambda t: system.applied(scene, c, t, state), (t,), (jnp.ones_like(t),))[1]
+        unbent = [jnp.zeros(scene.states - scene.moving)] if scene.bristles else []
+        return jnp.concatenate([jnp.zeros(scene.moving - scene.border), rate * c.border_lightness, *unbent])
+
+    def factor(self, t: Any, y: Array, args: Any, scale: Any) -> Factors:
+        """Blocks, the balls' inverses, the border's Schur complement inverted."""
+        scene, c = args
+        d = _blocks(scene, c, y, scale if scene.bristles else None)
+        k = scene.twist
+        state = system.view(scene, c, y)
+        lift = c.ball_lightness[:, None]
+        ball = jnp.eye(k) / scale - lift * (d.ball_rate.at[..., :3].add(scale * d.ball_place))
+        column_place, border_place = d.column_place * scale, d.border_place * scale
+        tilt = scene.slots["cage_turn"]
+        if tilt is not None:
+            turn = self._turn(state.cage_axis, state.cage_spin, scale)
+            column_place = column_place.at[..., tilt].set(d.column_place[..., tilt] @ turn)
+            border_place = border_place.at[:, tilt].set(d.border_place[:, tilt] @ turn)
+            if d.bristles is not None:
+                # The state has the axis b, whose change db is the rotation  b x db.
+                tilts = slice(3 * scene.balls + tilt.start, 3 * scene.balls + tilt.stop)
+                turning = d.bristles.back[:, tilts] @ jnp.cross(jnp.eye(3), state.cage_axis)
+                d = d._replace(bristles=d.bristles._replace(back=d.bristles.back.at[:, tilts].set(turning)))
+        column = -lift * (d.column_rate + column_place)
+        weight = c.border_lightness[:, None]
+        row = -weight * (d.row_rate.at[..., :3].add(scale * d.row_place))
+        border = jnp.eye(scene.border) / scale - weight * (d.border_rate + border_place)
+        ball_inverse = inverse3(ball) if k == 3 else inverse6(ball)
+        column = ball_inverse @ column
+        schur = border - jnp.sum(row @ column, 0)
+        return Factors(
+            d,
+            scale,
+            ball_inverse,
+            column,
+            row,
+            inverse(schur),
+            state.cage_axis,
+            state.cage_spin,
+            c.ball_lightness,
+            c.border_lightness,
+        )
+
+    @staticmethod
+    def _turn(axis: Array, spin: Array, scale: Array) -> Array:
+        """Rotation of the cage's axis per change of its angular velocity, (3, 3): -s [b]x (I - s [w]x)^-1 [b]x."""
+        eye = jnp.eye(3)
+        tilted = _cayley(-jnp.cross(axis, eye), spin, scale)
+        return scale * jnp.swapaxes(jnp.cross(axis, tilted), 0, 1)
+
+    def solve(self, factors: Factors, right: Array) -> Array:
+        """Places and bristles eliminated, balls eliminated, border solved, and back."""
+        d, s = factors.blocks, factors.scale
+        n, k, b = d.ball_rate.shape[0], d.ball_rate.shape[1], d.border_rate.shape[0]
+        place, at = right[: 3 * n].reshape(n, 3), right[3 * n : 3 * n + b]
+        twist = right[3 * n + b : (3 + k) * n + b].reshape(n, k)
+        rate = right[(3 + k) * n + b : (3 + k) * n + 2 * b]
+        if d.bristles is not None:
+            own = jnp.einsum("fij,fj->fi", d.bristles.inverse, right[(3 + k) * n + 2 * b :].reshape(-1, 3)).ravel()
+            lifted = d.bristles.lift @ own
+            twist = twist + factors.ball_lightness * lifted[: n * k].reshape(n, k)
+            rate = rate + factors.border_lightness * lifted[n * k :]
+        # Where the cage is free its turn stands before the seat's, which is last.
+        tilted = b >= 8
+        shift = s * at
+        if tilted:
+            tilt = slice(b - 4, b - 1)
+            known = s * _cayley(at[tilt], factors.spin, s)
+            shift = shift.at[tilt].set(jnp.cross(factors.axis, known))
+        ball = twist + factors.ball_lightness * (
+            jnp.einsum("nkj,nj->nk", d.ball_place, s * place) + jnp.einsum("nkb,b->nk", d.column_place, shift)
+        )
+        border = rate + factors.border_lightness * (
+            jnp.einsum("nbj,nj->b", d.row_place, s * place) + d.border_place @ shift
+        )
+        ball = jnp.einsum("nkl,nl->nk", factors.ball_inverse, ball)
+        rates = factors.border_inverse @ (border - jnp.einsum("nbk,nk->b", factors.row, ball))
+        twists = ball - jnp.einsum("nkb,b->nk", factors.column, rates)
+        places = s * (place + twists[:, :3])
+        moved = s * (at + rates)
+        if tilted:
+            moved = moved.at[tilt].set(known - s * _cayley(jnp.cross(factors.axis, rates[tilt]), factors.spin, s))
+        found = jnp.concatenate([places.ravel(), moved, twists.ravel(), rates])
+        return found if d.bristles is None else jnp.concatenate([found, own + d.bristles.back @ found])

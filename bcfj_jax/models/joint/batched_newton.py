@@ -1,0 +1,213 @@
+"""The search for equilibrium: Newton's method at many instants, on a pool of lanes.
+
+A line search on the slope (forces are all that is known; their energy is not). The pool works through the instants,
+coarse ones first, so that the others start between solved neighbours; a lane that has converged takes the next
+instant, and none waits for the slowest. Neighbours under steady load are those of like phase: a turn by one ball's
+pitch with the balls renumbered changes nothing, so one of them starts where another ended. It starts there and no
+more: every instant is solved for itself.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from bcfj_jax.models.joint.equilibrium_residual import Matrix, Places, Problem, balance, slots_of, solve
+from bcfj_jax.models.joint.scene import Joint
+
+# Longest step of any unknown [m], about the range over which a contact's stiffness is what it was.
+_REACH = 5e-5
+# A Newton step shorter than this [m] is the last: its square over any penetration is below rounding.
+_CLOSE = 1e-10
+# A step is cut where the slope along it has turned and grown by this factor; down to the shortest fraction.
+_TURNED, _SHORTEST = 3.0, 0.01
+# Evaluations an instant may take, and how many of them from its neighbours' places; then it starts again from zero.
+_TRIALS, _PATIENCE = 240, 100
+# In the pool.
+_LANES = 16
+# Every so many instants one starts from the zero-clearance position; a power of two.
+_STRIDE = 64
+
+
+class Found(NamedTuple):
+    """T places of equilibrium, their rates, (T,) whether Newton's method converged, (T,) evaluations it took."""
+
+    places: Places
+    rates: Places
+    converged: Array
+    iterations: Array
+
+
+def pull(scene: Joint, problem: Problem, drift: Problem, matrix: Matrix) -> Places:
+    """Rate of the forces while balls and head stand still in space.
+
+    The seat's tracks turn away under the balls, the load rises, and the grounding's springs move on.
+    """
+    swept = problem.spring * problem.lever * drift.seat
+    border = (
+        jnp.zeros((matrix.border.shape[0], swept.size))
+        .at[slots_of(scene)["turn"]]
+        .set(drift.torque / problem.lever - swept)
+    )
+    return Places(matrix.seat * drift.seat - problem.spring * drift.ball, border)
+
+
+def displaced(scene: Joint, problem: Problem, drift: Problem, back: Places) -> Places:
+    """Rates of the displacements from the solution for ``pull``."""
+    border = (-back.border).at[slots_of(scene)["turn"]].add(-problem.lever * drift.seat)
+    return Places(-back.ball - drift.ball, border)
+
+
+def _queue(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Order of the instants, coarse ones first, and of each the solved neighbours to start from; -1 for none."""
+    order = list(range(0, count, _STRIDE))
+    left, right = np.full(count, -1), np.full(count, -1)
+    half = _STRIDE // 2
+    while half:
+        for i in range(half, count, 2 * half):
+            left[i], right[i] = i - half, i + half if i + half < count else i - half
+            order.append(i)
+        half //= 2
+    return np.array(order), left, right
+
+
+def _neighbourhood(problem: Problem, pitch: float, times: Array) -> tuple[Array, Array]:
+    """The instants in an order in which neighbours are alike, and where on a line each of them is.
+
+    Those under full load by phase, the part of a ball's pitch that the seat is into; others by time.
+    """
+    # A phase of 0 that rounding has made one of 1 is none.
+    pitches = problem.seat / pitch + 1e-9
+    size = jnp.abs(problem.torque)
+    steady = size >= (1.0 - 1e-9) * jnp.max(size)
+    place = jnp.where(steady, pitches - jnp.floor(pitches), times)
+    rank = jnp.lexsort((place, steady))
+    return rank, place[rank]
+
+
+class _Lanes(NamedTuple):
+    """The pool: instants in work (T where idle), last accepted places, step from them, slope, fraction, evaluations."""
+
+    index: Array
+    base: Array
+    step: Array
+    slope: Array
+    part: Array
+    trials: Array
+
+
+def search(scene: Joint, problem: Problem, drift: Problem, times: Array, near: Places | None = None) -> Found:
+    """Newton's method at every instant; from ``near``, a solution for other parameters, where there is one."""
+    count, n = times.size, scene.balls
+    size = 3 * n + sum(slot.stop - slot.start for slot in slots_of(scene).values())
+    lanes = min(_LANES, count)
+    alone = np.arange(count), np.full(count, -1), np.full(count, -1)
+    order, left, right = (jnp.asarray(x) for x in (_queue(count) if near is None else alone))
+    order = jnp.concatenate([order, jnp.full(lanes, count)])
+    pitch = 2.0 * np.pi / n
+    rank, place = _neighbourhood(problem, pitch, times)
+    problem, drift = (
+        p._replace(ball=p.ball[:, :, rank], seat=p.seat[rank], torque=p.torque[rank]) for p in (problem, drift)
+    )
+    seat = problem.seat
+    span = place[right] - place[left]
+    # Clipped: between an instant that is told by its time and one by its phase it has no meaning.
+    weight = jnp.clip(jnp.where(span > 0, (place - place[left]) / jnp.where(span > 0, span, 1.0), 0.5), 0.0, 1.0)
+
+    def split(x: Array) -> Places:
+        return Places(x[: 3 * n].reshape(3, n, -1), x[3 * n :])
+
+    def instants(p: Problem, index: Array) -> Problem:
+        i = jnp.minimum(index, count - 1)
+        return p._replace(ball=p.ball[:, :, i], seat=p.seat[i], torque=p.torque[i])
+
+    def forces(index: Array, x: Array) -> tuple[Places, Matrix]:
+        return balance(scene, instants(problem, index), split(x))
+
+    def join(at: Places) -> Array:
+        return jnp.concatenate([at.ball.reshape(3 * n, -1), at.border])
+
+    def renumbered(x: Array, i: Array, other: Array) -> Array:
+        """Places of instant ``other`` for instant ``i``: of each ball, those of the ball that was nearest to it."""
+        passed = jnp.round((seat[i] - seat[other]) / pitch).astype(int)
+        which = (jnp.arange(n)[:, None] + passed) % n
+        at = split(x)
+        return join(at._replace(ball=jnp.take_along_axis(at.ball, which[None], 1)))
+
+    origin = jnp.zeros((size, count)) if near is None else join(near)[:, rank]
+
+    def more(carry: Any) -> Array:
+        return jnp.any(carry[0].index < count) | (carry[3] == 0)
+
+    def body(carry: Any) -> Any:
+        # Forces come over from the round before: in one round with the solution the compiler would compute them
+        # again for every reader.
+        pool, x, (out, matrix), taken, known, rates, state, spent = carry
+        here, moving = instants(problem, pool.index), instants(drift, pool.index)
+        step, back = solve(matrix, out, pull(scene, here, moving, matrix))
+        out, step = join(out), join(step)
+        trials = pool.trials + 1
+        slope = jnp.sum(out * pool.step, 0)
+        turned = (slope < -_TURNED * pool.slope) & (pool.slope > 0) & (pool.part > _SHORTEST)
+        longest = jnp.max(jnp.abs(step), 0)
+        good = ~turned & (longest < _CLOSE)
+        ended = good | (trials >= _TRIALS) | ~jnp.isfinite(longest)
+        cut = jnp.clip(pool.slope / (pool.slope - slope), 0.1, 0.7)
+        pool = _Lanes(
+            pool.index,
+            jnp.where(turned, pool.base, x),
+            jnp.where(turned, pool.step, step),
+            jnp.where(turned, pool.slope, jnp.sum(out * step, 0)),
+            jnp.where(turned, pool.part * cut, jnp.minimum(1.0, _REACH / longest)),
+            trials,
+        )
+        stuck = trials == _PATIENCE
+        if near is None:
+            stuck &= left[jnp.minimum(pool.index, count - 1)] >= 0
+        nowhere = _Lanes(*(jnp.zeros_like(part) for part in pool))._replace(index=pool.index, trials=trials)
+        pool = jax.tree.map(lambda new, old: jnp.where(stuck, new, old), nowhere, pool)
+        busy = pool.index < count
+        where = jnp.where(ended & busy, pool.index, count)
+        known = known.at[:, where].set(x - step, mode="drop")
+        rates = rates.at[:, where].set(join(displaced(scene, here, moving, back)), mode="drop")
+        # 1: converged, 2: given up, 0: not yet.
+        state = state.at[where].set(jnp.where(good, 1, 2), mode="drop")
+        spent = spent.at[where].set(trials, mode="drop")
+        # Idle lanes look at the next of the queue in turn; each waits for its own neighbours.
+        idle = ended | ~busy
+        nth = taken + jnp.cumsum(idle) - 1
+        candidate = jnp.where(idle, order[jnp.minimum(nth, count)], count)
+        i = jnp.minimum(candidate, count - 1)
+        ready = (left[i] < 0) | ((state[left[i]] > 0) & (state[right[i]] > 0))
+        # In order: what stands behind one that waits, waits.
+        blocked = jnp.cumsum(idle & ~ready & (candidate < count)) > 0
+        candidate = jnp.where(blocked, count, candidate)
+        taken = taken + jnp.sum(idle & (candidate < count))
+        # Between the neighbours; from one where the other failed; from the origin where there is none.
+        first, last = ((left[i] >= 0) & (state[s[i]] == 1) for s in (left, right))
+        share = jnp.where(first & last, weight[i], jnp.where(last, 1.0, 0.0))
+        a, b = (jnp.where(k, renumbered(known[:, s[i]], i, s[i]), 0.0) for k, s in ((first, left), (last, right)))
+        guess = jnp.where(left[i] < 0, origin[:, i], a + share * (b - a))
+        fresh = _Lanes(candidate, guess, jnp.zeros_like(x), jnp.zeros(lanes), jnp.ones(lanes), jnp.zeros(lanes, int))
+        pool = jax.tree.map(lambda new, old: jnp.where(idle, new, old), fresh, pool)
+        x = pool.base - pool.part * pool.step
+        return pool, x, forces(pool.index, x), taken, known, rates, state, spent
+
+    def empty(rows: int) -> Array:
+        return jnp.zeros((rows, lanes))
+
+    nobody = _Lanes(
+        jnp.full(lanes, count), empty(size), empty(size), jnp.zeros(lanes), jnp.ones(lanes), jnp.zeros(lanes, int)
+    )
+    flat = jax.eval_shape(forces, nobody.index, nobody.base)
+    # Every lane is idle in the first round: what it solves is thrown away.
+    nothing = jax.tree.map(lambda s: jnp.ones(s.shape), flat)
+    results = (jnp.zeros((size, count)), jnp.zeros((size, count)), jnp.zeros(count, int), jnp.zeros(count, int))
+    start = (nobody, nobody.base, nothing, jnp.asarray(0), *results)
+    *_, known, rates, state, spent = jax.lax.while_loop(more, body, start)
+    back = jnp.argsort(rank)
+    return Found(split(known[:, back]), split(rates[:, back]), state[back] == 1, spent[back])

@@ -1,0 +1,244 @@
+"""The joint's derivatives by relative motion, taken to its coordinates.
+
+The local derivatives, by relative place and relative twist, are those of ``slopes.slopes``. The chain to the
+coordinates, for a wrench W on a ball from a body with arm r, relative twist h and angular velocity w:
+
+    ball place p:      A = K - C_v [w]x            body place:    -A
+    ball twist:        C                           body twist:    -C B,  B = (I, -[r]x; 0, I)
+    body rotation:     G = K [r]x + C [h]x - [W]x  (the body's axes turn; the ball does not)
+
+and the body feels  -B' W,  whose arm also moves with p. K = dW/dplace, C = dW/dtwist, all in world axes. Where faces
+have bristles these are the slopes of a step with the bristles eliminated (``bristles``), which the chain also takes
+to the coordinates.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from bcfj_jax.models.joint import system
+from bcfj_jax.models.joint.bristles import Freed, effective, free
+from bcfj_jax.models.joint.constants import BALLS, Constants
+from bcfj_jax.models.joint.contacts import dot
+from bcfj_jax.models.joint.guides import BODIES, GUIDES
+from bcfj_jax.models.joint.scene import Joint
+from bcfj_jax.models.joint.slopes import Slopes, slopes
+from bcfj_jax.solve.small import block_diagonal
+
+
+class Bristled(NamedTuple):
+    """What bristles do to a step, all F faces in the flat state's order.
+
+    Attributes:
+        inverse: (F, 3, 3) of each face's own block.
+        lift: (n k + b, 3 F) generalised forces by deflections.
+        back: (3 F, moving) deflections by all other states, the cage's turn as a rotation vector.
+    """
+
+    inverse: Array
+    lift: Array
+    back: Array
+
+
+class Blocks(NamedTuple):
+    """Derivative of contact wrenches and border forces; n balls, k twists, b border coordinates.
+
+    ``place`` by displacement, ``rate`` by velocity: of ball i by itself (n, k, 3 | k), of ball i by the border
+    (n, k, b), of the border by ball i (n, b, 3 | k), of the border by itself (b, b). The cage's turn is a
+    rotation vector here.
+    """
+
+    ball_place: Array
+    ball_rate: Array
+    column_place: Array
+    column_rate: Array
+    row_place: Array
+    row_rate: Array
+    border_place: Array
+    border_rate: Array
+    bristles: Bristled | None = None
+
+
+def _felt(arm: Array, wrench: Array) -> Array:
+    """Wrenches on the balls (n, m, k, j) as seen from the bodies' centres (n, m, 6, j): (f, r x f + moment)."""
+    force = wrench[..., :3, :]
+    moment = jnp.cross(arm[..., None, :], jnp.swapaxes(force, -1, -2)).swapaxes(-1, -2)
+    if wrench.shape[-2] == 6:
+        moment = moment + wrench[..., 3:, :]
+    return jnp.concatenate([force, moment], -2)
+
+
+def _spread(scene: Joint, c: Constants, x: Array) -> Array:
+    """From displacements and rotations of the bodies (..., m, j, 6) to border coordinates (..., j, border)."""
+    seat, head = x[..., 0, :, :], x[..., 1, :, :]
+    cage = x[..., 2, :, :] if x.shape[-3] == 3 else jnp.zeros_like(head)
+    parts = {
+        "head": head[..., :3],
+        "head_turn": dot(head[..., 3:], c.axes[1])[..., None],
+        "cage": cage[..., :3],
+        "cage_turn": cage[..., 3:],
+        "seat_turn": dot(seat[..., 3:], c.axes[0])[..., None],
+    }
+    return jnp.concatenate([parts[name] for name, slot in scene.slots.items() if slot is not None], -1)
+
+
+def _alone(scene: Joint, c: Constants, state: system.State, scale: Any) -> tuple[Array, Array, list[tuple]]:
+    """Derivatives of pilot and drive forces by border displacement and border rate, (b, b); bristles' ``_rows``.
+
+    Spheres have no axes, so only the distance p of the centres and the relative twist count, and
+    dv = ... - w_outer x dp; the forces' map moves with p too.
+    """
+    b = scene.border
+    place, rate, rows = jnp.zeros((b, b)), jnp.zeros((b, b)), []
+    if c.pilot_skin is not None:
+        at, motion, bent, spin = system.piloted(scene, c, state)
+        found, freed = slopes(c.pilot_skin, at, motion.velocity, motion.spin, bent), None
+        if found.bond is not None:
+            freed = free(found.bond, spin, scale)
+            found, _, by_spin = effective(found, freed)
+        value, by_place, by_twist, _ = found
+        back = jnp.swapaxes(system.guide_maps(c, motion.arm), -1, -2)
+        moved = back @ (by_place - jnp.cross(by_twist[..., :3], spin[:, None, :]))
+        moved = moved + jnp.einsum("pikb,pk->pbi", c.guides.lever, value)
+        place = jnp.einsum("pbi,pic->bc", moved, c.guides.moves)
+        rate = jnp.sum(back @ by_twist @ jnp.swapaxes(back, -1, -2), 0)
+        if freed is not None:
+            # An outer sphere's spin turns its bristles.
+            turns = jnp.stack([c.body_maps[BODIES.index(GUIDES[name][0]), 3:] for name in scene.pilots])
+            rate = rate + jnp.sum(back @ by_spin @ turns, 0)
+            by_place = freed.place[:, 0] - jnp.cross(freed.twist[:, 0, :, :3], spin[:, None, :])
+            by_rate = freed.twist[:, 0] @ jnp.swapaxes(back, -1, -2) + freed.spin[:, 0] @ turns
+            for i, name in enumerate(scene.pilots):
+                if name in scene.bristles:
+                    rows.append(
+                        (freed.inverse[i], back[i] @ freed.pull[i, 0], by_place[i] @ c.guides.moves[i], by_rate[i])
+                    )
+    if scene.drive == "flexible":
+        seat = scene.slots["seat_turn"]
+        assert seat is not None
+        place, rate = place.at[seat, seat].add(-c.drive_stiffness), rate.at[seat, seat].add(-c.drive_damping)
+    return place, rate, rows
+
+
+def _rows(c: Constants, around: system.Around, freed: Freed, body: int) -> tuple[Array, ...]:
+    """A ball contact's bristles: their inverses, the balls' and the border's forces by them, they by all states.
+
+    (n, f, 3, 3); (n, k, 3 f), (n, b, 3 f); (n, 3 f, 3 | k | b | b) by ball place and twist, border place and rate.
+    """
+    arm, velocity = around.motion.arm[:, body, None], around.motion.velocity[:, body, None]
+    by_place, by_twist, turn, spin = (
+        x.reshape(x.shape[0], -1, x.shape[-1]) for x in (freed.place, freed.twist, freed.turn, freed.spin)
+    )
+    at_ball = by_place - jnp.cross(by_twist[..., :3], around.spins[body])
+    turned = jnp.cross(by_place, arm) + jnp.cross(by_twist[..., :3], velocity) + turn
+    swung = jnp.cross(by_twist[..., :3], arm) + spin
+    if around.motion.spin is not None:
+        turned = turned + jnp.cross(by_twist[..., 3:], around.motion.spin[:, body, None])
+        swung = swung - by_twist[..., 3:]
+    place = jnp.concatenate([-at_ball, turned], -1) @ c.body_maps[body]
+    rate = jnp.concatenate([-by_twist[..., :3], swung], -1) @ c.body_maps[body]
+    pull = jnp.swapaxes(freed.pull, 1, 2).reshape(at_ball.shape[0], -1, at_ball.shape[1])
+    felt = -jnp.swapaxes(c.body_maps[body], 0, 1) @ _felt(around.motion.arm[:, body, None], pull[:, None])[:, 0]
+    return freed.inverse, pull, felt, at_ball, by_twist, place, rate
+
+
+def _bristled(scene: Joint, balls: list[tuple], pilots: list[tuple]) -> Bristled:
+    """From the rows of the balls' contacts and of the pilots. Dense: one product of 100 x 60 is one kernel."""
+    n, k, b = scene.balls, scene.twist, scene.border
+    inverses, lifts, backs = [], [], []
+    if balls:
+        axes = (1, 2, 2, 1, 1, 1, 1)
+        parts = [jnp.concatenate(x, axis) for x, axis in zip(zip(*balls, strict=True), axes, strict=True)]
+        inverse, pull, felt, place, twist, at, rate = parts
+        size = n * place.shape[1]
+        inverses.append(inverse.reshape(-1, 3, 3))
+        lifts.append(jnp.concatenate([block_diagonal(pull), jnp.swapaxes(felt, 0, 1).reshape(b, size)]))
+        border = (at.reshape(size, b), block_diagonal(twist), rate.reshape(size, b))
+        backs.append(jnp.concatenate([block_diagonal(place), *border], 1))
+    for inverse, pull, at, rate in pilots:
+        inverses.append(inverse)
+        lifts.append(jnp.concatenate([jnp.zeros((n * k, 3)), pull]))
+        backs.append(jnp.concatenate([jnp.zeros((3, 3 * n)), at, jnp.zeros((3, n * k)), rate], 1))
+    return Bristled(jnp.concatenate(inverses), jnp.concatenate(lifts, 1), jnp.concatenate(backs))
+
+
+def _freed(scene: Joint, c: Constants, around: system.Around, found: list[Slopes], scale: Any) -> tuple:
+    """Slopes with the bristles eliminated, their ``_rows``, and ``effective``'s turn and spin of all bodies."""
+    slants, rows, turns, spins, first = [], [], [], [], 0
+    for one in found:
+        count, turn, spin = one.value.shape[1], *[jnp.zeros(one.by_place.shape)] * 2
+        if one.bond is not None:
+            freed = free(one.bond, around.spins[first : first + count], scale)
+            one, turn, spin = effective(one, freed)
+            for i, name in enumerate(BALLS[first : first + count]):
+                if name in scene.bristles:
+                    rows.append(_rows(c, around, Freed(*(x[:, i] for x in freed)), first + i))
+        for held, x in zip((slants, turns, spins), (one, turn, spin), strict=True):
+            held.append(x)
+        first += count
+    return slants, rows, jnp.concatenate(turns, 1), jnp.concatenate(spins, 1)
+
+
+def blocks(scene: Joint, c: Constants, y: Array, scale: Any = None) -> Blocks:
+    """All derivatives of contact wrenches and border forces in one state.
+
+    Args:
+        scene, c, y: the joint, its constants, the flat state.
+        scale: s [s] of the step in which bristles are eliminated; not read without them.
+    """
+    state = system.view(scene, c, y)
+    k = scene.twist
+    around = system.around(scene, c, state)
+    found = [slopes(skin, at, motion.velocity, motion.spin, bend) for skin, at, motion, bend in around.parts()]
+    bent, by_turn, by_spin = [], jnp.zeros(()), jnp.zeros(())
+    if any(one.bond is not None for one in found):
+        found, bent, by_turn, by_spin = _freed(scene, c, around, found, scale)
+    value, by_place, by_twist = (jnp.concatenate(x, 1) for x in zip(*(one[:3] for one in found), strict=True))
+    motion, eye = around.motion, jnp.eye(3)
+    arm, velocity = motion.arm[..., None, :], motion.velocity[..., None, :]
+
+    # By displacement and by rotation of the body, (n, m, k, 3) each: A, G by place, C_v and C B by rate.
+    at_ball = by_place - jnp.cross(by_twist[..., :3], around.spins[:, None, :])
+    turned = jnp.cross(by_place, arm) + jnp.cross(by_twist[..., :3], velocity)
+    carried = jnp.cross(value[..., None, :3], eye)
+    swung = jnp.cross(by_twist[..., :3], arm)
+    if motion.spin is not None:
+        turned = turned + jnp.cross(by_twist[..., 3:], motion.spin[..., None, :])
+        carried = jnp.concatenate([carried, jnp.cross(value[..., None, 3:], eye)], -2)
+        swung = swung - by_twist[..., 3:]
+    turned = turned + carried
+    if bent:
+        turned, swung = turned + by_turn, swung + by_spin
+    columns = jnp.concatenate(
+        [jnp.concatenate([-at_ball, turned], -1), jnp.concatenate([-by_twist[..., :3], swung], -1)], -2
+    )
+
+    # What the bodies feel of it, (n, m, 6, .); the arm, too, moves with the ball.
+    felt = -_felt(motion.arm, jnp.concatenate([at_ball, by_twist, turned, swung], -1))
+    lifted = jnp.cross(eye, value[..., None, :3])
+    row_place = felt[..., :3] + jnp.concatenate([jnp.zeros_like(lifted), lifted], -2)
+    row_rate, felt_turned, felt_swung = felt[..., 3 : 3 + k], felt[..., 3 + k : 6 + k], felt[..., 6 + k :]
+    rows = jnp.swapaxes(jnp.concatenate([row_place, row_rate], -1), -1, -2)
+    spread = _spread(scene, c, jnp.concatenate([columns, rows], -2))
+
+    # A body's own block: its place is minus all the balls' places.
+    own = jnp.concatenate([-row_place, felt_turned, -row_rate[..., :3], felt_swung], -1)
+    own = jnp.sum(own, 0).reshape(*own.shape[1:3], 2, 6)
+    maps = c.body_maps[: own.shape[0]]
+    corner = jnp.einsum("mib,mipj,mjd->pbd", maps, own, maps)
+    place, rate, guided = _alone(scene, c, state, scale)
+    row = jnp.swapaxes(spread[:, 2 * k :], -1, -2)
+    return Blocks(
+        jnp.sum(at_ball, 1),
+        jnp.sum(by_twist, 1),
+        spread[:, :k],
+        spread[:, k : 2 * k],
+        row[..., :3],
+        row[..., 3:],
+        place + corner[0],
+        rate + corner[1],
+        _bristled(scene, bent, guided) if scene.bristles else None,
+    )

@@ -1,0 +1,238 @@
+"""Geometry of the joint's contacts, and the one way in which all of them act.
+
+A contact is a penetration d, its direction n (= grad d: the way in which the second body, the ball or the inner sphere,
+has moved into the first) and the lever l n from the second body's centre to the point of contact. The relative place p
+of the centres decides them; the relative twist (v, w) decides the rest:
+
+    rate  d' = n . v        sliding  u = v + w x l n - d' n        force  f = -N n - D u,   D = N mu(|u|)/|u|
+
+with N from the normal-force law. A friction law with bristles, deflected by z, has its force by their part in the
+contact plane,  b = z - n (n . z),  and they bend (``LuGre.bond`` has k, s and m; o is ``Skin.apart``):
+
+    force  -N (s b + m u)        z' = W x z + (1 - o) (u - k z) - o z/tau
+
+W is the outer body's angular velocity, so that a bristle turns with it, and tau = 1e-5 s: nothing is remembered
+from one touch to the next. Everything is frame-indifferent: force in the axes of its arguments.
+Gaps and normals: physics sheet 5.3. A contact acts at the ball's centre unless the ball spins (w given): a ball
+without spin is a particle, so that force, moment and power balance exactly in either case.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from bcfj_jax.models.joint.law_pair import RELAX, Skin, SkinPair, sector
+
+
+class Geometry(NamedTuple):
+    """Where contacts are; f faces (or flanks) each.
+
+    Attributes:
+        penetration: (..., f) [m], positive in contact.
+        normal: (..., f, 3).
+        lever: (..., f) l [m].
+        gate: (..., f) 1 where the face is there, 0 beyond its edge; None for a face without edges.
+        bends: [(unit vector (..., f, 3), 1/m)] the Hessian of d as a sum of dyads  e e' / R.
+        gate_slope: (..., f, 3) derivative of ``gate`` by p; None without gate.
+        lever_slope: dl/dd: -1 between spheres, whose lever shortens as they part; 0 elsewhere.
+    """
+
+    penetration: Array
+    normal: Array
+    lever: Array
+    gate: Array | None
+    bends: tuple[tuple[Array, Array], ...]
+    gate_slope: Array | None = None
+    lever_slope: float = 0.0
+
+
+class Touch(NamedTuple):
+    """What contacts do.
+
+    Attributes:
+        force, moment: (..., 3) on the second body and about its centre [N], [N m]; moment None without spin.
+        drag: (..., 3) the part of ``force`` that is friction.
+        normal, penetration, rate, slip: (..., f) of each face: [N] >= 0, [m], [m/s], sliding speed [m/s].
+        bending: (..., f, 3) z' less W x z [m/s]; None without bristles.
+        rubbed: (..., f) power that friction takes [W]; None without bristles.
+    """
+
+    force: Array
+    moment: Array | None
+    drag: Array
+    normal: Array
+    penetration: Array
+    rate: Array
+    slip: Array
+    bending: Array | None = None
+    rubbed: Array | None = None
+
+
+class Groove(NamedTuple):
+    """Shape of the tracks of both races; axes of length 2 are (seat, head).
+
+    Attributes:
+        radius: track centre circle R_c [m].
+        offset: (2,) centre circles' distance along the race's axis from its centre, (+e, -e) [m].
+        side: (2,) +1 for the outer race, -1 for the inner.
+        flank: r_g - r of the nominal groove [m]; 0 for a circular section.
+        sine, cosine: of the contact angle.
+        clearance: (2,) normal clearance to each flank [m].
+        ball: ball radius [m].
+        gothic: (2,) +1 and -1, the flanks; (1,) zero for a circular section.
+    """
+
+    radius: Array
+    offset: Array
+    side: Array
+    flank: Array
+    sine: Array
+    cosine: Array
+    clearance: Array
+    ball: Array
+    gothic: Array
+
+
+def dot(a: Array, b: Array) -> Array:
+    """Inner product along the last axis."""
+    return jnp.sum(a * b, axis=-1)
+
+
+def grooves(shape: Groove, place: Array, across: Array) -> Geometry:
+    """Balls in the tracks of both races: torus of circular or gothic section (physics sheet 5.3, rows 4 and 5).
+
+    In the section, t across the track's plane and a outward of the track circle, flank s = +-1 has its circle's
+    centre at  -(r_g - r)(s sin(alpha), side cos(alpha))  and  d = |(t, a) - centre| - (r_g - r) - clearance.
+
+    Args:
+        place: (..., 2, 3) ball centre less track-circle centre [m].
+        across: (..., 2, 3) unit normal of the track's plane.
+    """
+    t = dot(place, across)
+    plane = place - t[..., None] * across
+    distance = jnp.sqrt(dot(plane, plane))
+    radial = (plane / distance[..., None])[..., None, :]
+    across = across[..., None, :]
+    y_t = t[..., None] + shape.gothic * (shape.flank * shape.sine)
+    y_a = (distance - shape.radius + shape.side * (shape.flank * shape.cosine))[..., None]
+    # 1e-12 m: a ball exactly in the middle of a circular groove has no direction, and no force.
+    length = jnp.sqrt(y_t * y_t + y_a * y_a + 1e-24)
+    n_t, n_a = y_t / length, y_a / length
+    normal = n_t[..., None] * across + n_a[..., None] * radial
+    upward = n_a[..., None] * across - n_t[..., None] * radial
+    along = jnp.cross(radial, across)
+    bends = ((upward, 1.0 / length), (along, n_a / distance[..., None]))
+    gate = slope = None
+    if shape.gothic.size == 2:
+        gate, gate_rate = jax.jvp(sector, (shape.gothic * n_t,), (shape.gothic * n_a / length,))
+        slope = gate_rate[..., None] * upward
+    penetration = length - (shape.flank + shape.clearance[:, None])
+    return Geometry(penetration, normal, jnp.broadcast_to(shape.ball, t.shape + (1,)), gate, bends, slope)
+
+
+def windows(clearance: Array, ball: Array, place: Array, axis: Array) -> Geometry:
+    """Balls between the plane faces of their cage windows (physics sheet 5.3, row 3):  d = +-p . axis - clearance.
+
+    A window has no ends around the cage.
+
+    Args:
+        clearance: gap of a centred ball to either face [m].
+        ball: ball radius [m].
+        place: (..., 3) ball centre less cage centre [m].
+        axis: (3,) the cage's unit axis.
+    """
+    sides = jnp.array([1.0, -1.0])
+    penetration = sides * dot(place, axis)[..., None] - clearance
+    normal = jnp.broadcast_to(sides[:, None] * axis, penetration.shape + (3,))
+    return Geometry(penetration, normal, jnp.broadcast_to(ball, penetration.shape), None, ())
+
+
+def pilots(clearance: Array, hollow: Array, place: Array) -> Geometry:
+    """Spheres in hollow spheres (physics sheet 5.3, rows 1 and 2):  d = |p| - clearance.
+
+    Full spheres: a real pilot is a band, whose edge carries an axial load a little off the pole.
+
+    Args:
+        clearance: (k,) radial clearance [m].
+        hollow: (k,) radius of the hollow sphere [m].
+        place: (k, 3) inner centre less outer centre [m].
+    """
+    distance = jnp.sqrt(dot(place, place) + 1e-24)[:, None]
+    normal = (place / distance)[:, None, :]
+    across = jnp.eye(3) - normal * jnp.swapaxes(normal, -1, -2)
+    # I - n n' is the sum of its own columns' dyads.
+    bends = tuple((across[:, None, :, i], 1.0 / distance) for i in range(3))
+    return Geometry(distance - clearance[:, None], normal, hollow[:, None] - distance, None, bends, None, -1.0)
+
+
+def join(first: Geometry, second: Geometry) -> Geometry:
+    """Contacts with two groups of bodies side by side, (n, m, f) and (n, f), as one (n, m + 1, f).
+
+    The second is without edges, curvature or change of lever, as a window is.
+    """
+    second = jax.tree.map(lambda x: x[:, None], second._replace(lever_slope=None))
+    flat = second.normal
+    bends = tuple(
+        (
+            jnp.concatenate([jnp.broadcast_to(unit, first.normal.shape), flat], 1),
+            jnp.concatenate([jnp.broadcast_to(curve, first.normal.shape[:-1]), jnp.zeros_like(second.lever)], 1),
+        )
+        for unit, curve in first.bends
+    )
+    gate = slope = None
+    if first.gate is not None:
+        assert first.gate_slope is not None
+        gate = jnp.concatenate([first.gate, jnp.ones_like(second.lever)], 1)
+        slope = jnp.concatenate([first.gate_slope, jnp.zeros_like(flat)], 1)
+    lever = jnp.broadcast_to(first.lever, first.normal.shape[:-1])
+    return Geometry(
+        jnp.concatenate([first.penetration, second.penetration], 1),
+        jnp.concatenate([first.normal, flat], 1),
+        jnp.concatenate([lever, second.lever], 1),
+        gate,
+        bends,
+        slope,
+    )
+
+
+def act(
+    skin: Skin | SkinPair, at: Geometry, velocity: Array, spin: Array | None, bristles: Array | None = None
+) -> Touch:
+    """Forces of contacts (module docstring).
+
+    Args:
+        velocity: (..., 3) v of the second centre relative to the first body's material there [m/s].
+        spin: (..., 3) w, relative angular velocity [1/s]; None for a body that is a particle.
+        bristles: (..., f, 3) deflections z [m]; without them every law acts by its steady slip.
+    """
+    velocity = velocity[..., None, :]
+    rate = dot(at.normal, velocity)
+    normal = skin.normal(at.penetration, rate)
+    if at.gate is not None:
+        normal = normal * at.gate
+    slide = velocity - rate[..., None] * at.normal
+    if spin is not None:
+        slide = slide + jnp.cross(spin[..., None, :], at.lever[..., None] * at.normal)
+    slip_squared = dot(slide, slide)
+    force = -jnp.sum(normal[..., None] * at.normal, -2)
+    drag = moment = jnp.zeros_like(force)
+    bending = rubbed = None
+    if skin.friction is not None:
+        if bristles is None:
+            drags = -(normal * skin.mobility(slip_squared))[..., None] * slide
+        else:
+            forget, stick, mobility = (x[..., None] for x in skin.bond(slip_squared))
+            bent = bristles - dot(at.normal, bristles)[..., None] * at.normal
+            drags = -normal[..., None] * (stick * bent + mobility * slide)
+            apart = skin.apart(at.penetration)[..., None]
+            bending = (1.0 - apart) * (slide - forget * bristles) - apart / RELAX * bristles
+            rubbed = -dot(drags, slide)
+        drag = jnp.sum(drags, -2)
+        force = force + drag
+        moment = jnp.sum(jnp.cross(at.lever[..., None] * at.normal, drags), -2)
+    slip = jnp.sqrt(slip_squared)
+    return Touch(force, None if spin is None else moment, drag, normal, at.penetration, rate, slip, bending, rubbed)

@@ -1,0 +1,67 @@
+"""The joint's default numbers, each with where it is from. Nothing here is a measurement of the paper's joint.
+
+"paper": Zhu et al., Machines 2023, 11(4), 466. "group": sizes of the optimised joint of the same group (Energies
+2022, 15, 7591), read as sphere diameters. "derived": computed from these. "GUESS": within the ranges usual for such
+joints.
+"""
+
+from __future__ import annotations
+
+import math
+
+DEFAULTS: dict[str, tuple[float, str]] = {
+    "drive_speed": (100.0 * 2.0 * math.pi / 60.0, "paper: 100 r/min"),
+    "load_torque": (1800.0, "paper: resisting torque 1.8 kN m"),
+    "load_ramp": (0.05, "GUESS: the paper does not say how the torque is raised"),
+    "axial_load": (0.0, "GUESS: the paper names an axial load and gives no number"),
+    "joint_angle": (math.radians(23.0), "paper: 180 - 157 degrees"),
+    "seat_radius": (0.040, "group: seat 80 mm"),
+    "head_radius": (0.031, "group: head 62 mm"),
+    "ball_radius": (0.008, "group: ball 16 mm"),
+    "pitch_radius": (0.0355, "derived: midway between seat and head spheres (GUESS)"),
+    "offset": (0.0045, "GUESS: track offset e of 0.08 to 0.14 pitch radii is usual"),
+    "contact_angle": (math.radians(40.0), "GUESS: 35 to 45 degrees for gothic grooves"),
+    "conformity": (0.52, "GUESS: groove radius over ball diameter, 0.505 to 0.54"),
+    "clearance_seat_cage": (50e-6, "GUESS: radial, 20 to 100 um"),
+    "clearance_head_cage": (50e-6, "GUESS: radial, 20 to 100 um"),
+    "clearance_cage_ball": (10e-6, "GUESS: to either window face, up to 40 um"),
+    "clearance_seat_ball": (10e-6, "GUESS: normal to the flank, 10 to 60 um"),
+    "clearance_head_ball": (10e-6, "GUESS: normal to the flank, 10 to 60 um"),
+    "stiffness": (3.70e10, "derived: elliptic Hertz, ball in groove of conformity 0.52 (mean of both races)"),
+    "cage_ball.stiffness": (1.3476e10, "derived: Hertz, ball on flat window"),
+    "seat_cage.stiffness": (8.518e11, "derived: Lankarani-Nikravesh, sphere in socket, 50 um"),
+    "head_cage.stiffness": (6.606e11, "derived: Lankarani-Nikravesh, sphere in socket, 50 um"),
+    "exponent": (1.5, "paper: nonlinear index 1.5"),
+    "damping": (0.111, "GUESS: restitution 0.9 at 1.5 m/s"),
+    "smoothing": (
+        20e-6,
+        "chosen: twice the balls' clearance: free balls do not rattle; benchmarks/models/joint_knobs.py",
+    ),
+    "friction_static": (0.12, "paper"),
+    "friction_dynamic": (0.03, "paper"),
+    "friction_speed": (0.1, "GUESS: usual in multibody work; benchmarks/models/joint_knobs.py"),
+    "bristle_stiffness": (1e5, "GUESS: bristles bend by 1.2 um until break-away"),
+    "bristle_damping": (1.0, "GUESS"),
+    "ball_mass": (0.016731, "derived: steel sphere, 7801 kg/m^3"),
+    "cage_mass": (0.4, "GUESS: 0.3 to 0.5 kg"),
+    "cage_inertia": (3.36e-4, "GUESS: spherical shell of the cage's mass at the pitch radius"),
+    "head_mass": (1.5, "GUESS: steel sphere of 62 mm and a stub of shaft"),
+    "head_inertia": (1e-3, "GUESS: about its own axis"),
+    "seat_inertia": (5e-3, "GUESS: about its own axis; read by a flexible drive only"),
+    "drive_stiffness": (2e5, "GUESS: torsion of the drive; read by a flexible drive only"),
+    "drive_damping": (50.0, "GUESS; read by a flexible drive only"),
+    "effective_modulus": (113.0e9, "derived: steel on steel, 207 GPa, 0.29 (paper)"),
+    "contact_length": (16e-3, "GUESS: the ball's diameter"),
+    "radius": (8e-3, "group: ball 16 mm"),
+    "radius_difference": (50e-6, "GUESS"),
+    "reference_force": (1.17e4, "derived: the power law's force at the reference penetration"),
+    "reference_penetration": (46.4e-6, "derived: elliptic Hertz at 12 kN"),
+    "bottoming_stiffness": (1e9, "GUESS"),
+    "bottoming_penetration": (46.4e-6, "GUESS: the reference penetration"),
+    "bottoming_width": (5e-6, "GUESS"),
+    "bottoming_damping": (0.111, "GUESS: the layer's"),
+    "restitution": (0.9, "GUESS"),
+    "approach_speed": (1.5, "paper: initial collision velocity"),
+    "dashpot": (1000.0, "GUESS"),
+    "damping_depth": (1e-4, "paper: maximum elastic deformation 0.1 mm, read as the depth of IMPACT"),
+}

@@ -1,0 +1,130 @@
+"""What the joint in equilibrium leaves out, estimated from its own solution: the error indicator of the static rungs.
+
+The motion without clearance says how everything slides, so that friction, damping and the balls' inertia can be
+evaluated at each equilibrium that leaves them out. What they push is not balanced there. One step of Newton's method,
+with the equilibrium's own matrix, moves the parts until it is,  dx = K^-1 f,  and with  dN = (dN/dx) dx  the normal
+forces change by about what the dynamic model would change them. The cage turns about its own axis as fast as leaves it
+no torque.
+
+Of first order in friction: good where it is small, which is where a rung without friction can be right, and large where
+friction is. Not in it: what the take-up of the load sets swinging.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from bcfj_jax.mechanism.scene import Params
+from bcfj_jax.models.joint import system
+from bcfj_jax.models.joint.equilibrium_residual import Places, Problem, balance, slots_of, solve, tilted_axis
+from bcfj_jax.models.joint.kinematic import kinematic_readings
+from bcfj_jax.models.joint.observe import observe
+from bcfj_jax.models.joint.quasistatic import flat_places, posed, quasistatic_places
+from bcfj_jax.models.joint.scene import Joint
+from bcfj_jax.models.joint.start import nominal
+
+# Newton steps for the cage's turn about its axis, which friction's slope makes quick.
+_TURNS = 4
+
+
+class Statics(NamedTuple):
+    """Normal forces at T instants by contact, (T, balls) or (T,) [N].
+
+    Attributes:
+        kinematic, quasistatic: of the two rungs that solve no motion.
+        omitted: what the quasistatic ones lack, to first order.
+        converged: (T,) whether there is an equilibrium.
+    """
+
+    kinematic: dict[str, Array]
+    quasistatic: dict[str, Array]
+    omitted: dict[str, Array]
+    converged: Array
+
+
+def generalised(scene: Joint, problem: Problem, at: Places, ball: Array, border: Array) -> Places:
+    """Wrenches as ``system.on_bodies`` has them, (T, balls, twist) and (T, border), on the unknowns of ``balance``."""
+    slots, where, lever = slots_of(scene), scene.slots, problem.lever
+    parts = {"turn": border[:, where["head_turn"]].T / lever}
+    if "head" in slots:
+        parts["head"] = border[:, where["head"]].T
+    if "cage" in slots:
+        parts["cage"] = border[:, where["cage"]].T
+        torque = border[:, where["cage_turn"]].T
+        axis, first, _ = tilted_axis(problem.c, at.border[slots["tilt"]] / lever)
+        parts["tilt"] = jnp.stack([jnp.sum(torque * jnp.cross(axis, way, axis=0), 0) for way in first]) / lever
+    return Places(jnp.transpose(ball[..., :3], (2, 1, 0)), jnp.concatenate([parts[name] for name in slots]))
+
+
+def _wrench(scene: Joint, c: Any, y: Array) -> tuple[Array, Array]:
+    state = system.view(scene, c, y)
+    return system.on_bodies(scene, c, state, system.touches(scene, c, state))
+
+
+def _free_turn(scene: Joint, c: Any, y: Array) -> Array:
+    """The state with the cage turning about its own axis so that nothing brakes or drives it."""
+    slot = scene.slots["cage_turn"]
+    if slot is None:
+        return y
+    first = (3 + scene.twist) * scene.balls + scene.border
+    axis = system.view(scene, c, y).cage_axis
+
+    def turned(extra: Array) -> Array:
+        return y.at[first + slot.start : first + slot.stop].add(extra * axis)
+
+    def torque(extra: Array) -> Array:
+        return _wrench(scene, c, turned(extra))[1][slot] @ axis
+
+    def step(_: Any, extra: Array) -> Array:
+        value, slope = jax.jvp(torque, (extra,), (jnp.ones(()),))
+        return extra - jnp.where(slope < 0.0, value / jnp.where(slope < 0.0, slope, -1.0), 0.0)
+
+    return turned(jax.lax.fori_loop(0, _TURNS, step, jnp.zeros(())))
+
+
+@partial(jax.jit, static_argnums=0)
+def statics(scene: Joint, params: Params, times: Array) -> Statics:
+    """Both static rungs at the times [s], and what they leave out. Compiled once a scene and number of times.
+
+    Args:
+        scene: a joint of fidelity "quasistatic" (so that it has no bristles), with the laws of the dynamic one.
+        params: its parameters [SI].
+        times: (T,) [s], in any order.
+    """
+    times = jnp.asarray(times, dtype=float)
+    found = quasistatic_places(scene, params, times)
+    problem, at = posed(scene, params, times), found.places
+    value = flat_places(scene, problem, at)
+    c, size = problem.c, value.shape[1]
+    moves = jnp.arange(scene.states) >= size
+
+    def of(t: Array) -> Array:
+        return nominal(scene, params, params["drive_speed"] * t)
+
+    ideal, change = jax.vmap(lambda t: jax.jvp(of, (t,), (jnp.ones(()),)))(times)
+    states = jnp.concatenate([value, ideal[:, size:]], 1)
+
+    def lacking(y: Array, rate: Array) -> tuple[Array, Array]:
+        still, moving = (_wrench(scene, c, x) for x in (jnp.where(moves, 0.0, y), _free_turn(scene, c, y)))
+        ball, border = (a - b for a, b in zip(moving, still, strict=True))
+        swing = rate[size : size + scene.twist * scene.balls].reshape(scene.balls, -1)[:, :3]
+        return ball.at[:, :3].add(-swing / c.ball_lightness[:3]), border
+
+    pushed = generalised(scene, problem, at, *jax.vmap(lacking)(states, change))
+    _, matrix = balance(scene, problem, at)
+    (step,) = solve(matrix, pushed)
+
+    def normals(places: Places) -> dict[str, Array]:
+        here = flat_places(scene, problem, places)
+        still = jnp.concatenate([here, jnp.zeros((times.size, scene.states - size))], 1)
+        return {name: r.force[..., 0] for name, r in jax.vmap(lambda y: observe(scene, c, y))(still).items()}
+
+    here, change_of = jax.jvp(normals, (at,), (step,))
+    ideal_readings = kinematic_readings(scene, params, times)
+    sketched = {name: reading.force[..., 0] for name, reading in ideal_readings.items()}
+    return Statics(sketched, here, change_of, found.converged)

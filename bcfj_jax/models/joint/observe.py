@@ -1,0 +1,165 @@
+"""What instruments on the joint would read in one state, contact by contact, and which state each contact is in.
+
+Components of a force (the last axis, normal, axial, tangential); friction is that on the second body named here:
+
+| contact                | normal                                       | axial                   | tangential         |
+|------------------------|----------------------------------------------|-------------------------|--------------------|
+| seat_ball, head_ball   | sum of both flanks' normal forces            | along the track         | around the section |
+| cage_ball              | force on the cage along its axis, either sign| outward from its centre | around the cage    |
+| seat_cage, head_cage   | normal force between the spheres             | along the cage's axis   | around that axis   |
+
+Axial and tangential are friction alone: normal, axial and tangential directions are at right angles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from bcfj_jax.mechanism.dynamics import Reading, contact_state
+from bcfj_jax.mechanism.scene import Params
+from bcfj_jax.models.joint import energy
+from bcfj_jax.models.joint.constants import Constants, constants
+from bcfj_jax.models.joint.contacts import Touch, dot
+from bcfj_jax.models.joint.scene import GROOVES, Joint
+from bcfj_jax.models.joint.system import State, around, touches, view
+
+
+def _unit(vector: Array) -> Array:
+    """A direction; zero for the zero vector, with finite derivatives."""
+    squared = dot(vector, vector)[..., None]
+    safe = jnp.where(squared > 0, squared, 1.0)
+    return jnp.where(squared > 0, vector / jnp.sqrt(safe), 0.0)
+
+
+def _read(touch: Touch, normal: Array, axial: Array) -> Reading:
+    """Components from a touch, its signed normal and a reference that is not along the normal."""
+    way = _unit(touch.drag - touch.force)
+    first = _unit(axial - dot(axial, way)[..., None] * way)
+    second = jnp.cross(way, first)
+    force = jnp.stack([normal, dot(touch.drag, first), dot(touch.drag, second)], -1)
+    deepest = jnp.argmax(touch.penetration, axis=-1, keepdims=True)
+    depth, rate, slip = (
+        jnp.take_along_axis(x, deepest, -1)[..., 0] for x in (touch.penetration, touch.rate, touch.slip)
+    )
+    # A law clips NaN to no force; a state that failed must not read as one that is merely apart.
+    return Reading(jnp.where(jnp.isnan(depth)[..., None], jnp.nan, force), depth, rate, slip)
+
+
+def observe(scene: Joint, c: Constants, y: Array) -> dict[str, Reading]:
+    """Every contact's reading in one flat state; of a contact a ball (balls, 3) and (balls,), else (3,) and ()."""
+    state = view(scene, c, y)
+    found = touches(scene, c, state)
+    readings: dict[str, Reading] = {}
+    if found.pilots is not None:
+        reading = _read(found.pilots, jnp.sum(found.pilots.normal, -1), state.cage_axis)
+        readings = {name: _member(reading, i) for i, name in enumerate(scene.pilots)}
+    if found.windows is not None:
+        normal = found.windows.normal[..., 0] - found.windows.normal[..., 1]
+        readings["cage_ball"] = _read(found.windows, normal, state.ball_place - state.cage_place)
+    along = _along(scene, c, state)
+    reading = _read(found.grooves, jnp.sum(found.grooves.normal, -1), along)
+    for i, name in enumerate(GROOVES):
+        readings[name] = _member(reading, (slice(None), i))
+    return {contact.name: readings[contact.name] for contact in scene.contacts}
+
+
+def observe_at_rest(scene: Joint, c: Constants, y: Array) -> dict[str, Reading]:
+    """As ``observe``, with forces as if nothing moved (no damping, no friction); rates and sliding as they are."""
+    velocities = jnp.arange(y.size) >= 3 * scene.balls + scene.border
+    moving, still = observe(scene, c, y), observe(scene, c, jnp.where(velocities, 0.0, y))
+    return {name: still[name]._replace(rate=moving[name].rate, slip=moving[name].slip) for name in moving}
+
+
+def pressed(reading: Reading) -> np.ndarray:
+    """Normal force where surfaces overlap: what a smoothed onset bears across a gap is numerical."""
+    return np.where(np.asarray(reading.penetration) < 0, 0.0, np.asarray(reading.force)[..., 0])
+
+
+def contact_states(scene: Joint, params: Params, readings: Mapping[str, Reading]) -> dict[str, np.ndarray]:
+    """``dynamics.contact_state`` of every contact, from what ``observe`` read; of its deepest face, on the host.
+
+    Statics know no friction: in the fidelities ``quasistatic`` and ``kinematic`` what presses is touching.
+    """
+    found = {}
+    for contact in scene.contacts:
+        reading = readings[contact.name]
+        rubs = contact.friction is not None and scene.fidelity == "dynamic"
+        transition = float(scene.coefficient(params, contact.name, "friction_speed")) if rubs else None
+        slip = None if reading.slip is None else np.asarray(reading.slip)
+        found[contact.name] = contact_state(pressed(reading), slip, transition)
+    return found
+
+
+def resultants(scene: Joint, c: Constants, y: Array) -> dict[str, Array]:
+    """Sum over its members of each contact's whole force, friction included, (3,) [N], in one flat state.
+
+    World axes: z the seat's axis, x in the plane of both axes, the head's axis leaning to +x. Forces are those on the
+    second body: on the balls of seat_ball, head_ball and cage_ball, on the cage of seat_cage, on the head of head_cage.
+    """
+    found = touches(scene, c, view(scene, c, y))
+    sums = {name: jnp.sum(found.grooves.force[:, i], 0) for i, name in enumerate(GROOVES)}
+    if found.windows is not None:
+        sums["cage_ball"] = jnp.sum(found.windows.force, 0)
+    if found.pilots is not None:
+        sums |= {name: found.pilots.force[i] for i, name in enumerate(scene.pilots)}
+    return {contact.name: sums[contact.name] for contact in scene.contacts}
+
+
+def _member(reading: Reading, index: Any) -> Reading:
+    return jax.tree.map(lambda part: part[index], reading)
+
+
+def _along(scene: Joint, c: Constants, state: State) -> Array:
+    """Direction of either track at each ball, (balls, 2, 3)."""
+    found = around(scene, c, state)
+    place = found.motion.arm[:, :2] - c.groove.offset[:, None] * c.axes
+    return _unit(jnp.cross(place, found.across))
+
+
+class Whole(NamedTuple):
+    """What the joint as a whole does at T instants of a run with inertia.
+
+    Attributes:
+        resultants: by contact (T, 3) [N], see ``resultants``.
+        power, stored: flows [W] and stores [J] of energy, (T,) each.
+        cage_residual: (T, 3) Newton's law of the cage, ``energy.cage_equilibrium`` [N]; None for a fixed cage.
+        angle_error: (T,) head's turn less seat's [rad].
+        speed_ratio: (T,) head's speed over seat's [-].
+    """
+
+    resultants: dict[str, Array]
+    power: energy.Power
+    stored: energy.Stored
+    cage_residual: Array | None
+    angle_error: Array
+    speed_ratio: Array
+
+
+# Run once on a few thousand states: to compile quickly matters more than to run quickly.
+@partial(jax.jit, static_argnums=0, compiler_options={"xla_backend_optimization_level": 0})
+def whole(scene: Joint, params: Params, times: Array, states: Array) -> Whole:
+    """Everything in ``Whole``, of flat states (T, n) at the times [s]; NaN where a state is."""
+    c = constants(scene, params)
+
+    def one(t: Array, y: Array) -> Whole:
+        # A law clips NaN to no force.
+        failed = jnp.where(jnp.all(jnp.isfinite(y)), 0.0, jnp.nan)
+        state = view(scene, c, y)
+        found = Whole(
+            resultants(scene, c, y),
+            energy.power(scene, c, t, y),
+            energy.stored(scene, c, t, y),
+            energy.cage_equilibrium(scene, c, y, t) if scene.cage == "free" else None,
+            state.head_turn - state.seat_turn,
+            state.head_spin / state.seat_spin,
+        )
+        return jax.tree.map(lambda x: x + failed, found)
+
+    return jax.vmap(one)(times, states)

@@ -1,0 +1,129 @@
+"""The joint repeats itself: from one ball's pitch to the next its forces are the same, with the balls renumbered.
+
+A turn of the seat by 2 pi/n takes every track to where the next one was, so nothing that acts has changed, and under
+steady load a motion that has forgotten its start is that of a pitch ago: ball j does what ball j + 1 did. ``fold``
+turns a long run into a short one, its load's rise and some pitches; ``mismatch`` says how far the last of these was
+from repeating the one before; ``unfolded`` gives the long run's arrays. NumPy, on the host.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bcfj_jax.mechanism.scene import Params
+from bcfj_jax.models.joint.scene import OF_A_BALL, Joint
+
+# Instants at which two pitches are compared: in the second half alone. A start that dies away is then larger in what is
+# compared than anywhere in the pitch that is repeated, as that comes later.
+_PHASES = 48
+# Instants that fall together are this far apart [s], so that they still increase.
+_APART = 1e-12
+
+
+class Folded(NamedTuple):
+    """A run of T times as one of M = T + 2 C, whatever is folded: one program serves both.
+
+    Attributes:
+        times: (M,) increasing [s], at which to solve.
+        index: (T,) which of them answers each time wanted; ``pitches`` (T,): how many pitches earlier it is.
+        before, last: (C,) the same phases of the last pitch but one and the last.
+    """
+
+    times: np.ndarray
+    index: np.ndarray
+    pitches: np.ndarray
+    before: np.ndarray
+    last: np.ndarray
+
+
+def pitch(scene: Joint, params: Params) -> float:
+    """Time in which the seat turns by one ball's pitch [s]; infinite for one that stands still."""
+    speed = abs(float(params["drive_speed"]))
+    return 2.0 * np.pi / (scene.balls * speed) if speed > 0.0 else np.inf
+
+
+def risen(scene: Joint, params: Params, count: float) -> float:
+    """When the load has risen and ``count`` pitches have passed [s]; after one the start is forgotten."""
+    return float(params["load_ramp"]) + count * pitch(scene, params)
+
+
+def fold(scene: Joint, params: Params, times: np.ndarray, end: float, whole: bool = False) -> Folded:
+    """The short run that stands for a long one.
+
+    Args:
+        scene, params: the joint, its parameters [SI].
+        times: (T,) wanted, increasing [s].
+        end: of the short run [s], a pitch and a half or more after the load has risen.
+        whole: leave all times where they are.
+    """
+    period = pitch(scene, params)
+    late = np.zeros(times.size) if whole else np.maximum(0.0, np.ceil((times - end) / period))
+    phases = end - 0.5 * period * np.arange(_PHASES)[::-1] / _PHASES
+    every = np.concatenate([times - late * period, phases - period, phases])
+    order = np.argsort(every, kind="stable")
+    place = np.empty_like(order)
+    place[order] = np.arange(order.size)
+    # Each at least a little after the one before it.
+    rising = np.maximum.accumulate(every[order] - _APART * np.arange(order.size)) + _APART * np.arange(order.size)
+    count = times.size
+    first, second = place[count : count + _PHASES], place[count + _PHASES :]
+    return Folded(rising, place[:count], late.astype(int), first, second)
+
+
+def _renumbered(scene: Joint, params: Params, values: np.ndarray, pitches: np.ndarray, axis: int = 1) -> np.ndarray:
+    """Values (T, balls, ...) of instants that many pitches later: ball j does what ball j + pitches did."""
+    turned = np.sign(float(params["drive_speed"])).astype(int) * pitches
+    which = (np.arange(scene.balls) + turned[:, None]) % scene.balls
+    return np.take_along_axis(values, which.reshape(*which.shape, *[1] * (values.ndim - 2)), axis)
+
+
+def unfolded(
+    scene: Joint, params: Params, folded: Folded, histories: Mapping[str, np.ndarray]
+) -> dict[str, np.ndarray]:
+    """Histories by contact, (M, ...), of the long run, (T, ...)."""
+    found = {}
+    for name, values in histories.items():
+        wanted = values[folded.index]
+        found[name] = _renumbered(scene, params, wanted, folded.pitches) if name in OF_A_BALL else wanted
+    return found
+
+
+def unfolded_states(scene: Joint, params: Params, folded: Folded, states: np.ndarray) -> np.ndarray:
+    """Flat states (M, n) of the long run, (T, n): balls renumbered, head and seat turned on."""
+    n, k, wanted = scene.balls, scene.twist, states[folded.index].copy()
+    width = 3 * sum(faces for name, faces in scene.bristles.items() if name in OF_A_BALL)
+    velocities = 3 * n + scene.border
+    for first, size in ((0, 3), (velocities, k), (scene.moving, width)):
+        part = wanted[:, first : first + n * size]
+        balls = _renumbered(scene, params, part.reshape(len(part), n, size), folded.pitches)
+        wanted[:, first : first + n * size] = balls.reshape(part.shape)
+    turned = 2.0 * np.pi / n * np.sign(float(params["drive_speed"])) * folded.pitches
+    for name in ("head_turn", "seat_turn"):
+        slot = scene.slots[name]
+        assert slot is not None
+        wanted[:, 3 * n + slot.start] += turned
+    return wanted
+
+
+def mismatch(scene: Joint, params: Params, folded: Folded, force: Mapping[str, Any]) -> dict[str, float]:
+    """How far the last pitch is from repeating the one before.
+
+    Of each contact the rms over its second half of the difference of normal forces, its worst member's, as a fraction
+    of the largest in the short run; 0 for one that never touches.
+
+    Args:
+        force: by contact, (M, 3) or (M, balls, 3) [N], of the times of ``folded``.
+    """
+    found = {}
+    one = np.ones(_PHASES, int)
+    for name, values in force.items():
+        normal = np.asarray(values)[..., 0]
+        first, second = normal[folded.before], normal[folded.last]
+        if name in OF_A_BALL:
+            first = _renumbered(scene, params, first, one)
+        off, top = np.sqrt(np.mean(np.square(second - first), axis=0)).max(), np.abs(normal).max()
+        found[name] = float(off / top) if top != 0.0 else 0.0
+    return found

@@ -1,0 +1,204 @@
+"""The joint in equilibrium at every instant: massless parts, no friction, no damping.
+
+At time t the seat stands at drive_speed t, the head bears its load, and every contact bears  skin.normal(d, 0).
+Unknown are the balls' places and, as far as the scene frees them, the head's place and turn, the cage's place and tilt.
+Clearances leave play, in which nothing decides where a part floats: weak springs to the zero-clearance position
+(``start.nominal``) do, see ``GROUND``.
+
+``pool`` searches; derivatives are those of the implicit function.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from bcfj_jax.mechanism.scene import Params
+from bcfj_jax.models.joint import system
+from bcfj_jax.models.joint.batched_newton import Found, displaced, pull, search
+from bcfj_jax.models.joint.constants import constants
+from bcfj_jax.models.joint.equilibrium_residual import Places, Problem, balance, slots_of, solve, tilted_axis
+from bcfj_jax.models.joint.observe import observe
+from bcfj_jax.models.joint.scene import Joint
+from bcfj_jax.models.joint.start import nominal
+
+# Stiffness of the grounding springs, in ball loads T/(z Rp) + |axial load| per metre (and 1e-3 N/m, so that no load
+# is no singular matrix): a play of 100 um takes 1e-6 of a ball's load.
+GROUND = 1e-2
+
+
+class QuasistaticSolution(NamedTuple):
+    """Equilibrium at each of T instants.
+
+    Attributes:
+        states: (T, scene.states) as ``system`` reads them; NaN where not converged. Velocities are the equilibrium's
+            own rates of change; a ball spins as the cage does.
+        converged: (T,) whether Newton's method did.
+        iterations: (T,) evaluations of the forces it took.
+        places: displacements from the zero-clearance position, 0 where not converged; without derivatives.
+    """
+
+    states: Array
+    converged: Array
+    iterations: Array
+    places: Places
+
+
+@partial(jax.jit, static_argnums=0)
+def quasistatic(scene: Joint, params: Params, times: Array, near: Places | None = None) -> QuasistaticSolution:
+    """Equilibrium at each time. Compiled once a scene and number of times.
+
+    Differentiable in ``params`` and ``times``, forward and reverse, to any order, by the implicit function theorem;
+    ``vmap`` over ``params`` works. A kink (a contact that just touches) has the derivative of one side.
+
+    Args:
+        scene: any joint; its friction, damping, masses and drive compliance are not read.
+        params: its parameters [SI].
+        times: (T,) [s], in any order; the load ramp is read at them.
+        near: as ``quasistatic_places``.
+    """
+    times = jnp.asarray(times, dtype=float)
+    found = quasistatic_places(scene, params, times, near)
+    problem, drift = _moving_problem(scene, params, times)
+    at = _equilibrium(scene)(problem, found.places)
+    rates = _rates_of(scene)(problem, drift, at, found.rates)
+    value, rate = jax.jvp(partial(flat_places, scene), (problem, at), (drift, rates))
+    states = _with_rates(scene, problem.c, value, rate)
+    states = jnp.where(found.converged[:, None], states, jnp.nan)
+    return QuasistaticSolution(states, found.converged, found.iterations, found.places)
+
+
+def zero_clearance(scene: Joint, count: int) -> Places:
+    """No displacements at ``count`` instants."""
+    size = sum(slot.stop - slot.start for slot in slots_of(scene).values())
+    return Places(jnp.zeros((3, scene.balls, count)), jnp.zeros((size, count)))
+
+
+@partial(jax.jit, static_argnums=0)
+def quasistatic_places(scene: Joint, params: Params, times: Array, near: Places | None = None) -> Found:
+    """The search for equilibrium and nothing else; without derivatives.
+
+    Args:
+        scene, params, times: as ``quasistatic``.
+        near: places at the same times in equilibrium under other parameters, from which to start.
+    """
+    params, times = jax.lax.stop_gradient((params, jnp.asarray(times, dtype=float)))
+    found = search(scene, *_moving_problem(scene, params, times), times, near)
+    # From zero where the search failed: a NaN would spoil the others' derivatives in reverse mode.
+    places, rates = (jax.tree.map(lambda x: jnp.where(found.converged, x, 0.0), p) for p in (found.places, found.rates))
+    return jax.lax.stop_gradient(Found(places, rates, found.converged, found.iterations))
+
+
+@partial(jax.jit, static_argnums=0)
+def quasistatic_forces(scene: Joint, params: Params, times: Array, found: Found | None = None) -> dict[str, Array]:
+    """Normal force of every contact at each time [N], (T, balls) or (T,), as ``observe`` has it; NaN where none.
+
+    Differentiable as ``quasistatic`` is, in a program a fraction as large: there are no velocities in it.
+
+    Args:
+        scene, params, times: as ``quasistatic``.
+        found: ``quasistatic_places`` of the same, where it is at hand: a search need not be compiled with derivatives.
+    """
+    times = jnp.asarray(times, dtype=float)
+    found = quasistatic_places(scene, params, times) if found is None else found
+    problem = posed(scene, params, times)
+    value = flat_places(scene, problem, _equilibrium(scene)(problem, jax.lax.stop_gradient(found.places)))
+    states = _with_rates(scene, problem.c, value, jnp.zeros_like(value))
+    still = jnp.where(jnp.arange(scene.states) < value.shape[1], states, 0.0)
+    readings = jax.vmap(lambda y: observe(scene, problem.c, y))(still)
+    force = {name: reading.force[..., 0].T for name, reading in readings.items()}
+    return {name: jnp.where(found.converged, x, jnp.nan).T for name, x in force.items()}
+
+
+def posed(scene: Joint, params: Params, times: Array) -> Problem:
+    """What equilibrium depends on at each time."""
+    p, n = params, scene.balls
+    c = constants(scene, params)
+    seat = p["drive_speed"] * times
+    places = jax.vmap(lambda angle: nominal(scene, params, angle)[: 3 * n])(seat)
+    return Problem(
+        c,
+        jnp.transpose(places.reshape(-1, n, 3), (2, 1, 0)),
+        seat,
+        jax.vmap(lambda t: system.load_torque(c, t))(times),
+        GROUND * (jnp.abs(p["load_torque"]) / (n * p["pitch_radius"]) + jnp.abs(p["axial_load"])) + 1e-3,
+        p["pitch_radius"],
+    )
+
+
+def flat_places(scene: Joint, problem: Problem, at: Places) -> Array:
+    """Places of the flat state (T, 3 n + border), from displacements."""
+    slots, seat = slots_of(scene), problem.seat
+    parts = {"head_turn": (seat + at.border[slots["turn"]][0] / problem.lever)[None], "seat_turn": seat[None]}
+    if "head" in slots:
+        parts["head"] = at.border[slots["head"]]
+    if "cage" in slots:
+        parts["cage"] = at.border[slots["cage"]]
+        parts["cage_turn"] = tilted_axis(problem.c, at.border[slots["tilt"]] / problem.lever)[0]
+    ball = jnp.transpose(problem.ball + at.ball, (2, 1, 0)).reshape(seat.size, -1)
+    border = [parts[name] for name, slot in scene.slots.items() if slot is not None]
+    return jnp.concatenate([ball, jnp.concatenate(border).T], 1)
+
+
+def _moving_problem(scene: Joint, params: Params, times: Array) -> tuple[Problem, Problem]:
+    """The problem and its rate."""
+    return jax.jvp(lambda t: posed(scene, params, t), (times,), (jnp.ones_like(times),))
+
+
+def _rates_of(scene: Joint) -> Any:
+    """Rates of the displacements in equilibrium as a function of all they depend on, given what they are."""
+
+    def closed(problem: Problem, drift: Problem, at: Places) -> Places:
+        _, matrix = balance(scene, problem, at)
+        return displaced(scene, problem, drift, *solve(matrix, pull(scene, problem, drift, matrix)))
+
+    @jax.custom_jvp
+    def rates(problem: Problem, drift: Problem, at: Places, known: Places) -> Places:
+        del problem, drift, at
+        return known
+
+    @rates.defjvp
+    def rule(primals: Any, tangents: Any) -> tuple[Places, Places]:
+        return rates(*primals), jax.jvp(closed, primals[:3], tangents[:3])[1]
+
+    return rates
+
+
+def _with_rates(scene: Joint, c: Any, value: Array, rate: Array) -> Array:
+    """Flat states from places and their rates; the cage turns about its axis at the drive's speed."""
+    n, count = scene.balls, value.shape[0]
+    tilt = scene.slots["cage_turn"]
+    spin = jnp.broadcast_to(c.drive_speed * c.bisector, (count, 3))
+    if tilt is not None:
+        at = slice(3 * n + tilt.start, 3 * n + tilt.stop)
+        axis = value[:, at]
+        spin = jnp.cross(axis, rate[:, at]) + c.drive_speed * axis
+        rate = rate.at[:, at].set(spin)
+    balls = rate[:, : 3 * n].reshape(count, n, 3)
+    if scene.spin:
+        balls = jnp.concatenate([balls, jnp.broadcast_to(spin[:, None], (count, n, 3))], -1)
+    unbent = [jnp.zeros((count, scene.states - scene.moving))] if scene.bristles else []
+    return jnp.concatenate([value, balls.reshape(count, -1), rate[:, 3 * n :], *unbent], 1)
+
+
+def _equilibrium(scene: Joint) -> Any:
+    """The solution as a function of the problem, given where it is: the implicit function theorem and nothing else."""
+
+    @jax.custom_jvp
+    def at(problem: Problem, found: Places) -> Places:
+        del problem
+        return found
+
+    @at.defjvp
+    def rule(primals: Any, tangents: Any) -> tuple[Places, Places]:
+        problem, found = primals
+        # Not ``found``: so that the rule itself is differentiated right.
+        here = at(problem, found)
+        (_, matrix), (out, _) = jax.jvp(lambda p: balance(scene, p, here), (problem,), (tangents[0],))
+        return here, jax.tree.map(jnp.negative, *solve(matrix, out))
+
+    return at

@@ -1,0 +1,71 @@
+"""Natural sizes of the joint's states, and the tolerance in these units that a force error asks for."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from bcfj_jax.core.numerics import smooth_ramp, smooth_rise
+from bcfj_jax.mechanism.scene import Params
+from bcfj_jax.models.joint.bristles import flat
+from bcfj_jax.models.joint.constants import skin_of
+from bcfj_jax.models.joint.scene import PILOTS, Joint
+
+# Load of a ball that nothing loads [N].
+LEAST = 1e-2
+
+
+def scales(scene: Joint, params: Params, end: Array | float = jnp.inf) -> Array:
+    """Size of each state: a place by the penetration of a ball that carries its share of the load, a velocity by
+    friction's transition speed; turns by these over the pitch radius, a ball's spin by that over its own; a bristle by
+    its deflection at break-away.
+
+    The load is the greatest until ``end`` [s]: torque, axial load and centrifugal force. A run that ends while the
+    torque still rises has no other peak to be judged by. Where an onset is smoothed, the penetration r(d) over its
+    slope dr/dd stands for it, which is how far d may move until r has changed by itself.
+
+    An error of a place in these units is about that fraction (times n) of a ball's force. An error of a
+    velocity is that fraction of the friction of a sticking contact. Without friction a quarter of the rim speed
+    stands in: only damping reads velocities then.
+    """
+    p = params
+    torque = jnp.abs(p["load_torque"]) * smooth_rise(end / p["load_ramp"])
+    load = torque / (scene.balls * p["pitch_radius"]) + jnp.abs(p["axial_load"]) / scene.balls
+    load = load + p["ball_mass"] * p["pitch_radius"] * p["drive_speed"] ** 2 + LEAST
+    skin = skin_of(scene, p, "seat_ball")
+    width = jnp.zeros(()) if skin.smoothing is None else skin.smoothing
+    depth, slope = smooth_ramp(jnp.logspace(-11, -2, 91) - width, width)
+    force = skin.law.force(depth, jnp.zeros(91), {k: jnp.broadcast_to(v, (91,)) for k, v in skin.coefficients.items()})
+    place = jnp.minimum(jnp.interp(load, force, depth / slope), 1e-3)
+    speeds = [scene.coefficient(p, x.name, "friction_speed") for x in scene.contacts if x.friction is not None]
+    speed = jnp.min(jnp.stack(speeds)) if speeds else 0.25 * jnp.abs(p["drive_speed"]) * p["pitch_radius"] + 1e-3
+    turning = np.zeros(scene.border, bool)
+    for name, slot in scene.slots.items():
+        if slot is not None and name.endswith("turn"):
+            turning[slot] = True
+    border = jnp.where(turning, 1.0 / p["pitch_radius"], 1.0)
+    ball = jnp.ones((scene.balls, scene.twist)).at[:, 3:].set(1.0 / p["ball_radius"])
+    parts = [jnp.full(3 * scene.balls, place), place * border, speed * ball.ravel(), speed * border]
+    if scene.bristles:
+        break_away = {
+            name: jnp.full((1, count, 3), _break_away(scene, p, name)) for name, count in scene.bristles.items()
+        }
+        balls = {name: jnp.tile(x, (scene.balls, 1, 1)) for name, x in break_away.items() if name not in PILOTS}
+        parts.append(flat(break_away | balls))
+    return jnp.concatenate(parts)
+
+
+def _break_away(scene: Joint, params: Params, name: str) -> Array:
+    """Deflection of a contact's bristles at break-away [m]."""
+    return scene.coefficient(params, name, "friction_static") / scene.coefficient(params, name, "bristle_stiffness")
+
+
+def tolerance(force_error: float) -> float:
+    """Local error per step in units of ``scales``: 5 times the force error, at most 0.02; twice it below 0.05 %.
+
+    Derived by ``benchmarks/solve/levels.py`` on random joints: from a pitch after the load has risen rms, peak and impulse of
+    every contact are then as right as was asked. Looser than 0.02 saves next to no steps: contacts that begin and end
+    set them, and steps that jump into one are rejected.
+    """
+    return min(0.02, (5.0 if force_error >= 5e-4 else 2.0) * force_error)

@@ -1,0 +1,180 @@
+"""The scene ``joint``: which bodies, contacts and laws are in it, and the layout of its state.
+
+What an option takes out is not in the program: no friction law, no friction operation; a fixed cage, no cage state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from bcfj_jax.contact.laws import AbstractFriction, AbstractLaw
+from bcfj_jax.core.quantities import CATALOGUE, Quantity
+from bcfj_jax.mechanism.scene import AbstractScene, Params
+from bcfj_jax.models.joint.defaults import DEFAULTS
+
+CONTACTS = ("seat_cage", "head_cage", "cage_ball", "seat_ball", "head_ball")
+GROOVES = ("seat_ball", "head_ball")
+PILOTS = ("seat_cage", "head_cage")
+OF_A_BALL = ("cage_ball", "seat_ball", "head_ball")
+FIDELITIES = ("kinematic", "quasistatic", "dynamic")
+# In place of one of them: ``bcfj_jax.models.joint.fidelity`` chooses.
+AUTO = "auto"
+TRACKS = ("gothic", "circular")
+CAGES = HEADS = ("free", "fixed")
+DRIVES = ("prescribed", "flexible")
+
+
+class JointContact(eqx.Module):
+    """One of the five kinds of contact: its name, its normal-force law, its friction law or None."""
+
+    name: str = eqx.field(static=True)
+    law: AbstractLaw
+    friction: AbstractFriction | None
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Coefficients its laws read."""
+        return (*self.law.needs, *(self.friction.needs if self.friction else ()))
+
+
+class Joint(AbstractScene, eqx.Module):
+    """Static structure of the ball-cage flexible joint; made by ``scenes.joint``.
+
+    Attributes:
+        contacts: those in the program.
+        balls: their number, evenly spaced; a track in either race for each.
+        track: "gothic" (two flanks at the contact angle) or "circular" (one, of ball radius plus clearance).
+        spin: whether balls turn (and so roll).
+        cage: "free", or "fixed" at the centre, its axis on the bisector, turning at the drive's speed.
+        head: "free" to shift, or "fixed" at the centre; it always turns about its own axis.
+        drive: "prescribed" speed, or "flexible": a seat with inertia behind a spring and a damper.
+        smoothing: whether penetration has a smoothed onset.
+        fidelity: "dynamic", "quasistatic" or "kinematic"; "auto" for a scene that ``simulate`` alone can run.
+    """
+
+    contacts: tuple[JointContact, ...]
+    balls: int = eqx.field(static=True, default=6)
+    track: str = eqx.field(static=True, default="gothic")
+    spin: bool = eqx.field(static=True, default=False)
+    cage: str = eqx.field(static=True, default="free")
+    head: str = eqx.field(static=True, default="free")
+    drive: str = eqx.field(static=True, default="prescribed")
+    smoothing: bool = eqx.field(static=True, default=True)
+    fidelity: str = eqx.field(static=True, default="dynamic")
+    kind: str = eqx.field(static=True, default="joint")
+    samples: int = eqx.field(static=True, default=3001)
+
+    @property
+    def defaults(self) -> tuple[tuple[str, float], ...]:
+        """Default values of the parameters the scene has."""
+        return tuple((name, DEFAULTS[name][0]) for name in self.quantities if name in DEFAULTS)
+
+    @property
+    def quantities(self) -> dict[str, Quantity]:
+        """Every parameter, by name: shared coefficients, each contact's own, clearances, bodies, drive and loads."""
+        shared = list(dict.fromkeys(name for contact in self.contacts for name in self._reads(contact)))
+        own = [f"{contact.name}.{name}" for contact in self.contacts for name in self._reads(contact)]
+        names = ["drive_speed", "load_torque", "load_ramp", "axial_load", "joint_angle"]
+        names += ["seat_radius", "head_radius", "ball_radius", "pitch_radius", "offset"]
+        names += ["contact_angle", "conformity"] if self.track == "gothic" else []
+        names += [f"clearance_{contact.name}" for contact in self.contacts]
+        names += ["ball_mass", "head_mass", "head_inertia"]
+        names += ["cage_mass", "cage_inertia"] if self.cage == "free" else []
+        names += ["seat_inertia", "drive_stiffness", "drive_damping"] if self.drive == "flexible" else []
+        return {name: _quantity(name) for name in (*shared, *own, *names)}
+
+    def _reads(self, contact: JointContact) -> tuple[str, ...]:
+        return (*contact.needs, *(("smoothing",) if self.smoothing else ()))
+
+    @property
+    def in_motion(self) -> bool:
+        """Whether its history is one of motion: each instant hangs on those before it."""
+        return self.fidelity in ("dynamic", AUTO)
+
+    def horizon(self, params: Params) -> Array:
+        """The paper's 3 s."""
+        del params
+        return jnp.asarray(3.0)
+
+    def has(self, name: str) -> bool:
+        """Whether a contact is in the program."""
+        return any(contact.name == name for contact in self.contacts)
+
+    def contact(self, name: str) -> JointContact:
+        """A contact by name."""
+        return next(contact for contact in self.contacts if contact.name == name)
+
+    def coefficient(self, params: Params, contact: str, name: str) -> Array:
+        """A contact's own coefficient ``<contact>.<name>`` where the parameters have it, else the shared one."""
+        own = f"{contact}.{name}"
+        return params[own] if own in params else params[name]
+
+    @property
+    def azimuths(self) -> np.ndarray:
+        """Azimuths (balls,) of the tracks about their race's axis at turn 0 [rad]."""
+        return 2.0 * np.pi * np.arange(self.balls) / self.balls
+
+    @property
+    def pilots(self) -> tuple[str, ...]:
+        """The sphere-in-sphere contacts."""
+        return tuple(name for name in PILOTS if self.has(name))
+
+    @property
+    def twist(self) -> int:
+        """Velocities of one ball: 3, or 6 with spin."""
+        return 6 if self.spin else 3
+
+    @property
+    def slots(self) -> Mapping[str, slice | None]:
+        """Where each part of the border is, in order; None for what the scene fixes."""
+        sizes = {
+            "head": 3 if self.head == "free" else 0,
+            "head_turn": 1,
+            "cage": 3 if self.cage == "free" else 0,
+            "cage_turn": 3 if self.cage == "free" else 0,
+            "seat_turn": 1,
+        }
+        slots: dict[str, slice | None] = {}
+        start = 0
+        for name, size in sizes.items():
+            slots[name] = slice(start, start + size) if size else None
+            start += size
+        return slots
+
+    @property
+    def border(self) -> int:
+        """Number of border coordinates."""
+        return sum(slot.stop - slot.start for slot in self.slots.values() if slot is not None)
+
+    @property
+    def bristles(self) -> Mapping[str, int]:
+        """Faces of each contact whose friction has bristles, by its name: of one ball's, and of a pilot."""
+        if self.fidelity != "dynamic":
+            return {}
+        faces = {"cage_ball": 2, "seat_ball": 2, "head_ball": 2} if self.track == "gothic" else {"cage_ball": 2}
+        rough = {contact.name for contact in self.contacts if contact.friction and contact.friction.bristles}
+        return {name: faces.get(name, 1) for name in (*GROOVES, "cage_ball", *PILOTS) if name in rough}
+
+    @property
+    def moving(self) -> int:
+        """Length of the flat state without bristles."""
+        return (3 + self.twist) * self.balls + 2 * self.border
+
+    @property
+    def states(self) -> int:
+        """Length of the flat state."""
+        members = {name: self.balls if name in OF_A_BALL else 1 for name in self.bristles}
+        return self.moving + 3 * sum(members[name] * faces for name, faces in self.bristles.items())
+
+
+def _quantity(name: str) -> Quantity:
+    contact, _, own = name.rpartition(".")
+    quantity = CATALOGUE[own]
+    if not contact:
+        return quantity
+    return quantity._replace(name=name, meaning=f"{quantity.meaning}; of {contact} alone")

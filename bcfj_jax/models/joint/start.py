@@ -1,0 +1,39 @@
+"""The assembled, load-free state at time 0: balls on both tracks and in the bisecting plane, all turning."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from bcfj_jax.mechanism.scene import Params
+from bcfj_jax.models.joint import geometry
+from bcfj_jax.models.joint.scene import Joint
+
+
+def nominal(scene: Joint, params: Params, seat_turn: Array) -> Array:
+    """Flat state of the zero-clearance joint at a seat angle, turning at the drive's speed (physics sheet 5.2).
+
+    Constant velocity: the head turns by the seat's angle. The cage is centred on the bisector and turns at the
+    drive's speed; spinning balls turn with the cage.
+    """
+    p = params
+    radius = geometry.track_radius(p["pitch_radius"], p["offset"])
+
+    def centres(turn):
+        return geometry.ball_centre(turn + scene.azimuths, p["joint_angle"], radius, p["offset"])
+
+    speed = p["drive_speed"]
+    places, velocities = jax.jvp(centres, (seat_turn,), (speed,))
+    axis = geometry.bisector(p["joint_angle"])
+    at = {"head": jnp.zeros(3), "head_turn": seat_turn[None], "cage": jnp.zeros(3), "cage_turn": axis}
+    at["seat_turn"] = seat_turn[None]
+    rate = {"head": jnp.zeros(3), "head_turn": speed[None], "cage": jnp.zeros(3), "cage_turn": speed * axis}
+    rate["seat_turn"] = speed[None]
+    names = [name for name, slot in scene.slots.items() if slot is not None]
+    if scene.spin:
+        velocities = jnp.concatenate([velocities, jnp.broadcast_to(speed * axis, (scene.balls, 3))], -1)
+    unbent = [jnp.zeros(scene.states - scene.moving)] if scene.bristles else []
+    return jnp.concatenate(
+        [places.ravel(), *(at[name] for name in names), velocities.ravel(), *(rate[name] for name in names), *unbent]
+    )

@@ -1,0 +1,272 @@
+"""Newton's law for the bodies of the joint: state in, contact wrenches and accelerations out.
+
+World axes throughout: the seat's axis is z, the head's lies in the x-z plane at the joint angle. The
+border (everything that is not a ball) is, in this order and as far as the scene has it:
+
+    head place (3)   head turn (1)   cage place (3)   cage axis or spin (3)   seat turn (1)
+
+The state is flat: ball places, border places, ball twists (velocity, and spin where balls spin), border
+velocities, bristles (``bristles``). The cage is a body of revolution whose window planes know nothing of its own
+turn, so a unit axis is all its attitude, and its inertia is that of a spherical shell (isotropic): no quaternion, no
+gyroscopic term.
+A prescribed seat is a seat of infinite inertia, so that its turn is a state like any other and nothing depends on time
+but the load.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from bcfj_jax.core.numerics import smooth_rise
+from bcfj_jax.models.joint.bristles import beside, flat, split
+from bcfj_jax.models.joint.constants import BALLS, Constants
+from bcfj_jax.models.joint.contacts import Geometry, Touch, act, grooves, join, pilots, windows
+from bcfj_jax.models.joint.guides import GUIDES
+from bcfj_jax.models.joint.law_pair import Skin, SkinPair
+from bcfj_jax.models.joint.scene import PILOTS, Joint
+
+
+class State(NamedTuple):
+    """A named view of the flat state. Velocities in world axes, and the deflections that ``bristles.split`` gives."""
+
+    ball_place: Array
+    ball_velocity: Array
+    ball_spin: Array | None
+    head_place: Array
+    head_velocity: Array
+    head_turn: Array
+    head_spin: Array
+    cage_place: Array
+    cage_velocity: Array
+    cage_axis: Array
+    cage_spin: Array
+    seat_turn: Array
+    seat_spin: Array
+    bristles: dict[str, Array]
+
+
+class Touches(NamedTuple):
+    """All contacts: grooves (balls, 2 races), windows (balls,), pilots (k,), as far as the scene has them."""
+
+    grooves: Touch
+    windows: Touch | None
+    pilots: Touch | None
+
+
+def view(scene: Joint, c: Constants, y: Array) -> State:
+    """Names for the parts of a flat state; what the scene fixes comes from the constants."""
+    n, k = scene.balls, scene.twist
+    places, twists = y[: 3 * n].reshape(n, 3), y[3 * n + scene.border :][: k * n].reshape(n, k)
+    at, rates = y[3 * n : 3 * n + scene.border], y[(3 + k) * n + scene.border : scene.moving]
+    where = scene.slots
+    zero = jnp.zeros(3)
+    head, turn, cage, tilt, seat = (where[name] for name in ("head", "head_turn", "cage", "cage_turn", "seat_turn"))
+    axis = c.bisector if tilt is None else at[tilt]
+    return State(
+        ball_place=places,
+        ball_velocity=twists[:, :3],
+        ball_spin=twists[:, 3:] if scene.spin else None,
+        head_place=zero if head is None else at[head],
+        head_velocity=zero if head is None else rates[head],
+        head_turn=at[turn][0],
+        head_spin=rates[turn][0],
+        cage_place=zero if cage is None else at[cage],
+        cage_velocity=zero if cage is None else rates[cage],
+        cage_axis=axis if tilt is None else axis / jnp.sqrt(axis @ axis),
+        cage_spin=c.drive_speed * c.bisector if tilt is None else rates[tilt],
+        seat_turn=at[seat][0],
+        seat_spin=rates[seat][0],
+        bristles=split(scene, y) if scene.bristles else {},
+    )
+
+
+class Motion(NamedTuple):
+    """Motion of the balls relative to a body; shapes (balls, ..., 3)."""
+
+    arm: Array
+    velocity: Array
+    spin: Array | None
+
+
+def relative(state: State, place: Array, velocity: Array, spin: Array) -> Motion:
+    """Motion of the balls relative to bodies at ``place`` (..., 3): arm from the body's centre, and rates."""
+    shape = (slice(None),) + (None,) * (place.ndim - 1)
+    arm = state.ball_place[shape] - place
+    rate = state.ball_velocity[shape] - velocity - jnp.cross(spin, arm)
+    return Motion(arm, rate, None if state.ball_spin is None else state.ball_spin[shape] - spin)
+
+
+class Around(NamedTuple):
+    """The bodies around the balls, m of them: seat, head and, where there are windows, cage.
+
+    Attributes:
+        motion: of the balls relative to them, (balls, m, 3); spins: their angular velocities (m, 3).
+        across: normals of the track planes (balls, 2, 3).
+        contacts: skins and geometries, of all bodies together (balls, m, f) or one after the other.
+        bristles: by contact.
+    """
+
+    motion: Motion
+    spins: Array
+    across: Array
+    contacts: tuple[tuple[Skin | SkinPair, Geometry], ...]
+    bristles: dict[str, Array]
+
+    def parts(self) -> list[tuple[Skin | SkinPair, Geometry, Motion, Array | None]]:
+        """Each skin and geometry with the motion and the bristles that go with it."""
+        found, first = [], 0
+        for skin, at in self.contacts:
+            last = first + at.penetration.shape[1]
+            motion = jax.tree.map(lambda x, i=first, j=last: x[:, i:j], self.motion)
+            found.append((skin, at, motion, beside(self.bristles, BALLS[first:last])))
+            first = last
+        return found
+
+
+def around(scene: Joint, c: Constants, state: State) -> Around:
+    """Where the balls are, and how they move, relative to the bodies that they touch."""
+    zero, windowed = jnp.zeros(3), c.window_skin is not None
+    place = jnp.stack([zero, state.head_place, *([state.cage_place] if windowed else [])])
+    velocity = jnp.stack([zero, state.head_velocity, *([state.cage_velocity] if windowed else [])])
+    races = [state.seat_spin * c.axes[0], state.head_spin * c.axes[1]]
+    spins = jnp.stack([*races, *([state.cage_spin] if windowed else [])])
+    motion = relative(state, place, velocity, spins)
+    turns = jnp.stack([state.seat_turn, state.head_turn])
+    cosine, sine = jnp.cos(turns)[:, None], jnp.sin(turns)[:, None]
+    radial, tangent = cosine * c.radial + sine * c.tangent, cosine * c.tangent - sine * c.radial
+    angle = scene.azimuths[:, None, None]
+    across = jnp.cos(angle) * tangent - jnp.sin(angle) * radial
+    at = grooves(c.groove, motion.arm[:, :2] - c.groove.offset[:, None] * c.axes, across)
+    if c.window_skin is None:
+        return Around(motion, spins, across, ((c.groove_skin, at),), state.bristles)
+    window = windows(c.window_clearance, c.groove.ball, motion.arm[:, 2], state.cage_axis)
+    if c.ball_skin is not None:
+        return Around(motion, spins, across, ((c.ball_skin, join(at, window)),), state.bristles)
+    alone = jax.tree.map(lambda x: x[:, None], window._replace(lever_slope=None))._replace(lever_slope=0.0)
+    return Around(motion, spins, across, ((c.groove_skin, at), (c.window_skin, alone)), state.bristles)
+
+
+@partial(jax.jit, static_argnums=0, inline=True)  # solver and observation both trace it
+def touches(scene: Joint, c: Constants, state: State) -> Touches:
+    """Every contact of the scene in one state."""
+    parts = around(scene, c, state).parts()
+    acted = [act(skin, at, motion.velocity, motion.spin, bent) for skin, at, motion, bent in parts]
+    groove = jax.tree.map(lambda x: x[:, :2], acted[0])
+    window = None if c.window_skin is None else jax.tree.map(lambda x: x[:, -1], acted[-1])
+    pilot = None
+    if c.pilot_skin is not None:
+        at, motion, bent, _ = piloted(scene, c, state)
+        pilot = act(c.pilot_skin, at, motion.velocity, motion.spin, bent)
+    return Touches(groove, window, pilot)
+
+
+def guided(scene: Joint, c: Constants, state: State) -> tuple[Motion, Array]:
+    """Inner spheres relative to outer ones, and the outer ones' angular velocities; (pilots, 3) each."""
+    seat_spin, head_spin = state.seat_spin * c.axes[0], state.head_spin * c.axes[1]
+    zero = jnp.zeros(3)
+    bodies = {
+        "seat": (zero, zero, seat_spin),
+        "cage": (state.cage_place, state.cage_velocity, state.cage_spin),
+        "head": (state.head_place, state.head_velocity, head_spin),
+    }
+    pairs = [GUIDES[name] for name in scene.pilots]
+    outer = [jnp.stack(part) for part in zip(*(bodies[first] for first, _ in pairs), strict=True)]
+    inner = [jnp.stack(part) for part in zip(*(bodies[second] for _, second in pairs), strict=True)]
+    arm, spin = inner[0] - outer[0], outer[2]
+    return Motion(arm, inner[1] - outer[1] - jnp.cross(spin, arm), inner[2] - spin), spin
+
+
+def piloted(scene: Joint, c: Constants, state: State) -> tuple[Geometry, Motion, Array | None, Array]:
+    """The pilots' geometry, ``guided``'s motion, bristles, and the outer spheres' angular velocities."""
+    motion, spin = guided(scene, c, state)
+    return pilots(c.pilot_clearance, c.pilot_hollow, motion.arm), motion, beside(state.bristles, scene.pilots), spin
+
+
+def guide_maps(c: Constants, arm: Array) -> Array:
+    """Twists of the inner spheres relative to the outer ones' material, by border velocities, (pilots, 6, border)."""
+    return c.guides.still + jnp.einsum("pi,pikb->pkb", arm, c.guides.lever)
+
+
+def load_torque(c: Constants, t: Array) -> Array:
+    """Resisting torque on the head [N m], raised from 0 over the load ramp with continuous second derivative."""
+    return c.load_torque * smooth_rise(t / c.load_ramp)
+
+
+def applied(scene: Joint, c: Constants, t: Array, state: State) -> Array:
+    """Generalised forces of loads and drive on the border, (border,)."""
+    parts = {"head": -c.axial_load * c.axes[1], "head_turn": -load_torque(c, t)[None]}
+    parts |= {"cage": jnp.zeros(3), "cage_turn": jnp.zeros(3), "seat_turn": drive_torque(scene, c, t, state)[None]}
+    return jnp.concatenate([parts[name] for name, slot in scene.slots.items() if slot is not None])
+
+
+def drive_torque(scene: Joint, c: Constants, t: Array, state: State) -> Array:
+    """Torque of a flexible drive on the seat [N m]; 0 where the speed is prescribed."""
+    if scene.drive != "flexible":
+        return jnp.zeros(())
+    lag = c.drive_speed * t - state.seat_turn
+    return c.drive_stiffness * lag + c.drive_damping * (c.drive_speed - state.seat_spin)
+
+
+def wrench(touch: Touch) -> Array:
+    """Force, and moment of a spinning ball, side by side."""
+    return touch.force if touch.moment is None else jnp.concatenate([touch.force, touch.moment], -1)
+
+
+def on_bodies(scene: Joint, c: Constants, state: State, found: Touches) -> tuple[Array, Array]:
+    """Contact wrenches on the balls (balls, twist) and generalised contact forces on the border (border,)."""
+    wrenches, places = wrench(found.grooves), [jnp.zeros(3), state.head_place]
+    if found.windows is not None:
+        wrenches = jnp.concatenate([wrenches, wrench(found.windows)[:, None]], 1)
+        places.append(state.cage_place)
+    force = wrenches[..., :3]
+    torque = jnp.cross(state.ball_place[:, None] - jnp.stack(places), force)
+    if scene.spin:
+        torque = torque + wrenches[..., 3:]
+    push, twist = -jnp.sum(force, 0), -jnp.sum(torque, 0)
+    turning = jnp.sum(twist[:2] * c.axes, -1)
+    cage = (push[2], twist[2]) if found.windows is not None else (jnp.zeros(3), jnp.zeros(3))
+    parts = {"head": push[1], "head_turn": turning[1:], "cage": cage[0], "cage_turn": cage[1], "seat_turn": turning[:1]}
+    border = jnp.concatenate([parts[name] for name, slot in scene.slots.items() if slot is not None])
+    if found.pilots is not None:
+        maps = guide_maps(c, guided(scene, c, state)[0].arm)
+        border = border + jnp.einsum("pkb,pk->b", maps, wrench(found.pilots))
+    return jnp.sum(wrenches, 1), border
+
+
+def _bending(scene: Joint, c: Constants, state: State, found: Touches) -> Array:
+    """Rates of all bristles, which turn with the outer body of their contact; flat [m/s]."""
+    spins = {"seat": state.seat_spin * c.axes[0], "head": state.head_spin * c.axes[1], "cage": state.cage_spin}
+    rates = {}
+    for name in scene.bristles:
+        if name in PILOTS:
+            outer, touch, member = GUIDES[name][0], found.pilots, scene.pilots.index(name)
+        else:
+            outer, touch = name.removesuffix("_ball"), found.windows if name == "cage_ball" else found.grooves
+            member = (slice(None), *([] if name == "cage_ball" else [BALLS.index(name)]))
+        assert touch is not None and touch.bending is not None
+        rates[name] = touch.bending[member] + jnp.cross(spins[outer], state.bristles[name])
+    return flat(rates)
+
+
+def field(t: Array, y: Array, args: tuple[Joint, Constants]) -> Array:
+    """Time derivative of the flat state."""
+    scene, c = args
+    state = view(scene, c, y)
+    found = touches(scene, c, state)
+    ball, border = on_bodies(scene, c, state, found)
+    border = border + applied(scene, c, t, state)
+    n = scene.balls
+    rates = y[(3 + scene.twist) * n + scene.border : scene.moving]
+    tilt = scene.slots["cage_turn"]
+    if tilt is not None:
+        axis = y[3 * n : 3 * n + scene.border][tilt]
+        rates = rates.at[tilt].set(jnp.cross(state.cage_spin, axis))
+    bending = [_bending(scene, c, state, found)] if scene.bristles else []
+    return jnp.concatenate(
+        [state.ball_velocity.ravel(), rates, (ball * c.ball_lightness).ravel(), border * c.border_lightness, *bending]
+    )

@@ -1,0 +1,1 @@
+"""From a model to a run: solvers, step control, batches, autodiff rules."""

@@ -1,0 +1,198 @@
+"""Backward differentiation of order 1 to 5 of a state and of its tangents, both in the step control.
+
+The numerical differentiation formulas of Shampine and Reichelt (SIAM J. Sci. Comput. 18, 1997) with quasi-constant
+steps: what is kept is the backward differences D of the state at steps of one length, (rows, 1 + k, n), and a change
+of step interpolates them. With c = h / alpha a step solves
+
+    y = base + c f(t, y),    E dy = dbase / c + (df/dp) dp,    E = I/c - J(t, y),
+
+so tangents cost one matrix a step, exact at the converged state, and Newton's of the next step is that one. Tangents
+are those of the discrete solution; steps and orders, which depend on parameters too, are not differentiated.
+
+Why beside SDIRK2: to better than a percent, tangents of the joint ask for small errors of their own, and order 2 pays
+for that with steps (benchmarks/models/joint_derivatives.py).
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from bcfj_jax.solve.sdirk import Sdirk, newton
+from bcfj_jax.solve.tangents import along
+
+ORDERS = 5
+_ROWS = ORDERS + 3
+# Shampine and Reichelt's kappa; none at order 1, whose first difference of tangents is not known at the start.
+_KAPPA = np.array([0.0, 0.0, -1.0 / 9.0, -0.0823, -0.0415, 0.0])
+_GAMMA = np.concatenate([[0.0], np.cumsum(1.0 / np.arange(1, ORDERS + 1))])
+_ALPHA = (1.0 - _KAPPA) * _GAMMA
+# Leading error over the difference of order + 1; the last is of no order that is used.
+_ERROR = np.concatenate([_KAPPA * _GAMMA + 1.0 / np.arange(1, ORDERS + 2), [1.0]])
+_SAFETY, _GROWTH, _SHRINK = 0.8, 10.0, 0.2
+_EDGE = np.arange(ORDERS + 1)
+
+
+class Found(NamedTuple):
+    """Rows (T, 1 + k, n) at the times asked for, NaN from where it stopped; how far it came; attempts."""
+
+    rows: Array
+    end: Array
+    accepted: Array
+    rejected: Array
+
+
+class _State(NamedTuple):
+    """D: (rows, 1 + k, n) differences; ``equal``: steps taken with this length and order."""
+
+    t: Array
+    h: Array
+    order: Array
+    equal: Array
+    differences: Array
+    factors: Any
+    accepted: Array
+    rejected: Array
+
+
+def _rescaled(differences: Array, order: Array, factor: Array) -> Array:
+    """Differences for steps ``factor`` times as long."""
+
+    def steps(ratio: Any) -> Array:
+        i, j = _EDGE[1:, None], _EDGE[None, 1:]
+        body = jnp.concatenate([jnp.zeros((ORDERS, 1)), (i - 1 - ratio * j) / i], axis=1)
+        return jnp.cumprod(jnp.concatenate([jnp.ones((1, ORDERS + 1)), body]), axis=0)
+
+    inside = order >= _EDGE
+    mask = inside[:, None] & inside[None, :]
+    change = jnp.where(mask, steps(factor), 0.0) @ jnp.where(mask, steps(1.0), 0.0)
+    change = jnp.where(mask, change, jnp.eye(ORDERS + 1))
+    head = jnp.tensordot(change, differences[: ORDERS + 1], axes=((0,), (0,)))
+    return differences.at[: ORDERS + 1].set(head)
+
+
+def solve(
+    solver: Sdirk,
+    args: Any,
+    changes: Any,
+    start: Array,
+    scales: Array,
+    times: Array,
+    first: Any,
+    shortest: Any,
+    max_steps: int,
+) -> Found:
+    """Integrate rows (1 + k, n), the state and its tangents, from time 0; interpolate at ``times`` (T,), increasing.
+
+    Args:
+        solver: structure, tolerances and Newton's settings.
+        args: of the structure's field.
+        changes: of ``args``, k of each; None where nothing changes.
+        start: (1 + k, n).
+        scales: (n,) natural sizes of the states; tangents' errors are absolute up to these, relative beyond.
+        times: when to read; steps may pass the last one.
+        first: length of the first step [s]; shortest: of any.
+        max_steps: budget of attempts.
+    """
+    structure, tolerance = solver.structure, solver.tolerance
+    alpha, gamma, constant = (jnp.asarray(x) for x in (_ALPHA, _GAMMA, _ERROR))
+
+    def norm(rows: Array, sizes: Array) -> Array:
+        """Largest over rows of the root mean square in units of the tolerance; not finite counts as infinite."""
+        each = jnp.sqrt(jnp.mean(jnp.square(rows / tolerance), axis=1)) / sizes
+        worst = jnp.max(each)
+        return jnp.where(jnp.isfinite(worst), worst, jnp.inf)
+
+    def attempt(s: _State) -> tuple[Array, Array, Array, Any]:
+        """What the step adds to the prediction, its error (at most 1 is good), the rows' sizes, the last matrix."""
+        weights = jnp.where(s.order >= _EDGE, 1.0, 0.0)
+        kept = s.differences[: ORDERS + 1]
+        t, c = s.t + s.h, s.h / alpha[s.order]
+        predicted = jnp.tensordot(weights, kept, axes=1)
+        base = predicted - jnp.tensordot(weights * gamma, kept, axes=1) / alpha[s.order]
+        y, good, factors = newton(solver, t, base[0], predicted[0], c, args, s.factors)
+        bend = y - predicted[0]
+        good = good & (constant[s.order] * norm(bend[None], jnp.ones(1)) <= 1.0)
+
+        def tangents(_):
+            matrix = structure.factor(t, y, args, c)
+            push = along(solver, t, y, args, changes)
+            found = jax.vmap(structure.solve, (None, 0))(matrix, base[1:] / c + push)
+            return found - predicted[1:], matrix
+
+        # A step that will be rejected needs none.
+        bends, factors = jax.lax.cond(good, tangents, lambda _: (jnp.zeros_like(base[1:]), factors), None)
+        bends = jnp.concatenate([bend[None], bends])
+        # Absolute up to the states' own sizes, which move a force by its size; relative beyond.
+        size = jnp.sqrt(jnp.mean(jnp.square((predicted + bends) / scales), axis=1))
+        sizes = jnp.maximum(1.0, size).at[0].set(1.0)
+        return bends, jnp.where(good, constant[s.order] * norm(bends, sizes), jnp.inf), sizes, factors
+
+    def accepted(s: _State, bends: Array) -> _State:
+        order, d = s.order, s.differences
+        d = d.at[order + 2].set(bends - d[order + 1]).at[order + 1].set(bends)
+        index = jnp.arange(_ROWS)[:, None, None]
+        summed = jnp.cumsum(jnp.where(index <= order + 1, d, 0.0)[::-1], axis=0)[::-1]
+        d = jnp.where(index <= order, summed, d)
+        return s._replace(t=s.t + s.h, differences=d, accepted=s.accepted + 1, equal=s.equal + 1)
+
+    def adapted(s: _State, good: Array, share: Array, sizes: Array) -> _State:
+        """After a rejection a shorter step; after order + 1 equal steps the order that allows the longest."""
+        order, d = s.order, s.differences
+        lower = jnp.where(order > 1, constant[order - 1] * norm(d[order], sizes), jnp.inf)
+        higher = jnp.where(order < ORDERS, constant[order + 1] * norm(d[order + 2], sizes), jnp.inf)
+        shares = jnp.maximum(jnp.stack([lower, share, higher]), 1e-12)
+        factors = shares ** (-1.0 / (order + jnp.arange(3)))
+        best = jnp.where(good, jnp.argmax(factors), 1)
+        factor = jnp.where(jnp.isfinite(share), jnp.clip(_SAFETY * factors[best], _SHRINK, _GROWTH), 0.5)
+        order = order + best - 1
+        return s._replace(h=s.h * factor, order=order, equal=jnp.asarray(0), differences=_rescaled(d, order, factor))
+
+    def due(carry: tuple[_State, Array, Array]) -> Array:
+        s, out, _ = carry
+        return (out < times.size) & (times[jnp.minimum(out, times.size - 1)] <= s.t)
+
+    def write(carry: tuple[_State, Array, Array]) -> tuple[_State, Array, Array]:
+        """Interpolate at the next output, which the last step has reached."""
+        s, out, found = carry
+        x = (times[out] - (s.t - s.h * _EDGE[:-1])) / (s.h * (1.0 + _EDGE[:-1]))
+        weights = jnp.where(s.order >= _EDGE, jnp.concatenate([jnp.ones(1), jnp.cumprod(x)]), 0.0)
+        return s, out + 1, found.at[out].set(jnp.tensordot(weights, s.differences[: ORDERS + 1], axes=1))
+
+    def step(carry: tuple[_State, Array, Array]) -> tuple[_State, Array, Array]:
+        s, out, found = carry
+        bends, share, sizes, factors = attempt(s)
+        good = share <= 1.0
+        s = s._replace(factors=factors, rejected=s.rejected + ~good)
+        s = jax.lax.cond(good, accepted, lambda s, _: s, s, bends)
+        s, out, found = jax.lax.while_loop(due, write, (s, out, found))
+        change = ~good | (s.equal > s.order)
+        return jax.lax.cond(change, adapted, lambda s, *_: s, s, good, share, sizes), out, found
+
+    def going(carry: tuple[_State, Array, Array]) -> Array:
+        s, out, _ = carry
+        return (out < times.size) & (s.accepted + s.rejected < max_steps) & (s.h > shortest)
+
+    h = jnp.asarray(first, dtype=jnp.float64)
+    slope = structure.field(jnp.zeros(()), start[0], args)
+    differences = jnp.zeros((_ROWS, *start.shape)).at[0].set(start).at[1, 0].set(h * slope)
+    zero = jnp.asarray(0)
+    begin = _State(
+        t=jnp.zeros(()),
+        h=h,
+        order=jnp.asarray(1),
+        equal=zero,
+        differences=differences,
+        factors=structure.factor(jnp.zeros(()), start[0], args, h),
+        accepted=zero,
+        rejected=zero,
+    )
+    found = jnp.full((times.size, *start.shape), jnp.nan)
+    # A time before 0 or at it reads the start.
+    ready = jax.lax.while_loop(due, write, (begin, zero, found))
+    s, _, found = jax.lax.while_loop(going, step, ready)
+    return Found(found, s.t, s.accepted, s.rejected)

@@ -1,0 +1,293 @@
+"""The one place that decides solver, step control, output and failure handling.
+
+Accuracy is stated as an error of the contact force in fractions of its peak; ``plan`` turns it into a
+tolerance, ``integrate`` runs it. Which solver a scene gets:
+
+| scene | solver | why |
+|---|---|---|
+| ``impact``, ``bounce`` | Tsit5 | a few elastic or damped springs are oscillatory, not stiff: explicit wins |
+| ``joint``, values | RODAS3 on the arrowhead | friction is stiff; no iteration, so no lane of a batch waits |
+| ``joint``, derivatives | SDIRK2 on the arrowhead | every stage implicit and converged: tangents stay bounded |
+| ... tighter than 0.05 % | BDF on the arrowhead | tangents' own error controlled: high order, one matrix a step |
+| ``joint``, quasistatic or kinematic | none | each instant on its own: equilibrium, or closed form |
+
+Tsit5 and not Dopri8: Tsit5 evaluates the force at the end of a step and weighs it in the error estimate, so a
+flight cannot end inside a surface unnoticed; Dopri8 does not, and was seen to fall through a bounce's
+surface at tolerances of 1e-4 to 1e-6. Tangents through RODAS3 would carry the derivative of its Jacobian; those of a
+prototype's Rosenbrock method reached 1e19 N.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.status import NOT_FINITE, OK, SOLVER, STEPS, UNBALANCED, code_of
+from bcfj_jax.mechanism.dynamics import error_sizes, field, initial_state
+from bcfj_jax.mechanism.scene import AbstractScene, Params, Scene
+from bcfj_jax.models.joint.arrowhead import Arrowhead
+from bcfj_jax.models.joint.constants import constants
+from bcfj_jax.models.joint.kinematic import kinematic_states
+from bcfj_jax.models.joint.quasistatic import QuasistaticSolution, quasistatic
+from bcfj_jax.models.joint.scales import scales as joint_scales
+from bcfj_jax.models.joint.scales import tolerance as joint_tolerance
+from bcfj_jax.models.joint.scene import AUTO, FIDELITIES, Joint
+from bcfj_jax.models.joint.start import nominal
+from bcfj_jax.solve import bdf, named
+from bcfj_jax.solve.batched_jvp import together
+from bcfj_jax.solve.rodas import Rodas
+from bcfj_jax.solve.sdirk import Sdirk
+from bcfj_jax.solve.tangents import SdirkTangents
+
+LEVELS = {"fast": 5e-2, "balanced": 1e-2, "reference": 1e-5}
+# Attempted steps that a run may take where nothing else is asked for.
+MAX_STEPS = 400_000
+
+# Local error per step, in units of dynamics.error_sizes, per unit of force error asked for. Derived by
+# benchmarks/solve/levels.py: the force error of random impacts and bounces stays below what was asked with this ratio.
+_TOLERANCE_PER_ERROR = 5e-4
+
+# Force error below which tangents count in the step control. A ball that carries nothing swings below 1 N, and
+# tangents hang on its phase: loose steps damp the swing, and tight ones resolve it only where the tangents' own error
+# is asked for (benchmarks/models/joint_derivatives.py: 34 % off without at a tolerance of 1e-4, 0.9 % with at 2e-4).
+_TANGENTS_BELOW = 5e-4
+
+# What no step can better, in units of the state itself: a body far away must not wait for it.
+_ROUNDING = 4e-16
+
+
+class Plan(eqx.Module):
+    """How a scene will be integrated.
+
+    ``tolerance`` may be traced: changing it does not compile again; changing the rest does. ``tangents``: whether the
+    joint's steps are chosen for the error of its forward tangents, too. ``solver``: a name of ``solvers.named``, where
+    the scene's own is not wanted.
+    """
+
+    tolerance: Array
+    max_steps: int = eqx.field(static=True, default=MAX_STEPS)
+    tangents: bool = eqx.field(static=True, default=False)
+    solver: str | None = eqx.field(static=True, default=None)
+
+
+class Solution(NamedTuple):
+    """Raw outcome: states (T, n) at the times asked for, NaN from a failure on; a code; where it ended."""
+
+    states: Array
+    code: Array
+    end: Array
+    accepted: Array
+    rejected: Array
+
+
+def plan(
+    scene: AbstractScene, accuracy: str | float = "balanced", max_steps: int = MAX_STEPS, solver: str | None = None
+) -> Plan:
+    """Tolerance for a scene and an accuracy.
+
+    Args:
+        scene: what will be integrated.
+        accuracy: a level (``LEVELS``) or the tolerated force error as a fraction of the peak, 1e-9 to 0.5.
+        max_steps: budget of attempted steps; beyond it a run fails with that reason.
+        solver: a name of ``solvers.named`` in place of the scene's own.
+
+    Raises:
+        InputError: for an unknown level or solver, an error out of range, a budget below 1, and where the host has
+            switched JAX back to 32-bit numbers (``benchmarks/solve/precision.py`` says what they would cost).
+    """
+    if jnp.result_type(float) != jnp.float64:
+        raise InputError(
+            "jax_enable_x64", "is off: numbers would have 32 bits", "leave it as importing bcfj_jax set it"
+        )
+    if max_steps < 1:
+        raise InputError("max_steps", f"{max_steps}", "give 1 or more")
+    if isinstance(accuracy, str):
+        if accuracy not in LEVELS:
+            raise InputError("accuracy", f"no level '{accuracy}'", nearest(accuracy, LEVELS))
+        accuracy = LEVELS[accuracy]
+    if not 1e-9 <= accuracy <= 0.5:
+        raise InputError("accuracy", f"force_error = {accuracy:g}", "give a fraction of the peak from 1e-9 to 0.5")
+    joint = isinstance(scene, Joint)
+    tolerance = joint_tolerance(accuracy) if joint else _TOLERANCE_PER_ERROR * accuracy
+    named.check(solver, joint)
+    tangents = solver == "bdf" or (solver is None and joint and accuracy < _TANGENTS_BELOW)
+    return Plan(jnp.asarray(tolerance, dtype=jnp.float64), max_steps, tangents, solver)
+
+
+def _safe_norm(scaled_error: Array) -> Array:
+    """RMS norm in which NaN counts as infinite: a plain norm makes the controller reject for ever."""
+    norm = jnp.sqrt(jnp.mean(jnp.square(scaled_error)))
+    return jnp.where(jnp.isfinite(norm), norm, jnp.inf)
+
+
+class Problem(NamedTuple):
+    """A scene as diffrax takes it. ``gains``: proportional and integral, of the step control."""
+
+    field: Callable
+    args: Any
+    start: Array
+    scales: Array
+    first_step: Array
+    shortest_step: float | None
+    gains: tuple[float, float]
+    solver: dfx.AbstractSolver
+    norm: Callable[[Array], Array] = _safe_norm
+
+
+def problem(scene: AbstractScene, params: Params, end: Array, how: Plan, differentiable: bool) -> Problem:
+    """A scene with a history, to be solved until ``end`` [s]."""
+    if isinstance(scene, Joint):
+        c = constants(scene, params)
+        scales = jax.lax.stop_gradient(joint_scales(scene, params, end))
+        implicit = differentiable or how.solver in ("sdirk2", "bdf")
+        solver = Sdirk(Arrowhead(), how.tolerance * scales) if implicit else Rodas(Arrowhead())
+        start = nominal(scene, params, jnp.zeros(()))
+        force, last = solver.structure.field, jax.lax.stop_gradient(end)
+        first = jnp.where(last > 0, jnp.minimum(1e-6, 1e-2 * last), 1e-6)
+        return Problem(force, (scene, c), start, scales, first, 1e-15, (0.4, 0.3), solver)
+    assert isinstance(scene, Scene)
+    scales = jax.lax.stop_gradient(error_sizes(scene, params, end))
+    start, solver = initial_state(scene, params), named.SPRINGS[how.solver or "tsit5"]()
+    return Problem(field, (scene, params), start, scales, 1e-2 * scales[0] / scales[-1], None, (0.2, 0.5), solver)
+
+
+def _without_inertia(scene: Joint, params: Params, times: Array) -> Solution:
+    """States of the fidelities that have no history: each instant on its own."""
+    if scene.fidelity == "kinematic":
+        return Solution(kinematic_states(scene, params, times), jnp.asarray(OK), times[-1], *[jnp.asarray(0)] * 2)
+    return at_rest(quasistatic(scene, params, times), times)
+
+
+def at_rest(found: QuasistaticSolution, times: Array) -> Solution:
+    """Equilibria as a run gives its states: it ends where the first was not found."""
+    good = jnp.all(found.converged)
+    code, end = jnp.where(good, OK, UNBALANCED), jnp.where(good, times[-1], times[jnp.argmin(found.converged)])
+    return Solution(found.states, code, end, jnp.sum(found.iterations), jnp.asarray(0))
+
+
+def integrate(
+    scene: AbstractScene, params: Params, times: Array, how: Plan, adjoint: dfx.AbstractAdjoint,
+    differentiable: bool = False,
+) -> Solution:  # fmt: skip
+    """Integrate from time 0 and return the states at ``times`` (a time before 0 reads the initial state).
+
+    Pure: jit, vmap, and the derivatives that ``adjoint`` supports go through; those of a joint only where
+    ``differentiable`` asks for the solver that is meant for them. Never raises for a failed run: its states are NaN
+    from there on and ``code`` says why.
+
+    Raises:
+        InputError: for derivatives by a solver that has none, and for a joint whose fidelity is not chosen yet.
+    """
+    times = jnp.maximum(times, 0.0)
+    if isinstance(scene, Joint) and scene.fidelity == AUTO:
+        remedy = f"give one of {', '.join(FIDELITIES)}: simulate alone chooses, and its run says what"
+        raise InputError("scene 'joint' fidelity", "'auto', which is no model", remedy)
+    if isinstance(scene, Joint) and scene.fidelity != "dynamic":
+        return _without_inertia(scene, params, times)
+    if differentiable and how.solver in named.VALUES_ONLY:
+        raise InputError("solver", f"'{how.solver}' has no derivatives", "leave it out, or take sdirk2 or bdf")
+    posed = problem(scene, params, times[-1], how, differentiable)
+    if isinstance(scene, Joint) and differentiable and isinstance(adjoint, dfx.ForwardMode):
+        return _with_tangents(posed, times, how)
+    if isinstance(scene, Joint) and how.solver == "bdf" and not differentiable:
+        assert isinstance(posed.solver, Sdirk)
+        found = _by_bdf(posed, posed.solver, None, posed.start[None], times, how)
+        return found._replace(states=found.states[:, 0])
+    return _solved(posed, times, how, adjoint)
+
+
+def controller(problem: Problem, how: Plan) -> dfx.PIDController:
+    """How steps are chosen."""
+    return dfx.PIDController(
+        rtol=_ROUNDING,
+        atol=how.tolerance * problem.scales,
+        pcoeff=problem.gains[0],
+        icoeff=problem.gains[1],
+        norm=problem.norm,
+        dtmin=problem.shortest_step,
+        force_dtmin=False,
+    )
+
+
+def _solved(problem: Problem, times: Array, how: Plan, adjoint: dfx.AbstractAdjoint) -> Solution:
+    solution = dfx.diffeqsolve(
+        dfx.ODETerm(problem.field),  # pyright: ignore[reportArgumentType]
+        problem.solver,
+        t0=0.0,
+        t1=jnp.where(times[-1] > 0.0, times[-1], problem.first_step),
+        dt0=problem.first_step,
+        y0=problem.start,
+        args=problem.args,
+        saveat=dfx.SaveAt(subs=(dfx.SubSaveAt(ts=times), dfx.SubSaveAt(t1=True))),
+        stepsize_controller=controller(problem, how),
+        adjoint=adjoint,
+        max_steps=how.max_steps,
+        throw=False,
+    )
+    assert solution.ys is not None
+    assert solution.ts is not None
+    states, _ = solution.ys
+    states = jnp.where(jnp.isfinite(states), states, jnp.nan)
+    accepted, rejected = (solution.stats[f"num_{name}_steps"] for name in ("accepted", "rejected"))
+    return Solution(states, code_of(solution.result, states), solution.ts[1][0], accepted, rejected)
+
+
+def _by_bdf(problem: Problem, solver: Sdirk, changes: tuple | None, start: Array, times: Array, how: Plan) -> Solution:
+    """Rows (T, 1 + k, n) of state and tangents, both in the step control."""
+    found = bdf.solve(
+        solver, problem.args, changes, start, problem.scales, times, problem.first_step, problem.shortest_step,
+        how.max_steps,
+    )  # fmt: skip
+    stopped = jnp.where(found.accepted + found.rejected < how.max_steps, SOLVER, STEPS)
+    complete = jnp.where(jnp.all(jnp.isfinite(found.rows)), OK, NOT_FINITE)
+    code = jnp.where(found.end < times[-1], stopped, complete)
+    return Solution(found.rows, code, jnp.minimum(found.end, times[-1]), found.accepted, found.rejected)
+
+
+def _with_tangents(problem: Problem, times: Array, how: Plan) -> Solution:
+    """A run whose forward tangents are solved beside it (``solvers.tangents``)."""
+    scene, _ = problem.args
+    assert isinstance(problem.solver, Sdirk)
+    structure, controlled = problem.solver.structure, how.tangents
+
+    def of(x: tuple) -> tuple[Problem, Sdirk, Array, Plan]:
+        c, start, times, scales, first, tolerance = x
+        solver = Sdirk(structure, tolerance * scales)
+        made = problem._replace(args=(scene, c), start=start, scales=scales, first_step=first, solver=solver)
+        return made, solver, times, Plan(tolerance, how.max_steps)
+
+    def value(x: tuple) -> tuple[Array, tuple]:
+        made, _, times, how = of(x)
+        states, *rest = _solved(made, times, how, dfx.ForwardMode())
+        return states, tuple(rest)
+
+    def ahead(x: tuple, changes: tuple) -> tuple[tuple[Array, tuple], Array]:
+        made, solver, times, how = of(x)
+        by_args, by_start, by_times, *_ = changes
+        count = jax.tree.leaves(changes)[0].shape[0]
+        by_start = jnp.zeros((count, made.start.size)) if by_start is None else by_start
+        start = jnp.concatenate([made.start[None], by_start])
+        if controlled:
+            found, *rest = _by_bdf(made, solver, (scene, by_args), start, times, how)
+        else:
+            rows = made._replace(
+                field=lambda t, rows, args: rows.at[0].set(made.field(t, rows[0], args[0])),
+                args=(made.args, (scene, by_args)), start=start, solver=SdirkTangents(solver),
+                norm=lambda errors: _safe_norm(errors[0]),
+            )  # fmt: skip
+            found, *rest = _solved(rows, times, how, dfx.ForwardMode())
+        states, moved = found[:, 0], jnp.moveaxis(found[:, 1:], 1, 0)
+        if by_times is not None:
+            moved = moved + by_times[:, :, None] * jax.vmap(lambda t, y: made.field(t, y, made.args))(times, states)
+        return (states, tuple(rest)), moved
+
+    x = (*problem.args[1:], problem.start, times, problem.scales, problem.first_step, how.tolerance)
+    states, rest = together(value, ahead)(x)
+    return Solution(states, *rest)

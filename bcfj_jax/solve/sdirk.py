@@ -1,0 +1,175 @@
+"""SDIRK2: two stages, every one implicit, L-stable, order 2; made to be differentiated.
+
+gamma = 1 - 1/sqrt(2) (Alexander 1977; stiffly accurate). Newton keeps its matrix while it converges quickly, over
+both stages. Its solution is differentiated by the implicit function theorem: one solve with the matrix at the
+solution, shared by all tangents; never through the iteration, the matrix's construction or the step control. A
+tangent is then multiplied by (I - h gamma J)^-1 at every stage, which is bounded however large h J is; methods with
+an explicit stage multiply by h J.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from bcfj_jax.solve.batched_jvp import still
+from bcfj_jax.solve.structure import AbstractStructure
+
+GAMMA = 1.0 - 0.5**0.5
+NODES = np.array([GAMMA, 1.0])
+# Leading term of the local error over h^3 d3y/dt3, for a linear field: coefficient of z^3 in R(z) - exp(z).
+ERROR = abs(3.0 * GAMMA**2 - 2.0 * GAMMA**3 - 1.0 / 6.0)
+
+
+class Sdirk(dfx.AbstractAdaptiveSolver):
+    """SDIRK2 for a flat state, with the linear algebra of ``structure``.
+
+    Attributes:
+        tolerance: the step control's absolute tolerance of each state; Newton stops at ``newton`` times it.
+        iterations: of Newton, per stage; a stage that needs more rejects the step.
+        contraction: Newton takes a new matrix where a change is larger than this share of the one before.
+    """
+
+    structure: AbstractStructure
+    tolerance: Array
+    newton: float = eqx.field(static=True, default=0.02)
+    iterations: int = eqx.field(static=True, default=20)
+    contraction: float = eqx.field(static=True, default=0.2)
+
+    term_structure: ClassVar = dfx.ODETerm
+    interpolation_cls: ClassVar[Callable[..., dfx.AbstractLocalInterpolation]] = (
+        dfx.ThirdOrderHermitePolynomialInterpolation
+    )
+
+    def order(self, terms):
+        """2."""
+        return 2
+
+    def error_order(self, terms):
+        """The estimate is of the third derivative's term."""
+        return 3
+
+    def init(self, terms, t0, t1, y0, args):
+        """The slope at the start; later the last stage's."""
+        return self.structure.field(t0, y0, args)
+
+    def func(self, terms, t0, y0, args):
+        """The field."""
+        return self.structure.field(t0, y0, args)
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        """Two stages; the error is the bend of three slopes, filtered by the stiff matrix."""
+        del terms, made_jump
+        y1, error, last, bend = _step(self, t0, t1, y0, args, solver_state)
+        return y1, error, dict(y0=y0, y1=y1, k0=bend[0], k1=bend[1]), last, dfx.RESULTS.successful
+
+
+@eqx.filter_jit  # Diffrax traces a step three times, and its tangents.
+def _step(solver: Sdirk, t0: Any, t1: Any, y0: Array, args: Any, first: Array) -> tuple[Array, Array, Array, Any]:
+    """New state, error, last slope, and the slopes at both ends times the step."""
+    h = t1 - t0
+    states, slopes, error = stages(solver, t0, h, y0, args, first, _solved)
+    return states[1], error, slopes[1], (h * first, h * slopes[1])
+
+
+def stages(
+    solver: Sdirk, t0: Any, h: Any, y0: Array, args: Any, first: Array, solve: Callable
+) -> tuple[Array, Array, Array]:
+    """States and slopes (2, n) of both stages, and the error: the bend of three slopes, filtered by the stiff matrix.
+
+    ``solve`` is ``newton``, or it with a derivative.
+    """
+    structure, s = solver.structure, h * GAMMA
+    held = eqx.combine(jax.lax.stop_gradient(eqx.filter(args, eqx.is_array)), args)
+    factors = structure.factor(t0, jax.lax.stop_gradient(y0), held, s)
+
+    def stage(carry, when):
+        """One stage, from its base, Newton's guess, the slope before it and the last matrix."""
+        base, guess, before, factors, good = carry
+        y, also, factors = solve(solver, t0 + when * h, base, guess, s, args, factors)
+        slope = (y - base) / s
+        ahead = following(h, base, slope)
+        # A stiff slope at the start may be far off, so Newton's next guess turns by a damped and limited amount.
+        turn = (slope - before) * (1.0 - GAMMA) / GAMMA
+        guess = ahead + s * (slope + jnp.clip(turn, -jnp.abs(slope), jnp.abs(slope)))
+        return (ahead, guess, slope, factors, good & also), (y, slope)
+
+    # A loop has half as much to compile, and to differentiate, as two stages written out.
+    begin = (y0, y0 + structure.solve(factors, first), first, factors, jnp.asarray(True))
+    (*_, factors, good), (states, slopes) = jax.lax.scan(stage, begin, NODES)
+    turned = jax.lax.stop_gradient(bend(first, slopes[0], slopes[1]))
+    error = structure.solve(factors, h * ERROR * turned / s)
+    return states, slopes, jnp.where(good, error, jnp.inf)
+
+
+def following(h: Any, base: Array, slope: Array) -> Array:
+    """Where the next stage starts from."""
+    return base + h * (1.0 - GAMMA) * slope
+
+
+def bend(first: Array, second: Array, last: Array) -> Array:
+    """Second derivative of the slope times h^2, from the slopes at the start, the first stage and the end."""
+    return ((last - second) / (1.0 - GAMMA) - (second - first) / GAMMA) * 2.0
+
+
+def newton(
+    solver: Sdirk, t: Any, base: Array, guess: Array, s: Any, args: Any, factors: Any
+) -> tuple[Array, Array, Any]:
+    """The y of  y = base + s f(t, y)  or else the base, whether Newton got there, and the last matrix it used.
+
+    Newton keeps its matrix while it converges quickly: contact springs appear within a step, and then it must not.
+    """
+    structure = solver.structure
+
+    def step(carry):
+        y, size, count, slow, factors = carry
+        factors = jax.lax.cond(slow, lambda y, _: structure.factor(t, y, args, s), lambda _, f: f, y, factors)
+        change = structure.solve(factors, (base - y) / s + structure.field(t, y, args))
+        new = jnp.sqrt(jnp.mean(jnp.square(change / solver.tolerance)))
+        return y + change, new, count + 1, ~(new < solver.contraction * size), factors
+
+    def more(carry):
+        _, size, count, *_ = carry
+        return (count == 0) | ((size > solver.newton) & jnp.isfinite(size) & (count < solver.iterations))
+
+    start = (guess, jnp.asarray(jnp.inf), 0, jnp.asarray(False), factors)
+    y, size, _, _, factors = jax.lax.while_loop(more, step, start)
+    # Where it did not, y may be anything; the step is rejected, and reverse mode multiplies its slopes by 0.
+    good = size <= solver.newton
+    return jnp.where(good, y, base), good, factors
+
+
+def _solved(
+    solver: Sdirk, t: Any, base: Array, guess: Array, s: Any, args: Any, factors: Any
+) -> tuple[Array, Array, Any]:
+    """``newton``, differentiated by the implicit function theorem."""
+    arrays, static = eqx.partition(args, eqx.is_array)
+    structure = solver.structure
+
+    @jax.custom_jvp
+    def solve(t, base, guess, s, arrays, tolerance, factors):
+        exact = eqx.tree_at(lambda x: x.tolerance, solver, tolerance)
+        return newton(exact, t, base, guess, s, eqx.combine(arrays, static), factors)
+
+    @solve.defjvp  # pyright: ignore[reportArgumentType]
+    def _(primals, tangents):
+        t, base, _, s, arrays, *_ = primals
+        y, good, kept = solve(*primals)
+        t_dot, base_dot, _, s_dot, arrays_dot, *_ = tangents
+
+        def residual(t, base, s, arrays):
+            return (base - y) / s + structure.field(t, y, eqx.combine(arrays, static))
+
+        _, right = jax.jvp(residual, (t, base, s, arrays), (t_dot, base_dot, s_dot, arrays_dot))
+        exact = structure.factor(t, y, eqx.combine(arrays, static), s)
+        return (y, good, kept), (structure.solve(exact, right), still(good), jax.tree.map(still, kept))
+
+    y, good, factors = solve(t, base, guess, s, arrays, solver.tolerance, factors)
+    return y, good, jax.lax.stop_gradient(factors)

@@ -1,0 +1,255 @@
+"""The public verbs: ``force_history`` (pure, differentiable) and ``simulate`` (a run with its story)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.quantities import increasing
+from bcfj_jax.core.status import OK, reason
+from bcfj_jax.mechanism.dynamics import Reading, check_start, contact_state, observe
+from bcfj_jax.mechanism.scene import AbstractScene, Params, Scene
+from bcfj_jax.models.joint.checks import check_joint
+from bcfj_jax.models.joint.constants import constants
+from bcfj_jax.models.joint.fidelity import Choice, adaptive
+from bcfj_jax.models.joint.kinematic import kinematic_readings
+from bcfj_jax.models.joint.observe import contact_states, observe_at_rest, pressed
+from bcfj_jax.models.joint.observe import observe as observe_joint
+from bcfj_jax.models.joint.scene import AUTO, Joint
+from bcfj_jax.solve.forward_reverse import two_way
+from bcfj_jax.solve.integrate import LEVELS, MAX_STEPS, Plan, Solution, integrate, plan
+
+Mode = Literal["auto", "forward", "reverse"]
+_FORWARD, _REVERSE = dfx.ForwardMode(), dfx.RecursiveCheckpointAdjoint()
+# A joint's gradient is SDIRK2's, whose tangents are not in its step control: 2 % off at this tolerance, and up to 34 %
+# at tighter ones, which resolve the swing of free balls with a wrong phase (docs/derivatives.md).
+_BACKWARD = 1e-3
+
+
+class Run(NamedTuple):
+    """A finished simulation, as NumPy arrays.
+
+    Attributes:
+        times: (T,) [s].
+        force: per contact (T, 3): normal, axial, tangential force [N].
+            Contacts that every ball has: (T, balls, 3) here and (T, balls) below.
+        penetration, rate: per contact (T,): overlap [m] (negative: gap) and its rate [m/s].
+        slip: per contact (T,): sliding speed [m/s]; empty for scenes that only approach.
+        status: "ok" or "failed"; a failed run is NaN from the failure on.
+        reason, failure_time: why and when [s] it failed; "" and NaN for a good run.
+        stats: steps accepted and rejected, tolerance, wall and compile seconds.
+        state: per contact (T,): codes of ``dynamics.contact_state`` that count ``dynamics.STATES`` (apart, touching,
+            sticking, sliding), -1 where the run failed; empty for a run that ``simulate`` did not make.
+        trajectory: (T, n) the flat states themselves, as ``dynamics`` and ``joint.system`` read them; None likewise.
+        choice: the rung that a joint of fidelity "auto" was run at, and why; None for every other scene.
+    """
+
+    times: np.ndarray
+    force: dict[str, np.ndarray]
+    penetration: dict[str, np.ndarray]
+    rate: dict[str, np.ndarray]
+    slip: dict[str, np.ndarray]
+    status: str
+    reason: str
+    failure_time: float
+    stats: dict[str, float]
+    state: dict[str, np.ndarray] = {}
+    trajectory: np.ndarray | None = None
+    choice: Choice | None = None
+
+
+def check(scene: AbstractScene, params: Params) -> None:
+    """Refuse what no run can answer: a joint that cannot be built, a start that its law has no answer to.
+
+    Raises:
+        InputError: ``joint.checks.check_joint``, ``dynamics.check_start``.
+    """
+    if isinstance(scene, Joint):
+        check_joint(scene, params)
+    elif isinstance(scene, Scene):
+        check_start(scene, params)
+
+
+def outcome(
+    scene: AbstractScene,
+    params: Params,
+    times: Array,
+    how: Plan,
+    adjoint: dfx.AbstractAdjoint,
+    differentiable: bool = False,
+) -> tuple[Solution, dict[str, Reading]]:
+    """States at the times as ``integrate`` gives them, and what every contact reads in them; arguments are its own."""
+    solution = integrate(scene, params, times, how, adjoint, differentiable)
+    return solution, readings(scene, params, times, solution.states)
+
+
+def readings(scene: AbstractScene, params: Params, times: Array, states: Array) -> dict[str, Reading]:
+    """What every contact reads in states (T, n) at times (T,)."""
+    if isinstance(scene, Joint):
+        if scene.fidelity == "kinematic":
+            return kinematic_readings(scene, params, times)
+        c, look = constants(scene, params), observe_at_rest if scene.fidelity == "quasistatic" else observe_joint
+        return jax.vmap(lambda state: look(scene, c, state))(states)
+    assert isinstance(scene, Scene)
+    return jax.vmap(lambda state: observe(scene, state, params))(states)
+
+
+def _forces(
+    adjoint: dfx.AbstractAdjoint, scene: AbstractScene, params: Params, times: Array, how: Plan, differentiable: bool
+) -> dict[str, Array]:
+    _, readings = outcome(scene, params, times, how, adjoint, differentiable)
+    return {name: reading.force for name, reading in readings.items()}
+
+
+def _backward(scene: AbstractScene, how: Plan) -> Plan:
+    """How a scene is solved for its gradient: a joint's tolerance is held where SDIRK2's derivatives are best."""
+    if not isinstance(scene, Joint):
+        return how
+    return eqx.tree_at(lambda p: p.tolerance, how, jnp.maximum(how.tolerance, _BACKWARD))
+
+
+def force_history(
+    scene: AbstractScene,
+    params: Params,
+    times: ArrayLike,
+    *,
+    accuracy: str | float | Plan = "balanced",
+    mode: Mode = "auto",
+) -> dict[str, Array]:
+    """Contact-force histories as a pure function of parameters and times.
+
+    jit, vmap, jvp, jacfwd and grad go through. Step-size control is never differentiated. A failed run
+    is NaN from the failure on; so is then every loss built on it.
+
+    Args:
+        scene: static structure.
+        params: the scene's parameters, SI, from ``scene.parameters``.
+        times: (T,) increasing [s]; the run starts at 0, and a time before 0 reads the initial state.
+        accuracy: level, force error as a fraction of the peak, or a ``Plan`` (whose tolerance may be traced).
+        mode: "forward" (jvp, jacfwd, nested ones: fastest for some 50 parameters), "reverse" (vjp, grad:
+            checkpointed), or "auto": both, first derivatives only, for one forward run more; a joint's gradient is
+            then solved no tighter than its derivatives bear.
+
+    Returns:
+        Per contact (T, 3) [N], or (T, k, 3) where the contact has k members: normal, axial, tangential.
+    """
+    how = accuracy if isinstance(accuracy, Plan) else plan(scene, accuracy)
+    times = jnp.asarray(times, dtype=jnp.float64)
+    if mode == "forward":
+        return _forces(_FORWARD, scene, params, times, how, True)
+    if mode == "reverse":
+        return _forces(_REVERSE, scene, params, times, how, True)
+    if mode == "auto":
+
+        def way(adjoint: dfx.AbstractAdjoint, differentiable: bool) -> Callable[[tuple], dict[str, Array]]:
+            return lambda x: _forces(adjoint, scene, x[0], x[1], x[2], differentiable)
+
+        def backward(x: tuple) -> dict[str, Array]:
+            return _forces(_REVERSE, scene, x[0], x[1], _backward(scene, x[2]), True)
+
+        ways = way(_FORWARD, True), backward, way(_FORWARD, False)
+        return two_way(*ways)((dict(params), times, how))
+    raise InputError("mode", f"no mode '{mode}'", "use auto, forward or reverse")
+
+
+@eqx.filter_jit
+def _run(scene: AbstractScene, params: Params, times: Array, how: Plan) -> tuple[Solution, dict[str, Reading]]:
+    return outcome(scene, params, times, how, _FORWARD)
+
+
+_compiled: dict[object, Callable[..., tuple[Solution, dict[str, Reading]]]] = {}
+
+
+def simulate(
+    scene: AbstractScene,
+    params: Params,
+    times: ArrayLike,
+    *,
+    accuracy: str | float = "balanced",
+    max_steps: int = MAX_STEPS,
+    solver: str | None = None,
+) -> Run:
+    """Simulate a scene and say how it went.
+
+    Compiles once per scene and number of times; new parameter values, times and accuracies reuse it.
+
+    Args:
+        scene, params, times, accuracy: as ``force_history``.
+        max_steps: budget of attempted steps; beyond it the run fails with that reason.
+        solver: a name of ``solvers.named`` in place of the scene's own.
+
+    Raises:
+        InputError: for times that are not finite and increasing, an unknown accuracy or solver, a budget below 1, and
+            a scene that ``check`` refuses.
+    """
+    values = increasing(times)
+    check(scene, params)
+    if isinstance(scene, Joint) and scene.fidelity == AUTO:
+        plan(scene, accuracy, max_steps, solver)
+        effort: dict[str, Any] = {"accuracy": accuracy, "max_steps": max_steps, "solver": solver}
+        budget = LEVELS[accuracy] if isinstance(accuracy, str) else accuracy
+        return adaptive(scene, params, values, budget, lambda rung, at: simulate(rung, params, at, **effort))
+    # Values alone: one program, whether or not derivatives would need their own error controlled.
+    how = Plan(plan(scene, accuracy, max_steps, solver).tolerance, max_steps, solver=solver)
+    return timed(scene, params, values, how)
+
+
+def timed(scene: AbstractScene, params: Params, values: np.ndarray, how: Plan) -> Run:
+    """A run as planned, at times (T,) [s], with the seconds it took; nothing is checked."""
+    arguments = (scene, dict(params), jnp.asarray(values), how)
+    key = (scene, len(values), how.max_steps, how.solver, jax.tree.structure(params))
+    begin = time.perf_counter()
+    if key not in _compiled:
+        _compiled[key] = _run.lower(*arguments).compile()
+    compiled = time.perf_counter()
+    solution, readings = jax.device_get(_compiled[key](*arguments))
+    done = time.perf_counter()
+    walls = {"wall_s": done - compiled, "compile_s": compiled - begin}
+    run = story(scene, values, solution, readings, how, walls)
+    return run._replace(state=_contact_states(scene, params, readings), trajectory=np.asarray(solution.states))
+
+
+def _contact_states(scene: AbstractScene, params: Params, readings: dict[str, Reading]) -> dict[str, np.ndarray]:
+    if isinstance(scene, Joint):
+        return contact_states(scene, params, readings)
+    return {contact.name: contact_state(pressed(readings[contact.name])) for contact in scene.contacts}
+
+
+def story(
+    scene: AbstractScene,
+    times: np.ndarray,
+    solution: Solution,
+    readings: dict[str, Reading],
+    how: Plan,
+    walls: dict[str, float],
+) -> Run:
+    """A run from what the program gave back, fetched to the host."""
+    failed = int(solution.code) != OK
+    # JAX gives dictionaries back in the order of their keys.
+    readings = {contact.name: readings[contact.name] for contact in scene.contacts}
+    return Run(
+        times=times,
+        force={name: np.asarray(r.force) for name, r in readings.items()},
+        penetration={name: np.asarray(r.penetration) for name, r in readings.items()},
+        rate={name: np.asarray(r.rate) for name, r in readings.items()},
+        slip={name: np.asarray(r.slip) for name, r in readings.items() if r.slip is not None},
+        status="failed" if failed else "ok",
+        reason=reason(int(solution.code), how.max_steps),
+        failure_time=float(solution.end) if failed else float("nan"),
+        stats={
+            "accepted": int(solution.accepted),
+            "rejected": int(solution.rejected),
+            "tolerance": float(how.tolerance),
+            **walls,
+        },
+    )

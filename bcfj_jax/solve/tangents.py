@@ -1,0 +1,107 @@
+"""SDIRK2 of a state and of its tangents beside it: forward derivatives without differentiating a loop.
+
+The tangents are those of the discrete solution, by the implicit function theorem at every stage: with E = I/s - J at
+the converged stage y of base b,
+
+    E dy = db/s + (df/dp) dp,
+
+all directions together, one matrix for all. The same steps and numbers as differentiating ``sdirk``, from a smaller
+program: JAX differentiates no loop. Tangents have no say in the steps; in ``bdf`` they have.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from bcfj_jax.solve.sdirk import GAMMA, NODES, Sdirk, following, newton, stages
+
+
+class SdirkTangents(dfx.AbstractAdaptiveSolver):
+    """``Sdirk``, here ``state``, over rows (1 + k, n): the state, then its tangents.
+
+    ``args`` is (args, their k changes); a change is None where nothing changes.
+    """
+
+    state: Sdirk
+
+    term_structure: ClassVar = dfx.ODETerm
+    interpolation_cls: ClassVar[Callable[..., dfx.AbstractLocalInterpolation]] = (
+        dfx.ThirdOrderHermitePolynomialInterpolation
+    )
+
+    def order(self, terms):
+        """2."""
+        return 2
+
+    def error_order(self, terms):
+        """As ``Sdirk``'s."""
+        return 3
+
+    def init(self, terms, t0, t1, y0, args):
+        """Slopes at the start, later the last stage's; 0 for tangents, which do not read theirs."""
+        return self.func(terms, t0, y0, args)
+
+    def func(self, terms, t0, y0, args):
+        """The field; 0 for tangents."""
+        return jnp.zeros_like(y0).at[0].set(self.state.structure.field(t0, y0[0], args[0]))
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        """One step; the error of tangents is 0."""
+        del terms, made_jump
+        rows, error, slopes, ends = _step(self, t0, t1, y0, args, solver_state)
+        return rows, error, dict(y0=y0, y1=rows, k0=ends[0], k1=ends[1]), slopes, dfx.RESULTS.successful
+
+
+def along(solver: Sdirk, t: Any, y: Array, args: Any, changes: Any) -> Array:
+    """(df/dp) dp of every direction (k, n), or 0."""
+    if not jax.tree.leaves(changes):
+        return jnp.zeros(())
+    moving = jax.tree.map(lambda d, x: None if d is None else x, changes, args, is_leaf=lambda d: d is None)
+
+    def field(moving):
+        return solver.structure.field(t, y, eqx.combine(moving, args))
+
+    return jax.vmap(lambda change: jax.jvp(field, (moving,), (change,))[1])(changes)
+
+
+@eqx.filter_jit
+def _step(
+    whole: SdirkTangents, t0: Any, t1: Any, rows: Array, both: Any, firsts: Array
+) -> tuple[Array, Array, Array, Any]:
+    """New rows, their errors, last slopes, and the slopes at both ends times the step."""
+    args, changes = both
+    solver = whole.state
+    structure, h = solver.structure, t1 - t0
+    s = h * GAMMA
+    states, slopes, error = stages(solver, t0, h, rows[0], args, firsts[0], newton)
+
+    def tangents(_):
+        """Of both stages; what does not depend on the tangents themselves for both together."""
+
+        def at(t, y):
+            return structure.factor(t, y, args, s), along(solver, t, y, args, changes)
+
+        matrices, moved = jax.vmap(at)(t0 + NODES * h, states)
+
+        def stage(base, row):
+            matrix, push = row
+            found = jax.vmap(structure.solve, (None, 0))(matrix, base / s + push)
+            slope = (found - base) / s
+            return following(h, base, slope), (found, slope)
+
+        _, (found, slopes) = jax.lax.scan(stage, rows[1:], (matrices, moved))
+        return found[1], slopes[1]
+
+    # A step that will be rejected needs none.
+    good = jnp.sqrt(jnp.mean(jnp.square(error / solver.tolerance))) <= 1.0
+    ahead, last = jax.lax.cond(good, tangents, lambda _: (rows[1:], rows[1:]), None)
+    errors = jnp.concatenate([error[None], jnp.zeros_like(ahead)])
+    lasts = jnp.concatenate([slopes[1:], last])
+    return jnp.concatenate([states[1:], ahead]), errors, lasts, (h * firsts, h * lasts)

@@ -1,0 +1,207 @@
+"""How many points a second a study computes, against single runs: one process in a loop, and a pool of two.
+
+    python -m benchmarks.analysis.study [--points 256] [--singles 12] [--static 20000]
+writes results/study.json and the table in docs/studies.md. Side by side in one run, compiled programs kept:
+
+- the dynamic joint, clearances of the seat's pilot over a decade, 0.6 s, 601 samples, at ``balanced``;
+- the same against the slots of a batch (with one core), also as docs/images/study_slots.png;
+- a bounce whose points cost up to ten times as much as others: the share of slots at work;
+- the quasistatic joint at 13 instants of a ball's pitch under full load.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import os
+import resource
+import tempfile
+import time
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("EQX_ON_ERROR", "nan")
+
+import jax
+import numpy as np
+from matplotlib.figure import Figure
+
+from bcfj_jax import scenes, simulate
+from bcfj_jax.analysis.derivatives.names import feature
+from bcfj_jax.analysis.studies import api, batch
+from bcfj_jax.analysis.studies.block import Blocks
+from bcfj_jax.analysis.studies.specification import from_table
+from bcfj_jax.analysis.studies.store import facts_of
+from bcfj_jax.io import plots
+from bcfj_jax.solve.integrate import plan
+from benchmarks.common import ROOT, markdown, put_in_readme, save
+
+CACHE = ROOT / "build" / "jax-cache"
+TIMES = np.linspace(0.0, 0.6, 601)
+LOW, HIGH = 1e-5, 1e-4
+FEATURES = ["seat_cage.peak", "seat_ball.peak"]
+
+
+def dynamic(points: int) -> dict[str, Any]:
+    return {
+        "scene": {"scene": {"kind": "joint"}, "time": {"end": 0.6, "samples": 601}},
+        "vary": {"clearance_seat_cage": {"lower": LOW, "upper": HIGH, "steps": points, "scale": "log"}},
+        "results": {"features": FEATURES},
+    }
+
+
+def static(points: int) -> dict[str, Any]:
+    return {
+        # One ball's pitch at 100 r/min, after the ramp of the load.
+        "scene": {
+            "scene": {"kind": "joint", "fidelity": "quasistatic"}, "time": {"end": 0.1, "samples": 13},
+            "parameters": {"load_ramp": 1e-6},
+        },
+        "vary": {"clearance_seat_cage": {"lower": LOW, "upper": HIGH, "steps": points, "scale": "log"}},
+        "results": {"features": ["seat_ball.peak", "cage_ball.peak"]},
+    }  # fmt: skip
+
+
+def kept() -> None:
+    """Keep compiled programs, here and in workers."""
+    os.environ["BCFJ_CACHE"] = str(CACHE)
+    jax.config.update("jax_compilation_cache_dir", str(CACHE))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+
+
+def singles(task: tuple[list[float], int]) -> float:
+    """Wall seconds of single runs one after the other, compiling left out."""
+    clearances, core = task
+    kept()
+    if hasattr(os, "sched_setaffinity"):
+        cores = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {cores[core % len(cores)]})
+    scene = scenes.joint()
+    simulate(scene, scene.parameters(), TIMES)
+    begin = time.perf_counter()
+    for clearance in clearances:
+        simulate(scene, scene.parameters(clearance_seat_cage=clearance), TIMES)
+    return time.perf_counter() - begin
+
+
+def study(table: dict[str, Any], workers: int) -> dict[str, Any]:
+    """A study in a fresh folder, twice: the second time its programs are kept. Seconds between first and last block."""
+    found: dict[str, Any] = {}
+    for _ in range(2):
+        with tempfile.TemporaryDirectory() as folder:
+            seen: list[tuple[float, int]] = []
+            begin = time.perf_counter()
+            result = api.study(table, Path(folder) / "out", workers=workers, progress=lambda done, _: seen.append((time.perf_counter(), done)))  # noqa: B023, E501  # fmt: skip
+            blocks = Blocks(from_table(table))
+            facts = [facts_of(p) for p in sorted((Path(folder) / "out" / "blocks").glob("*.parquet"))]
+            steps, rounds = sum(sum(f["steps"]) for f in facts), sum(f["rounds"] for f in facts)
+            first = next(at for at, done in seen if done >= workers)
+            last, done = next((at, done) for at, done in seen if done == len(blocks))
+            found = {
+                "points": result.table.num_rows, "failed": result.failed, "whole_s": time.perf_counter() - begin,
+                "blocks": len(blocks), "size": blocks.size,
+                "rate": (done - workers) * blocks.size / (last - first),
+                "efficiency": steps / (rounds * min(blocks.size, batch.slots())) if rounds else None,
+            }  # fmt: skip
+    return found
+
+
+def by_slots(count: int) -> list[dict[str, float]]:
+    """Points a second of one core against the number of slots."""
+    scene, rows = scenes.joint(), []
+    params = {name: np.full(count, float(x)) for name, x in scene.parameters().items()}
+    params["clearance_seat_cage"] = np.geomspace(LOW, HIGH, count)
+    wanted = [feature(name, {"seat_cage": 0, "seat_ball": 6}) for name in FEATURES]
+    given = batch.slots
+    for slots in (1, 2, 4, 8, 16, 32, 64, 128):
+        batch.slots = lambda slots=slots: slots
+        # Another size for each: the program's key does not know the slots.
+        args = (scene, params, np.full(count, 0.6), TIMES / 0.6, wanted, plan(scene), count + slots)
+        batch.run(*args)
+        begin = time.perf_counter()
+        batch.run(*args)
+        rows.append({"slots": slots, "rate": count / (time.perf_counter() - begin)})
+        print(rows[-1], flush=True)
+    batch.slots = given
+    return rows
+
+
+def drawn(rows: list[dict[str, float]], path: Path) -> None:
+    with plots.style():
+        figure = Figure(figsize=(5.5, 3.4), layout="constrained")
+        axes = figure.subplots()
+        axes.plot([r["slots"] for r in rows], [r["rate"] for r in rows], "o-")
+        axes.set_xscale("log", base=2)
+        axes.set_xticks([r["slots"] for r in rows], [f"{r['slots']}" for r in rows])
+        axes.set_ylim(0.0)
+        axes.set_xlabel("slots of a batch")
+        axes.set_ylabel("joints of 0.6 s a second, one core")
+        figure.savefig(path, dpi=110)
+
+
+def spread() -> dict[str, Any]:
+    """A bounce whose points last 0.3 to 3 s."""
+    scene, count = scenes.bounce(), 256
+    params = {name: np.full(count, float(x)) for name, x in scene.parameters().items()}
+    last = np.geomspace(3.0, 0.3, count)
+    found = batch.run(scene, params, last, np.linspace(0, 1, 101), [feature("contact.peak", {"contact": 0})], plan(scene), count)  # fmt: skip
+    share = float(found.steps.sum() / (found.rounds * batch.slots()))
+    return {"largest_over_least": float(found.steps.max() / found.steps.min()), "efficiency": share}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--points", type=int, default=256)
+    parser.add_argument("--singles", type=int, default=12)
+    parser.add_argument("--static", type=int, default=20_000)
+    given = parser.parse_args()
+    kept()
+    some = np.geomspace(LOW, HIGH, given.singles).tolist()
+    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
+        list(pool.map(singles, [(some[:1], 0), (some[:1], 1)]))
+        loop = [given.singles / pool.submit(singles, (some, 0)).result()]
+        two = max(pool.map(singles, [(some[::2], 0), (some[1::2], 1)]))
+        joint = study(dynamic(given.points), 2)
+        # The loop again: the machine may have changed in between.
+        loop.append(given.singles / pool.submit(singles, (some, 0)).result())
+    one, pair = float(np.mean(loop)), given.singles / two
+    print("loop", loop, "pool", pair, "study", joint, flush=True)
+    still = study(static(given.static), 2)
+    print("quasistatic", still, flush=True)
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+    wide, slots = spread(), by_slots(128)
+    drawn(slots, ROOT / "docs" / "images" / "study_slots.png")
+    content = {
+        "loop_points_s": loop, "pool_points_s": pair, "dynamic": joint, "over_loop": joint["rate"] / one,
+        "over_pool": joint["rate"] / pair, "quasistatic": still, "spread": wide, "slots": slots,
+        "largest_worker_mb": resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024,
+    }  # fmt: skip
+    save("study", content)
+    rows = [
+        ["what", "points a second", "against"],
+        ["dynamic joint, 0.6 s, single runs in a loop", f"{one:.3g}", ""],
+        ["the same, a pool of two processes", f"{pair:.3g}", f"{pair / one:.1f} times the loop"],
+        [
+            f"the same as a study of {given.points} clearances, 2 workers", f"{joint['rate']:.3g}",
+            f"**{joint['rate'] / one:.1f} times the loop, {joint['rate'] / pair:.1f} times the pool**",
+        ],
+        [f"quasistatic joint, 13 instants, {given.static} points, 2 workers", f"{still['rate']:.4g}", ""],
+    ]  # fmt: skip
+    more = [
+        ["slots", *(str(r["slots"]) for r in slots)],
+        ["points a second, one core", *(f"{r['rate']:.3g}" for r in slots)],
+    ]
+    text = f"{markdown(rows)}\n\n{markdown(more)}\n\n![points a second against slots](images/study_slots.png)\n\n"
+    text += (
+        f"Runs that cost up to {wide['largest_over_least']:.0f} times as much as others keep {wide['efficiency']:.0%} "
+    )
+    text += f"of the slots at work; those of the joint above {joint['efficiency']:.0%}."
+    put_in_readme("study", text, "docs/studies.md")
+    print(json.dumps(content, indent=1))
+
+
+if __name__ == "__main__":
+    main()

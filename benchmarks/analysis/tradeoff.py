@@ -1,0 +1,161 @@
+"""The trade of every built-in scene: ``bcfj tradeoff`` on impact, bounce and the joint, kept, drawn, and in the README.
+
+Beside it the levels as ``bcfj simulate`` runs them: seconds of ``fast``, ``balanced`` and ``reference`` on the same
+scene, their error against the study's own truth; of the joint against CVODES (``joint_reference``), from a pitch after
+the load has risen. A study goes on where it was cut off (build/tradeoff).
+
+    python -m benchmarks.analysis.tradeoff [SCENE ...] [--budget 900] [--drawn]
+        writes results/tradeoff_SCENE.json, docs/images/tradeoff.png and the README's table; --drawn measures nothing
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from typing import Any
+
+os.environ.setdefault("EQX_ON_ERROR", "nan")
+
+import jax
+import numpy as np
+
+from bcfj_jax.analysis.tradeoff import advice
+from bcfj_jax.analysis.tradeoff.command import as_json
+from bcfj_jax.analysis.tradeoff.measures import errors, measured, worst
+from bcfj_jax.analysis.tradeoff.settings import settings
+from bcfj_jax.analysis.tradeoff.study import OK, Study, study
+from bcfj_jax.analysis.tradeoff.trial import trial
+from bcfj_jax.io import plots
+from bcfj_jax.io.journal import Journal, key_of
+from bcfj_jax.io.outputs import plain
+from bcfj_jax.io.scenefile import from_table, quickest
+from bcfj_jax.io.stop import heeded
+from bcfj_jax.models.joint.periodic import risen
+from bcfj_jax.models.joint.scene import Joint
+from bcfj_jax.solve.integrate import LEVELS
+from benchmarks.common import RESULTS, ROOT, load, markdown, put_in_readme, save
+from benchmarks.models import joint_reference
+from benchmarks.solve.levels import off
+
+TABLES: dict[str, dict[str, Any]] = {
+    "impact": {"scene": {"kind": "impact"}},
+    "bounce": {"scene": {"kind": "bounce"}},
+    "joint": {"scene": {"kind": "joint"}},
+}
+BUDGETS = ("5 %", "1 %", "0.1 %")
+
+
+def levels(name: str, found: Study) -> dict[str, dict[str, float]]:
+    """Wall, steps and error of every level, on the scene of a study."""
+    assert found.reference is not None and found.reference.truth is not None
+    kept = {}
+    for level in LEVELS:
+        given = quickest(from_table({**TABLES[name], "accuracy": {"level": level}}, None))
+        run, cost = trial(given)
+        if isinstance(given.scene, Joint):
+            truth = joint_reference.load()
+            late = truth.times >= risen(given.scene, given.params, 1)
+            ours, theirs = ({key: force[late] for key, force in x.force.items()} for x in (run, truth))
+            error = off(ours, theirs, truth.times[late])
+        else:
+            error = worst(errors(measured(run, given.times), found.reference.truth, given.times))
+        kept[level] = cost | {"error": error}
+    return kept
+
+
+def measure(name: str, budget: float, only: list[str], derivatives: bool) -> None:
+    """Study a scene, or go on with it; keep what is known."""
+    given = from_table(TABLES[name], None)
+    folder = ROOT / "build" / "tradeoff" / name
+    folder.mkdir(parents=True, exist_ok=True)
+    with heeded(), Journal(folder, key_of("tradeoff", given.resolved, derivatives)) as journal:
+        found = study(
+            given, settings(given, only, derivatives), journal, budget, lambda text: print(name, text, flush=True)
+        )
+    told = as_json(found, advice.recommended(found), advice.doubts(found.reference))
+    save(f"tradeoff_{name}", plain({**told, "levels": levels(name, found)}))
+
+
+def known() -> list[str]:
+    """Scenes with a kept study."""
+    return [name for name in TABLES if (RESULTS / f"tradeoff_{name}.json").exists()]
+
+
+def table() -> str:
+    """The levels, and what is recommended, of every scene."""
+    rows = [["scene", "", "wall", "steps", "worst error", "as fast as `reference`"]]
+    for name in known():
+        kept = load(f"tradeoff_{name}")
+        slowest = kept["levels"]["reference"]["wall_s"]
+        for level, one in kept["levels"].items():
+            rows.append(
+                [name, f"`{level}`: {100 * LEVELS[level]:g} %", f"{1e3 * one['wall_s']:.3g} ms", f"{one['steps']:.0f}",
+                 f"{100 * one['error']:.2g} %", f"{slowest / one['wall_s']:.2g}"]
+            )  # fmt: skip
+        for budget in BUDGETS:
+            one = kept["recommended"][budget]
+            if one["setting"]:
+                error = f"{100 * max(one['errors'].values()):.2g} %"
+                wall = f"{1e3 * one['wall_s']:.3g} ms"
+                text = f"advice for {budget}: {one['setting']}"
+                rows.append([name, text, wall, "", error, f"{slowest / one['wall_s']:.2g}"])
+    return markdown(rows)
+
+
+def picture() -> None:
+    """Error against wall of every setting of every scene; ladders of solvers as lines."""
+    with plots.style():
+        figure, axes = plots.figure(1, len(known()), width=14.0, height=5.0)
+        for axis, name in zip(axes, known(), strict=True):
+            kept = load(f"tradeoff_{name}")
+            rows = [row for row in kept["settings"] if row["status"] == OK]
+            groups: dict[str, list[tuple[float, float]]] = {}
+            for row in rows:
+                ladder = row["setting"].split(" at ")[0] if row["group"] == "tolerance" else row["group"]
+                if row["setting"] != "as given":
+                    groups.setdefault(ladder, []).append((row["wall_s"], worst(row)))
+            solvers = {r["setting"].split(" at ")[0] for r in rows if r["group"] == "tolerance"}
+            # Solvers first: theirs are the colours that do not come again.
+            for number, (label, points) in enumerate(sorted(groups.items(), key=lambda item: item[0] not in solvers)):
+                x, y = np.array(points).T
+                how = {"color": plots.COLOURS[number % len(plots.COLOURS)], "label": label, "markersize": 4}
+                mark = "o-" if label in solvers else "x+*1"[number % 4]
+                axis.loglog(x, np.clip(y, 1e-12, 10.0), mark, linewidth=0.8, **how)
+            # Levels that are one run, but for the noise of walls, share a star.
+            names: dict[float, list[str]] = {}
+            for level, one in kept["levels"].items():
+                names.setdefault(max(one["error"], 1e-12), []).append(level)
+            for error, same in names.items():
+                place = (min(kept["levels"][level]["wall_s"] for level in same), error)
+                axis.loglog(*place, "k*", markersize=11, zorder=5)
+                ground = {"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.8}
+                text = {"textcoords": "offset points", "fontsize": 9, "zorder": 6, "bbox": ground}
+                axis.annotate(", ".join(same), place, (9, 3), **text)
+            # Of less than a decade the numbers between are many, and long.
+            axis.xaxis.set_minor_formatter("")
+            axis.set_title(name)
+            axis.set_xlabel("wall time of a run, compiled [s]")
+            axis.legend(fontsize=7)
+        axes[0].set_ylabel("worst of force rms, peak and impulse [of the peak]")
+        plots.save(figure, ROOT / "docs" / "images" / "tradeoff.png")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"by default all of {', '.join(TABLES)}")
+    parser.add_argument("--budget", type=float, default=900.0, help="seconds a scene")
+    parser.add_argument(
+        "--no-derivatives", action="store_true", help="values alone: most of a joint's cost is left out"
+    )
+    parser.add_argument("--only", default="", help="groups of settings or solvers, as of bcfj tradeoff")
+    parser.add_argument("--drawn", action="store_true")
+    asked = parser.parse_args()
+    jax.config.update("jax_compilation_cache_dir", str(ROOT / "build" / "jax-cache"))
+    for name in () if asked.drawn else asked.scenes or TABLES:
+        measure(name, asked.budget, [x for x in asked.only.split(",") if x], not asked.no_derivatives)
+    picture()
+    put_in_readme("tradeoff", table())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,267 @@
+"""Do 95 % intervals hold the truth 95 times in 100, and is the estimator as good as the Cramer-Rao bound?
+
+    python -m benchmarks.calibration.coverage [CASE ...] [--replicates N] [--noise 0.01 0.02 0.05] [--workers 2]
+writes results/coverage.json and docs/calibration.md. Cases: impact, exact, quasistatic, dynamic; all by default.
+
+A replicate is a record with fresh noise, and a whole fit of it with its own starts. What is finished is kept in
+build/coverage/ and not done again, so a case may be run in pieces. ``impact`` and the joints' records are our own
+simulation, at a tighter tolerance than the fit's; ``exact`` are impacts by SciPy under the law with nothing smoothed.
+The dynamic joint's are by CVODES (``joint_calibration``).
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import json
+import multiprocessing
+import os
+import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from typing import Any, NamedTuple
+
+# Before equinox is imported: JAX keeps no program with host callbacks, which diffrax's checks are.
+os.environ.setdefault("EQX_ON_ERROR", "nan")
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.stats import binomtest, chi2
+
+from bcfj_jax import scenes, simulate
+from benchmarks.calibration.joint_calibration import BOUNDS as JOINT_BOUNDS
+from benchmarks.calibration.joint_calibration import Compilation
+from benchmarks.calibration.joint_calibration import problem as joint_problem
+from benchmarks.common import ROOT, load, markdown, put_in_readme, save
+from calibration import Channel, Experiment, Free, Problem, fit
+from calibration.forward.model import build, residuals_and_jacobian
+
+KEPT = ROOT / "build" / "coverage"
+# A fit after the first must not compile; profiles, which a few fits ask for, may, and little programs of NumPy's kind.
+MOST_COMPILING_S = 2.0
+
+# 0.1 kg at 1 m/s on 1e8 N/m^1.5: 0.82 ms of contact, 434 N.
+IMPACT = {"stiffness": 1e8, "exponent": 1.5, "damping": 0.15}
+MASS, SPEED, TIMES = 0.1, 1.0, np.linspace(0.0, 9e-4, 401)
+IMPACT_FREE = (Free("stiffness", 1e7, 1e9), Free("exponent", 1.0, 2.5), Free("damping", 0.015, 1.5))
+# What equilibria without friction tell; instants of one revolution under full load.
+STATIC = ("stiffness", "exponent", "clearance_cage_ball", "contact_angle")
+INSTANTS = np.linspace(0.06, 0.66, 41)
+
+
+class Case(NamedTuple):
+    """The problem of a noise and a seed; the truth by free parameter; starts, and replicates by default."""
+
+    problem: Callable[[float, int], Problem]
+    truth: dict[str, float]
+    starts: int
+    replicates: int
+
+
+def noisy(names: list[str], forces: list[np.ndarray], noise: float, seed: int) -> tuple[Channel, ...]:
+    """Channels with noise of a share of each one's peak."""
+    draw = np.random.default_rng(seed)
+    sigmas = [noise * float(np.abs(force).max()) for force in forces]
+    return tuple(
+        Channel(name, force + sigma * draw.standard_normal(force.size), sigma)
+        for name, force, sigma in zip(names, forces, sigmas, strict=True)
+    )
+
+
+@functools.cache
+def impact_force(source: str) -> np.ndarray:
+    """Force (T,) [N] of the impact: our own, or SciPy's with an event where the bodies part."""
+    k, n, a = IMPACT.values()
+    if source == "own":
+        scene = scenes.impact(smoothing=False)
+        params = scene.parameters({**IMPACT, "mass": MASS, "approach_speed": SPEED})
+        return simulate(scene, params, TIMES, accuracy=1e-8).force["contact"][:, 0]
+
+    def force(d: Any, rate: Any) -> Any:
+        return k * np.maximum(d, 0.0) ** n * np.maximum(1.0 + a * rate, 0.0)
+
+    def apart(_: float, s: np.ndarray) -> float:
+        return s[0] - 1e-15
+
+    apart.terminal, apart.direction = True, -1  # pyright: ignore[reportFunctionMemberAccess]
+    run = solve_ivp(
+        lambda _, s: (s[1], -force(s[0], s[1]) / MASS), (0.0, 1.0), (1e-14, SPEED), "DOP853", rtol=1e-12, atol=1e-15,
+        events=apart, dense_output=True,
+    )  # fmt: skip
+    return np.where(run.t_events[0][0] > TIMES, force(*run.sol(TIMES)), 0.0)
+
+
+def impact(source: str, noise: float, seed: int) -> Problem:
+    """One impact of 401 samples."""
+    scene = scenes.impact(smoothing=False)
+    params = {k: float(v) for k, v in scene.parameters({**IMPACT, "mass": MASS, "approach_speed": SPEED}).items()}
+    channels = noisy(["contact.normal"], [impact_force(source)], noise, seed)
+    return Problem(scene, params, (Experiment("impact", TIMES, channels),), IMPACT_FREE)
+
+
+@functools.cache
+def static_forces() -> dict[str, np.ndarray]:
+    """Normal forces (T,) [N] by channel of the joint in equilibrium."""
+    scene = scenes.joint(fidelity="quasistatic")
+    found = simulate(scene, scene.parameters(), INSTANTS).force
+    return {
+        f"{name}_{i + 1}.normal" if force.ndim == 3 else f"{name}.normal": one
+        for name, force in found.items()
+        for i, one in enumerate(force[..., 0].reshape(INSTANTS.size, -1).T)
+    }
+
+
+def static(noise: float, seed: int) -> Problem:
+    """The joint without inertia and friction at 41 angles."""
+    scene, forces = scenes.joint(fidelity="quasistatic"), static_forces()
+    truth = {name: float(value) for name, value in scene.parameters().items()}
+    free = tuple(Free(n, JOINT_BOUNDS[n][0] * truth[n], JOINT_BOUNDS[n][1] * truth[n]) for n in STATIC)
+    channels = noisy(list(forces), list(forces.values()), noise, seed)
+    return Problem(scene, truth, (Experiment("revolution", INSTANTS, channels),), free)
+
+
+def dynamic(noise: float, seed: int) -> Problem:
+    """The joint's motion over 0.6 s; damping, which the forces do not tell, fixed."""
+    return joint_problem(noise, seed, {"damping": JOINT_TRUTH["damping"]})
+
+
+JOINT_TRUTH = {name: float(value) for name, value in scenes.joint().parameters().items()}
+CASES = {
+    "impact": Case(functools.partial(impact, "own"), IMPACT, 6, 200),
+    "exact": Case(functools.partial(impact, "scipy"), IMPACT, 6, 200),
+    "quasistatic": Case(static, {n: JOINT_TRUTH[n] for n in STATIC}, 4, 200),
+    "dynamic": Case(dynamic, {n: JOINT_TRUTH[n] for n in JOINT_BOUNDS if n != "damping"}, 4, 30),
+}
+
+
+def bound(case: Case, noise: float) -> dict[str, float]:
+    """Cramer-Rao deviation of each parameter, as a share of it, from the Jacobian at the truth and the noise."""
+    made = case.problem(noise, 0)
+    model = build(made, made.experiments)
+    # At a reference penetration of 1 m the coordinate of the stiffness is that of the stiffness itself.
+    point = jnp.asarray(model.point(np.array([case.truth[s.name] for s in model.slots]), 0.0))
+    jacobian = np.asarray(residuals_and_jacobian(model, point, jnp.asarray(0.0))[1])
+    width = np.asarray(model.box(jnp.asarray(0.0))[1])
+    deviation = np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian))) * width
+    return {
+        slot.name: float(s if slot.log else s / case.truth[slot.name])
+        for slot, s in zip(model.slots, deviation, strict=True)
+    }
+
+
+def replicates(task: tuple[str, float, list[int], int]) -> int:
+    """Fit each seed's record in this process, which keeps to one core, and keep what came of it."""
+    name, noise, seeds, worker = task
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {sorted(os.sched_getaffinity(0))[worker % len(os.sched_getaffinity(0))]})
+    jax.config.update("jax_compilation_cache_dir", str(ROOT / "build" / "jax-cache"))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    case, compilation = CASES[name], Compilation()
+    for count, seed in enumerate(seeds):
+        begin, cpu = time.perf_counter(), time.process_time()
+        found = fit(case.problem(noise, seed), seed=seed, starts=case.starts)
+        compiling, profiled = compilation.since(), bool(found.evidence.profiles)
+        assert count == 0 or profiled or compiling < MOST_COMPILING_S, f"{compiling:.1f} s of compiling in a later fit"
+        row = {
+            "seed": seed, "verdict": found.verdict, "reasons": found.reasons, "compiling_s": compiling,
+            "wall_s": time.perf_counter() - begin, "cpu_s": time.process_time() - cpu,
+            "parameters": {k: [p.value, p.ci95, p.identifiable] for k, p in found.parameters.items()},
+        }  # fmt: skip
+        with kept(name, noise, worker).open("a") as file:
+            file.write(json.dumps(row) + "\n")
+    return len(seeds)
+
+
+def kept(name: str, noise: float, worker: int | str) -> Any:
+    """File of one worker's finished replicates."""
+    KEPT.mkdir(parents=True, exist_ok=True)
+    return KEPT / f"{name}_{noise:g}_{worker}.jsonl"
+
+
+def finished(name: str, noise: float) -> list[dict[str, Any]]:
+    """Finished replicates of a case by seed; a last line that was cut off is none."""
+    rows = {}
+    for path in KEPT.glob(kept(name, noise, "*").name):
+        for line in path.read_text().splitlines():
+            try:
+                row = json.loads(line)
+            except json.JSONDecodeError:
+                continue
+            rows[row["seed"]] = row
+    return [rows[seed] for seed in sorted(rows)]
+
+
+def summary(name: str, noise: float, rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Coverage and efficiency of each parameter over a case's replicates."""
+    case, least = CASES[name], bound(CASES[name], noise)
+    log, parameters = {f.name: f.told_as_share for f in case.problem(noise, 0).free}, {}
+    for parameter, true in case.truth.items():
+        values, intervals, identifiable = zip(*(r["parameters"][parameter] for r in rows), strict=True)
+        printed = [ends for ends in intervals if ends]
+        inside = sum(low <= true <= high for low, high in printed)
+        error = np.log(np.array(values) / true) if log[parameter] else np.array(values) / true - 1.0
+        ratio = float(np.mean(error**2)) / least[parameter] ** 2
+        # Of n squared errors of the bound's own deviation.
+        limits = np.array(chi2.interval(0.95, len(rows))) / len(rows)
+        told = binomtest(inside, len(printed)).proportion_ci() if printed else None
+        parameters[parameter] = {
+            "printed": len(printed), "inside": inside, "coverage": inside / len(printed) if printed else None,
+            "coverage_ci95": told and [float(told.low), float(told.high)],
+            "identifiable_share": float(np.mean(identifiable)), "cramer_rao": least[parameter],
+            "square_error_over_bound": ratio, "variance_over_bound": float(np.var(error)) / least[parameter] ** 2,
+            "ratio_expected": limits.tolist(), "bias_over_bound": float(np.mean(error)) / least[parameter],
+        }  # fmt: skip
+    verdicts = [r["verdict"] for r in rows]
+    reasons = [reason for r in rows for reason in r["reasons"]]
+    return {
+        "case": name, "noise": noise, "replicates": len(rows), "starts": case.starts, "parameters": parameters,
+        "verdicts": {v: verdicts.count(v) for v in sorted(set(verdicts))},
+        "reasons": {r: reasons.count(r) for r in sorted(set(reasons), key=reasons.count)[-5:]},
+        "median_wall_s": float(np.median([r["wall_s"] for r in rows])),
+        "median_cpu_s": float(np.median([r["cpu_s"] for r in rows])),
+    }  # fmt: skip
+
+
+def table(cases: list[dict[str, Any]]) -> str:
+    """All parameters of all cases as Markdown."""
+    rows = [["case", "noise", "parameter", "coverage (its 95 %)", "variance / Cramer-Rao (95 % of chance)", "verdicts"]]
+    for c in cases:
+        for name, p in c["parameters"].items():
+            ends = p["coverage_ci95"]
+            told = f"{p['coverage']:.1%} of {p['printed']} ({ends[0]:.0%} to {ends[1]:.0%})" if ends else "none printed"
+            low, high = p["ratio_expected"]
+            ratio = f"{p['variance_over_bound']:.2f} ({low:.2f} to {high:.2f})"
+            verdicts = ", ".join(f"{v} {n}" for v, n in c["verdicts"].items())
+            rows.append([c["case"], f"{c['noise']:.0%}", name, told, ratio, verdicts])
+    return markdown(rows)
+
+
+def main() -> None:
+    """Do what is missing of the cases asked for, and put together all that is there."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("cases", nargs="*", choices=[*CASES, []], default=list(CASES))
+    parser.add_argument("--replicates", type=int)
+    parser.add_argument("--noise", type=float, nargs="*", default=(0.01, 0.02, 0.05))
+    parser.add_argument("--workers", type=int, default=2)
+    given = parser.parse_args()
+    with ProcessPoolExecutor(given.workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+        for name in given.cases:
+            for noise in given.noise:
+                have = {row["seed"] for row in finished(name, noise)}
+                missing = [seed for seed in range(given.replicates or CASES[name].replicates) if seed not in have]
+                tasks = [(name, noise, missing[k :: given.workers], k) for k in range(given.workers)]
+                list(pool.map(replicates, tasks))
+    earlier = {(c["case"], c["noise"]): c for c in load("coverage")["cases"]}
+    done = [(name, noise, finished(name, noise)) for name in CASES for noise in (0.01, 0.02, 0.05)]
+    # Of a case that this clone has no replicates of, what is committed stays.
+    found = [summary(*case) if case[2] else earlier.get(case[:2]) for case in done]
+    cases = [case for case in found if case]
+    save("coverage", {"what": "whole fits of records with fresh noise, as a share of each peak", "cases": cases})
+    put_in_readme("coverage", table(cases), "docs/calibration.md")
+    print(table(cases))
+
+
+if __name__ == "__main__":
+    main()

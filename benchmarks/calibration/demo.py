@@ -1,0 +1,55 @@
+"""The demo's fit for ten seeds beside theory; keeps the result, the README's table and its picture.
+
+python -m benchmarks.calibration.demo
+"""
+
+from __future__ import annotations
+
+import statistics
+from typing import Any
+
+import calibration
+from bcfj_jax.io.units import format_si
+from benchmarks.common import ROOT, load, markdown, put_in_readme, save
+from calibration.report import plots
+
+SEEDS, DEPTH = range(10), 0.2e-3
+THEORY = {"stiffness": 4 / 3 * 48e9 / (2 * (1 - 0.2**2)) * (10e-3 / 2) ** 0.5, "exponent": 1.5}
+
+
+def table(result: dict[str, Any]) -> str:
+    rows = [["", "fitted", "95 % interval", "Hertz", "spread over ten seeds"]]
+    units = {"stiffness": "N/m^n", "exponent": "1", "force": "N"}
+    names = {"stiffness": "stiffness K", "exponent": "exponent n", "force": "force at 0.2 mm"}
+    for key, row in result["rows"].items():
+        ends = " to ".join(format_si(v, units[key], 4) for v in row["ci95"]) if row["ci95"] else ""
+        cells = [format_si(row["value"], units[key], 5), ends, format_si(row["theory"], units[key], 5)]
+        rows.append([names[key], *cells, f"{row['spread']:.0e}"])
+    verdicts = ", ".join(f"{verdict} ({count} of 10)" for verdict, count in result["verdicts"].items())
+    return f"{markdown(rows)}\n\nVerdict: {verdicts}."
+
+
+def main() -> None:
+    problem = calibration.load(ROOT / "examples" / "chung_ooi_fit.toml")
+    fits = [calibration.fit(problem, seed=seed) for seed in SEEDS]
+    first, rows = fits[0], {}
+    for name in ("stiffness", "exponent"):
+        values = [fit.parameters[name].value for fit in fits]
+        spread = (max(values) - min(values)) / statistics.mean(values)
+        ends = first.parameters[name].ci95
+        rows[name] = {"value": values[0], "ci95": ends, "theory": THEORY[name], "spread": spread}
+    forces = [fit.force_at(DEPTH) for fit in fits]
+    theory = THEORY["stiffness"] * DEPTH**1.5
+    spread = (max(forces) - min(forces)) / theory
+    rows["force"] = {"value": forces[0], "ci95": None, "theory": theory, "spread": spread}
+    verdicts = [fit.verdict for fit in fits]
+    save("demo", {"rows": rows, "verdicts": {v: verdicts.count(v) for v in sorted(set(verdicts))}})
+    put_in_readme("demo", table(load("demo")))
+    picture = ROOT / "docs" / "images" / "demo_fit.png"
+    picture.parent.mkdir(parents=True, exist_ok=True)
+    plots.records(first, problem, picture)
+    print(table(load("demo")))
+
+
+if __name__ == "__main__":
+    main()

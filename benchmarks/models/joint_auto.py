@@ -1,0 +1,117 @@
+"""Does ``fidelity = "auto"`` keep its budget, and what does it save? Random joints, beside the dynamic model.
+
+    python -m benchmarks.models.joint_auto [--joints 100] [--seed 2025] [--budget 0.01] [--friction 1] [--name joint_auto]
+
+Every joint is drawn by ``random_scenes.joint``. Wanted is the last revolution before 3 s, the scene's own horizon, at
+180 angles. The error is that of a budget: of each contact the rms difference of normal forces from the dynamic model's
+at the same accuracy, its worst member's, over the contact's peak; the worst contact counts. Joints whose dynamic model
+does not finish in ``STEPS`` steps have no truth: they are counted, and others drawn in their place. Both programs are
+compiled before; seconds are the process's own, as other work shares the machine. ``--friction`` is a factor on both
+coefficients. The factors in ``bcfj_jax/models/joint/fidelity.py`` were found with other seeds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from typing import Any
+
+os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
+os.environ.setdefault("EQX_ON_ERROR", "nan")
+
+import numpy as np
+
+import bcfj_jax as bj
+from bcfj_jax.mechanism.scene import Params
+from benchmarks.common import markdown, save
+from benchmarks.solve.random_scenes import BY_DECADES, EVENLY, joint
+
+END, ANGLES, STEPS = 3.0, 180, 20_000
+AUTO, MOTION = bj.scenes.joint(fidelity="auto"), bj.scenes.joint()
+
+
+def window(params: Params) -> np.ndarray:
+    """Times of the last revolution before ``END`` [s]."""
+    turn = 2.0 * np.pi / float(params["drive_speed"])
+    return END - turn + turn * np.arange(1, ANGLES + 1) / ANGLES
+
+
+def timed(scene: Any, params: Params, budget: float) -> tuple[Any, float]:
+    """A run, and the seconds of this process that it took, compilation apart (a first run compiles)."""
+    begin = time.process_time()
+    run = bj.simulate(scene, params, window(params), accuracy=budget, max_steps=STEPS)
+    if run.stats["compile_s"] > 0.1:
+        begin = time.process_time()
+        run = bj.simulate(scene, params, window(params), accuracy=budget, max_steps=STEPS)
+    return run, time.process_time() - begin
+
+
+def error(found: Any, truth: Any) -> float:
+    """The error that a budget is about."""
+    worst = 0.0
+    for name, force in truth.force.items():
+        normal = force[..., 0]
+        off = np.sqrt(np.mean((found.force[name][..., 0] - normal) ** 2, axis=0)).max()
+        worst = max(worst, float(off / np.abs(normal).max()))
+    return worst
+
+
+def measured(count: int, seed: int, budget: float, friction: float) -> tuple[list[dict[str, Any]], int]:
+    """A row a joint, and how many the dynamic model did not finish."""
+    rng = np.random.default_rng(seed)
+    rows: list[dict[str, Any]] = []
+    unfinished = 0
+    while len(rows) < count:
+        params = joint(rng, friction)
+        truth, full = timed(MOTION, params, budget)
+        if truth.status != "ok":
+            unfinished += 1
+            continue
+        found, spent = timed(AUTO, params, budget)
+        steps = [run.stats["accepted"] + run.stats["rejected"] for run in (found, truth)]
+        row = {"fidelity": found.choice.fidelity, "estimates": found.choice.errors, "error": error(found, truth)}
+        rows.append(row | {"auto_s": spent, "dynamic_s": full, "auto_steps": steps[0], "dynamic_steps": steps[1]})
+        print(len(rows), unfinished, rows[-1], file=sys.stderr, flush=True)
+    return rows, unfinished
+
+
+def summed(rows: list[dict[str, Any]], budget: float) -> dict[str, Any]:
+    """Counts and ratios over the joints."""
+    ratios = np.array([row["dynamic_s"] / row["auto_s"] for row in rows])
+    rungs = [row["fidelity"] for row in rows]
+    errors = [row["error"] for row in rows]
+    low, high = np.quantile(np.random.default_rng(0).choice(ratios, (2000, ratios.size)).mean(axis=1), [0.025, 0.975])
+    return {
+        "joints": len(rows),
+        "within_budget": sum(e <= budget for e in errors),
+        "largest_error": max(errors),
+        "median_error": float(np.median(errors)),
+        "rungs": {name: rungs.count(name) for name in sorted(set(rungs))},
+        "speed_up_mean": float(ratios.mean()),
+        "speed_up_mean_95": [float(low), float(high)],
+        "speed_up_median": float(np.median(ratios)),
+        "speed_up_of_the_sums": sum(r["dynamic_s"] for r in rows) / sum(r["auto_s"] for r in rows),
+        "speed_up_least": float(ratios.min()),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--joints", type=int, default=100)
+    parser.add_argument("--seed", type=int, default=2025)
+    parser.add_argument("--budget", type=float, default=0.01)
+    parser.add_argument("--friction", type=float, default=1.0)
+    parser.add_argument("--name", default="joint_auto")
+    given = parser.parse_args()
+    rows, unfinished = measured(given.joints, given.seed, given.budget, given.friction)
+    total = summed(rows, given.budget)
+    box = {"logarithmic": BY_DECADES, "even": EVENLY, "friction": given.friction}
+    settings = {"end_s": END, "angles": ANGLES, "max_steps": STEPS, "seed": given.seed, "budget": given.budget}
+    save(given.name, settings | {"box": box, "unfinished": unfinished, "summary": total, "joints": rows})
+    print(markdown([["", ""], *([name.replace("_", " "), str(value)] for name, value in total.items())]))
+
+
+if __name__ == "__main__":
+    main()

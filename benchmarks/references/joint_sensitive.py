@@ -1,0 +1,116 @@
+"""The joint by CVODES with forward sensitivities: CasADi differentiates the field, CVODES integrates both together.
+
+The field is the one of ``joint_casadi_field`` with the moved parameters left as symbols.
+"""
+
+# CasADi has no types, and is not installed where types are checked.
+# pyright: basic, reportMissingImports=false
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from bcfj_jax.models.joint.scene import Joint
+from bcfj_jax.models.joint.start import nominal
+from benchmarks.references.joint_casadi import FLAGS, RELATIVE
+from benchmarks.references.joint_casadi_field import Expressions, expressions, require_defaults
+
+MAX_STEPS, JIT_FLAGS = 5_000_000, ["-O1", "-march=native", "-fno-math-errno"]
+Moved = Mapping[str, Sequence[str]]
+
+
+def symbolic(params: Mapping[str, Any], moved: Moved, logs: ca.SX) -> Expressions:
+    """The field, the parameters of each entry of ``moved`` times the exponential of one of ``logs``, symbols."""
+    values = dict(params)
+    for i, names in enumerate(moved.values()):
+        values |= {name: float(values[name]) * ca.exp(logs[i]) for name in names}
+    return expressions(values)
+
+
+class Sensitive:
+    """The compiled field, Jacobian and sensitivities of the joint, by a logarithm for each entry of ``moved``."""
+
+    def __init__(self, scene: Joint, params: Mapping[str, Any], scales: np.ndarray, moved: Moved):
+        require_defaults(scene)
+        begin = time.perf_counter()
+        self.scene, self.params, self.scales, self.size = scene, dict(params), np.asarray(scales), len(moved)
+        # The start, zero clearance and no load, depends on none of them.
+        self.start = np.asarray(nominal(scene, dict(params), np.zeros(()))) / self.scales
+        n, k = self.scales.size, self.size
+        logs, z, unused = ca.SX.sym("p", k), ca.SX.sym("z", n), ca.SX.sym("unused", ca.Sparsity(n, 1))
+        e = symbolic(params, moved, logs)
+        unit, inverse = ca.DM(self.scales), ca.DM(1.0 / self.scales)
+        rate, jacobian = ca.substitute([e.rate * inverse, e.jacobian], [e.y], [z * unit])
+        scaled = ca.mtimes(ca.diag(inverse), ca.mtimes(jacobian, ca.diag(unit)))
+        by_time, by_logs = ca.jacobian(rate, e.t), ca.jacobian(rate, logs)
+        field = ca.Function("ode", [e.t, z, logs], [rate], ["t", "z", "p"], ["rate"])
+        # The name, arguments and results by which an external function ``ode`` finds its derivative.
+        jac = ca.Function("jac_ode", [e.t, z, logs, unused], ca.cse([by_time, scaled, by_logs]))
+        self.symbols = {"t": e.t, "x": z, "p": logs, "ode": rate}
+        self.folder = tempfile.TemporaryDirectory(prefix="joint_sensitive_")
+        code = ca.CodeGenerator("field.c")
+        for function in (field, jac):
+            code.add(function)
+        source = Path(code.generate(f"{self.folder.name}/"))
+        library = source.with_suffix(".so")
+        subprocess.run(["cc", *FLAGS, "-fPIC", "-shared", str(source), "-o", str(library), "-lm"], check=True)
+        self.field = ca.external("ode", str(library))
+        self.compile_s = time.perf_counter() - begin
+        self._integrators: dict[Any, Any] = {}
+
+    def _integrator(self, times: np.ndarray, tol: float, ahead: bool = False) -> ca.Function:
+        key = times.tobytes(), tol, ahead
+        if key not in self._integrators:
+            settings = {
+                "abstol": tol,
+                "reltol": RELATIVE * tol,
+                "max_num_steps": MAX_STEPS,
+                "newton_scheme": "direct",
+                "linear_solver": "csparse",
+                "disable_internal_warnings": True,
+            }
+            if ahead:
+                # An external function has no second derivatives, which CasADi asks for here: it writes its own C.
+                problem = self.symbols
+                jit = {"compiler": "cc", "flags": JIT_FLAGS, "cleanup": False}
+                settings |= {"jit": True, "compiler": "shell", "jit_cleanup": False, "jit_options": jit}
+                settings |= {"second_order_correction": False}
+            else:
+                t, z, p = ca.MX.sym("t"), ca.MX.sym("z", self.scales.size), ca.MX.sym("p", self.size)
+                problem = {"t": t, "x": z, "p": p, "ode": self.field(t, z, p)}
+            # What CasADi compiles itself it writes to the working directory.
+            with contextlib.chdir(self.folder.name):
+                made = ca.integrator("cvodes", "cvodes", problem, float(times[0]), times[1:], settings)
+                self._integrators[key] = made.forward(self.size) if ahead else made
+        return self._integrators[key]
+
+    def states(self, times: np.ndarray, tol: float, logs: np.ndarray | None = None) -> tuple[np.ndarray, float, int]:
+        """States (T, n), wall time of the solve [s] and steps; ``times`` from 0."""
+        logs = np.zeros(self.size) if logs is None else logs
+        solver = self._integrator(times, tol)
+        begin = time.perf_counter()
+        found = solver(x0=self.start, p=logs)["xf"]
+        wall = time.perf_counter() - begin
+        return np.vstack([self.start, np.asarray(found).T]) * self.scales, wall, int(solver.stats()["nsteps"])
+
+    def sensitivities(self, times: np.ndarray, tol: float) -> tuple[np.ndarray, np.ndarray, float]:
+        """States (T, n), their derivatives (T, n, k), wall time [s], by CVODES on the augmented system."""
+        k, n, count = self.size, self.scales.size, times.size - 1
+        solver = self._integrator(times, tol, ahead=True)
+        begin = time.perf_counter()
+        found = solver(x0=self.start, p=np.zeros(k), fwd_p=np.eye(k))["fwd_xf"]
+        wall = time.perf_counter() - begin
+        value = self._integrator(times, min(tol, 1e-6))(x0=self.start, p=np.zeros(k))["xf"]
+        slope = np.asarray(found).reshape(n, k, count)
+        states = np.vstack([self.start, np.asarray(value).T]) * self.scales
+        slopes = np.concatenate([np.zeros((1, n, k)), np.moveaxis(slope, 2, 0)]) * self.scales[:, None]
+        return states, slopes, wall

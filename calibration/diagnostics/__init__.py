@@ -1,0 +1,1 @@
+"""Tests of a fit: influence, agreement, residuals, location of misfit."""

@@ -1,0 +1,215 @@
+"""What may be believed of an optimum: covariance, agreement, and the verdict that tests make together.
+
+Read are the best end's white residuals, its Jacobian in unit-box coordinates, and the other ends; ``whiteness`` tests
+the residuals themselves. Nothing here simulates.
+
+Levels: size, outliers and held-out prediction 1e-3 each, order of signs 5e-4 and correlation 5e-3, each in contact and
+apart. So at most 1.4 % of fits of a right model with right noise are called ``misfit``.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from calibration.forward.losses import influence
+from calibration.forward.slots import Slot
+from calibration.search.refinement import End
+
+LEVEL = 1e-3  # of a test of the residuals: a right model is called wrong once in a thousand
+AGREEING_STARTS = 3
+# Starts agree where their costs differ by less, in sigma squared; by the second where the integrator is no better.
+ALIKE = (0.1, 3.0)
+# The integrator may move an estimate by this share of its deviation: a 95 % interval then covers 92 %.
+MOST_BLUR = 0.5
+# Two optima whose costs differ by less than this many sigma squared cannot be told apart by the data.
+RIVAL_COST = 9.0
+# A parameter known to worse than this factor (log scale) or share of its range (linear) is not determined.
+WIDEST_FACTOR, WIDEST_SHARE = 2.0, 0.5
+# A Jacobian with a larger ratio of singular values has lost a direction to rounding.
+WORST_CONDITION = 1e10
+
+
+def widest(slot: Slot) -> float:
+    """Half width of an interval, in the parameter's coordinate, from which on it is not determined."""
+    return float(np.log(WIDEST_FACTOR)) if slot.log else WIDEST_SHARE * (slot.upper - slot.lower)
+
+
+class Test(NamedTuple):
+    """One test: its name, its statistic, its p-value or margin, whether it passed, and a sentence if not."""
+
+    name: str
+    value: float
+    threshold: float
+    passed: bool
+    reason: str
+
+
+class Spread(NamedTuple):
+    """Covariance of the unit-box coordinates, and how well it is known itself.
+
+    Attributes:
+        covariance: (P, P); None where the data leave a combination of coordinates free.
+        quantile: the largest that an interval of a single coordinate takes.
+        freedom: samples less parameters.
+        weakest, condition: direction that the data tell least of, and largest over least singular value.
+        moved: for every estimated number of the noise, the derivative (P, P) of the covariance by its logarithm and the
+            variance of that.
+        rise: of the cost by a step whose length is 1 in units of the covariance; 1 but for a robust loss.
+    """
+
+    covariance: np.ndarray | None
+    quantile: float
+    freedom: int
+    weakest: np.ndarray
+    condition: float
+    moved: tuple[tuple[np.ndarray, float], ...] = ()
+    rise: float = 1.0
+
+    def quantile_of(self, slope: np.ndarray) -> float:
+        """Quantile of a combination's 95 % interval: Student's, degrees of freedom by Satterthwaite.
+
+        freedom = 2 v^2 / var(v), v the variance of the combination. The normal one where all noise is stated; with one
+        estimated deviation, that of samples less parameters.
+        """
+        assert self.covariance is not None
+        variance = slope @ self.covariance @ slope
+        doubt = sum((slope @ change @ slope) ** 2 * own for change, own in self.moved)
+        return float(stats.t.ppf(0.975, 2.0 * variance**2 / doubt) if doubt > 0 else stats.norm.ppf(0.975))
+
+    def half_width(self, slope: np.ndarray) -> float:
+        """Half of the 95 % interval of a combination of coordinates; infinite where the data leave it free."""
+        if self.covariance is None:
+            return float("inf")
+        return self.quantile_of(slope) * float(np.sqrt(slope @ self.covariance @ slope))
+
+
+def spread(end: End, samples: int, moved: list[tuple[np.ndarray, float]], loss: str) -> Spread:
+    """Covariance (J^T J)^-1 of white residuals of variance 1, and of an M-estimator where the loss is robust.
+
+    Then it is multiplied by k^2 [sum psi^2 / (n - p)] / mean(psi')^2, k = 1 + (p/n) var(psi')/mean(psi')^2
+    (Huber 1981, 7.6).
+
+    Args:
+        end: the optimum.
+        samples: number of residuals that are samples.
+        moved: ``noise.Estimate.moved``.
+        loss: name of the loss.
+    """
+    count = end.jacobian.shape[1]
+    freedom = samples - count
+    _, singular, directions = np.linalg.svd(end.jacobian, full_matrices=False)
+    condition = float(singular[0] / singular[-1]) if singular[-1] > 0 else np.inf
+    if condition >= WORST_CONDITION:
+        return Spread(None, float(stats.norm.ppf(0.975)), freedom, directions[-1], condition)
+    factor, mean = 1.0, 1.0
+    if loss != "linear":
+        told = np.abs(end.jacobian).max(axis=1) > 0
+        told |= end.residuals != 0
+        psi, bend = (a[told] for a in influence(loss, end.residuals))
+        mean = max(float(np.mean(bend)), 1e-3)
+        factor = (
+            (1.0 + count / samples * float(np.var(bend)) / mean**2) ** 2 * float(np.sum(psi**2)) / freedom / mean**2
+        )
+    covariance = factor * (directions.T / singular**2) @ directions
+    changes = tuple((-covariance @ change @ covariance / factor, variance) for change, variance in moved)
+    found = Spread(covariance, 0.0, freedom, directions[-1], condition, changes, factor * mean)
+    return found._replace(quantile=max(found.quantile_of(unit) for unit in np.eye(count)))
+
+
+def agreement(
+    ends: tuple[End, ...], covariance: np.ndarray | None, errors: np.ndarray, rough: bool = False
+) -> list[Test]:
+    """Whether independent starts ended in one optimum, and whether a rival explains the data as well.
+
+    A rough cost has many little minima within the uncertainty of the estimate. There, starts also agree whose costs the
+    data cannot tell apart and whose points x are as near as two draws of the estimate might be, less than
+    (x - y)^T C^-1 (x - y) = P.
+
+    Args:
+        ends: best first.
+        covariance: of the coordinates, or None.
+        rough: whether the cost is.
+        errors: (N,) the integrator's part in the best end's white residuals. They make costs |r|^2 uncertain by some
+            2 |e|, and starts need agree no better.
+    """
+    doubt = float(np.linalg.norm(errors))
+    alike = float(np.clip(2.0 * doubt, *ALIKE)) if np.isfinite(doubt) else ALIKE[0]
+    good = [end for end in ends if not end.failure]
+    best = good[0]
+    sigma = np.sqrt(np.diag(covariance)) if covariance is not None else np.full(best.point.size, 1e-3)
+    # By cost: along a direction that the data leave free, starts that found the optimum lie apart.
+    lowest = min(e.cost for e in good)
+    same = [e.cost - lowest < alike for e in good]
+    if rough and covariance is not None:
+        inverse = np.linalg.inv(covariance)
+        near = [(e.point - best.point) @ inverse @ (e.point - best.point) < best.point.size for e in good]
+        same = [a or (b and e.cost - lowest < RIVAL_COST) for a, b, e in zip(same, near, good, strict=True)]
+    close = [e for e in good if e.converged and e.cost - best.cost < RIVAL_COST]
+    rivals = [e for e in close if np.any(np.abs(e.point - best.point) > 4.0 * sigma)]
+    count = int(sum(same))
+    return [
+        Test(
+            "agreement of starts", count, AGREEING_STARTS, count >= AGREEING_STARTS and best.converged,
+            f"only {count} of {len(ends)} starts reached the best optimum; {AGREEING_STARTS} must"
+            + (f"; the integrator leaves costs uncertain by {2.0 * doubt:.2g}: ask for a smaller accuracy"
+               if 2.0 * doubt > ALIKE[1] else "")
+            if best.converged else "the best start stopped before it converged",
+        ),
+        Test(
+            "no rival optimum", len(rivals), 0, not rivals,
+            f"{len(rivals)} starts ended elsewhere with a cost that the data cannot tell from the best",
+        ),
+    ]  # fmt: skip
+
+
+def integration_test(errors: np.ndarray, jacobian: np.ndarray) -> Test:
+    """Whether the integrator's error e moves any combination of coordinates by little of its deviation.
+
+    A covariance (J^T J)^-1 and a shift J^+ e: at most |Q^T e| deviations, Q an orthonormal basis of J's columns.
+    """
+    left, singular, _ = np.linalg.svd(jacobian, full_matrices=False)
+    shift = float(np.linalg.norm(left[:, singular > 1e-10 * singular[0]].T @ errors))
+    reason = f"the integrator's error moves the estimates by {shift:.2g} of their deviation: ask for a smaller accuracy"
+    if not np.isfinite(shift):
+        reason = "a run at a tighter tolerance fails, so that the integrator's error is not known"
+    return Test("error of the integrator", shift, MOST_BLUR, shift < MOST_BLUR, reason)
+
+
+def rank_test(singular: Spread) -> Test:
+    """Whether every combination of the parameters moves the data, as far as numbers can tell."""
+    passed = singular.covariance is not None
+    reason = "a combination of the parameters moves no residual at all"
+    return Test("rank of the Jacobian", singular.condition, WORST_CONDITION, passed, reason)
+
+
+def held_out_test(square: float, freedom: int, quality: Spread) -> Test:
+    """Whether held-out residuals are no larger than the noise and the parameters' uncertainty: chi-square, or F.
+
+    Args:
+        square: r^T (1 + J C J^T)^-1 r of the held-out residuals, C the covariance of the fit's parameters.
+        freedom: their number less the nuisances fitted to them.
+        quality: of the fit; its noise was estimated where ``moved`` says so.
+    """
+    ratio = square / max(freedom, 1)
+    p = float(stats.f.sf(ratio, freedom, quality.freedom) if quality.moved else stats.chi2.sf(square, freedom))
+    reason = f"held-out residuals are {np.sqrt(ratio):.3g} times the noise"
+    return Test("held-out prediction", p, LEVEL, p > LEVEL, reason)
+
+
+def curvature_test(label: str, ratio: float) -> Test:
+    """Whether the cost rises as the covariance says at an interval's ends: ratio of true to quadratic rise."""
+    reason = f"the cost at the ends of the interval of {label} is {ratio:.3g} times what the covariance predicts"
+    if not np.isfinite(ratio):
+        reason = f"the simulation fails at an end of the interval of {label}"
+    return Test(f"interval of {label}", ratio, 2.0, 0.5 < ratio < 2.0, reason)
+
+
+def order(verdicts: set[str]) -> str:
+    """The verdict that wins: a fit that did not converge says nothing of the model, and so on."""
+    for verdict in ("not_converged", "misfit", "not_identified"):
+        if verdict in verdicts:
+            return verdict
+    return "identified"

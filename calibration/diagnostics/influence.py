@@ -1,0 +1,168 @@
+"""What can be said before the solve: data that cannot be fitted, parameters that move nothing, directions that trade.
+
+The Jacobian of the weighted residuals by unit-box coordinates says how many deviations of the noise each parameter
+moves the data over its whole range.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from bcfj_jax import InputError
+from calibration.forward.model import Model, residuals_and_jacobian
+from calibration.problem import Experiment, Problem
+
+# Where the noise is to be estimated, no sensor is taken to tell less than this share of its largest reading.
+_FINEST = 1e-4
+# A combination of parameters that the data let vary by more than this share of a box is weak.
+_WEAK = 0.25
+# A parameter takes part in a direction with this share of its largest component.
+_PART = 0.3
+# A force that pulls this much further than it pushes has its sign the wrong way round.
+_PULLS = 3.0
+
+# What tells two parameters apart, by words in their names.
+_APART = (
+    (("stiffness", "exponent"), "impacts of different speeds, so that the penetrations differ"),
+    (("reference_force", "exponent"), "impacts of different speeds, so that the penetrations differ"),
+    (("bandwidth", "damping"), "the sensor's bandwidth from its data sheet, or a faster sensor"),
+    (("bandwidth", "stiffness"), "the sensor's bandwidth from its data sheet, or a faster sensor"),
+    (("bandwidth", "time_offset"), "a clock that the record shares with the motion"),
+    (("time_offset", "clearance"), "a clock that the record shares with the motion, or a second contact"),
+    (("time_offset", "drop_height"), "a clock that the record shares with the motion, or a second contact"),
+    (("clearance", "approach_speed"), "a measured speed, or runs of different speeds"),
+    (("mass", "approach_speed"), "a weighed mass or a measured speed"),
+    (("mass", "stiffness"), "a weighed mass"),
+    (("gain", "stiffness"), "a calibrated sensor"),
+    (("gain", "mass"), "a calibrated sensor, or a weighed mass"),
+    (("stiffness", "approach_speed"), "a measured speed"),
+    (("damping", "exponent"), "records of the whole rebound, and of different speeds"),
+    (("stiffness", "clearance"), "a record with contact on both sides of the clearance, or with a flight in it"),
+    (("friction", "damping"), "runs of different speeds"),
+)
+_ELSE = "fixing one of them, or an experiment of another speed, load or channel"
+
+
+def refuse_data(problem: Problem) -> None:
+    """Refuse records that no model can explain.
+
+    Raises:
+        InputError: for a channel that never changes, and for a normal force that pulls.
+    """
+    offset = any(f.name == "force_offset" for f in problem.free)
+    for e in problem.experiments:
+        for c in e.channels:
+            where = f"{e.source or e.name}: {c.observes}"
+            values = c.values[np.isfinite(c.values)]
+            if values.size > 1 and np.ptp(values) == 0.0:
+                found = f"all {values.size} readings are {values[0]:g} N"
+                raise InputError(where, found, "choose another channel, or widen the window to where the force changes")
+            if c.observes.endswith(".normal") and values.size:
+                rest = float(np.median(values[: max(1, values.size // 20)])) if offset else 0.0
+                push, pull = float(np.max(values)) - rest, rest - float(np.min(values))
+                if pull > _PULLS * max(push, 0.0):
+                    found = f"the force pulls: its readings go from {np.min(values):g} N to {np.max(values):g} N"
+                    raise InputError(where, found, 'flip its sign with "-" before the column')
+
+
+def floor(experiments: tuple[Experiment, ...]) -> float:
+    """Factor from assumed to finest noise where all of it is to be estimated: the weights of ``Channel.deviation``."""
+    estimated = any(c.sigma is None for e in experiments for c in e.channels)
+    return 0.01 / _FINEST if estimated else 1.0
+
+
+def refuse_idle(
+    problem: Problem, labels: tuple[str, ...], reach: np.ndarray, jacobian: np.ndarray, factor: float
+) -> None:
+    """Refuse a parameter that, over its whole range, moves the data by less than their noise.
+
+    Args:
+        problem: for the message.
+        labels: of the coordinates.
+        reach: (P,) most that any single residual moved over the screened design.
+        jacobian: (N, P) at the start, whose columns' lengths are what all residuals move together.
+        factor: ``floor``.
+
+    Raises:
+        InputError: naming it.
+    """
+    for label, size in zip(labels, factor * np.maximum(reach, _lengths(jacobian)), strict=True):
+        if size < 1.0:
+            raise InputError(
+                f"{problem.where}: [free.{label}]",
+                f"'{label}' moves no residual by more than {size:.1g} of the noise over its whole range",
+                "fix it in the scene, or add data that depend on it",
+            )
+
+
+def _lengths(jacobian: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.sum(np.where(np.isfinite(jacobian), jacobian, 0.0) ** 2, axis=0))
+
+
+def at_start(
+    problem: Problem,
+    model: Model,
+    labels: tuple[str, ...],
+    point: np.ndarray,
+    log_depth: float,
+    reach: np.ndarray,
+    factor: float,
+) -> dict[str, Any]:
+    """What the data tell at a start, for ``fit.json``.
+
+    Args:
+        problem, model, labels: what is fitted.
+        point, log_depth: the start: the one given, or the best of the screened design.
+        reach: of the screened design.
+        factor: ``floor``.
+
+    Returns:
+        at: parameter values; reach: deviations of the noise that each parameter moves all data; singular_values of the
+        Jacobian; weak: directions in words, each with what would separate them.
+
+    Raises:
+        InputError: as ``refuse_idle``.
+    """
+    at, depth = jnp.asarray(point), jnp.asarray(log_depth)
+    jacobian = np.asarray(residuals_and_jacobian(model, at, depth)[1])
+    jacobian = np.where(np.isfinite(jacobian), jacobian, 0.0)
+    refuse_idle(problem, labels, reach, jacobian, factor)
+    _, singular, directions = np.linalg.svd(jacobian, full_matrices=False)
+    values = [float(v) for v in model.values(at, depth)]
+    names = list(labels)
+    if model.referenced:
+        names[model.pair()[0]] = "reference_force"
+    return {
+        "at": dict(zip(labels, values, strict=True)),
+        "reach": {n: float(s) for n, s in zip(names, _lengths(jacobian), strict=True)},
+        "singular_values": [float(s) for s in singular],
+        "weak": [weak_direction(names, v, s) for s, v in zip(singular, directions, strict=True) if s * _WEAK < 1.0],
+    }
+
+
+def weak_direction(names: list[str], direction: np.ndarray, singular: float) -> dict[str, Any]:
+    """A direction of the box that the data hardly tell, in words: who trades against whom, and what separates them."""
+    most = float(np.max(np.abs(direction)))
+    part = [k for k in np.argsort(-np.abs(direction), kind="stable") if abs(direction[k]) > _PART * most]
+    own = [names[k] for k in part]
+    moved = f"from end to end of its range this moves the data by {singular:.2g} of the noise"
+    if len(own) == 1:
+        text = f"the data hardly depend on {own[0]} here: {moved}"
+        remedy = f"fixing {own[0]}, or data that depend on it"
+    else:
+        text = f"{', '.join(own[:-1])} and {own[-1]} trade against each other here: {moved}"
+        remedy = separation(own)
+    return {"parameters": own, "noise": float(singular), "text": text, "remedy": remedy}
+
+
+def separation(names: list[str]) -> str:
+    """What would tell parameters apart that trade against each other."""
+    found = [
+        remedy
+        for (a, b), remedy in _APART
+        if any(a in one and b in other for one in names for other in names if one != other)
+    ]
+    return "; ".join(dict.fromkeys(found[:2])) or _ELSE

@@ -1,0 +1,112 @@
+"""Where a model misses the data: the record, the time and the size of the worst stretch of residuals.
+
+A test says that residuals are no noise. This says at which moment to look, in words.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from calibration.diagnostics.records import Record
+
+# A stretch counts where its weight is so many deviations of the record's other errors; the worst few are told.
+_LEAST, _MOST = 4.0, 3
+# In contact is where the model reads more than this share of its peak.
+_TOUCHING = 0.02
+# A contact bottoms out for less than this share of its duration, this near to the middle of the pulse.
+_BRIEF, _MIDDLE = 0.25, 0.25
+
+
+class Miss(NamedTuple):
+    """A stretch of samples on one side of the model.
+
+    Attributes:
+        record, channel: where.
+        time: of its largest error [s], in the record's time as fitted.
+        first, last: its first and last sample [s].
+        error: data less model there [N].
+        share: that over the peak of the data.
+        brief: whether it is a spike above the middle of a contact, as where a soft layer bottoms out.
+    """
+
+    record: str
+    channel: str
+    time: float
+    first: float
+    last: float
+    error: float
+    share: float
+    brief: bool
+
+    def text(self) -> str:
+        """The miss as a sentence."""
+        side = "above" if self.error > 0 else "below"
+        said = (
+            f"in {self.record}, {self.channel} is {abs(self.error):.3g} N ({abs(self.share):.0%} of its peak) {side} "
+            f"the model at {self.time:.4g} s"
+        )
+        if self.brief:
+            return f"{said}: a short spike on top of the contact, as where a soft layer bottoms out"
+        return said if self.first == self.last else f"{said} (on that side from {self.first:.4g} to {self.last:.4g} s)"
+
+
+def misses(records: Iterable[Record]) -> list[Miss]:
+    """The worst stretch of each record and channel whose error stands out from the record's others, worst first.
+
+    A stretch is a run of errors of one sign. Its weight is the sum of its errors over the square root of their number,
+    which for white errors has their own deviation; that is taken from the median, so that a spike does not hide
+    itself.
+
+    Args:
+        records: experiments beside their predictions.
+    """
+    found = []
+    for record in records:
+        for channel, data in record.data.items():
+            seen = np.isfinite(data)
+            miss = _worst(record, channel, record.times[seen], data[seen], record.prediction[channel][seen])
+            if miss is not None:
+                found.append(miss)
+    return [miss for _, miss in sorted(found, key=lambda pair: -pair[0])]
+
+
+def reasons(records: Iterable[Record]) -> list[str]:
+    """Sentences for a verdict: the worst misses of the fitted records."""
+    return [miss.text() for miss in misses(r for r in records if not r.held_out)[:_MOST]]
+
+
+def _worst(
+    record: Record, channel: str, times: np.ndarray, data: np.ndarray, predicted: np.ndarray
+) -> tuple[float, Miss] | None:
+    error = data - predicted
+    if error.size < 3 or not np.any(error):
+        return None
+    edges = np.flatnonzero(np.diff(np.sign(error)) != 0) + 1
+    runs = np.split(np.arange(error.size), edges)
+    weights = [abs(float(error[run].sum())) / np.sqrt(run.size) for run in runs]
+    worst = runs[int(np.argmax(weights))]
+    elsewhere = np.setdiff1d(np.arange(error.size), worst)
+    deviation = 1.4826 * float(np.median(np.abs(error[elsewhere]))) if elsewhere.size else 0.0
+    if max(weights) < _LEAST * deviation:
+        return None
+    peak = float(np.max(np.abs(data)))
+    k = int(worst[np.argmax(np.abs(error[worst]))])
+    force = np.abs(predicted - predicted[np.argmin(np.abs(predicted))])
+    inside = np.flatnonzero(force > _TOUCHING * force.max())
+    share = float(error[k]) / peak
+    brief = False
+    if inside.size > 3 and error[k] * np.sign(data[np.argmax(np.abs(data))]) > 0:
+        begin, end = float(times[inside[0]]), float(times[inside[-1]])
+        # Of the spike, not of the run of errors that it stands in: from half its height to half its height.
+        high = worst[np.abs(error[worst]) > 0.5 * abs(error[k])]
+        width = float(times[high[-1]] - times[high[0]])
+        middle = abs(float(times[k]) - 0.5 * (begin + end)) < _MIDDLE * (end - begin)
+        brief = middle and width < _BRIEF * (end - begin) and abs(error[k]) > 5.0 * deviation
+    miss = Miss(
+        record.name, channel, float(times[k]), float(times[worst[0]]), float(times[worst[-1]]), float(error[k]), share,
+        bool(brief),
+    )  # fmt: skip
+    return max(weights) / max(deviation, 1e-300), miss

@@ -1,0 +1,218 @@
+"""Experiments beside what a point of the search space predicts for them: records, residual series, held-out errors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import jax.numpy as jnp
+import numpy as np
+from scipy.optimize import least_squares
+
+from calibration.diagnostics import fit_tests
+from calibration.diagnostics.residual_tests import Series
+from calibration.forward import integration
+from calibration.forward.model import Model, build, predictions, residuals_and_jacobian
+from calibration.forward.runs import Contact
+from calibration.noise.noise_model import OUTLYING, Estimate
+from calibration.problem import Experiment, Problem
+from calibration.search.refinement import FAILED_RESIDUAL, End
+
+
+@dataclass(frozen=True)
+class Record:
+    """One experiment beside its prediction: times (T,), per channel data, prediction (T,) and sigma [N].
+
+    ``params`` are the scene's parameters and the nuisances that the prediction was made with.
+    """
+
+    name: str
+    held_out: bool
+    times: np.ndarray
+    data: dict[str, np.ndarray]
+    prediction: dict[str, np.ndarray]
+    sigma: dict[str, float]
+    params: dict[str, float]
+
+
+def hold_out(
+    problem: Problem, model: Model, best: End, log_depth: float, quality: fit_tests.Spread, noise: Estimate
+) -> tuple[dict[str, dict[str, float]], list[Record], fit_tests.Test]:
+    """Predict held-out records: shared parameters as fitted, each record's own nuisances fitted to it.
+
+    The test allows for the uncertainty C of the shared parameters: with own nuisances projected out, residuals r have
+    the covariance 1 + K C K^T, K their Jacobian, and
+
+        r^T (1 + K C K^T)^-1 r = |r|^2 - (K^T r)^T (C^-1 + K^T K)^-1 K^T r.
+
+    Returns:
+        Errors by record and channel as fractions of the peak, the records, and the test.
+    """
+    held = tuple(told(e, noise) for e in problem.experiments if e.hold_out)
+    other = build(problem, held)
+    shared = sum(s.experiment is None for s in model.slots)
+    own = np.array([_mean_of(model, best.point, s.name) for s in other.slots[shared:]])
+    point = _own_fitted(other, np.concatenate([best.point[:shared], own]), shared, log_depth)
+    records = records_of(other, held, point, log_depth, True)
+    report = {}
+    for record in records:
+        for channel, data in record.data.items():
+            error, peak = record.prediction[channel] - data, np.nanmax(np.abs(data))
+            report[f"{record.name} {channel}"] = {
+                "max_error_of_peak": float(np.nanmax(np.abs(error)) / peak),
+                "rms_error_of_peak": float(np.sqrt(np.nanmean(error**2)) / peak),
+            }
+    residuals, jacobian = (
+        np.asarray(a) for a in residuals_and_jacobian(other, jnp.asarray(point), jnp.asarray(log_depth))
+    )
+    if other.loss != "linear":  # outliers were allowed for
+        residuals, jacobian = (np.where(np.abs(residuals) < OUTLYING, a.T, 0.0).T for a in (residuals, jacobian))
+    basis = np.linalg.qr(jacobian[:, shared:])[0]
+    free, through = (a - basis @ (basis.T @ a) for a in (residuals, jacobian[:, :shared]))
+    square = float(free @ free)
+    if quality.covariance is not None and shared:
+        push = through.T @ free
+        doubt = np.linalg.inv(quality.covariance[:shared, :shared]) + through.T @ through
+        square -= float(push @ np.linalg.solve(doubt, push))
+    freedom = sum(e.samples for e in held) - len(other.slots) + shared
+    return report, records, fit_tests.held_out_test(square, freedom, quality)
+
+
+def told(experiment: Experiment, noise: Estimate) -> Experiment:
+    """A record with the noise that others told, where its own is not stated."""
+    channels = []
+    for c in experiment.channels:
+        sigma = noise.sigma[c.observes] if c.sigma is None else c.sigma
+        correlation = noise.correlation.get(c.observes, 0.0) if c.correlation is None else c.correlation
+        channels.append(replace(c, sigma=sigma, correlation=correlation))
+    return replace(experiment, channels=tuple(channels))
+
+
+def _mean_of(model: Model, point: np.ndarray, name: str) -> float:
+    return float(np.mean([u for s, u in zip(model.slots, point, strict=True) if s.name == name]))
+
+
+def _own_fitted(model: Model, point: np.ndarray, shared: int, log_depth: float) -> np.ndarray:
+    """The point with the coordinates beyond the shared ones fitted to the data."""
+    if shared == point.size:
+        return point
+
+    def evaluate(own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        at = jnp.asarray(np.concatenate([point[:shared], own]))
+        residuals, jacobian = (np.asarray(a) for a in residuals_and_jacobian(model, at, jnp.asarray(log_depth)))
+        jacobian = jacobian[:, shared:]
+        if np.isfinite(residuals).all() and np.isfinite(jacobian).all():
+            return residuals, jacobian
+        return np.full_like(residuals, FAILED_RESIDUAL), np.zeros_like(jacobian)
+
+    result = least_squares(
+        lambda own: evaluate(own)[0],
+        np.clip(point[shared:], 1e-6, 1 - 1e-6),
+        jac=lambda own: evaluate(own)[1],  # pyright: ignore[reportArgumentType]
+        bounds=(0.0, 1.0),
+        x_scale="jac",
+        loss=model.loss,
+    )
+    return np.concatenate([point[:shared], result.x])
+
+
+def records_of(
+    model: Model, experiments: tuple[Experiment, ...], point: np.ndarray, log_depth: float, held_out: bool
+) -> list[Record]:
+    """Every experiment beside the prediction made at a point."""
+    predicted = np.asarray(predictions(model, jnp.asarray(point), jnp.asarray(log_depth)))
+    values = [float(v) for v in model.values(jnp.asarray(point), jnp.asarray(log_depth))]
+    weights = np.asarray(model.data.weights)
+    records = []
+    for i, experiment in enumerate(experiments):
+        count = experiment.times.size
+        own = {c.observes: (model.channels.index(c.observes), c.values) for c in experiment.channels}
+        params = {name: float(v[i]) for known in (model.data.chain, model.data.fixed) for name, v in known.items()}
+        params |= {s.name: v for s, v in zip(model.slots, values, strict=True) if s.experiment in (None, i)}
+        records.append(
+            Record(
+                name=experiment.name,
+                held_out=held_out,
+                times=experiment.times,
+                data={name: values for name, (_, values) in own.items()},
+                prediction={name: predicted[i, j, :count] for name, (j, _) in own.items()},
+                sigma={name: _sigma(weights[i, j, :count]) for name, (j, _) in own.items()},
+                params=params,
+            )
+        )
+    return records
+
+
+def _sigma(weights: np.ndarray) -> float:
+    """Root mean square deviation of samples with these weights."""
+    return float(np.sqrt(np.mean(weights[weights > 0] ** -2.0)))
+
+
+def series_of(
+    model: Model,
+    experiments: tuple[Experiment, ...],
+    seen: list[Contact],
+    noise: Estimate,
+    residuals: np.ndarray,
+    errors: np.ndarray,
+    accuracy: float,
+) -> list[Series]:
+    """Residuals by record and channel: their places, and whether the model's contact touches at each of them.
+
+    Args:
+        model, experiments, noise: as settled.
+        seen: ``runs.contacts`` of the model.
+        residuals, errors: (N,) white, and the integrator's part in them.
+        accuracy: error of the simulated forces as a share of their peak.
+    """
+    weights, shape = np.asarray(model.data.weights), model.data.weights.shape
+    values = np.asarray(model.data.values)
+    series = []
+    for i, experiment in enumerate(experiments):
+        for channel in experiment.channels:
+            j = model.channels.index(channel.observes)
+            own = np.flatnonzero(weights[i, j] > 0)
+            contact = channel.observes.partition(".")[0]
+            mine = next(c for c in seen if c.experiment == i and c.name == contact)
+            clock = np.asarray(model.data.times)[i, own] - mine.offset
+            touching = np.interp(clock, mine.times, mine.touching.astype(float), left=0.0) >= 0.5
+            durations = mine.durations
+            memory = noise.correlation.get(channel.observes) if channel.correlation is None else channel.correlation
+            peak = float(np.max(np.abs(values[i, j, own])))
+            rows = np.ravel_multi_index((np.full(own.size, i), np.full(own.size, j), own), shape)
+            share = 1.0 / float(weights[i, j, own].max() * peak) if peak > 0 else 0.0
+            series.append(
+                Series(
+                    rows=rows,
+                    touching=touching,
+                    share=share,
+                    longest=float(durations.max()) if durations.size else np.inf,
+                    memory=float(memory or 0.0),
+                    declared=channel.correlation != 0.0,
+                    estimated=channel.sigma is None,
+                    integrator=channel.observes in noise.integrator
+                    or integration.own(residuals[rows], errors[rows], accuracy, 1.0 / share if share else 0.0),
+                )
+            )
+    return series
+
+
+def features_of(
+    model: Model, experiments: tuple[Experiment, ...], residuals: np.ndarray
+) -> dict[str, dict[str, float]]:
+    """Every feature as measured and as fitted (SI), from the fit's residuals (N,)."""
+    own = residuals[model.data.values.size :].reshape(model.data.features.shape)
+    return {
+        f"{experiment.name} {seen.feature}": {
+            "measured": seen.value,
+            "fitted": seen.value + float(own[i, k]) * seen.sigma,
+            "sigma": seen.sigma,
+        }
+        for i, experiment in enumerate(experiments)
+        for k, seen in enumerate(experiment.features)
+    }
+
+
+def rms(records: list[Record]) -> float:
+    """Root mean square of prediction less data [N], over all samples; 0 where features alone were fitted."""
+    errors = [r.prediction[c] - r.data[c] for r in records for c in r.data]
+    return float(np.sqrt(np.nanmean(np.concatenate(errors) ** 2))) if errors else 0.0

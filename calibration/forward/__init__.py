@@ -1,0 +1,1 @@
+"""From parameters to predicted readings and their residuals."""

@@ -1,0 +1,275 @@
+"""From a point of the search space to weighted residuals and their Jacobian, all experiments at once.
+
+A point is a vector of unit-box coordinates: 0 and 1 are a parameter's bounds, in its logarithm where
+its scale is logarithmic. Where stiffness K and exponent n are both free, the coordinate of K is that of
+F_ref = K d_ref^n at a penetration d_ref inside the data, which the data determine far better than K.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from bcfj_jax import force_history
+from bcfj_jax.analysis.derivatives.jacobian import Histories, histories
+from bcfj_jax.analysis.derivatives.names import complete
+from bcfj_jax.mechanism.scene import AbstractScene
+from bcfj_jax.solve.batched_jvp import with_jacobian
+from bcfj_jax.solve.integrate import Plan, plan
+from calibration.forward.losses import loss_of, straightened
+from calibration.forward.observables import Watch, fine, grid, low_pass, measured, tabulated, watches
+from calibration.forward.slots import Slot, make_slots
+from calibration.problem import COMPONENTS, NUISANCES, Experiment, Problem
+from calibration.solver_budget import effort
+
+# Steps over a record that its force is sampled in where a sensor's low-pass is to be applied.
+_FINE_STEPS = 2000
+_NO_LOW_PASS = 1e12  # [Hz]
+
+
+class Data(eqx.Module):
+    """Records padded to one length, and features: E experiments, C channels, T times, F features.
+
+    Attributes:
+        times: (E, T) [s].
+        values, weights: (E, C, T) readings [N] and 1/sigma; weight 0 is no sample.
+        memory: (E, C, T) correlation of a sample's noise with the one before, whose index is ``previous``.
+        features, feature_weights: (E, F) likewise.
+        fixed, chain: by name (E,), scene parameters and nuisances where they are not searched.
+    """
+
+    times: Array
+    values: Array
+    weights: Array
+    memory: Array
+    previous: Array
+    features: Array
+    feature_weights: Array
+    fixed: dict[str, Array]
+    chain: dict[str, Array]
+
+
+class Model(eqx.Module):
+    """The residual function of a problem's experiments, ready to be compiled once.
+
+    Problems that differ in numbers only share the compiled program: static is what the program is made of.
+    """
+
+    scene: AbstractScene
+    slots: tuple[Slot, ...] = eqx.field(static=True)
+    channels: tuple[str, ...] = eqx.field(static=True)
+    data: Data
+    how: Plan
+    watches: tuple[Watch, ...] = eqx.field(static=True, default=())
+    parts: int = eqx.field(static=True, default=0)
+    loss: str = eqx.field(static=True, default="linear")
+
+    @property
+    def referenced(self) -> bool:
+        """Whether stiffness is searched as a reference force."""
+        shared = {slot.name for slot in self.slots if slot.experiment is None}
+        return {"stiffness", "exponent"} <= shared and all(s.log for s in self.slots if s.name == "stiffness")
+
+    def values(self, point: Array, log_depth: Array) -> list[Array]:
+        """Parameter values, SI, one a slot, at a unit-box point; ``log_depth`` is ln d_ref."""
+        lower, width = self.box(log_depth)
+        z = lower + point * width
+        values = [jnp.exp(z[i]) if slot.log else z[i] for i, slot in enumerate(self.slots)]
+        if self.referenced:
+            k, n = self.pair()
+            values[k] = jnp.exp(z[k] - values[n] * log_depth)
+        return values
+
+    def point(self, values: np.ndarray, log_depth: float) -> np.ndarray:
+        """The inverse of ``values``, for NumPy vectors (..., P)."""
+        z = np.array(values, dtype=float)
+        log = [slot.log for slot in self.slots]
+        z[..., log] = np.log(z[..., log])
+        if self.referenced:
+            k, n = self.pair()
+            z[..., k] += np.asarray(values)[..., n] * log_depth
+        lower, width = self.box(jnp.asarray(log_depth))
+        return (z - np.asarray(lower)) / np.asarray(width)
+
+    def pair(self) -> tuple[int, int]:
+        """Slots of the shared stiffness and exponent."""
+        names = [slot.name if slot.experiment is None else "" for slot in self.slots]
+        return names.index("stiffness"), names.index("exponent")
+
+    def box(self, log_depth: Array) -> tuple[Array, Array]:
+        """Lower bounds and widths of the coordinates on the search scale."""
+        lower = jnp.array([slot.lower for slot in self.slots])
+        upper = jnp.array([slot.upper for slot in self.slots])
+        if self.referenced:
+            k, n = self.pair()
+            exponents = [jnp.exp(b[n]) if self.slots[n].log else b[n] for b in (lower, upper)]
+            shifts = jnp.stack([e * log_depth for e in exponents])
+            lower, upper = lower.at[k].add(shifts.min()), upper.at[k].add(shifts.max())
+        return lower, upper - lower
+
+    def settings(self, point: Array, log_depth: Array) -> tuple[dict[str, Array], dict[str, Array]]:
+        """Scene parameters and nuisances (E,) by name at a point."""
+        count = self.data.times.shape[0]
+        table, chain = (
+            {name: jnp.broadcast_to(v, (count,)) for name, v in known.items()}
+            for known in (self.data.fixed, self.data.chain)
+        )
+        for slot, value in zip(self.slots, self.values(point, log_depth), strict=True):
+            target = chain if slot.name in NUISANCES else table
+            where = slice(None) if slot.experiment is None else slot.experiment
+            target[slot.name] = target[slot.name].at[where].set(value)
+        return table, chain
+
+    def predictions(self, point: Array, log_depth: Array) -> Array:
+        """What each channel would have read, (E, C, T) [N]."""
+
+        def one(params: dict, own: dict, times: Array) -> Array:
+            shifted = times - own["time_offset"]
+            # Samples may stand in any order; of those that read the initial state, a batch is done at its first step.
+            order = jnp.argsort(shifted)
+            sampled, places = fine(shifted, self.parts) if self.parts else (shifted[order], jnp.argsort(order))
+            forces = force_history(self.scene, params, sampled, accuracy=self.how, mode="forward")
+            readings = jnp.stack([_component(forces, channel) for channel in self.channels], axis=1)
+            passed = low_pass(sampled, readings, own["bandwidth"]) if self.parts else readings
+            return own["gain"] * passed[places].T + own["force_offset"]
+
+        if not self.channels:
+            return jnp.zeros(self.data.values.shape)
+        return jax.vmap(one)(*self.settings(point, log_depth), self.data.times)
+
+    def features(self, point: Array, log_depth: Array) -> Array:
+        """What each experiment's features would have been, (E, F), 0 where there is none."""
+        table, chain = self.settings(point, log_depth)
+        rows = []
+        for i, watch in enumerate(self.watches):
+            values = jnp.zeros(self.data.features.shape[1])
+            if watch.names:
+                times, own = jnp.asarray(grid(watch)), {name: v[i] for name, v in chain.items()}
+                found, _ = histories(self.scene, {name: v[i] for name, v in table.items()}, times, self.how)
+                flat = found.force.reshape(times.size, -1)
+                passed = low_pass(times, flat, own["bandwidth"]) if self.parts else flat
+                force = (own["gain"] * passed + own["force_offset"]).reshape(found.force.shape)
+                seen = Histories(force, found.penetration, found.rate, None)
+                values = values.at[: len(watch.names)].set(measured(self.scene, watch, seen))
+            rows.append(values)
+        return jnp.stack(rows) if rows else jnp.zeros(self.data.features.shape)
+
+    def residuals(self, point: Array, log_depth: Array) -> Array:
+        """Residuals (prediction - value) / sigma, freed of their noise's memory, flat: readings, then features.
+
+        0 where there is no sample.
+        """
+        d, seen = self.data, self.data.weights > 0
+        weighted = jnp.where(seen, self.predictions(point, log_depth) - d.values, 0.0) * d.weights
+        before = jnp.take_along_axis(weighted, d.previous, axis=-1)
+        white = jnp.where(seen, (weighted - d.memory * before) / jnp.sqrt(1.0 - jnp.square(d.memory)), 0.0)
+        told = d.feature_weights > 0
+        features = jnp.where(told, self.features(point, log_depth) - d.features, 0.0) * d.feature_weights
+        return jnp.concatenate([white.ravel(), features.ravel()])
+
+    def cost(self, residuals: np.ndarray) -> np.ndarray:
+        """Sum of what each of the residuals (..., N) costs."""
+        return np.sum(loss_of(self.loss, np.square(residuals))[0], axis=-1)
+
+
+def _component(forces: dict[str, Array], channel: str) -> Array:
+    contact, _, component = channel.partition(".")
+    if contact in forces:
+        return forces[contact][:, COMPONENTS.index(component)]
+    whole, _, member = contact.rpartition("_")
+    return forces[whole][:, int(member) - 1, COMPONENTS.index(component)]
+
+
+def values_at(model: Model, points: np.ndarray, log_depth: float) -> np.ndarray:
+    """``Model.values`` of unit-box points (..., P), in NumPy."""
+    lower, width = (np.asarray(a) for a in model.box(jnp.asarray(log_depth)))
+    values, log = lower + points * width, [slot.log for slot in model.slots]
+    if model.referenced:
+        k, n = model.pair()
+        values[..., k] -= log_depth * (np.exp(values[..., n]) if log[n] else values[..., n])
+    values[..., log] = np.exp(values[..., log])
+    return values
+
+
+@eqx.filter_jit
+def residuals_and_jacobian(model: Model, point: Array, log_depth: Array) -> tuple[Array, Array]:
+    """Residuals (N,) and their forward-mode Jacobian (N, P) at one point."""
+    return _both(model, log_depth, point)
+
+
+@eqx.filter_jit
+def batch(model: Model, points: Array, log_depth: Array) -> tuple[Array, Array]:
+    """Residuals (B, N) and Jacobians (B, N, P) at several points, in one program.
+
+    Of a robust loss they are such that the sum of their squares is the cost.
+    """
+    return straightened(model.loss, *jax.vmap(partial(_both, model, log_depth))(points))
+
+
+@eqx.filter_jit
+def predictions(model: Model, point: Array, log_depth: Array) -> Array:
+    """What each channel would have read, (E, C, T) [N]."""
+    return model.predictions(point, log_depth)
+
+
+def _both(model: Model, log_depth: Array, point: Array) -> tuple[Array, Array]:
+    return with_jacobian(lambda u: model.residuals(u, log_depth), point)
+
+
+def build(problem: Problem, experiments: tuple[Experiment, ...], slots: tuple[Slot, ...] | None = None) -> Model:
+    """The model of some of a problem's experiments (those to fit, or those held out)."""
+    channels = tuple(dict.fromkeys(c.observes for e in experiments for c in e.channels))
+    longest = max(1, *(e.times.size for e in experiments))
+    shape = (len(experiments), len(channels), longest)
+    values, weights, memory, times = np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros((shape[0], longest))
+    previous = np.zeros(shape, dtype=int)
+    for i, experiment in enumerate(experiments):
+        count = experiment.times.size
+        step = experiment.times[-1] - experiment.times[-2] if count > 1 else 1e-6
+        times[i, :count] = experiment.times
+        times[i, count:] = (experiment.times[-1] if count else 0.0) + 1e-3 * step * np.arange(1, longest - count + 1)
+        for channel in experiment.channels:
+            j = channels.index(channel.observes)
+            seen = np.isfinite(channel.values)
+            readings = np.where(seen, channel.values, 0.0)
+            values[i, j, :count] = readings
+            weights[i, j, :count] = seen / channel.deviation(readings)
+            own = np.flatnonzero(seen)
+            previous[i, j, own[1:]] = own[:-1]
+            if channel.correlation:
+                memory[i, j, own[1:]] = np.exp(-np.diff(experiment.times[own]) / channel.correlation)
+    # A contact's own coefficient that is searched, or known of a run, needs a place of its own.
+    known = {name for e in experiments for name in e.fixed}
+    own = [f.name for f in problem.free if f.name not in NUISANCES] + sorted(known - NUISANCES.keys())
+    given = {name: jnp.asarray(value) for name, value in problem.params.items()}
+    params = complete(problem.scene, given, tuple(dict.fromkeys(own)))[0] if own else given
+    filtered = "bandwidth" in {*known, *(f.name for f in problem.free)}
+    chain = {"time_offset": 0.0, "force_offset": 0.0, "gain": 1.0}
+    chain |= {"bandwidth": _NO_LOW_PASS} if filtered else {}
+    fixed, chain = (
+        {name: jnp.array([e.fixed.get(name, float(value)) for e in experiments]) for name, value in table.items()}
+        for table in (params, chain)
+    )
+    features, feature_weights = tabulated(experiments)
+    arrays = (times, values, weights, memory, previous, features, feature_weights)
+    return Model(
+        scene=problem.scene,
+        slots=slots or make_slots(problem, len(experiments)),
+        channels=channels,
+        data=Data(*(jnp.asarray(a) for a in arrays), fixed=fixed, chain=chain),
+        how=plan(problem.scene, problem.accuracy, max_steps=_steps(problem)),
+        watches=watches(problem.scene, experiments),
+        parts=max(4, -(-_FINE_STEPS // longest)) if filtered else 0,
+        loss=problem.loss,
+    )
+
+
+def _steps(problem: Problem) -> int:
+    """Attempted steps of a run until it has failed: more where finer ones are asked for, as of a method of order 2."""
+    means = effort(problem.scene)
+    return int(means.steps * max(1.0, means.accuracy / problem.accuracy) ** 0.5)

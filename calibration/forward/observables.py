@@ -1,0 +1,163 @@
+"""What a measuring chain makes of the model's forces: a sensor's low-pass, and features of a run. Pure, in JAX."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from bcfj_jax.analysis import histories as comparison
+from bcfj_jax.analysis.derivatives.jacobian import Histories, channel_names, channels
+from bcfj_jax.analysis.derivatives.measures import vector
+from bcfj_jax.analysis.derivatives.names import feature, members
+from bcfj_jax.mechanism.scene import AbstractScene
+from bcfj_jax.models.joint.scene import Joint
+from calibration.problem import Experiment
+
+# A delay is sought over so many times its measured size, both signs together, and over so many samples at least.
+_NEAR, _FEWEST = 2.5, 32
+
+
+class Watch(NamedTuple):
+    """Features of one experiment: names, about what a period or a delay is [s], the last time [s], samples."""
+
+    names: tuple[str, ...]
+    about: tuple[float, ...]
+    end: float
+    count: int
+
+
+def low_pass(times: Array, values: Array, bandwidth: Array) -> Array:
+    """Output of a first-order sensor, y' = 2 pi bandwidth (x - y), at rest before the first time.
+
+    Exact for an input that is linear between samples.
+
+    Args:
+        times: (T,) [s], not decreasing.
+        values: (T, C) its inputs.
+        bandwidth: [Hz].
+    """
+    angle = 2.0 * jnp.pi * bandwidth * jnp.diff(times)
+    keep = jnp.exp(-angle)
+    some = angle > 0
+    mean = jnp.where(some, -jnp.expm1(-angle) / jnp.where(some, angle, 1.0), 1.0)
+    pushed = (mean - keep)[:, None] * values[:-1] + (1.0 - mean)[:, None] * values[1:]
+
+    def compose(first: tuple[Array, Array], second: tuple[Array, Array]) -> tuple[Array, Array]:
+        return first[0] * second[0], second[0] * first[1] + second[1]
+
+    kept, sums = jax.lax.associative_scan(compose, (jnp.broadcast_to(keep[:, None], pushed.shape), pushed))
+    return jnp.concatenate([values[:1], kept * values[:1] + sums])
+
+
+def fine(times: Array, parts: int) -> tuple[Array, Array]:
+    """Times with ``parts`` steps in each of their own, from 0 or before, and where the given ones are among them."""
+    first = jnp.linspace(jnp.minimum(times[0], 0.0), times[0], 8 * parts, endpoint=False)
+    steps = jnp.arange(parts) / parts
+    between = (times[:-1, None] + jnp.diff(times)[:, None] * steps).ravel()
+    places = 8 * parts + parts * jnp.arange(times.size)
+    return jnp.concatenate([first, between, times[-1:]]), places
+
+
+def measured(scene: AbstractScene, watch: Watch, found: Histories) -> Array:
+    """The watched features (F,) of histories at ``grid(watch)``."""
+    contacts, times = channels(scene), grid(watch)
+    wanted = [feature(name, contacts) for name in watch.names]
+    values = vector(times, found, wanted, contacts, {})
+    place = {name: k for k, name in enumerate(channel_names(contacts))}
+    for k, one in enumerate(wanted):
+        if one.kind == "period":
+            own = [place[m] for m in members(one.contacts[0], contacts)]
+            cycles = [_period(scene, times, found, i, watch.about[k]) for i in own]
+            values = values.at[k].set(jnp.mean(jnp.stack(cycles)))
+        if one.kind == "delay":
+            values = values.at[k].set(
+                _delay(times, found.force[:, :, 0], one.contacts, place, contacts, watch.about[k])
+            )
+    return values
+
+
+def grid(watch: Watch) -> np.ndarray:
+    """Times of the samples that features are taken from [s]."""
+    return np.linspace(0.0, watch.end, watch.count)
+
+
+def tabulated(experiments: tuple[Experiment, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """What was measured of features, (E, F), and 1/sigma, 0 where there is none."""
+    most = max(len(e.features) for e in experiments)
+    values, weights = np.zeros((2, len(experiments), most))
+    for i, experiment in enumerate(experiments):
+        for k, seen in enumerate(experiment.features):
+            values[i, k], weights[i, k] = seen.value, 1.0 / seen.sigma
+    return values, weights
+
+
+def watches(scene: AbstractScene, experiments: tuple[Experiment, ...]) -> tuple[Watch, ...]:
+    """What is to be computed for the features of each experiment; nothing where there is none at all."""
+    if not any(e.features for e in experiments):
+        return ()
+    found = []
+    for e in experiments:
+        end = float(e.span if e.span is not None else e.times[-1] if e.times.size else 0.0)
+        # Two digits tell which repetition is meant; more would compile anew for each value.
+        about = tuple(float(f"{f.value:.1e}") if f.feature.endswith((".period", ".delay")) else 0.0 for f in e.features)
+        found.append(Watch(tuple(f.feature for f in e.features), about, end, scene.samples))
+    return tuple(found)
+
+
+def _period(scene: AbstractScene, times: np.ndarray, found: Histories, channel: int, about: float) -> Array:
+    if isinstance(scene, Joint):
+        return _repeat(times, found.force[:, channel, 0], about)
+    return _interval(times, found.penetration[:, channel], found.rate[:, channel])
+
+
+def _delay(times: np.ndarray, force: Array, pair: tuple[str, ...], place: dict, contacts: dict, about: float) -> Array:
+    """Mean delay of pairs of members, sought near the one that was measured: a period later they correlate as well."""
+    first, second = (members(c, contacts) for c in pair)
+    pairs = list(zip(first, second, strict=True)) if len(first) == len(second) else [(first[0], second[0])]
+    step, whole = float(times[1] - times[0]), float(times[-1] - times[0])
+    width = min(max(_NEAR * abs(about), _FEWEST * step), whole)
+    return jnp.mean(
+        jnp.stack([comparison.delay(times, force[:, place[a]], force[:, place[b]], width) for a, b in pairs])
+    )
+
+
+def _interval(times: np.ndarray, depth: Array, rate: Array) -> Array:
+    """Mean time between the starts of contacts, (last - first)/(count - 1) [s]; NaN for fewer than two."""
+    starts = (depth[:-1] <= 0) & (depth[1:] > 0)
+    count = jnp.sum(starts)
+    first, last = jnp.argmax(starts), starts.size - 1 - jnp.argmax(starts[::-1])
+    span = _root(times, depth, rate, last) - _root(times, depth, rate, first)
+    return jnp.where(count > 1, span / jnp.where(count > 1, count - 1, 1), jnp.nan)
+
+
+def _root(times: np.ndarray, depth: Array, rate: Array, k: Array) -> Array:
+    """Root of the Hermite cubic between samples k and k + 1; its derivative comes from the last Newton step."""
+    h = times[1] - times[0]
+    a, b, p, q = depth[k], depth[k + 1], h * rate[k], h * rate[k + 1]
+    cubic = lambda s: a + s * (p + s * (3 * (b - a) - 2 * p - q + s * (2 * (a - b) + p + q)))  # noqa: E731
+    fixed = jax.lax.stop_gradient
+
+    def halve(_, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
+        middle = 0.5 * (bracket[0] + bracket[1])
+        below = fixed(cubic(middle)) <= 0
+        return jnp.where(below, middle, bracket[0]), jnp.where(below, bracket[1], middle)
+
+    s = jax.lax.fori_loop(0, 50, halve, (jnp.zeros(()), jnp.ones(())))[0]
+    slope = fixed(jax.jvp(cubic, (s,), (jnp.ones(()),))[1])
+    return jnp.asarray(times)[k] + h * (s - cubic(s) / slope)
+
+
+def _repeat(times: np.ndarray, force: Array, about: float) -> Array:
+    """Period of a force of the last two thirds that is about so long: its delay against itself, one period later."""
+    late = times >= times[-1] / 3.0
+    t, x = times[late], force[late]
+    later = max(1, round(about / (t[1] - t[0])))
+    if t.size - later < 8:
+        return jnp.asarray(jnp.nan)
+    early = t[: t.size - later]
+    width = min(about, float(early[-1] - early[0]))
+    return t[later] - t[0] + comparison.delay(early, x[: t.size - later], x[later:], width)

@@ -1,0 +1,1 @@
+"""The size and the memory of the noise, stated or estimated."""

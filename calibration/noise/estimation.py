@@ -1,0 +1,120 @@
+"""From an optimum with assumed weights to one whose weights are those of the noise that it shows itself."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+
+from calibration.forward.integration import Limit, limits
+from calibration.forward.model import Model, residuals_and_jacobian
+from calibration.noise import noise_model
+from calibration.noise.noise_model import Estimate
+from calibration.problem import Experiment
+from calibration.search.refinement import End, finish
+
+_ROUNDS, _SETTLED = 12, 1e-3
+# A start that ends lower than the one that told the noise by this much tells it anew.
+_LOWER = 0.1
+# Unit-box coordinates that differ by less are one optimum, approached to different depths.
+_BESIDE = 1e-3
+
+
+def settle(
+    model: Model, experiments: tuple[Experiment, ...], ends: tuple[End, ...], log_depth: float, accuracy: float
+) -> tuple[Model, tuple[End, ...], Estimate]:
+    """Estimate the noise at the best end and fit with it, in turn, until neither changes; then bring the others along.
+
+    Args:
+        model: as built, with the weights that ``Channel.deviation`` assumes.
+        experiments: that it is of.
+        ends: best first.
+        log_depth: ln of the reference penetration [m].
+        accuracy: error of the simulated forces as a share of their peak.
+
+    Returns:
+        The model with settled weights, the ends on it, best first, and the noise.
+    """
+    if noise_model.known(experiments):
+        return model, ends, Estimate({}, {}, [])
+    told = ends
+    known = limits(model, ends[0].point, log_depth, accuracy)
+    settled, found, best = _settled(model, experiments, ends[0], log_depth, known)
+    for _ in range(2):
+        factor = _factor(model, settled)
+        told = _ordered(settled, list(_all_moved(settled, ends, log_depth, factor)), log_depth)
+        if told[0].cost > best.cost - _LOWER:
+            break
+        settled, found, best = _settled(model, experiments, told[0], log_depth, known)
+    return settled, told, found
+
+
+def _settled(
+    model: Model, experiments: tuple[Experiment, ...], end: End, log_depth: float, known: dict[str, Limit]
+) -> tuple[Model, Estimate, End]:
+    found = Estimate({}, {}, [])
+    for _ in range(_ROUNDS):
+        new, found = noise_model.estimate(model, experiments, end.point, log_depth, known)
+        factor = _factor(model, new)
+        change = _change(model, new)
+        end = _moved(new, end, log_depth, factor)
+        model = new
+        if factor is not None or change < _SETTLED:
+            break
+    return model, found, end
+
+
+def _ordered(model: Model, ends: list[End], log_depth: float) -> tuple[End, ...]:
+    """Best first, and the best polished: on another model it may be one that the search left as it was."""
+    best, *others = sorted(ends, key=lambda e: (bool(e.failure), e.cost))
+    if not best.residuals.size:
+        best = finish(model, best.start, np.clip(best.point, 1e-9, 1.0 - 1e-9), log_depth)
+    return best, *others
+
+
+def _all_moved(model: Model, ends: tuple[End, ...], log_depth: float, factor: float | None) -> Iterator[End]:
+    """Every end on the model; those that the search left beside a polished one go where that goes."""
+    done: list[tuple[End, End]] = []
+    for end in ends:
+        beside = (new for old, new in done if np.abs(old.point - end.point).max() < _BESIDE)
+        near = next(beside, None) if end.converged and not end.residuals.size else None
+        if end.failure:
+            yield end
+        elif near is not None:
+            yield replace(end, point=near.point, cost=near.cost)
+        else:
+            new = _moved(model, end, log_depth, factor)
+            done += [(end, new)] if end.residuals.size else []
+            yield new
+
+
+def _change(old: Model, new: Model) -> float:
+    """Largest relative change of a weight, or change of a memory."""
+    seen = np.asarray(old.data.weights) > 0
+    ratio = np.asarray(new.data.weights)[seen] / np.asarray(old.data.weights)[seen]
+    memory = np.abs(np.asarray(new.data.memory) - np.asarray(old.data.memory))
+    return max(float(np.max(np.abs(ratio - 1.0), initial=0.0)), float(np.max(memory, initial=0.0)))
+
+
+def _factor(old: Model, new: Model) -> float | None:
+    """The one number that all residuals are multiplied with from one model to the other, if there is one."""
+    seen = np.asarray(old.data.weights) > 0
+    ratio = np.asarray(new.data.weights)[seen] / np.asarray(old.data.weights)[seen]
+    same = ratio.size and np.ptp(ratio) < 1e-12 * ratio[0] and np.array_equal(old.data.memory, new.data.memory)
+    return float(ratio[0]) if same and not new.watches and new.loss == "linear" else None
+
+
+def _moved(model: Model, end: End, log_depth: float, factor: float | None) -> End:
+    """An end on a model with other weights: a common factor moves no optimum."""
+    if factor is not None:
+        residuals, jacobian = factor * end.residuals, factor * end.jacobian
+        return replace(end, residuals=residuals, jacobian=jacobian, cost=factor**2 * end.cost)
+    if end.residuals.size:
+        return finish(model, end.start, np.clip(end.point, 1e-9, 1.0 - 1e-9), log_depth)
+    return replace(end, cost=float(model.cost(_residuals(model, end.point, log_depth))))
+
+
+def _residuals(model: Model, point: np.ndarray, log_depth: float) -> np.ndarray:
+    return np.asarray(residuals_and_jacobian(model, jnp.asarray(point), jnp.asarray(log_depth))[0])

@@ -1,0 +1,255 @@
+"""The noise that residuals show: deviations by channel and correlation times, by restricted maximum likelihood (REML).
+
+With weighted residuals r, their Jacobian J and the projection M = 1 - J (J^T J)^-1 J^T, a channel's deviation obeys
+sigma^2 = |M r|^2 / (n - leverage) over its own samples: with one channel, cost over degrees of freedom. A correlation
+time minimises the restricted likelihood, the deviations following. Noise that grows with the reading is taken at the
+model's reading, so that what was measured does not weigh itself. A deviation that is no larger than the integrator's
+error (``integration.Limit``) is not noise that was seen. Nothing here searches: the model is linear about a point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from calibration.forward.integration import Limit
+from calibration.forward.model import Model, predictions, residuals_and_jacobian
+from calibration.problem import Channel, Experiment
+
+# Beyond so many deviations a sample is no noise to a robust loss.
+OUTLYING = 4.0
+_LEAST_CORRELATION = 0.02
+
+
+class Estimate(NamedTuple):
+    """What was found of the noise.
+
+    Attributes:
+        sigma: deviation [N] by channel whose noise is estimated.
+        correlation: time [s] by channel whose correlation is.
+        moved: for each of these numbers, the derivative (P, P) of the information matrix by its logarithm, and the
+            variance of that.
+        integrator: channels whose residuals are no larger than the integrator's error, which stands for their noise.
+    """
+
+    sigma: dict[str, float]
+    correlation: dict[str, float]
+    moved: list[tuple[np.ndarray, float]]
+    integrator: tuple[str, ...] = ()
+
+
+class _Series(NamedTuple):
+    """Samples of one experiment and channel: places, errors (n,) [N], their Jacobian (n, P), base deviations."""
+
+    place: tuple[int, int]
+    channel: Channel
+    samples: np.ndarray
+    gaps: np.ndarray
+    error: np.ndarray
+    jacobian: np.ndarray
+    deviation: np.ndarray
+
+
+class _Rows(NamedTuple):
+    """White residuals, their Jacobian, which series each row is of, and the sum of the deviations' logarithms."""
+
+    residual: np.ndarray
+    jacobian: np.ndarray
+    owner: np.ndarray
+    log_volume: float
+
+
+def known(experiments: tuple[Experiment, ...]) -> bool:
+    """Whether no noise is estimated or depends on the model's reading."""
+    return not any(c.sigma is None or c.relative or c.correlation is None for e in experiments for c in e.channels)
+
+
+def estimate(
+    model: Model,
+    experiments: tuple[Experiment, ...],
+    point: np.ndarray,
+    log_depth: float,
+    limits: dict[str, Limit] | None = None,
+) -> tuple[Model, Estimate]:
+    """The noise about a point, and the model with weights and memory that follow from it.
+
+    Args:
+        model, experiments, point, log_depth: where.
+        limits: of the channels, below which a deviation is the integrator's; none where not given.
+    """
+    limits = limits or {}
+    series, rest = _series(model, experiments, point, log_depth)
+    sigma = {s.channel.observes: 0.0 for s in series if s.channel.sigma is None}
+    for name in sigma:
+        own = np.concatenate([s.error for s in series if s.channel.sigma is None and s.channel.observes == name])
+        sigma[name] = 1.4826 * float(np.median(np.abs(own))) if model.loss != "linear" else float(np.std(own))
+        sigma[name] = max(sigma[name], 1e-12 * float(np.max(np.abs(own), initial=1.0)), 1e-300)
+    times = {s.channel.observes: 0.0 for s in series if s.channel.correlation is None}
+    robust = model.loss != "linear"
+    for name in times:
+        own = [s for s in series if s.channel.observes == name and s.channel.correlation is None]
+        shortest, longest = min(np.min(s.gaps) for s in own), max(np.sum(s.gaps) for s in own)
+
+        def criterion(log_time: float, name: str = name) -> float:
+            tried = {**times, name: float(np.exp(log_time))}
+            return _restricted(_converged(series, rest, sigma, tried, robust, limits)[1])
+
+        bounds = float(np.log(0.2 * shortest)), float(np.log(longest))
+        found = minimize_scalar(criterion, bounds=bounds, method="bounded", options={"xatol": 1e-4})
+        memory = np.exp(-shortest / np.exp(found.x))
+        times[name] = float(np.exp(found.x)) if memory > _LEAST_CORRELATION else 0.0
+    sigma, rows = _converged(series, rest, sigma, times, robust, limits)
+    integrator = tuple(name for name in sigma if name in limits and sigma[name] == limits[name].sigma)
+    seen = {name: value for name, value in sigma.items() if name not in integrator}
+    result = Estimate(sigma, times, _moved(series, rows, seen, sigma, times, rest, robust), integrator)
+    return _reweighed(model, series, sigma, times), result
+
+
+def _series(
+    model: Model, experiments: tuple[Experiment, ...], point: np.ndarray, log_depth: float
+) -> tuple[list[_Series], tuple[np.ndarray, np.ndarray]]:
+    """Series of plain errors, and the weighted residuals of features with their Jacobian."""
+    d = model.data
+    plain = eqx.tree_at(
+        lambda m: (m.data.weights, m.data.memory),
+        model,
+        (jnp.where(d.weights > 0, 1.0, 0.0), jnp.zeros_like(d.memory)),
+    )
+    at, depth = jnp.asarray(point), jnp.asarray(log_depth)
+    errors, jacobian = (np.asarray(a) for a in residuals_and_jacobian(plain, at, depth))
+    read = np.asarray(predictions(model, at, depth))
+    shape = read.shape
+    shaped, slopes = errors[: read.size].reshape(shape), jacobian[: read.size].reshape(*shape, -1)
+    found = []
+    for i, experiment in enumerate(experiments):
+        for channel in experiment.channels:
+            j = model.channels.index(channel.observes)
+            own = np.flatnonzero(np.isfinite(channel.values))
+            gaps = np.diff(experiment.times[own])
+            deviation = np.ones(own.size) if channel.sigma is None else channel.deviation(read[i, j, own])
+            found.append(_Series((i, j), channel, own, gaps, shaped[i, j, own], slopes[i, j, own], deviation))
+    return found, (errors[read.size :], jacobian[read.size :])
+
+
+def _deviation(s: _Series, sigma: dict[str, float]) -> np.ndarray:
+    return s.deviation * (sigma[s.channel.observes] if s.channel.sigma is None else 1.0)
+
+
+def _memory(s: _Series, times: dict[str, float]) -> np.ndarray:
+    """Correlation of each sample with the one before; 0 for the first."""
+    own = times[s.channel.observes] if s.channel.correlation is None else s.channel.correlation
+    return np.concatenate([[0.0], np.exp(-s.gaps / own) if own else 0.0 * s.gaps])
+
+
+def _rows(series: list[_Series], rest: tuple, sigma: dict[str, float], times: dict[str, float], robust: bool) -> _Rows:
+    parts = []
+    for k, s in enumerate(series):
+        deviation, memory = _deviation(s, sigma), _memory(s, times)
+        shrink = np.sqrt(1.0 - memory**2)
+        r, j = s.error / deviation, s.jacobian / deviation[:, None]
+        r = (r - memory * np.roll(r, 1)) / shrink
+        j = (j - memory[:, None] * np.roll(j, 1, axis=0)) / shrink[:, None]
+        keep = np.abs(r) < OUTLYING if robust else np.ones(r.size, dtype=bool)
+        parts.append((r[keep], j[keep], np.full(int(keep.sum()), k), np.sum(np.log(deviation * shrink)[keep])))
+    parts.append((*rest, np.full(rest[0].size, -1), 0.0))
+    residual, jacobian, owner, volume = zip(*parts, strict=True)
+    return _Rows(np.concatenate(residual), np.concatenate(jacobian), np.concatenate(owner), float(sum(volume)))
+
+
+def _projected(rows: _Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """M r, the leverage of each row and the singular values of J that are not rounding."""
+    left, singular, _ = np.linalg.svd(rows.jacobian, full_matrices=False)
+    kept = singular > 1e-10 * singular[0] if singular.size else np.zeros(0, dtype=bool)
+    basis = left[:, kept]
+    return rows.residual - basis @ (basis.T @ rows.residual), np.sum(basis**2, axis=1), singular[kept]
+
+
+def _converged(
+    series: list[_Series],
+    rest: tuple,
+    sigma: dict[str, float],
+    times: dict[str, float],
+    robust: bool,
+    limits: dict[str, Limit],
+) -> tuple[dict[str, float], _Rows]:
+    """Deviations at the fixed point sigma^2 = |M r|^2/(n - leverage) or at their limits, and the rows there."""
+    sigma = dict(sigma)
+    rows = _rows(series, rest, sigma, times, robust)
+    for _ in range(100):
+        if not sigma:
+            break
+        r, leverage, _ = _projected(rows)
+        change = 0.0
+        for name, own in _owners(series, rows, sigma):
+            freedom = max(np.sum(1.0 - leverage[own]), 1e-9)
+            found = sigma[name] * float(np.sqrt(max(np.sum(r[own] ** 2) / freedom, 1e-30)))
+            if name in limits and found <= limits[name].below:
+                found = limits[name].sigma
+            change = max(change, abs(found / sigma[name] - 1.0))
+            sigma[name] = found
+        rows = _rows(series, rest, sigma, times, robust)
+        if change < 1e-9:
+            break
+    return sigma, rows
+
+
+def _owners(series: list[_Series], rows: _Rows, names: dict[str, float]) -> Iterator[tuple[str, np.ndarray]]:
+    """Rows of each channel whose deviation is estimated."""
+    for name in names:
+        own = [k for k, s in enumerate(series) if s.channel.sigma is None and s.channel.observes == name]
+        yield name, np.isin(rows.owner, own)
+
+
+def _restricted(rows: _Rows) -> float:
+    """Negative logarithm of the restricted likelihood."""
+    r, _, singular = _projected(rows)
+    return rows.log_volume + 0.5 * float(r @ r) + float(np.sum(np.log(singular)))
+
+
+def _moved(
+    series: list[_Series],
+    rows: _Rows,
+    seen: dict[str, float],
+    sigma: dict[str, float],
+    times: dict[str, float],
+    rest: tuple,
+    robust: bool,
+) -> list[tuple[np.ndarray, float]]:
+    _, leverage, _ = _projected(rows)
+    moved = []
+    for _, own in _owners(series, rows, seen):
+        jacobian = rows.jacobian[own]
+        moved.append((-2.0 * jacobian.T @ jacobian, 0.5 / max(np.sum(1.0 - leverage[own]), 1.0)))
+    for name, time in times.items():
+        if not time:
+            continue
+        own = [k for k, s in enumerate(series) if s.channel.correlation is None and s.channel.observes == name]
+        inside = np.isin(rows.owner, own)
+        gap = float(np.median(np.concatenate([series[k].gaps for k in own])))
+        memory = np.exp(-gap / time)
+        informations = []
+        for step in (-0.05, 0.05):
+            tried = _rows(series, rest, sigma, {**times, name: time * np.exp(step)}, robust=False)
+            part = tried.jacobian[np.isin(tried.owner, own)]
+            # An estimated deviation follows so that the innovation's stays: the two are all but independent then.
+            later = np.exp(-gap / (time * np.exp(step)))
+            free = series[own[0]].channel.sigma is None
+            informations.append(part.T @ part * ((1.0 - later**2) / (1.0 - memory**2) if free else 1.0))
+        freedom = max(np.sum(1.0 - leverage[inside]), 1.0)
+        # var(phi) = (1 - phi^2)/n of an autoregression, phi = exp(-gap/time).
+        variance = (1.0 - memory**2) / freedom / (memory * np.log(memory)) ** 2
+        moved.append(((informations[1] - informations[0]) / 0.1, float(variance)))
+    return moved
+
+
+def _reweighed(model: Model, series: list[_Series], sigma: dict[str, float], times: dict[str, float]) -> Model:
+    weights, memory = np.array(model.data.weights), np.array(model.data.memory)
+    for s in series:
+        weights[(*s.place, s.samples)] = 1.0 / _deviation(s, sigma)
+        memory[(*s.place, s.samples)] = _memory(s, times)
+    return eqx.tree_at(lambda m: (m.data.weights, m.data.memory), model, (jnp.asarray(weights), jnp.asarray(memory)))

@@ -1,0 +1,99 @@
+"""Pictures of a fit: data over prediction with a residual strip, force against penetration, where starts ended."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bcfj_jax import Run, simulate
+from bcfj_jax.io.outputs import channels
+from bcfj_jax.io.plots import COLOURS, engineering, figure, label, loops, save, style
+from calibration.diagnostics.records import Record
+from calibration.fit import Fit
+from calibration.problem import COMPONENTS, Problem
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_CURVE_SAMPLES = 2001
+
+
+def records(fit: Fit, problem: Problem, path: Path) -> None:
+    """Every record: data over the fitted history, and below it the residuals in standard deviations.
+
+    No picture where features alone were fitted.
+    """
+    panels = [(record, channel) for record in fit.records for channel in record.data]
+    if not panels:
+        return
+    columns = min(len(panels), 2)
+    rows = -(-len(panels) // columns)
+    with style():
+        drawing, axes = figure(2 * rows, columns, width=6.0 * columns + 1.0, height=2.4)
+        grid = np.array(axes).reshape(2 * rows, columns)
+        for axis in axes:
+            axis.set_visible(False)
+        for k, (record, channel) in enumerate(panels):
+            row, column = divmod(k, columns)
+            _panel(grid[2 * row, column], grid[2 * row + 1, column], record, channel, fit, problem)
+        save(drawing, path)
+
+
+def _run(fit: Fit, problem: Problem, record: Record) -> Run:
+    """The model alone, densely sampled, with a record's own parameters; the clock is the model's."""
+    params = {name: record.params[name] for name in problem.scene.quantities if name in record.params}
+    span = record.times - record.params["time_offset"]
+    if not span.size:  # features alone, of a run that starts with the model's clock
+        span = next(np.array([0.0, e.span or 0.0]) for e in problem.experiments if e.name == record.name)
+    times = np.linspace(min(0.0, span[0]), max(span[-1], span[0] + 1e-9), _CURVE_SAMPLES)
+    return simulate(problem.scene, problem.scene.parameters(params), times, accuracy=1e-4)
+
+
+def _panel(upper: Axes, lower: Axes, record: Record, channel: str, fit: Fit, problem: Problem) -> None:
+    time_scale, time_prefix = engineering(record.times)
+    data = record.data[channel]
+    scale, prefix = engineering(data)
+    upper.set_visible(True)
+    lower.set_visible(True)
+    name, colour = ("prediction", COLOURS[1]) if record.held_out else ("fit", COLOURS[0])
+    run, own = _run(fit, problem, record), record.params
+    contact, _, component = channel.partition(".")
+    force = channels(run.force, 1)[contact][:, COMPONENTS.index(component)]
+    curve = own["gain"] * force + own["force_offset"]
+    upper.plot((run.times + own["time_offset"]) * time_scale, curve * scale, color=colour, label=name)
+    upper.plot(record.times * time_scale, data * scale, "o", ms=3.5, color=COLOURS[5], label="data")
+    upper.set_title(f"{record.name}: {channel}" + (" (held out)" if record.held_out else ""))
+    upper.set_ylabel(label("force", "N", prefix))
+    upper.legend(loc="upper right")
+    strip = (data - record.prediction[channel]) / record.sigma[channel]
+    lower.axhspan(-2, 2, color="#e8eef6", lw=0)
+    lower.vlines(record.times * time_scale, 0.0, strip, color=COLOURS[5], lw=1)
+    lower.plot(record.times * time_scale, strip, "o", ms=3, color=COLOURS[5])
+    lower.set_xlabel(label("time", "s", time_prefix))
+    lower.set_ylabel(f"data - {name}\n[standard deviations]", fontsize=8)
+    lower.sharex(upper)
+
+
+def force_penetration(fit: Fit, problem: Problem, path: Path) -> None:
+    """The loop of the first fitted experiment at the fitted values, with the energy it dissipates."""
+    loops(_run(fit, problem, fit.records[0]), path)
+
+
+def starts(fit: Fit, path: Path) -> None:
+    """Waterfall: the cost at which each start ended, best first."""
+    costs = np.array([row["chi2"] for row in fit.starts], dtype=float)
+    with style():
+        drawing, (axis,) = figure(1)
+        good = np.isfinite(costs)
+        # Differences below a millionth of a sigma squared are the optimiser's own tolerance.
+        axis.semilogy(np.flatnonzero(good) + 1, np.maximum(costs[good] - costs[good].min(), 1e-6), "o")
+        for k in np.flatnonzero(~good):
+            axis.axvline(float(k + 1), color=COLOURS[1], lw=1, ls=":")
+        axis.set_title(f"{int(good.sum())} of {costs.size} starts ended, best first (dotted: failed)")
+        axis.set_xlabel("start")
+        axis.set_ylabel("cost above the best\n[weighted squares, floor 1e-6]")
+        axis.set_xlim(0.5, costs.size + 0.5)
+        axis.set_ylim(5e-7, max(1.0, 2.0 * float(np.nanmax(costs) - np.nanmin(costs))))
+        save(drawing, path)

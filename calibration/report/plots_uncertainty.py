@@ -1,0 +1,193 @@
+"""Pictures of what is not known: profiles, posterior, correlation of parameters, autocorrelation of residuals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bcfj_jax.io.plots import COLOURS, engineering, figure, label, panels, save, style
+from calibration.fit import Fit
+from calibration.uncertainty.posterior import Posterior
+from calibration.uncertainty.profile import Profile
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+FILES = ("profile.png", "posterior.png", "correlation.png", "residual_acf.png")
+# Beyond so many thresholds a profile's own shape is all that a picture could show.
+_CEILING = 1.6
+
+
+def draw(fit: Fit, folder: Path) -> None:
+    """Those of ``FILES`` that a fit has something for: profiles and draws where there are any."""
+    units = {name: p.unit for name, p in fit.parameters.items()} | {"reference_force": "N"}
+    if fit.evidence.profiles:
+        profiles(list(fit.evidence.profiles.values()), units, folder / "profile.png")
+    if fit.evidence.posterior is not None:
+        posterior(fit.evidence.posterior, units, folder / "posterior.png")
+    if fit.correlation is not None and len(fit.labels) > 1:
+        names = ["reference_force" if p.kind == "derived" else name for name, p in fit.parameters.items()]
+        correlation(fit.correlation, names, folder / "correlation.png")
+    if series := residual_series(fit):
+        residual_acf(series, folder / "residual_acf.png")
+
+
+def residual_series(fit: Fit) -> dict[str, np.ndarray]:
+    """White residuals (n,) of a fit in time order, by name of record and channel."""
+    model, residuals = fit.optimum.model, fit.optimum.end.residuals
+    weights = np.asarray(model.data.weights)
+    shaped = residuals[: weights.size].reshape(weights.shape)
+    names = [record.name for record in fit.records if not record.held_out]
+    found = {}
+    for i, j in np.argwhere(np.count_nonzero(weights > 0, axis=2) > 3):
+        found[f"{names[i]} {model.channels[j]}"] = shaped[i, j][weights[i, j] > 0]
+    return found
+
+
+def profiles(found: Sequence[Profile], units: Mapping[str, str], path: Path) -> None:
+    """Every profile with its threshold, its interval shaded, and the parabola that the covariance stands for.
+
+    Args:
+        found: profiles to draw.
+        units: SI unit by the profile's name.
+        path: of the PNG.
+    """
+    with panels(len(found), 3, path, 4.2, 3.4) as axes:
+        for axis, profile in zip(axes, found, strict=True):
+            _profile(axis, profile, units[profile.name])
+
+
+def _profile(axis: Axes, profile: Profile, unit: str) -> None:
+    scale, prefix = _scale(profile.values, unit)
+    search = np.log if profile.log else np.asarray
+    half = search(profile.quadratic[1]) - search(profile.best)
+    low, high = (search(v) for v in (profile.values[0], profile.values[-1]))
+    if np.isfinite(half):
+        low, high = (min(low, search(profile.best) - 1.15 * half), max(high, search(profile.best) + 1.15 * half))
+        z = np.linspace(low, high, 201)
+        parabola = profile.threshold * ((z - search(profile.best)) / half) ** 2
+        values = np.exp(z) if profile.log else z
+        axis.plot(values * scale, parabola, color=COLOURS[5], lw=1, ls="--", label="covariance")
+    x, y = _between(profile, search)
+    axis.plot((np.exp(x) if profile.log else x) * scale, y, color=COLOURS[0], label="profile")
+    axis.plot(profile.values * scale, profile.rises, "o", ms=3.5, color=COLOURS[0])
+    axis.axhline(profile.threshold, color=COLOURS[1], lw=1, label="95 %")
+    if profile.interval:
+        axis.axvspan(profile.interval[0] * scale, profile.interval[1] * scale, color="#e8eef6", lw=0, zorder=0)
+    axis.set_ylim(-0.03 * profile.threshold, _CEILING * profile.threshold)
+    axis.set_title(f"{profile.name}: {profile.shape}")
+    axis.set_xlabel(label(profile.name, unit, prefix))
+    axis.set_ylabel("cost above the best")
+    axis.legend(fontsize=8, loc="upper center", ncols=3, columnspacing=1.0, handlelength=1.4)
+
+
+def _between(profile: Profile, search: Callable) -> tuple[np.ndarray, np.ndarray]:
+    """The curve through the points: the signed root of the rise is nearly straight in the search coordinate."""
+    from scipy.interpolate import PchipInterpolator
+
+    z = search(profile.values)
+    root = np.sign(profile.values - profile.best) * np.sqrt(np.maximum(profile.rises, 0.0))
+    x = np.linspace(z[0], z[-1], 201)
+    return x, PchipInterpolator(z, root)(x) ** 2
+
+
+def _scale(values: np.ndarray, unit: str) -> tuple[float, str]:
+    """A prefix where a unit may take one: N/m^n and 1 may not."""
+    return engineering(values) if unit.isalpha() and unit != "kg" else (1.0, "")
+
+
+def posterior(found: Posterior, units: Mapping[str, str], path: Path) -> None:
+    """Marginals on the diagonal, with their 95 % interval, and pairs below it.
+
+    Args:
+        found: draws.
+        units: SI unit by label.
+        path: of the PNG.
+    """
+    count = len(found.labels)
+    draws = found.draws.reshape(-1, count)
+    thinned = draws[:: max(1, len(draws) // 1000)]
+    with style():
+        drawing, axes = figure(count, count, width=2.4 * count + 1.0, height=2.2)
+        scales = [_scale(draws[:, k], units[name]) for k, name in enumerate(found.labels)]
+        for row, column in np.ndindex(count, count):
+            axis = axes[row * count + column]
+            axis.set_visible(column <= row)
+            x, y = draws[:, column] * scales[column][0], thinned[:, row] * scales[row][0]
+            axis.set_xlim(*np.quantile(x, [0.0, 1.0]))
+            axis.tick_params(labelsize=7, labelbottom=row == count - 1, labelleft=row > 0 and column == 0)
+            axis.locator_params(nbins=4)
+            axis.ticklabel_format(useOffset=False, scilimits=(-4, 5))
+            axis.xaxis.get_offset_text().set_fontsize(7)
+            axis.yaxis.get_offset_text().set_fontsize(7)
+            if column == row:
+                _marginal(axis, x, found.intervals[found.labels[row]], scales[row][0])
+            else:
+                axis.plot(thinned[:, column] * scales[column][0], y, ".", ms=2, alpha=0.3, color=COLOURS[0])
+            if row == count - 1:
+                axis.set_xlabel(label(found.labels[column], units[found.labels[column]], scales[column][1]), fontsize=8)
+            if column == 0 and row:
+                axis.set_ylabel(label(found.labels[row], units[found.labels[row]], scales[row][1]), fontsize=8)
+        drawing.suptitle(found.refusal or f"{len(draws)} draws, shaded: 95 %", fontsize=11)
+        save(drawing, path)
+
+
+def _marginal(axis: Axes, values: np.ndarray, interval: tuple[float, float] | None, scale: float) -> None:
+    axis.hist(values, bins=40, color=COLOURS[0], alpha=0.8)
+    axis.set_yticks([])
+    axis.grid(False)
+    if interval:
+        axis.axvspan(interval[0] * scale, interval[1] * scale, color="#e8eef6", lw=0, zorder=0)
+
+
+def correlation(matrix: np.ndarray, labels: Sequence[str], path: Path) -> None:
+    """Correlations (P, P) of the estimates as a map with its numbers."""
+    count = len(labels)
+    with style():
+        drawing, (axis,) = figure(1, width=1.0 * count + 3.2, height=0.85 * count + 1.8)
+        picture = axis.imshow(matrix, cmap="RdBu_r", vmin=-1, vmax=1)
+        for row, column in np.ndindex(count, count):
+            dark = abs(matrix[row, column]) > 0.6
+            text = f"{matrix[row, column]:.2f}"
+            axis.text(column, row, text, ha="center", va="center", fontsize=9, color="white" if dark else "black")
+        axis.set_xticks(range(count), list(labels), rotation=30, ha="right")
+        axis.set_yticks(range(count), list(labels))
+        axis.grid(False)
+        axis.set_title("correlation of the estimates")
+        drawing.colorbar(picture, ax=axis, shrink=0.8)
+        save(drawing, path)
+
+
+def residual_acf(series: Mapping[str, np.ndarray], path: Path) -> None:
+    """Autocorrelation of residuals by lag in samples, with the bounds that 95 % of white noise keeps.
+
+    Args:
+        series: white residuals (n,) in time order by name of record and channel.
+        path: of the PNG.
+    """
+    with panels(len(series), 2, path, 6.0, 2.6) as axes:
+        for axis, (name, residuals) in zip(axes, series.items(), strict=True):
+            lags = min(40, residuals.size // 3)
+            bound = 1.96 / np.sqrt(max(residuals.size, 1))
+            axis.axhspan(-bound, bound, color="#e8eef6", lw=0)
+            values = autocorrelation(residuals, lags)
+            axis.vlines(np.arange(1, lags + 1), 0.0, values, color=COLOURS[0])
+            axis.plot(np.arange(1, lags + 1), values, "o", ms=3.5, color=COLOURS[0])
+            axis.axhline(0.0, color=COLOURS[5], lw=0.8)
+            outside = int(np.count_nonzero(np.abs(values) > bound))
+            axis.set_title(f"{name}: {outside} of {lags} lags outside (white: {0.05 * lags:.0f})")
+            axis.set_ylim(-1.05, 1.05)
+            axis.locator_params(axis="x", integer=True)
+            axis.set_xlabel("lag [samples]")
+            axis.set_ylabel("autocorrelation")
+
+
+def autocorrelation(residuals: np.ndarray, lags: int) -> np.ndarray:
+    """Sample autocorrelation (lags,) of residuals (n,) at lags 1 to ``lags``; the mean of a residual is 0 by design."""
+    power = float(residuals @ residuals)
+    if power == 0.0:
+        return np.zeros(lags)
+    return np.array([residuals[k:] @ residuals[:-k] for k in range(1, lags + 1)]) / power

@@ -1,0 +1,1 @@
+"""From starting points to a minimum of the cost."""

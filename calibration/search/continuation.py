@@ -1,0 +1,183 @@
+"""All starts through a growing horizon, in batches of one size: ordered by cost and thinned after every leg.
+
+On the way a run is integrated loosely. The horizon grows as far as the model, fitted up to here, meets the contacts to
+come; where it misses the next one, to that one only.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from bcfj_jax.io.journal import Journal
+from bcfj_jax.io.stop import check
+from calibration.forward.model import Model, values_at
+from calibration.search.descent import Lanes, adam, cost_of, levenberg
+from calibration.search.evaluate import evaluator, loosened
+from calibration.search.horizon import impulses, meets, stages, until
+from calibration.solver_budget import effort
+
+log = logging.getLogger("calibration")
+
+_ADAM, _ARRIVE = 20, 12
+# On the way this much of the cost is left for the last leg, which sees soon that no more is to be had: of a record
+# without noise, what remains is the integrator's.
+_LEFT, _AT_REST = 1e-3, 3
+# Given up after a leg: starts that cost so much more than the best, on that leg's data, but for some.
+_HOPELESS = 4.0
+
+
+class Interrupted(KeyboardInterrupt):
+    """The user stopped a search; what is best so far is told.
+
+    Attributes:
+        finished: how many starts were done, of how many.
+        values: SI, by name, of the best; None if nothing was finished.
+        cost: of it, on the data of its stage.
+        stage: "screening" before the descents, "3 of 6" stages of the horizon, "the optimum" or "polish" after them.
+    """
+
+    def __init__(self, finished: str, values: dict[str, float] | None, cost: float, stage: str) -> None:
+        super().__init__(f"{finished} starts finished")
+        self.finished, self.values, self.cost, self.stage = finished, values, cost, stage
+
+
+class _Leg(NamedTuple):
+    """One pass of the starts: stage of the horizon reached, whether its contacts may be missed, whether it is the last.
+
+    The last is integrated as finely as was asked for.
+    """
+
+    reached: int
+    missed: bool
+    last: bool
+
+    def told(self, stages: int) -> str:
+        return "the optimum" if self.last else f"{self.reached + 1} of {stages}"
+
+
+def staged(model: Model, points: np.ndarray, log_depth: float, size: int, journal: Journal | None = None) -> Lanes:
+    """Where all starts (B, P) end, in their order, with costs on all data.
+
+    Args:
+        model: residual function.
+        points: unit-box coordinates of the starts.
+        log_depth: ln of the reference penetration [m].
+        size: of the batches.
+        journal: where finished batches are kept, and taken from.
+
+    Raises:
+        Interrupted: on Ctrl-C.
+    """
+    ends, count = stages(model), len(points)
+    at, costs, converged = points.copy(), np.full(count, np.inf), np.zeros(count, dtype=bool)
+    going, given_up, best = np.arange(count), np.zeros(0, dtype=int), (np.inf, None)
+    leg: _Leg | None = _Leg(0, len(ends) > 1, len(ends) == 1 and effort(model.scene).apart)
+    while leg is not None:
+        part = model if leg.last else loosened(until(model, ends[leg.reached]))
+
+        def descend(block: np.ndarray, part: Model = part, leg: _Leg = leg) -> Lanes:
+            return _descend(part, block, log_depth, leg)
+
+        least, stage = np.inf, leg.told(len(ends))
+        for first in range(0, len(going), size):
+            lane = going[first : first + size]
+            try:
+                done = _once(journal, f"stage {stage} from {first}", at[lane], size, descend)
+            except KeyboardInterrupt:
+                finished = f"{len(given_up) + (first if leg.last else 0)} of {count}"
+                values = None if best[1] is None else named(model, best[1], log_depth)
+                raise Interrupted(finished, values, best[0], stage) from None
+            at[lane], costs[lane], converged[lane] = done
+            k = int(np.argmin(done.costs))
+            if done.costs[k] < least:
+                least = float(done.costs[k])
+                best = (least, done.points[k])
+            more = f", {len(given_up)} given up before" if len(given_up) else ""
+            told = first + len(lane), len(going), more, least
+            log.info("stage %s: %d of %d starts done%s, best chi2 %.6g", stage, *told)
+        if not leg.last:
+            going = going[np.argsort(costs[going], kind="stable")]
+            hopeless = np.arange(len(going)) >= effort(model.scene).kept
+            hopeless &= ~(costs[going] <= _HOPELESS * max(least, float(np.count_nonzero(part.data.weights))))
+            given_up = np.concatenate([given_up, going[hopeless]])
+            going = going[~hopeless]
+        leg = _next(model, leg, ends, blocks(at[going], size)[0], log_depth)
+    for first in range(0, len(given_up), size):
+        lane = given_up[first : first + size]
+        name = f"given up from {first}"
+        costs[lane] = _once(journal, name, at[lane], size, lambda b: _evaluated(model, b, log_depth)).costs
+        converged[lane] = False
+    return Lanes(at, costs, converged)
+
+
+def _next(model: Model, leg: _Leg, ends: list[np.ndarray], points: np.ndarray, log_depth: float) -> _Leg | None:
+    """The leg after one, given the best batch of points; None after the last."""
+    whole = len(ends) - 1
+    if leg.last:
+        return None
+    if leg.reached == whole:
+        return _Leg(whole, False, True)
+    if effort(model.scene).apart:  # A joint's contacts come when its drive brings them, never far off.
+        return _Leg(leg.reached + 1, False, False)
+    residuals, _ = evaluator(loosened(model), log_depth)(points)
+    met = meets(model, residuals, ends)
+    # The farthest stage up to which most starts meet every contact.
+    reached = leg.reached
+    while reached < whole and np.mean(met[:, leg.reached + 1 : reached + 2].all(axis=1)) > 0.5:
+        reached += 1
+    return _Leg(reached, False, False) if reached > leg.reached else _Leg(leg.reached + 1, True, False)
+
+
+def blocks(points: np.ndarray, size: int) -> list[np.ndarray]:
+    """Blocks of one size, so that they share one program; the last one is filled up with the first points."""
+    return [points[np.arange(first, first + size) % len(points)] for first in range(0, len(points), size)]
+
+
+def named(model: Model, point: np.ndarray, log_depth: float) -> dict[str, float]:
+    """Parameter values, SI, by name, at a unit-box point."""
+    several = model.data.times.shape[0] > 1
+    names = [f"{s.name}[{s.experiment + 1}]" if several and s.experiment is not None else s.name for s in model.slots]
+    return dict(zip(names, values_at(model, point, log_depth).tolist(), strict=True))
+
+
+def _once(
+    journal: Journal | None, name: str, points: np.ndarray, size: int, work: Callable[[np.ndarray], Lanes]
+) -> Lanes:
+    """A batch's outcome from the journal, or else worked out and put there."""
+    known = journal.get(name) if journal is not None else None
+    if known is None:
+        check()
+        made = work(blocks(points, size)[0])
+        known = {name: values[: len(points)].tolist() for name, values in made._asdict().items()}
+        if journal is not None:
+            journal.add(name, known)
+    costs = [np.inf if cost is None else cost for cost in known["costs"]]
+    return Lanes(np.array(known["points"]), np.array(costs), np.array(known["converged"], dtype=bool))
+
+
+def _descend(part: Model, points: np.ndarray, log_depth: float, leg: _Leg) -> Lanes:
+    """One batch on one leg: far off by Adam, then to the right arrivals, then to the least squares."""
+    evaluate, means = evaluator(part, log_depth), effort(part.scene)
+    if means.apart:
+        return levenberg(evaluate, points, means.descend, means.tolerance if leg.last else means.roughly)
+    if leg.last:
+        return levenberg(evaluate, points, means.descend, means.tolerance, patience=_AT_REST)
+    if leg.reached == 0:
+        points = adam(evaluate, points, _ADAM)
+    if leg.missed:
+
+        def arrivals(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            residuals, jacobians = evaluate(at)
+            return impulses(part, residuals), impulses(part, jacobians)
+
+        points = levenberg(arrivals, points, _ARRIVE, means.roughly).points
+    return levenberg(evaluate, points, means.descend, means.roughly, enough=_LEFT)
+
+
+def _evaluated(model: Model, points: np.ndarray, log_depth: float) -> Lanes:
+    costs = cost_of(evaluator(model, log_depth)(points)[0])
+    return Lanes(points, costs, np.zeros(len(points), dtype=bool))

@@ -1,0 +1,121 @@
+"""How far into a record to fit: contacts found in the data, and a model that ends after some of them.
+
+A fit of many contacts at once traps: where a contact is predicted beside the measured one, no small change of a
+parameter improves the residual. Fitted contact by contact, each stage predicts the next arrival well enough.
+"""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from bcfj_jax.models.joint.scene import Joint
+from calibration.forward.model import Model
+
+# A contact rises above the rest level by so many deviations of the noise, or this share of the peak if that is more.
+_SIGMAS, _SHARE = 5.0, 0.02
+# Contacts lie apart by more quiet samples than this: fewer are noise or a force that dips.
+_QUIET = 3
+# A step so many times as long as the usual one is a gap.
+_GAP = 10.0
+# Contacts are met where the residuals hold less than this share of the data's own energy: they overlap by most.
+_MET = 0.2
+
+
+def contacts(values: np.ndarray, sigma: float) -> list[tuple[int, int]]:
+    """First and last sample of each contact in a force record (T,), in order.
+
+    Args:
+        values: force [N], positive in contact, without gaps.
+        sigma: standard deviation of its noise [N].
+    """
+    rise = values - np.percentile(values, 10)
+    peak = float(rise.max(initial=0.0))
+    above = np.flatnonzero(rise > min(max(_SIGMAS * sigma, _SHARE * peak), 0.5 * peak))
+    if not above.size:
+        return []
+    breaks = np.flatnonzero(np.diff(above) > _QUIET + 1)
+    firsts, lasts = above[np.r_[0, breaks + 1]], above[np.r_[breaks, above.size - 1]]
+    return [(int(a), int(b)) for a, b in zip(firsts, lasts, strict=True)]
+
+
+def stages(model: Model) -> list[np.ndarray]:
+    """Ends of the data (E,) [s] to fit one after the other: the 1st contact, all before the 3rd, the 5th, ..., all.
+
+    An experiment's contacts are those of the normal force that has most. Of the flight after the first, only as much is
+    fitted as the contact took: far from the truth a mass may come to rest, and vibrates all the way. The last stage is
+    always all data; where each instant is solved for itself, it is the only one.
+    """
+    if isinstance(model.scene, Joint) and model.scene.fidelity != "dynamic":
+        return [np.asarray(model.data.times)[:, -1]]
+    times, values, weights = (np.asarray(a) for a in (model.data.times, model.data.values, model.data.weights))
+    normal = [j for j, name in enumerate(model.channels) if name.endswith(".normal")]
+    ends = []
+    for i in range(len(times)):
+        most: list[float] = []
+        for j in normal:
+            seen = weights[i, j] > 0
+            if np.any(seen):
+                found = contacts(values[i, j][seen], 1.0 / float(weights[i, j][seen].min()))
+                # The last quiet sample: that nothing has arrived by then is known, too.
+                clock = times[i][seen]
+                quiet = [float(clock[first - 1]) for first, _ in found[1:]]
+                if quiet:
+                    first, last = found[0]
+                    quiet[0] = min(quiet[0], float(2.0 * clock[last] - clock[first]))
+                most = max(most, quiet, key=len)
+        ends.append([*most, float(times[i, -1])])
+    longest = max(len(e) for e in ends)
+    counts = [2**k for k in range(32) if 2**k < longest]
+    return [np.array([e[min(n, len(e)) - 1] for e in ends]) for n in [*counts, longest]]
+
+
+def until(model: Model, ends: np.ndarray) -> Model:
+    """The same model with the data after ``ends`` (E,) [s] left out; integration stops there.
+
+    Shapes stay, so no program is compiled again. What is left out reads the beginning; of a filtered record, whose
+    times must grow, the end.
+    """
+    times, last = model.data.times, jnp.asarray(ends)[:, None]
+    inside = times <= last
+    weights = jnp.where(inside[:, None, :], model.data.weights, 0.0)
+    read = jnp.where(inside, times, last if model.parts else 0.0)
+    return eqx.tree_at(lambda m: (m.data.times, m.data.weights), model, (read, weights))
+
+
+def meets(model: Model, residuals: np.ndarray, ends: list[np.ndarray]) -> np.ndarray:
+    """Whether weighted residuals (B, N) meet the contacts that each stage adds, (B, stages)."""
+    times, values, weights = (np.asarray(a) for a in (model.data.times, model.data.values, model.data.weights))
+    seen = weights > 0
+    known = np.where(seen, values, np.where(seen.any(axis=2, keepdims=True), np.nan, 0.0))
+    rest = np.nanpercentile(known, 10, axis=2, keepdims=True)
+    data = np.square(weights * (values - rest))
+    errors = np.square(residuals[:, : weights.size].reshape(-1, *weights.shape))
+    firsts = [np.full(len(times), -np.inf), *ends[:-1]]
+    met = []
+    for first, last in zip(firsts, ends, strict=True):
+        own = ((times > first[:, None]) & (times <= last[:, None]))[:, None, :] & seen
+        met.append(np.sum(errors * own, axis=(1, 2, 3)) < _MET * np.sum(data * own))
+    return np.stack(met, axis=1)
+
+
+def impulses(model: Model, residuals: np.ndarray) -> np.ndarray:
+    """Running sums over time of weighted residuals (B, N) or their Jacobians (B, N, P): errors of the impulse so far.
+
+    A contact predicted too late leaves an impulse missing for as long as it is late, so the sum of squares falls all
+    the way to the right arrival, where that of the forces themselves is flat between the two contacts. Residuals
+    that are of no history stay.
+    """
+    shape = model.data.weights.shape
+    count = int(np.prod(shape))
+    steps = np.diff(np.asarray(model.data.times), axis=1, append=np.nan)
+    steps[:, -1] = steps[:, -2] if steps.shape[1] > 1 else 1.0
+    # A model that ends early repeats a time. Across a gap in the record nothing is known.
+    usual = np.array([np.median(row[row > 0.0]) if np.any(row > 0.0) else 1.0 for row in steps])[:, None]
+    scale = np.clip(steps / usual, 0.0, _GAP)
+    rest = residuals.shape[2:]
+    histories = residuals[:, :count].reshape(len(residuals), *shape, *rest)
+    scale = scale[None, :, None, :].reshape(1, shape[0], 1, shape[2], *[1] * len(rest))
+    summed = np.cumsum(histories * scale, axis=3).reshape(len(residuals), count, *rest)
+    return np.concatenate([summed, residuals[:, count:]], axis=1)

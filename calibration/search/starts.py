@@ -1,0 +1,167 @@
+"""Finding optima: scrambled Sobol starts, descents in batches over a growing horizon, a bounded trust region.
+
+Every start goes its own way: none is moved to where another did well, so that their agreement means something.
+Starts descend in batches of one size, one compiled program for all. After each stage they are ordered by cost, so that
+those that have arrived go on together and wait for none that has not; of many, those that are far off are given up.
+Nothing here judges: every start is reported with where it ended, failures included.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import qmc
+
+from bcfj_jax import simulate
+from bcfj_jax.io.journal import Journal
+from bcfj_jax.io.stop import check
+from calibration.forward.model import Model, values_at
+from calibration.forward.runs import refusal
+from calibration.search.continuation import Interrupted as Interrupted
+from calibration.search.continuation import blocks, named, staged
+from calibration.search.evaluate import evaluator as evaluator
+from calibration.search.evaluate import loosened
+from calibration.search.horizon import stages, until
+from calibration.search.refinement import End as End
+from calibration.search.refinement import finish as finish
+from calibration.search.refinement import polished
+from calibration.solver_budget import effort
+
+log = logging.getLogger("calibration")
+
+# Lanes of a batch. On a CPU a bounce costs in proportion to them, the joint hardly more; all wait for the slowest.
+LANES = 12
+
+
+@dataclass(frozen=True)
+class Screen:
+    """A Sobol design of unit-box points, their costs up to the second contact (NaN: failed), and how far each
+    coordinate moves any residual of all data.
+    """
+
+    design: np.ndarray
+    costs: np.ndarray
+    reach: np.ndarray
+
+
+@dataclass(frozen=True)
+class Search:
+    """All starts' ends, best first, and the logarithm of the reference penetration used."""
+
+    ends: tuple[End, ...]
+    log_depth: float
+
+
+def lanes(count: int) -> int:
+    """Size of the batches that ``count`` starts descend in."""
+    return -(-count // -(-count // LANES))
+
+
+def screen(model: Model, count: int, seed: int) -> Screen:
+    """Evaluate a scrambled Sobol design some eight times as large as the number of starts, in batches.
+
+    Args:
+        model: residual function.
+        count: number of starts to come.
+        seed: of the scrambling.
+
+    Raises:
+        Interrupted: on Ctrl-C.
+    """
+    try:
+        return _screened(model, count, seed)
+    except KeyboardInterrupt:
+        raise Interrupted(f"0 of {count}", None, float("nan"), "screening") from None
+
+
+def _screened(model: Model, count: int, seed: int) -> Screen:
+    even = qmc.Sobol(len(model.slots), rng=seed).random_base2(3 + int(np.ceil(np.log2(count))))
+    design = np.stack([slot.drawn(u) for slot, u in zip(model.slots, even.T, strict=True)], axis=1)
+    ends, depth, reach = stages(model), 0.0, np.zeros(design.shape[1])
+    first, costs = evaluator(loosened(until(model, ends[0])), depth), []
+    for block in blocks(design, lanes(count)):
+        check()
+        residuals, jacobians = first(block)
+        costs.append(np.sum(residuals**2, axis=1))
+        reach = np.maximum(reach, _reach(jacobians))
+    costs = np.concatenate(costs)[: len(design)]
+    if len(ends) > 1 and np.any(reach < 1.0):  # What the first contact does not show, all data may.
+        few = np.argsort(costs)[: effort(model.scene).asked]
+        for block in blocks(design[few], lanes(count)):
+            reach = np.maximum(reach, _reach(evaluator(loosened(model), depth)(block)[1]))
+    log.info("%d of %d Sobol points simulate", np.isfinite(costs).sum(), len(design))
+    return Screen(design, costs, reach)
+
+
+def _reach(jacobians: np.ndarray) -> np.ndarray:
+    return np.where(np.isfinite(jacobians), np.abs(jacobians), 0.0).max(axis=(0, 1), initial=0.0)
+
+
+def search(
+    model: Model, screened: Screen, starts: list[np.ndarray], count: int, journal: Journal | None = None
+) -> Search:
+    """Descend to optima from the best spread of a screened design.
+
+    Args:
+        model: residual function.
+        screened: the design, from ``screen``.
+        starts: parameter values (SI, one a slot) that must be among the starts.
+        count: number of starts that descend, >= 2.
+        journal: where finished batches are kept, and taken from.
+
+    Raises:
+        Interrupted: on Ctrl-C.
+    """
+    design, costs = screened.design, screened.costs
+    chosen = np.array([*starts, *values_at(model, _spread(design, costs, count), 0.0)])[: max(count, len(starts))]
+    log_depth = 0.0
+    if model.referenced and np.isfinite(costs).any():
+        log_depth = reference_depth(model, by_cost(design, costs), log_depth)
+    points = np.clip(model.point(chosen, log_depth), 1e-3, 1 - 1e-3)
+    found = staged(model, points, log_depth, lanes(len(points)), journal)
+    if model.referenced and np.isfinite(found.costs).any():
+        old, log_depth = log_depth, reference_depth(model, by_cost(found.points, found.costs), log_depth)
+        points, moved = (model.point(values_at(model, u, old), log_depth) for u in (points, found.points))
+        found = found._replace(points=np.clip(moved, 0.0, 1.0))
+    try:
+        return Search(polished(model, points, found, log_depth), log_depth)
+    except KeyboardInterrupt:
+        k = int(np.argmin(found.costs))
+        values, all_of_them = named(model, found.points[k], log_depth), f"{len(points)} of {len(points)}"
+        raise Interrupted(all_of_them, values, float(found.costs[k]), "polish") from None
+
+
+def _spread(design: np.ndarray, costs: np.ndarray, count: int) -> np.ndarray:
+    """Half the best points, half taken evenly over the rest: good ones, and some that know nothing."""
+    order = np.argsort(np.where(np.isfinite(costs), costs, np.inf), kind="stable")
+    good = order[: count - count // 2]
+    rest = order[len(good) :]
+    rest = rest[np.isfinite(costs[rest])] if np.isfinite(costs[rest]).any() else rest
+    return design[np.concatenate([good, rest[:: max(1, len(rest) // max(1, count // 2))][: count // 2]])]
+
+
+def by_cost(points: np.ndarray, costs: np.ndarray) -> np.ndarray:
+    """The points (B, P) that simulate, best first."""
+    return points[np.argsort(costs, kind="stable")][: np.isfinite(costs).sum()]
+
+
+def reference_depth(model: Model, points: Iterable[np.ndarray], log_depth: float) -> float:
+    """Force-weighted mean of ln(penetration) over the contact at the first point that is a scene's: inside the data."""
+    point = next((p for p in points if not refusal(model, p, log_depth)), None)
+    if point is None:
+        return log_depth
+    params = {name: float(v[0]) for name, v in model.data.fixed.items()}
+    for slot, value in zip(model.slots, values_at(model, point, log_depth), strict=True):
+        if slot.name in params and slot.experiment in (None, 0):
+            params[slot.name] = float(value)
+    times = np.linspace(0.0, float(model.data.times[0].max()), 2001)
+    run = simulate(model.scene, model.scene.parameters(params), times)
+    force = np.concatenate([f[..., 0].ravel() for f in run.force.values()])
+    depth = np.concatenate([d.ravel() for d in run.penetration.values()])
+    inside = (depth > 0) & (force > 0)
+    if not inside.any():
+        return log_depth
+    return float(np.average(np.log(depth[inside]), weights=force[inside]))

@@ -1,0 +1,1 @@
+"""Choice among models and of the next experiment."""

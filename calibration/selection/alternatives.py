@@ -1,0 +1,170 @@
+"""Other models of the same data, and experiments that might be made: [[model]] and [[candidate]] of a calibration file.
+
+[[model]]                        each is the file's own scene and [free], but for what it says
+name = "two stages"
+scene = { elastic = "two_stage" }                 options of [scene] in place of the file's
+parameters = { bottoming_width = "0.5 mm" }       values; what [free] names and this gives is fixed
+[model.free.bottoming_stiffness]                  as [free.NAME]: in place of the file's, or more
+A parameter of [free] that a model's scene does not have is left out of that model.
+
+[[candidate]]                    an experiment that might be made
+name = "twice as fast"
+parameters = { approach_speed = "2 m/s" }         what it sets; where each experiment has its own
+                                                  to be found (each = true), about where it would be
+observe = { "contact.normal" = "1 %" }            what it reads and its noise: of the predicted peak, or a force
+end = "0.4 s"                                     from start (0 s by default) to end
+samples = 200
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pydantic
+
+from bcfj_jax import InputError, nearest
+from bcfj_jax.io import scenefile, tables
+from bcfj_jax.io.units import quantity
+from calibration.fit import Fit, fit
+from calibration.problem import NUISANCES, Problem
+from calibration.problemfile import FreeTable, free_of
+from calibration.selection.choice import Choice, choose
+from calibration.selection.next_experiment import Candidate, Gain, next_experiment
+
+
+class _Model(tables.Table):
+    name: str
+    scene: dict[str, Any] = {}
+    parameters: dict[str, Any] = {}
+    free: dict[str, FreeTable] = {}
+
+
+class _Candidate(tables.Table):
+    name: str
+    parameters: dict[str, Any] = {}
+    observe: dict[str, Any] = pydantic.Field(min_length=1)
+    start: Any = 0.0
+    end: Any
+    samples: int = pydantic.Field(ge=2, le=1_000_000)
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """One model of the data: its name, its problem and the scene file that it stands for."""
+
+    name: str
+    problem: Problem
+    base: scenefile.SceneFile
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a calibration file: the fit (of the model chosen), what it is of, the choice and the candidates."""
+
+    fit: Fit
+    problem: Problem
+    base: scenefile.SceneFile
+    choice: Choice | None
+    gains: list[Gain]
+
+
+def solve(path: Path, problem: Problem, base: scenefile.SceneFile, **options: Any) -> Outcome:
+    """Fit a calibration file's problem, or its [[model]] tables and choose; then rank its [[candidate]] tables.
+
+    Args:
+        path: the file.
+        problem, base: what it states without its models.
+        options: of every fit, as ``fit``: seed, starts, journal.
+
+    Raises:
+        InputError: as ``fit``, ``models`` and ``candidates``, the last two before anything is fitted.
+        AllStartsFailed: as ``fit``.
+    """
+    rivals = models(path, problem)
+    # What is wrong with a candidate is better known before the fit than after it; the chosen model may lack one's key.
+    candidates(path, rivals[0].problem if rivals else problem)
+    choice = choose([(r.name, r.problem) for r in rivals], **options) if rivals else None
+    if choice is not None:
+        chosen = next(r for r in rivals if r.name == choice.chosen)
+        problem, base = chosen.problem, chosen.base
+    found = choice.fit if choice else fit(problem, **options)
+    planned = candidates(path, problem)
+    return Outcome(found, problem, base, choice, next_experiment(problem, found, planned) if planned else [])
+
+
+def models(path: Path, problem: Problem) -> list[Alternative]:
+    """The [[model]] tables of a calibration file; none where there are none.
+
+    Args:
+        path: the file.
+        problem: what it states without them; every model has its very experiments.
+
+    Raises:
+        InputError: for what is not right in a model, or a [free] parameter that no model has.
+    """
+    content = tables.read(path)
+    entries = [
+        tables.validated(_Model, table, str(path), f"model {k + 1}") for k, table in enumerate(content.get("model", []))
+    ]
+    found = [_model(entry, content, path, problem) for entry in entries]
+    for name in content.get("free", {}):
+        if found and not any(name in {**a.base.scene.quantities, **NUISANCES} for a in found):
+            raise InputError(f"{path}: [free.{name}]", "no [[model]] has it", "take it out, or add a model with it")
+    return found
+
+
+def candidates(path: Path, problem: Problem) -> list[Candidate]:
+    """The [[candidate]] tables of a calibration file; none where there are none.
+
+    Args:
+        path: the file.
+        problem: whose parameters they set; of a file with [[model]], the chosen one's.
+
+    Raises:
+        InputError: for what is not right in one.
+    """
+    found = []
+    for k, table in enumerate(tables.read(path).get("candidate", [])):
+        entry = tables.validated(_Candidate, table, str(path), f"candidate {k + 1}")
+        found.append(_candidate(entry, f"{path}: [[candidate]] {k + 1}", problem))
+    return found
+
+
+def _model(entry: _Model, content: dict[str, Any], path: Path, problem: Problem) -> Alternative:
+    where = f"{path}: [[model]] '{entry.name}'"
+    named = content["scene"]
+    table = tables.read(path.parent / named) if named.endswith(".toml") else {"scene": {"kind": named}}
+    options = {**table["scene"], **entry.scene}
+    known = scenefile.from_table({"scene": options}, Path(where)).scene.quantities
+    # What the scene file gives a law that this model does not have is left out; what the model gives must be known.
+    given = {name: value for name, value in table.get("parameters", {}).items() if name in known}
+    base = scenefile.from_table({**table, "scene": options, "parameters": {**given, **entry.parameters}}, Path(where))
+    free = {f.name: f for f in problem.free if f.name in {**known, **NUISANCES} and f.name not in entry.parameters}
+    for name, own in entry.free.items():
+        if name not in {**known, **NUISANCES}:
+            raise InputError(f"{where} free.{name}", f"no parameter '{name}'", nearest(name, known))
+        free[name] = free_of(name, own, path, known)
+    params = {name: float(value) for name, value in base.params.items()}
+    own = replace(problem, scene=base.scene, params=params, free=tuple(free.values()), where=where)
+    return Alternative(entry.name, own, base)
+
+
+def _candidate(entry: _Candidate, where: str, problem: Problem) -> Candidate:
+    quantities = {**problem.scene.quantities, **NUISANCES}
+    fixed = {}
+    for name, value in entry.parameters.items():
+        if name not in quantities:
+            raise InputError(f"{where} parameters", f"no parameter '{name}'", nearest(name, quantities))
+        fixed[name] = quantity(value, quantities[name].unit, f"{where} parameters.{name}")
+    shares = {isinstance(v, str) and v.strip().endswith("%") for v in entry.observe.values()}
+    if len(shares) > 1:
+        raise InputError(f"{where} observe", "noise in % and in N", "give one or the other for all channels")
+    share = shares.pop()
+    noise = {name: quantity(value, "1" if share else "N", f"{where} observe") for name, value in entry.observe.items()}
+    first, last = (quantity(v, "s", f"{where} {key}") for key, v in (("start", entry.start), ("end", entry.end)))
+    if not first < last:
+        raise InputError(f"{where} end", f"{last:g} s is not after the start, {first:g} s", "give a later end")
+    return Candidate(entry.name, np.linspace(first, last, entry.samples), noise, fixed, share)

@@ -1,0 +1,281 @@
+"""Model choice: the same data against several laws or fidelities, and the cheapest that the data cannot refuse.
+
+Two scores rank the models. The held-out score is the error of predicting records that were not fitted. The information
+criteria weigh the likelihood at the optimum against the number of numbers found, noise included:
+AICc = D + 2 k + 2 k (k + 1)/(n - k - 1) (Hurvich and Tsai 1989) and BIC = D + k ln n (Schwarz 1978), D = -2 ln L.
+Both take residuals for as independent as the noise model makes them; where that test fails they promise too much.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from bcfj_jax import InputError
+from bcfj_jax.io.journal import Chapter, Journal
+from bcfj_jax.io.units import format_si
+from calibration.fit import Fit, fit
+from calibration.forward.model import Model, predictions
+from calibration.noise import noise_model
+from calibration.problem import Experiment, Problem
+
+log = logging.getLogger("calibration")
+
+# Models whose BIC is higher by more have "very strong" evidence against them (Kass and Raftery 1995).
+DECISIVE = 10.0
+# Models are as cheap as the fastest up to this factor of time a prediction; the number of parameters decides then.
+AS_FAST = 3.0
+
+
+class Likelihood(NamedTuple):
+    """D = -2 ln L at an optimum, the numbers found (parameters and noise) and the samples they were found from."""
+
+    deviance: float
+    numbers: int
+    samples: int
+
+    @property
+    def bic(self) -> float:
+        """Schwarz's criterion."""
+        return self.deviance + self.numbers * float(np.log(self.samples))
+
+    @property
+    def aicc(self) -> float:
+        """Akaike's criterion, corrected for few samples; infinite where there are too few."""
+        left = self.samples - self.numbers - 1
+        more = 2.0 * self.numbers * (self.numbers + 1) / left if left > 0 else float("inf")
+        return self.deviance + 2.0 * self.numbers + more
+
+
+@dataclass(frozen=True)
+class Rival:
+    """One model that was fitted.
+
+    Attributes:
+        name, fit: which, and what came out.
+        likelihood: None where a robust loss, which is no likelihood, was asked for, or nothing was fitted.
+        held_out: rms of held-out errors as a share of each record's peak; None without held-out records.
+        seconds: of one prediction of all fitted records.
+        adequate: whether the tests of the residuals and of the held-out prediction passed and no other such model is
+            decisively better by BIC.
+    """
+
+    name: str
+    fit: Fit
+    likelihood: Likelihood | None
+    held_out: float | None
+    seconds: float
+    adequate: bool = False
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Models ranked, best first; the one chosen by name; why, in words."""
+
+    rivals: tuple[Rival, ...]
+    chosen: str
+    reasons: list[str]
+
+    @property
+    def fit(self) -> Fit:
+        """The chosen model's fit."""
+        return next(rival.fit for rival in self.rivals if rival.name == self.chosen)
+
+
+def choose(models: Sequence[tuple[str, Problem]], *, journal: Journal | None = None, **options: Any) -> Choice:
+    """Fit every model to the same data and choose.
+
+    Args:
+        models: name and problem of each; the experiments must be the same.
+        journal: where finished starts are kept, of every model in a chapter of its own.
+        options: of every fit, as ``fit``: seed, starts.
+
+    Raises:
+        InputError: for no model, a name given twice, or models of other data.
+        AllStartsFailed: if no start of a model simulates.
+    """
+    names = [name for name, _ in models]
+    if not names or len(set(names)) < len(names):
+        raise InputError("[[model]]", f"names: {', '.join(names) or 'none'}", "give every model a name of its own")
+    for name, problem in models:
+        if problem.experiments is not models[0][1].experiments:
+            raise InputError(f"[[model]] '{name}'", "has other experiments", "compare models on the same data")
+    rivals = []
+    for name, problem in models:
+        found = fit(problem, journal=Chapter(journal, name) if journal is not None else None, **options)
+        log.info("model '%s': %s", name, found.verdict)
+        rivals.append(rival(name, problem, found))
+    return judged(rivals)
+
+
+def rival(name: str, problem: Problem, found: Fit) -> Rival:
+    """A model's scores: likelihood, held-out error, seconds a prediction."""
+    at = found.optimum
+    fitted = tuple(e for e in problem.experiments if not e.hold_out)
+    likelihood = None if problem.loss != "linear" else likelihood_of(fitted, at.model, at.end.residuals, at.noise)
+    errors = [e["rms_error_of_peak"] for e in (found.held_out or {}).values()]
+    score = float(np.sqrt(np.mean(np.square(errors)))) if errors else None
+    return Rival(name, found, likelihood, score, _seconds(at.model, at.end.point, at.log_depth))
+
+
+def likelihood_of(
+    fitted: tuple[Experiment, ...], model: Model, residuals: np.ndarray, found: noise_model.Estimate
+) -> Likelihood:
+    """Likelihood of records at an optimum, with estimated deviations where they are likeliest.
+
+    Args:
+        fitted: the records.
+        model: theirs, with the weights and memory of their noise.
+        residuals: (N,) its white residuals.
+        found: what of the noise was estimated.
+    """
+    weights, memory = np.asarray(model.data.weights), np.asarray(model.data.memory)
+    seen = weights > 0
+    white, own = residuals[: seen.size].reshape(seen.shape), residuals[seen.size :]
+    told = np.asarray(model.data.feature_weights).ravel()
+    told = told[told > 0]
+    volume = 0.5 * np.sum(np.log1p(-(memory[seen] ** 2))) - np.sum(np.log(weights[seen])) - np.sum(np.log(told))
+    deviance = 2.0 * float(volume) + float(own @ own)
+    for i, experiment in enumerate(fitted):
+        for channel in experiment.channels:
+            j = model.channels.index(channel.observes)
+            deviance += float(np.sum(white[i, j][seen[i, j]] ** 2)) if channel.sigma is not None else 0.0
+    for name in found.sigma:
+        j = model.channels.index(name)
+        rows = [i for i, e in enumerate(fitted) for c in e.channels if c.observes == name and c.sigma is None]
+        squares = white[rows, j][seen[rows, j]] ** 2
+        # The deviation found allows for the parameters; the likeliest one does not.
+        deviance += squares.size * (1.0 + float(np.log(squares.mean())))
+    samples = int(seen.sum()) + told.size
+    numbers = len(model.slots) + len(found.sigma) + len(found.correlation)
+    return Likelihood(deviance + samples * float(np.log(2.0 * np.pi)), numbers, samples)
+
+
+def judged(rivals: Sequence[Rival]) -> Choice:
+    """Rank fitted models and choose the cheapest adequate one, or where none is, the best predictor.
+
+    Ranked by held-out score where all have one, else by BIC, else by their own cost. Adequate models are those whose
+    verdict is neither ``misfit`` nor ``not_converged``, less those that BIC decisively refuses among them. The cheapest
+    is the one of fewest numbers among those within ``AS_FAST`` of the fastest.
+    """
+    passing = [r for r in rivals if r.fit.verdict not in ("misfit", "not_converged")]
+    lowest = min((_bic(r) for r in passing), default=float("inf"))
+    names = {r.name for r in passing if _bic(r) <= lowest + DECISIVE or not np.isfinite(lowest)}
+    by_held_out = all(r.held_out is not None for r in rivals)
+    by_bic = all(r.likelihood is not None for r in rivals)
+
+    def score(r: Rival) -> float:
+        if by_held_out:
+            return float(r.held_out or 0.0)
+        return _bic(r) if by_bic else float(r.fit.residual["rms_force"])
+
+    ranked = tuple(
+        Rival(r.name, r.fit, r.likelihood, r.held_out, r.seconds, r.name in names) for r in sorted(rivals, key=score)
+    )
+    adequate = [r for r in ranked if r.adequate]
+    by = "the held-out prediction" if by_held_out else "BIC" if by_bic else "the size of its residuals"
+    if not adequate:
+        best = ranked[0]
+        reasons = [
+            f"none of the models is adequate; '{best.name}' is the best by {by}; its verdict is {best.fit.verdict}"
+        ]
+        return Choice(ranked, best.name, reasons + _differences(best, ranked))
+    fastest = min(r.seconds for r in adequate)
+    quick = [r for r in adequate if r.seconds <= AS_FAST * fastest]
+    best = min(quick, key=lambda r: (len(r.fit.labels), score(r)))
+    if len(adequate) == 1:
+        reasons = [f"'{best.name}' is the only adequate model"]
+    else:
+        others = ", ".join(f"'{r.name}'" for r in adequate if r.name != best.name)
+        reasons = [f"'{best.name}' is the cheapest of the adequate models; the data do not ask for {others}"]
+    return Choice(ranked, best.name, reasons + _differences(best, ranked))
+
+
+def table(choice: Choice) -> list[list[str]]:
+    """The ranking, a row a model: for a terminal or a report."""
+    lowest = min((_bic(r) for r in choice.rivals), default=0.0)
+    lowest_aicc = min((r.likelihood.aicc for r in choice.rivals if r.likelihood), default=0.0)
+    rows = [["model", "verdict", "held-out rms", "BIC - best", "AICc - best", "numbers found", "time a prediction", ""]]
+    for r in choice.rivals:
+        remark = "chosen" if r.name == choice.chosen else "adequate" if r.adequate else ""
+        rows.append(
+            [
+                r.name,
+                r.fit.verdict,
+                "-" if r.held_out is None else f"{r.held_out:.2%} of the peak",
+                f"{r.likelihood.bic - lowest:.1f}" if r.likelihood else "-",
+                f"{r.likelihood.aicc - lowest_aicc:.1f}" if r.likelihood else "-",
+                str(r.likelihood.numbers if r.likelihood else len(r.fit.labels)),
+                format_si(r.seconds, "s"),
+                remark,
+            ]
+        )
+    return rows
+
+
+def as_json(choice: Choice) -> dict[str, Any]:
+    """``models.json``: the models ranked, the one chosen and why."""
+    return {
+        "chosen": choice.chosen,
+        "reasons": choice.reasons,
+        "models": [
+            {
+                "name": r.name,
+                "verdict": r.fit.verdict,
+                "reasons": r.fit.reasons,
+                "adequate": r.adequate,
+                "held_out_rms_of_peak": r.held_out,
+                "bic": r.likelihood.bic if r.likelihood else None,
+                "aicc": r.likelihood.aicc if r.likelihood else None,
+                "minus_two_log_likelihood": r.likelihood.deviance if r.likelihood else None,
+                "numbers_found": r.likelihood.numbers if r.likelihood else len(r.fit.labels),
+                "samples": r.likelihood.samples if r.likelihood else r.fit.residual["samples"],
+                "prediction_s": r.seconds,
+                "parameters": {
+                    name: {"value": p.value, "unit": p.unit, "ci95": p.ci95} for name, p in r.fit.parameters.items()
+                },
+            }
+            for r in choice.rivals
+        ],
+    }
+
+
+def _bic(r: Rival) -> float:
+    return r.likelihood.bic if r.likelihood else float("inf")
+
+
+def _differences(best: Rival, ranked: Sequence[Rival]) -> list[str]:
+    """What each other model lacks, or costs, beside the chosen one."""
+    said = []
+    for r in ranked:
+        if r.name == best.name:
+            continue
+        parts = []
+        if r.held_out is not None and best.held_out:
+            parts.append(f"its held-out error is {r.held_out / best.held_out:.3g} times as large")
+        if r.likelihood and best.likelihood:
+            more = r.likelihood.bic - best.likelihood.bic
+            parts.append(f"its BIC is {abs(more):.3g} {'higher' if more > 0 else 'lower'}")
+        if not r.adequate:
+            parts.append(f"its verdict is {r.fit.verdict}")
+        said.append(f"'{r.name}': {', '.join(parts)}")
+    return said
+
+
+def _seconds(model: Model, point: np.ndarray, log_depth: float) -> float:
+    """Shortest of three predictions of all records, compiled before."""
+    at, depth = jnp.asarray(point), jnp.asarray(log_depth)
+    jax.block_until_ready(predictions(model, at, depth))
+    taken = []
+    for _ in range(3):
+        begin = time.perf_counter()
+        jax.block_until_ready(predictions(model, at, depth))
+        taken.append(time.perf_counter() - begin)
+    return min(taken)

@@ -1,0 +1,207 @@
+"""The next experiment: which candidate would shrink which interval most, before anyone makes it.
+
+At the fitted values an experiment adds J^T J to the Fisher information of the data there are, with J the forward-mode
+Jacobian of its readings over their noise, here white (linear theory: Atkinson, Donev and Tobias 2007). Parameters of
+its own, such as a clock, are unknown in it too and are eliminated. A parameter's bounds count as what is known of it
+without data: a uniform density, of deviation 1/sqrt(12) of their width. So a parameter that no data determine has a
+finite interval, from which a candidate may shrink it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from bcfj_jax import InputError, check_value, nearest
+from bcfj_jax.core.quantities import increasing
+from calibration.fit import Fit
+from calibration.forward.model import Model, build, predictions, residuals_and_jacobian
+from calibration.noise import noise_model
+from calibration.problem import NUISANCES, Channel, Experiment, Problem
+
+_UNIFORM = 12.0  # information of a uniform density on [0, 1]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An experiment that might be made.
+
+    Attributes:
+        name: of it.
+        times: (T,) [s] at which it would be read.
+        noise: deviation [N] by channel ("contact.normal"), or as a share of its predicted peak where ``share``.
+        fixed: scene parameters (and nuisances) that make it: known, or where every experiment has its own to be found,
+            the value it would have.
+        share: whether ``noise`` is a share of the peak.
+    """
+
+    name: str
+    times: np.ndarray
+    noise: dict[str, float]
+    fixed: dict[str, float] = field(default_factory=dict)
+    share: bool = False
+
+
+class Gain(NamedTuple):
+    """What a candidate would bring, for the parameters that all experiments share.
+
+    Attributes:
+        name: the candidate's.
+        information: D-optimality, the information gained [nats]: half the logarithm of the ratio of the determinants of
+            the covariances before and after.
+        variance_left: A-optimality, the mean over parameters of the variance after over that before.
+        shrink: width of each parameter's interval after over that before, by name.
+        failure: why the candidate could not be simulated; "" if it could.
+    """
+
+    name: str
+    information: float
+    variance_left: float
+    shrink: dict[str, float]
+    failure: str = ""
+
+    @property
+    def best(self) -> str:
+        """The parameter whose interval it shrinks most."""
+        return min(self.shrink, key=lambda name: self.shrink[name]) if self.shrink else ""
+
+
+def next_experiment(problem: Problem, fit: Fit, candidates: Sequence[Candidate]) -> list[Gain]:
+    """Candidates ranked by the information they would add to a fit (D-optimality), best first.
+
+    Args:
+        problem: what was fitted.
+        fit: its outcome; only the values count.
+        candidates: experiments that might be made.
+
+    Raises:
+        InputError: for no candidate, an unknown parameter, channel or value, or no parameter that experiments share.
+    """
+    return predicted(problem, {name: p.value for name, p in fit.parameters.items()}, candidates)
+
+
+def predicted(problem: Problem, values: Mapping[str, float], candidates: Sequence[Candidate]) -> list[Gain]:
+    """As ``next_experiment``, at values [SI] by the names that a fit gives its parameters."""
+    if not candidates:
+        raise InputError("candidates", "none", "give one or more experiments that might be made")
+    fitted = tuple(e for e in problem.experiments if not e.hold_out)
+    model = build(problem, fitted)
+    own = np.array([values[slot.label(fitted)] for slot in model.slots])
+    point = model.point(own, 0.0)
+    if not noise_model.known(fitted):
+        model, _ = noise_model.estimate(model, fitted, point, 0.0)
+    shared = [i for i, slot in enumerate(model.slots) if slot.experiment is None]
+    if not shared:
+        raise InputError(problem.where, "no parameter is shared by the experiments", "free one without each = true")
+    before = _marginal(_information(model, point), shared)
+    names = [model.slots[i].name for i in shared]
+    gains = [_gain(problem, model, own, c, before, names) for c in candidates]
+    return sorted(gains, key=lambda gain: -gain.information if not gain.failure else np.inf)
+
+
+def table(gains: Sequence[Gain]) -> list[list[str]]:
+    """The ranking, a row a candidate: for a terminal or a report."""
+    names = next((list(gain.shrink) for gain in gains if gain.shrink), [])
+    rows = [["candidate", "information [nats]", "mean variance left", *(f"interval of {name}" for name in names)]]
+    for gain in gains:
+        if gain.failure:
+            rows.append([gain.name, gain.failure, "", *("" for _ in names)])
+            continue
+        widths = [f"{gain.shrink[name]:.0%}" + (" *" if name == gain.best else "") for name in names]
+        rows.append([gain.name, f"{gain.information:.3g}", f"{gain.variance_left:.0%}", *widths])
+    return rows
+
+
+def as_json(gains: Sequence[Gain]) -> list[dict[str, object]]:
+    """``next_experiment`` of fit.json: ranked, best first."""
+    return [
+        {
+            "name": gain.name,
+            "information_nats": None if gain.failure else gain.information,
+            "mean_variance_left": None if gain.failure else gain.variance_left,
+            "interval_left": gain.shrink,
+            "shrinks_most": gain.best or None,
+            "failure": gain.failure or None,
+        }
+        for gain in gains
+    ]
+
+
+def _gain(
+    problem: Problem, model: Model, values: np.ndarray, candidate: Candidate, before: np.ndarray, names: list[str]
+) -> Gain:
+    # Of a parameter that every experiment has to itself the candidate's is unknown, about the value it would have.
+    each = {f.name for f in problem.free if f.per_experiment}
+    known = {name: value for name, value in candidate.fixed.items() if name not in each}
+    free = tuple(f for f in problem.free if f.name not in known)
+    if not any(not f.per_experiment for f in free):
+        return Gain(candidate.name, 0.0, 1.0, dict.fromkeys(names, 1.0))
+    planned = _planned(problem, candidate, known)
+    other = build(replace(problem, free=free), (planned,))
+    pairs = [(slot.name, value) for slot, value in zip(model.slots, values, strict=True)]
+    usual = {name: float(np.mean([v for n, v in pairs if n == name])) for name, _ in pairs}
+    nominal = {**usual, **candidate.fixed}
+    point = other.point(np.array([nominal[slot.name] for slot in other.slots]), 0.0)
+    if candidate.share:
+        other = _in_newtons(other, planned, point)
+    residuals, jacobian = (np.asarray(a) for a in residuals_and_jacobian(other, jnp.asarray(point), jnp.asarray(0.0)))
+    if not (np.isfinite(residuals).all() and np.isfinite(jacobian).all()):
+        return Gain(candidate.name, float("nan"), float("nan"), {}, "its simulation fails")
+    mine = [k for k, slot in enumerate(other.slots) if slot.experiment is None]
+    theirs = [k for k, slot in enumerate(other.slots) if slot.experiment is not None]
+    slopes, own = jacobian[:, mine], jacobian[:, theirs]
+    seen = slopes.T @ slopes
+    seen -= slopes.T @ own @ np.linalg.solve(own.T @ own + _UNIFORM * np.eye(len(theirs)), own.T @ slopes)
+    # Before J^T J + 12, with the candidate more: both at the same coordinates, whose boxes are the problem's.
+    after = np.linalg.inv(before)
+    places = [names.index(other.slots[k].name) for k in mine]
+    after[np.ix_(places, places)] += seen
+    left = np.linalg.inv(after)
+    ratios = np.diag(left) / np.diag(before)
+    information = 0.5 * float(np.linalg.slogdet(before)[1] - np.linalg.slogdet(left)[1])
+    shrink = {name: float(np.sqrt(ratio)) for name, ratio in zip(names, ratios, strict=True)}
+    return Gain(candidate.name, information, float(np.mean(ratios)), shrink)
+
+
+def _information(model: Model, point: np.ndarray) -> np.ndarray:
+    """Fisher information of all coordinates, that of their bounds included."""
+    _, jacobian = residuals_and_jacobian(model, jnp.asarray(point), jnp.asarray(0.0))
+    slopes = np.asarray(jacobian)
+    return slopes.T @ slopes + _UNIFORM * np.eye(point.size)
+
+
+def _marginal(information: np.ndarray, shared: list[int]) -> np.ndarray:
+    """Covariance of some coordinates, the others unknown."""
+    return np.linalg.inv(information)[np.ix_(shared, shared)]
+
+
+def _planned(problem: Problem, candidate: Candidate, known: dict[str, float]) -> Experiment:
+    """The candidate as an experiment without readings of its own, refused as a problem refuses experiments."""
+    where = f"{problem.where}: candidate '{candidate.name}'"
+    quantities = {**problem.scene.quantities, **NUISANCES}
+    for name, value in candidate.fixed.items():
+        if name not in quantities:
+            raise InputError(where, f"no parameter '{name}'", nearest(name, quantities))
+        check_value(where, quantities[name], value)
+    if not candidate.noise or not all(0 < sigma < np.inf for sigma in candidate.noise.values()):
+        raise InputError(where, f"noise {candidate.noise}", "give every channel that it would read a deviation above 0")
+    times = increasing(candidate.times)
+    channels = tuple(Channel(observes, np.zeros(times.size), sigma) for observes, sigma in candidate.noise.items())
+    planned = Experiment(candidate.name, times, channels, fixed=known, source=where)
+    free = tuple(f for f in problem.free if f.name not in known)
+    replace(problem, free=free, experiments=(*problem.experiments, replace(planned, hold_out=True)))
+    return planned
+
+
+def _in_newtons(model: Model, planned: Experiment, point: np.ndarray) -> Model:
+    """The model with noise that is a share of each channel's predicted peak."""
+    read = np.asarray(predictions(model, jnp.asarray(point), jnp.asarray(0.0)))[0]
+    shares = np.array([channel.sigma for channel in planned.channels], dtype=float)
+    sigma = shares * np.maximum(np.max(np.abs(read), axis=1), 1e-300)
+    weights = jnp.broadcast_to(1.0 / jnp.asarray(sigma)[None, :, None], model.data.weights.shape)
+    return eqx.tree_at(lambda m: m.data.weights, model, weights)

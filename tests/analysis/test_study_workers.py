@@ -1,0 +1,102 @@
+"""Many workers: killed, on a scheduler, on several devices. The table is always the same bytes."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from conftest import BUILD
+from studies import STUDY
+
+from bcfj_jax.analysis.studies import api, local, specification
+
+pytest.importorskip("pyarrow", reason="the extra study is not installed")
+
+PROGRAM = """
+import sys
+from bcfj_jax.core.compile_cache import use_compile_cache
+use_compile_cache()
+from bcfj_jax.analysis.studies.api import study
+study("study.toml", sys.argv[1], workers=1)
+"""
+
+
+def digest(folder: Path) -> str:
+    return hashlib.sha256((folder / api.RESULTS).read_bytes()).hexdigest()
+
+
+@pytest.fixture
+def expected(here) -> str:
+    Path("study.toml").write_text(STUDY)
+    return digest(api.study("study.toml", "alone", workers=1).folder)
+
+
+@pytest.mark.slow
+def test_a_worker_that_is_killed_is_replaced(here, expected, monkeypatch):
+    started = []
+    start = local.start
+
+    def watched(store, number):
+        worker = start(store, number)
+        if not started:
+            worker.send_signal(signal.SIGKILL)
+        started.append(worker)
+        return worker
+
+    monkeypatch.setattr(local, "start", watched)
+    monkeypatch.setenv("PYTHONPATH", str(Path(api.__file__).parents[3]))
+    result = api.study("study.toml", "two", workers=2)
+    assert len(started) == 3 and digest(result.folder) == expected
+
+
+@pytest.mark.slow
+def test_a_run_that_is_killed_takes_its_workers_with_it_and_can_be_resumed(here, expected):
+    environment = {**os.environ, "PYTHONPATH": str(Path(api.__file__).parents[3])}
+    command = [sys.executable, "-m", "bcfj_jax", "study", "run", "study.toml", "--out", "cut", "--workers", "2"]
+    job = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    until = time.monotonic() + 120
+    while not list(Path("cut").glob("blocks/*.parquet")) and job.poll() is None and time.monotonic() < until:
+        time.sleep(0.02)
+    job.kill()
+    job.wait()
+    result = api.study("study.toml", "cut", workers=1)
+    assert digest(result.folder) == expected
+
+
+@pytest.mark.slow
+def test_a_schedulers_workers_give_the_same_bytes(here, expected):
+    distributed = pytest.importorskip("distributed", reason="the extra cluster is not installed")
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+    ) as cluster:
+        result = api.study("study.toml", "dask", scheduler=cluster.scheduler_address)
+    assert digest(result.folder) == expected
+
+
+def test_a_worker_with_another_version_is_refused(here):
+    from bcfj_jax.analysis.studies.cluster import compute_block
+
+    Path("study.toml").write_text(STUDY)
+    store = api.prepare(specification.load(Path("study.toml")), here / "out")
+    with pytest.raises(RuntimeError, match="another version"):
+        compute_block((store.folder / "run.toml").read_text(), 0, "0" * 32)
+
+
+@pytest.mark.slow
+def test_several_devices_share_a_block(here, expected):
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(Path(api.__file__).parents[3]),
+        "XLA_FLAGS": "--xla_force_host_platform_device_count=2",
+        "BCFJ_CACHE": str(BUILD / "jax-cache"),
+    }
+    done = subprocess.run([sys.executable, "-c", PROGRAM, "devices"], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    # Each device has half of a block in another order of slots: a run is the same to the last bit all the same.
+    assert digest(Path("devices")) == expected

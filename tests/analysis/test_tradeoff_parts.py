@@ -1,0 +1,122 @@
+"""The parts of the trade study: its advice, its errors, its settings, solvers by name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import bcfj_jax as bj
+from bcfj_jax.analysis.tradeoff import advice, reference, study
+from bcfj_jax.analysis.tradeoff.measures import Measured, derivative_error, errors, measured, worst
+from bcfj_jax.analysis.tradeoff.settings import settings
+from bcfj_jax.analysis.tradeoff.single import single
+from bcfj_jax.analysis.tradeoff.trial import loaded, trial
+from bcfj_jax.io.scenefile import from_table, load
+from bcfj_jax.solve.integrate import plan
+
+
+def advised(todo, errors):
+    """What is recommended of settings with these errors, the tighter the dearer."""
+    rows = [
+        dict.fromkeys(advice.MAIN, error) | {"setting": s.name, "status": "ok", "wall_s": 1.0 / s.error}
+        for s, error in zip(todo, errors, strict=True)
+    ]
+    truth = reference.Reference(SimpleNamespace(), None, {"errors": dict.fromkeys(advice.MAIN, 1e-9)})
+    return advice.recommended(study.Study(todo, rows, truth, False))
+
+
+def test_advice_takes_no_lucky_rung():
+    """One rung right by luck between two wrong ones; a solver that was lost on another rung."""
+    todo = [s for s in settings(load("bounce")) if s.ladder in ("tsit5", "dopri8") and s.group == "tolerance"]
+    lucky = {("tsit5", 0.1): 1e-6, ("dopri8", 1e-3): 30.0}
+    usual = {"tsit5": 1.0, "dopri8": 0.0}
+    found = advised(todo, [lucky.get((s.ladder, s.error), max(usual[s.ladder] * s.error, 1e-6)) for s in todo])
+    # Twice the error of the next looser rung has to fit, and of every tighter one: not 10 %, with its 1e-6.
+    assert found["10 %"]["setting"] == "tsit5 at 5 %"
+    assert found["1 %"]["setting"] == "tsit5 at 0.2 %"
+    assert not any("dopri8" in one["setting"] for one in found.values())
+
+
+def test_advice_asks_for_no_less_than_its_budget():
+    """However right a loose rung is on the scene itself."""
+    todo = [s for s in settings(load("bounce")) if s.ladder == "tsit5" and s.group == "tolerance"]
+    found = advised(todo, [1e-9] * len(todo))
+    told = {budget: next(s.error for s in todo if s.name == one["setting"]) for budget, one in found.items()}
+    assert told == {"10 %": 0.1, "5 %": 0.05, "2 %": 0.02, "1 %": 0.01, "0.5 %": 5e-3, "0.1 %": 1e-3}
+
+
+def test_errors_of_known_histories():
+    """Two members of one contact and one of another, off by constants."""
+    times = np.linspace(0.0, 2.0, 5)
+    force = np.zeros((5, 3, 3))
+    force[:, 0, 0], force[:, 1, 0], force[:, 2, 0] = 10.0, 4.0, -2.0
+    owner, period = np.array([0, 0, 1]), np.array([0.5, np.nan, 0.25])
+    truth = Measured(force, owner, period, np.array([3.0, 1.0, 1.0]), np.array([3.0, 1.0, 1.0]))
+    assert errors(truth, truth, times) == pytest.approx(dict.fromkeys(errors(truth, truth, times), 0.0))
+    moved = force.copy()
+    moved[:, 1, 0] += 1.0
+    moved[:, 2, 2] = 0.5
+    found = Measured(moved, owner, np.array([0.55, 0.1, 0.25]), np.array([3.0, 1.5, 1.0]), truth.moved)
+    assert errors(found, truth, times) == pytest.approx(
+        # The friction's 0.5 N of 2 N; 1 N of 10 N; the same over 2 s; 10 %; half a joule of five.
+        {"force_rms_error": 0.25, "peak_error": 0.1, "impulse_error": 0.1, "period_error": 0.1, "dissipated_error": 0.1}
+    )
+    lost = found._replace(period=np.array([np.nan, 0.1, 0.25]))
+    assert errors(lost, truth, times)["period_error"] == 1.0
+    slope = np.stack([force, 2.0 * force])
+    assert derivative_error(slope * np.array([1.1, 1.0])[:, None, None, None], slope) == pytest.approx(0.1)
+
+
+def test_settings_of_a_joint():
+    given = load("joint")
+    found = {s.name: s for s in settings(given)}
+    assert {s.group for s in found.values()} == {
+        "tolerance", "fidelity", "smoothing", "friction speed", "friction law", "output", "precision",
+    }  # fmt: skip
+    # Every one of them is a scene file; what an option takes out of the model leaves the file, too.
+    for s in found.values():
+        resolved = from_table(s.table, None).resolved
+        more = {"bristle_stiffness", "bristle_damping"} if "lugre" in s.name else set()
+        read = {name: value for name, value in resolved["parameters"].items() if name not in more}
+        assert {**resolved, "parameters": read} == s.table
+    none = next(s for name, s in found.items() if name.startswith("friction none"))
+    assert "friction_static" not in none.table["parameters"] and "no friction" in none.physics
+    assert found["quasistatic"].physics and not found["as given"].physics
+    # What the tolerance does not tell apart is one setting: the joint's is capped.
+    assert next(s.error for s in found.values() if s.ladder == "sdirk2") == 5e-3
+    assert [s.name for s in settings(given, ("fidelity",))] == ["as given", "kinematic", "quasistatic"]
+    with pytest.raises(bj.InputError, match="did you mean 'sdirk2'"):
+        settings(given, ("sdirk",))
+
+
+def test_32_bit_numbers_are_measured_in_a_process_of_their_own():
+    table = load("impact").resolved
+    tight = {**table, "accuracy": {"force_error": 1e-6, "max_steps": 20_000}}
+    truth, _ = trial(loaded(tight))
+    found, cost = single(tight, 600.0)
+    assert found.status == "ok" and cost["wall_s"] > 0 and found.force["contact"].shape == truth.force["contact"].shape
+    # As many digits as the numbers have, over some hundred steps: not those of 64 bits, which keep 1e-6 of the peak.
+    times = truth.times
+    off = worst(errors(measured(found, times), measured(truth, times), times))
+    assert 1e-8 < off < 1e-4
+    assert jnp.result_type(float) == jnp.float64
+    with pytest.raises(RuntimeError, match=r"32-bit numbers: .*stiffness"):
+        single({**table, "parameters": {**table["parameters"], "stiffness": -1.0}}, 600.0)
+    with pytest.raises(RuntimeError, match="not done within the 1 s"):
+        single(table, 1.0)
+
+
+def test_solvers_by_name():
+    scene = bj.scenes.impact()
+    with pytest.raises(bj.InputError, match="did you mean 'bosh3'"):
+        bj.simulate(scene, scene.parameters(), [0.0, 1e-5], solver="bosh")
+    with pytest.raises(bj.InputError, match=r"\[accuracy\] solver: no solver 'bdf'"):
+        from_table({"scene": {"kind": "impact"}, "accuracy": {"solver": "bdf"}}, Path("s.toml"))
+    joint = bj.scenes.joint()
+    how = plan(joint, "balanced", solver="rodas3")
+    with pytest.raises(bj.InputError, match="'rodas3' has no derivatives"):
+        bj.force_history(joint, joint.parameters(), [0.0, 1e-3], accuracy=how, mode="forward")

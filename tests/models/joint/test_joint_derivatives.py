@@ -1,0 +1,105 @@
+"""Derivatives of the joint's forces, against the stored sensitivities of another solver (benchmarks/analysis/derivatives.py)."""
+
+from __future__ import annotations
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import bcfj_jax as bj
+from bcfj_jax.solve.integrate import Plan, plan
+from bcfj_jax.solve.simulation import _backward
+from benchmarks.analysis import derivatives as kept
+
+pytestmark = pytest.mark.slow
+SCENE = bj.scenes.joint()
+LOOSE = 1e-1
+
+
+@functools.cache
+def reference():
+    return kept.load()
+
+
+@functools.cache
+def program(controlled):
+    params = SCENE.parameters()
+
+    def forces(logs, tolerance):
+        how = Plan(tolerance, 400_000, controlled)
+        values = kept.moved(params, logs)
+        return kept.normals(bj.force_history(SCENE, values, reference().times, accuracy=how, mode="forward"))
+
+    return jax.jit(jax.jacfwd(forces))
+
+
+@functools.cache
+def jacobian(tolerance, controlled=False):
+    """Derivatives (T, 20, 8) of normal forces by logarithms."""
+    return np.asarray(program(controlled)(jnp.zeros(len(kept.MOVED)), jnp.asarray(tolerance)))
+
+
+def influential():
+    return kept.influence(reference().slope) > 0.01
+
+
+def test_the_reference_is_one():
+    settings = reference().settings
+    assert settings["values"] == {name: float(value) for name, value in SCENE.parameters().items()}
+    assert reference().slope.shape == (601, 20, 8) and np.isfinite(reference().slope).all()
+    # A looser tolerance, and differences of runs, agree with it far within the promised 3 %; the smaller their step,
+    # the better.
+    counted = [name for name, counts in zip(kept.MOVED, influential(), strict=True) if counts]
+    found = {name: what for name, what in settings["convergence"].items() if name != "what"}
+    worst = [max(what[name]["5 ms"] for name in counted) for what in found.values()]
+    assert "sensitivities" in min(found, key=lambda name: max(found[name][x]["5 ms"] for x in counted))
+    assert len(worst) == 3 and max(worst) < 0.01 and sorted(worst)[1] < 0.005, worst
+
+
+@pytest.mark.parametrize(("level", "promise"), [("balanced", 0.03), ("reference", 0.01)])
+def test_derivatives_keep_their_promise(level, promise):
+    how = plan(SCENE, level)
+    found = jacobian(float(how.tolerance), how.tangents)
+    errors = kept.errors(found, reference().slope)
+    assert np.all(errors[influential()] <= promise), dict(zip(kept.MOVED, errors, strict=True))
+
+
+def test_derivatives_are_bounded_and_converge():
+    exact = reference().slope
+    largest = np.abs(exact).max((0, 1))[influential()]
+    tolerances = (LOOSE, 5e-2, float(plan(SCENE, "balanced").tolerance), 1e-2, 5e-3)
+    found = [jacobian(tolerance) for tolerance in tolerances]
+    assert all(np.all(np.abs(one[..., influential()]).max((0, 1)) < 3.0 * largest) for one in found)
+    # Clearances, exponent and angle move the rattle of balls that carry nothing (80 to 103 ms, and where such a ball is
+    # loaded again: 201, 301, 401, 501 ms), whose derivative holds within nanometres only. There their errors stay.
+    steady = [list(kept.MOVED).index(name) for name in ("stiffness", "friction_static", "friction_dynamic")]
+    errors = np.array([kept.errors(one, exact)[steady].mean() for one in found])
+    # Neighbours may change places: which steps meet a strike is luck. The trend is not: an order of 0.53 was measured.
+    order = np.polyfit(np.log(tolerances), np.log(errors), 1)[0]
+    assert order > 0.4, errors
+    assert errors[-1] < 0.007
+
+
+def test_a_gradient_is_solved_no_tighter_than_its_derivatives_bear():
+    for asked, expected in (("balanced", 0.02), ("reference", 1e-3), (1e-4, 1e-3)):
+        assert float(_backward(SCENE, plan(SCENE, asked)).tolerance) == expected
+    impact = bj.scenes.impact()
+    assert _backward(impact, plan(impact, "reference")) == plan(impact, "reference")
+
+
+def test_reverse_is_forward_through_rejected_steps():
+    # A step on which Newton gave up left NaN in every gradient: 0 times what was not finite.
+    how, params = plan(SCENE, "balanced"), SCENE.parameters()
+    weights = np.random.default_rng(0).normal(size=(601, 20))
+
+    def weighed(logs):
+        changed = kept.moved(params, logs)
+        forces = bj.force_history(SCENE, changed, reference().times, accuracy=how, mode="reverse")
+        return jnp.sum(weights * kept.normals(forces))
+
+    found = np.asarray(jax.jit(jax.grad(weighed))(jnp.zeros(len(kept.MOVED))))
+    parts = weights[..., None] * jacobian(float(how.tolerance))
+    assert np.all(np.abs(found - parts.sum((0, 1))) <= 1e-9 * np.abs(parts).sum((0, 1)))

@@ -1,0 +1,192 @@
+"""The joint's equations of motion: their linear algebra, the start, forces in balance."""
+
+from __future__ import annotations
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from joints import GROOVES, LITTLE, QUICK, constants
+from oracles import within
+
+from bcfj_jax import scenes
+from bcfj_jax.models.joint import geometry, system
+from bcfj_jax.models.joint.arrowhead import Arrowhead
+from bcfj_jax.models.joint.law_pair import SkinPair
+from bcfj_jax.models.joint.scene import CONTACTS
+from bcfj_jax.models.joint.start import nominal
+from bcfj_jax.solve.small import inverse, inverse3, inverse6
+
+UNLIKE = {"head_ball": "kelvin_voigt", "head_cage": "hertz"}
+OPTIONS = {
+    "all": {},
+    "spin": {"spin": True},
+    "fixed cage": {"cage": "fixed"},
+    "circular, flexible": {"track": "circular", "drive": "flexible"},
+    "frictionless, fixed head, no pilots": {
+        "friction": False, "head": "fixed", "contacts": ("cage_ball", *GROOVES),
+    },
+    "unlike": {"laws": UNLIKE, "frictions": {"seat_ball": "coulomb", "seat_cage": False}, "spin": True},
+    "bristles, spin": {"friction": "lugre", "spin": True},
+    "bristles, circular": {"friction": "lugre", "track": "circular", "cage": "fixed"},
+    "bristles of some": {"frictions": {"head_ball": "lugre", "head_cage": "lugre", "seat_ball": False}},
+    "grooves": {"contacts": GROOVES, "cage": "fixed", "head": "fixed"},
+    "one pilot, no windows, sharp": {"contacts": ("seat_cage", *GROOVES), "balls": 3, "smoothing": False},
+}  # fmt: skip
+SECOND = ("circular, flexible", "unlike", "bristles, circular", "bristles of some", "grooves")
+EACH = pytest.mark.parametrize(
+    "options",
+    [
+        pytest.param(options, id=name, marks=[pytest.mark.slow] if name in SECOND else [])
+        for name, options in OPTIONS.items()
+    ],
+)
+
+
+def made(options):
+    scene = scenes.joint(**options)
+    params = scene.parameters()
+    return scene, params, constants(scene, params)
+
+
+def disturbed(scene, params, seed: int = 0) -> jax.Array:
+    """A state some 30 um and 0.3 m/s off the nominal one, turned by 0.3 rad; the cage's axis is a unit vector."""
+    rng = np.random.default_rng(seed)
+    y = np.array(nominal(scene, params, jnp.asarray(0.3)))
+    places = 3 * scene.balls + scene.border
+    bristles = y.size - scene.moving
+    y += np.r_[
+        3e-5 * rng.normal(size=places), 0.3 * rng.normal(size=scene.moving - places), 1e-6 * rng.normal(size=bristles)
+    ]
+    if scene.slots["cage_turn"] is not None:
+        axis = y[3 * scene.balls :][scene.slots["cage_turn"]]
+        axis /= np.linalg.norm(axis)
+    return jnp.asarray(y)
+
+
+# --- linear algebra
+
+
+@EACH
+def test_arrowhead_solves_with_the_exact_jacobian(options):
+    scene, params, c = made(options)
+    assert isinstance(c.groove_skin, SkinPair) == ("laws" in options or "frictions" in options)
+    y, t, places = disturbed(scene, params), jnp.asarray(0.02), 3 * scene.balls + scene.border
+    right = np.random.default_rng(1).normal(size=y.size) * np.where(np.arange(y.size) < places, 1.0, 1e4)
+    right[scene.moving :] *= 1e-5
+    structure = Arrowhead()
+
+    @functools.partial(jax.jit, compiler_options=QUICK)
+    def both(y, right, scale, c):
+        jacobian = jax.jacfwd(lambda y: system.field(t, y, (scene, c)))(y)
+        return structure.solve(structure.factor(t, y, (scene, c), scale), right), jacobian
+
+    for scale in (2e-5, 1e-3):
+        got, jacobian = both(y, right, scale, c)
+        wanted = np.linalg.solve(np.eye(y.size) / scale - np.asarray(jacobian), right)
+        for part in (slice(0, places), slice(places, scene.moving), slice(scene.moving, None)):
+            if not wanted[part].size:
+                continue
+            # Rounding of two Jacobians, amplified: 1.6e-9 with unlike laws, below 1e-9 elsewhere.
+            assert abs(np.asarray(got) - wanted)[part].max() <= 2e-9 * abs(wanted[part]).max()
+
+
+def test_time_derivative_is_that_of_load_and_drive():
+    scene, params, c = made({"drive": "flexible", **LITTLE})
+    y, t, h = disturbed(scene, params), 0.02, 1e-5
+    got = np.asarray(Arrowhead().time_derivative(jnp.asarray(t), y, (scene, c)))
+    field = jax.jit(lambda t: system.field(t, y, (scene, c)), compiler_options=QUICK)
+    up, down = (np.asarray(field(x)) for x in (t + h, t - h))
+    assert np.allclose(got, (up - down) / (2 * h), rtol=1e-4, atol=1e-6 * abs(got).max())
+    assert np.flatnonzero(got).tolist() == [scene.states - 2, scene.states - 1]
+
+
+def test_small_inverses():
+    rng = np.random.default_rng(2)
+    for size, function in ((3, inverse3), (6, inverse6)):
+        many = rng.normal(size=(20, size, size)) + 4.0 * np.eye(size)
+        assert np.allclose(jax.jit(function)(many), np.linalg.inv(many), rtol=0, atol=1e-12)
+    one = rng.normal(size=(11, 11)) + 8.0 * np.eye(11)
+    assert np.allclose(inverse(jnp.asarray(one)), np.linalg.inv(one), rtol=0, atol=1e-12)
+
+
+# --- start
+
+
+@EACH
+def test_start_is_assembled_and_consistent(options):
+    scene = scenes.joint(**options)
+    # An onset narrower than the balls' play; with the default one, flanks hold a free ball with half a newton each.
+    params = scene.parameters({"load_torque": 0.0} | ({"smoothing": 5e-6} if scene.smoothing else {}))
+    turn, h = 0.3, 1e-4
+
+    @functools.partial(jax.jit, compiler_options=QUICK)
+    def look(params):
+        c, now = constants(scene, params), turn / params["drive_speed"]
+        before, y, after = (nominal(scene, params, jnp.asarray(turn + s * h)) for s in (-1.0, 0.0, 1.0))
+        rates = params["drive_speed"] * (after - before) / (2 * h)
+        return y, rates, system.touches(scene, c, system.view(scene, c, y)), system.field(now, y, (scene, c))
+
+    y, rates, found, moving = jax.device_get(look(params))
+    assert y.shape == (scene.states,)
+    # On the tracks, no gap negative; up to the 1e-12 m that keep spheres and circular sections smooth.
+    assert np.allclose(found.grooves.penetration, -1e-5, rtol=0, atol=2e-12 if scene.track == "circular" else 1e-15)
+    if found.windows is not None:
+        assert np.allclose(found.windows.penetration, -1e-5, rtol=0, atol=1e-15)
+    if found.pilots is not None:
+        assert np.allclose(found.pilots.penetration, -5e-5, rtol=0, atol=2e-12)
+    for touch in (x for x in found if x is not None):
+        assert np.all(touch.normal == 0.0) and np.all(touch.force == 0.0)
+    # Velocities are those of the nominal motion. Nothing touches and nothing is loaded: nothing is accelerated.
+    places = 3 * scene.balls + scene.border
+    assert np.allclose(moving[:places], rates[:places], rtol=0, atol=1e-7)
+    assert np.all(abs(moving[places:]) <= 1e-6)
+
+
+def test_start_without_any_clearance():
+    scene = scenes.joint()
+    params = scene.parameters({f"clearance_{name}": 0.0 for name in CONTACTS})
+
+    @functools.partial(jax.jit, compiler_options=QUICK)
+    def look(params, turn):
+        c, y = constants(scene, params), nominal(scene, params, turn)
+        return y, system.touches(scene, c, system.view(scene, c, y))
+
+    for turn in (0.0, 1.0):
+        y, found = look(params, turn)
+        for touch in found:
+            assert np.all(abs(np.asarray(touch.penetration)) <= 2e-12)
+        beta, radius = params["joint_angle"], geometry.track_radius(params["pitch_radius"], params["offset"])
+        assert np.allclose(y[:3], geometry.ball_centre(turn, beta, radius, params["offset"]), rtol=0, atol=1e-16)
+
+
+# --- forces on bodies
+
+
+def test_forces_balance():
+    # All contact forces are internal: with the reactions of the seat, their sum and moment vanish.
+    scene, params, c = made({"spin": True})
+
+    @functools.partial(jax.jit, compiler_options=QUICK)
+    def look(y):
+        state = system.view(scene, c, y)
+        found = system.touches(scene, c, state)
+        motion = jax.tree.map(lambda x: x[:, :2], system.around(scene, c, state).motion)
+        window = system.relative(state, state.cage_place, state.cage_velocity, state.cage_spin)
+        pairs = ((found.grooves, motion), (found.windows, window), (found.pilots, system.guided(scene, c, state)[0]))
+        taken = sum(jnp.sum(touch.force * move.velocity) + jnp.sum(touch.moment * move.spin) for touch, move in pairs)
+        return state, found, system.on_bodies(scene, c, state, found), taken
+
+    state, found, (ball, border), taken = jax.device_get(look(disturbed(scene, params)))
+    seat = -np.sum(np.asarray(found.grooves.force[:, 0]), 0) - np.asarray(found.pilots.force[0])
+    at = {name: np.asarray(border[slot]) for name, slot in scene.slots.items()}
+    total = np.sum(np.asarray(ball[:, :3]), 0) + at["head"] + at["cage"] + seat
+    assert np.allclose(total, 0.0, rtol=0, atol=1e-9 * abs(np.asarray(ball)).max())
+    # Power of all generalised forces is what contacts take on their relative twists.
+    y = disturbed(scene, params)
+    rates = np.asarray(y[(3 + scene.twist) * scene.balls + scene.border :])
+    twists = np.concatenate([state.ball_velocity, state.ball_spin], -1)
+    power = np.sum(np.asarray(ball) * twists) + np.asarray(border) @ rates
+    assert power == within(float(taken), 1e-10)
