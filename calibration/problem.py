@@ -8,10 +8,10 @@ from typing import Literal
 import numpy as np
 
 from bcfj_jax import InputError, check_value, nearest
-from bcfj_jax.analysis.derivatives.jacobian import channel_names, channels
+from bcfj_jax.analysis.derivatives.jacobian import channel_names
 from bcfj_jax.analysis.derivatives.names import feature
 from bcfj_jax.core.quantities import Quantity
-from bcfj_jax.mechanism.scene import AbstractScene
+from bcfj_jax.mechanism.model import AbstractModel
 from calibration.solver_budget import effort
 
 # Nuisance parameters of the measuring chain: reading(t) = gain L[F](t - time_offset) + force_offset, with L a sensor of
@@ -139,7 +139,7 @@ class Problem:
             that do not increase, fewer samples than free parameters.
     """
 
-    scene: AbstractScene
+    scene: AbstractModel
     params: dict[str, float]
     experiments: tuple[Experiment, ...]
     free: tuple[Free, ...]
@@ -161,7 +161,7 @@ class Problem:
         if self.loss not in LOSSES:
             raise InputError(f"{self.where}: loss", f"no loss '{self.loss}'", nearest(self.loss, LOSSES))
         # Of a contact with members one is observed: seat_ball_2.
-        contacts = channels(self.scene)
+        contacts = self.scene.members
         for experiment in self.experiments:
             _check_experiment(experiment, channel_names(contacts))
             _check_features(experiment, contacts)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from bcfj_jax.mechanism.scene import AbstractScene
+from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.models.joint.scene import Joint
 
 
@@ -61,7 +61,7 @@ _JOINT = Effort(
 )  # fmt: skip
 
 
-def effort(scene: AbstractScene) -> Effort:
+def effort(scene: AbstractModel) -> Effort:
     """What a scene's runs are worth."""
     if not isinstance(scene, Joint):
         return _MASS

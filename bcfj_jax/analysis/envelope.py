@@ -19,7 +19,8 @@ import numpy as np
 
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.dynamics import contact_time, state_scales
-from bcfj_jax.mechanism.scene import AbstractScene, Params, Scene
+from bcfj_jax.mechanism.model import AbstractModel, Params
+from bcfj_jax.mechanism.scene import Scene
 from bcfj_jax.models import scenes
 from bcfj_jax.models.joint.periodic import risen
 from bcfj_jax.models.joint.scales import scales
@@ -58,7 +59,7 @@ def guaranteed() -> dict[str, dict[str, tuple[float, float]]]:
     return {kind: {name: (low, high) for name, (low, high) in box.items()} for kind, box in json.loads(text).items()}
 
 
-def warnings(scene: AbstractScene, params: Params, times: np.ndarray) -> list[str]:
+def warnings(scene: AbstractModel, params: Params, times: np.ndarray) -> list[str]:
     """What of a scene lies beyond the ranges in which its promised error is known to hold; none for other scenes."""
     if isinstance(scene, Joint) and not scene.in_motion:
         # Nothing is integrated.
@@ -86,7 +87,7 @@ def _untried(scene: Joint, params: Params, times: np.ndarray) -> list[str]:
 
 
 def of_the_start(
-    scene: AbstractScene, params: Params, times: np.ndarray, forces: Mapping[str, np.ndarray]
+    scene: AbstractModel, params: Params, times: np.ndarray, forces: Mapping[str, np.ndarray]
 ) -> list[str]:
     """Contacts of a moving joint whose peak is from before its promise begins, and higher than any later.
 
@@ -114,7 +115,7 @@ def of_the_start(
     return [f"no error is promised of peaks before {_FROM} ({format_si(begin, 's')}): {'; '.join(found)}"]
 
 
-def measures(scene: AbstractScene, params: Params, times: np.ndarray) -> dict[str, float]:
+def measures(scene: AbstractModel, params: Params, times: np.ndarray) -> dict[str, float]:
     """The numbers that place a scene, by name; see ``MEANING``.
 
     Args:

@@ -69,7 +69,7 @@ CATALOGUE: dict[str, Quantity] = {
         _not_negative("bottoming_damping", "s/m", "a of the stop alone, where it has one of its own"),
         _positive("effective_modulus", "Pa", "E*, 1/E* = (1 - nu1^2)/E1 + (1 - nu2^2)/E2"),
         _positive("contact_length", "m", "length of the cylindrical contact"),
-        _positive("radius", "m", "radius of the sphere"),
+        _positive("radius", "m", "radius of the sphere, of the socket or of the pin"),
         _positive("radius_difference", "m", "hole radius less body radius"),
         _not_negative("damping", "s/m", "a of F = f(d) (1 + a d')"),
         Quantity("restitution", "1", "coefficient of restitution e the law is asked for", 0.0, 1.0),
@@ -82,6 +82,12 @@ CATALOGUE: dict[str, Quantity] = {
         _positive("friction_speed", "m/s", "transition speed of friction: v_t, or v_s of the static peak"),
         _positive("bristle_stiffness", "1/m", "sigma0 of LuGre: tangential stiffness over normal force"),
         _not_negative("bristle_damping", "s/m", "sigma1 of LuGre: bristle damping over normal force"),
+        # sizes of the gaps
+        _not_negative("clearance", "m", "clearance between the surfaces of centred bodies"),
+        _positive("radius_a", "m", "radius of the first body's sphere"),
+        _positive("radius_b", "m", "radius of the second body's sphere"),
+        _positive("half_length", "m", "half of the length of the block along its guide, or of the pin"),
+        _positive("half_width", "m", "half of the width of the block across its guide"),
         # bodies, motion, loads
         _positive("mass", "kg", "mass of the moving body (effective mass m1 m2/(m1 + m2) of two)"),
         _not_negative("approach_speed", "m/s", "speed towards the surface at time 0"),

@@ -17,7 +17,7 @@ import numpy as np
 
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.io.provenance import environment as environment
-from bcfj_jax.mechanism.dynamics import STATES
+from bcfj_jax.mechanism.readings import STATES
 
 if TYPE_CHECKING:
     from bcfj_jax.models.joint.observe import Whole

@@ -29,7 +29,7 @@ from bcfj_jax.io import tables
 from bcfj_jax.io.scenetemplate import template as template
 from bcfj_jax.io.spheres import Spheres
 from bcfj_jax.io.units import quantity
-from bcfj_jax.mechanism.scene import AbstractScene
+from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.models import scenes
 from bcfj_jax.models.joint.checks import check_joint
 from bcfj_jax.models.joint.scene import AUTO, Joint
@@ -53,7 +53,7 @@ class SceneFile:
         open: whether a joint's fidelity was left to what runs it.
     """
 
-    scene: AbstractScene
+    scene: AbstractModel
     params: dict[str, Array]
     times: np.ndarray
     accuracy: str | float
@@ -137,7 +137,7 @@ def quickest(given: SceneFile) -> SceneFile:
     return replace(given, scene=replace(given.scene, fidelity=AUTO), resolved=resolved)
 
 
-def _resolved_options(scene: AbstractScene, file: _File) -> dict[str, Any]:
+def _resolved_options(scene: AbstractModel, file: _File) -> dict[str, Any]:
     """The scene's options with every default; what TOML has no word for (nothing) is left out."""
     function = inspect.signature(scenes.SCENES[scene.kind]).parameters
     options = {name: file.scene.get(name, parameter.default) for name, parameter in function.items()}
@@ -154,12 +154,12 @@ def _law_name(file: _File) -> str:
     return file.scene.get("law") or ("exact" if "restitution" in file.parameters else "memory_free")
 
 
-def _elastic_name(scene: AbstractScene) -> str:
+def _elastic_name(scene: AbstractModel) -> str:
     part = getattr(scene.contacts[0].law, "elastic", None)
     return next(name for name, known in laws.ELASTIC.items() if type(known) is type(part))
 
 
-def _scene(file: _File, where: str) -> tuple[AbstractScene, Spheres | None]:
+def _scene(file: _File, where: str) -> tuple[AbstractModel, Spheres | None]:
     kind = file.scene.get("kind")
     place = f"{where}: [scene]"
     if kind is None:
@@ -196,7 +196,7 @@ def _options(kind: str) -> type[tables.Table]:
     return pydantic.create_model("Options", __base__=tables.Table, kind=(str, ...), **fields)
 
 
-def _values(scene: AbstractScene, given: Mapping[str, Any], spheres: Spheres | None, where: str) -> dict[str, float]:
+def _values(scene: AbstractModel, given: Mapping[str, Any], spheres: Spheres | None, where: str) -> dict[str, float]:
     derived = spheres.derived(f"{where}: [scene.spheres]") if spheres else {}
     known = scene.quantities
     for name in given:
@@ -223,7 +223,7 @@ def _values(scene: AbstractScene, given: Mapping[str, Any], spheres: Spheres | N
     return values
 
 
-def _end(scene: AbstractScene, params: dict[str, Array], time: _Time, where: str) -> float:
+def _end(scene: AbstractModel, params: dict[str, Array], time: _Time, where: str) -> float:
     end = float(scene.horizon(params)) if time.end is None else quantity(time.end, "s", f"{where}: [time] end")
     if not (math.isfinite(end) and end > 0):
         raise InputError(f"{where}: [time] end", f"{end:g} s is out of range", "give a time > 0")

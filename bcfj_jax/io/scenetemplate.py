@@ -53,7 +53,7 @@ def template(kind: str) -> str:
     shared = [(q, defaults[name.rpartition(".")[2]]) for name, q in scene.quantities.items() if name not in defaults]
     lines = [_parameter(quantity, value, sources.get(quantity.name)) for quantity, value in given]
     own = [f"# {_parameter(quantity, value, None)}" for quantity, value in shared]
-    names = named.ARROWHEAD if joint else tuple(named.SPRINGS)
+    names = named.STIFF if joint else tuple(named.NOT_STIFF)
     return f"""# A scene of bcfj-jax: run it with  bcfj simulate {kind}.toml
 # Numbers are SI; a text may carry a unit, such as "1.2 mm". The values here are the defaults.
 

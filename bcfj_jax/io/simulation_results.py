@@ -13,7 +13,7 @@ from bcfj_jax.analysis import envelope, features
 from bcfj_jax.io import outputs, plots, report
 from bcfj_jax.io.scenefile import SceneFile
 from bcfj_jax.io.units import format_si
-from bcfj_jax.mechanism.scene import AbstractScene
+from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.models.joint.fidelity import resolved
 from bcfj_jax.models.joint.observe import whole
 from bcfj_jax.models.joint.scene import Joint
@@ -31,12 +31,12 @@ FILES = (
 )
 
 
-def files(scene: AbstractScene) -> tuple[str, ...]:
+def files(scene: AbstractModel) -> tuple[str, ...]:
     """Names of the files that ``write`` leaves for a scene."""
     return (*FILES, "resultants.csv") if isinstance(scene, Joint) and scene.in_motion else FILES
 
 
-def _as_run(scene: AbstractScene, run: Run) -> AbstractScene:
+def _as_run(scene: AbstractModel, run: Run) -> AbstractModel:
     """The scene at the rung that was chosen for it, if one was."""
     return resolved(scene, run.choice.fidelity) if isinstance(scene, Joint) and run.choice else scene
 

@@ -8,7 +8,6 @@ once and gets rates and force directions from it.
 from __future__ import annotations
 
 from functools import partial
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,52 +18,13 @@ from jax.core import Tracer
 from bcfj_jax.contact.laws import onset_force
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.numerics import positive, smooth_ramp
-from bcfj_jax.mechanism.scene import Contact, Params, Scene
-
-APART, TOUCHING, STICKING, SLIDING = range(4)
-STATES = ("apart", "touching", "sticking", "sliding")
-UNKNOWN = -1
+from bcfj_jax.mechanism.model import Params, Reading
+from bcfj_jax.mechanism.scene import Contact, Scene
 
 # Contacts until the end of a run whose errors, all of one sign at worst, the tolerance already allows for.
 _MANY = 5.0
 # A flight of so many contacts' length shifts a force by no more than the tolerance allows for.
 _RARE = 10.0
-
-
-class Reading(NamedTuple):
-    """What one contact does at one instant (or at each of T instants).
-
-    Attributes:
-        force: (..., 3) normal, axial, tangential force [N] on the body; 1-D contacts have only the first.
-        penetration: (...,) overlap of the undeformed surfaces [m]; negative is the gap.
-        rate: (...,) rate of the penetration [m/s], positive while approaching.
-        slip: (...,) sliding speed [m/s]; None in scenes that only approach.
-    """
-
-    force: Array
-    penetration: Array
-    rate: Array
-    slip: Array | None = None
-
-
-def contact_state(normal: np.ndarray, slip: np.ndarray | None = None, transition: float | None = None) -> np.ndarray:
-    """What a contact is doing, as codes that count ``STATES``, of the shape of its normal force; ``UNKNOWN`` where NaN.
-
-    Apart: no normal force, because damping lets go in a rebound or for a gap; a smoothed onset bears a little across
-    a gap, which the caller takes out. Touching: a force, without friction. With friction: sticking
-    where it slides slower than friction's transition speed (these laws creep under load, so nothing ever stands),
-    sliding from there on.
-
-    Args:
-        normal: normal force [N] of either sign.
-        slip, transition: sliding speed and friction's transition speed [m/s]; none without friction.
-    """
-    state = np.where(normal == 0.0, APART, TOUCHING)
-    unknown = np.isnan(normal)
-    if slip is not None and transition is not None:
-        state = np.where(state == APART, APART, np.where(slip < transition, STICKING, SLIDING))
-        unknown = unknown | np.isnan(slip)
-    return np.where(unknown, UNKNOWN, state).astype(np.int8)
 
 
 def coordinates(scene: Scene) -> int:
@@ -163,6 +123,8 @@ def state_scales(scene: Scene, params: Params) -> Array:
 def error_sizes(scene: Scene, params: Params, end: Array) -> Array:
     """What a step's error is measured in: ``state_scales``, less where contacts are many until ``end`` [s], or rare.
 
+    For an infinite end: ``state_scales``.
+
     Every rebound adds its error to the speed, and to the energy: twice the contacts ask for half of it. A speed that is
     wrong shifts the next touch by that part of a flight, and a force that lasts a thousandth of it is gone: errors go
     as flight over contact (benchmarks/solve/levels.py: to the power 0.99).
@@ -171,7 +133,8 @@ def error_sizes(scene: Scene, params: Params, end: Array) -> Array:
     if scene.flight is None:
         return sizes
     flight = scene.flight(params)
-    return sizes * jnp.minimum(1.0, _MANY * flight / end) * jnp.minimum(1.0, _RARE * contact_time(sizes) / flight)
+    finer = jnp.minimum(1.0, _MANY * flight / end) * jnp.minimum(1.0, _RARE * contact_time(sizes) / flight)
+    return sizes * jnp.where(jnp.isinf(end), 1.0, finer)
 
 
 def contact_time(sizes: Array) -> Array:
@@ -179,7 +142,7 @@ def contact_time(sizes: Array) -> Array:
     return 3.0 * sizes[0] / sizes[-1]
 
 
-def check_start(scene: Scene, params: Params) -> None:
+def check_start(scene: Scene, params: Params, where: str = "") -> None:
     """Refuse a body that a smoothed onset throws out, under a law whose damping goes by the approach speed.
 
     Such a law is rigid to a body that leaves at more than the speed it is told of. Batched and traced values pass.
@@ -196,7 +159,31 @@ def check_start(scene: Scene, params: Params) -> None:
         if thrown:
             found = f"an onset of {width:g} m throws out the body, which starts {float(gap):g} m away"
             remedy = "give less smoothing, a start further away, or a law without restitution (memory_free)"
-            raise InputError(f"scene '{scene.kind}' smoothing", found, remedy)
+            raise InputError((where or f"scene '{scene.kind}'") + " smoothing", found, remedy)
+
+
+def place(scene: Scene, params: Params, times: np.ndarray) -> dict[str, float]:
+    """``AbstractModel.envelope``'s numbers."""
+    p = {name: float(value) for name, value in params.items()}
+    sizes = state_scales(scene, params)
+    depth, speed, contact = float(sizes[0]), float(sizes[-1]), float(contact_time(sizes))
+    found = {"onset": p.get("smoothing", 0.0) / depth, "loss": _loss(p, depth, speed)}
+    if "exponent" in p:
+        found["exponent"] = p["exponent"]
+    if scene.flight is not None:
+        flight = float(scene.flight(params))
+        found |= {"flights": float(times[-1]) / flight, "rarity": flight / contact}
+    else:
+        found["durations"] = float(times[-1]) / contact
+    return found
+
+
+def _loss(p: dict[str, float], depth: float, speed: float) -> float:
+    if "restitution" in p:
+        return 1.0 - p["restitution"]
+    if "dashpot" in p:
+        return p["dashpot"] * depth / (p["mass"] * speed)
+    return p.get("damping", 0.0) * speed
 
 
 @partial(jax.jit, static_argnums=0)

@@ -6,20 +6,18 @@ in the parameters, a flat dict of float64 scalars that may be traced, batched an
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
 from bcfj_jax.contact.laws import AbstractLaw
-from bcfj_jax.core.errors import InputError, nearest
-from bcfj_jax.core.quantities import CATALOGUE, Quantity, check_order
-from bcfj_jax.core.quantities import check_value as check_value
-
-Params = Mapping[str, Array]
+from bcfj_jax.core.quantities import CATALOGUE, Quantity
+from bcfj_jax.mechanism.model import AbstractModel, ModelTraits, Params, Reading
 
 
 class Body(eqx.Module):
@@ -52,6 +50,10 @@ class Contact(eqx.Module):
     first: Callable[[Array, Array, Params], Array] | None = eqx.field(static=True, default=None)
 
     @property
+    def friction(self) -> None:
+        """None: it only approaches."""
+
+    @property
     def remembers(self) -> bool:
         """Whether the contact carries a state of its own: its last approach speed."""
         return self.memory_rate is not None and "approach_speed" in self.law.needs
@@ -71,52 +73,7 @@ class Load(eqx.Module):
     needs: tuple[str, ...] = eqx.field(static=True)
 
 
-class AbstractScene:
-    """What every kind of scene says about itself, and the making of its parameters. Every scene is a static module.
-
-    Attributes:
-        kind: name of the family the scene belongs to.
-        contacts: what touches; each has a ``name`` and a ``law``.
-        defaults: default value of every parameter that has one, SI.
-        samples: a number of output times over the horizon that resolves a contact.
-        horizon: (params) -> a sensible end time [s] where the user gives none.
-        quantities: every parameter the scene has, in a readable order, by name.
-    """
-
-    kind: str
-    contacts: tuple[Any, ...]
-    samples: int
-    defaults: Any
-    horizon: Any
-    quantities: Any
-
-    def parameters(self, values: Mapping[str, ArrayLike] | None = None, **more: ArrayLike) -> dict[str, Array]:
-        """The scene's parameters as a pytree of float64 leaves, SI; those without a default only where given.
-
-        Args:
-            values: values by name (for names with a dot in them).
-            more: values by name. A value may be a number, an array (a batch for ``vmap``) or traced.
-
-        Raises:
-            InputError: for a name the scene does not have (with the nearest it has) and for a number
-                outside its quantity's range.
-        """
-        given = {**(values or {}), **more}
-        known = self.quantities
-        for name, value in given.items():
-            if name not in known:
-                raise InputError(f"scene '{self.kind}'", f"no parameter '{name}' = {value}", nearest(name, known))
-            check_value(f"scene '{self.kind}'", known[name], value)
-        defaults = dict(self.defaults)
-        check_order(f"scene '{self.kind}'", known, {**defaults, **given})
-        return {
-            name: jnp.asarray(given[name] if name in given else defaults[name], dtype=jnp.float64)
-            for name in known
-            if name in given or name in defaults
-        }
-
-
-class Scene(AbstractScene, eqx.Module):
+class Scene(AbstractModel):
     """Static structure of a simulation.
 
     Attributes:
@@ -151,3 +108,48 @@ class Scene(AbstractScene, eqx.Module):
         names += [body.mass for body in self.bodies]
         names += [*self.needs, *(name for load in self.loads for name in load.needs)]
         return {name: CATALOGUE[name] for name in dict.fromkeys(names)}
+
+    @property
+    def traits(self) -> ModelTraits:
+        """A few springs: oscillatory, not stiff."""
+        return ModelTraits()
+
+    def initial_state(self, params: Params) -> Array:
+        """``dynamics.initial_state``."""
+        return _dynamics().initial_state(self, params)
+
+    def vector_field(self, t: Array, y: Array, prepared: Any) -> Array:
+        """``dynamics.field``."""
+        return _dynamics().field(t, y, (self, prepared))
+
+    def error_scale(self, params: Params, end: ArrayLike = jnp.inf) -> Array:
+        """``dynamics.error_sizes``."""
+        return _dynamics().error_sizes(self, params, jnp.asarray(end))
+
+    def tolerance(self, force_error: float) -> float:
+        """In proportion: the force error of random impacts and bounces stays below (``benchmarks/solve/levels.py``)."""
+        return 5e-4 * force_error
+
+    def observe(self, t: Array, y: Array, prepared: Any) -> dict[str, Reading]:
+        """``dynamics.observe``."""
+        return _dynamics().observe(self, y, prepared)
+
+    def check(self, params: Params, where: str = "") -> None:
+        """``dynamics.check_start``."""
+        _dynamics().check_start(self, params, where)
+
+    def coordinates(self) -> dict[str, tuple[int, int]]:
+        """Every body's, numbered where it has several."""
+        names = [f"{b.name}.{k}" if b.coordinates > 1 else b.name for b in self.bodies for k in range(b.coordinates)]
+        return {name: (k, len(names) + k) for k, name in enumerate(names)}
+
+    def envelope(self, params: Params, times: np.ndarray) -> tuple[dict[str, float], list[str]]:
+        """``dynamics.place``."""
+        return _dynamics().place(self, params, times), []
+
+
+def _dynamics() -> Any:
+    """The module that computes a scene; it imports this one."""
+    from bcfj_jax.mechanism import dynamics
+
+    return dynamics

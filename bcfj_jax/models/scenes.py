@@ -10,7 +10,7 @@ millisecond show among flights of a tenth of a second. The numbers of ``joint`` 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 
 import jax.numpy as jnp
 from jax import Array
@@ -18,9 +18,9 @@ from jax import Array
 from bcfj_jax.contact import laws as normal_laws
 from bcfj_jax.contact.restitution import undamped_duration
 from bcfj_jax.core.errors import InputError, nearest
-from bcfj_jax.mechanism.scene import AbstractScene, Body, Contact, Load, Params, Scene
-from bcfj_jax.models.joint import scene as joints
-from bcfj_jax.models.joint.scene import CONTACTS, GROOVES, PILOTS, Joint, JointContact
+from bcfj_jax.mechanism.model import AbstractModel, Params
+from bcfj_jax.mechanism.scene import Body, Contact, Load, Scene
+from bcfj_jax.models.joint.model import joint
 
 _STEEL_BALL = {
     "stiffness": 1.3476e10,
@@ -178,88 +178,10 @@ def bounce(law: str = "memory_free", elastic: str | None = None, smoothing: bool
     )
 
 
-def joint(
-    law: str = "memory_free",
-    elastic: str | None = None,
-    smoothing: bool = True,
-    friction: bool | str = True,
-    laws: Mapping[str, str] | None = None,
-    frictions: Mapping[str, bool | str] | None = None,
-    contacts: Sequence[str] | None = None,
-    track: str = "gothic",
-    spin: bool = False,
-    cage: str = "free",
-    head: str = "free",
-    drive: str = "prescribed",
-    fidelity: str = "dynamic",
-    balls: int = 6,
-) -> Joint:
-    """The ball-cage flexible joint: a driven seat, a loaded head, a cage and balls (physics sheet 5).
-
-    What an option takes out is not in the program. Force components: ``joint.observe``.
-
-    Args:
-        law, elastic, smoothing: as ``impact``, for every contact. A law stated by restitution takes the parameter
-            ``approach_speed`` for all impacts, as the paper does.
-        friction: False for none, True for Brown-McPhee, or a name of ``laws.FRICTION``.
-        laws, frictions: other normal-force and friction laws for contacts by name.
-        contacts: those in the program (``joint.scene.CONTACTS``); by default all, less seat_cage if the cage is fixed.
-        track: "gothic" or "circular" section of the tracks.
-        spin: whether balls turn, and so roll; without, a ball is a particle at its centre.
-        cage: "free", or "fixed" to the bisecting plane.
-        head: "free" to shift, or "fixed" at the centre; it turns either way.
-        drive: "prescribed" speed of the seat, or "flexible".
-        fidelity: "dynamic"; "quasistatic": equilibrium at each angle; "kinematic": closed-form load sharing; "auto":
-            ``simulate`` takes the cheapest that keeps the accuracy asked for (``bcfj_jax.models.joint.fidelity``).
-        balls: their number, at least 3.
-
-    Raises:
-        InputError: for a name that is not known, and for contacts that do not make a joint.
-    """
-    where = "scene 'joint'"
-    choices = {"track": joints.TRACKS, "cage": joints.CAGES, "head": joints.HEADS}
-    choices |= {"drive": joints.DRIVES, "fidelity": (*joints.FIDELITIES, joints.AUTO)}
-    given = {"track": track, "cage": cage, "head": head, "drive": drive, "fidelity": fidelity}
-    for name, value in given.items():
-        if value not in choices[name]:
-            raise InputError(f"{where} {name}", f"no {name} '{value}'", nearest(value, choices[name]))
-    if balls < 3:
-        raise InputError(f"{where} balls", f"{balls} balls", "give 3 or more")
-    names = tuple(contacts) if contacts is not None else CONTACTS[1:] if cage == "fixed" else CONTACTS
-    for group, what in ((names, "contacts"), (laws or {}, "laws"), (frictions or {}, "frictions")):
-        for name in group:
-            if name not in CONTACTS:
-                raise InputError(f"{where} {what}", f"no contact '{name}'", nearest(name, CONTACTS))
-            if name not in names:
-                found = f"'{name}' is not among the contacts"
-                raise InputError(f"{where} {what}", found, f"there are {', '.join(names)}")
-    for name, value in (laws or {}).items():
-        if value not in normal_laws.LAWS:
-            raise InputError(f"{where} laws", f"{name}: no law '{value}'", nearest(value, normal_laws.LAWS))
-    missing = [name for name in GROOVES if name not in names]
-    if missing:
-        raise InputError(f"{where} contacts", f"without {missing[0]}", "balls need both tracks to carry torque")
-    if cage == "fixed" and "seat_cage" in names:
-        raise InputError(f"{where} contacts", "seat_cage with a fixed cage", "leave it out: the two never touch")
-    if cage == "free" and fidelity == "quasistatic" and not set(PILOTS) & set(names):
-        found = "nothing but the windows holds a free cage: it has no equilibrium"
-        raise InputError(f"{where} contacts", found, f"add {' or '.join(PILOTS)}, or give cage = 'fixed'")
-    ordered = [name for name in CONTACTS if name in names]
-    made = tuple(
-        JointContact(
-            name,
-            normal_laws.make((laws or {}).get(name, law), elastic),
-            normal_laws.make_friction((frictions or {}).get(name, friction)),
-        )
-        for name in ordered
-    )
-    return Joint(made, balls, track, spin, cage, head, drive, smoothing, fidelity)
+SCENES: dict[str, Callable[..., AbstractModel]] = {"impact": impact, "bounce": bounce, "joint": joint}
 
 
-SCENES: dict[str, Callable[..., AbstractScene]] = {"impact": impact, "bounce": bounce, "joint": joint}
-
-
-def make(kind: str, **options: object) -> AbstractScene:
+def make(kind: str, **options: object) -> AbstractModel:
     """A built-in scene by name, with its options.
 
     Raises:

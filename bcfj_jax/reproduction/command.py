@@ -12,7 +12,7 @@ import numpy as np
 
 from bcfj_jax.io import outputs, report
 from bcfj_jax.io.units import format_si
-from bcfj_jax.mechanism.scene import Params
+from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint.scene import Joint
 from bcfj_jax.models.scenes import joint
 from bcfj_jax.reproduction import pictures, tables

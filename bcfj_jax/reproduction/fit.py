@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import qmc
 
-from bcfj_jax.mechanism.scene import Params
+from bcfj_jax.mechanism.model import Params
 from bcfj_jax.reproduction.claims import claim
 from bcfj_jax.reproduction.peaks import TARGETS, peaks, still_scene
 

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.mechanism.scene import Params
+from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint.quasistatic import Found, quasistatic_forces, quasistatic_places
 from bcfj_jax.models.joint.scene import Joint
 from bcfj_jax.models.scenes import joint

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bcfj_jax.io.units import format_si
-from bcfj_jax.mechanism.scene import Params
+from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint.defaults import DEFAULTS
 from bcfj_jax.reproduction.claims import CLAIMS, FIGURE, INPUT, Claim
 from bcfj_jax.reproduction.fit import ERROR, KNOWN, UNKNOWNS, PeakFit, combination, targets

@@ -1,15 +1,15 @@
 """The one place that decides solver, step control, output and failure handling.
 
 Accuracy is stated as an error of the contact force in fractions of its peak; ``plan`` turns it into a
-tolerance, ``integrate`` runs it. Which solver a scene gets:
+tolerance, ``integrate`` runs it. Which solver a model gets follows from its traits:
 
-| scene | solver | why |
+| model | solver | why |
 |---|---|---|
-| ``impact``, ``bounce`` | Tsit5 | a few elastic or damped springs are oscillatory, not stiff: explicit wins |
-| ``joint``, values | RODAS3 on the arrowhead | friction is stiff; no iteration, so no lane of a batch waits |
-| ``joint``, derivatives | SDIRK2 on the arrowhead | every stage implicit and converged: tangents stay bounded |
-| ... tighter than 0.05 % | BDF on the arrowhead | tangents' own error controlled: high order, one matrix a step |
-| ``joint``, quasistatic or kinematic | none | each instant on its own: equilibrium, or closed form |
+| not stiff | Tsit5 | a few elastic or damped springs are oscillatory, not stiff: explicit wins |
+| stiff, values | RODAS3 on the model's structure | friction is stiff; no iteration, so no lane of a batch waits |
+| stiff, derivatives | SDIRK2 on the model's structure | every stage implicit and converged: tangents stay bounded |
+| ... tighter than 0.05 % | BDF on the model's structure | tangents' own error controlled: high order, one matrix a step |
+| without a history | none | each instant is solved for itself: equilibrium, or closed form |
 
 Tsit5 and not Dopri8: Tsit5 evaluates the force at the end of a step and weighs it in the error estimate, so a
 flight cannot end inside a surface unnoticed; Dopri8 does not, and was seen to fall through a bounce's
@@ -29,17 +29,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.core.errors import InputError, nearest
-from bcfj_jax.core.status import NOT_FINITE, OK, SOLVER, STEPS, UNBALANCED, code_of
-from bcfj_jax.mechanism.dynamics import error_sizes, field, initial_state
-from bcfj_jax.mechanism.scene import AbstractScene, Params, Scene
-from bcfj_jax.models.joint.arrowhead import Arrowhead
-from bcfj_jax.models.joint.constants import constants
-from bcfj_jax.models.joint.kinematic import kinematic_states
-from bcfj_jax.models.joint.quasistatic import QuasistaticSolution, quasistatic
-from bcfj_jax.models.joint.scales import scales as joint_scales
-from bcfj_jax.models.joint.scales import tolerance as joint_tolerance
-from bcfj_jax.models.joint.scene import AUTO, FIDELITIES, Joint
-from bcfj_jax.models.joint.start import nominal
+from bcfj_jax.core.status import NOT_FINITE, OK, SOLVER, STEPS, code_of
+from bcfj_jax.mechanism.model import AbstractModel, Params, Solution
 from bcfj_jax.solve import bdf, named
 from bcfj_jax.solve.batched_jvp import together
 from bcfj_jax.solve.rodas import Rodas
@@ -50,25 +41,26 @@ LEVELS = {"fast": 5e-2, "balanced": 1e-2, "reference": 1e-5}
 # Attempted steps that a run may take where nothing else is asked for.
 MAX_STEPS = 400_000
 
-# Local error per step, in units of dynamics.error_sizes, per unit of force error asked for. Derived by
-# benchmarks/solve/levels.py: the force error of random impacts and bounces stays below what was asked with this ratio.
-_TOLERANCE_PER_ERROR = 5e-4
-
-# Force error below which tangents count in the step control. A ball that carries nothing swings below 1 N, and
-# tangents hang on its phase: loose steps damp the swing, and tight ones resolve it only where the tangents' own error
-# is asked for (benchmarks/models/joint_derivatives.py: 34 % off without at a tolerance of 1e-4, 0.9 % with at 2e-4).
+# Force error below which a stiff model's tangents count in the step control. In the joint a ball that carries nothing
+# swings below 1 N, and tangents depend on its phase: loose steps damp the swing, and tight ones resolve it only where
+# the tangents' own error is controlled. At a tolerance of 1e-4 tangents are 34 % off without, and at 2e-4 0.9 % with
+# (benchmarks/models/joint_derivatives.py).
 _TANGENTS_BELOW = 5e-4
 
-# What no step can better, in units of the state itself: a body far away must not wait for it.
+# Relative tolerance at rounding level, so that large positions do not cause rejections.
 _ROUNDING = 4e-16
+# Of stiff models, whose steps begin short and may be rejected many times: length [s] below which a run has failed.
+_SHORTEST = 1e-15
+# Proportional and integral gain of the step control.
+_GAINS = {True: (0.4, 0.3), False: (0.2, 0.5)}
 
 
 class Plan(eqx.Module):
-    """How a scene will be integrated.
+    """How a model will be integrated.
 
-    ``tolerance`` may be traced: changing it does not compile again; changing the rest does. ``tangents``: whether the
-    joint's steps are chosen for the error of its forward tangents, too. ``solver``: a name of ``solvers.named``, where
-    the scene's own is not wanted.
+    ``tolerance`` may be traced: changing it does not compile again; changing the rest does. ``tangents``: whether a
+    stiff model's steps are chosen for the error of its forward tangents, too. ``solver``: a name of ``solve.named``,
+    where the model's own is not wanted.
     """
 
     tolerance: Array
@@ -77,26 +69,16 @@ class Plan(eqx.Module):
     solver: str | None = eqx.field(static=True, default=None)
 
 
-class Solution(NamedTuple):
-    """Raw outcome: states (T, n) at the times asked for, NaN from a failure on; a code; where it ended."""
-
-    states: Array
-    code: Array
-    end: Array
-    accepted: Array
-    rejected: Array
-
-
 def plan(
-    scene: AbstractScene, accuracy: str | float = "balanced", max_steps: int = MAX_STEPS, solver: str | None = None
+    model: AbstractModel, accuracy: str | float = "balanced", max_steps: int = MAX_STEPS, solver: str | None = None
 ) -> Plan:
-    """Tolerance for a scene and an accuracy.
+    """Tolerance for a model and an accuracy.
 
     Args:
-        scene: what will be integrated.
+        model: what will be integrated.
         accuracy: a level (``LEVELS``) or the tolerated force error as a fraction of the peak, 1e-9 to 0.5.
         max_steps: budget of attempted steps; beyond it a run fails with that reason.
-        solver: a name of ``solvers.named`` in place of the scene's own.
+        solver: a name of ``solve.named`` in place of the model's own.
 
     Raises:
         InputError: for an unknown level or solver, an error out of range, a budget below 1, and where the host has
@@ -108,17 +90,25 @@ def plan(
         )
     if max_steps < 1:
         raise InputError("max_steps", f"{max_steps}", "give 1 or more")
+    error, stiff = force_error(accuracy), model.traits.stiff
+    named.check(solver, stiff)
+    tangents = solver == "bdf" or (solver is None and stiff and error < _TANGENTS_BELOW)
+    return Plan(jnp.asarray(model.tolerance(error), dtype=jnp.float64), max_steps, tangents, solver)
+
+
+def force_error(accuracy: str | float) -> float:
+    """Force error that a level or a number asks for, as a fraction of the peak.
+
+    Raises:
+        InputError: for an unknown level and for an error outside 1e-9 to 0.5.
+    """
     if isinstance(accuracy, str):
         if accuracy not in LEVELS:
             raise InputError("accuracy", f"no level '{accuracy}'", nearest(accuracy, LEVELS))
-        accuracy = LEVELS[accuracy]
+        return LEVELS[accuracy]
     if not 1e-9 <= accuracy <= 0.5:
         raise InputError("accuracy", f"force_error = {accuracy:g}", "give a fraction of the peak from 1e-9 to 0.5")
-    joint = isinstance(scene, Joint)
-    tolerance = joint_tolerance(accuracy) if joint else _TOLERANCE_PER_ERROR * accuracy
-    named.check(solver, joint)
-    tangents = solver == "bdf" or (solver is None and joint and accuracy < _TANGENTS_BELOW)
-    return Plan(jnp.asarray(tolerance, dtype=jnp.float64), max_steps, tangents, solver)
+    return accuracy
 
 
 def _safe_norm(scaled_error: Array) -> Array:
@@ -128,7 +118,12 @@ def _safe_norm(scaled_error: Array) -> Array:
 
 
 class Problem(NamedTuple):
-    """A scene as diffrax takes it. ``gains``: proportional and integral, of the step control."""
+    """A model with its parameters as diffrax takes it.
+
+    Attributes:
+        args: (model, what it has prepared).
+        gains: proportional and integral, of the step control.
+    """
 
     field: Callable
     args: Any
@@ -141,62 +136,54 @@ class Problem(NamedTuple):
     norm: Callable[[Array], Array] = _safe_norm
 
 
-def problem(scene: AbstractScene, params: Params, end: Array, how: Plan, differentiable: bool) -> Problem:
-    """A scene with a history, to be solved until ``end`` [s]."""
-    if isinstance(scene, Joint):
-        c = constants(scene, params)
-        scales = jax.lax.stop_gradient(joint_scales(scene, params, end))
-        implicit = differentiable or how.solver in ("sdirk2", "bdf")
-        solver = Sdirk(Arrowhead(), how.tolerance * scales) if implicit else Rodas(Arrowhead())
-        start = nominal(scene, params, jnp.zeros(()))
-        force, last = solver.structure.field, jax.lax.stop_gradient(end)
-        first = jnp.where(last > 0, jnp.minimum(1e-6, 1e-2 * last), 1e-6)
-        return Problem(force, (scene, c), start, scales, first, 1e-15, (0.4, 0.3), solver)
-    assert isinstance(scene, Scene)
-    scales = jax.lax.stop_gradient(error_sizes(scene, params, end))
-    start, solver = initial_state(scene, params), named.SPRINGS[how.solver or "tsit5"]()
-    return Problem(field, (scene, params), start, scales, 1e-2 * scales[0] / scales[-1], None, (0.2, 0.5), solver)
+def problem(model: AbstractModel, params: Params, end: Array, how: Plan, differentiable: bool) -> Problem:
+    """A model with a history, to be solved until ``end`` [s]."""
+    stiff = model.traits.stiff
+    prepared, start = model.prepare(params), model.initial_state(params)
+    scales = jax.lax.stop_gradient(model.error_scale(params, end))
+    first = jnp.asarray(model.first_step(params, scales), dtype=jnp.float64)
+    gains = _GAINS[stiff]
+    if not stiff:
+        solver = named.NOT_STIFF[how.solver or "tsit5"]()
+        return Problem(_field, (model, prepared), start, scales, first, None, gains, solver)
+    last = jax.lax.stop_gradient(end)
+    first = jnp.where(last > 0, jnp.minimum(first, 1e-2 * last), first)
+    structure, implicit = model.structure(), differentiable or how.solver in ("sdirk2", "bdf")
+    solver = Sdirk(structure, how.tolerance * scales) if implicit else Rodas(structure)
+    return Problem(structure.field, (model, prepared), start, scales, first, _SHORTEST, gains, solver)
 
 
-def _without_inertia(scene: Joint, params: Params, times: Array) -> Solution:
-    """States of the fidelities that have no history: each instant on its own."""
-    if scene.fidelity == "kinematic":
-        return Solution(kinematic_states(scene, params, times), jnp.asarray(OK), times[-1], *[jnp.asarray(0)] * 2)
-    return at_rest(quasistatic(scene, params, times), times)
-
-
-def at_rest(found: QuasistaticSolution, times: Array) -> Solution:
-    """Equilibria as a run gives its states: it ends where the first was not found."""
-    good = jnp.all(found.converged)
-    code, end = jnp.where(good, OK, UNBALANCED), jnp.where(good, times[-1], times[jnp.argmin(found.converged)])
-    return Solution(found.states, code, end, jnp.sum(found.iterations), jnp.asarray(0))
+def _field(t: Any, y: Array, args: tuple[AbstractModel, Any]) -> Array:
+    model, prepared = args
+    return model.vector_field(t, y, prepared)
 
 
 def integrate(
-    scene: AbstractScene, params: Params, times: Array, how: Plan, adjoint: dfx.AbstractAdjoint,
+    model: AbstractModel, params: Params, times: Array, how: Plan, adjoint: dfx.AbstractAdjoint,
     differentiable: bool = False,
 ) -> Solution:  # fmt: skip
     """Integrate from time 0 and return the states at ``times`` (a time before 0 reads the initial state).
 
-    Pure: jit, vmap, and the derivatives that ``adjoint`` supports go through; those of a joint only where
+    Pure: jit, vmap, and the derivatives that ``adjoint`` supports go through; those of a stiff model only where
     ``differentiable`` asks for the solver that is meant for them. Never raises for a failed run: its states are NaN
     from there on and ``code`` says why.
 
     Raises:
-        InputError: for derivatives by a solver that has none, and for a joint whose fidelity is not chosen yet.
+        InputError: for derivatives by a solver that has none, and for a model that is not chosen yet.
     """
-    times = jnp.maximum(times, 0.0)
-    if isinstance(scene, Joint) and scene.fidelity == AUTO:
-        remedy = f"give one of {', '.join(FIDELITIES)}: simulate alone chooses, and its run says what"
-        raise InputError("scene 'joint' fidelity", "'auto', which is no model", remedy)
-    if isinstance(scene, Joint) and scene.fidelity != "dynamic":
-        return _without_inertia(scene, params, times)
+    times, traits = jnp.maximum(times, 0.0), model.traits
+    if traits.open:
+        names = ", ".join(level.name for level in model.coarser())
+        remedy = f"give one of {names}: simulate alone chooses, and its run says what"
+        raise InputError(f"scene '{model.kind}' fidelity", f"'{model.title}' is no model yet", remedy)
+    if not traits.history:
+        return model.instants(params, times)[0]
     if differentiable and how.solver in named.VALUES_ONLY:
         raise InputError("solver", f"'{how.solver}' has no derivatives", "leave it out, or take sdirk2 or bdf")
-    posed = problem(scene, params, times[-1], how, differentiable)
-    if isinstance(scene, Joint) and differentiable and isinstance(adjoint, dfx.ForwardMode):
+    posed = problem(model, params, times[-1], how, differentiable)
+    if traits.stiff and differentiable and isinstance(adjoint, dfx.ForwardMode):
         return _with_tangents(posed, times, how)
-    if isinstance(scene, Joint) and how.solver == "bdf" and not differentiable:
+    if traits.stiff and how.solver == "bdf" and not differentiable:
         assert isinstance(posed.solver, Sdirk)
         found = _by_bdf(posed, posed.solver, None, posed.start[None], times, how)
         return found._replace(states=found.states[:, 0])
@@ -252,15 +239,15 @@ def _by_bdf(problem: Problem, solver: Sdirk, changes: tuple | None, start: Array
 
 
 def _with_tangents(problem: Problem, times: Array, how: Plan) -> Solution:
-    """A run whose forward tangents are solved beside it (``solvers.tangents``)."""
-    scene, _ = problem.args
+    """A run whose forward tangents are solved beside it (``solve.tangents``)."""
+    model, _ = problem.args
     assert isinstance(problem.solver, Sdirk)
     structure, controlled = problem.solver.structure, how.tangents
 
     def of(x: tuple) -> tuple[Problem, Sdirk, Array, Plan]:
         c, start, times, scales, first, tolerance = x
         solver = Sdirk(structure, tolerance * scales)
-        made = problem._replace(args=(scene, c), start=start, scales=scales, first_step=first, solver=solver)
+        made = problem._replace(args=(model, c), start=start, scales=scales, first_step=first, solver=solver)
         return made, solver, times, Plan(tolerance, how.max_steps)
 
     def value(x: tuple) -> tuple[Array, tuple]:
@@ -275,11 +262,11 @@ def _with_tangents(problem: Problem, times: Array, how: Plan) -> Solution:
         by_start = jnp.zeros((count, made.start.size)) if by_start is None else by_start
         start = jnp.concatenate([made.start[None], by_start])
         if controlled:
-            found, *rest = _by_bdf(made, solver, (scene, by_args), start, times, how)
+            found, *rest = _by_bdf(made, solver, (model, by_args), start, times, how)
         else:
             rows = made._replace(
                 field=lambda t, rows, args: rows.at[0].set(made.field(t, rows[0], args[0])),
-                args=(made.args, (scene, by_args)), start=start, solver=SdirkTangents(solver),
+                args=(made.args, (model, by_args)), start=start, solver=SdirkTangents(solver),
                 norm=lambda errors: _safe_norm(errors[0]),
             )  # fmt: skip
             found, *rest = _solved(rows, times, how, dfx.ForwardMode())

@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from bcfj_jax.solve.structure import AbstractStructure
+from bcfj_jax.mechanism.structure import AbstractStructure
 
 GAMMA = 0.5
 # Stage i solves  (1/(h gamma) - J) k_i = f(t0 + c_i h, y0 + sum_j a_ij k_j) + sum_j C_ij k_j / h + g_i h f_t.

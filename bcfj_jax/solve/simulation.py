@@ -17,22 +17,17 @@ from jax.typing import ArrayLike
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.quantities import increasing
 from bcfj_jax.core.status import OK, reason
-from bcfj_jax.mechanism.dynamics import Reading, check_start, contact_state, observe
-from bcfj_jax.mechanism.scene import AbstractScene, Params, Scene
-from bcfj_jax.models.joint.checks import check_joint
-from bcfj_jax.models.joint.constants import constants
-from bcfj_jax.models.joint.fidelity import Choice, adaptive
-from bcfj_jax.models.joint.kinematic import kinematic_readings
-from bcfj_jax.models.joint.observe import contact_states, observe_at_rest, pressed
-from bcfj_jax.models.joint.observe import observe as observe_joint
-from bcfj_jax.models.joint.scene import AUTO, Joint
+from bcfj_jax.mechanism.model import AbstractModel, Choice, Params, Reading, Solution
+from bcfj_jax.mechanism.readings import contact_states
 from bcfj_jax.solve.forward_reverse import two_way
-from bcfj_jax.solve.integrate import LEVELS, MAX_STEPS, Plan, Solution, integrate, plan
+from bcfj_jax.solve.integrate import MAX_STEPS, Plan, force_error, integrate, plan
+from bcfj_jax.solve.measured_error import Accuracy, measured
 
 Mode = Literal["auto", "forward", "reverse"]
 _FORWARD, _REVERSE = dfx.ForwardMode(), dfx.RecursiveCheckpointAdjoint()
-# A joint's gradient is SDIRK2's, whose tangents are not in its step control: 2 % off at this tolerance, and up to 34 %
-# at tighter ones, which resolve the swing of free balls with a wrong phase (docs/derivatives.md).
+# A stiff model's gradient is SDIRK2's, whose tangents are not in its step control: in the joint 2 % off at this
+# tolerance, and up to 34 % at tighter ones, which resolve the swing of free balls with a wrong phase
+# (docs/derivatives.md).
 _BACKWARD = 1e-3
 
 
@@ -42,16 +37,17 @@ class Run(NamedTuple):
     Attributes:
         times: (T,) [s].
         force: per contact (T, 3): normal, axial, tangential force [N].
-            Contacts that every ball has: (T, balls, 3) here and (T, balls) below.
+            Contacts that have k members (balls): (T, k, 3) here and (T, k) below.
         penetration, rate: per contact (T,): overlap [m] (negative: gap) and its rate [m/s].
-        slip: per contact (T,): sliding speed [m/s]; empty for scenes that only approach.
+        slip: per contact (T,): sliding speed [m/s]; empty for models that only approach.
         status: "ok" or "failed"; a failed run is NaN from the failure on.
         reason, failure_time: why and when [s] it failed; "" and NaN for a good run.
         stats: steps accepted and rejected, tolerance, wall and compile seconds.
-        state: per contact (T,): codes of ``dynamics.contact_state`` that count ``dynamics.STATES`` (apart, touching,
+        state: per contact (T,): codes of ``readings.contact_state`` that count ``readings.STATES`` (apart, touching,
             sticking, sliding), -1 where the run failed; empty for a run that ``simulate`` did not make.
-        trajectory: (T, n) the flat states themselves, as ``dynamics`` and ``joint.system`` read them; None likewise.
-        choice: the rung that a joint of fidelity "auto" was run at, and why; None for every other scene.
+        trajectory: (T, n) the flat states themselves, as the model reads them; None likewise.
+        choice: the level at which an ``open`` model was run, and why; None for every other model.
+        accuracy: the error that was measured, where ``measure_error`` asked for it; None without.
     """
 
     times: np.ndarray
@@ -66,22 +62,11 @@ class Run(NamedTuple):
     state: dict[str, np.ndarray] = {}
     trajectory: np.ndarray | None = None
     choice: Choice | None = None
-
-
-def check(scene: AbstractScene, params: Params) -> None:
-    """Refuse what no run can answer: a joint that cannot be built, a start that its law has no answer to.
-
-    Raises:
-        InputError: ``joint.checks.check_joint``, ``dynamics.check_start``.
-    """
-    if isinstance(scene, Joint):
-        check_joint(scene, params)
-    elif isinstance(scene, Scene):
-        check_start(scene, params)
+    accuracy: Accuracy | None = None
 
 
 def outcome(
-    scene: AbstractScene,
+    scene: AbstractModel,
     params: Params,
     times: Array,
     how: Plan,
@@ -93,33 +78,28 @@ def outcome(
     return solution, readings(scene, params, times, solution.states)
 
 
-def readings(scene: AbstractScene, params: Params, times: Array, states: Array) -> dict[str, Reading]:
+def readings(model: AbstractModel, params: Params, times: Array, states: Array) -> dict[str, Reading]:
     """What every contact reads in states (T, n) at times (T,)."""
-    if isinstance(scene, Joint):
-        if scene.fidelity == "kinematic":
-            return kinematic_readings(scene, params, times)
-        c, look = constants(scene, params), observe_at_rest if scene.fidelity == "quasistatic" else observe_joint
-        return jax.vmap(lambda state: look(scene, c, state))(states)
-    assert isinstance(scene, Scene)
-    return jax.vmap(lambda state: observe(scene, state, params))(states)
+    prepared = model.prepare(params)
+    return jax.vmap(lambda t, y: model.observe(t, y, prepared))(jnp.maximum(times, 0.0), states)
 
 
 def _forces(
-    adjoint: dfx.AbstractAdjoint, scene: AbstractScene, params: Params, times: Array, how: Plan, differentiable: bool
+    adjoint: dfx.AbstractAdjoint, scene: AbstractModel, params: Params, times: Array, how: Plan, differentiable: bool
 ) -> dict[str, Array]:
     _, readings = outcome(scene, params, times, how, adjoint, differentiable)
     return {name: reading.force for name, reading in readings.items()}
 
 
-def _backward(scene: AbstractScene, how: Plan) -> Plan:
-    """How a scene is solved for its gradient: a joint's tolerance is held where SDIRK2's derivatives are best."""
-    if not isinstance(scene, Joint):
+def _backward(model: AbstractModel, how: Plan) -> Plan:
+    """How a model is solved for its gradient: a stiff one at the tolerance where SDIRK2's derivatives are best."""
+    if not model.traits.stiff:
         return how
     return eqx.tree_at(lambda p: p.tolerance, how, jnp.maximum(how.tolerance, _BACKWARD))
 
 
 def force_history(
-    scene: AbstractScene,
+    scene: AbstractModel,
     params: Params,
     times: ArrayLike,
     *,
@@ -163,7 +143,7 @@ def force_history(
 
 
 @eqx.filter_jit
-def _run(scene: AbstractScene, params: Params, times: Array, how: Plan) -> tuple[Solution, dict[str, Reading]]:
+def _run(scene: AbstractModel, params: Params, times: Array, how: Plan) -> tuple[Solution, dict[str, Reading]]:
     return outcome(scene, params, times, how, _FORWARD)
 
 
@@ -171,40 +151,50 @@ _compiled: dict[object, Callable[..., tuple[Solution, dict[str, Reading]]]] = {}
 
 
 def simulate(
-    scene: AbstractScene,
+    scene: AbstractModel,
     params: Params,
     times: ArrayLike,
     *,
     accuracy: str | float = "balanced",
     max_steps: int = MAX_STEPS,
     solver: str | None = None,
+    measure_error: bool = False,
 ) -> Run:
-    """Simulate a scene and say how it went.
+    """Simulate a model and say how it went.
 
-    Compiles once per scene and number of times; new parameter values, times and accuracies reuse it.
+    Compiles once per model and number of times; new parameter values, times and accuracies reuse it.
 
     Args:
-        scene, params, times, accuracy: as ``force_history``.
+        scene: the model; params, times, accuracy: as ``force_history``.
         max_steps: budget of attempted steps; beyond it the run fails with that reason.
-        solver: a name of ``solvers.named`` in place of the scene's own.
+        solver: a name of ``solve.named`` in place of the model's own.
+        measure_error: run the same program again at a tenth of the tolerance, and tell how far the two runs are apart
+            (``Run.accuracy``). Not of a model without a history, which takes no steps.
 
     Raises:
         InputError: for times that are not finite and increasing, an unknown accuracy or solver, a budget below 1, and
-            a scene that ``check`` refuses.
+            a model that its own ``check`` refuses.
     """
     values = increasing(times)
-    check(scene, params)
-    if isinstance(scene, Joint) and scene.fidelity == AUTO:
-        plan(scene, accuracy, max_steps, solver)
-        effort: dict[str, Any] = {"accuracy": accuracy, "max_steps": max_steps, "solver": solver}
-        budget = LEVELS[accuracy] if isinstance(accuracy, str) else accuracy
-        return adaptive(scene, params, values, budget, lambda rung, at: simulate(rung, params, at, **effort))
+    scene.check(params)
+    tolerance = plan(scene, accuracy, max_steps, solver).tolerance
+    if scene.traits.open:
+        same: dict[str, Any] = dict(accuracy=accuracy, max_steps=max_steps, solver=solver, measure_error=measure_error)
+        run = lambda level, at: simulate(level, params, at, **same)  # noqa: E731
+        return scene.choose(params, values, force_error(accuracy), run)
     # Values alone: one program, whether or not derivatives would need their own error controlled.
-    how = Plan(plan(scene, accuracy, max_steps, solver).tolerance, max_steps, solver=solver)
-    return timed(scene, params, values, how)
+    run = timed(scene, params, values, Plan(tolerance, max_steps, solver=solver))
+    if not (measure_error and scene.traits.history):
+        return run
+    finer = timed(scene, params, values, Plan(0.1 * tolerance, max_steps, solver=solver))
+    found = measured(
+        force_error(accuracy), scene.settled_from(params), values, run.force, finer.force,
+        tolerance=run.stats["tolerance"], wall_s=finer.stats["wall_s"],
+    )  # fmt: skip
+    return run._replace(accuracy=found)
 
 
-def timed(scene: AbstractScene, params: Params, values: np.ndarray, how: Plan) -> Run:
+def timed(scene: AbstractModel, params: Params, values: np.ndarray, how: Plan) -> Run:
     """A run as planned, at times (T,) [s], with the seconds it took; nothing is checked."""
     arguments = (scene, dict(params), jnp.asarray(values), how)
     key = (scene, len(values), how.max_steps, how.solver, jax.tree.structure(params))
@@ -216,17 +206,11 @@ def timed(scene: AbstractScene, params: Params, values: np.ndarray, how: Plan) -
     done = time.perf_counter()
     walls = {"wall_s": done - compiled, "compile_s": compiled - begin}
     run = story(scene, values, solution, readings, how, walls)
-    return run._replace(state=_contact_states(scene, params, readings), trajectory=np.asarray(solution.states))
-
-
-def _contact_states(scene: AbstractScene, params: Params, readings: dict[str, Reading]) -> dict[str, np.ndarray]:
-    if isinstance(scene, Joint):
-        return contact_states(scene, params, readings)
-    return {contact.name: contact_state(pressed(readings[contact.name])) for contact in scene.contacts}
+    return run._replace(state=contact_states(scene, params, readings), trajectory=np.asarray(solution.states))
 
 
 def story(
-    scene: AbstractScene,
+    scene: AbstractModel,
     times: np.ndarray,
     solution: Solution,
     readings: dict[str, Reading],

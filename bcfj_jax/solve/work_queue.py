@@ -1,4 +1,4 @@
-"""Many runs of one scene at once, none waiting for another.
+"""Many runs of one model at once, none waiting for another.
 
 ``vmap`` of an adaptive solve goes on until its slowest run ends. Here a batch has a fixed number of slots, each in
 its own run at its own time; a slot whose run ends takes the next run from the queue within the same compiled loop, so
@@ -17,10 +17,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.core.status import NOT_FINITE, OK, SOLVER, STEPS
-from bcfj_jax.mechanism.scene import AbstractScene, Params
-from bcfj_jax.models.joint.quasistatic import quasistatic, zero_clearance
-from bcfj_jax.models.joint.scene import Joint
-from bcfj_jax.solve.integrate import Plan, Solution, at_rest, controller, problem
+from bcfj_jax.mechanism.model import AbstractModel, Params, Solution
+from bcfj_jax.solve.integrate import Plan, controller, problem
 
 # Numbers that a slot reads from a step in one round, and samples at least; for more the step is taken again.
 _READ, _FEWEST = 128, 8
@@ -53,12 +51,12 @@ class _Told(NamedTuple):
 
 
 def integrate_lanes(
-    scene: AbstractScene, params: Params, ends: Array, grid: Array, how: Plan, count: Array, slots: int
+    model: AbstractModel, params: Params, ends: Array, grid: Array, how: Plan, count: Array, slots: int
 ) -> tuple[Solution, Array]:
     """Solve the first ``count`` of N runs. Pure; values only.
 
     Args:
-        scene: one with a history: an ``impact``, a ``bounce``, a dynamic joint.
+        model: one with a history.
         params: leaves (N,).
         ends: (N,) time of each run's last sample [s].
         grid: (T,) increasing from 0 to 1: samples are at ``ends * grid``.
@@ -72,7 +70,7 @@ def integrate_lanes(
     """
     total, rows = ends.size, grid.size
     one = {name: leaf[0] for name, leaf in params.items()}
-    shapes = eqx.filter_eval_shape(lambda p, end: problem(scene, p, end, how, False), one, ends[0])
+    shapes = eqx.filter_eval_shape(lambda p, end: problem(model, p, end, how, False), one, ends[0])
     static = eqx.partition(shapes, lambda x: isinstance(x, jax.ShapeDtypeStruct))[1]
     width = shapes.start.shape[0]
     read = max(_FEWEST, _READ // width)
@@ -83,7 +81,7 @@ def integrate_lanes(
 
     def load(run: Array) -> _Slot:
         at = jnp.minimum(run, total - 1)
-        posed = problem(scene, {name: leaf[at] for name, leaf in params.items()}, ends[at], how, False)
+        posed = problem(model, {name: leaf[at] for name, leaf in params.items()}, ends[at], how, False)
         terms, solver, zero, none = dfx.ODETerm(posed.field), posed.solver, jnp.zeros(()), jnp.zeros((), int)  # pyright: ignore[reportArgumentType]
         goal, control = controller(posed, how).init(
             terms, zero, posed.first_step, posed.start, posed.first_step, posed.args, solver.func,
@@ -166,21 +164,23 @@ def integrate_lanes(
     return Solution(states, code, told.end[:-1], told.accepted[:-1], told.rejected[:-1]), rounds
 
 
-def equilibria(scene: Joint, params: Params, ends: Array, grid: Array) -> Solution:
-    """Equilibria of N joints, each sought from those of the one before it. Pure.
+def equilibria(model: AbstractModel, params: Params, ends: Array, grid: Array) -> Solution:
+    """N runs of a model without a history, each searched for from the one before it. Pure.
 
     Args:
-        scene: a quasistatic joint.
+        model: one whose instants are each solved for themselves.
         params, ends, grid: as ``integrate_lanes``.
 
     Returns:
         As ``integrate`` gives it, with a leading axis (N,).
     """
 
-    def one(near: Any, joint: tuple) -> tuple:
-        params, end = joint
-        times = end * grid
-        found = quasistatic(scene, params, times, near)
-        return found.places, at_rest(found, times)
+    def one(near: Any, run: tuple) -> tuple:
+        values, end = run
+        solution, near = model.instants(values, end * grid, near)
+        return near, solution
 
-    return jax.lax.scan(one, zero_clearance(scene, grid.size), (dict(params), ends))[1]
+    first = {name: leaf[0] for name, leaf in params.items()}
+    shapes = eqx.filter_eval_shape(lambda p, end: model.instants(p, end * grid)[1], first, ends[0])
+    near = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+    return jax.lax.scan(one, near, (dict(params), ends))[1]

@@ -25,7 +25,6 @@ from matplotlib.figure import Figure
 from scipy.stats import spearmanr
 
 import bcfj_jax as bj
-from bcfj_jax.analysis.derivatives.jacobian import channels
 from bcfj_jax.analysis.features import residual_oscillation
 from bcfj_jax.io import plots
 from benchmarks.common import ROOT, markdown, put_in_readme, save
@@ -51,11 +50,11 @@ def studied(points: int, workers: int, every: bool, folder: Path) -> dict[str, A
     table = {
         "scene": {"scene": {"kind": "joint"}, "time": {"end": 3.0, "samples": SAMPLES}},
         "design": {"kind": "list"}, "vary": vary,
-        "results": {"features": [f"{name}.peak" for name in channels(scene)], "histories": True},
+        "results": {"features": [f"{name}.peak" for name in scene.members], "histories": True},
     }  # fmt: skip
     result = bj.study(table, folder, workers=workers)
     found: dict[str, Any] = {"clearance": clearance.tolist(), "failed": result.failed}
-    parts = {name: max(count, 1) for name, count in channels(scene).items()}
+    parts = {name: max(count, 1) for name, count in scene.members.items()}
     for k in range(points):
         times, force = result.forces(k)
         at = 0

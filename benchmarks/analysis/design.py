@@ -17,7 +17,6 @@ import time
 import numpy as np
 
 import bcfj_jax as bj
-from bcfj_jax.analysis.derivatives.jacobian import channels
 from bcfj_jax.analysis.designs import pictures
 from bcfj_jax.analysis.designs.confirm import confirm
 from bcfj_jax.analysis.designs.objective import objective
@@ -54,7 +53,7 @@ def main(names: list[str]) -> None:
         found = bj.design(scene, params, t, name, FREE, starts=STARTS)
         wall = time.process_time() - begin
         print(f"{name}: {found.status}, {wall:.0f} s of one core\n  {found.reason}", flush=True)
-        wanted = objective(name, (), channels(motion))
+        wanted = objective(name, (), motion.members)
         designs = params, {**params, **found.values}
         other = confirm(scene, motion, "sdirk2", designs, t, wanted, 1.0, found.gain, 1e-4)
         print(f"  {found.values}\n  {found.confirmation}\n  {other}\n  {found.robustness}")

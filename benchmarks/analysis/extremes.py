@@ -37,7 +37,7 @@ from bcfj_jax.models.joint.energy import stored
 from bcfj_jax.models.joint.scales import scales as joint_scales
 from bcfj_jax.models.joint.system import view
 from bcfj_jax.solve.integrate import plan
-from bcfj_jax.solve.simulation import check, outcome
+from bcfj_jax.solve.simulation import outcome
 from benchmarks.analysis.extremes_box import VARIANTS, Variant, corners, sobol
 from benchmarks.common import RESULTS, ROOT, load, save
 
@@ -111,7 +111,7 @@ def instants(scene: Any, end: np.ndarray, params: dict[str, np.ndarray], samples
 def refusal(scene: Any, row: dict[str, float]) -> str:
     """What the validation says of a case; empty where it lets it pass."""
     try:
-        check(scene, scene.parameters(row))
+        scene.check(scene.parameters(row))
     except bj.InputError as error:
         return f"{error.where}: {error.found}"
     return ""

@@ -24,7 +24,7 @@ os.environ.setdefault("EQX_ON_ERROR", "nan")
 import numpy as np
 
 import bcfj_jax as bj
-from bcfj_jax.mechanism.scene import Params
+from bcfj_jax.mechanism.model import Params
 from benchmarks.common import markdown, save
 from benchmarks.solve.random_scenes import BY_DECADES, EVENLY, joint
 

@@ -246,11 +246,9 @@ def cost(made: Build, y: np.ndarray, count: int = 5000) -> dict[str, float]:
 
 def default_scene() -> Joint:
     """The joint with default options."""
-    from bcfj_jax import laws
-    from bcfj_jax.models.joint.scene import CONTACTS, JointContact
+    from bcfj_jax.models.joint.model import joint
 
-    friction = laws.make_friction(True)
-    return Joint(tuple(JointContact(name, laws.make("memory_free"), friction) for name in CONTACTS))
+    return joint()
 
 
 def default_scales(scene: Joint, place: float = 5e-5, speed: float = 0.1) -> np.ndarray:

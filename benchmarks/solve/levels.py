@@ -27,7 +27,7 @@ import numpy as np
 from bcfj_jax import scenes
 from bcfj_jax.analysis.envelope import measures
 from bcfj_jax.analysis.tradeoff.measures import Measured, errors, worst
-from bcfj_jax.mechanism.scene import AbstractScene, Params
+from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.models.joint.periodic import risen
 from bcfj_jax.solve.integrate import LEVELS, Plan, plan
 from bcfj_jax.solve.simulation import outcome
@@ -51,7 +51,7 @@ SLIDES = 2.0
 SAMPLES, JOINT_TIMES = {"impact": 2001, "bounce": 20001}, np.linspace(0.0, 0.6, 601)
 
 
-def runner(scene: AbstractScene, lanes: bool) -> Callable[..., tuple[Any, Any, Any]]:
+def runner(scene: AbstractModel, lanes: bool) -> Callable[..., tuple[Any, Any, Any]]:
     """(params, times, plan) -> forces by contact, code, steps; over lanes of params and times, or of one scene."""
 
     def one(p: Params, t: jax.Array, how: Plan) -> tuple[dict[str, jax.Array], jax.Array, jax.Array]:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from bcfj_jax import InputError, Scene, scenes
-from bcfj_jax.mechanism.scene import Params
+from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint.checks import check_joint
 from bcfj_jax.models.joint.scene import OF_A_BALL
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from bcfj_jax.analysis.derivatives.jacobian import channels
 from calibration.diagnostics.fit_tests import Test
 from calibration.forward.model import Model
 from calibration.forward.runs import Contact
@@ -35,7 +34,7 @@ def clearance_tests(model: Model, seen: list[Contact]) -> list[Test]:
         contact = gap_of(name)
         if contact is None:
             continue
-        members = channels(model.scene).get(contact, 0)
+        members = model.scene.members.get(contact, 0)
         own = [f"{contact}_{k + 1}" for k in range(members)] or [contact]
         mine = [c for c in seen if c.name in own and experiment in (None, c.experiment)]
         crossings = sum(int(np.count_nonzero(np.diff(c.touching.astype(int)) > 0)) for c in mine)

@@ -18,7 +18,7 @@ from jax import Array
 from bcfj_jax import force_history
 from bcfj_jax.analysis.derivatives.jacobian import Histories, histories
 from bcfj_jax.analysis.derivatives.names import complete
-from bcfj_jax.mechanism.scene import AbstractScene
+from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve.batched_jvp import with_jacobian
 from bcfj_jax.solve.integrate import Plan, plan
 from calibration.forward.losses import loss_of, straightened
@@ -60,7 +60,7 @@ class Model(eqx.Module):
     Problems that differ in numbers only share the compiled program: static is what the program is made of.
     """
 
-    scene: AbstractScene
+    scene: AbstractModel
     slots: tuple[Slot, ...] = eqx.field(static=True)
     channels: tuple[str, ...] = eqx.field(static=True)
     data: Data

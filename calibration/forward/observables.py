@@ -10,10 +10,10 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.analysis import histories as comparison
-from bcfj_jax.analysis.derivatives.jacobian import Histories, channel_names, channels
+from bcfj_jax.analysis.derivatives.jacobian import Histories, channel_names
 from bcfj_jax.analysis.derivatives.measures import vector
 from bcfj_jax.analysis.derivatives.names import feature, members
-from bcfj_jax.mechanism.scene import AbstractScene
+from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.models.joint.scene import Joint
 from calibration.problem import Experiment
 
@@ -62,9 +62,9 @@ def fine(times: Array, parts: int) -> tuple[Array, Array]:
     return jnp.concatenate([first, between, times[-1:]]), places
 
 
-def measured(scene: AbstractScene, watch: Watch, found: Histories) -> Array:
+def measured(scene: AbstractModel, watch: Watch, found: Histories) -> Array:
     """The watched features (F,) of histories at ``grid(watch)``."""
-    contacts, times = channels(scene), grid(watch)
+    contacts, times = scene.members, grid(watch)
     wanted = [feature(name, contacts) for name in watch.names]
     values = vector(times, found, wanted, contacts, {})
     place = {name: k for k, name in enumerate(channel_names(contacts))}
@@ -95,7 +95,7 @@ def tabulated(experiments: tuple[Experiment, ...]) -> tuple[np.ndarray, np.ndarr
     return values, weights
 
 
-def watches(scene: AbstractScene, experiments: tuple[Experiment, ...]) -> tuple[Watch, ...]:
+def watches(scene: AbstractModel, experiments: tuple[Experiment, ...]) -> tuple[Watch, ...]:
     """What is to be computed for the features of each experiment; nothing where there is none at all."""
     if not any(e.features for e in experiments):
         return ()
@@ -108,7 +108,7 @@ def watches(scene: AbstractScene, experiments: tuple[Experiment, ...]) -> tuple[
     return tuple(found)
 
 
-def _period(scene: AbstractScene, times: np.ndarray, found: Histories, channel: int, about: float) -> Array:
+def _period(scene: AbstractModel, times: np.ndarray, found: Histories, channel: int, about: float) -> Array:
     if isinstance(scene, Joint):
         return _repeat(times, found.force[:, channel, 0], about)
     return _interval(times, found.penetration[:, channel], found.rate[:, channel])

@@ -11,10 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.analysis.derivatives.jacobian import Histories, channel_names, channels, histories
+from bcfj_jax.analysis.derivatives.jacobian import Histories, channel_names, histories
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.status import OK, reason
-from bcfj_jax.solve.simulation import check
 from calibration.forward.model import Model
 
 _SAMPLES = 2001
@@ -68,7 +67,7 @@ def contacts(model: Model, point: np.ndarray, log_depth: float) -> list[Contact]
     spans = np.maximum(_spans(model) - offsets[:, None], 0.0)
     times = np.linspace(spans[:, 0], np.maximum(spans[:, 1], spans[:, 0] + 1e-9), _SAMPLES, axis=1)
     found, _ = _histories(model, at, depth, jnp.asarray(times))
-    names = channel_names(channels(model.scene))
+    names = channel_names(model.scene.members)
     # Not by the force: a smoothed onset bears a little across a gap.
     touching = np.asarray(found.penetration) > 0
     return [
@@ -83,7 +82,7 @@ def refusal(model: Model, point: np.ndarray, log_depth: float) -> str:
     table, _ = model.settings(jnp.asarray(point), jnp.asarray(log_depth))
     for i in range(len(model.data.times)):
         try:
-            check(model.scene, model.scene.parameters({name: float(values[i]) for name, values in table.items()}))
+            model.scene.check(model.scene.parameters({name: float(values[i]) for name, values in table.items()}))
         except InputError as error:
             return str(error)
     return ""

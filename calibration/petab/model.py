@@ -13,7 +13,7 @@ from typing import Any
 from petab.v2.models.model import Model
 
 from bcfj_jax.io.outputs import write_toml
-from bcfj_jax.mechanism.scene import AbstractScene
+from bcfj_jax.mechanism.model import AbstractModel
 from calibration.problem import NUISANCES
 
 LANGUAGE = "bcfj"
@@ -40,7 +40,7 @@ class SceneModel(Model):
     type_id = LANGUAGE  # pyright: ignore[reportAssignmentType]
 
     def __init__(
-        self, scene: AbstractScene, params: dict[str, float], outputs: Iterable[str], resolved: dict[str, Any]
+        self, scene: AbstractModel, params: dict[str, float], outputs: Iterable[str], resolved: dict[str, Any]
     ) -> None:
         self._kind, self._params, self._resolved = scene.kind, params, resolved
         self._inputs = (*scene.quantities, *(name for name in NUISANCES if name not in IN_FORMULA))

@@ -13,7 +13,6 @@ from scipy.optimize import brentq
 
 import bcfj_jax as bj
 from bcfj_jax.analysis.derivatives.certificate import Certificate, Check
-from bcfj_jax.analysis.derivatives.jacobian import channels
 from bcfj_jax.analysis.designs import api
 from bcfj_jax.analysis.designs.evaluate import Effort, Evaluator
 from bcfj_jax.analysis.designs.objective import objective
@@ -145,7 +144,7 @@ def test_runs_that_cannot_be_are_counted(dashpot):
 
 def evaluator(dashpot, free, **how):
     scene, params = dashpot
-    wanted = objective("contact.peak", (), channels(scene))
+    wanted = objective("contact.peak", (), scene.members)
     box = space(scene, params, free)
     return Evaluator(scene, params, TIMES, plan(scene, 1e-8, **how), box, wanted, 1.0, 4, Effort())
 

@@ -18,7 +18,7 @@ from bcfj_jax import InputError, scenes, sensitivity, simulate
 from bcfj_jax.contact.restitution import delivered_restitution, undamped_duration
 from bcfj_jax.core.status import OK, reason
 from bcfj_jax.solve.integrate import plan
-from bcfj_jax.solve.simulation import check, outcome
+from bcfj_jax.solve.simulation import outcome
 from benchmarks.analysis.extremes import energies, ramp
 
 BALL, GRAVITY, BUDGET = 0.016731, 9.81, 4000
@@ -85,7 +85,7 @@ def test_every_case_ends_well_or_says_why_not(kind, law, data, end):
     box = BOX | LOSS[law] | START[kind]
     params = scene.parameters({name: data.draw(values, name) for name, values in box.items()})
     try:
-        check(scene, params)
+        scene.check(params)
     except InputError:
         return
     until = end or float(scene.horizon(params)) or 1e-3

@@ -20,7 +20,7 @@ def joint_run(scene, times):
     turn = 2.0 * np.pi * times
     around = turn[:, None] + scene.azimuths
     states = np.zeros((times.size, scene.states))
-    states[:, portraits.coordinates(scene)["seat_turn"][0]] = turn
+    states[:, scene.coordinates()["seat_turn"][0]] = turn
     load = 1e4 * (1.0 + 0.5 * np.cos(around))
     depth = {name: 1e-5 * np.sin(2.0 * around) for name in ("cage_ball", "seat_ball", "head_ball")}
     rate = {name: 4e-5 * np.pi * np.cos(2.0 * around) for name in depth}
@@ -63,11 +63,11 @@ def test_coordinates_of_the_state_move_at_their_rates():
 
     first, second = (np.asarray(nominal(scene, params, turn)) for turn in np.array([0.3, 0.3 + 1e-6]))
     elapsed = 1e-6 / float(params["drive_speed"])
-    places = portraits.coordinates(scene)
+    places = scene.coordinates()
     assert len(places) == 18 + 3 + 1 + 3 + 1
     for at, rate in places.values():
         assert (second[at] - first[at]) / elapsed == pytest.approx(0.5 * (first[rate] + second[rate]), abs=1e-6)
-    assert portraits.coordinates(scenes.bounce()) == {"body": (0, 1)}
+    assert scenes.bounce().coordinates() == {"body": (0, 1)}
 
 
 def test_pictures_of_a_run(tmp_path):

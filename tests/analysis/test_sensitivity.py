@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 import bcfj_jax as bj
 from bcfj_jax.analysis import features
 from bcfj_jax.analysis.derivatives.command import FILES
-from bcfj_jax.analysis.derivatives.jacobian import Histories, channels
+from bcfj_jax.analysis.derivatives.jacobian import Histories
 from bcfj_jax.analysis.derivatives.measures import measure
 from bcfj_jax.analysis.derivatives.names import complete, default_features, derivative_unit, feature
 from bcfj_jax.cli import app
@@ -158,7 +158,7 @@ def test_a_contact_takes_the_shared_value():
     assert full["seat_ball.stiffness"] == params["stiffness"]
     assert names == ("seat_ball.stiffness", "load_torque")
     assert "seat_ball.stiffness" not in params
-    members = channels(scene)
+    members = scene.members
     assert members == {"seat_cage": 0, "head_cage": 0, "cage_ball": 6, "seat_ball": 6, "head_ball": 6}
     assert len(default_features(members)) == 35
 

@@ -113,7 +113,7 @@ import bcfj_jax
 after = dict(jax.config.values)
 print([name for name in after if after[name] is not before.get(name) and after[name] != before.get(name)])
 print([name for name in ("matplotlib", "pint", "pydantic", "typer", "calibration") if name in sys.modules])
-print(bcfj_jax.models.scenes.impact().parameters()["mass"].dtype)
+print(bcfj_jax.scenes.impact().parameters()["mass"].dtype)
 """
 
 

@@ -14,7 +14,7 @@ from bcfj_jax.analysis.derivatives.ranking import certificate_rows, ranked_rows,
 from bcfj_jax.analysis.derivatives.sensitivity import Sensitivity, sensitivity
 from bcfj_jax.io import outputs, report
 from bcfj_jax.io.scenefile import load
-from bcfj_jax.mechanism.scene import AbstractScene
+from bcfj_jax.mechanism.model import AbstractModel
 
 FILES = (
     "sensitivity.csv", "certificate.json", "tornado.png", "histories.png", "report.html", "run.toml",
@@ -72,7 +72,7 @@ def run(
     return "\n\n".join(parts), found.status == "ok"
 
 
-def write_histories(path: Path, scene: AbstractScene, found: Sensitivity) -> None:
+def write_histories(path: Path, scene: AbstractModel, found: Sensitivity) -> None:
     """``sensitivity.csv``: time [s], then d(<contact>.<component>)/d(<parameter>) [N per SI unit].
 
     What the certificate calls not differentiable is left out from where it breaks down.
@@ -92,7 +92,7 @@ def _end(found: Sensitivity, name: str) -> float:
     return broken if np.isfinite(broken) else float("inf")
 
 
-def certificate_json(found: Sensitivity, params: Any, scene: AbstractScene) -> dict[str, Any]:
+def certificate_json(found: Sensitivity, params: Any, scene: AbstractModel) -> dict[str, Any]:
     """``certificate.json``: the verdicts, and features with their derivatives."""
     certificate = found.certificate
     features = {

@@ -10,18 +10,18 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from bcfj_jax.analysis.derivatives.jacobian import channel_names, channels, compiled, histories
+from bcfj_jax.analysis.derivatives.jacobian import channel_names, compiled, histories
 from bcfj_jax.analysis.derivatives.measures import vector as feature_vector
 from bcfj_jax.analysis.derivatives.names import complete
 from bcfj_jax.analysis.derivatives.names import feature as named
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.quantities import increasing
-from bcfj_jax.mechanism.scene import AbstractScene, Params, Scene
+from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.integrate import MAX_STEPS, plan
 
 
 def hessian_vector(
-    scene: AbstractScene,
+    scene: AbstractModel,
     params: Params,
     times: ArrayLike,
     feature: str,
@@ -42,14 +42,15 @@ def hessian_vector(
         vector: v (P,), per parameter in its SI unit.
 
     Raises:
-        InputError: for a joint, whose implicit solver is differentiated once only; for unknown names; and for a
+        InputError: for a stiff model, whose implicit solver is differentiated once only; for unknown names; and for a
             vector that does not have one finite number a parameter.
     """
-    if not isinstance(scene, Scene):
-        raise InputError(f"scene '{scene.kind}'", "no second derivatives", "they are for scenes of one body")
+    if scene.traits.stiff:
+        found = "no second derivatives: it is stiff"
+        raise InputError(f"scene '{scene.kind}'", found, "they are for models without friction, as impact and bounce")
     t = increasing(times)
     full, names = complete(scene, params, wrt)
-    contacts = channels(scene)
+    contacts = scene.members
     wanted = named(feature, contacts)
     if wanted.kind in ("period", "delay"):
         raise InputError(f"feature '{feature}'", "no second derivatives", "take peak, mean, impulse or another")

@@ -17,10 +17,7 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.core.status import OK, STEEP
-from bcfj_jax.mechanism.dynamics import state_scales
-from bcfj_jax.mechanism.scene import AbstractScene, Params, Scene
-from bcfj_jax.models.joint.scales import scales as joint_scales
-from bcfj_jax.models.joint.scene import OF_A_BALL, Joint
+from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.integrate import Plan
 
 # The histories behind ``force_history``, with penetrations and states beside the forces.
@@ -67,28 +64,22 @@ class Rung(NamedTuple):
         return self.code == OK
 
 
-def channels(scene: AbstractScene) -> dict[str, int]:
-    """Number of members by contact in the scene's order; 0 for a contact without members."""
-    balls = scene.balls if isinstance(scene, Joint) else 0
-    return {contact.name: balls if contact.name in OF_A_BALL else 0 for contact in scene.contacts}
-
-
 def channel_names(contacts: Mapping[str, int]) -> list[str]:
     """Names of the channels in the order of ``Histories``."""
     return [n for c, k in contacts.items() for n in ([f"{c}_{i + 1}" for i in range(k)] if k else [c])]
 
 
 def histories(
-    scene: AbstractScene, params: Params, times: Array, how: Plan, adjoint: Any = _FORWARD
+    scene: AbstractModel, params: Params, times: Array, how: Plan, adjoint: Any = _FORWARD
 ) -> tuple[Histories, tuple]:
     """Histories by the solver meant for derivatives, and (code, end, accepted, rejected). Pure."""
     solution, readings = outcome(scene, params, times, how, adjoint, True)
     force, depth, rate = by_channel(scene, readings)
-    found = Histories(force, depth, rate, solution.states / _sizes(scene, params))
+    found = Histories(force, depth, rate, solution.states / jax.lax.stop_gradient(scene.error_scale(params)))
     return found, (solution.code, solution.end, solution.accepted, solution.rejected)
 
 
-def by_channel(scene: AbstractScene, readings: Mapping[str, Any]) -> tuple[Array, Array, Array]:
+def by_channel(scene: AbstractModel, readings: Mapping[str, Any]) -> tuple[Array, Array, Array]:
     """Forces (T, C, 3), penetrations and their rates (T, C) of all channels. Pure."""
     ordered = [readings[contact.name] for contact in scene.contacts]
     count = ordered[0].force.shape[0]
@@ -97,13 +88,6 @@ def by_channel(scene: AbstractScene, readings: Mapping[str, Any]) -> tuple[Array
         jnp.concatenate([getattr(r, k).reshape(count, -1) for r in ordered], 1) for k in ("penetration", "rate")
     )
     return force, depth, rate
-
-
-def _sizes(scene: AbstractScene, params: Params) -> Array:
-    if isinstance(scene, Joint):
-        return jax.lax.stop_gradient(joint_scales(scene, params))
-    assert isinstance(scene, Scene)
-    return jax.lax.stop_gradient(state_scales(scene, params))
 
 
 _compiled: dict[object, Callable] = {}
@@ -118,7 +102,7 @@ def compiled(key: tuple, function: Callable, *arguments: Any) -> tuple[Callable,
     return _compiled[key], time.perf_counter() - begin
 
 
-def rung(scene: AbstractScene, params: Params, times: np.ndarray, wrt: tuple[str, ...], how: Plan) -> Rung:
+def rung(scene: AbstractModel, params: Params, times: np.ndarray, wrt: tuple[str, ...], how: Plan) -> Rung:
     """Solve once with the derivatives by all of ``wrt``, per SI unit."""
 
     def jacobian(params: dict, times: Array, how: Plan):
@@ -145,7 +129,7 @@ def rung(scene: AbstractScene, params: Params, times: np.ndarray, wrt: tuple[str
     )
 
 
-def forces(scene: AbstractScene, params: Params, times: np.ndarray, how: Plan) -> np.ndarray:
+def forces(scene: AbstractModel, params: Params, times: np.ndarray, how: Plan) -> np.ndarray:
     """Forces (T, C, 3) without derivatives, by the solver meant for values."""
 
     def values(params: dict, times: Array, how: Plan) -> Array:

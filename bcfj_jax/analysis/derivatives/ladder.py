@@ -13,7 +13,7 @@ from bcfj_jax.analysis.derivatives.norms import norm
 from bcfj_jax.analysis.derivatives.sensitivity import Sensitivity, sensitivity
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.quantities import check_value
-from bcfj_jax.mechanism.scene import AbstractScene, Params
+from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.integrate import MAX_STEPS
 
 KNOBS = ("smoothing", "friction_speed")
@@ -44,7 +44,7 @@ class Step(NamedTuple):
 
 
 def smoothing_ladder(
-    scene: AbstractScene,
+    scene: AbstractModel,
     params: Params,
     times: ArrayLike,
     wrt: Sequence[str],

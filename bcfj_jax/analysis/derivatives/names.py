@@ -8,7 +8,7 @@ from typing import NamedTuple
 from jax import Array
 
 from bcfj_jax.core.errors import InputError, nearest
-from bcfj_jax.mechanism.scene import AbstractScene, Params
+from bcfj_jax.mechanism.model import AbstractModel, Params
 
 FEATURES = (
     "peak", "mean", "impulse", "period", "dissipated_work", "residual_oscillation", "contact_fraction",
@@ -24,7 +24,7 @@ class Feature(NamedTuple):
     contacts: tuple[str, ...]
 
 
-def complete(scene: AbstractScene, params: Params, wrt: Sequence[str]) -> tuple[dict[str, Array], tuple[str, ...]]:
+def complete(scene: AbstractModel, params: Params, wrt: Sequence[str]) -> tuple[dict[str, Array], tuple[str, ...]]:
     """Parameters in which every name of ``wrt`` has a value of its own, and the names, checked.
 
     A contact's own coefficient that the parameters leave to the shared one is given the shared value.

@@ -19,7 +19,7 @@ from bcfj_jax.analysis.derivatives.measures import vector
 from bcfj_jax.analysis.derivatives.names import Feature
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.status import OK, STEEP
-from bcfj_jax.mechanism.scene import AbstractScene, Params
+from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.integrate import Plan
 
 _REVERSE = dfx.RecursiveCheckpointAdjoint()
@@ -51,7 +51,7 @@ def reversible(wanted: Sequence[Feature]) -> list[Feature]:
 
 
 def gradient(
-    scene: AbstractScene,
+    scene: AbstractModel,
     params: Params,
     times: np.ndarray,
     wrt: tuple[str, ...],

@@ -12,7 +12,7 @@ from jax.typing import ArrayLike
 from bcfj_jax.analysis.derivatives import certificate as judged
 from bcfj_jax.analysis.derivatives.certificate import Certificate, Check, Comparison
 from bcfj_jax.analysis.derivatives.differences import against, scales, signs
-from bcfj_jax.analysis.derivatives.jacobian import Rung, channels, forces, rung
+from bcfj_jax.analysis.derivatives.jacobian import Rung, forces, rung
 from bcfj_jax.analysis.derivatives.measures import measure
 from bcfj_jax.analysis.derivatives.names import Feature, complete, default_features
 from bcfj_jax.analysis.derivatives.names import feature as named
@@ -20,10 +20,8 @@ from bcfj_jax.analysis.derivatives.reverse import Gradient, gradient, reversed_c
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.quantities import increasing
 from bcfj_jax.core.status import OK, reason
-from bcfj_jax.mechanism.scene import AbstractScene, Params
-from bcfj_jax.models.joint.scene import Joint
+from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.integrate import LEVELS, MAX_STEPS, Plan, plan
-from bcfj_jax.solve.simulation import check
 
 MODES = ("auto", "forward", "reverse")
 DIFFERENCES = ("direction", "each", "none")
@@ -59,7 +57,7 @@ class Sensitivity(NamedTuple):
 
 
 def sensitivity(
-    scene: AbstractScene,
+    scene: AbstractModel,
     params: Params,
     times: ArrayLike,
     wrt: Sequence[str],
@@ -96,9 +94,9 @@ def sensitivity(
         InputError: for names that are not known, with the nearest, and for times and options that are not right.
     """
     t = increasing(times)
-    check(scene, params)
+    scene.check(params)
     full, names = complete(scene, params, wrt)
-    contacts = channels(scene)
+    contacts = scene.members
     asked = (features,) if isinstance(features, str) else features
     wanted = [named(name, contacts) for name in asked] or default_features(contacts)
     for what, value, known in (("mode", mode, MODES), ("differences", differences, DIFFERENCES)):
@@ -117,7 +115,7 @@ def sensitivity(
     error = LEVELS[accuracy] if isinstance(accuracy, str) else accuracy
     climbed = _climb(scene, full, t, names, how, error, average, rungs if certify else 0)
     last = climbed[-1]
-    turning = isinstance(scene, Joint)
+    turning = scene.traits.turning
     numbers, slopes = measure(t, last.value, last.derivative, wanted, contacts, turning)
     found = None
     if certify:
@@ -164,13 +162,13 @@ def _values(params: Params, names: Sequence[str]) -> np.ndarray:
 def _climb(scene, params, times, names, how: Plan, error: float, average: float, rungs: int) -> list[Rung]:
     """Solves at tolerances 4 times tighter each, until two agree, the budget is spent or nothing helps.
 
-    A joint whose first two disagree goes on at ``reference``, tangents in the step control.
+    A stiff model whose first two disagree goes on at ``reference``, tangents in the step control.
     """
     climbed = [rung(scene, params, times, names, how)]
     values, width = _values(params, names), _width(times, average)
     while len(climbed) <= rungs and climbed[-1].good:
         tighter = Plan(climbed[-1].tolerance * jnp.asarray(0.25), how.max_steps, how.tangents)
-        if isinstance(scene, Joint) and len(climbed) > 1 and not how.tangents:
+        if scene.traits.stiff and len(climbed) > 1 and not how.tangents:
             # In between errors have a hump: a free ball's swing, there with a wrong phase (docs/derivatives.md).
             good = plan(scene, "reference")
             how = tighter = Plan(jnp.minimum(tighter.tolerance, good.tolerance), how.max_steps, good.tangents)
@@ -189,7 +187,7 @@ def _climb(scene, params, times, names, how: Plan, error: float, average: float,
 
 
 def _certificate(
-    scene: AbstractScene,
+    scene: AbstractModel,
     params: Params,
     times: np.ndarray,
     names: tuple[str, ...],
@@ -206,7 +204,7 @@ def _certificate(
     lost = any(judged.chaotic(g, c[0]) for g, c in zip(grown, found, strict=True))
     if differences != "none" and last.good and not lost:
         # Noise of the forces is amplified by 1/h: they are computed at a tolerance of their own.
-        fine = min(error * 0.25 ** (len(climbed) - 1), 1e-5 if isinstance(scene, Joint) else 1e-7)
+        fine = min(error * 0.25 ** (len(climbed) - 1), 1e-5 if scene.traits.stiff else 1e-7)
         how = plan(scene, max(fine, 1e-9), last_budget(climbed))
         slopes = judged.flat(last.derivative.force)
         size = last.value.force.reshape(len(times), -1)

@@ -9,7 +9,6 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from bcfj_jax.analysis.derivatives.certificate import NOT, Certificate
-from bcfj_jax.analysis.derivatives.jacobian import channels
 from bcfj_jax.analysis.derivatives.names import FEATURES, complete
 from bcfj_jax.analysis.derivatives.sensitivity import sensitivity
 from bcfj_jax.analysis.designs.confirm import Confirmation, confirm, independent, tighter
@@ -33,10 +32,8 @@ from bcfj_jax.analysis.designs.space import Free, Space, space
 from bcfj_jax.analysis.designs.tolerance import DISTRIBUTIONS, robust, robustness
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.quantities import increasing
-from bcfj_jax.mechanism.scene import AbstractScene, Params
-from bcfj_jax.models.joint.scene import AUTO, Joint
+from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.integrate import MAX_STEPS, plan
-from bcfj_jax.solve.simulation import check
 
 SENSES = {"minimise": 1.0, "maximise": -1.0}
 # Values this near, over the best one, agree; and places, over the ranges.
@@ -46,7 +43,7 @@ _SLICE = 25
 
 
 def design(
-    scene: AbstractScene,
+    scene: AbstractModel,
     params: Params,
     times: ArrayLike,
     objective: str | Mapping[str, float] | Combine,
@@ -62,7 +59,7 @@ def design(
     iterations: int = 60,
     accuracy: str | float = "reference",
     max_steps: int = MAX_STEPS,
-    confirm: AbstractScene | Literal["auto"] | None = "auto",
+    confirm: AbstractModel | Literal["auto"] | None = "auto",
     certify: bool = True,
     slices: bool = True,
     seed: int = 0,
@@ -74,7 +71,7 @@ def design(
     Runs compile once per scene, number of times, names and starts; another objective compiles in a second.
 
     Args:
-        scene: any but a joint of fidelity "auto". A dynamic joint is chaotic over long times: take "quasistatic", or a
+        scene: any model but an open one (fidelity "auto"). A dynamic joint is chaotic over long times: take "quasistatic", or a
             mean over a short time.
         params: the design before, and all that is not free, SI.
         times: (T,) [s]; even ones, where a peak is wanted to 1e-6.
@@ -87,10 +84,10 @@ def design(
         distribution: of deviations, for the scatter: "normal" (three standard deviations to a half width) or "uniform".
         samples: runs for the tolerances' effect, of each kind.
         starts: how many, and how many lanes the batch has.
-        norms: increasing q > 1 of the norms that stand for peaks first; by default (40,) for a joint, none else.
+        norms: increasing q > 1 of the norms that stand for peaks first; by default (40,) where contacts have members, none else.
         iterations: limit of L-BFGS-B, for each norm and start.
         accuracy, max_steps: as ``simulate``, of the optimiser's runs.
-        confirm: the scene that checks; by default the joint's motion, or the same scene; None for no check.
+        confirm: the model that checks; by default the one that leaves nothing out; None for no check.
         certify: whether the gradient at the optimum gets its certificate; equilibria have none.
         slices: whether the objective along each parameter is taken, for the pictures.
         seed: of all Sobol designs.
@@ -100,13 +97,14 @@ def design(
     """
     t = increasing(times, 2)
     sign = _sign(sense, distribution, kappa, samples, starts, norms, iterations)
-    if isinstance(scene, Joint) and scene.fidelity == AUTO:
-        raise InputError("scene 'joint' fidelity", "'auto', which is no model", "give one by name")
-    wanted, box = _objective(objective, features, channels(scene)), space(scene, params, free)
+    if scene.traits.open:
+        raise InputError(f"scene '{scene.kind}' fidelity", f"'{scene.title}' is no model yet", "give one by name")
+    wanted, box = _objective(objective, features, scene.members), space(scene, params, free)
     full = complete(scene, params, box.names)[0]
-    check(scene, full)
+    scene.check(full)
     if norms is None:
-        norms = (40.0,) if isinstance(scene, Joint) and wanted.peaked else ()
+        # The largest of several members is another's from place to place.
+        norms = (40.0,) if any(scene.members.values()) and wanted.peaked else ()
     how = plan(scene, accuracy, max_steps)
     plain = Evaluator(scene, full, t, how, box, wanted, sign, starts, Effort())
     goal = robust(plain, kappa)
@@ -193,7 +191,7 @@ def _agreement(ways: Sequence[Path], best: Path) -> tuple[int, int]:
 
 
 def _confirmed(
-    scene: AbstractScene, judge: Any, designs: tuple, times: np.ndarray, wanted: Objective, sign: float, gain: float,
+    scene: AbstractModel, judge: Any, designs: tuple, times: np.ndarray, wanted: Objective, sign: float, gain: float,
     accuracy: str | float,
 ) -> Confirmation | None:  # fmt: skip
     if judge is None:
@@ -204,11 +202,11 @@ def _confirmed(
 
 
 def _certified(
-    scene: AbstractScene, params: Params, times: np.ndarray, box: Space, wanted: Objective, accuracy: str | float,
+    scene: AbstractModel, params: Params, times: np.ndarray, box: Space, wanted: Objective, accuracy: str | float,
     max_steps: int,
 ) -> Certificate | None:  # fmt: skip
     """Equilibria have no tolerance to hold against another, and no chaos."""
-    if isinstance(scene, Joint) and scene.fidelity != "dynamic":
+    if not scene.traits.history:
         return None
     names = [f.name for f in wanted.features if f.kind in FEATURES]
     found = sensitivity(scene, params, times, box.names, features=names, accuracy=accuracy, max_steps=max_steps)

@@ -6,17 +6,15 @@ the equations of motion, which have what equilibrium leaves out: inertia, fricti
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
-from bcfj_jax.analysis.derivatives.jacobian import Histories, channels
+from bcfj_jax.analysis.derivatives.jacobian import Histories
 from bcfj_jax.analysis.designs.objective import Objective, measured
-from bcfj_jax.mechanism.scene import AbstractScene, Params
-from bcfj_jax.models.joint.scene import Joint
+from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.integrate import LEVELS
 from bcfj_jax.solve.simulation import Run, simulate
 
@@ -49,11 +47,9 @@ class Confirmation(NamedTuple):
     reason: str
 
 
-def independent(scene: AbstractScene) -> tuple[AbstractScene, str | None]:
-    """A scene and a solver to check a design of this scene with: the motion of a joint, another method for springs."""
-    if isinstance(scene, Joint):
-        return dataclasses.replace(scene, fidelity="dynamic"), "rodas3"
-    return scene, "dopri5"
+def independent(scene: AbstractModel) -> tuple[AbstractModel, str | None]:
+    """A model and a solver to check a design of this model with: what leaves nothing out, by another method."""
+    return scene.full(), "rodas3" if scene.traits.stiff else "dopri5"
 
 
 def tighter(accuracy: str | float) -> float:
@@ -63,8 +59,8 @@ def tighter(accuracy: str | float) -> float:
 
 
 def confirm(
-    scene: AbstractScene,
-    judge: AbstractScene,
+    scene: AbstractModel,
+    judge: AbstractModel,
     solver: str | None,
     designs: tuple[Params, Params],
     times: np.ndarray,
@@ -93,18 +89,17 @@ def confirm(
     found = sign * (before - after)
     share = found / gain if gain else np.nan
     same = judge == scene
-    model = f"{judge.fidelity} joint" if isinstance(judge, Joint) else judge.kind
     least = SAME if same else OTHER
     return Confirmation(
         before, after, tables[0], tables[1], found, share, bool(gain > 0 and share >= least),
-        f"{model} by {solver or 'its own solver'} at a force error of {accuracy:.0e}",
+        f"{judge.title} by {solver or 'its own solver'} at a force error of {accuracy:.0e}",
         "; ".join(run.reason for run in runs if run.status != "ok"),
     )  # fmt: skip
 
 
-def features(run: Run, scene: AbstractScene, times: np.ndarray, objective: Objective) -> dict[str, float]:
+def features(run: Run, scene: AbstractModel, times: np.ndarray, objective: Objective) -> dict[str, float]:
     """The objective's true features of a run, by name; NaN where it failed."""
-    contacts = channels(scene)
+    contacts = scene.members
 
     def stacked(table: Mapping[str, np.ndarray], axes: int) -> np.ndarray:
         parts = [table[name] if contacts[name] else table[name][:, None] for name in contacts]

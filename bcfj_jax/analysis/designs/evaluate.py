@@ -17,15 +17,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.analysis.derivatives.jacobian import Histories, channels, compiled, histories
+from bcfj_jax.analysis.derivatives.jacobian import Histories, compiled, histories
 from bcfj_jax.analysis.designs.objective import Objective, measured, sampled
 from bcfj_jax.analysis.designs.space import Space
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.status import OK, STEEP, reason
-from bcfj_jax.mechanism.scene import AbstractScene, Params
-from bcfj_jax.models.joint.scene import Joint
+from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.integrate import Plan
-from bcfj_jax.solve.simulation import check
 
 
 class Values(NamedTuple):
@@ -69,7 +67,7 @@ class Evaluator:
         spent: the account of all calls.
     """
 
-    scene: AbstractScene
+    scene: AbstractModel
     params: Params
     times: np.ndarray
     how: Plan
@@ -131,7 +129,7 @@ class Evaluator:
         *read, code = (np.asarray(x)[0] for x in self._read(values[None]))
         if code != OK:
             return None
-        return sampled(read, self.objective, channels(self.scene), self.space.slope(values))
+        return sampled(read, self.objective, self.scene.members, self.space.slope(values))
 
     def _read(self, points: np.ndarray) -> tuple:
         """What ``_runs`` gives of points that can be built, (n, P) SI, n up to the lanes; filled up with the first."""
@@ -153,7 +151,7 @@ class Evaluator:
         if illegal:
             return illegal
         try:
-            check(self.scene, {**self.params, **dict(zip(self.space.names, point, strict=True))})
+            self.scene.check({**self.params, **dict(zip(self.space.names, point, strict=True))})
         except InputError as error:
             return str(error)
         return ""
@@ -168,8 +166,8 @@ class Evaluator:
             return read, (read, code)
 
         whole = jax.jacfwd(one, has_aux=True)
-        if isinstance(self.scene, Joint) and jax.default_backend() == "cpu":
-            # Side by side a joint gains nothing on a core; one by one, those beyond the count cost nothing.
+        if self.scene.traits.large and jax.default_backend() == "cpu":
+            # Side by side a large model gains nothing on a core; one by one, those beyond the count cost nothing.
             nothing = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(whole, points[0]))
             each = (jnp.arange(self.lanes), points)
             slopes, (read, code) = jax.lax.map(
@@ -181,7 +179,7 @@ class Evaluator:
 
     def _objectives(self, force: Array, depth: Array, force_slope: Array, depth_slope: Array, norm: Array) -> tuple:
         """The objective on norms with its gradient, on crests, and on greatest samples, of N runs."""
-        contacts = channels(self.scene)
+        contacts = self.scene.members
 
         def of(force: Array, depth: Array, norm: Array | None) -> Array:
             found = Histories(force[:, :, None], depth, None, None)

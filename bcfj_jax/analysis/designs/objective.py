@@ -68,7 +68,7 @@ def objective(
     Args:
         asked: a feature's name, weights by name, or a function of a dict of features by name.
         features: the names that the function reads.
-        contacts: number of members by contact, ``jacobian.channels``.
+        contacts: number of members by contact, ``AbstractModel.members``.
 
     Raises:
         InputError: for a name that is not known, and a period, which is found on the host.

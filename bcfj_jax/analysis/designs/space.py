@@ -10,7 +10,7 @@ import numpy as np
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.quantities import Quantity, check_value
 from bcfj_jax.io.units import quantity
-from bcfj_jax.mechanism.scene import AbstractScene, Params
+from bcfj_jax.mechanism.model import AbstractModel, Params
 
 SCALES = ("linear", "log")
 
@@ -78,7 +78,7 @@ class Space(NamedTuple):
         )
 
 
-def space(scene: AbstractScene, params: Params, free: Mapping[str, Free | Sequence[Any]]) -> Space:
+def space(scene: AbstractModel, params: Params, free: Mapping[str, Free | Sequence[Any]]) -> Space:
     """The free parameters, checked.
 
     Args:
@@ -101,7 +101,7 @@ def space(scene: AbstractScene, params: Params, free: Mapping[str, Free | Sequen
     )  # fmt: skip
 
 
-def _one(scene: AbstractScene, params: Params, name: str, given: Free) -> tuple[float, float, float]:
+def _one(scene: AbstractModel, params: Params, name: str, given: Free) -> tuple[float, float, float]:
     where, known = f"free '{name}'", scene.quantities
     if name not in known:
         raise InputError(where, f"scene '{scene.kind}' has no such parameter", nearest(name, known))

@@ -19,10 +19,9 @@ from numpy.typing import ArrayLike
 from bcfj_jax.analysis.nonlinear.sections import drive_period, impacts, revolutions_to_keep
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.status import OK, reason
-from bcfj_jax.mechanism.dynamics import Reading
-from bcfj_jax.mechanism.scene import AbstractScene, Params, Scene
+from bcfj_jax.mechanism.model import AbstractModel, Params, Reading
 from bcfj_jax.solve.integrate import MAX_STEPS, Plan, Solution, plan
-from bcfj_jax.solve.simulation import check, readings
+from bcfj_jax.solve.simulation import readings
 from bcfj_jax.solve.work_queue import integrate_lanes
 
 
@@ -81,7 +80,7 @@ def map_bifurcation(
 
 
 def bifurcation(
-    scene: AbstractScene,
+    scene: AbstractModel,
     params: Params,
     name: str,
     values: ArrayLike,
@@ -122,7 +121,7 @@ def bifurcation(
 
 
 def impact_bifurcation(
-    scene: Scene,
+    scene: AbstractModel,
     params: Params,
     name: str,
     values: ArrayLike,
@@ -167,7 +166,7 @@ def impact_bifurcation(
     return speeds, reasons
 
 
-def _batch(scene: AbstractScene, params: Params, name: str, values: ArrayLike) -> tuple[dict[str, Array], list[Params]]:
+def _batch(scene: AbstractModel, params: Params, name: str, values: ArrayLike) -> tuple[dict[str, Array], list[Params]]:
     """Parameters with leaves (P,), and one by one."""
     if name not in params:
         raise InputError(f"scene '{scene.kind}'", f"no parameter '{name}'", nearest(name, params))
@@ -176,12 +175,12 @@ def _batch(scene: AbstractScene, params: Params, name: str, values: ArrayLike) -
         raise InputError(name, f"values of shape {some.shape}", "give a list of one or more")
     each: list[Params] = [scene.parameters({**params, name: value}) for value in some]
     for one in each:
-        check(scene, one)
+        scene.check(one)
     return {key: jnp.stack([one[key] for one in each]) for key in each[0]}, each
 
 
 def _solve(
-    scene: AbstractScene,
+    scene: AbstractModel,
     batch: dict[str, Array],
     ends: np.ndarray,
     grid: np.ndarray,
@@ -194,7 +193,7 @@ def _solve(
 
 @partial(jax.jit, static_argnums=(0, 5, 6))
 def _run(
-    scene: AbstractScene,
+    scene: AbstractModel,
     batch: dict[str, Array],
     ends: Array,
     grid: Array,

@@ -12,8 +12,7 @@ from bcfj_jax.analysis.nonlinear.modes import MODES, contact_modes
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.io import plots
 from bcfj_jax.io.outputs import channels
-from bcfj_jax.mechanism.scene import AbstractScene, Scene
-from bcfj_jax.models.joint.scene import OF_A_BALL, Joint
+from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve.simulation import Run
 
 _SHADES = {"free": "#e2e2e2", "impact": "#c4501b", "continuous": "#1f5fa8"}
@@ -56,7 +55,7 @@ def contact_portrait(run: Run, contact: str, path: Path, *, window: Window = Non
     return path
 
 
-def state_portrait(run: Run, scene: AbstractScene, coordinate: str, path: Path, *, window: Window = None) -> Path:
+def state_portrait(run: Run, scene: AbstractModel, coordinate: str, path: Path, *, window: Window = None) -> Path:
     """Phase portrait of a coordinate of the state: x' against x.
 
     Args:
@@ -67,7 +66,7 @@ def state_portrait(run: Run, scene: AbstractScene, coordinate: str, path: Path, 
     Raises:
         InputError: for a coordinate that the scene has not, a run without states, and a window outside it.
     """
-    places = coordinates(scene)
+    places = scene.coordinates()
     _known(coordinate, places, "coordinate")
     if run.trajectory is None:
         raise InputError("run", "holds no states", "take one that simulate made")
@@ -83,27 +82,6 @@ def state_portrait(run: Run, scene: AbstractScene, coordinate: str, path: Path, 
         axis.set_ylabel(plots.label("x'", f"{unit}/s", v_prefix))
         plots.save(drawing, path)
     return path
-
-
-def coordinates(scene: AbstractScene) -> dict[str, tuple[int, int]]:
-    """Where the flat state has each place and its rate. A joint's cage_turn is an axis with a spin, no such pair."""
-    if isinstance(scene, Scene):
-        names = [f"{b.name}.{k}" if b.coordinates > 1 else b.name for b in scene.bodies for k in range(b.coordinates)]
-        return {name: (k, len(names) + k) for k, name in enumerate(names)}
-    assert isinstance(scene, Joint)
-    balls, places = scene.balls, 3 * scene.balls + scene.border
-    found = {
-        f"ball[{i + 1}].{axis}": (3 * i + k, places + scene.twist * i + k)
-        for i in range(balls)
-        for k, axis in enumerate("xyz")
-    }
-    for name, slot in scene.slots.items():
-        if slot is None or name == "cage_turn":
-            continue
-        for k in range(slot.stop - slot.start):
-            own = f"{name}.{'xyz'[k]}" if slot.stop - slot.start > 1 else name
-            found[own] = (3 * balls + slot.start + k, places + scene.twist * balls + slot.start + k)
-    return found
 
 
 def contact_raster(run: Run, path: Path, *, impact_time: float, window: Window = None) -> Path:
@@ -150,27 +128,31 @@ def contact_raster(run: Run, path: Path, *, impact_time: float, window: Window =
     return path
 
 
-def ball_loads(run: Run, scene: Joint, path: Path, *, contact: str = "seat_ball", window: Window = None) -> Path:
-    """Ball load around the joint, polar: size of the normal force against the azimuth of the ball's track.
+def ball_loads(
+    run: Run, scene: AbstractModel, path: Path, *, contact: str = "seat_ball", window: Window = None
+) -> Path:
+    """Load of every member of a contact around the drive's axis, polar: size of the normal force against azimuth.
 
-    Azimuth = seat's turn + 2 pi k/balls about the seat's axis; 0 is where the head's axis leans to.
+    Azimuth = the drive's turn + 2 pi i/k of k members, evenly spaced. In the joint 0 is where the head's axis leans to.
 
     Args:
-        run: a finished one of the scene, made by ``simulate``.
-        scene: the joint.
-        contact: one that every ball has.
+        run: a finished one of the model, made by ``simulate``.
+        scene: the model, whose drive turns.
+        contact: one that has members (of the joint: that every ball has).
         path, window: as ``contact_portrait``; a revolution is a good window.
 
     Raises:
-        InputError: for a scene that is no joint, another contact, a run without states, and a window outside it.
+        InputError: for a model without a drive that turns or without members, for another contact, a run without
+            states, and a window outside it.
     """
-    if not isinstance(scene, Joint):
-        raise InputError("scene", "is no joint: it has no balls", "give a joint")
-    _known(contact, [name for name in OF_A_BALL if name in run.force], "contact of a ball")
+    members = {name: count for name, count in scene.members.items() if count}
+    if not (scene.drive_coordinate and members):
+        raise InputError("scene", f"'{scene.kind}' has no members around a drive: it has no balls", "give a joint")
+    _known(contact, members, "contact of a ball")
     if run.trajectory is None:
         raise InputError("run", "holds no states", "take one that simulate made")
     part = within(run.times, window)
-    turn = run.trajectory[part, coordinates(scene)["seat_turn"][0]]
+    turn = run.trajectory[part, scene.coordinates()[scene.drive_coordinate][0]]
     load = np.abs(run.force[contact][part, :, 0])
     scale, prefix = plots.engineering(load.ravel())
     with plots.style():
@@ -178,9 +160,10 @@ def ball_loads(run: Run, scene: Joint, path: Path, *, contact: str = "seat_ball"
 
         drawing = Figure(figsize=(5.6, 5.4), layout="constrained")
         axis = drawing.add_subplot(projection="polar")
-        for k, azimuth in enumerate(scene.azimuths):
-            # Thinner and thinner: where all balls do the same, all are still seen.
-            width = 0.8 + 2.4 * (1.0 - k / scene.balls)
+        count = members[contact]
+        for k, azimuth in enumerate(2.0 * np.pi * np.arange(count) / count):
+            # Thinner and thinner: where all members do the same, all are still seen.
+            width = 0.8 + 2.4 * (1.0 - k / count)
             axis.plot(turn + azimuth, load[:, k] * scale, lw=width, label=str(k + 1))
         axis.set_title(f"{contact}: normal force [{prefix.replace('u', 'µ')}N] against azimuth", pad=16)
         axis.set_ylim(bottom=0.0)  # type: ignore[call-arg]

@@ -20,19 +20,16 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.analysis.nonlinear.exponents import Exponent, check_counts, from_growth
-from bcfj_jax.analysis.nonlinear.sections import drive_period
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.status import OK, code_of, reason
-from bcfj_jax.mechanism.scene import AbstractScene, Params
-from bcfj_jax.models.joint.scene import Joint
+from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.integrate import MAX_STEPS, Plan, Problem, controller, integrate, plan, problem
 from bcfj_jax.solve.sdirk import Sdirk
-from bcfj_jax.solve.simulation import check
 from bcfj_jax.solve.tangents import SdirkTangents
 
 
 def scene_exponent(
-    scene: AbstractScene,
+    scene: AbstractModel,
     params: Params,
     intervals: int,
     *,
@@ -69,18 +66,20 @@ def scene_exponent(
             for times that are not positive, and as ``simulate``.
     """
     check_counts(intervals, 0, batches)
-    if isinstance(scene, Joint):
-        turn = drive_period(scene, params)
-        interval = turn / scene.balls if interval is None else interval
+    if scene.traits.turning:
+        turn, pitch = scene.period(params)
+        interval = pitch if interval is None else interval
         settle = 5.0 * turn if settle is None else settle
-        if settle < float(params["load_ramp"]):
-            found = f"{settle:g} s, while the load rises for {float(params['load_ramp']):g} s"
+        # A pitch more passes in the intervals that are not counted.
+        settled = scene.settled_from(params)
+        if settle + pitch < settled:
+            found = f"{settle:g} s, while the load rises for {settled - pitch:g} s"
             raise InputError("settle", found, "settle for longer")
     if interval is None or settle is None:
         raise InputError(f"scene '{scene.kind}'", "has no period of its own", "give interval and settle")
     if not (interval > 0.0 and settle >= 0.0):
         raise InputError("interval, settle", f"{interval:g} s, {settle:g} s", "give times that are positive")
-    check(scene, params)
+    scene.check(params)
     tolerance = plan(scene, accuracy, max_steps).tolerance
     turning = -(-intervals // 10)
     values = jnp.asarray(settle), jnp.asarray(interval), tolerance
@@ -92,7 +91,7 @@ def scene_exponent(
 
 @partial(jax.jit, static_argnums=(0, 5, 6, 7, 8))
 def _growth(
-    scene: AbstractScene,
+    scene: AbstractModel,
     params: Params,
     settle: Array,
     interval: Array,
@@ -110,7 +109,7 @@ def _growth(
     start = jnp.where(settle > 0.0, settled.states[-1], posed.start)
 
     def unit(state: Array, tangent: Array) -> tuple[Array, Array]:
-        tangent = _transverse(scene, state, tangent)
+        tangent = scene.neutral(state, tangent)
         size = jnp.sqrt(jnp.mean(jnp.square(tangent / posed.scales)))
         return tangent / jnp.where(size > 0.0, size, 1.0), size
 
@@ -125,9 +124,9 @@ def _growth(
     return growth, codes.at[0].set(begun)
 
 
-def _beside(scene: AbstractScene, posed: Problem) -> Problem:
+def _beside(scene: AbstractModel, posed: Problem) -> Problem:
     """The problem of rows (2, n): a state, and its tangent, without a change of parameters."""
-    if isinstance(scene, Joint):
+    if scene.traits.stiff:
         return posed._replace(
             field=lambda t, rows, args: rows.at[0].set(posed.field(t, rows[0], args[0])),
             args=(posed.args, None),
@@ -162,20 +161,3 @@ def advance(both: Problem, how: Plan, rows: Array, begin: Array, end: Array) -> 
     assert solution.ys is not None
     found = solution.ys[0]
     return found, code_of(solution.result, found)
-
-
-def _transverse(scene: AbstractScene, state: Array, tangent: Array) -> Array:
-    """A joint's tangent without its neutral parts: the phase of a prescribed drive, the length of the cage's axis."""
-    if not isinstance(scene, Joint):
-        return tangent
-    places = 3 * scene.balls
-    rates = places + scene.border + scene.balls * scene.twist
-    seat, cage = scene.slots["seat_turn"], scene.slots["cage_turn"]
-    assert seat is not None
-    if scene.drive == "prescribed":
-        tangent = tangent.at[jnp.array([places + seat.start, rates + seat.start])].set(0.0)
-    if cage is not None:
-        at = slice(places + cage.start, places + cage.stop)
-        axis = state[at]
-        tangent = tangent.at[at].add(-axis * (axis @ tangent[at]) / (axis @ axis))
-    return tangent

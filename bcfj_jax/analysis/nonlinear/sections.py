@@ -16,8 +16,7 @@ from numpy.typing import ArrayLike
 
 from bcfj_jax.analysis.features import onsets
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.mechanism.scene import AbstractScene, Params
-from bcfj_jax.models.joint.scene import Joint
+from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.integrate import MAX_STEPS
 from bcfj_jax.solve.simulation import simulate
 
@@ -48,21 +47,14 @@ class Impacts(NamedTuple):
     speeds: np.ndarray
 
 
-def drive_period(scene: AbstractScene, params: Params) -> float:
-    """Duration of one revolution of the drive, 2 pi/|drive_speed| [s].
+def drive_period(scene: AbstractModel, params: Params) -> float:
+    """Duration of one revolution of the drive [s].
 
     Raises:
         InputError: for a scene without a drive, or without a history (a fidelity that is no ``dynamic`` one), and for
             a drive that stands still.
     """
-    if not isinstance(scene, Joint):
-        raise InputError(f"scene '{scene.kind}'", "has no drive, so no revolution", "take impacts, of a run")
-    if scene.fidelity != "dynamic":
-        raise InputError("scene 'joint' fidelity", f"'{scene.fidelity}' has no dynamics", "give fidelity = 'dynamic'")
-    speed = abs(float(params["drive_speed"]))
-    if not speed > 0.0:
-        raise InputError("drive_speed", f"{speed:g} rad/s", "give a speed other than 0")
-    return 2.0 * math.pi / speed
+    return scene.period(params)[0]
 
 
 def revolutions_to_keep(revolutions: int, transients: int, phase: float) -> np.ndarray:
@@ -81,7 +73,7 @@ def revolutions_to_keep(revolutions: int, transients: int, phase: float) -> np.n
 
 
 def stroboscopic(
-    scene: AbstractScene,
+    scene: AbstractModel,
     params: Params,
     revolutions: int = 40,
     *,

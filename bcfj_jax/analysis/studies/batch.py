@@ -16,13 +16,13 @@ import numpy as np
 from jax import Array
 from jax.sharding import Mesh, PartitionSpec
 
-from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel, channel_names, channels, compiled
+from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel, channel_names, compiled
 from bcfj_jax.analysis.derivatives.measures import vector
 from bcfj_jax.analysis.derivatives.names import Feature, members
 from bcfj_jax.analysis.features import contact_interval
 from bcfj_jax.analysis.histories import delay, settled_period
 from bcfj_jax.core.status import OK, reason
-from bcfj_jax.mechanism.scene import AbstractScene
+from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.models.joint.scene import Joint
 from bcfj_jax.solve.integrate import Plan, integrate
 from bcfj_jax.solve.simulation import readings
@@ -55,7 +55,7 @@ class Batch(NamedTuple):
     force: np.ndarray
 
 
-def has_history(scene: AbstractScene) -> bool:
+def has_history(scene: AbstractModel) -> bool:
     """Whether the scene is integrated."""
     return not isinstance(scene, Joint) or scene.fidelity == "dynamic"
 
@@ -68,7 +68,7 @@ def slots() -> int:
 
 
 def run(
-    scene: AbstractScene,
+    scene: AbstractModel,
     params: Mapping[str, np.ndarray],
     ends: np.ndarray,
     grid: np.ndarray,
@@ -118,7 +118,7 @@ def run(
 
 
 def _program(
-    scene: AbstractScene, grid: np.ndarray, wanted: tuple[Feature, ...], host: bool, params: dict, ends: Array,
+    scene: AbstractModel, grid: np.ndarray, wanted: tuple[Feature, ...], host: bool, params: dict, ends: Array,
     how: Plan, count: Array,
 ) -> tuple:  # fmt: skip
     devices = jax.local_devices()
@@ -139,11 +139,11 @@ def _program(
 
 
 def _part(
-    scene: AbstractScene, grid: np.ndarray, wanted: tuple[Feature, ...], host: bool, params: dict, ends: Array,
+    scene: AbstractModel, grid: np.ndarray, wanted: tuple[Feature, ...], host: bool, params: dict, ends: Array,
     how: Plan, count: Array,
 ) -> tuple:  # fmt: skip
     """What one device does."""
-    contacts = channels(scene)
+    contacts = scene.members
 
     def look(one: tuple) -> tuple:
         params, end, states = one
@@ -164,10 +164,10 @@ def _part(
 
 
 def _on_host(
-    scene: AbstractScene, grid: np.ndarray, feature: Feature, force: np.ndarray, depth: np.ndarray, rate: np.ndarray
+    scene: AbstractModel, grid: np.ndarray, feature: Feature, force: np.ndarray, depth: np.ndarray, rate: np.ndarray
 ) -> float:
     """A period or a delay of a run that takes one second, as ``outputs.summary`` and ``measures`` have it."""
-    contacts = channels(scene)
+    contacts = scene.members
     place = {name: i for i, name in enumerate(channel_names(contacts))}
 
     def cycle(name: str) -> float:

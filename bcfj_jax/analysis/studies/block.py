@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bcfj_jax.analysis.derivatives.jacobian import Histories, channels, rung
+from bcfj_jax.analysis.derivatives.jacobian import Histories, rung
 from bcfj_jax.analysis.derivatives.measures import measure
 from bcfj_jax.analysis.derivatives.names import complete
 from bcfj_jax.analysis.studies.batch import Batch, has_history, run
@@ -28,7 +28,7 @@ from bcfj_jax.io import outputs
 from bcfj_jax.io.journal import key_of
 from bcfj_jax.models.joint.scene import AUTO, Joint
 from bcfj_jax.solve.integrate import LEVELS, Plan, plan, problem
-from bcfj_jax.solve.simulation import check, simulate
+from bcfj_jax.solve.simulation import simulate
 
 # Points of a block: of a joint's motion, of all else. Enough to fill the slots several times over,
 # few enough that little is lost with one; and numbers of state that a block may hold at once.
@@ -147,7 +147,7 @@ def compute(study: Study, at: np.ndarray, size: int) -> Table:
     steps, rounds = np.zeros(len(at), int), 0
     force = np.zeros((len(at), 0, 0, 0))
     if study.histories:
-        force = np.full((len(at), len(given.times), sum(max(1, k) for k in channels(given.scene).values()), 3), np.nan)
+        force = np.full((len(at), len(given.times), sum(max(1, k) for k in given.scene.members.values()), 3), np.nan)
     grid = given.times / given.times[-1]
 
     def attempt(which: np.ndarray, safety: float) -> np.ndarray:
@@ -185,7 +185,7 @@ def _run(study: Study, values: np.ndarray, last: np.ndarray, grid: np.ndarray, s
 def _one_by_one(study: Study, values: np.ndarray, last: np.ndarray, grid: np.ndarray, safety: float) -> Batch:
     """As ``batch.run``, for what has no batch: derivatives, a solver of one's own, a fidelity to be chosen."""
     given = study.given
-    scene, contacts, params = given.scene, channels(given.scene), study.params(values)
+    scene, contacts, params = given.scene, given.scene.members, study.params(values)
     rows: list[tuple] = []
     for i, end in enumerate(last):
         one = {name: jnp.asarray(leaf[i]) for name, leaf in params.items()}
@@ -233,7 +233,7 @@ def _refusals(study: Study, values: np.ndarray) -> list[str]:
                 check_value("", quantity, params[name])
             if ordered:
                 check_order("", scene.quantities, params)
-            check(scene, params)  # pyright: ignore[reportArgumentType]
+            scene.check(params)  # pyright: ignore[reportArgumentType]
         except InputError as error:
             found.append(f"{error.where}: {error.found}; {error.remedy}".strip(": "))
         else:

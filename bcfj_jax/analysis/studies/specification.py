@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 import pydantic
 
-from bcfj_jax.analysis.derivatives.jacobian import channels
 from bcfj_jax.analysis.derivatives.names import Feature, complete, feature
 from bcfj_jax.analysis.studies.design import DEFAULTS, DRAWN, KINDS, SCALES, Axis, Options, block_length, number, points
 from bcfj_jax.core.errors import InputError, nearest
@@ -141,7 +140,7 @@ def from_table(table: Mapping[str, Any], where: str = "study", beside: Path = Pa
     count = number(kind, axes, block_length(kind, len(axes), options) * size)
     if count > MOST_POINTS:
         raise InputError(f"{where}: [vary]", f"{count} points", f"a study has at most {MOST_POINTS}")
-    members = channels(given.scene)
+    members = given.scene.members
     wanted = file.results.features
     if wanted is None:
         wanted = [f"{contact}.peak" for contact in members]

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bcfj_jax.analysis.derivatives.jacobian import channel_names, channels
+from bcfj_jax.analysis.derivatives.jacobian import channel_names
 from bcfj_jax.analysis.studies.block import Blocks, Table
 from bcfj_jax.analysis.studies.extra import library
 from bcfj_jax.analysis.studies.specification import Study
@@ -211,7 +211,7 @@ def _write_forces(path: Path, study: Study, table: Table) -> dict[str, str]:
         group.create_array("force", data=table.force, chunks=(1, *table.force.shape[1:]))
         group.create_array("time", data=table.ends[:, None] * grid)
         group.create_array("point", data=table.point.astype(np.int64))
-        group.attrs["contacts"] = channel_names(channels(study.given.scene))
+        group.attrs["contacts"] = channel_names(study.given.scene.members)
         group.attrs["components"] = ["normal", "axial", "tangential"]
         files = sorted(p for p in temporary.rglob("*") if p.is_file())
         for file in files:

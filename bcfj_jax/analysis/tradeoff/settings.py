@@ -16,7 +16,8 @@ from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.io.outputs import plain
 from bcfj_jax.io.scenefile import SceneFile
 from bcfj_jax.mechanism.dynamics import state_scales
-from bcfj_jax.mechanism.scene import AbstractScene, Scene
+from bcfj_jax.mechanism.model import AbstractModel
+from bcfj_jax.mechanism.scene import Scene
 from bcfj_jax.models import scenes
 from bcfj_jax.models.joint.scales import scales as joint_scales
 from bcfj_jax.models.joint.scene import AUTO, FIDELITIES, Joint
@@ -105,7 +106,7 @@ def own_solver(given: SceneFile) -> str:
     return given.solver or ("rodas3" if isinstance(given.scene, Joint) else "tsit5")
 
 
-def rungs(scene: AbstractScene, errors: tuple[float, ...] = ERRORS) -> list[float]:
+def rungs(scene: AbstractModel, errors: tuple[float, ...] = ERRORS) -> list[float]:
     """Force errors that are told apart by the tolerance they give; of those alike the smallest."""
     last: dict[float, float] = {float(plan(scene, error).tolerance): error for error in errors}
     return list(last.values())
@@ -170,7 +171,7 @@ def _percent(error: float) -> str:
 
 def _tolerances(given: SceneFile) -> Iterator[Setting]:
     joint = isinstance(given.scene, Joint)
-    for solver in named.ARROWHEAD if joint else named.SPRINGS:
+    for solver in named.STIFF if joint else named.NOT_STIFF:
         for place, error in enumerate(rungs(given.scene)):
             change = {"accuracy": _accuracy(given, error, solver)}
             # The tangents' own control below 5e-4 is BDF's; looser ones are SDIRK2's (integrate).
@@ -223,7 +224,7 @@ def _knobs(given: SceneFile, moves: bool) -> Iterator[Setting]:
             yield Setting(title, group, name, error, table, at, physics, derivatives=not joint and group == "smoothing")
 
 
-def _knobs_at(scene: AbstractScene) -> list[float]:
+def _knobs_at(scene: AbstractModel) -> list[float]:
     return rungs(scene, _KNOBS_AT["joint" if isinstance(scene, Joint) else "springs"])
 
 

@@ -24,7 +24,7 @@ from bcfj_jax.core.compile_cache import use_compile_cache
 from bcfj_jax.io.outputs import plain
 from bcfj_jax.io.stop import check as check_stop
 from bcfj_jax.solve.integrate import Plan, plan
-from bcfj_jax.solve.simulation import Run, check, timed
+from bcfj_jax.solve.simulation import Run, timed
 
 # What of a run is compared, contact by contact.
 _READ = ("force", "penetration", "rate", "slip")
@@ -62,7 +62,7 @@ def single(table: Mapping[str, Any], seconds: float) -> Trial:
 
 def _child(table: Mapping[str, Any], out: Path) -> None:
     given = loaded(table)
-    check(given.scene, given.params)
+    given.scene.check(given.params)
     # Planned in the width that planning asks for.
     tolerance = float(plan(given.scene, given.accuracy, given.max_steps, given.solver).tolerance)
     jax.config.update("jax_enable_x64", False)

@@ -20,8 +20,8 @@ from bcfj_jax.models.joint import system
 from bcfj_jax.models.joint.blocks import Blocks, blocks
 from bcfj_jax.models.joint.constants import Constants
 from bcfj_jax.models.joint.scene import Joint
-from bcfj_jax.solve.small import inverse, inverse3, inverse6
-from bcfj_jax.solve.structure import AbstractStructure
+from bcfj_jax.core.small import inverse, inverse3, inverse6
+from bcfj_jax.mechanism.structure import AbstractStructure
 
 
 class Factors(NamedTuple):

@@ -26,7 +26,7 @@ from bcfj_jax.models.joint.contacts import dot
 from bcfj_jax.models.joint.guides import BODIES, GUIDES
 from bcfj_jax.models.joint.scene import Joint
 from bcfj_jax.models.joint.slopes import Slopes, slopes
-from bcfj_jax.solve.small import block_diagonal
+from bcfj_jax.core.small import block_diagonal
 
 
 class Bristled(NamedTuple):

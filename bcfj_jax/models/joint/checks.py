@@ -16,7 +16,7 @@ import numpy as np
 from jax.core import Tracer
 
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.mechanism.scene import Params
+from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint import deflection
 from bcfj_jax.models.joint.deflection import ROUNDING, Fault, shown
 from bcfj_jax.models.joint.scene import Joint

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
-from bcfj_jax.mechanism.scene import Params
+from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint import geometry
 from bcfj_jax.models.joint.contacts import Groove
 from bcfj_jax.models.joint.guides import Guides, body_maps, guides

@@ -4,7 +4,7 @@ Along every solution, term by term, exactly:
 
     drive + hold = load + axial + friction + damping + edge + d(kinetic + elastic + spring)/dt
 
-``ledger`` integrates it. A contact of penetration d, smoothed to r(d), with normal force N(d, d') at a flank's
+``analysis.energy_balance`` integrates it. A contact of penetration d, smoothed to r(d), with normal force N(d, d') at a flank's
 gate g (1 but at a flank's edge) holds  g E(d),  E = integral of N(x, 0) dx = integral of law(x, 0) dx from 0 to r(d),
 and takes in  g N d' = d(g E)/dt + damping + edge.
 """
@@ -20,7 +20,7 @@ from jax import Array
 
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.numerics import positive, smooth_ramp
-from bcfj_jax.mechanism.scene import Params
+from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint import system
 from bcfj_jax.models.joint.constants import Constants, constants
 from bcfj_jax.models.joint.contacts import Geometry, Touch, act, dot

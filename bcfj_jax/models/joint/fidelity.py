@@ -22,13 +22,13 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bcfj_jax.mechanism.scene import Params
+from bcfj_jax.mechanism.model import Choice, Params
 from bcfj_jax.models.joint import periodic
 from bcfj_jax.models.joint.model_error import Statics, statics
 from bcfj_jax.models.joint.scene import PILOTS, Joint
@@ -46,23 +46,6 @@ _PITCHES = (2, 4)
 _LONG = 1.3
 # Instants at which equilibrium is looked at.
 _LOOKS = 32
-
-
-class Choice(NamedTuple):
-    """What was chosen.
-
-    Attributes:
-        fidelity: "kinematic", "quasistatic", "periodic" or "dynamic".
-        budget: force error allowed, a fraction of the peak.
-        errors: estimated error of every rung that was looked at, in the order of the ladder; infinite or NaN where the
-            rung has no answer.
-        reason: the choice in words.
-    """
-
-    fidelity: str
-    budget: float
-    errors: dict[str, float]
-    reason: str
 
 
 def resolved(scene: Joint, fidelity: str) -> Joint:

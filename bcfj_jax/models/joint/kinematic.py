@@ -11,8 +11,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.core.numerics import positive, smooth_rise
-from bcfj_jax.mechanism.dynamics import Reading
-from bcfj_jax.mechanism.scene import Params
+from bcfj_jax.mechanism.model import Params, Reading
 from bcfj_jax.models.joint import geometry
 from bcfj_jax.models.joint.constants import skin_of
 from bcfj_jax.models.joint.law_pair import Skin

@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from bcfj_jax.mechanism.scene import Params
+from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint import system
 from bcfj_jax.models.joint.equilibrium_residual import Places, Problem, balance, slots_of, solve, tilted_axis
 from bcfj_jax.models.joint.kinematic import kinematic_readings

@@ -1,4 +1,4 @@
-"""What instruments on the joint would read in one state, contact by contact, and which state each contact is in.
+"""What instruments on the joint would read in one state, contact by contact.
 
 Components of a force (the last axis, normal, axial, tangential); friction is that on the second body named here:
 
@@ -13,17 +13,14 @@ Axial and tangential are friction alone: normal, axial and tangential directions
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
-from bcfj_jax.mechanism.dynamics import Reading, contact_state
-from bcfj_jax.mechanism.scene import Params
+from bcfj_jax.mechanism.model import Params, Reading
 from bcfj_jax.models.joint import energy
 from bcfj_jax.models.joint.constants import Constants, constants
 from bcfj_jax.models.joint.contacts import Touch, dot
@@ -49,7 +46,8 @@ def _read(touch: Touch, normal: Array, axial: Array) -> Reading:
         jnp.take_along_axis(x, deepest, -1)[..., 0] for x in (touch.penetration, touch.rate, touch.slip)
     )
     # A law clips NaN to no force; a state that failed must not read as one that is merely apart.
-    return Reading(jnp.where(jnp.isnan(depth)[..., None], jnp.nan, force), depth, rate, slip)
+    force, world = (jnp.where(jnp.isnan(depth)[..., None], jnp.nan, x) for x in (force, touch.force))
+    return Reading(force, depth, rate, slip, world)
 
 
 def observe(scene: Joint, c: Constants, y: Array) -> dict[str, Reading]:
@@ -75,26 +73,6 @@ def observe_at_rest(scene: Joint, c: Constants, y: Array) -> dict[str, Reading]:
     velocities = jnp.arange(y.size) >= 3 * scene.balls + scene.border
     moving, still = observe(scene, c, y), observe(scene, c, jnp.where(velocities, 0.0, y))
     return {name: still[name]._replace(rate=moving[name].rate, slip=moving[name].slip) for name in moving}
-
-
-def pressed(reading: Reading) -> np.ndarray:
-    """Normal force where surfaces overlap: what a smoothed onset bears across a gap is numerical."""
-    return np.where(np.asarray(reading.penetration) < 0, 0.0, np.asarray(reading.force)[..., 0])
-
-
-def contact_states(scene: Joint, params: Params, readings: Mapping[str, Reading]) -> dict[str, np.ndarray]:
-    """``dynamics.contact_state`` of every contact, from what ``observe`` read; of its deepest face, on the host.
-
-    Statics know no friction: in the fidelities ``quasistatic`` and ``kinematic`` what presses is touching.
-    """
-    found = {}
-    for contact in scene.contacts:
-        reading = readings[contact.name]
-        rubs = contact.friction is not None and scene.fidelity == "dynamic"
-        transition = float(scene.coefficient(params, contact.name, "friction_speed")) if rubs else None
-        slip = None if reading.slip is None else np.asarray(reading.slip)
-        found[contact.name] = contact_state(pressed(reading), slip, transition)
-    return found
 
 
 def resultants(scene: Joint, c: Constants, y: Array) -> dict[str, Array]:

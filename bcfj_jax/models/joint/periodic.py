@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bcfj_jax.mechanism.scene import Params
+from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint.scene import OF_A_BALL, Joint
 
 # Instants at which two pitches are compared: in the second half alone. A start that dies away is then larger in what is

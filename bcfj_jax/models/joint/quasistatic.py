@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from bcfj_jax.mechanism.scene import Params
+from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint import system
 from bcfj_jax.models.joint.batched_newton import Found, displaced, pull, search
 from bcfj_jax.models.joint.constants import constants

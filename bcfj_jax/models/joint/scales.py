@@ -7,7 +7,7 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.core.numerics import smooth_ramp, smooth_rise
-from bcfj_jax.mechanism.scene import Params
+from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint.bristles import flat
 from bcfj_jax.models.joint.constants import skin_of
 from bcfj_jax.models.joint.scene import PILOTS, Joint

@@ -14,7 +14,7 @@ from jax import Array
 
 from bcfj_jax.contact.laws import AbstractFriction, AbstractLaw
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
-from bcfj_jax.mechanism.scene import AbstractScene, Params
+from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.models.joint.defaults import DEFAULTS
 
 CONTACTS = ("seat_cage", "head_cage", "cage_ball", "seat_ball", "head_ball")
@@ -42,8 +42,8 @@ class JointContact(eqx.Module):
         return (*self.law.needs, *(self.friction.needs if self.friction else ()))
 
 
-class Joint(AbstractScene, eqx.Module):
-    """Static structure of the ball-cage flexible joint; made by ``scenes.joint``.
+class Joint(AbstractModel):
+    """Static structure of the ball-cage flexible joint; ``model.JointModel`` is the whole model.
 
     Attributes:
         contacts: those in the program.
@@ -108,11 +108,6 @@ class Joint(AbstractScene, eqx.Module):
     def contact(self, name: str) -> JointContact:
         """A contact by name."""
         return next(contact for contact in self.contacts if contact.name == name)
-
-    def coefficient(self, params: Params, contact: str, name: str) -> Array:
-        """A contact's own coefficient ``<contact>.<name>`` where the parameters have it, else the shared one."""
-        own = f"{contact}.{name}"
-        return params[own] if own in params else params[name]
 
     @property
     def azimuths(self) -> np.ndarray:

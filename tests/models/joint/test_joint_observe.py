@@ -13,11 +13,22 @@ from oracles import within
 
 import bcfj_jax as bj
 from bcfj_jax.io import outputs
-from bcfj_jax.mechanism.dynamics import APART, SLIDING, STATES, STICKING, TOUCHING, UNKNOWN, Reading, contact_state
+from bcfj_jax.mechanism.model import Reading
+from bcfj_jax.mechanism.readings import (
+    APART,
+    SLIDING,
+    STATES,
+    STICKING,
+    TOUCHING,
+    UNKNOWN,
+    contact_state,
+    contact_states,
+)
 from bcfj_jax.models.joint.constants import constants
 from bcfj_jax.models.joint.energy import Power, Stored
-from bcfj_jax.models.joint.observe import Whole, contact_states, observe, resultants
+from bcfj_jax.models.joint.observe import Whole, observe, resultants
 from bcfj_jax.models.joint.start import nominal
+from bcfj_jax.models.joint.summary import of_the_whole
 from bcfj_jax.solve.simulation import Run
 
 JOINT = bj.scenes.joint()
@@ -209,7 +220,7 @@ def test_the_joint_as_a_whole_in_numbers():
     error, ratio = np.where(times < 0.95, 9.0, -0.2), np.where(times < 0.95, 9.0, 1.0)
     forces = {"seat_cage": 3 * np.ones((31, 3)), "head_cage": -4 * np.ones((31, 3)), "seat_ball": 9 * np.ones((31, 3))}
     arrays = jax.tree.map(jnp.asarray, Whole(forces, power, stored, 0.25 * np.ones((31, 3)), error, ratio))
-    found = outputs.joint_summary(times, arrays)
+    found = of_the_whole(times, arrays)
     assert found["transmission"]["efficiency"] == within(0.9, 1e-12)
     assert found["transmission"]["angle_error_max"] == found["transmission"]["angle_error_min"] == -0.2
     assert found["transmission"]["speed_ratio_mean"] == within(1.0, 1e-12)
@@ -218,4 +229,4 @@ def test_the_joint_as_a_whole_in_numbers():
     assert found["energy"]["closure"] == within(0.5 / 30.0, 1e-9)
     assert found["cage_equilibrium"]["largest_residual"] == 0.25
     assert found["cage_equilibrium"]["largest_resultant"] == 4.0
-    assert "cage_equilibrium" not in outputs.joint_summary(times, arrays._replace(cage_residual=None))
+    assert "cage_equilibrium" not in of_the_whole(times, arrays._replace(cage_residual=None))

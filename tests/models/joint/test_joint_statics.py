@@ -16,8 +16,9 @@ from bcfj_jax import laws
 from bcfj_jax.models.joint import geometry, system
 from bcfj_jax.models.joint.constants import constants, skin_of
 from bcfj_jax.models.joint.kinematic import ball_loads, kinematic_readings, kinematic_states, penetration
+from bcfj_jax.models.joint.model import JointModel
 from bcfj_jax.models.joint.quasistatic import GROUND, quasistatic
-from bcfj_jax.models.joint.scene import CONTACTS, Joint, JointContact
+from bcfj_jax.models.joint.scene import CONTACTS, JointContact
 
 E, RP = 4.5e-3, 35.5e-3
 # Physics sheet 5.4: contact angle, N, F_c, sum of F_c.
@@ -32,7 +33,7 @@ MIRROR = -np.arange(6) % 6
 
 def joint(drop=(), smoothing=False, **options):
     contacts = [JointContact(name, laws.make("hertz"), None) for name in CONTACTS if name not in drop]
-    return Joint(tuple(contacts), smoothing=smoothing, **options)
+    return JointModel(tuple(contacts), smoothing=smoothing, **options)
 
 
 # Head and cage at their centres: a fixed head, and pilots without play a hundred times stiffer than the rest.

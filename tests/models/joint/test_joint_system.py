@@ -17,7 +17,7 @@ from bcfj_jax.models.joint.arrowhead import Arrowhead
 from bcfj_jax.models.joint.law_pair import SkinPair
 from bcfj_jax.models.joint.scene import CONTACTS
 from bcfj_jax.models.joint.start import nominal
-from bcfj_jax.solve.small import inverse, inverse3, inverse6
+from bcfj_jax.core.small import inverse, inverse3, inverse6
 
 UNLIKE = {"head_ball": "kelvin_voigt", "head_cage": "hertz"}
 OPTIONS = {

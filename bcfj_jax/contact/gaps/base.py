@@ -1,0 +1,185 @@
+"""What a gap is: from the frames of two bodies to penetration, direction and point of contact.
+
+A gap reads two frames, markers on a first body a and a second body b, in world components (``core.vectors``), and gives
+faces. A face's normal n is the way in which b has moved into a: the derivative of the penetration by b's place. The
+contact pushes b along -n and a along +n, at the point ``lever`` away from b's marker. Velocities are the mechanism's
+business (``contact.wrench``): the rate of the penetration is n . (v_b - v_a) at the point of contact, because the point
+of contact slides along surfaces but not across them.
+
+To add a gap in a file of your own: ``from_depth(function)`` of one line, or a module with ``needs`` and ``faces``. The
+rate above holds for every gap whose penetration reads b's place in a's axes alone and whose lever is along n, and for
+every gap whose penetration is that of one material point of b and whose lever leads to that point.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, ClassVar, NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+from jax import Array
+
+from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.quantities import Quantity
+from bcfj_jax.core.vectors import ZERO, Axes, Number, Vector, array, seen, subtract, turned
+
+Coefficients = Mapping[str, Array]
+# Lengths are sqrt(v . v + ROUND^2) [m]: coincident centres have no direction, no force and finite derivatives.
+ROUND = 1e-12
+
+
+class Frame(NamedTuple):
+    """A marker on a body: its place [m] and its body's axes, as columns, in world components."""
+
+    place: Vector
+    axes: Axes
+
+
+class Face(NamedTuple):
+    """One place where two bodies may touch; numbers are scalars, or (k,) over members.
+
+    Attributes:
+        depth: penetration [m], positive in contact.
+        normal: unit vector, world: the way in which b has moved into a.
+        lever: from b's marker to the point of contact [m], world.
+        gate: 1 where the face is there, 0 beyond its edge; it multiplies the normal force.
+    """
+
+    depth: Number
+    normal: Vector
+    lever: Vector = ZERO
+    gate: Number = 1.0
+
+
+class AbstractGap(eqx.Module):
+    """The geometry of one contact.
+
+    Attributes:
+        needs: names of the sizes it reads from the contact's coefficients, ``clearance`` among them where it has one.
+        quantities: what names of its own mean, beside those of ``core.quantities.CATALOGUE``.
+        members: number of like contacts that ``faces`` gives side by side; 0 where its bodies decide.
+        signed: whether the normal force that is read is the first face's less the second's, and not their sum.
+    """
+
+    needs: ClassVar[tuple[str, ...]] = ()
+    quantities: ClassVar[Mapping[str, Quantity]] = {}
+    signed: ClassVar[bool] = False
+
+    @property
+    def members(self) -> int:
+        """0: the bodies decide."""
+        return 0
+
+    @abstractmethod
+    def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
+        """The faces, always as many.
+
+        Args:
+            a, b: markers on the first and on the second body.
+            c: the coefficients named by ``needs``, SI; each a scalar, or (k,) over members.
+        """
+
+    def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
+        """Direction that a force's axial component is read along, less its part along the normal: a's z axis.
+
+        It need not have length 1. Tangential is across the normal and the axial direction. Arguments as ``faces``.
+        """
+        del b, c
+        return a.axes[2]
+
+
+class FromDepth(AbstractGap):
+    """A gap given by its penetration alone, a function of b's place in a's axes; the normal is its gradient.
+
+    Force acts at b's marker. Made by ``from_depth``.
+    """
+
+    function: Callable[[Array, Coefficients], Array] = eqx.field(static=True)
+    reads: tuple[str, ...] = eqx.field(static=True, default=())
+    known: tuple[Quantity, ...] = eqx.field(static=True, default=())
+
+    @property
+    def needs(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """As given."""
+        return self.reads
+
+    @property
+    def quantities(self) -> Mapping[str, Quantity]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """As given."""
+        return {q.name: q for q in self.known}
+
+    def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
+        """One face."""
+        place = array(seen(a.axes, subtract(b.place, a.place)))
+        depth, slope = self._depth_and_slope(place, {name: c[name] for name in self.reads})
+        local = (slope[..., 0], slope[..., 1], slope[..., 2])
+        return (Face(depth, turned(a.axes, local)),)
+
+    def _depth_and_slope(self, place: Array, c: dict[str, Array]) -> tuple[Array, Array]:
+        one = jax.value_and_grad(self.function)
+        if place.ndim == 1:
+            return one(place, c)
+        return jax.vmap(one, (0, {name: 0 if np.ndim(x) else None for name, x in c.items()}))(place, c)
+
+
+def from_depth(
+    function: Callable[[Array, Coefficients], Array], needs: tuple[str, ...] = (), quantities: tuple[Quantity, ...] = ()
+) -> FromDepth:
+    """A gap from one function: penetration [m] of b's marker at r (3,) in a's axes [m], given coefficients.
+
+    The function must be a distance (its gradient has length 1), or the penetration is not the overlap.
+
+    Args:
+        function: (r, coefficients) -> penetration, positive in contact.
+        needs: names of the coefficients it reads.
+        quantities: what names of its own mean.
+    """
+    return FromDepth(function, tuple(needs), tuple(quantities))
+
+
+def one_of(option: str, value: Any, known: Iterable[str]) -> None:
+    """Refuse an option's value that is not known.
+
+    Raises:
+        InputError: naming the option and the nearest value that is known.
+    """
+    known = tuple(known)
+    if value not in known:
+        raise InputError(f"gap, option '{option}'", f"no {option} '{value}'", nearest(str(value), known))
+
+
+def yes_or_no(option: str, value: Any) -> None:
+    """Refuse an option's value that is not a truth value.
+
+    Raises:
+        InputError: naming the option and the value.
+    """
+    if not isinstance(value, bool):
+        raise InputError(f"gap, option '{option}'", f"{value!r} is neither true nor false", "give true or false")
+
+
+def direction(axis: Any) -> tuple[float, float, float]:
+    """A unit vector in a body's axes, as Python floats: from "x", "-z", or three numbers.
+
+    Raises:
+        InputError: for anything else.
+    """
+    if isinstance(axis, str):
+        one_of("axis", axis, ("x", "y", "z", "-x", "-y", "-z"))
+        sign = -1.0 if axis.startswith("-") else 1.0
+        x, y, z = (sign if axis[-1] == letter else 0.0 for letter in "xyz")
+        return x, y, z
+    try:
+        x, y, z = (float(part) for part in axis)
+        size = float(np.hypot(np.hypot(x, y), z))
+        if not (0.0 < size < np.inf):
+            raise ValueError
+    except (TypeError, ValueError):
+        found = f"axis {axis!r} is no direction"
+        raise InputError(
+            "gap, option 'axis'", found, "give x, y or z, with a minus or without, or three numbers"
+        ) from None
+    return x / size, y / size, z / size

@@ -1,0 +1,194 @@
+"""A pin in a bearing and in a slot, a block in a guide, a stop on both sides."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import equinox as eqx
+import numpy as np
+
+from bcfj_jax.contact.gaps.base import ROUND, AbstractGap, Coefficients, Face, Frame, direction, yes_or_no
+from bcfj_jax.contact.gaps.spheres import Direction, in_plane
+from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.vectors import ZERO, Number, Vector, add, dot, length, negative, scale, subtract, times, turned
+
+
+def between(a: Frame, b: Frame, normal: Vector, clearance: Number, reach: Number = 0.0) -> tuple[Face, Face]:
+    """b between two parallel faces of a:  d = +-p . n - clearance.
+
+    Args:
+        a, b: markers; p leads from a's, midway between the faces, to b's.
+        normal: n, from the middle to the first face, world.
+        clearance: from b to either face where b is in the middle [m].
+        reach: distance of the point of contact from b's marker, towards the face [m].
+    """
+    height = dot(normal, subtract(b.place, a.place))
+    back = negative(normal)
+    first = Face(height - clearance, normal, scale(reach, normal))
+    return first, Face(-height - clearance, back, scale(reach, back))
+
+
+def _travel(axis: Any) -> Direction:
+    """A direction across a's z axis.
+
+    Raises:
+        InputError: for one that is not.
+    """
+    way = direction(axis)
+    if way[2] != 0.0:
+        raise InputError("gap, option 'axis'", f"axis {axis!r} is not across z", "give x, -x, y, -y, or [cos, sin, 0]")
+    return way
+
+
+def _across(way: Direction) -> Direction:
+    """z x way."""
+    return (-way[1] if way[1] else 0.0, way[0], 0.0)
+
+
+class TwoSidedStop(AbstractGap):
+    """A point of b between two stops of a:  d = +-p . e - clearance,  n = +-e,  p from a's marker to b's.
+
+    The stops are planes across e, ``clearance`` to either side of a's marker. The point of contact is b's marker. First
+    face: the stop on the side of +e. Two of Modelica's ElastoGap back to back (physics sheet 1.2).
+    Exact for planes without edges, for every rotation of both bodies.
+
+    Directions: normal is along e, and the reading is signed: positive while b pushes the stop at +e. Axial is along
+    a's z axis in the stop's plane (a's x axis where e is nearer than 45 degrees to z); tangential is across both.
+    Coefficient: ``clearance`` [m], from the middle to either stop.
+
+    Attributes:
+        axis: e in a's axes: "x", "y", "z", "-x", "-y", "-z", or three numbers.
+    """
+
+    needs: ClassVar[tuple[str, ...]] = ("clearance",)
+    signed: ClassVar[bool] = True
+    axis: Any = eqx.field(static=True, default="z", converter=direction)
+
+    def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
+        """Two faces, at +e and at -e."""
+        return between(a, b, turned(a.axes, self.axis), c["clearance"])
+
+    def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
+        """In the stop's plane (class docstring)."""
+        del b, c
+        return in_plane(a.axes, self.axis)
+
+
+class PinInSlot(AbstractGap):
+    """A pin of b between the two parallel walls of a slot of a:  d = +-p . e - clearance,  n = +-e.
+
+    p leads from a's marker, on the slot's centre line, to b's, on the pin's axis. The slot runs along ``axis``, the pin
+    along a's z axis, and e = z x axis is across the walls. The point of contact is on the pin, ``radius`` along n. First
+    face: the wall on the side of +e. The slot has no ends; a ``TwoSidedStop`` along it gives them.
+    Exact while the pin's axis is parallel to a's z axis; a pin tilted by t touches sooner, by the order of t^2 radius.
+
+    Directions: normal is across the walls, and the reading is signed: positive while the pin pushes the wall at +e.
+    Axial is along the slot; tangential is along the pin.
+    Coefficients: ``clearance`` [m], half of slot width less pin diameter; ``radius`` of the pin [m].
+
+    Attributes:
+        axis: direction of the slot in a's axes, across z: "x", "y", "-x", "-y", or three numbers, the last 0.
+    """
+
+    needs: ClassVar[tuple[str, ...]] = ("clearance", "radius")
+    signed: ClassVar[bool] = True
+    axis: Any = eqx.field(static=True, default="x", converter=_travel)
+
+    def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
+        """Two faces, at +e and at -e."""
+        return between(a, b, turned(a.axes, _across(self.axis)), c["clearance"], c["radius"])
+
+    def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
+        """Along the slot."""
+        del b, c
+        return turned(a.axes, self.axis)
+
+
+class PinInBearing(AbstractGap):
+    """A pin (journal) of b in a bearing of a, a revolute joint with clearance:  d = |e| - clearance,  n = e/|e|.
+
+    The clearance vector e is the part across a's z axis, the bearing's, of the vector from a's marker to b's. |e| is
+    sqrt(e . e + (1e-12 m)^2), so that coincident centres have no direction, and finite derivatives. The point of contact
+    is on the pin, ``radius`` along n. The bearing is as long as need be: the pin slides along it freely.
+    With ``ends`` the pin touches at both of its ends, ``half_length`` along +z and -z of b from b's marker, members 0
+    and 1: the contact then resists tilt, as a spatial revolute joint does. Without, it does not resist tilt.
+    Exact while the axes are parallel; a pin tilted by t touches sooner, by the order of t^2 radius.
+    Source: Flores and Ambrosio, Computers and Structures 82, 1359 (2004); physics sheet 4 (B5, B6).
+
+    Directions: normal is along the clearance vector, axial along the bearing's axis, tangential around it.
+    Coefficients: ``clearance``, radius of the bearing less radius of the pin [m]; ``radius`` of the pin [m]; with the
+    option, ``half_length`` of the pin [m].
+
+    Attributes:
+        ends: whether the pin touches at both of its ends and not in one plane.
+    """
+
+    ends: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self):
+        yes_or_no("ends", self.ends)
+
+    @property
+    def needs(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Clearance and radius, and the half length where it touches at both ends."""
+        return ("clearance", "radius", "half_length") if self.ends else ("clearance", "radius")
+
+    @property
+    def members(self) -> int:
+        """2 ends, or 0: the bodies decide."""
+        return 2 if self.ends else 0
+
+    def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
+        """One face."""
+        arm = scale(np.array([1.0, -1.0]) * c["half_length"], b.axes[2]) if self.ends else ZERO
+        apart = subtract(add(b.place, arm), a.place)
+        axis = a.axes[2]
+        across = subtract(apart, scale(dot(axis, apart), axis))
+        distance = length(across, ROUND)
+        normal = scale(1.0 / distance, across)
+        return (Face(distance - c["clearance"], normal, add(arm, scale(c["radius"], normal))),)
+
+
+class SliderInGuide(AbstractGap):
+    """Four corners of a block of b between two parallel walls of a guide of a, side by side as 4 members.
+
+    The guide runs along ``axis``; e = z x axis, of a, is across its walls. Of the block the marker is in the middle, x is
+    its length and y its width. Corners are at (-A, B), (A, B), (-A, -B), (A, -B) of (x, y), A ``half_length`` and B
+    ``half_width``. The first two touch the wall at +e, the last two the wall at -e, each at its own place:
+
+        d_1,2 = h_1,2 - (B + clearance)     n = e         h = e . (corner less a's marker)
+        d_3,4 = -h_3,4 - (B + clearance)    n = -e
+
+    Penetrations of the four gaps of Flores, Leine and Glocker, Multibody System Dynamics 23, 165 (2010): physics sheet 4
+    (B4), d = -g, in the same order. Exact for corners on walls without ends, while the block is turned against the guide
+    by less than 90 degrees; in three dimensions a corner stands for an edge along z.
+
+    Directions: normal is across the walls, axial along the guide, tangential along a's z axis.
+    Coefficients: ``clearance`` [m], half of guide width less block width; ``half_length``, ``half_width`` [m].
+
+    Attributes:
+        axis: direction of the guide in a's axes, across z: "x", "y", "-x", "-y", or three numbers, the last 0.
+    """
+
+    needs: ClassVar[tuple[str, ...]] = ("clearance", "half_length", "half_width")
+    axis: Any = eqx.field(static=True, default="x", converter=_travel)
+
+    @property
+    def members(self) -> int:
+        """4 corners."""
+        return 4
+
+    def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
+        """One face of four members."""
+        side = np.array([1.0, 1.0, -1.0, -1.0])
+        along = np.array([-1.0, 1.0, -1.0, 1.0]) * c["half_length"]
+        corner = turned(b.axes, (along, side * c["half_width"], 0.0))
+        across = turned(a.axes, _across(self.axis))
+        height = dot(across, add(subtract(b.place, a.place), corner))
+        depth = times(side, height) - (c["half_width"] + c["clearance"])
+        return (Face(depth, scale(side, across), corner),)
+
+    def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
+        """Along the guide."""
+        del b, c
+        return turned(a.axes, self.axis)

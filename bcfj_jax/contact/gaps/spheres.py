@@ -1,0 +1,157 @@
+"""A point or a sphere on a plane, two spheres, a sphere in a spherical socket."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import equinox as eqx
+
+from bcfj_jax.contact.gaps.base import ROUND, AbstractGap, Coefficients, Face, Frame, direction, one_of, yes_or_no
+from bcfj_jax.core.vectors import Axes, Number, Vector, dot, length, negative, scale, subtract, turned
+
+Direction = tuple[float, float, float]
+
+
+def in_plane(axes: Axes, normal: Direction) -> Vector:
+    """The axial reference of a face across ``normal``: the body's z axis, or its x axis where z is near the normal."""
+    return axes[0] if normal[2] ** 2 > 0.5 else axes[2]
+
+
+def _above(a: Frame, b: Frame, normal: Vector, c: Coefficients, receded: bool) -> Number:
+    """Height of b's marker above the plane [m]."""
+    height = dot(normal, subtract(b.place, a.place))
+    return height + c["clearance"] if receded else height
+
+
+class PointOnPlane(AbstractGap):
+    """A point of b on a plane of a:  d = -(p . e) - clearance,  n = -e,  p from a's marker to b's.
+
+    The plane holds a's marker and its outer normal is e. The point of contact is b's marker. With ``clearance`` the
+    plane lies that much below a's marker: a stop on one side, which b reaches after the clearance along -e.
+    Exact for a plane without edges, for every rotation of both bodies.
+
+    Directions: normal is into the plane, along -e. Axial is along a's z axis in the plane (a's x axis where e is nearer
+    than 45 degrees to z); tangential is across both.
+    Coefficients: none; with the option, ``clearance`` [m].
+
+    Attributes:
+        axis: e in a's axes: "x", "y", "z", "-x", "-y", "-z", or three numbers.
+        clearance: whether the plane lies the coefficient ``clearance`` below a's marker.
+    """
+
+    axis: Any = eqx.field(static=True, default="z", converter=direction)
+    clearance: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self):
+        yes_or_no("clearance", self.clearance)
+
+    @property
+    def needs(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Nothing, or the clearance."""
+        return ("clearance",) if self.clearance else ()
+
+    def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
+        """One face."""
+        up = turned(a.axes, self.axis)
+        return (Face(-_above(a, b, up, c, self.clearance), negative(up)),)
+
+    def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
+        """In the plane (class docstring)."""
+        del b, c
+        return in_plane(a.axes, self.axis)
+
+
+class SphereOnPlane(AbstractGap):
+    """A sphere of b on a plane of a:  d = radius - p . e - clearance,  n = -e,  p from a's marker to b's.
+
+    The sphere's centre is b's marker; the plane holds a's marker and its outer normal is e. The point of contact is the
+    sphere's lowest point, ``radius`` along n. With ``clearance`` the plane lies that much below a's marker.
+    Exact for a plane without edges, for every rotation of both bodies.
+
+    Directions: as ``PointOnPlane``.
+    Coefficients: ``radius`` of the sphere [m]; with the option, ``clearance`` [m].
+
+    Attributes:
+        axis: e in a's axes: "x", "y", "z", "-x", "-y", "-z", or three numbers.
+        clearance: whether the plane lies the coefficient ``clearance`` below a's marker.
+    """
+
+    axis: Any = eqx.field(static=True, default="z", converter=direction)
+    clearance: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self):
+        yes_or_no("clearance", self.clearance)
+
+    @property
+    def needs(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The radius, and the clearance where there is one."""
+        return ("radius", "clearance") if self.clearance else ("radius",)
+
+    def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
+        """One face."""
+        up = turned(a.axes, self.axis)
+        down = negative(up)
+        return (Face(c["radius"] - _above(a, b, up, c, self.clearance), down, scale(c["radius"], down)),)
+
+    def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
+        """In the plane (class docstring)."""
+        del b, c
+        return in_plane(a.axes, self.axis)
+
+
+class SphereOnSphere(AbstractGap):
+    """Two spheres, centres at the markers:  d = radius_a + radius_b - |p|,  n = -p/|p|,  p from a's centre to b's.
+
+    |p| is sqrt(p . p + (1e-12 m)^2): coincident centres have no direction, and derivatives are finite there. The point
+    of contact is on b's sphere, ``radius_b`` along n. Exact, for every rotation of both bodies.
+    Source: physics sheet 4 (B1, B3, B7).
+
+    Directions: normal is along the line of centres, from b to a. Axial is a's z axis less its part along the normal: it
+    is not defined while the line of centres is parallel to that axis.
+    Coefficients: ``radius_a``, ``radius_b`` [m].
+    """
+
+    needs: ClassVar[tuple[str, ...]] = ("radius_a", "radius_b")
+
+    def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
+        """One face."""
+        apart = subtract(b.place, a.place)
+        distance = length(apart, ROUND)
+        normal = scale(-1.0 / distance, apart)
+        return (Face(c["radius_a"] + c["radius_b"] - distance, normal, scale(c["radius_b"], normal)),)
+
+
+class SphereInSocket(AbstractGap):
+    """A sphere of b in a hollow sphere of a, centres at the markers:  d = |p| - clearance,  n = p/|p|.
+
+    p leads from the socket's centre to the sphere's; |p| is sqrt(p . p + (1e-12 m)^2), so that coincident centres have
+    no direction, and finite derivatives. The point of contact is on the socket, ``radius`` from its centre along n: the
+    lever is (radius - |p|) n. A spherical joint with clearance; a pilot of the ball-cage joint.
+    Full spheres: a real socket is a band, whose edge carries an axial load a little off the pole.
+    Source: physics sheet 5.3, rows 1 and 2; Flores, Ambrosio and Claro, Multibody System Dynamics 16 (2006).
+
+    Directions: normal is along the eccentricity. Axial is the z axis of a or of b, as ``axis_of`` says, less its part
+    along the normal: it is not defined while the eccentricity is parallel to that axis.
+    Coefficients: ``clearance``, radius of the socket less radius of the sphere [m]; ``radius`` of the socket [m].
+
+    Attributes:
+        axis_of: the body whose z axis is the axial reference: "a" or "b".
+    """
+
+    needs: ClassVar[tuple[str, ...]] = ("clearance", "radius")
+    axis_of: str = eqx.field(static=True, default="a")
+
+    def __check_init__(self):
+        one_of("axis_of", self.axis_of, ("a", "b"))
+
+    def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
+        """One face."""
+        apart = subtract(b.place, a.place)
+        distance = length(apart, ROUND)
+        normal = scale(1.0 / distance, apart)
+        return (Face(distance - c["clearance"], normal, scale(c["radius"] - distance, normal)),)
+
+    def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
+        """The z axis of a or of b."""
+        del c
+        return b.axes[2] if self.axis_of == "b" else a.axes[2]

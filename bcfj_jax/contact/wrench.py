@@ -1,0 +1,98 @@
+"""The one place where a contact's force is computed, for every mechanism.
+
+A face (``contact.gaps``) has a penetration d, a direction n and a gate g; the bodies' relative velocity w at the point of
+contact gives the rest:
+
+    rate  d' = n . w        sliding  u = w - d' n        force on b  f = -N n - N (mu(|u|)/|u|) u
+
+with N = g F(d, d') from the normal-force law (``contact.normal.onset_force``). Friction with bristles, deflected by z,
+has its force by their part in the contact plane,  b = z - n (n . z),  and they bend (``LuGre.bond`` has k, s and m):
+
+    f = -N n - N (s b + m u)        z' = W x z + (1 - o) (u - k z) - o z/tau
+
+W is a's angular velocity, so that a bristle turns with a. o rises from 0 to 1 over a gap of 1 um beyond the onset and
+tau is 1e-5 s, so that nothing is remembered from one touch to the next.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from bcfj_jax.contact.friction import AbstractFriction
+from bcfj_jax.contact.gaps import Coefficients, Face
+from bcfj_jax.contact.normal import AbstractLaw, onset_force
+from bcfj_jax.core.numerics import smooth_step
+from bcfj_jax.core.vectors import ZERO, Number, Vector, add, cross, dot, minus, negative, scale, subtract, times
+
+# A bristle that touches nothing springs back: over this gap [m], with this time constant [s].
+GAP, RELAX = 1e-6, 1e-5
+
+
+class Touch(NamedTuple):
+    """What one face does; numbers are scalars, or (k,) over members.
+
+    Attributes:
+        force: on b, friction included [N], world; ``drag`` is friction's part.
+        normal: normal force [N] >= 0.
+        rate, slip_squared: of the penetration [m/s], and the sliding speed squared [m^2/s^2].
+        slide: sliding velocity of b on a [m/s], world.
+        bending: z' [m/s], world; None without bristles.
+    """
+
+    force: Vector
+    drag: Vector
+    normal: Number
+    rate: Number
+    slide: Vector
+    bending: Vector | None = None
+
+    @property
+    def slip_squared(self) -> Number:
+        """u . u."""
+        return dot(self.slide, self.slide)
+
+
+def press(
+    law: AbstractLaw,
+    friction: AbstractFriction | None,
+    c: Coefficients,
+    face: Face,
+    velocity: Vector,
+    bristle: Vector | None = None,
+    spin: Vector = ZERO,
+) -> Touch:
+    """Force of one face (module docstring).
+
+    Args:
+        law, friction: the contact's laws; friction None is none.
+        c: their coefficients; ``smoothing`` among them is the half-width of the onset [m].
+        face: where it touches.
+        velocity: of b less that of a at the point of contact [m/s], world.
+        bristle: deflection z [m], world; without it every friction law acts by its steady slip.
+        spin: angular velocity of a [rad/s], world; read with bristles only.
+    """
+    rate = dot(face.normal, velocity)
+    normal = times(face.gate, onset_force(law, face.depth, jnp.asarray(rate), c, c.get("smoothing")))
+    slide = subtract(velocity, scale(rate, face.normal))
+    push = negative(scale(normal, face.normal))
+    if friction is None:
+        return Touch(push, ZERO, normal, rate, slide)
+    squared = jnp.asarray(dot(slide, slide))
+    if bristle is None:
+        drag = scale(-times(normal, friction.mobility(squared, c)), slide)
+        return Touch(add(push, drag), drag, normal, rate, slide)
+    forget, stick, mobility = friction.bond(squared, c)
+    bent = subtract(bristle, scale(dot(face.normal, bristle), face.normal))
+    drag = scale(-normal, add(scale(stick, bent), scale(mobility, slide)))
+    apart = separated(face.depth, c)
+    lost = scale(minus(1.0, apart), subtract(slide, scale(forget, bristle)))
+    bending = add(cross(spin, bristle), lost, scale(-apart / RELAX, bristle))
+    return Touch(add(push, drag), drag, normal, rate, slide, bending)
+
+
+def separated(depth: Number, c: Coefficients) -> Array:
+    """0 wherever there may be a normal force, 1 from a gap of ``GAP`` beyond the onset; C1."""
+    return smooth_step((-depth - c.get("smoothing", 0.0)) / GAP)

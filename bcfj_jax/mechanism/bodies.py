@@ -1,0 +1,417 @@
+"""Bodies in a tree of ideal joints: from coordinates to places, velocities and partial velocities.
+
+A joint is a row of steps from the parent's frame: slides and hinges along or about an axis, a ball joint. Each step adds
+one coordinate, or a prescribed motion in its place. With u the velocities of the free coordinates, the velocity of a
+body's origin is  v = sum_j v_j u_j + (what is prescribed),  its angular velocity  w = sum_j w_j u_j + ...;  v_j and w_j are
+its partial velocities (Kane and Levinson, Dynamics, 1985). Accelerations are  sum_j v_j du_j/dt + drift.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.numerics import smooth_rise
+from bcfj_jax.core.quantities import Quantity
+from bcfj_jax.core.vectors import WORLD, ZERO, Axes, Number, Vector, add, cross, minus, plus, scale, times, turned
+from bcfj_jax.mechanism import sizes
+from bcfj_jax.mechanism.sizes import ORIGIN, Params, Place, Size
+
+GROUND = "ground"
+# By joint: the coordinates' names, with what they are: a slide along or a hinge about the first, second or third of
+# (e1, e2, n), n the joint's axis; "ball": attitude by a quaternion; "spin": angular velocity of a body whose attitude
+# does not matter (a sphere).
+JOINTS: dict[str, tuple[tuple[str, str, int], ...]] = {
+    "fixed": (),
+    "slide": (("position", "slide", 2),),
+    "hinge": (("angle", "hinge", 2),),
+    "planar": (("x", "slide", 0), ("y", "slide", 1), ("angle", "hinge", 2)),
+    "bearing": (("x", "slide", 0), ("y", "slide", 1), ("z", "slide", 2), ("angle", "hinge", 2)),
+    "particle": (("x", "slide", 0), ("y", "slide", 1), ("z", "slide", 2)),
+    "spherical": (("", "ball", 2),),
+    "free": (("x", "slide", 0), ("y", "slide", 1), ("z", "slide", 2), ("", "ball", 2)),
+    "sphere": (("x", "slide", 0), ("y", "slide", 1), ("z", "slide", 2), ("", "spin", 2)),
+}
+_RATES = {"position": "velocity", "angle": "speed", "x": "vx", "y": "vy", "z": "vz"}
+_QUATERNION, _SPINS = ("q0", "q1", "q2", "q3"), ("wx", "wy", "wz")
+
+
+class Drive(eqx.Module):
+    """A prescribed motion of a slide or a hinge: position [m or rad] as a function of time; a driven joint has no state.
+
+    Attributes:
+        kind: "constant" speed, "ramp" (the speed rises over a time and stays), "table", or "function".
+        speed: [m/s or rad/s], of "constant" and "ramp".
+        over: rise time [s], of "ramp"; the speed is V s(t/over), s the quintic step of ``numerics.smooth_rise``.
+        start: position at time 0.
+        table: (times, positions) of "table": a natural cubic spline through them, constant speed beyond the ends.
+        function: (t, params) -> position, twice differentiable.
+    """
+
+    kind: str = eqx.field(static=True, default="constant")
+    speed: Size = eqx.field(static=True, default=None)
+    over: Size = eqx.field(static=True, default=None)
+    start: Size = eqx.field(static=True, default=0.0)
+    table: tuple[tuple[float, ...], tuple[float, ...]] | None = eqx.field(static=True, default=None)
+    function: Callable[[Array, Params], Array] | None = eqx.field(static=True, default=None)
+
+    def __check_init__(self):
+        where = "drive"
+        if self.kind not in ("constant", "ramp", "table", "function"):
+            known = ("constant", "ramp", "table", "function")
+            raise InputError(where, f"no kind of drive '{self.kind}'", nearest(self.kind, known))
+        if self.kind == "table":
+            if self.table is None or len(self.table) != 2 or len(self.table[0]) != len(self.table[1]):
+                raise InputError(
+                    f"{where} table", "needs as many times as positions", "give table = [[times], [positions]]"
+                )
+            if len(self.table[0]) < 3 or np.any(np.diff(self.table[0]) <= 0):
+                raise InputError(f"{where} table", "needs three or more times that increase", "give more points")
+        if self.kind == "function" and self.function is None:
+            raise InputError(where, "a drive of kind 'function' without one", "give function = (t, params) -> position")
+
+    def needs(self, body: str, turns: bool) -> dict[str, tuple[Quantity, float | None]]:
+        """Its parameters."""
+        unit = "rad" if turns else "m"
+        found: dict[str, tuple[Quantity, float | None]] = {}
+        if self.kind in ("constant", "ramp"):
+            found |= sizes.own(self.speed, body, "drive_speed", f"{unit}/s", f"speed of the drive of {body}")
+        if self.kind == "ramp":
+            found |= sizes.own(
+                self.over, body, "drive_ramp", "s", f"time over which the drive of {body} reaches its speed"
+            )
+        if not (isinstance(self.start, (int, float)) and self.start == 0):
+            found |= sizes.own(self.start, body, "drive_start", unit, f"position of the drive of {body} at time 0")
+        return found
+
+    def position(self, t: Array, body: str, p: Params) -> Number:
+        """Position [m or rad]."""
+        if self.kind == "function":
+            assert self.function is not None
+            return self.function(t, p)
+        if self.kind == "table":
+            return self._spline(t)
+        first = sizes.length(self.start, body, "drive_start", p)
+        speed = sizes.value(self.speed, body, "drive_speed", p)
+        if self.kind == "constant":
+            return plus(speed * t, first)
+        over = sizes.value(self.over, body, "drive_ramp", p)
+        s = jnp.clip(t / over, 0.0, 1.0)
+        # The integral of the quintic step, and full speed from its end on.
+        return plus(speed * (over * s**4 * (2.5 + s * (s - 3.0)) + jnp.maximum(t - over, 0.0)), first)
+
+    def motion(self, t: Array, body: str, p: Params) -> tuple[Number, Number, Number]:
+        """Position, velocity and acceleration."""
+        if self.kind == "constant":
+            return self.position(t, body, p), sizes.value(self.speed, body, "drive_speed", p), 0.0
+        if self.kind == "ramp":
+            speed, over = sizes.value(self.speed, body, "drive_speed", p), sizes.value(self.over, body, "drive_ramp", p)
+            step, slope = jax.jvp(lambda t: smooth_rise(t / over), (t,), (jnp.ones_like(t),))
+            return self.position(t, body, p), speed * step, speed * slope
+        one = jnp.ones_like(t)
+        rate = lambda t: jax.jvp(lambda t: jnp.asarray(self.position(t, body, p)), (t,), (one,))[1]  # noqa: E731
+        velocity, acceleration = jax.jvp(rate, (t,), (one,))
+        return self.position(t, body, p), velocity, acceleration
+
+    def _spline(self, t: Array) -> Array:
+        from scipy.interpolate import CubicSpline
+
+        assert self.table is not None
+        knots, values = (np.asarray(x, dtype=float) for x in self.table)
+        spline = CubicSpline(knots, values, bc_type="natural")
+        inside = jnp.clip(t, knots[0], knots[-1])
+        i = jnp.clip(jnp.searchsorted(jnp.asarray(knots), inside, side="right") - 1, 0, len(knots) - 2)
+        c, x = jnp.asarray(spline.c)[:, i], inside - jnp.asarray(knots)[i]
+        ends = spline(knots[[0, -1]], 1)
+        beyond = jnp.where(
+            t > knots[-1], ends[1] * (t - knots[-1]), jnp.where(t < knots[0], ends[0] * (t - knots[0]), 0.0)
+        )
+        return c[3] + x * (c[2] + x * (c[1] + x * c[0])) + beyond
+
+
+class Body(eqx.Module):
+    """One body, or ``members`` like ones side by side.
+
+    Attributes:
+        name: unique; "ground" is what does not move.
+        joint: a name of ``JOINTS``; the coordinates are those of the joint.
+        parent: the body that the joint holds on to.
+        at: the joint's place in the parent's axes [m]; the body's origin is there at coordinates 0.
+        axis: the joint's axis n in the joint's own axes: "x", "y", "z", or three numbers.
+        tilt: (axis, angle [rad]) that turns the joint's axes from the parent's.
+        center: the centre of mass in the body's axes [m].
+        mass: [kg]; None reads ``<name>.mass``, else the shared ``mass``.
+        inertia: about the centre of mass [kg m^2]: one number (isotropic, or about the only axis it turns about), or
+            three about the body's axes; None reads ``<name>.inertia`` or the shared one; read by bodies that turn.
+        start: by coordinate or velocity name, its value at time 0 (0 where not given).
+        drive: a motion that takes the coordinate's place (slide and hinge only).
+        members: number of like bodies; 0 for one. Members hang on the ground and carry nothing.
+    """
+
+    name: str = eqx.field(static=True)
+    joint: str = eqx.field(static=True, default="free")
+    parent: str = eqx.field(static=True, default=GROUND)
+    at: Place = eqx.field(static=True, default=ORIGIN)
+    axis: Any = eqx.field(static=True, default="z")
+    tilt: tuple[Any, Size] | None = eqx.field(static=True, default=None)
+    center: Place = eqx.field(static=True, default=ORIGIN)
+    mass: Size = eqx.field(static=True, default=None)
+    inertia: Any = eqx.field(static=True, default=None)
+    start: tuple[tuple[str, Size], ...] = eqx.field(static=True, default=(), converter=lambda s: _items(s))
+    drive: Drive | None = None
+    members: int = eqx.field(static=True, default=0)
+
+    def __check_init__(self):
+        where = f"body '{self.name}'"
+        if not self.name.isidentifier() or self.name == GROUND:
+            raise InputError(
+                where, "is no name for a body", "give a word of letters, digits and '_', other than 'ground'"
+            )
+        if self.joint not in JOINTS:
+            raise InputError(f"{where} joint", f"no joint '{self.joint}'", nearest(self.joint, JOINTS))
+        if self.parent == self.name:
+            raise InputError(f"{where} parent", "hangs on itself", f"give another body, or '{GROUND}'")
+        sizes.axis(self.axis, f"{where} axis")
+        if self.drive is not None and self.joint not in ("slide", "hinge"):
+            found = f"a drive moves one coordinate, a joint '{self.joint}' has {len(JOINTS[self.joint])}"
+            raise InputError(f"{where} drive", found, "drive a slide or a hinge")
+        if self.members and (self.parent != GROUND or self.drive is not None):
+            raise InputError(f"{where} members", "like bodies hang on the ground and have no drive", "leave one out")
+        for key, _ in self.start:
+            if key not in (*self.coordinates, *self.rates):
+                known = (*self.coordinates, *self.rates)
+                raise InputError(f"{where} start", f"no coordinate '{key}'", nearest(key, known))
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of its coordinates in the state; none of a driven body."""
+        if self.drive is not None:
+            return ()
+        parts = ((name,) if kind in ("slide", "hinge") else _QUATERNION if kind == "ball" else ()
+                 for name, kind, _ in JOINTS[self.joint])  # fmt: skip
+        return tuple(name for part in parts for name in part)
+
+    @property
+    def rates(self) -> tuple[str, ...]:
+        """Names of its velocities in the state."""
+        if self.drive is not None:
+            return ()
+        parts = ((_RATES[name],) if kind in ("slide", "hinge") else _SPINS for name, kind, _ in JOINTS[self.joint])
+        return tuple(name for part in parts for name in part)
+
+    @property
+    def turns(self) -> bool:
+        """Whether it turns by its own joint."""
+        return any(kind != "slide" for _, kind, _ in JOINTS[self.joint])
+
+    def starting(self, p: Params) -> tuple[list[Number], list[Number]]:
+        """Coordinates and velocities at time 0."""
+        given = dict(self.start)
+        q = [self._start(key, given, p) for key in self.coordinates]
+        return q, [self._start(key, given, p) for key in self.rates]
+
+    def _start(self, key: str, given: dict[str, Size], p: Params) -> Number:
+        if key not in given:
+            return 1.0 if key == "q0" else 0.0
+        return sizes.value(given[key], self.name, key, p)
+
+    def parameters(self, turning: bool) -> dict[str, tuple[Quantity, float | None]]:
+        """Its own parameters with their defaults; ``turning``: whether anything turns it."""
+        name = self.name
+        found = sizes.own(self.mass, name, "mass", "kg", f"mass of {name}")
+        if turning and isinstance(self.inertia, tuple):
+            for key, size in zip("xyz", self.inertia, strict=True):
+                meaning = f"inertia of {name} about its {key} axis through its centre of mass"
+                found |= sizes.own(size, name, f"inertia_{key}", "kg m^2", meaning)
+        elif turning:
+            meaning = f"inertia of {name} about its centre of mass"
+            found |= sizes.own(self.inertia, name, "inertia", "kg m^2", meaning)
+        for place, key, meaning in ((self.at, "at", "place of the joint"), (self.center, "center", "centre of mass")):
+            for letter, size in zip("xyz", place, strict=True):
+                if not (isinstance(size, (int, float)) and size == 0):
+                    found |= sizes.own(size, name, f"{key}_{letter}", "m", f"{meaning} of {name}, {letter}")
+        if self.tilt is not None:
+            found |= sizes.own(self.tilt[1], name, "tilt", "rad", f"angle that turns the joint of {name}")
+        for key, size in self.start:
+            unit = _unit(key)
+            found |= sizes.own(size, name, key, unit, f"{key} of {name} at time 0")
+        if self.drive is not None:
+            found |= self.drive.needs(name, self.joint == "hinge")
+        return found
+
+
+def _items(start: Any) -> tuple[tuple[str, Size], ...]:
+    return tuple(start.items()) if isinstance(start, Mapping) else tuple(start)
+
+
+def _unit(key: str) -> str:
+    if key in ("position", "x", "y", "z"):
+        return "m"
+    if key in ("angle",):
+        return "rad"
+    return "m/s" if key in ("velocity", "vx", "vy", "vz") else "1" if key in _QUATERNION else "rad/s"
+
+
+class Part(NamedTuple):
+    """A body in motion, world components; numbers are scalars, or (k,) of a body with members.
+
+    Attributes:
+        axes, place: the body's axes and its origin [m].
+        velocity, spin: of the origin [m/s]; angular [rad/s].
+        partials: by index of a velocity, (w_j, v_j of the origin).
+        drift, swirl: acceleration of the origin and angular acceleration less the partials' part.
+    """
+
+    axes: Axes
+    place: Vector
+    velocity: Vector
+    spin: Vector
+    partials: dict[int, tuple[Vector, Vector]]
+    drift: Vector
+    swirl: Vector
+
+    def velocity_at(self, arm: Vector) -> Vector:
+        """Velocity of the material at ``arm`` from the origin."""
+        return add(self.velocity, cross(self.spin, arm))
+
+    def partial_at(self, j: int, arm: Vector) -> Vector:
+        """Partial velocity there."""
+        w, v = self.partials[j]
+        return add(v, cross(w, arm))
+
+    def drift_at(self, arm: Vector) -> Vector:
+        """Drift there."""
+        return add(self.drift, cross(self.swirl, arm), cross(self.spin, cross(self.spin, arm)))
+
+    def shifted(self, arm: Vector) -> Part:
+        """The same body with another origin."""
+        partials = {j: (w, add(v, cross(w, arm))) for j, (w, v) in self.partials.items()}
+        return self._replace(
+            place=add(self.place, arm), velocity=self.velocity_at(arm), partials=partials, drift=self.drift_at(arm)
+        )
+
+
+STILL = Part(WORLD, ZERO, ZERO, ZERO, {}, ZERO, ZERO)
+
+
+def carried(
+    body: Body, parent: Part, q: list[Number], v: list[Number], first: int, driven: int, t: Array, p: Params
+) -> Part:
+    """A body from the one that it hangs on.
+
+    Args:
+        body, parent: the joint's two ends.
+        q, v: its own coordinates and velocities.
+        first: index of its first velocity; ``driven``: index that its drive's partial velocity gets.
+        t, p: time [s], parameters.
+    """
+    place = tuple(sizes.length(size, body.name, f"at_{letter}", p) for letter, size in zip("xyz", body.at, strict=True))
+    part = parent.shifted(turned(parent.axes, place))
+    if body.tilt is not None:
+        angle = sizes.length(body.tilt[1], body.name, "tilt", p)
+        part = part._replace(axes=rotated(part.axes, sizes.axis(body.tilt[0], body.name), angle))
+    basis = _basis(sizes.axis(body.axis, body.name), p)
+    base = part.axes
+    q, v, j = list(q), list(v), first
+    for _, kind, which in JOINTS[body.joint]:
+        if kind in ("slide", "hinge"):
+            if body.drive is not None:
+                position, rate, jerk = body.drive.motion(t, body.name, p)
+                index = driven
+            else:
+                position, rate, jerk, index, j = q.pop(0), v.pop(0), 0.0, j, j + 1
+            way = turned(base, basis[which])
+            part = (_slid if kind == "slide" else _hinged)(part, way, basis[which], position, rate, jerk, index)
+        else:
+            rates = (v.pop(0), v.pop(0), v.pop(0))
+            spun = turned(part.axes, rates)
+            partials = part.partials | {j + k: (part.axes[k], ZERO) for k in range(3)}
+            swirl = add(part.swirl, cross(part.spin, spun))
+            axes = part.axes
+            if kind == "ball":
+                axes = tuple(turned(part.axes, column) for column in _attitude(q[:4]))
+                q = q[4:]
+            part = part._replace(axes=axes, spin=add(part.spin, spun), partials=partials, swirl=swirl)
+            j += 3
+    return part
+
+
+def _slid(part: Part, way: Vector, axis: Vector, s: Number, rate: Number, jerk: Number, j: int) -> Part:
+    del axis
+    part = part.shifted(scale(s, way))
+    moving = scale(rate, way)
+    drift = add(part.drift, scale(2.0, cross(part.spin, moving)), scale(jerk, way))
+    partials = part.partials | {j: (ZERO, way)}
+    return part._replace(velocity=add(part.velocity, moving), partials=partials, drift=drift)
+
+
+def _hinged(part: Part, way: Vector, axis: Vector, angle: Number, rate: Number, jerk: Number, j: int) -> Part:
+    turning = scale(rate, way)
+    swirl = add(part.swirl, cross(part.spin, turning), scale(jerk, way))
+    partials = part.partials | {j: (way, ZERO)}
+    axes = rotated(part.axes, axis, angle)
+    return part._replace(axes=axes, spin=add(part.spin, turning), partials=partials, swirl=swirl)
+
+
+def rotated(axes: Axes, k: Vector, angle: Number) -> Axes:
+    """Axes turned about a unit vector k, given in these axes (Rodrigues)."""
+    c, s = jnp.cos(angle), jnp.sin(angle)
+
+    def entry(i: int, j: int) -> Number:
+        kk = times(k[i], k[j])
+        if i == j:
+            # c + (1 - c) k_i k_i, written so that a turn about an axis leaves an exact 1 there.
+            return plus(times(c, minus(1.0, kk)), kk)
+        odd = times(s, times(1.0 if (j - i) % 3 == 2 else -1.0, k[3 - i - j]))
+        return plus(minus(kk, times(c, kk)), odd)
+
+    columns = ((entry(0, j), entry(1, j), entry(2, j)) for j in range(3))
+    first, second, third = (turned(axes, column) for column in columns)
+    return first, second, third
+
+
+def _attitude(q: list[Number]) -> Axes:
+    """Axes of a quaternion (any length but 0), scalar first, as columns."""
+    w, x, y, z = q
+    size = w * w + x * x + y * y + z * z
+    two = 2.0 / size
+    return (
+        (1.0 - two * (y * y + z * z), two * (x * y + w * z), two * (x * z - w * y)),
+        (two * (x * y - w * z), 1.0 - two * (x * x + z * z), two * (y * z + w * x)),
+        (two * (x * z + w * y), two * (y * z - w * x), 1.0 - two * (x * x + y * y)),
+    )
+
+
+def quaternion_rate(q: list[Number], u: list[Number]) -> list[Number]:
+    """dq/dt = (0, u) q/2: the angular velocity u is in the axes of the joint, not of the body."""
+    w, x, y, z = q
+    a, b, c = u
+    return [
+        -0.5 * (a * x + b * y + c * z),
+        0.5 * (a * w + b * z - c * y),
+        0.5 * (b * w + c * x - a * z),
+        0.5 * (c * w + a * y - b * x),
+    ]
+
+
+def _basis(n: Any, p: Params) -> tuple[Vector, Vector, Vector]:
+    """(e1, e2, n), right-handed; of z it is x, y, z."""
+    if callable(n):
+        raise InputError("axis", "is a function", "give an axis, and turn the joint by tilt = (axis, angle)")
+    del p
+    order = {(0.0, 0.0, 1.0): (0, 1), (1.0, 0.0, 0.0): (1, 2), (0.0, 1.0, 0.0): (2, 0)}
+    if n in order:
+        i, j = order[n]
+        return WORLD[i], WORLD[j], n
+    least = int(np.argmin(np.abs(n)))
+    first = np.cross(n, np.eye(3)[least])
+    first /= np.linalg.norm(first)
+    second = np.cross(n, first)
+    return tuple(map(float, first)), tuple(map(float, second)), n  # pyright: ignore[reportReturnType]

@@ -1,0 +1,211 @@
+"""A contact of a mechanism: between which bodies, where on them, by which gap, law and friction; and what it remembers.
+
+A contact has a state for two reasons, kept in one way: a law stated by restitution remembers the approach speed of the
+impact (one number a face), and friction with bristles their deflection (three numbers a face, world axes).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from bcfj_jax.contact import laws
+from bcfj_jax.contact.friction import AbstractFriction
+from bcfj_jax.contact.gaps import AbstractGap, Frame
+from bcfj_jax.contact.normal import AbstractLaw
+from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.numerics import positive
+from bcfj_jax.core.quantities import CATALOGUE, Quantity
+from bcfj_jax.core.vectors import WORLD, ZERO, Number
+from bcfj_jax.mechanism import sizes
+from bcfj_jax.mechanism.sizes import ORIGIN, Params, Place, Size
+
+# The speed that a law stated by restitution is told of at least [m/s]: a resting contact would be rigid.
+SLOWEST = 1e-3
+
+
+class Approach(eqx.Module):
+    """How a contact remembers the speed at which its bodies came together.
+
+    While they are apart and closing at the rate v over the gap g, the memory s follows:  ds/dt = 4 v (v - s)/(g + l),
+    l = 10 um: what it knew before is forgotten as the fourth power of the gap, whatever the scale. From touch on it stays.
+    """
+
+    def first(self, gap: Number, rate: Number, p: Params) -> Number:
+        """Memory at time 0 [m/s]."""
+        del gap, p
+        return jnp.maximum(rate, SLOWEST)
+
+    def learning(self, gap: Number, rate: Number, memory: Number, p: Params) -> Number:
+        """Rate of the memory [m/s^2] while apart.
+
+        Args:
+            gap: distance [m] > 0; rate: of the penetration [m/s], positive while closing.
+            memory: speed that is remembered [m/s].
+            p: the mechanism's parameters.
+        """
+        del p
+        closing = positive(rate)
+        return 4.0 * closing * (jnp.maximum(closing, SLOWEST) - memory) / (positive(gap) + 1e-5)
+
+
+class Contact(eqx.Module):
+    """Two bodies with clearance between them.
+
+    Attributes:
+        name: unique; its coefficients are ``<name>.<coefficient>``, else the shared ``<coefficient>``.
+        between: names of the bodies a and b, "ground" among them; the force that is read acts on b.
+        gap: the geometry (``contact.gaps``).
+        law, friction: normal-force law, by name or itself; friction law, by name or itself, None or False for none.
+        elastic: name of the law's elastic part, where the law is given by its name.
+        smoothing: whether the onset of penetration can be smoothed (coefficient ``smoothing`` [m]).
+        at: places of the markers in the axes of a and of b [m].
+        values: coefficients of its own: a number is a default, a text names a parameter.
+        approach: where a law's ``approach_speed`` is from: "parameter", or a memory (``Approach``).
+    """
+
+    name: str = eqx.field(static=True)
+    between: tuple[str, str] = eqx.field(static=True, converter=lambda x: tuple(x))
+    gap: AbstractGap
+    law: AbstractLaw = eqx.field(default="memory_free")  # pyright: ignore[reportAssignmentType]
+    friction: AbstractFriction | None = eqx.field(default=None, converter=lambda x: _friction(x))
+    elastic: str | None = eqx.field(static=True, default=None)
+    smoothing: bool = eqx.field(static=True, default=True)
+    at: tuple[Place, Place] = eqx.field(static=True, default=(ORIGIN, ORIGIN), converter=lambda x: tuple(map(tuple, x)))
+    values: tuple[tuple[str, Size], ...] = eqx.field(static=True, default=(), converter=lambda x: _items(x))
+    approach: Any = eqx.field(static=True, default=Approach())
+
+    def __check_init__(self):
+        if isinstance(self.law, str):
+            object.__setattr__(self, "law", laws.make(self.law, self.elastic))
+        where = f"contact '{self.name}'"
+        if not self.name.isidentifier():
+            raise InputError(where, "is no name for a contact", "give a word of letters, digits and '_'")
+        if len(self.between) != 2:
+            raise InputError(f"{where} between", f"{list(self.between)}", "give the names of two bodies")
+        if self.between[0] == self.between[1]:
+            raise InputError(f"{where} between", f"'{self.between[0]}' with itself", "give two different bodies")
+        if not isinstance(self.gap, AbstractGap):
+            raise InputError(
+                f"{where} gap", f"{self.gap!r} is no gap", "give one of bcfj_jax.gaps, or from_depth(function)"
+            )
+        if self.approach != "parameter" and not isinstance(self.approach, Approach):
+            raise InputError(f"{where} approach", f"{self.approach!r}", 'give "parameter" or an Approach')
+        for name, _ in self.values:
+            if name not in (*self.reads, "clearance", "smoothing"):
+                found = f"no coefficient '{name}' is read by its gap, law and friction"
+                raise InputError(f"{where} values", found, f"they read {', '.join(self.reads)}")
+
+    @property
+    def remembers(self) -> bool:
+        """Whether its approach speed is a state."""
+        return "approach_speed" in self.law.needs and self.approach != "parameter"
+
+    @property
+    def bristles(self) -> bool:
+        """Whether its friction has bristles."""
+        return self.friction is not None and self.friction.bristles
+
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """Names of all its coefficients."""
+        rub = self.friction.needs if self.friction is not None else ()
+        names = (*self.law.needs, *rub, *(("smoothing",) if self.smoothing else ()), *self.gap.needs)
+        return tuple(dict.fromkeys(n for n in names if not (n == "approach_speed" and self.remembers)))
+
+    def coefficients(self, p: Params) -> dict[str, Array]:
+        """Its coefficients by their own names; a memory is not among them."""
+        given = dict(self.values)
+        return {name: self._coefficient(name, given.get(name), p) for name in self.reads}
+
+    def _coefficient(self, name: str, size: Size, p: Params) -> Array:
+        if isinstance(size, str) or callable(size):
+            return sizes.value(size, self.name, name, p)
+        if name == "clearance":
+            return p[f"clearance_{self.name}"]
+        return sizes.value(None, self.name, name, p)
+
+    def parameters(self) -> dict[str, tuple[Quantity, float | None]]:
+        """Shared coefficients, its own and its clearance, with defaults."""
+        given, found = dict(self.values), {}
+        special = {**self.gap.quantities, **_known(self.law), **_known(self.friction)}
+        for name in self.reads:
+            size = given.get(name)
+            if isinstance(size, str) or callable(size):
+                continue
+            meaning = special.get(name) or CATALOGUE.get(name)
+            if meaning is None:
+                meaning = Quantity(name, "1", f"coefficient {name}")
+            default = None if size is None else float(size)
+            if name == "clearance":
+                own = f"clearance_{self.name}"
+                known = CATALOGUE.get(own) or meaning._replace(name=own, meaning=f"clearance of {self.name}")
+                found[own] = (known, default)
+                continue
+            found.setdefault(name, (meaning, None))
+            own = f"{self.name}.{name}"
+            found[own] = (meaning._replace(name=own, meaning=f"{meaning.meaning}; of {self.name} alone"), default)
+        for side, body, place in zip("ab", self.between, self.at, strict=True):
+            del side
+            for letter, size in zip("xyz", place, strict=True):
+                if not (isinstance(size, (int, float)) and size == 0):
+                    found |= sizes.own(size, self.name, f"{body}_{letter}", "m", f"{letter} of {self.name} on {body}")
+        return found
+
+    def marker(self, which: int, p: Params) -> tuple[Number, Number, Number]:
+        """Place of a marker in its body's axes."""
+        body, place = self.between[which], self.at[which]
+        x, y, z = (sizes.length(s, self.name, f"{body}_{k}", p) for k, s in zip("xyz", place, strict=True))
+        return x, y, z
+
+    @property
+    def faces(self) -> int:
+        """Number of its faces."""
+        return _faces(self.gap)
+
+
+def _items(values: Any) -> tuple[tuple[str, Size], ...]:
+    return tuple(values.items()) if isinstance(values, Mapping) else tuple(values)
+
+
+def _friction(friction: Any) -> AbstractFriction | None:
+    if friction is None or isinstance(friction, AbstractFriction):
+        return friction
+    return laws.make_friction(friction)
+
+
+def _known(part: Any) -> Mapping[str, Quantity]:
+    return getattr(part, "quantities", {})
+
+
+class _Any(dict):
+    def __missing__(self, key: str) -> Array:
+        return jnp.asarray(1e-3)
+
+
+@cache
+def _faces(gap: AbstractGap) -> int:
+    def count(x: Array) -> Array:
+        frames = (Frame(ZERO, WORLD), Frame((1e-2 * x, 2e-2 * x, 3e-2 * x), WORLD))
+        counted.append(len(gap.faces(*frames, _Any())))
+        return x
+
+    counted: list[int] = []
+    try:
+        jax.eval_shape(count, jax.ShapeDtypeStruct((), jnp.float64))
+    except Exception as error:
+        raise raised(f"gap {type(gap).__name__}", error) from error
+    return counted[0]
+
+
+def raised(where: str, error: Exception) -> InputError:
+    """What a user's own code raised, as an error that names the place."""
+    if isinstance(error, InputError):
+        return error
+    return InputError(where, f"its code raised {type(error).__name__}: {error}", "mend that code")

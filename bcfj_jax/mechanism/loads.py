@@ -1,0 +1,361 @@
+"""Loads: what acts on bodies beside contacts. Each says which force and torque it puts where; nothing else is compiled.
+
+To add one in a file of your own: ``Load(name, function)`` with a function (t, bodies, p) -> list of ``Action``.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import Array
+
+from bcfj_jax.core.numerics import smooth_rise
+from bcfj_jax.core.quantities import CATALOGUE, Quantity
+from bcfj_jax.core.vectors import (
+    ZERO,
+    Number,
+    Vector,
+    add,
+    dot,
+    length,
+    minus,
+    negative,
+    scale,
+    subtract,
+    times,
+    turned,
+    unit,
+)
+from bcfj_jax.mechanism import sizes
+from bcfj_jax.mechanism.bodies import GROUND, STILL, Part
+from bcfj_jax.mechanism.sizes import ORIGIN, Params, Place, Size
+
+
+class Moving(NamedTuple):
+    """All bodies at one instant, by name, the ground among them.
+
+    Attributes:
+        parts: origin, axes and velocities (``bodies.Part``).
+        mass: [kg].
+        center: from the origin to the centre of mass [m], world.
+    """
+
+    parts: Mapping[str, Part]
+    mass: Mapping[str, Number]
+    center: Mapping[str, Vector]
+
+    def place(self, body: str, at: Vector = ZERO) -> Vector:
+        """Place of a point given in the body's axes [m], world."""
+        part = self.parts[body]
+        return add(part.place, turned(part.axes, at))
+
+    def velocity(self, body: str, at: Vector = ZERO) -> Vector:
+        """Velocity of a point given in the body's axes [m/s], world."""
+        part = self.parts[body]
+        return part.velocity_at(turned(part.axes, at))
+
+
+class Action(NamedTuple):
+    """A force [N] at a point given in the body's axes [m], and a torque [N m]; force and torque in world axes."""
+
+    body: str
+    force: Vector = ZERO
+    at: Vector = ZERO
+    torque: Vector = ZERO
+
+
+class AbstractLoad(eqx.Module):
+    """What acts on bodies.
+
+    Attributes:
+        name: unique; its numbers are ``<name>.<key>``.
+    """
+
+    name: eqx.AbstractVar[str]
+
+    @abstractmethod
+    def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
+        """Forces and torques now; the powers of an action and of its reaction may differ, which is what it stores."""
+
+    def parameters(self) -> dict[str, tuple[Quantity, float | None]]:
+        """Its parameters with their defaults."""
+        return {}
+
+    @property
+    def touches(self) -> tuple[str, ...]:
+        """Names of the bodies it acts on; empty for all."""
+        return ()
+
+
+class Gravity(AbstractLoad):
+    """Weight of every body, m g; g is the shared parameter ``gravity`` [m/s^2]."""
+
+    direction: Any = eqx.field(static=True, default="-y")
+    name: str = eqx.field(static=True, default="gravity")
+
+    def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
+        """m g at each centre of mass."""
+        del t
+        way = sizes.axis(self.direction, "gravity direction")
+        found = []
+        for body, mass in bodies.mass.items():
+            axes = bodies.parts[body].axes
+            arm = bodies.center[body]
+            at = (dot(axes[0], arm), dot(axes[1], arm), dot(axes[2], arm))
+            found.append(Action(body, scale(times(mass, p["gravity"]), way), at))
+        return found
+
+    def parameters(self) -> dict[str, tuple[Quantity, float | None]]:
+        """``gravity``."""
+        return {"gravity": (CATALOGUE["gravity"], 9.81)}
+
+
+def _raised(t: Array, name: str, over: Size, p: Params) -> Number:
+    """Share of a load that has risen over its ramp, C2."""
+    return 1.0 if over is None else smooth_rise(t / sizes.value(over, name, "ramp", p))
+
+
+def _table(t: Array, table: tuple[tuple[float, ...], tuple[float, ...]]) -> Array:
+    return jnp.interp(t, jnp.asarray(table[0]), jnp.asarray(table[1]))
+
+
+class Force(AbstractLoad):
+    """A force on a body along a direction, [N]: constant, raised over a ramp [s], or from a table (times, forces).
+
+    Attributes:
+        body, at: where; the point in the body's axes [m].
+        direction: "x", "-y" or three numbers; of the world, or of the body where ``follows``.
+        size: [N]; ramp: rise time [s] or None; table: linear between its points, in place of ``size``.
+    """
+
+    name: str = eqx.field(static=True)
+    body: str = eqx.field(static=True)
+    direction: Any = eqx.field(static=True, default="x")
+    size: Size = eqx.field(static=True, default=None)
+    at: Place = eqx.field(static=True, default=ORIGIN)
+    ramp: Size = eqx.field(static=True, default=None)
+    table: Any = eqx.field(static=True, default=None)
+    follows: bool = eqx.field(static=True, default=False)
+
+    @property
+    def touches(self) -> tuple[str, ...]:
+        """The body."""
+        return (self.body,)
+
+    def _amount(self, t: Array, p: Params) -> Number:
+        if self.table is not None:
+            return _table(t, self.table)
+        return times(_raised(t, self.name, self.ramp, p), sizes.value(self.size, self.name, "size", p))
+
+    def _way(self, bodies: Moving) -> Vector:
+        way = sizes.axis(self.direction, f"load '{self.name}' direction")
+        return turned(bodies.parts[self.body].axes, way) if self.follows else way
+
+    def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
+        """The force."""
+        at = _point(self.at, self.name, "at", p)
+        return [Action(self.body, scale(self._amount(t, p), self._way(bodies)), at)]
+
+    def parameters(self) -> dict[str, tuple[Quantity, float | None]]:
+        """Size, ramp and place."""
+        unit = "N m" if isinstance(self, Torque) else "N"
+        found = {} if self.table is not None else sizes.own(self.size, self.name, "size", unit, f"size of {self.name}")
+        if self.ramp is not None:
+            found |= sizes.own(self.ramp, self.name, "ramp", "s", f"time over which {self.name} is raised")
+        return found | _of_point(self.at, self.name, "at")
+
+
+class Torque(Force):
+    """A torque on a body about a direction, [N m], and its reaction on another where ``against`` names one."""
+
+    against: str = eqx.field(static=True, default=GROUND)
+
+    @property
+    def touches(self) -> tuple[str, ...]:
+        """Both bodies."""
+        return (self.body, self.against)
+
+    def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
+        """The torque."""
+        torque = scale(self._amount(t, p), self._way(bodies))
+        return [Action(self.body, torque=torque), Action(self.against, torque=negative(torque))]
+
+
+class Spring(AbstractLoad):
+    """A spring and damper along the line between two points:  F = k (L - L0) + c dL/dt, pulling for F > 0.
+
+    Attributes:
+        between, at: bodies and points in their axes [m].
+        stiffness: k [N/m]; damping: c [N s/m]; free_length: L0 [m].
+    """
+
+    name: str = eqx.field(static=True)
+    between: tuple[str, str] = eqx.field(static=True)
+    stiffness: Size = eqx.field(static=True, default=0.0)
+    damping: Size = eqx.field(static=True, default=0.0)
+    free_length: Size = eqx.field(static=True, default=0.0)
+    at: tuple[Place, Place] = eqx.field(static=True, default=(ORIGIN, ORIGIN))
+
+    @property
+    def touches(self) -> tuple[str, ...]:
+        """Both bodies."""
+        return self.between
+
+    def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
+        """The pull on both."""
+        del t
+        a, b = (_point(at, self.name, side, p) for side, at in zip("ab", self.at, strict=True))
+        first, second = self.between
+        arm = subtract(bodies.place(second, b), bodies.place(first, a))
+        way, stretch = unit(arm), minus(length(arm), sizes.length(self.free_length, self.name, "free_length", p))
+        rate = dot(way, subtract(bodies.velocity(second, b), bodies.velocity(first, a)))
+        pull = times(sizes.length(self.stiffness, self.name, "stiffness", p), stretch)
+        pull = pull + times(sizes.length(self.damping, self.name, "damping", p), rate)
+        return [Action(first, scale(pull, way), a), Action(second, negative(scale(pull, way)), b)]
+
+    def parameters(self) -> dict[str, tuple[Quantity, float | None]]:
+        """Stiffness, damping, free length and places."""
+        found = _stated(self.stiffness, self.name, "stiffness", "N/m")
+        found |= _stated(self.damping, self.name, "damping", "N s/m")
+        found |= _stated(self.free_length, self.name, "free_length", "m")
+        return found | _of_point(self.at[0], self.name, "a") | _of_point(self.at[1], self.name, "b")
+
+
+class Bush(AbstractLoad):
+    """A compliant bush: two points held together,  F = -k r - c dr/dt  on the second; it closes a loop of bodies.
+
+    r is the second point's place from the first's. ``turning`` [N m/rad] and ``turning_damping`` [N m s/rad] resist the
+    relative spin's integral only through damping: a bush has no memory of angles.
+
+    Attributes:
+        between, at: bodies and points in their axes [m].
+        stiffness: k [N/m], every direction; damping: c [N s/m]; turning_damping: [N m s/rad].
+    """
+
+    name: str = eqx.field(static=True)
+    between: tuple[str, str] = eqx.field(static=True)
+    stiffness: Size = eqx.field(static=True, default=1e7)
+    damping: Size = eqx.field(static=True, default=0.0)
+    turning_damping: Size = eqx.field(static=True, default=0.0)
+    at: tuple[Place, Place] = eqx.field(static=True, default=(ORIGIN, ORIGIN))
+
+    @property
+    def touches(self) -> tuple[str, ...]:
+        """Both bodies."""
+        return self.between
+
+    def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
+        """The forces on both."""
+        del t
+        a, b = (_point(at, self.name, side, p) for side, at in zip("ab", self.at, strict=True))
+        first, second = self.between
+        arm = subtract(bodies.place(second, b), bodies.place(first, a))
+        rate = subtract(bodies.velocity(second, b), bodies.velocity(first, a))
+        k, c = (sizes.length(s, self.name, n, p) for s, n in ((self.stiffness, "stiffness"), (self.damping, "damping")))
+        pull = add(scale(k, arm), scale(c, rate))
+        lag = subtract(bodies.parts[second].spin, bodies.parts[first].spin)
+        drag = scale(sizes.length(self.turning_damping, self.name, "turning_damping", p), lag)
+        return [Action(first, pull, a, drag), Action(second, negative(pull), b, negative(drag))]
+
+    def parameters(self) -> dict[str, tuple[Quantity, float | None]]:
+        """Stiffness, damping and places."""
+        found = _stated(self.stiffness, self.name, "stiffness", "N/m")
+        found |= _stated(self.damping, self.name, "damping", "N s/m")
+        found |= _stated(self.turning_damping, self.name, "turning_damping", "N m s/rad")
+        return found | _of_point(self.at[0], self.name, "a") | _of_point(self.at[1], self.name, "b")
+
+
+class JointSpring(AbstractLoad):
+    """A spring and damper on the coordinate of a slide or hinge:  -k (q - q0) - c dq/dt  on it.
+
+    Attributes:
+        body: whose joint; stiffness: k [N/m or N m/rad]; damping: c; rest: q0 [m or rad].
+    """
+
+    name: str = eqx.field(static=True)
+    body: str = eqx.field(static=True)
+    stiffness: Size = eqx.field(static=True, default=0.0)
+    damping: Size = eqx.field(static=True, default=0.0)
+    rest: Size = eqx.field(static=True, default=0.0)
+
+    @property
+    def touches(self) -> tuple[str, ...]:
+        """The body."""
+        return (self.body,)
+
+    def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
+        """None: it acts on a coordinate (``on_coordinate``)."""
+        del t, bodies, p
+        return []
+
+    def on_coordinate(self, position: Number, rate: Number, p: Params) -> Number:
+        """Force or torque on the coordinate."""
+        k, c, rest = (
+            sizes.length(size, self.name, name, p)
+            for size, name in ((self.stiffness, "stiffness"), (self.damping, "damping"), (self.rest, "rest"))
+        )
+        return minus(times(-1.0, times(k, minus(position, rest))), times(c, rate))
+
+    def parameters(self) -> dict[str, tuple[Quantity, float | None]]:
+        """Stiffness, damping and rest."""
+        found = _stated(self.stiffness, self.name, "stiffness", "N/m")
+        found |= _stated(self.damping, self.name, "damping", "N s/m")
+        return found | _stated(self.rest, self.name, "rest", "m")
+
+
+class Load(AbstractLoad):
+    """A load of the user's own.
+
+    Attributes:
+        function: (t, bodies: Moving, p) -> list of ``Action``.
+        bodies: names of the bodies it acts on.
+        quantities: what the parameters of its own are, as ``Quantity``; it reads them from p by name.
+    """
+
+    name: str = eqx.field(static=True)
+    function: Callable[[Array, Moving, Params], list[Action]] = eqx.field(static=True)
+    bodies: tuple[str, ...] = eqx.field(static=True, default=())
+    quantities: tuple[tuple[Quantity, float], ...] = eqx.field(static=True, default=())
+
+    @property
+    def touches(self) -> tuple[str, ...]:
+        """As given."""
+        return self.bodies
+
+    def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
+        """The function's."""
+        return list(self.function(t, bodies, p))
+
+    def parameters(self) -> dict[str, tuple[Quantity, float | None]]:
+        """As given."""
+        return {quantity.name: (quantity, default) for quantity, default in self.quantities}
+
+
+LOADS: dict[str, type[AbstractLoad]] = {
+    "gravity": Gravity, "force": Force, "torque": Torque, "spring": Spring, "bush": Bush, "joint_spring": JointSpring,
+}  # fmt: skip
+
+
+def _point(at: Place, name: str, key: str, p: Params) -> Vector:
+    x, y, z = (sizes.length(s, name, f"{key}_{k}", p) for k, s in zip("xyz", at, strict=True))
+    return x, y, z
+
+
+def _of_point(at: Place, name: str, key: str) -> dict[str, tuple[Quantity, float | None]]:
+    found: dict[str, tuple[Quantity, float | None]] = {}
+    for letter, size in zip("xyz", at, strict=True):
+        found |= _stated(size, name, f"{key}_{letter}", "m")
+    return found
+
+
+def _stated(size: Size, name: str, key: str, unit: str) -> dict[str, tuple[Quantity, float | None]]:
+    if isinstance(size, (int, float)) and size == 0:
+        return {}
+    return sizes.own(size, name, key, unit, f"{key.replace('_', ' ')} of {name}")
+
+
+GROUNDED: dict[str, Part] = {GROUND: STILL}

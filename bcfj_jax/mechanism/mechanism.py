@@ -1,0 +1,610 @@
+"""A mechanism: bodies in a tree of ideal joints, contacts with clearance between them, loads on them.
+
+    scene = Mechanism("door", bodies, contacts, loads, defaults={"stiffness": 1e8, ...})
+
+It is a model like every other (``mechanism.model``). Every loop of bodies is closed by a contact or a bush, so that what
+is integrated is a plain ODE in the coordinates of the joints. The state is flat: coordinates, velocities, then what the
+contacts remember; a driven body has none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from bcfj_jax.contact.gaps import Face, Frame
+from bcfj_jax.contact.normal import onset_force
+from bcfj_jax.contact.wrench import Touch, press
+from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.quantities import CATALOGUE, Quantity
+from bcfj_jax.core.vectors import (
+    ZERO,
+    Number,
+    Vector,
+    add,
+    cross,
+    dot,
+    length,
+    minus,
+    negative,
+    plus,
+    scale,
+    subtract,
+    turned,
+    unit,
+)  # fmt: skip
+from bcfj_jax.mechanism import equations, sizes
+from bcfj_jax.mechanism.bodies import GROUND, STILL, Body, Part, carried, quaternion_rate
+from bcfj_jax.mechanism.contacts import Contact, raised
+from bcfj_jax.mechanism.equations import Equations, flat
+from bcfj_jax.mechanism.loads import AbstractLoad, JointSpring, Moving
+from bcfj_jax.mechanism.model import AbstractModel, BodyMotion, Flows, ModelTraits, Params, Reading
+
+# Local error a step, in units of ``error_scale``, per unit of force error asked for: of explicit methods, derived by
+# benchmarks/solve/levels.py on random impacts and bounces; of implicit ones, by benchmarks/solve/mechanisms.py.
+EXPLICIT, IMPLICIT, LOOSEST = 5e-4, 5e-2, 1e-3
+# Gauss-Legendre on (0, 1) in s, x = r s^2: exact for d^1.5, and to rounding for every power n >= 1 or its root.
+_NODES, _WEIGHTS = (0.5 * (x + shift) for x, shift in zip(np.polynomial.legendre.leggauss(24), (1.0, 0.0), strict=True))
+
+
+class Instant(NamedTuple):
+    """Everything at one instant: coordinates, velocities, bodies, and each contact's faces and touches."""
+
+    q: list[Number]
+    v: list[Number]
+    bodies: Moving
+    faces: dict[str, list[tuple[Face, Touch]]]
+    memory: dict[str, list[Any]]
+
+
+class Mechanism(AbstractModel):
+    """Static structure of a mechanism.
+
+    Attributes:
+        kind: its name.
+        bodies, contacts, loads: what is in it, and all that is in it.
+        own: quantities of the user's, with defaults: parameters that sizes name.
+        given: default values of parameters, by name.
+        end: a sensible end time [s]: a number, a parameter's name, or a function of the parameters.
+        samples: output times over it.
+        scale: (mechanism, params, end) -> error scale, in place of the one from the expected loads.
+        more: what a scene knows beside: (params, times) -> its numbers for the envelope.
+    """
+
+    kind: str = eqx.field(static=True)
+    bodies: tuple[Body, ...] = eqx.field(converter=tuple)
+    contacts: tuple[Contact, ...] = eqx.field(converter=tuple, default=())
+    loads: tuple[AbstractLoad, ...] = eqx.field(converter=tuple, default=())
+    own: tuple[tuple[Quantity, float | None], ...] = eqx.field(static=True, converter=lambda x: _own(x), default=())
+    given: tuple[tuple[str, float], ...] = eqx.field(static=True, converter=lambda x: _sorted(x), default=())
+    end: Any = eqx.field(static=True, default=1.0)
+    samples: int = eqx.field(static=True, default=2001)
+    scale: Callable[..., Array] | None = eqx.field(static=True, default=None)
+    more: Callable[..., dict[str, float]] | None = eqx.field(static=True, default=None)
+
+    def __check_init__(self):
+        from bcfj_jax.mechanism.checks import check_structure
+
+        check_structure(self)
+
+    # What it is.
+
+    @property
+    def traits(self) -> ModelTraits:
+        """Implicit where there is friction or a damper; a period is the drive's where something is driven."""
+        rough = any(c.friction is not None for c in self.contacts)
+        driven = any(b.drive is not None for b in self.bodies)
+        return ModelTraits(stiff=rough, turning=driven, rough=driven)
+
+    @cached_property
+    def ordered(self) -> tuple[Body, ...]:
+        """Bodies, each after the one that it hangs on."""
+        found: list[Body] = []
+        names = {GROUND}
+        while len(found) < len(self.bodies):
+            found += [b for b in self.bodies if b.name not in names and b.parent in names]
+            names |= {b.name for b in found}
+        return tuple(found)
+
+    def body(self, name: str) -> Body:
+        """A body by name."""
+        return next(b for b in self.bodies if b.name == name)
+
+    def contact(self, name: str) -> Contact:
+        """A contact by name."""
+        return next(c for c in self.contacts if c.name == name)
+
+    @property
+    def members(self) -> dict[str, int]:
+        """Of a contact the members of its bodies, or of its gap; 0 for one."""
+        count = {GROUND: 0} | {b.name: b.members for b in self.bodies}
+        return {c.name: c.gap.members or max(count[name] for name in c.between) for c in self.contacts}
+
+    def turning(self, name: str) -> bool:
+        """Whether anything turns a body: its own joint or one that it hangs on."""
+        return name != GROUND and (self.body(name).turns or self.turning(self.body(name).parent))
+
+    @property
+    def quantities(self) -> dict[str, Quantity]:
+        """Every parameter: shared coefficients, each contact's own, clearances, bodies, drives, loads, the user's."""
+        return {name: quantity for name, (quantity, _) in self._parameters.items()}
+
+    @cached_property
+    def _parameters(self) -> dict[str, tuple[Quantity, float | None]]:
+        found: dict[str, tuple[Quantity, float | None]] = {}
+        parts = [c.parameters() for c in self.contacts]
+        shared = {n: x for part in parts for n, x in part.items() if "." not in n and not n.startswith("clearance_")}
+        for part in (shared, *parts, *(b.parameters(self.turning(b.name)) for b in self.bodies)):
+            found |= {name: x for name, x in part.items() if found.get(name, (None, None))[1] is None}
+        for load in self.loads:
+            found |= load.parameters()
+        found |= {quantity.name: (quantity, default) for quantity, default in self.own}
+        for name in self._named():
+            if name not in found and name in CATALOGUE:
+                found[name] = (CATALOGUE[name], None)
+        return found
+
+    def _named(self) -> list[str]:
+        """Names that sizes give in place of numbers."""
+        found: list[Any] = []
+        for b in self.bodies:
+            found += [*b.at, *b.center, b.mass, *(s for _, s in b.start), b.tilt[1] if b.tilt else None]
+            found += list(b.inertia) if isinstance(b.inertia, tuple) else [b.inertia]
+            found += [b.drive.speed, b.drive.over, b.drive.start] if b.drive else []
+        for c in self.contacts:
+            found += [*(s for _, s in c.values), *c.at[0], *c.at[1]]
+        for load in self.loads:
+            for name in ("size", "ramp", "stiffness", "damping", "rest", "free_length", "turning_damping", "at"):
+                part = getattr(load, name, None)
+                found += list(_flattened(part)) if isinstance(part, tuple) else [part]
+        return [x.removeprefix("-") for x in found if isinstance(x, str)]
+
+    @property
+    def defaults(self) -> tuple[tuple[str, float], ...]:
+        """Default values, those of the mechanism before those of its parts; ``smoothing`` is 0 where nobody says."""
+        found = {name: default for name, (_, default) in self._parameters.items() if default is not None}
+        if "smoothing" in self._parameters:
+            found.setdefault("smoothing", 0.0)
+        given = {self.canonical(name): float(value) for name, value in self.given}
+        known = self._parameters
+        return tuple(
+            {name: given.get(name, found.get(name)) for name in known if name in found or name in given}.items()
+        )
+
+    def horizon(self, params: Params) -> Array:
+        """``end``."""
+        return jnp.asarray(
+            self.end if isinstance(self.end, (int, float)) else sizes.value(self.end, self.kind, "end", params)
+        )
+
+    # The state.
+
+    @cached_property
+    def _free(self) -> tuple[tuple[str, str, int], ...]:
+        """(body, velocity, members) of every free velocity, in order."""
+        return tuple((b.name, rate, b.members) for b in self.ordered for rate in b.rates)
+
+    @cached_property
+    def _placed(self) -> tuple[tuple[str, str, int], ...]:
+        """(body, coordinate, members) of every coordinate, in order."""
+        return tuple((b.name, key, b.members) for b in self.ordered for key in b.coordinates)
+
+    @cached_property
+    def _driven(self) -> tuple[Body, ...]:
+        return tuple(b for b in self.ordered if b.drive is not None)
+
+    @cached_property
+    def _members(self) -> tuple[int, ...]:
+        """Members by velocity, driven ones last."""
+        return (*(k for *_, k in self._free), *(b.members for b in self._driven))
+
+    @cached_property
+    def _memory(self) -> tuple[tuple[str, int], ...]:
+        """(contact, members) of every number that contacts remember, in order: a memory a face, bristles of each face."""
+        found, members = [], self.members
+        for c in self.contacts:
+            each = (1 if c.remembers else 0) + (3 if c.bristles else 0)
+            found += [(c.name, members[c.name])] * (each * c.faces if each else 0)
+        return tuple(found)
+
+    def initial_state(self, params: Params) -> Array:
+        """Coordinates and velocities as the bodies start; contacts remember the rate at which they close."""
+        q, v = [], []
+        for b in self.ordered:
+            places, rates = b.starting(params)
+            q, v = q + places, v + rates
+        moving = [*flat(q, [k for *_, k in self._placed]), *flat(v, [k for *_, k in self._free])]
+        start = jnp.stack(moving) if moving else jnp.zeros(0)
+        if not self._memory:
+            return start
+        unknown = jnp.zeros(sum(k or 1 for _, k in self._memory))
+        found = self.instant(jnp.zeros(()), jnp.concatenate([start, unknown]), params, laws=False)
+        memory: list[Number] = []
+        for c in self.contacts:
+            for face, touch in found.faces.get(c.name, []):
+                memory += [c.approach.first(-face.depth, touch.rate, params)] if c.remembers else []
+                memory += [0.0, 0.0, 0.0] if c.bristles else []
+        return jnp.concatenate([start, flat(memory, [k for _, k in self._memory])])
+
+    # The equations.
+
+    def moving(self, t: Array, q: list[Number], v: list[Number], p: Params) -> Moving:
+        """All bodies from coordinates and velocities."""
+        parts: dict[str, Part] = {GROUND: STILL}
+        mass: dict[str, Number] = {}
+        center: dict[str, Vector] = {}
+        at, first, driven = 0, 0, len(self._free)
+        for b in self.ordered:
+            n, m = len(b.coordinates), len(b.rates)
+            part = carried(b, parts[b.parent], q[at : at + n], v[first : first + m], first, driven, t, p)
+            at, first, driven = at + n, first + m, driven + (b.drive is not None)
+            parts[b.name] = part
+            mass[b.name] = sizes.value(b.mass, b.name, "mass", p)
+            arm = tuple(sizes.length(s, b.name, f"center_{k}", p) for k, s in zip("xyz", b.center, strict=True))
+            center[b.name] = turned(part.axes, arm)
+        return Moving(parts, mass, center)
+
+    def inertia(self, body: Body, p: Params) -> Any:
+        """About the centre of mass; None of a body that nothing turns."""
+        if not self.turning(body.name):
+            return None
+        if isinstance(body.inertia, tuple):
+            return tuple(sizes.value(s, body.name, f"inertia_{k}", p) for k, s in zip("xyz", body.inertia, strict=True))
+        return sizes.value(body.inertia, body.name, "inertia", p)
+
+    def instant(self, t: Array, y: Array, p: Params, laws: bool = True) -> Instant:
+        """Everything at one instant; without ``laws`` no force, for what reads geometry and rates alone."""
+        places, rates = [k for *_, k in self._placed], [k for *_, k in self._free]
+        numbers = equations.apart(y, [*places, *rates, *(k for _, k in self._memory)])
+        q, v = numbers[: len(places)], numbers[len(places) : len(places) + len(rates)]
+        kept = numbers[len(places) + len(rates) :]
+        bodies = self.moving(t, list(q), list(v), p)
+        faces, memory = {}, {}
+        for c in self.contacts:
+            each = (1 if c.remembers else 0) + (3 if c.bristles else 0)
+            own, kept = kept[: each * c.faces], kept[each * c.faces :]
+            memory[c.name] = [own[each * i : each * (i + 1)] for i in range(c.faces)]
+            faces[c.name] = self._touching(c, bodies, memory[c.name], p, laws)
+        return Instant(list(q), list(v), bodies, faces, memory)
+
+    def _touching(
+        self, c: Contact, bodies: Moving, memory: list[list[Number]], p: Params, laws: bool
+    ) -> list[tuple[Face, Touch]]:
+        first, second = (bodies.parts[name] for name in c.between)
+        frames = []
+        for which, part in enumerate((first, second)):
+            frames.append(Frame(add(part.place, turned(part.axes, c.marker(which, p))), part.axes))
+        coefficients = c.coefficients(p)
+        try:
+            faces = c.gap.faces(*frames, coefficients)
+        except Exception as error:
+            raise raised(f"contact '{c.name}' gap {type(c.gap).__name__}", error) from error
+        found = []
+        for face, own in zip(faces, memory, strict=True):
+            if not self.turning(c.between[1]):
+                # A body that does not turn is met beside its marker: force, moment and power then balance exactly.
+                depth = scale(dot(face.lever, face.normal), face.normal)
+                face = face._replace(lever=subtract(face.lever, depth))
+            point = add(frames[1].place, face.lever)
+            velocity = subtract(
+                second.velocity_at(subtract(point, second.place)), first.velocity_at(subtract(point, first.place))
+            )
+            if not laws:
+                rate = dot(face.normal, velocity)
+                found.append((face, Touch(ZERO, ZERO, 0.0, rate, subtract(velocity, scale(rate, face.normal)))))
+                continue
+            told = coefficients | {"approach_speed": own[0]} if c.remembers else coefficients
+            bristle = (own[-3], own[-2], own[-1]) if c.bristles else None
+            try:
+                touch = press(c.law, c.friction, told, face, velocity, bristle, first.spin)
+            except Exception as error:
+                raise raised(f"contact '{c.name}' law {type(c.law).__name__}", error) from error
+            found.append((face, touch))
+        return found
+
+    def assembled(self, t: Array, now: Instant, p: Params, pressing: bool = True) -> Equations:
+        """Mass matrix and forces; without ``pressing`` no contact force."""
+        found = Equations(self._members)
+        parts = now.bodies.parts
+        for b in self.ordered:
+            found.body(parts[b.name], now.bodies.center[b.name], now.bodies.mass[b.name], self.inertia(b, p))
+        for load in self.loads:
+            self._loaded(found, load, t, now, p)
+        for c in self.contacts if pressing else ():
+            first, second = (parts[name] for name in c.between)
+            place = add(second.place, turned(second.axes, c.marker(1, p)))
+            for face, touch in now.faces[c.name]:
+                point = add(place, face.lever)
+                found.act(second, subtract(point, second.place), touch.force)
+                found.act(first, subtract(point, first.place), negative(touch.force))
+        return found
+
+    def _loaded(self, found: Equations, load: AbstractLoad, t: Array, now: Instant, p: Params) -> None:
+        if isinstance(load, JointSpring):
+            j = next(j for j, (body, *_) in enumerate(self._free) if body == load.body)
+            i = next(i for i, (body, *_) in enumerate(self._placed) if body == load.body)
+            found.forces[j] = plus(found.forces[j], load.on_coordinate(now.q[i], now.v[j], p))
+            return
+        try:
+            actions = load.actions(t, now.bodies, p)
+        except Exception as error:
+            raise raised(f"load '{load.name}'", error) from error
+        for action in actions:
+            part = now.bodies.parts[action.body]
+            found.act(part, turned(part.axes, action.at), action.force, action.torque)
+
+    def vector_field(self, t: Array, y: Array, prepared: Params) -> Array:
+        """Newton's law, and what contacts remember."""
+        now = self.instant(t, y, prepared)
+        count = len(self._free)
+        accelerations = self.assembled(t, now, prepared).accelerations(count)
+        rates = self._rates(now)
+        out = [*rates, *accelerations, *self._remembered(now, prepared)]
+        return flat(out, [*(k for *_, k in self._placed), *self._members[:count], *(k for _, k in self._memory)])
+
+    def _rates(self, now: Instant) -> list[Number]:
+        """Rates of the coordinates: the velocities, but for attitudes."""
+        found, at, first = [], 0, 0
+        for b in self.ordered:
+            q, v = now.q[at : at + len(b.coordinates)], now.v[first : first + len(b.rates)]
+            at, first = at + len(q), first + len(v)
+            plain = len(q) - (4 if "q0" in b.coordinates else 0)
+            found += v[:plain]
+            if plain < len(q):
+                found += quaternion_rate(q[plain:], v[plain : plain + 3])
+        return found
+
+    def _remembered(self, now: Instant, p: Params) -> list[Number]:
+        found: list[Number] = []
+        for c in self.contacts:
+            for (face, touch), own in zip(now.faces[c.name], now.memory[c.name], strict=True):
+                if c.remembers:
+                    width = c.coefficients(p).get("smoothing", 0.0)
+                    # Within a smoothed onset there is a force: that is no flight.
+                    learning = c.approach.learning(-face.depth, touch.rate, own[0], p)
+                    found.append(jnp.where(-face.depth > width, learning, 0.0))
+                if c.bristles:
+                    assert touch.bending is not None
+                    found += touch.bending
+        return found
+
+    # What instruments read.
+
+    def observe(self, t: Array, y: Array, prepared: Params) -> dict[str, Reading]:
+        """Every contact's reading: the force on its second body. Forces come from the law, never from interpolation."""
+        now = self.instant(t, y, prepared)
+        return {c.name: self._read(c, now, prepared) for c in self.contacts}
+
+    def _read(self, c: Contact, now: Instant, p: Params) -> Reading:
+        first, second = (now.bodies.parts[name] for name in c.between)
+        frames = [
+            Frame(add(part.place, turned(part.axes, c.marker(i, p))), part.axes)
+            for i, part in enumerate((first, second))
+        ]
+        touching = now.faces[c.name]
+        normals = [touch.normal for _, touch in touching]
+        force = add(*(touch.force for _, touch in touching))
+        drag = add(*(touch.drag for _, touch in touching))
+        normal = minus(*normals) if c.gap.signed else _sum(normals)
+        way = touching[0][0].normal if len(touching) == 1 else unit(subtract(drag, force))
+        axial = c.gap.axial(*frames, c.coefficients(p))
+        along = unit(subtract(axial, scale(dot(axial, way), way)))
+        across = cross(way, along)
+        depth, rate, slip = _deepest(touching)
+        members = self.members[c.name]
+        shape = (members,) if members else ()
+        parts = [jnp.broadcast_to(jnp.asarray(x, dtype=jnp.float64), shape) for x in (depth, rate, slip)]
+        read = (normal, dot(drag, along), dot(drag, across))
+        whole, own = (_stacked(v, shape) for v in (force, read))
+        # A law clips NaN to no force; a state that failed must not read as one that is merely apart.
+        lost = jnp.isnan(parts[0] + parts[1])[..., None]
+        rubs = c.friction is not None
+        return Reading(
+            jnp.where(lost, jnp.nan, own),
+            parts[0],
+            parts[1],
+            parts[2] if rubs else None,
+            jnp.where(lost, jnp.nan, whole),
+        )
+
+    def motions(self, t: Array, y: Array, prepared: Params) -> dict[str, BodyMotion]:
+        """Centres of mass, axes, accelerations and the drives' forces."""
+        now = self.instant(t, y, prepared)
+        gathered = self.assembled(t, now, prepared)
+        count = len(self._free)
+        rates = gathered.accelerations(count)
+        found, driven = {}, count
+        for b in self.ordered:
+            part, arm = now.bodies.parts[b.name], now.bodies.center[b.name]
+            shape = (b.members,) if b.members else ()
+            at = part.shifted(arm)
+            gain = add(at.drift, *(scale(rates[j], v) for j, (_, v) in at.partials.items() if j < count))
+            turns = self.turning(b.name)
+            swirl = add(at.swirl, *(scale(rates[j], w) for j, (w, _) in at.partials.items() if j < count))
+            angle = drive = None
+            if b.joint in ("hinge", "planar", "bearing"):
+                angle = b.drive.position(t, b.name, prepared) if b.drive else now.q[self._index(b, "angle")]
+            if b.drive is not None:
+                drive, driven = jnp.asarray(gathered.reaction(driven, rates)), driven + 1
+            found[b.name] = BodyMotion(
+                place=_stacked(at.place, shape), velocity=_stacked(at.velocity, shape), acceleration=_stacked(gain, shape),
+                axes=jnp.stack([_stacked(x, shape) for x in part.axes], -1) if turns else None,
+                spin=_stacked(at.spin, shape) if turns else None,
+                spin_rate=_stacked(swirl, shape) if turns else None,
+                angle=None if angle is None else jnp.broadcast_to(jnp.asarray(angle), shape), drive=drive,
+            )  # fmt: skip
+        return found
+
+    def _index(self, body: Body, key: str) -> int:
+        return next(i for i, (name, own, _) in enumerate(self._placed) if name == body.name and own == key)
+
+    def flows(self, t: Array, y: Array, prepared: Params) -> Flows:
+        """Power of drives and loads, what friction and damping take, kinetic and elastic energy."""
+        p = prepared
+        now = self.instant(t, y, p)
+        gathered = self.assembled(t, now, p)
+        rates = gathered.accelerations(len(self._free))
+        given: dict[str, Array] = {}
+        for k, b in enumerate(self._driven):
+            assert b.drive is not None
+            speed = b.drive.motion(t, b.name, p)[1]
+            given[f"{b.name} drive"] = jnp.asarray(gathered.reaction(len(self._free) + k, rates) * speed)
+        for load in self.loads:
+            given[load.name] = jnp.asarray(self._power(load, t, now, p))
+        kinetic: Number = 0.0
+        for b in self.ordered:
+            part, arm = now.bodies.parts[b.name], now.bodies.center[b.name]
+            v = part.velocity_at(arm)
+            kinetic = plus(kinetic, jnp.sum(0.5 * now.bodies.mass[b.name] * dot(v, v)))
+            inertia = self.inertia(b, p)
+            if inertia is not None:
+                kinetic = plus(
+                    kinetic,
+                    jnp.sum(0.5 * jnp.asarray(dot(part.spin, equations.inertial(inertia, part.axes, part.spin)))),
+                )
+        friction: Number = jnp.zeros(())
+        damping: Number = jnp.zeros(())
+        elastic: Number = jnp.zeros(())
+        for c in self.contacts:
+            told = c.coefficients(p)
+            for (face, touch), own in zip(now.faces[c.name], now.memory[c.name], strict=True):
+                told = told | {"approach_speed": own[0]} if c.remembers else told
+                friction = friction - jnp.sum(jnp.asarray(dot(touch.drag, touch.slide)))
+                still = onset_force(
+                    c.law, face.depth, jnp.zeros_like(jnp.asarray(face.depth)), told, told.get("smoothing")
+                )
+                damping = damping + jnp.sum((touch.normal - face.gate * still) * touch.rate)
+                elastic = elastic + jnp.sum(face.gate * _stored(c, face.depth, told))
+        return Flows(
+            given, {"friction": friction, "damping": damping}, {"kinetic": jnp.asarray(kinetic), "elastic": elastic}
+        )
+
+    def _power(self, load: AbstractLoad, t: Array, now: Instant, p: Params) -> Number:
+        if isinstance(load, JointSpring):
+            j = next(j for j, (body, *_) in enumerate(self._free) if body == load.body)
+            i = next(i for i, (body, *_) in enumerate(self._placed) if body == load.body)
+            return load.on_coordinate(now.q[i], now.v[j], p) * now.v[j]
+        power: Number = 0.0
+        for action in load.actions(t, now.bodies, p):
+            part = now.bodies.parts[action.body]
+            each = plus(
+                dot(action.force, part.velocity_at(turned(part.axes, action.at))), dot(action.torque, part.spin)
+            )
+            power = plus(power, jnp.sum(jnp.asarray(each)))
+        return power
+
+    # Accuracy.
+
+    def error_scale(self, params: Params, end: ArrayLike = jnp.inf) -> Array:
+        """Places by the penetration that the contacts are to expect, velocities by the speed (``mechanism.scales``)."""
+        from bcfj_jax.mechanism.scales import expected_scale
+
+        return self.scale(self, params, end) if self.scale is not None else expected_scale(self, params)
+
+    def first_step(self, params: Params, scales: Array) -> Array:
+        """A hundredth of the time in which the expected speed crosses the expected penetration."""
+        del params
+        first = sum(k or 1 for *_, k in self._placed)
+        return 1e-2 * scales[0] / scales[first]
+
+    def tolerance(self, force_error: float) -> float:
+        """``EXPLICIT`` or ``IMPLICIT`` times the force error, at most ``LOOSEST``."""
+        return min(LOOSEST, (IMPLICIT if self.traits.stiff else EXPLICIT) * force_error)
+
+    # Checks and what is known beside.
+
+    def check(self, params: Params, where: str = "") -> None:
+        """Missing values, parameters that nothing reads, bodies that start deep inside each other, code that raises."""
+        from bcfj_jax.mechanism.checks import check_values
+
+        check_values(self, params, where)
+
+    def period(self, params: Params) -> tuple[float, float]:
+        """One turn of the first driven hinge."""
+        for b in self._driven:
+            if b.joint == "hinge" and b.drive is not None and b.drive.kind in ("constant", "ramp"):
+                speed = abs(float(sizes.value(b.drive.speed, b.name, "drive_speed", params)))
+                if not speed > 0.0:
+                    raise InputError(f"{b.name} drive", f"{speed:g} rad/s", "give a speed other than 0")
+                return 2.0 * np.pi / speed, 2.0 * np.pi / speed
+        return super().period(params)
+
+    def coordinates(self) -> dict[str, tuple[int, int]]:
+        """By ``<body>.<coordinate>``; a body of one coordinate by its name."""
+        found: dict[str, tuple[int, int]] = {}
+        places = np.cumsum([0, *(k or 1 for *_, k in self._placed)])
+        rates = places[-1] + np.cumsum([0, *(k or 1 for *_, k in self._free)])
+        for b in self.ordered:
+            own = [i for i, (name, key, _) in enumerate(self._placed) if name == b.name and not key.startswith("q")]
+            speeds = [j for j, (name, _, _) in enumerate(self._free) if name == b.name]
+            for i, j in zip(own, speeds, strict=False):
+                key = b.name if len(own) == 1 else f"{b.name}.{self._placed[i][1]}"
+                for m in range(b.members or 1):
+                    label = f"{b.name}[{m + 1}].{self._placed[i][1]}" if b.members else key
+                    found[label] = (int(places[i]) + m, int(rates[j]) + m)
+        return found
+
+    def envelope(self, params: Params, times: np.ndarray) -> tuple[dict[str, float], list[str]]:
+        """What the scene knows of its place among those on which its promise was measured."""
+        return (self.more(self, params, times) if self.more is not None else {}), []
+
+
+def _own(quantities: Any) -> tuple[tuple[Quantity, float | None], ...]:
+    found = []
+    for entry in quantities:
+        quantity, default = entry if isinstance(entry, tuple) and not isinstance(entry, Quantity) else (entry, None)
+        if not isinstance(quantity, Quantity):
+            raise InputError("own", f"{entry!r}", "give (Quantity(name, unit, meaning), default)")
+        found.append((quantity, default))
+    return tuple(found)
+
+
+def _sorted(values: Any) -> tuple[tuple[str, float], ...]:
+    return tuple(values.items()) if isinstance(values, Mapping) else tuple(values)
+
+
+def _flattened(part: tuple) -> list[Any]:
+    return [x for item in part for x in (_flattened(item) if isinstance(item, tuple) else [item])]
+
+
+def _sum(numbers: list[Number]) -> Number:
+    found = numbers[0]
+    for x in numbers[1:]:
+        found = plus(found, x)
+    return found
+
+
+def _stacked(v: Vector, shape: tuple[int, ...]) -> Array:
+    return jnp.stack([jnp.broadcast_to(jnp.asarray(x, dtype=jnp.float64), shape) for x in v], -1)
+
+
+def _deepest(touching: list[tuple[Face, Touch]]) -> tuple[Number, Number, Number]:
+    """Penetration, rate and sliding speed of the deepest face."""
+    rows = [(face.depth, touch.rate, length(touch.slide)) for face, touch in touching]
+    if len(rows) == 1:
+        return rows[0]
+    depths, rates, slips = (
+        jnp.stack(jnp.broadcast_arrays(*map(jnp.asarray, column))) for column in zip(*rows, strict=True)
+    )
+    best = jnp.argmax(depths, axis=0, keepdims=True)
+    depth, rate, slip = (jnp.take_along_axis(x, best, 0)[0] for x in (depths, rates, slips))
+    return depth, rate, slip
+
+
+def _stored(c: Contact, depth: Number, told: Mapping[str, Array]) -> Array:
+    """Elastic energy of a face [J]: the integral of law(x, 0) from 0 to the smoothed penetration."""
+    from bcfj_jax.core.numerics import positive, smooth_ramp
+
+    width = told.get("smoothing")
+    reach = positive(jnp.asarray(depth)) if width is None else smooth_ramp(depth, width)[0]
+    x = reach[..., None] * _NODES**2
+    wide = {name: value[..., None] if getattr(value, "ndim", 0) else value for name, value in told.items()}
+    force = c.law.force(x, jnp.zeros_like(x), wide)
+    return jnp.sum(force * 2.0 * _NODES * _WEIGHTS, -1) * reach

@@ -1,0 +1,354 @@
+"""The one interface that solvers, analyses and the calibration know: what every model says about itself.
+
+Nothing outside ``models`` and ``mechanism`` asks what kind of model it holds. A model is static structure (an equinox
+module without arrays, hashable): one compiled program per distinct model. Numbers live in the parameters, a flat dict
+of float64 scalars that may be traced, batched and differentiated.
+"""
+
+# No ``from __future__ import annotations``: equinox reads ``AbstractVar`` from the annotations themselves.
+from abc import abstractmethod
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from equinox import AbstractVar
+from jax import Array
+from jax.typing import ArrayLike
+
+from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.quantities import Quantity, check_order, check_value
+from bcfj_jax.mechanism.structure import AbstractStructure, Dense
+
+Params = Mapping[str, Array]
+
+
+class Reading(NamedTuple):
+    """What one contact does at one instant (or at each of T instants).
+
+    Attributes:
+        force: (..., 3) normal, axial, tangential force [N]; a contact with members has (..., k, 3), and (..., k) below.
+        penetration: (...,) overlap of the undeformed surfaces [m]; negative is the gap.
+        rate: (...,) rate of the penetration [m/s], positive while approaching.
+        slip: (...,) sliding speed [m/s]; None in models that only approach.
+        world: (..., 3) the whole force on the second body in world axes [N]; None where a model has no world axes.
+    """
+
+    force: Array
+    penetration: Array
+    rate: Array
+    slip: Array | None = None
+    world: Array | None = None
+
+
+class BodyMotion(NamedTuple):
+    """Where a body is and how it moves, in world axes; a body with members has (k, ...).
+
+    Attributes:
+        place, velocity, acceleration: (..., 3) of its centre of mass [m, m/s, m/s^2].
+        axes: (..., 3, 3) its axes as columns; None for a body that does not turn.
+        spin, spin_rate: (..., 3) angular velocity and its rate [rad/s, rad/s^2]; None likewise.
+        angle: (...,) turn of a body that has one axis [rad]; None for the rest.
+        drive: (...,) force or torque of its drive [N, N m]; None for a body without one.
+    """
+
+    place: Array
+    velocity: Array
+    acceleration: Array
+    axes: Array | None = None
+    spin: Array | None = None
+    spin_rate: Array | None = None
+    angle: Array | None = None
+    drive: Array | None = None
+
+
+class Flows(NamedTuple):
+    """The energy balance in one state.
+
+    Attributes:
+        given: by source, power into the system [W].
+        taken: by sink, power out of it [W]: loads, friction, damping.
+        stored: by store, energy [J].
+    """
+
+    given: dict[str, Array]
+    taken: dict[str, Array]
+    stored: dict[str, Array]
+
+
+class ModelTraits(NamedTuple):
+    """What solvers, budgets and features follow from.
+
+    Attributes:
+        stiff: whether it needs an implicit solver (friction, strong damping); springs alone are oscillatory.
+        history: whether it is integrated; without, each instant is solved for itself (``AbstractModel.instants``).
+        turning: whether a period is that of the force history (a drive turns), and not the interval between contacts.
+        large: whether one run fills a core (tens of states): batches are small, lanes gain little.
+        rough: whether a fit's cost is rough in its parameters: many contacts begin and end in every run.
+        open: whether the model is yet to be chosen (``AbstractModel.choose``): ``simulate`` alone can run it.
+    """
+
+    stiff: bool = False
+    history: bool = True
+    turning: bool = False
+    large: bool = False
+    rough: bool = False
+    open: bool = False
+
+
+class Solution(NamedTuple):
+    """States (T, n) at the times asked for, NaN from a failure on; a status code; the time at which the run ended [s].
+
+    Attributes:
+        accepted, rejected: numbers of steps.
+    """
+
+    states: Array
+    code: Array
+    end: Array
+    accepted: Array
+    rejected: Array
+
+
+class Choice(NamedTuple):
+    """Which level of a model was chosen for a run (``AbstractModel.choose``).
+
+    Attributes:
+        fidelity: name of the level.
+        budget: force error allowed, a fraction of the peak.
+        errors: estimated error of every level that was looked at, cheapest first; infinite or NaN where the level has
+            no answer.
+        reason: the choice in words.
+    """
+
+    fidelity: str
+    budget: float
+    errors: dict[str, float]
+    reason: str
+
+
+class Coarser(NamedTuple):
+    """A cheaper model of the same thing: its name, the options of the scene file that give it, what it leaves out."""
+
+    name: str
+    options: dict[str, Any]
+    physics: str
+
+
+class AbstractModel(eqx.Module):
+    """Every model, as everything outside sees it.
+
+    Attributes:
+        kind: name of the family the model belongs to.
+        contacts: what touches; each has a ``name``, a ``law`` and ``friction`` (or None).
+        samples: a number of output times over the horizon that resolves a contact.
+        defaults: default value of every parameter that has one, SI.
+        horizon: (params) -> a sensible end time [s] where the user gives none.
+    """
+
+    kind: AbstractVar[str]
+    contacts: AbstractVar[tuple[Any, ...]]
+    samples: AbstractVar[int]
+    defaults: AbstractVar[tuple[tuple[str, float], ...]]
+    horizon: AbstractVar[Callable[[Params], Array]]
+
+    # What it is.
+
+    @property
+    @abstractmethod
+    def traits(self) -> ModelTraits:
+        """What solvers, budgets and features follow from."""
+
+    @property
+    @abstractmethod
+    def quantities(self) -> dict[str, Quantity]:
+        """Every parameter the model has, in a readable order, by name."""
+
+    @property
+    def title(self) -> str:
+        """What a sentence calls it."""
+        return self.kind
+
+    @property
+    def members(self) -> dict[str, int]:
+        """By contact, in the model's order, the number of its members (balls); 0 for a contact without."""
+        return {contact.name: 0 for contact in self.contacts}
+
+    # The ODE.
+
+    def prepare(self, params: Params) -> Any:
+        """What the field reads, computed once a run from the parameters; a pytree."""
+        return dict(params)
+
+    @abstractmethod
+    def initial_state(self, params: Params) -> Array:
+        """Flat state (n,) at time 0."""
+
+    @abstractmethod
+    def vector_field(self, t: Array, y: Array, prepared: Any) -> Array:
+        """Time derivative of the flat state; ``prepared`` is ``prepare``'s."""
+
+    @abstractmethod
+    def error_scale(self, params: Params, end: ArrayLike = jnp.inf) -> Array:
+        """(n,) what a step's error of each state is measured in, for a run until ``end`` [s].
+
+        Without an end: the natural size of each state, the first that of a penetration [m].
+        """
+
+    @abstractmethod
+    def tolerance(self, force_error: float) -> float:
+        """Local error per step in units of ``error_scale`` for a force error as a fraction of the peak."""
+
+    def first_step(self, params: Params, scales: Array) -> ArrayLike:
+        """Length of the first step to try [s]; ``scales`` is ``error_scale``'s."""
+        del params
+        return 1e-2 * scales[0] / scales[-1]
+
+    def structure(self) -> AbstractStructure:
+        """Linear algebra of ``I/s - J`` for implicit solvers; its ``args`` are (model, prepared)."""
+        return Dense(_field)
+
+    def instants(self, params: Params, times: Array, near: Any = None) -> tuple[Solution, Any]:
+        """States of a model without a history at times (T,), and from where to search those of similar parameters.
+
+        ``near`` is the second of these of an earlier call for the same number of times, or zeros of its shape.
+        """
+        raise InputError(f"scene '{self.kind}'", "has a history: it is integrated", "this is a defect: report it")
+
+    # What instruments read.
+
+    @abstractmethod
+    def observe(self, t: Array, y: Array, prepared: Any) -> dict[str, Reading]:
+        """Every contact's reading in one state."""
+
+    def motions(self, t: Array, y: Array, prepared: Any) -> dict[str, BodyMotion]:
+        """Every body's motion in one state."""
+        del t, y, prepared
+        return {}
+
+    def flows(self, t: Array, y: Array, prepared: Any) -> Flows:
+        """The energy balance in one state."""
+        raise InputError("balance", f"scene '{self.kind}' keeps no energy balance", "give a mechanism")
+
+    # What is refused, and what is known beside.
+
+    def check(self, params: Params, where: str = "") -> None:
+        """Refuse parameters that no run can answer, before anything is compiled.
+
+        Raises:
+            InputError: naming the place, the value and what would be right.
+        """
+        del params, where
+
+    def period(self, params: Params) -> tuple[float, float]:
+        """Time of one turn of the drive, and of the pitch in which it repeats [s].
+
+        Raises:
+            InputError: for a model without a drive that turns.
+        """
+        raise InputError(f"scene '{self.kind}'", "has no drive, so no revolution", "take impacts, of a run")
+
+    def coordinates(self) -> dict[str, tuple[int, int]]:
+        """By name, where a coordinate and its velocity are in the flat state."""
+        return {}
+
+    @property
+    def drive_coordinate(self) -> str:
+        """Name in ``coordinates`` of the drive's turn; "" for a model without a drive that turns."""
+        return ""
+
+    def neutral(self, state: Array, tangent: Array) -> Array:
+        """A tangent without what neither grows nor fades: the phase of a drive, a length that is kept."""
+        del state
+        return tangent
+
+    def envelope(self, params: Params, times: np.ndarray) -> tuple[dict[str, float], list[str]]:
+        """How far a run is from those on which its promised error was measured: numbers, and what no number says."""
+        del params, times
+        return {}, []
+
+    def settled_from(self, params: Params) -> float:
+        """Time [s] from which the promised error holds: 0 unless the model forgets its start first.
+
+        A run that ends before has no promise.
+        """
+        del params
+        return 0.0
+
+    def full(self) -> "AbstractModel":
+        """The model of the same thing that leaves nothing out: this one, unless it is a coarser one."""
+        return self
+
+    def choice_options(self) -> dict[str, Any]:
+        """Fields, and options of the scene file, with which ``simulate`` chooses the level; empty without levels."""
+        return {}
+
+    def coarser(self) -> tuple[Coarser, ...]:
+        """Cheaper models of the same thing, cheapest first; of an ``open`` model all that may be chosen."""
+        return ()
+
+    def choose(
+        self, params: Params, times: np.ndarray, budget: float, run: "Callable[[AbstractModel, np.ndarray], Any]"
+    ) -> Any:
+        """The run of the cheapest level that keeps a budget of force error, with its ``Choice``.
+
+        ``run(model, times)`` makes a ``solve.simulation.Run``. Only of a model whose traits say ``open``.
+        """
+        del params, budget
+        return run(self, times)
+
+    @property
+    def tables(self) -> tuple[str, ...]:
+        """Names of the files of ``whole``'s tables."""
+        return ()
+
+    def whole(self, params: Params, run: Any) -> tuple[dict[str, Any], dict[str, dict[str, np.ndarray]]]:
+        """What a run says of the model as a whole: entries of the summary, and by file name tables.
+
+        A table has (T,) columns by their heads, which hold a unit, as ``seat_ball.x [N]``; time is not among them.
+        """
+        del params, run
+        return {}, {}
+
+    # Parameters.
+
+    def coefficient(self, params: Params, owner: str, name: str) -> Array:
+        """``<owner>.<name>`` where the parameters have it, else the shared ``<name>``."""
+        own = f"{owner}.{name}"
+        return params[own] if own in params else params[name]
+
+    def parameters(self, values: Mapping[str, ArrayLike] | None = None, **more: ArrayLike) -> dict[str, Array]:
+        """The model's parameters as a pytree of float64 leaves, SI; those without a default only where given.
+
+        Args:
+            values: values by name (for names with a dot in them).
+            more: values by name. A value may be a number, an array (a batch for ``vmap``) or traced.
+
+        Raises:
+            InputError: for a name the model does not have (with the nearest it has) and for a number
+                outside its quantity's range.
+        """
+        known, where = self.quantities, f"scene '{self.kind}'"
+        given = {self.canonical(name): value for name, value in {**(values or {}), **more}.items()}
+        for name, value in given.items():
+            if name not in known:
+                raise InputError(where, f"no parameter '{name}' = {value}", nearest(name, known))
+            check_value(where, known[name], value)
+        defaults = dict(self.defaults)
+        check_order(where, known, {**defaults, **given})
+        return {
+            name: jnp.asarray(given[name] if name in given else defaults[name], dtype=jnp.float64)
+            for name in known
+            if name in given or name in defaults
+        }
+
+    def canonical(self, name: str) -> str:
+        """The one name of a parameter: ``<contact>.clearance`` is ``clearance_<contact>``."""
+        contact, _, own = name.rpartition(".")
+        return f"clearance_{contact}" if own == "clearance" and contact else name
+
+
+def _field(t: Any, y: Array, args: tuple[AbstractModel, Any]) -> Array:
+    model, prepared = args
+    return model.vector_field(t, y, prepared)

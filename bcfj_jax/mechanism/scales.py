@@ -1,0 +1,192 @@
+"""How deep and how fast a mechanism's contacts are to be expected, from its first instant; its error scale.
+
+Nobody has run a mechanism before it is run. What can be known is how its bodies would move without contact forces: of
+each face the relative velocity w and free acceleration a of its two points, and the mass m that it feels, 1/(J M^-1 J')
+with J its row of partial velocities. Across the gap g the impact comes at  v = sqrt((n . w)^2 + 2 |n . a| g)  with the
+energy m v^2/2, and a contact that holds bears m |n . a|. The penetration of every contact follows from the largest such
+energy and force by its own law; the error scale is the least of them. Where a gap has no direction yet (a pin in the
+middle of its bearing) that of the acceleration stands in.
+
+The scale is a guess; every run can measure its own error (``simulate``).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from bcfj_jax.contact.normal import onset_force
+from bcfj_jax.core.numerics import positive, smooth_ramp
+from bcfj_jax.core.vectors import ZERO, Number, Vector, add, dot, plus, scale, subtract, times, turned, unit
+from bcfj_jax.mechanism.equations import Equations, flat, solved
+
+if TYPE_CHECKING:
+    from bcfj_jax.mechanism.contacts import Contact
+    from bcfj_jax.mechanism.mechanism import Mechanism
+    from bcfj_jax.mechanism.sizes import Params
+
+# Where nothing is known: a penetration of a micrometre [m], a speed of a millimetre a second [m/s].
+DEPTH, SPEED = 1e-6, 1e-3
+# A load that is none [N].
+_NOTHING = 1e-9
+
+
+class Expected(NamedTuple):
+    """What the first instant says.
+
+    Attributes:
+        depth, speed: penetration [m] and speed [m/s] of the contacts to come.
+        levers: by velocity, how far the points of contact move by it [m/rad, or 1].
+        brought, stored: by contact, energy [J] that it is to take in, and that its first penetration holds.
+        flight: by contact, time [s] from a touch to the next under the free acceleration; infinite without one.
+    """
+
+    depth: Array
+    speed: Array
+    levers: list[Number]
+    brought: dict[str, Array]
+    stored: dict[str, Array]
+    flight: dict[str, Array]
+
+
+def expected(scene: Mechanism, params: Params) -> Expected:
+    """What the first instant says (module docstring)."""
+    t = jnp.zeros(())
+    now = scene.instant(t, scene.initial_state(params), params, laws=False)
+    gathered = scene.assembled(t, now, params, pressing=False)
+    count = len(scene._free)
+    rates = gathered.accelerations(count)
+    levers: list[list[Array]] = [[] for _ in range(count)]
+    parts = now.bodies.parts
+    brought, stored, flight = {}, {}, {}
+    forces, speeds, masses = [], [], []
+    for c in scene.contacts:
+        first, second = (parts[name] for name in c.between)
+        place = add(second.place, turned(second.axes, c.marker(1, params)))
+        energies, held, flights = [], [], []
+        for face, touch in now.faces[c.name]:
+            point = add(place, face.lever)
+            partials: dict[int, Vector] = {}
+            arms = (subtract(point, first.place), subtract(point, second.place))
+            for part, arm, sign in ((first, arms[0], -1.0), (second, arms[1], 1.0)):
+                for j in part.partials:
+                    if j < count:
+                        v = scale(sign, part.partial_at(j, arm))
+                        partials[j] = add(partials.get(j, ZERO), v)
+                        levers[j].append(jnp.max(jnp.sqrt(jnp.asarray(dot(v, v)) + 1e-300)))
+            gain = subtract(second.drift_at(arms[1]), first.drift_at(arms[0]))
+            gain = add(gain, *(scale(rates[j], v) for j, v in partials.items()))
+            moving = add(touch.slide, scale(touch.rate, face.normal))
+            way = _direction(face.normal, gain, moving)
+            row = {j: dot(way, v) for j, v in partials.items()}
+            mass = 1.0 / jnp.maximum(jnp.asarray(_compliance(gathered, row, count)), 1e-30)
+            mass = jnp.where(mass < 1e20, mass, 0.0)
+            pull, rate = jnp.abs(jnp.asarray(dot(way, gain))), jnp.asarray(dot(way, moving))
+            gap = positive(-jnp.asarray(face.depth))
+            squared = rate**2 + 2.0 * pull * gap
+            energies.append(jnp.max(0.5 * mass * squared))
+            forces.append(jnp.max(mass * pull))
+            speeds.append(jnp.max(jnp.sqrt(squared + 1e-300)))
+            masses.append(jnp.min(jnp.where(mass > 0, mass, jnp.inf)))
+            held.append(jnp.max(_stored(c, jnp.asarray(face.depth), params)))
+            flights.append(jnp.min(2.0 * jnp.sqrt(squared + 1e-300) / jnp.maximum(pull, 1e-300)))
+        brought[c.name], stored[c.name] = jnp.max(jnp.stack(energies)), jnp.max(jnp.stack(held))
+        flight[c.name] = jnp.min(jnp.stack(flights))
+    found = [jnp.max(jnp.stack(x)) if x else jnp.ones(()) for x in levers]
+    lengths: list[Number] = [jnp.where(x > 1e-9, x, 1.0) for x in found]
+    if not scene.contacts:
+        return Expected(jnp.asarray(DEPTH), jnp.asarray(SPEED), lengths, brought, stored, flight)
+    # A body that starts inside an onset is thrown out of it: what is stored there counts as well.
+    energy = jnp.max(jnp.stack([brought[name] + stored[name] for name in brought]))
+    force, mass = jnp.max(jnp.stack(forces)), jnp.min(jnp.stack(masses))
+    mass = jnp.where(jnp.isfinite(mass), mass, 1.0)
+    speed = jnp.maximum(jnp.max(jnp.stack(speeds)), jnp.sqrt(2.0 * energy / mass))
+    depth = jnp.min(jnp.stack([_depth(c, energy, force, speed, params) for c in scene.contacts]))
+    swing = jnp.sqrt(force * depth / mass)
+    return Expected(depth, jnp.maximum(jnp.maximum(speed, swing), SPEED), lengths, brought, stored, flight)
+
+
+def expected_scale(scene: Mechanism, params: Params) -> Array:
+    """Error scale (n,): a coordinate by the expected penetration over its lever, a velocity by the speed over it.
+
+    With friction the speed is no more than friction's transition speed, whose fraction is an error of its force.
+    """
+    found = expected(scene, params)
+    speed = found.speed
+    for c in scene.contacts:
+        if c.friction is not None:
+            speed = jnp.minimum(speed, c.coefficients(params).get("friction_speed", speed))
+    places, at = [], 0
+    for b in scene.ordered:
+        own = found.levers[at : at + len(b.rates)]
+        at += len(b.rates)
+        plain = len(b.coordinates) - (4 if "q0" in b.coordinates else 0)
+        longest = jnp.max(jnp.stack([jnp.asarray(x) for x in own[plain:]])) if len(b.coordinates) > plain else 1.0
+        places += [found.depth / x for x in own[:plain]] + [found.depth / longest] * (len(b.coordinates) - plain)
+    kept: list[Number] = []
+    for c in scene.contacts:
+        told = c.coefficients(params)
+        for _ in range(c.faces):
+            kept += [found.speed] if c.remembers else []
+            kept += [told["friction_static"] / told["bristle_stiffness"]] * 3 if c.bristles else []
+    members = [*(k for *_, k in scene._placed), *(k for *_, k in scene._free), *(k for _, k in scene._memory)]
+    return flat([*places, *(speed / x for x in found.levers), *kept], members)
+
+
+def _direction(normal: Vector, gain: Vector, moving: Vector) -> Vector:
+    """The normal, or where there is none the free acceleration's direction, or the velocity's."""
+    squared = dot(normal, normal)
+    if isinstance(squared, (int, float)):
+        return normal
+    some = jnp.asarray(dot(gain, gain)) > 0
+    other = [
+        jnp.where(some, x, y) for x, y in zip(map(jnp.asarray, unit(gain)), map(jnp.asarray, unit(moving)), strict=True)
+    ]
+    x, y, z = (jnp.where(squared > 0.25, n, o) for n, o in zip(normal, other, strict=True))
+    return x, y, z
+
+
+def _compliance(gathered: Equations, row: dict[int, Number], count: int) -> Number:
+    """J M^-1 J' of one face's row."""
+    found: Number = 0.0
+    for block in gathered.blocks(count):
+        own = [row.get(j, 0.0) for j in block]
+        if all(isinstance(x, float) and x == 0.0 for x in own):
+            continue
+        moved = solved([[gathered.entry(j, k) for k in block] for j in block], own)
+        for a, b in zip(own, moved, strict=True):
+            found = plus(found, times(a, b))
+    return found
+
+
+def _told(c: Contact, speed: Array, params: Params) -> dict[str, Array]:
+    told = c.coefficients(params)
+    return told | {"approach_speed": speed} if c.remembers else told
+
+
+def _stored(c: Contact, depth: Array, params: Params) -> Array:
+    """Energy [J] of a contact at rest, to a factor of n + 1: force times depth, of its onset's."""
+    told = _told(c, jnp.ones(()), params)
+    reach = smooth_ramp(depth, told["smoothing"])[0] if "smoothing" in told else positive(depth)
+    return c.law.force(reach, jnp.zeros_like(reach), told) * reach
+
+
+def _depth(c: Contact, energy: Array, force: Array, speed: Array, params: Params) -> Array:
+    """Penetration that takes in an energy (force times depth is twice it), or bears a force, whichever is deeper."""
+    told = _told(c, speed, params)
+
+    def halve(_, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
+        low, high = bracket
+        middle = 0.5 * (low + high)
+        depth = jnp.exp(middle)
+        push = onset_force(c.law, depth, jnp.zeros_like(depth), told, told.get("smoothing"))
+        enough = (push * depth > 2.0 * energy) & (push > force)
+        return jnp.where(enough, low, middle), jnp.where(enough, middle, high)
+
+    bracket = (jnp.log(jnp.asarray(1e-15)), jnp.log(jnp.asarray(10.0)))
+    found = jnp.exp(jax.lax.fori_loop(0, 30, halve, bracket)[1])
+    # Nothing that moves or pulls: nothing is known.
+    return jnp.where((energy > 1e-30) | (force > _NOTHING), found, DEPTH)

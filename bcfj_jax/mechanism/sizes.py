@@ -1,0 +1,88 @@
+"""How a part of a mechanism names its numbers: as a number, as another parameter's name, or as a function.
+
+0.05            a parameter of the part's own, ``<part>.<key>``, with this default
+"rod_length"    the parameter of that name; "-rod_length" is its negative
+a function      of all parameters (SI), in Python only
+None            ``<part>.<key>`` where the parameters have it, else the shared ``<key>``
+0 (a length)    zero, which is no parameter and leaves the program
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from jax import Array
+
+from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.quantities import CATALOGUE, Quantity
+
+Params = Mapping[str, Array]
+Size = float | int | str | Callable[[Params], Any] | None
+Place = tuple[Size, Size, Size]
+
+ORIGIN: Place = (0.0, 0.0, 0.0)
+_POSITIVE = {"mass", "inertia", "inertia_x", "inertia_y", "inertia_z"}
+
+
+def length(size: Size, part: str, key: str, p: Params) -> Any:
+    """Value of a size of which a literal zero is no parameter."""
+    return 0.0 if _nothing(size) else value(size, part, key, p)
+
+
+def value(size: Size, part: str, key: str, p: Params) -> Any:
+    """Value of a size (module docstring)."""
+    if size is None:
+        own = f"{part}.{key}"
+        return p[own] if own in p else p[key]
+    if isinstance(size, str):
+        return -p[size[1:]] if size.startswith("-") else p[size]
+    if callable(size):
+        return size(p)
+    return p[f"{part}.{key}"]
+
+
+def _nothing(size: Size) -> bool:
+    return isinstance(size, (int, float)) and not isinstance(size, bool) and size == 0
+
+
+def own(size: Size, part: str, key: str, unit: str, meaning: str) -> dict[str, tuple[Quantity, float | None]]:
+    """The parameter that a size is by itself, with its default; nothing for a name, a function or a zero length."""
+    if isinstance(size, str) or callable(size):
+        return {}
+    name = f"{part}.{key}"
+    low = 0.0 if key in _POSITIVE else float("-inf")
+    quantity = Quantity(name, unit, meaning, low=low, open_low=key in _POSITIVE)
+    if size is None:
+        # The shared one beside it: of the same meaning, for every part.
+        shared = CATALOGUE.get(key) or Quantity(key, unit, f"{meaning.split(' of ')[0]}, of every part without its own")
+        return {key: (shared, None), name: (quantity, None)}
+    return {name: (quantity, float(size))}
+
+
+def axis(direction: Any, where: str) -> Any:
+    """A unit vector from "x", "-y" or three numbers, as Python floats; a function is kept.
+
+    Raises:
+        InputError: for anything else, and for a vector without length.
+    """
+    if callable(direction):
+        return direction
+    if isinstance(direction, str):
+        sign, letter = (-1.0, direction[1:]) if direction.startswith("-") else (1.0, direction)
+        if letter not in ("x", "y", "z"):
+            raise InputError(
+                where, f"no axis '{direction}'", "give x, y or z, with a minus or without, or three numbers"
+            )
+        return tuple(sign if letter == other else 0.0 for other in "xyz")
+    numbers = tuple(float(x) for x in direction)
+    size = sum(x * x for x in numbers) ** 0.5
+    if len(numbers) != 3 or not size > 0.0:
+        raise InputError(where, f"axis {list(numbers)}", "give three numbers, not all zero")
+    return tuple(x / size for x in numbers)
+
+
+def refuse_unknown(name: str, known: Any, where: str) -> None:
+    """Refuse a name that no parameter has."""
+    if name.lstrip("-") not in known:
+        raise InputError(where, f"no parameter '{name.lstrip('-')}'", nearest(name.lstrip("-"), known))

@@ -1,0 +1,318 @@
+"""The joint as everything outside sees it: ``scene.Joint`` with its equations, instruments, checks and levels.
+
+``joint`` makes one from options.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from bcfj_jax.contact import laws as normal_laws
+from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.status import OK, UNBALANCED
+from bcfj_jax.mechanism.model import AbstractModel, Coarser, Flows, ModelTraits, Params, Reading, Solution
+from bcfj_jax.models.joint import envelope, summary, system
+from bcfj_jax.models.joint.arrowhead import Arrowhead
+from bcfj_jax.models.joint.checks import check_joint
+from bcfj_jax.models.joint.constants import constants
+from bcfj_jax.models.joint.energy import power, stored
+from bcfj_jax.models.joint.fidelity import adaptive, resolved
+from bcfj_jax.models.joint.kinematic import kinematic_readings, kinematic_states
+from bcfj_jax.models.joint.observe import observe, observe_at_rest, whole
+from bcfj_jax.models.joint.periodic import risen
+from bcfj_jax.models.joint.quasistatic import quasistatic
+from bcfj_jax.models.joint.scales import scales, tolerance
+from bcfj_jax.models.joint.scene import (
+    AUTO,
+    CAGES,
+    CONTACTS,
+    DRIVES,
+    FIDELITIES,
+    GROOVES,
+    HEADS,
+    OF_A_BALL,
+    PILOTS,
+    TRACKS,
+    Joint,
+    JointContact,
+)
+from bcfj_jax.models.joint.start import nominal
+from bcfj_jax.mechanism.structure import AbstractStructure
+
+# What the levels without inertia leave out.
+_PHYSICS = {
+    "kinematic": "closed-form load sharing: no clearance, no friction, no inertia",
+    "quasistatic": "equilibrium at each instant: no inertia, no friction, no damping, no impacts",
+    "dynamic": "",
+}
+_TABLE = "resultants.csv"
+
+
+class JointModel(Joint):
+    """The ball-cage flexible joint as a model; made by ``joint``."""
+
+    @property
+    def traits(self) -> ModelTraits:
+        """Friction is stiff, the drive turns, and contacts begin and end all the time."""
+        return ModelTraits(
+            stiff=True, history=self.in_motion, turning=True, large=True, rough=self.in_motion,
+            open=self.fidelity == AUTO,
+        )  # fmt: skip
+
+    @property
+    def title(self) -> str:
+        """Its fidelity, and that it is a joint."""
+        return f"{self.fidelity} joint"
+
+    @property
+    def members(self) -> dict[str, int]:
+        """Balls of the contacts that each ball has."""
+        return {contact.name: self.balls if contact.name in OF_A_BALL else 0 for contact in self.contacts}
+
+    def prepare(self, params: Params) -> Any:
+        """``constants``; the parameters themselves for closed-form load sharing."""
+        return dict(params) if self.fidelity == "kinematic" else constants(self, params)
+
+    def initial_state(self, params: Params) -> Array:
+        """``start.nominal`` with the seat at 0."""
+        return nominal(self, params, jnp.zeros(()))
+
+    def vector_field(self, t: Array, y: Array, prepared: Any) -> Array:
+        """``system.field``."""
+        return system.field(t, y, (self, prepared))
+
+    def structure(self) -> AbstractStructure:
+        """Balls one by one, then the rest."""
+        return Arrowhead()
+
+    def error_scale(self, params: Params, end: ArrayLike = jnp.inf) -> Array:
+        """``scales.scales``."""
+        return scales(self, params, jnp.asarray(end))
+
+    def first_step(self, params: Params, scales: Array) -> ArrayLike:
+        """A microsecond."""
+        del params, scales
+        return 1e-6
+
+    def tolerance(self, force_error: float) -> float:
+        """``scales.tolerance``."""
+        return tolerance(force_error)
+
+    def instants(self, params: Params, times: Array, near: Any = None) -> tuple[Solution, Any]:
+        """Closed form, or equilibria, which a run ends at where the first was not found."""
+        none = jnp.asarray(0)
+        if self.fidelity == "kinematic":
+            states = kinematic_states(self, params, times)
+            return Solution(states, jnp.asarray(OK), times[-1], none, none), ()
+        found = quasistatic(self, params, times, near)
+        good = jnp.all(found.converged)
+        code, end = jnp.where(good, OK, UNBALANCED), jnp.where(good, times[-1], times[jnp.argmin(found.converged)])
+        return Solution(found.states, code, end, jnp.sum(found.iterations), none), found.places
+
+    def observe(self, t: Array, y: Array, prepared: Any) -> dict[str, Reading]:
+        """``observe.observe``, or what its fidelity has in its place."""
+        if self.fidelity == "kinematic":
+            return jax.tree.map(lambda x: x[0], kinematic_readings(self, prepared, jnp.asarray(t)[None]))
+        look = observe_at_rest if self.fidelity == "quasistatic" else observe
+        return look(self, prepared, y)
+
+    def flows(self, t: Array, y: Array, prepared: Any) -> Flows:
+        """``energy.power`` and ``energy.stored``."""
+        if not self.in_motion:
+            remedy = "give a joint with fidelity = 'dynamic': nothing else has inertia"
+            raise InputError("balance", f"scene 'joint', {self.fidelity}", remedy)
+        flow = power(self, prepared, t, y)._asdict()
+        given = {name: flow.pop(name) for name in ("drive", "hold")}
+        return Flows(given, flow, stored(self, prepared, t, y)._asdict())
+
+    def check(self, params: Params, where: str = "") -> None:
+        """``checks.check_joint``."""
+        check_joint(self, params, where or "scene 'joint'")
+
+    def period(self, params: Params) -> tuple[float, float]:
+        """Of the seat, and of one ball's pitch.
+
+        Raises:
+            InputError: for a fidelity that has no history, and for a drive that stands still.
+        """
+        if self.fidelity != "dynamic":
+            raise InputError(
+                "scene 'joint' fidelity", f"'{self.fidelity}' has no dynamics", "give fidelity = 'dynamic'"
+            )
+        speed = abs(float(params["drive_speed"]))
+        if not speed > 0.0:
+            raise InputError("drive_speed", f"{speed:g} rad/s", "give a speed other than 0")
+        turn = 2.0 * math.pi / speed
+        return turn, turn / self.balls
+
+    def coordinates(self) -> dict[str, tuple[int, int]]:
+        """All but cage_turn, which is an axis with a spin and no such pair."""
+        balls, places = self.balls, 3 * self.balls + self.border
+        found = {
+            f"ball[{i + 1}].{axis}": (3 * i + k, places + self.twist * i + k)
+            for i in range(balls)
+            for k, axis in enumerate("xyz")
+        }
+        for name, slot in self.slots.items():
+            if slot is None or name == "cage_turn":
+                continue
+            for k in range(slot.stop - slot.start):
+                own = f"{name}.{'xyz'[k]}" if slot.stop - slot.start > 1 else name
+                found[own] = (3 * balls + slot.start + k, places + self.twist * balls + slot.start + k)
+        return found
+
+    @property
+    def drive_coordinate(self) -> str:
+        """The seat's turn."""
+        return "seat_turn"
+
+    def neutral(self, state: Array, tangent: Array) -> Array:
+        """Without the phase of a prescribed drive and the length of the cage's axis."""
+        places = 3 * self.balls
+        rates = places + self.border + self.balls * self.twist
+        seat, cage = self.slots["seat_turn"], self.slots["cage_turn"]
+        assert seat is not None
+        if self.drive == "prescribed":
+            tangent = tangent.at[jnp.array([places + seat.start, rates + seat.start])].set(0.0)
+        if cage is not None:
+            at = slice(places + cage.start, places + cage.stop)
+            axis = state[at]
+            tangent = tangent.at[at].add(-axis * (axis @ tangent[at]) / (axis @ axis))
+        return tangent
+
+    def envelope(self, params: Params, times: np.ndarray) -> tuple[dict[str, float], list[str]]:
+        """``envelope.place``; and whether anything but the defaults was tried."""
+        del times
+        tried = dataclasses.replace(self, fidelity="dynamic") == joint()
+        return envelope.place(self, params), [] if tried else ["options other than the defaults"]
+
+    def settled_from(self, params: Params) -> float:
+        """When the load has risen and a ball's pitch has passed."""
+        return risen(self, params, 1)
+
+    def full(self) -> AbstractModel:
+        """Its motion."""
+        return resolved(self, "dynamic")
+
+    def choice_options(self) -> dict[str, Any]:
+        """Fidelity "auto"."""
+        return {"fidelity": AUTO}
+
+    def coarser(self) -> tuple[Coarser, ...]:
+        """Fidelities that leave out more."""
+        count = len(FIDELITIES) if self.fidelity == AUTO else FIDELITIES.index(self.fidelity)
+        return tuple(Coarser(name, {"fidelity": name}, _PHYSICS[name]) for name in FIDELITIES[:count])
+
+    def choose(
+        self, params: Params, times: np.ndarray, budget: float, run: Callable[[AbstractModel, np.ndarray], Any]
+    ) -> Any:
+        """``fidelity.adaptive``."""
+        return adaptive(self, params, times, budget, run)
+
+    @property
+    def tables(self) -> tuple[str, ...]:
+        """Resultants, of a joint that moves."""
+        return (_TABLE,) if self.in_motion else ()
+
+    def whole(self, params: Params, run: Any) -> tuple[dict[str, Any], dict[str, dict[str, np.ndarray]]]:
+        """Transmission, energy and the cage's equilibrium; resultants. Of motion only."""
+        scene = resolved(self, run.choice.fidelity) if run.choice else self
+        if not scene.in_motion:
+            return {}, {}
+        found = jax.device_get(whole(scene, dict(params), run.times, run.trajectory))
+        columns = {
+            f"{contact.name}.{axis} [N]": found.resultants[contact.name][:, k]
+            for contact in self.contacts
+            for k, axis in enumerate("xyz")
+        }
+        return summary.of_the_whole(run.times, found), {_TABLE: columns}
+
+
+def joint(
+    law: str = "memory_free",
+    elastic: str | None = None,
+    smoothing: bool = True,
+    friction: bool | str = True,
+    laws: Mapping[str, str] | None = None,
+    frictions: Mapping[str, bool | str] | None = None,
+    contacts: Sequence[str] | None = None,
+    track: str = "gothic",
+    spin: bool = False,
+    cage: str = "free",
+    head: str = "free",
+    drive: str = "prescribed",
+    fidelity: str = "dynamic",
+    balls: int = 6,
+) -> JointModel:
+    """The ball-cage flexible joint: a driven seat, a loaded head, a cage and balls (physics sheet 5).
+
+    What an option takes out is not in the program. Force components: ``joint.observe``.
+
+    Args:
+        law, elastic, smoothing: as ``impact``, for every contact. A law stated by restitution takes the parameter
+            ``approach_speed`` for all impacts, as the paper does.
+        friction: False for none, True for Brown-McPhee, or a name of ``laws.FRICTION``.
+        laws, frictions: other normal-force and friction laws for contacts by name.
+        contacts: those in the program (``joint.scene.CONTACTS``); by default all, less seat_cage if the cage is fixed.
+        track: "gothic" or "circular" section of the tracks.
+        spin: whether balls turn, and so roll; without, a ball is a particle at its centre.
+        cage: "free", or "fixed" to the bisecting plane.
+        head: "free" to shift, or "fixed" at the centre; it turns either way.
+        drive: "prescribed" speed of the seat, or "flexible".
+        fidelity: "dynamic"; "quasistatic": equilibrium at each angle; "kinematic": closed-form load sharing; "auto":
+            ``simulate`` takes the cheapest that keeps the accuracy asked for (``bcfj_jax.models.joint.fidelity``).
+        balls: their number, at least 3.
+
+    Raises:
+        InputError: for a name that is not known, and for contacts that do not make a joint.
+    """
+    where = "scene 'joint'"
+    choices = {"track": TRACKS, "cage": CAGES, "head": HEADS}
+    choices |= {"drive": DRIVES, "fidelity": (*FIDELITIES, AUTO)}
+    given = {"track": track, "cage": cage, "head": head, "drive": drive, "fidelity": fidelity}
+    for name, value in given.items():
+        if value not in choices[name]:
+            raise InputError(f"{where} {name}", f"no {name} '{value}'", nearest(value, choices[name]))
+    if balls < 3:
+        raise InputError(f"{where} balls", f"{balls} balls", "give 3 or more")
+    names = tuple(contacts) if contacts is not None else CONTACTS[1:] if cage == "fixed" else CONTACTS
+    for group, what in ((names, "contacts"), (laws or {}, "laws"), (frictions or {}, "frictions")):
+        for name in group:
+            if name not in CONTACTS:
+                raise InputError(f"{where} {what}", f"no contact '{name}'", nearest(name, CONTACTS))
+            if name not in names:
+                found = f"'{name}' is not among the contacts"
+                raise InputError(f"{where} {what}", found, f"there are {', '.join(names)}")
+    for name, value in (laws or {}).items():
+        if value not in normal_laws.LAWS:
+            raise InputError(f"{where} laws", f"{name}: no law '{value}'", nearest(value, normal_laws.LAWS))
+    missing = [name for name in GROOVES if name not in names]
+    if missing:
+        raise InputError(f"{where} contacts", f"without {missing[0]}", "balls need both tracks to carry torque")
+    if cage == "fixed" and "seat_cage" in names:
+        raise InputError(f"{where} contacts", "seat_cage with a fixed cage", "leave it out: the two never touch")
+    if cage == "free" and fidelity == "quasistatic" and not set(PILOTS) & set(names):
+        found = "nothing but the windows holds a free cage: it has no equilibrium"
+        raise InputError(f"{where} contacts", found, f"add {' or '.join(PILOTS)}, or give cage = 'fixed'")
+    ordered = [name for name in CONTACTS if name in names]
+    made = tuple(
+        JointContact(
+            name,
+            normal_laws.make((laws or {}).get(name, law), elastic),
+            normal_laws.make_friction((frictions or {}).get(name, friction)),
+        )
+        for name in ordered
+    )
+    return JointModel(  # pyright: ignore[reportCallIssue] (``defaults`` is a property here)
+        contacts=made, balls=balls, track=track, spin=spin, cage=cage, head=head, drive=drive, smoothing=smoothing,
+        fidelity=fidelity,
+    )  # fmt: skip

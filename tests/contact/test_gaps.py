@@ -1,0 +1,611 @@
+"""Gaps against geometry in NumPy and searched surfaces; their normals, points of contact and rates; the joint's own."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from joints import made, unit
+from scipy.optimize import minimize
+
+from bcfj_jax.contact.gaps import GAPS, AbstractGap, Face, Frame, from_depth, make_gap
+from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.quantities import CATALOGUE, Quantity
+from bcfj_jax.core.vectors import WORLD, array, seen, subtract
+from bcfj_jax.models.joint import contacts
+
+R, C = 8e-3, 4e-5  # a ball and a clearance [m]
+BALL = {"clearance": 13e-6, "ball_radius": R, "pitch_radius": 0.0355, "offset": 4.5e-3}
+GOTHIC = {**BALL, "contact_angle": np.radians(40.0), "conformity": 0.52}
+BLOCK = {"clearance": 1e-3, "half_length": 0.05, "half_width": 0.025}
+
+
+class Case(NamedTuple):
+    """A gap by name, its options and sizes, and where b's marker may be in a's axes: middle, spread [m]."""
+
+    name: str
+    options: dict[str, Any]
+    sizes: dict[str, float]
+    middle: Any
+    spread: Any
+
+    @property
+    def gap(self) -> AbstractGap:
+        return make_gap(self.name, **self.options)
+
+    def place(self, rng: np.random.Generator) -> np.ndarray:
+        """In a's axes: (3,), or (k, 3) for a gap of k tracks."""
+        if self.name != "ball_in_groove":
+            return np.asarray(self.middle) + self.spread * rng.normal(size=3)
+        return np.squeeze([self.track(i) + self.spread * rng.normal(size=3) for i in range(self.gap.members or 1)])
+
+    def track(self, i: int, turn: float = 0.7) -> np.ndarray:
+        """A point of the centre circle of track i: physics sheet 5.2."""
+        f = 2 * np.pi * i / max(self.gap.members, 1)
+        e = self.sizes["offset"] * (1 if self.options.get("side", "outer") == "outer" else -1)
+        out, up = np.array([np.cos(f), np.sin(f), 0.0]), np.array([0.0, 0.0, 1.0])
+        return e * up + np.hypot(self.sizes["pitch_radius"], e) * (np.cos(turn) * out - np.sin(turn) * up)
+
+
+def _grooves():
+    for side in ("outer", "inner"):
+        for section, sizes in (("gothic", GOTHIC), ("circular", BALL)):
+            for tracks in (0, 6):
+                options = {"side": side, "section": section, "tracks": tracks}
+                yield f"groove-{side}-{section}-{tracks}", Case("ball_in_groove", options, sizes, None, 5e-5)
+
+
+ZERO = np.zeros(3)
+CASES = {
+    "point": Case("point_on_plane", {}, {}, ZERO, 1e-3),
+    "stop": Case("point_on_plane", {"axis": "-x", "clearance": True}, {"clearance": C}, ZERO, 1e-3),
+    "sphere": Case("sphere_on_plane", {}, {"radius": R}, (0.1, 0.2, R), 1e-3),
+    "slope": Case(
+        "sphere_on_plane", {"axis": (0.6, 0.0, 0.8), "clearance": True}, {"radius": R, "clearance": C}, ZERO, R
+    ),
+    "spheres": Case("sphere_on_sphere", {}, {"radius_a": 0.02, "radius_b": R}, (0.01, 0.02, -0.02), 1e-3),
+    "socket": Case("sphere_in_socket", {}, {"clearance": C, "radius": 0.04}, ZERO, C),
+    "socket-of-b": Case("sphere_in_socket", {"axis_of": "b"}, {"clearance": C, "radius": 0.04}, ZERO, C),
+    "bearing": Case("pin_in_bearing", {}, {"clearance": 5e-4, "radius": 9.5e-3}, (0, 0, 0.01), 5e-4),
+    "ends": Case(
+        "pin_in_bearing", {"ends": True}, {"clearance": 5e-4, "radius": 9.5e-3, "half_length": 0.02}, (0, 0, 0.01), 5e-4
+    ),
+    "slot": Case("pin_in_slot", {}, {"clearance": C, "radius": R}, (0.02, 0, 0.01), C),
+    "slot-y": Case("pin_in_slot", {"axis": "y"}, {"clearance": C, "radius": R}, (0, 0.1, 0), C),
+    "slot-oblique": Case("pin_in_slot", {"axis": (0.6, 0.8, 0)}, {"clearance": C, "radius": R}, ZERO, C),
+    "slider": Case("slider_in_guide", {}, BLOCK, (0.4, 0, 0.01), 1e-3),
+    "slider-y": Case("slider_in_guide", {"axis": [0.0, -1.0, 0.0]}, BLOCK, (0.4, 0, 0.01), 1e-3),
+    "stops": Case("two_sided_stop", {"axis": "x"}, {"clearance": C}, ZERO, C),
+    "window": Case("ball_between_planes", {}, {"clearance": C, "ball_radius": R}, (0.03, 0.01, 0), C),
+    **dict(_grooves()),
+}
+
+
+def turned(angle: float, axis: np.ndarray) -> np.ndarray:
+    """Rotation matrix by an angle about a unit axis (Rodrigues)."""
+    cross = np.cross(np.eye(3), axis)
+    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+
+
+def vector(x) -> tuple:
+    """(..., 3) by components."""
+    return tuple(jnp.asarray(x)[..., i] for i in range(3))
+
+
+def frame(place, axes) -> Frame:
+    """A frame from (..., 3) and a rotation matrix whose columns are the axes."""
+    return Frame(vector(place), tuple(vector(np.asarray(axes)[:, i]) for i in range(3)))
+
+
+def numbers(sizes: dict) -> dict:
+    return {name: jnp.asarray(x, dtype=float) for name, x in sizes.items()}
+
+
+def placed(case: Case, seed: int):
+    """Matrices and places of a and b: b's axes some 10 degrees off a's, for a slider; at random for the rest."""
+    rng = np.random.default_rng(seed)
+    axes = turned(rng.uniform(0, 3), unit(rng))
+    tilt = turned(0.1 * rng.normal() if "slider" in case.name else rng.uniform(0, 3), unit(rng))
+    if "slider" in case.name:
+        way = case.gap.axis
+        tilt = tilt @ np.column_stack([way, np.cross([0, 0, 1], way), [0, 0, 1]])
+    start = rng.normal(size=3)
+    return axes, start, axes @ tilt, start + case.place(rng) @ axes.T
+
+
+def stacked(gap: AbstractGap, a: Frame, b: Frame, c) -> tuple[jax.Array, ...]:
+    """Depth (f, ...), normal and lever (f, ..., 3), gate (f, ...), of all faces."""
+    faces = gap.faces(a, b, c)
+    depth = jnp.stack([jnp.asarray(face.depth) for face in faces])
+    shape = depth.shape[1:]
+    wide = [[jnp.broadcast_to(array(v), (*shape, 3)) for v in (face.normal, face.lever)] for face in faces]
+    normal, lever = (jnp.stack(x) for x in zip(*wide, strict=True))
+    return depth, normal, lever, jnp.stack([jnp.broadcast_to(jnp.asarray(face.gate), shape) for face in faces])
+
+
+found = jax.jit(stacked, static_argnums=0)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def rate(gap: AbstractGap, a: Frame, b: Frame, moves: tuple, c):
+    """Penetrations, and their rates by differentiation, while the frames move at ``moves``."""
+    return jax.jvp(lambda a, b: stacked(gap, a, b, c), (a, b), moves)
+
+
+def look(case: Case, seed: int):
+    """A case at random: a and b as matrices, and its faces as NumPy."""
+    where = placed(case, seed)
+    axes, start, other, place = where
+    parts = found(case.gap, frame(start, axes), frame(place, other), numbers(case.sizes))
+    return where, [np.asarray(x) for x in parts]
+
+
+every = pytest.mark.parametrize("key", CASES)
+
+
+# --- penetration, by other means
+
+
+def furthest(function, size: float) -> float:
+    """Largest value [m] of a function over the sphere of directions, searched for."""
+    best = -np.inf
+    for start in ((0.3, 0.2), (-0.5, 2.2), (0.4, 4.3)):
+        result = minimize(lambda x: -function(directed(x)) / size, start, method="BFGS", options={"gtol": 1e-9})
+        best = max(best, -result.fun * size)
+    return best
+
+
+def directed(x) -> np.ndarray:
+    return np.array([np.cos(x[0]) * np.cos(x[1]), np.cos(x[0]) * np.sin(x[1]), np.sin(x[0])])
+
+
+def _plane(place, other, s, up):
+    """The deepest point of the sphere."""
+    up = np.asarray(up, dtype=float)
+    radius = s.get("radius", 0.0)
+    return [furthest(lambda n: -up @ (place + radius * n), 1e-2) - s.get("clearance", 0.0)]
+
+
+def _walls(place, other, s, across, radius):
+    """The deepest points of a ball or a pin between walls ``radius + clearance`` from the middle."""
+    half = radius + s["clearance"]
+    return [furthest(lambda n, k=k: k * np.dot(across, place + radius * n), 1e-2) - half for k in (1.0, -1.0)]
+
+
+def _socket(place, other, s):
+    """The point of the sphere furthest from the socket's centre."""
+    inner = s["radius"] - s["clearance"]
+    return [furthest(lambda n: np.linalg.norm(place + inner * n), 1e-2) - s["radius"]]
+
+
+def _spheres(place, other, s):
+    return [s["radius_a"] + furthest(lambda n: -np.linalg.norm(place + s["radius_b"] * n), 1e-2)]
+
+
+def _bearing(place, other, s):
+    """The point of the pin's circle, in a plane across the bearing, furthest from the bearing's axis."""
+    ends = np.array([[1.0], [-1.0]]) * s["half_length"] * other[:, 2] if "half_length" in s else np.zeros((1, 3))
+    depths = [
+        furthest(lambda n, e=e: np.hypot(*(place + e + s["radius"] * n)[:2]), 1e-2) - (s["radius"] + s["clearance"])
+        for e in ends
+    ]
+    return [depths] if len(ends) == 2 else depths
+
+
+def _slider(place, other, s, across):
+    corners = [(-1, 1), (1, 1), (-1, -1), (1, -1)]
+    heights = [np.dot(across, place + other @ [i * s["half_length"], j * s["half_width"], 0.0]) for i, j in corners]
+    wall = s["half_width"] + s["clearance"]
+    return [[heights[0] - wall, heights[1] - wall, -heights[2] - wall, -heights[3] - wall]]
+
+
+SEARCHED = {
+    "point": functools.partial(_plane, up=(0, 0, 1)),
+    "stop": functools.partial(_plane, up=(-1, 0, 0)),
+    "sphere": functools.partial(_plane, up=(0, 0, 1)),
+    "slope": functools.partial(_plane, up=(0.6, 0, 0.8)),
+    "spheres": _spheres,
+    "socket": _socket,
+    "socket-of-b": _socket,
+    "bearing": _bearing,
+    "ends": _bearing,
+    "slot": functools.partial(_walls, across=(0, 1, 0), radius=R),
+    "slot-y": functools.partial(_walls, across=(-1, 0, 0), radius=R),
+    "slot-oblique": functools.partial(_walls, across=(-0.8, 0.6, 0), radius=R),
+    "slider": functools.partial(_slider, across=(0, 1, 0)),
+    "slider-y": functools.partial(_slider, across=(1, 0, 0)),
+    "stops": functools.partial(_walls, across=(1, 0, 0), radius=0.0),
+    "window": functools.partial(_walls, across=(0, 0, 1), radius=R),
+}
+
+
+@pytest.mark.parametrize("key", SEARCHED)
+def test_penetration_is_the_overlap_of_the_surfaces(key):
+    case = CASES[key]
+    for seed in range(3):
+        (axes, start, other, place), (depth, *_) = look(case, seed)
+        wanted = SEARCHED[key](axes.T @ (place - start), axes.T @ other, case.sizes)
+        assert depth.shape == np.shape(wanted)
+        assert np.allclose(depth, wanted, rtol=0, atol=1e-14 if "slider" in key else 1e-11)
+
+
+@pytest.mark.parametrize("key", [key for key in CASES if key.startswith("groove")])
+def test_groove_is_a_torus(key):
+    """Ball radius less the least distance of the ball's centre from any point of the torus, searched for."""
+    case = CASES[key]
+    (axes, start, _, place), (depth, *_) = look(case, 5)
+    s, kappa = case.sizes, 1.0 if case.options["side"] == "outer" else -1.0
+    signs = (1.0, -1.0) if case.options["section"] == "gothic" else (0.0,)
+    q = R * (2 * s["conformity"] - 1) if "conformity" in s else 0.0
+    angle, circle = s.get("contact_angle", 0.0), np.hypot(s["pitch_radius"], s["offset"])
+    tracks = np.atleast_2d((place - start) @ axes)
+    for i in {0, len(tracks) // 3}:
+        f = 2 * np.pi * i / len(tracks)
+        # The race's frame turned to the track: x outward in its plane, y across it.
+        local = turned(f, np.array([0.0, 0.0, 1.0])).T @ tracks[i] - np.array([0, 0, kappa * s["offset"]])
+        flat, high = np.hypot(local[0], local[2]), local[1]
+        for face, sign in enumerate(signs):
+            middle = circle - kappa * q * np.cos(angle)
+            level, tube = -sign * q * np.sin(angle), R + q + s["clearance"]
+
+            def distance(x, middle=middle, level=level, tube=tube, flat=flat, high=high):
+                reach = middle + tube * np.cos(x[0])
+                surface = np.array([reach * np.cos(x[1]), reach * np.sin(x[1]), level + tube * np.sin(x[0])])
+                return 1e3 * np.linalg.norm(surface - [flat, 0.0, high])
+
+            starts = [(v, 0.1) for v in np.linspace(0, 2 * np.pi, 6, endpoint=False)]
+            least = min(minimize(distance, x, method="BFGS", options={"gtol": 1e-7}).fun for x in starts)
+            assert depth.reshape(len(signs), -1)[face, i] == pytest.approx(R - 1e-3 * least, abs=1e-10)
+
+
+def test_slider_of_flores_leine_glocker():
+    """Physics sheet 4 (B4): g1,2 = d/2 - (l1 s1 + l2 s2 -+ a s3 + b c3), g3,4 = d/2 + l1 s1 + l2 s2 -+ a s3 - b c3."""
+    l1, l2, a, b, c = 0.153, 0.306, 0.05, 0.025, 1e-3
+    t1, t2, t3 = 0.7, -0.3175, 0.013
+    y, d = l1 * np.sin(t1) + l2 * np.sin(t2), 2 * (b + c)
+    s3, c3 = np.sin(t3), np.cos(t3)
+    g = [d / 2 - (y - a * s3 + b * c3), d / 2 - (y + a * s3 + b * c3), d / 2 + y - a * s3 - b * c3]
+    g.append(d / 2 + y + a * s3 - b * c3)
+    block = Frame((jnp.asarray(0.44), jnp.asarray(y), 0.0), ((c3, s3, 0.0), (-s3, c3, 0.0), (0.0, 0.0, 1.0)))
+    (face,) = make_gap("slider_in_guide").faces(Frame((0.0, 0.0, 0.0), WORLD), block, numbers(BLOCK))
+    assert np.allclose(face.depth, -np.array(g), rtol=0, atol=1e-16)
+    assert np.array_equal(face.normal[1], [1, 1, -1, -1])
+
+
+# --- normal, point of contact, rate
+
+
+@every
+def test_normal_is_the_gradient_of_the_penetration(key):
+    case = CASES[key]
+    for seed in range(3):
+        (axes, start, other, place), (depth, normal, _, gate) = look(case, seed)
+        assert np.allclose(np.linalg.norm(normal, axis=-1), 1.0, rtol=0, atol=1e-12)
+        assert np.all((gate >= 0) & (gate <= 1)) and gate.shape == depth.shape
+        a, b, c = frame(start, axes), frame(place, other), numbers(case.sizes)
+        still = jax.tree.map(jnp.zeros_like, (a, b))
+        step = 1e-9
+        for i in range(3):
+            way = tuple(jnp.full_like(x, float(i == j)) for j, x in enumerate(b.place))
+            _, (slope, *_) = rate(case.gap, a, b, (still[0], still[1]._replace(place=way)), c)
+            assert np.allclose(slope, normal[..., i], rtol=0, atol=1e-9)
+            # And by finite differences, since a wrong chain rule would be in both.
+            shifts = [place + s * step * np.eye(3)[i] for s in (1, -1)]
+            up, down = (np.asarray(found(case.gap, a, frame(x, other), c)[0]) for x in shifts)
+            assert np.allclose((up - down) / (2 * step), normal[..., i], rtol=0, atol=2e-5)
+
+
+@every
+def test_rate_is_the_closing_speed_at_the_point_of_contact(key):
+    """d' = n . (v_b - v_a) there, for every rigid motion of both bodies: what the mechanism relies on."""
+    case = CASES[key]
+    for seed in range(5):
+        (axes, start, other, place), (_, normal, lever, _) = look(case, seed)
+        rng = np.random.default_rng(100 + seed)
+        (va, vb), (wa, wb) = 2.0 * rng.normal(size=(2, 3)), 30.0 * rng.normal(size=(2, 3))
+        moves = tuple(
+            frame(np.broadcast_to(v, np.shape(x)), np.cross(w, m.T).T)
+            for v, w, x, m in ((va, wa, start, axes), (vb, wb, place, other))
+        )
+        _, (slope, *_) = rate(case.gap, frame(start, axes), frame(place, other), moves, numbers(case.sizes))
+        speed = vb + np.cross(wb, lever) - va - np.cross(wa, place - start + lever)
+        assert np.max(abs(speed)) > 0.1
+        wanted = np.sum(normal * speed, -1)
+        assert np.allclose(slope, wanted, rtol=1e-9, atol=1e-9 * np.max(abs(speed)))
+
+
+@every
+def test_point_of_contact(key):
+    """It lies on b's surface, on its far side along the normal; in a socket, on the socket."""
+    case, s = CASES[key], CASES[key].sizes
+    (_, start, other, place), (depth, normal, lever, _) = look(case, 1)
+    if case.name in ("point_on_plane", "two_sided_stop"):
+        assert np.all(lever == 0.0)
+    elif case.name == "sphere_in_socket":
+        point = place + lever - start
+        assert np.allclose(np.linalg.norm(point, axis=-1), s["radius"], rtol=1e-14)
+        inner = s["radius"] - s["clearance"]
+        assert np.allclose(np.linalg.norm(lever, axis=-1), inner - depth, rtol=1e-12)
+    elif case.name == "slider_in_guide":
+        corners = lever @ other
+        size = [s["half_length"], s["half_width"], 0.0]
+        assert np.allclose(corners, [[[-1, 1, 0], [1, 1, 0], [-1, -1, 0], [1, -1, 0]]] * np.array(size), atol=1e-15)
+    else:
+        radius = s.get("radius", s.get("radius_b", s.get("ball_radius")))
+        arm = lever
+        if case.options.get("ends"):
+            arm = lever - np.array([[1.0], [-1.0]]) * s["half_length"] * other[:, 2]
+        assert np.allclose(arm, radius * normal, rtol=0, atol=1e-16)
+
+
+@every
+def test_frame_indifference(key):
+    case = CASES[key]
+    (axes, start, other, place), (depth, normal, lever, gate) = look(case, 2)
+    rng = np.random.default_rng(9)
+    q, shift = turned(2.1, unit(rng)), rng.normal(size=3)
+    a, b = frame(q @ start + shift, q @ axes), frame(place @ q.T + shift, q @ other)
+    c = numbers(case.sizes)
+    again = found(case.gap, a, b, c)
+    assert np.allclose(again[0], depth, rtol=0, atol=1e-14)
+    # The direction of 50 um of eccentricity, of places that are known to 1e-16 m.
+    assert np.allclose(again[1], normal @ q.T, rtol=0, atol=1e-9)
+    assert np.allclose(again[2], lever @ q.T, rtol=0, atol=1e-11)
+    assert np.allclose(again[3], gate, rtol=0, atol=1e-9)
+    one = array(case.gap.axial(frame(start, axes), frame(place, other), c))
+    two = array(case.gap.axial(a, b, c))
+    assert np.allclose(two, np.asarray(one) @ q.T, rtol=0, atol=1e-12)
+
+
+def test_axial_directions():
+    wanted = {"point": (0, 0), "stop": (0, 2), "sphere": (0, 0), "slope": (0, 0), "spheres": (0, 2), "socket": (0, 2)}
+    wanted |= {"socket-of-b": (1, 2), "bearing": (0, 2), "ends": (0, 2), "slot": (0, 0), "slot-y": (0, 1)}
+    wanted |= {"slider": (0, 0), "stops": (0, 2)}
+    for key, (body, axis) in wanted.items():
+        axes, start, other, place = placed(CASES[key], 6)
+        got = array(CASES[key].gap.axial(frame(start, axes), frame(place, other), numbers(CASES[key].sizes)))
+        assert np.allclose(got, (axes, other)[body][:, axis], rtol=0, atol=1e-15), key
+    assert {name for name, kind in GAPS.items() if kind.signed} == {
+        "pin_in_slot",
+        "two_sided_stop",
+        "ball_between_planes",
+    }
+
+
+@every
+def test_axial_direction_is_not_the_normal(key):
+    case = CASES[key]
+    if case.name in ("sphere_on_sphere", "sphere_in_socket"):
+        pytest.skip("its normal points everywhere")
+    (axes, start, other, place), (_, normal, _, _) = look(case, 3)
+    axial = np.asarray(array(case.gap.axial(frame(start, axes), frame(place, other), numbers(case.sizes))))
+    axial = axial / np.linalg.norm(axial, axis=-1, keepdims=True)
+    cosine = np.abs(np.sum(normal * axial, -1))
+    assert np.all(cosine < (0.01 if case.name == "ball_between_planes" else 0.71))
+    if case.name == "ball_in_groove":
+        assert np.all(cosine < 1e-12)
+
+
+# --- members, zeros, derivatives
+
+
+@every
+def test_members_side_by_side(key):
+    """A body of members gives each what it has alone, each with a coefficient of its own."""
+    case = CASES[key]
+    gap, k = case.gap, case.gap.members or 4
+    axes, start, other, _ = placed(case, 4)
+    rng = np.random.default_rng(4)
+    places = np.array([np.reshape(case.place(rng), (-1, 3))[i if gap.members == 6 else 0] for i in range(k)])
+    places = start + places @ axes.T
+    scatter = np.linspace(0.9, 1.1, k)
+    many = {name: x * scatter for name, x in case.sizes.items()}
+    together = found(gap, frame(start, axes), frame(places, other), numbers(many))
+    for i in range(k):
+        one = {name: x[i] for name, x in many.items()}
+        alone = found(gap, frame(start, axes), frame(places[i], other), numbers(one))
+        for x, y in zip(together, alone, strict=True):
+            assert np.allclose(x[:, i], y[:, i] if gap.members else y, rtol=0, atol=1e-15)
+
+
+COINCIDENT = {
+    "spheres": ZERO,
+    "socket": ZERO,
+    "bearing": ZERO,
+    "slot": ZERO,
+    "slider": ZERO,
+    "stops": ZERO,
+    "window": ZERO,
+    "groove-outer-circular-0": CASES["groove-outer-circular-0"].track(0),
+    "groove-inner-circular-0": np.array([0.0, 0.0, -BALL["offset"]]),
+    # The centre of a flank's circle: (T, A) = -q (sin, cos), in the plane of the race's axis.
+    "groove-outer-gothic-0": np.array([0.0, 0.0, GOTHIC["offset"]])
+    + np.array(
+        [np.hypot(0.0355, 4.5e-3) - 3.2e-4 * np.cos(GOTHIC["contact_angle"]), -3.2e-4 * np.sin(np.radians(40)), 0]
+    ),
+}
+
+
+@pytest.mark.parametrize("key", COINCIDENT)
+def test_derivatives_are_finite_where_centres_coincide(key):
+    case, c = CASES[key], numbers(CASES[key].sizes)
+
+    def everything(x):
+        b = Frame((x[0], x[1], x[2]), WORLD)
+        parts = stacked(case.gap, Frame((0.0, 0.0, 0.0), WORLD), b, c)
+        axial = array(case.gap.axial(Frame((0.0, 0.0, 0.0), WORLD), b, c))
+        return jnp.concatenate([jnp.ravel(part) for part in (*parts, axial)])
+
+    at = jnp.asarray(COINCIDENT[key])
+    whole = jax.jit(lambda x: (everything(x), jax.jacrev(everything)(x), jax.jacfwd(jax.jacrev(everything))(x)))
+    for part in whole(at):
+        assert np.all(np.isfinite(part))
+    if key in ("spheres", "socket", "bearing", "groove-outer-circular-0"):
+        # No direction, hence no force.
+        depth, normal, _, _ = found(case.gap, frame(ZERO, np.eye(3)), frame(np.asarray(at), np.eye(3)), c)
+        assert np.max(abs(np.asarray(normal))) < 1e-4 and np.all(np.isfinite(depth))
+
+
+def test_what_is_zero_leaves_the_program():
+    """A planar mechanism has no third component."""
+    turn = jnp.asarray(0.2)
+    plane = ((jnp.cos(turn), jnp.sin(turn), 0.0), (-jnp.sin(turn), jnp.cos(turn), 0.0), (0.0, 0.0, 1.0))
+    a, b = (
+        Frame((jnp.asarray(1.0), jnp.asarray(2.0), 0.0), plane),
+        Frame((jnp.asarray(1.1), jnp.asarray(2.0), 0.0), plane),
+    )
+    for key in ("stop", "spheres", "socket", "bearing", "slot", "slider", "stops"):
+        for face in CASES[key].gap.faces(a, b, numbers(CASES[key].sizes)):
+            assert isinstance(face.normal[2], float) and face.normal[2] == 0.0, key
+            assert isinstance(face.lever[2], float) and face.lever[2] == 0.0, key
+
+
+# --- the joint's own
+
+
+@pytest.mark.parametrize("section", ["gothic", "circular"])
+@pytest.mark.parametrize("ground", [True, False])
+def test_balls_in_grooves_are_those_of_the_joint(section, ground):
+    _, params, c = made(track=section)
+    rng = np.random.default_rng(11)
+    grooves = jax.jit(contacts.grooves)
+    for race, (side, name) in enumerate((("outer", "seat"), ("inner", "head"))):
+        options = {"tracks": 6, "side": side, "section": section}
+        gap = make_gap("ball_in_groove", **options)
+        coefficients = {key: params[f"clearance_{name}_ball" if key == "clearance" else key] for key in gap.needs}
+        sizes = {key: float(x) for key, x in coefficients.items()}
+        axes = np.eye(3) if ground else turned(rng.uniform(0, 3), unit(rng))
+        start = ZERO if ground else 1e-4 * rng.normal(size=3)
+        balls = start + Case("ball_in_groove", options, sizes, None, 5e-5).place(rng) @ axes.T
+        depth, normal, lever, gate = found(gap, frame(start, axes), frame(balls, np.eye(3)), coefficients)
+        f = 2 * np.pi * np.arange(6) / 6
+        across = (np.cos(f) * axes[:, [1]] - np.sin(f) * axes[:, [0]]).T
+        place = balls - start - float(c.groove.offset[race]) * axes[:, 2]
+        both = [jnp.broadcast_to(jnp.asarray(x)[:, None], (6, 2, 3)) for x in (place, across)]
+        at = grooves(c.groove, *both)
+        penetration, way, arm = (np.asarray(x)[:, race].swapaxes(0, 1) for x in (at.penetration, at.normal, at.lever))
+        assert np.allclose(depth, penetration, rtol=0, atol=1e-15)
+        # Rounding of the places, some 1e-17 m, over the distance whose direction the normal is.
+        distance = penetration + float(c.groove.flank + c.groove.clearance[race])
+        error = np.abs(normal - way).max(-1)
+        assert np.all(error <= 1e-14 + 3e-17 / distance), np.max(error * distance)
+        assert np.allclose(lever, arm[..., None] * way, rtol=0, atol=1e-14)
+        along = np.cross(place, across)
+        axial = array(gap.axial(frame(start, axes), frame(balls, np.eye(3)), coefficients))
+        assert np.allclose(axial, along / np.linalg.norm(along, axis=-1, keepdims=True), rtol=0, atol=1e-14)
+        wanted = 1.0 if at.gate is None else np.asarray(at.gate)[:, race].T
+        assert np.allclose(gate, wanted, rtol=0, atol=1e-11)
+
+
+def test_balls_in_windows_are_those_of_the_joint():
+    rng = np.random.default_rng(12)
+    axes, start = turned(1.3, unit(rng)), rng.normal(size=3)
+    balls = start + 0.03 * unit(rng, 6)
+    sizes = numbers({"clearance": 1e-5, "ball_radius": R})
+    gap = make_gap("ball_between_planes")
+    depth, normal, lever, _ = found(gap, frame(start, axes), frame(balls, np.eye(3)), sizes)
+    at = contacts.windows(jnp.asarray(1e-5), jnp.asarray(R), jnp.asarray(balls - start), jnp.asarray(axes[:, 2]))
+    assert np.allclose(depth.T, at.penetration, rtol=0, atol=1e-14)
+    assert np.allclose(np.swapaxes(normal, 0, 1), at.normal, rtol=0, atol=1e-14)
+    assert np.allclose(np.swapaxes(lever, 0, 1), at.lever[..., None] * at.normal, rtol=0, atol=1e-14)
+    # Either sign: the first face's force less the second's; its axial reference is outward.
+    outward = array(gap.axial(frame(start, axes), frame(balls, np.eye(3)), sizes))
+    assert gap.signed and np.allclose(outward, balls - start)
+
+
+def test_pilots_are_those_of_the_joint():
+    rng = np.random.default_rng(13)
+    start = 1e-3 * rng.normal(size=3)
+    for clearance, hollow in ((5e-5, 0.04), (7e-5, 0.031)):
+        inner = start + 6e-5 * unit(rng, 5)
+        sizes = numbers({"clearance": clearance, "radius": hollow})
+        parts = found(make_gap("sphere_in_socket"), frame(start, np.eye(3)), frame(inner, np.eye(3)), sizes)
+        depth, normal, lever, _ = parts
+        at = contacts.pilots(jnp.full(5, clearance), jnp.full(5, hollow), jnp.asarray(inner - start))
+        assert np.allclose(depth[0], at.penetration[:, 0], rtol=0, atol=1e-14)
+        assert np.allclose(normal[0], at.normal[:, 0], rtol=0, atol=1e-14)
+        assert np.allclose(lever[0], at.lever * at.normal[:, 0], rtol=0, atol=1e-14)
+
+
+# --- one of your own
+
+
+class PinOnCam(AbstractGap):
+    """A pin of b on a round cam of a, off its axis: fifteen lines or fewer."""
+
+    needs = ("cam_radius", "throw", "radius")
+    quantities = {
+        q.name: q for q in (Quantity("cam_radius", "m", "radius of the cam", 0.0), Quantity("throw", "m", "e"))
+    }
+
+    def faces(self, a: Frame, b: Frame, c) -> tuple[Face, ...]:
+        x, y, _ = seen(a.axes, subtract(b.place, a.place))
+        distance = jnp.hypot(x - c["throw"], y)
+        n = tuple(-((x - c["throw"]) * e + y * f) / distance for e, f in zip(*a.axes[:2], strict=True))
+        return (Face(c["cam_radius"] + c["radius"] - distance, n, tuple(c["radius"] * e for e in n)),)
+
+
+def test_a_gap_of_ones_own():
+    sizes = {"cam_radius": 0.03, "throw": 0.01, "radius": 5e-3}
+    simple = from_depth(lambda r, c: c["cam_radius"] + c["radius"] - jnp.hypot(r[0] - c["throw"], r[1]), tuple(sizes))
+    rng = np.random.default_rng(14)
+    axes, start = turned(0.7, unit(rng)), rng.normal(size=3)
+    local = np.array([0.04, 0.02, 0.01]) + 1e-3 * rng.normal(size=(5, 3))
+    a, b = frame(start, axes), frame(start + local @ axes.T, np.eye(3))
+    one, two = (found(gap, a, b, numbers(sizes)) for gap in (PinOnCam(), simple))
+    assert np.allclose(one[0], 0.035 - np.hypot(local[:, 0] - 0.01, local[:, 1]), rtol=0, atol=1e-14)
+    assert np.allclose(one[0], two[0], rtol=0, atol=1e-15) and np.allclose(one[1], two[1], rtol=0, atol=1e-12)
+    assert np.allclose(one[2], 5e-3 * np.asarray(one[1])) and np.all(two[2] == 0.0)
+    # Each member with a throw of its own; alone, without members.
+    throws = {**sizes, "throw": 0.01 * np.linspace(0.9, 1.1, 5)}
+    many = found(simple, a, b, numbers(throws))
+    last = found(simple, a, frame(start + axes @ local[4], np.eye(3)), numbers({**sizes, "throw": 0.011}))
+    assert np.allclose(many[0][:, 4], last[0]) and np.allclose(many[1][:, 4], last[1])
+    assert simple.needs == tuple(sizes) and PinOnCam().quantities["throw"].unit == "m"
+    assert PinOnCam().members == 0 and not PinOnCam().signed
+
+
+# --- by name
+
+
+def test_gaps_by_name():
+    assert len(GAPS) == 10
+    for name, kind in GAPS.items():
+        gap = make_gap(name)
+        assert type(gap) is kind and hash(gap) == hash(make_gap(name)) and gap == make_gap(name)
+        assert set(gap.needs) <= set(CATALOGUE) | set(gap.quantities)
+        for need in CASES:
+            case = CASES[need]
+            if case.name == name:
+                assert set(case.gap.needs) == set(case.sizes)
+                assert all(CATALOGUE[key].valid(x) for key, x in case.sizes.items())
+    assert make_gap("sphere_on_plane", axis=[0, 3, 4]) == make_gap("sphere_on_plane", axis=(0.0, 0.6, 0.8))
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "said"),
+    [
+        ("pin_in_bering", {}, "gap: no gap 'pin_in_bering'; did you mean 'pin_in_bearing'?"),
+        ("ball_in_groove", {"track": 6}, "gap 'ball_in_groove': no option 'track'; did you mean 'tracks'?"),
+        ("sphere_on_sphere", {"radius": 1.0}, "no option 'radius'; known here: nothing"),
+        ("ball_in_groove", {"side": "outter"}, "did you mean 'outer'?"),
+        ("ball_in_groove", {"tracks": -1}, "give a whole number >= 0"),
+        ("ball_in_groove", {"tracks": True}, "give a whole number >= 0"),
+        ("sphere_on_plane", {"axis": "w"}, "no axis 'w'"),
+        ("sphere_on_plane", {"axis": [0, 0, 0]}, "give x, y or z"),
+        ("sphere_on_plane", {"axis": [0, 1]}, "give x, y or z"),
+        ("sphere_on_plane", {"axis": 3}, "give x, y or z"),
+        ("sphere_on_plane", {"clearance": 1e-3}, "give true or false"),
+        ("pin_in_slot", {"axis": "z"}, "is not across z"),
+        ("pin_in_bearing", {"ends": "both"}, "give true or false"),
+        ("sphere_in_socket", {"axis_of": "c"}, "no axis_of 'c'"),
+    ],
+)
+def test_what_is_refused(name, options, said):
+    with pytest.raises(InputError, match="gap") as refused:
+        make_gap(name, **options)
+    assert said in str(refused.value)

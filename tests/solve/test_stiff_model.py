@@ -1,0 +1,116 @@
+"""Any stiff model, with the dense structure that it has by itself: every way it is solved, against a closed form."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from stiff import NAMES, TIMES, VALUES, Damped, counted, exact
+
+import bcfj_jax as bj
+from bcfj_jax.analysis import energy_balance
+from bcfj_jax.core.status import OK
+from bcfj_jax.solve.integrate import plan
+from bcfj_jax.solve.measured_error import measured
+from bcfj_jax.solve.work_queue import integrate_lanes
+
+MODEL = Damped()
+TRUE = np.asarray(exact(VALUES))
+SLOPES = np.asarray(jax.jacfwd(exact)(jnp.asarray(VALUES))) * VALUES
+
+
+def force(shares, accuracy, mode):
+    """The spring's force [N] where every parameter is its default times a share."""
+    params = {name: value * shares[k] for k, (name, value) in enumerate(zip(NAMES, VALUES, strict=True))}
+    return bj.force_history(MODEL, params, TIMES, accuracy=accuracy, mode=mode)["spring"][:, 0]
+
+
+@pytest.mark.parametrize("solver", [None, "rodas3", "sdirk2", "bdf"])
+def test_values(solver):
+    run = bj.simulate(MODEL, MODEL.parameters(), TIMES, accuracy=1e-4, solver=solver)
+    assert run.status == "ok" and run.stats["accepted"] < 2000
+    assert np.abs(run.force["spring"][:, 0] - TRUE).max() < 1e-3 * TRUE.max()
+
+
+def test_a_solver_that_is_explicit_is_refused():
+    with pytest.raises(bj.InputError, match="solver"):
+        bj.simulate(MODEL, MODEL.parameters(), TIMES, solver="tsit5")
+
+
+@pytest.mark.parametrize(("accuracy", "within"), [(1e-3, 5e-3), (1e-5, 1e-4)])
+def test_forward_derivatives(accuracy, within):
+    # Below 5e-4 tangents are in the step control, and BDF solves them.
+    assert plan(MODEL, accuracy).tangents == (accuracy < 5e-4)
+    found = jax.jit(jax.jacfwd(lambda shares: force(shares, accuracy, "forward")))(jnp.ones(4))
+    assert np.abs(found - SLOPES).max() < within * np.abs(SLOPES).max()
+
+
+@pytest.mark.parametrize("mode", ["reverse", "auto"])
+def test_reverse_derivatives(mode):
+    found = jax.jit(jax.grad(lambda shares: jnp.sum(force(shares, 1e-4, mode))))(jnp.ones(4))
+    assert np.asarray(found) == pytest.approx(SLOPES.sum(0), abs=5e-3 * np.abs(SLOPES.sum(0)).max())
+
+
+def test_many_at_once():
+    shares = jnp.array([0.5, 1.0, 2.0, 4.0, 8.0])
+    params = {name: jnp.full(5, value) for name, value in zip(NAMES, VALUES, strict=True)}
+    params["damping"] = params["damping"] * shares
+    solve = jax.jit(lambda p, ends: integrate_lanes(MODEL, p, ends, TIMES / TIMES[-1], plan(MODEL, 1e-4), 5, 2)[0])
+    found = solve(params, jnp.full(5, TIMES[-1]))
+    assert np.all(found.code == OK)
+    for k, share in enumerate(shares):
+        true = exact(VALUES * np.array([1.0, share, 1.0, 1.0])) / VALUES[0]
+        assert np.abs(found.states[k, :, 0] - true).max() < 1e-3 * VALUES[3]
+
+
+def test_a_certificate():
+    found = bj.sensitivity(MODEL, MODEL.parameters(), TIMES, ["damping", "stiffness"], accuracy=1e-3)
+    assert found.status == "ok" and found.certificate is not None and found.certificate.verdict == "trusted"
+    assert found.derivative["damping"]["spring"][:, 0] * VALUES[1] == pytest.approx(SLOPES[:, 1], abs=5e-3 * 20.0)
+
+
+def test_its_energy_is_balanced():
+    found = energy_balance.balance(MODEL, MODEL.parameters(), TIMES, 1e-5, step=1e-4)
+    # The speed settles within 5 us, in which next to nothing is done.
+    assert found.closure < 1e-3 and found.taken["damping"][-1] == pytest.approx(0.5 * 1e4 * 1e-6, rel=1e-2)
+
+
+# --- A measured error ---
+
+
+def test_a_measured_error_is_the_error_and_compiles_nothing():
+    model, count = counted()
+    params = model.parameters()
+    run = bj.simulate(model, params, TIMES, accuracy=1e-2)
+    traces = count[0]
+    assert run.accuracy is None
+    told = bj.simulate(model, params, TIMES, accuracy=1e-2, measure_error=True)
+    assert count[0] == traces and np.array_equal(told.force["spring"], run.force["spring"])
+    found = told.accuracy
+    assert found is not None and found.asked == 1e-2 and found.tolerance == run.stats["tolerance"]
+    off = np.sqrt(np.mean(np.square(run.force["spring"][:, 0] - TRUE))) / TRUE.max()
+    # The tighter run is no truth: it has a tenth of the tolerance, and some 5 of 10 parts of the error by order 3.
+    assert found.rms["spring"] == pytest.approx(off, rel=0.5) and found.worst < 1e-2
+    assert found.peak["spring"] == 0.0 and np.isnan(found.agree_until)
+
+
+def test_where_two_runs_part():
+    times = np.linspace(0.0, 1.0, 11)
+    truth = np.stack([np.full(11, 10.0), np.zeros(11), np.zeros(11)], 1)
+    ours = truth.copy()
+    ours[7:, 0] += 1.5
+    twice = {"one": truth, "ball": np.stack([truth, truth], 1)}
+    found = measured(
+        0.01, 0.0, times, {"one": ours, "ball": np.stack([truth, ours], 1)}, twice, tolerance=1.0, wall_s=0.0
+    )
+    # Apart by 15 %, where 1 % was asked for and ten times that is let pass.
+    assert found.agree_until == times[7] and found.peak == pytest.approx({"one": 0.15, "ball": 0.15})
+    assert found.rms["ball"] == pytest.approx(0.15 * np.sqrt(4 / 11))
+    assert found.impulse["one"] == pytest.approx(1.5 * 0.35 / 10.0)
+    assert measured(0.02, 0.0, times, {"one": ours}, twice, tolerance=1.0, wall_s=0.0).agree_until is not None
+    ours[9:] = np.nan
+    failed = measured(0.02, 0.0, times, {"one": ours}, twice, tolerance=1.0, wall_s=0.0)
+    assert failed.agree_until == times[9] and np.isnan(failed.worst)
+    late = measured(0.01, 0.95, times, {"one": truth}, twice, tolerance=1.0, wall_s=0.0)
+    assert late.begin == 0.0 and late.worst == 0.0
