@@ -32,14 +32,20 @@ if TYPE_CHECKING:
     from bcfj_jax.contact import stiffness as stiffness
     from bcfj_jax.core.errors import InputError as InputError
     from bcfj_jax.core.errors import nearest as nearest
-    from bcfj_jax.mechanism.scene import Body as Body
-    from bcfj_jax.mechanism.scene import Contact as Contact
-    from bcfj_jax.mechanism.scene import Load as Load
-    from bcfj_jax.mechanism.scene import Scene as Scene
-    from bcfj_jax.mechanism.scene import check_value as check_value
+    from bcfj_jax.contact import gaps as gaps
+    from bcfj_jax.core.quantities import Quantity as Quantity
+    from bcfj_jax.core.quantities import check_value as check_value
+    from bcfj_jax.mechanism import loads as loads
+    from bcfj_jax.mechanism.bodies import Body as Body
+    from bcfj_jax.mechanism.bodies import Drive as Drive
+    from bcfj_jax.mechanism.contacts import Contact as Contact
+    from bcfj_jax.mechanism.loads import Load as Load
+    from bcfj_jax.mechanism.mechanism import Mechanism as Mechanism
+    from bcfj_jax.mechanism.model import AbstractModel as AbstractModel
     from bcfj_jax.models import scenes as scenes
     from bcfj_jax.solve.simulation import Run as Run
     from bcfj_jax.solve.simulation import force_history as force_history
+    from bcfj_jax.solve.simulation import reading_history as reading_history
     from bcfj_jax.solve.simulation import simulate as simulate
 
 # Public names by the module that holds them; a name of its own stands for a module.
@@ -50,9 +56,15 @@ _PUBLIC = {
     "scenes": "models.scenes",
     "nonlinear": "analysis.nonlinear",
     **{name: "core.errors" for name in ("InputError", "nearest")},
-    **{name: "mechanism.scene" for name in ("Body", "Contact", "Load", "Scene")},
-    "check_value": "core.quantities",
-    **{name: "solve.simulation" for name in ("Run", "force_history", "simulate")},
+    **{name: "core.quantities" for name in ("Quantity", "check_value")},
+    "gaps": "contact.gaps",
+    "loads": "mechanism.loads",
+    **{name: "mechanism.bodies" for name in ("Body", "Drive")},
+    "Contact": "mechanism.contacts",
+    "Load": "mechanism.loads",
+    "Mechanism": "mechanism.mechanism",
+    "AbstractModel": "mechanism.model",
+    **{name: "solve.simulation" for name in ("Run", "force_history", "reading_history", "simulate")},
     **{name: "analysis.derivatives.sensitivity" for name in ("Sensitivity", "sensitivity")},
     "study": "analysis.studies.api",
     "design": "analysis.designs.api",
@@ -60,7 +72,7 @@ _PUBLIC = {
     "smoothing_ladder": "analysis.derivatives.ladder",
     "hessian_vector": "analysis.derivatives.curvature",
 }
-_MODULES = ("laws", "restitution", "stiffness", "scenes", "nonlinear")
+_MODULES = ("gaps", "loads", "laws", "restitution", "stiffness", "scenes", "nonlinear")
 
 
 def __getattr__(name: str) -> object:

@@ -81,31 +81,17 @@ def _common(
 @_guarded
 def simulate(
     scene: Annotated[str, typer.Argument(help="A scene file, or a built-in scene's name for its defaults.")],
+    measure_error: Annotated[bool, typer.Option(help="Whether to run once more, finer, to measure the error.")] = True,
     out: Out = None,
 ) -> int:
-    """Run a scene: forces.csv, summary.json, pictures and report.html."""
+    """Run a scene: forces.csv, summary.json with the measured force error, pictures and report.html."""
     # First: JAX decides at its first compilation, which reading a scene may be, whether there is a cache.
     use_compile_cache()
-    from bcfj_jax.io import simulation_results
-    from bcfj_jax.io.outputs import open_folder
-    from bcfj_jax.io.scenefile import load, quickest
-    from bcfj_jax.solve.simulation import simulate as run_scene
+    from bcfj_jax.analysis.simulation import command
 
-    given = quickest(load(scene))
-    stem = given.source.stem if given.source else scene
-    folder = open_folder(out, "simulate", stem, simulation_results.files(given.scene))
-    _log(f"simulating {scene}: {len(given.times)} samples to {given.times[-1]:.6g} s")
-    effort = {"accuracy": given.accuracy, "max_steps": given.max_steps, "solver": given.solver}
-    run = run_scene(given.scene, given.params, given.times, **effort)
-    text, warnings = simulation_results.write(folder, given, run, stem)
-    for warning in warnings:
-        _log(f"warning: {warning}")
+    text, good = command.run(scene, out, _log, measure_error)
     typer.echo(text)
-    typer.echo(f"results in {folder}")
-    if run.status == "ok":
-        return DONE
-    _log(f"error: {simulation_results.verdict(run)}")
-    return SIMULATION_FAILED
+    return DONE if good else SIMULATION_FAILED
 
 
 @app.command(epilog=_EPILOG)

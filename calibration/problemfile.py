@@ -32,9 +32,6 @@ from calibration.data.readers import read
 from calibration.data.table import split
 from calibration.problem import NUISANCES, Channel, Experiment, Free, Problem
 
-# Scenes whose every record is of impacts: apart, in contact, apart.
-_IMPACTS = ("impact", "bounce")
-
 
 class _Experiment(tables.Table):
     name: str | None = None
@@ -151,7 +148,8 @@ def _records(file: _File, path: Path, base: scenefile.SceneFile) -> list[tuple[i
             missing = "file" if entry.file is None else "time"
             raise InputError(f"{where} {missing}", f"the key '{missing}' is missing", "it must be given to observe")
         whole = read(path.parent / entry.file, f"{where} file", entry.table)
-        recipe = _recipe(entry, where, base.scene.kind in _IMPACTS, "force_offset" in file.free)
+        # Where nothing turns, every record is of impacts: apart, in contact, apart.
+        recipe = _recipe(entry, where, not base.scene.traits.turning, "force_offset" in file.free)
         parts = split(whole, entry.rows, where)
         for label, part in parts:
             name = label if entry.name is None else entry.name if len(parts) == 1 else f"{entry.name} {label}"

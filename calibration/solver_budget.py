@@ -1,7 +1,8 @@
-"""How a scene's runs are spent on the way to an optimum: those of a mass that bounces, and the joint's.
+"""What a scene's runs are worth on the way to an optimum, by its traits: small or large, smooth or rough.
 
-A bounce costs in proportion to the lanes of a batch and its cost is smooth. A joint's run takes a good part of a
-second, its program minutes to compile, and its integration makes the cost rough.
+A small scene costs in proportion to the lanes of a batch, and the cost of its fit is smooth. A run of a large one takes a
+good part of a second and its program minutes to compile. Where contacts begin and end all the time, integration makes the
+cost rough.
 """
 
 from __future__ import annotations
@@ -9,7 +10,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from bcfj_jax.mechanism.model import AbstractModel
-from bcfj_jax.models.joint.scene import Joint
 
 
 class Effort(NamedTuple):
@@ -23,7 +23,6 @@ class Effort(NamedTuple):
         rough: whether that error is what the cost's last digits are made of, so that its slopes must tell, and no
             profile is drawn unless it is asked for.
         apart: whether points are run one by one, as many at a time as there are cores; else a batch in one program.
-            Contacts of such a scene come when its drive brings them: starts need no first-order descent to meet them.
         asked: points of the design that are asked what all data tell of a coordinate.
         kept: starts that are not given up, however far off.
         descend: steps of a batched descent on one leg.
@@ -49,13 +48,13 @@ class Effort(NamedTuple):
     elsewhere: float
 
 
-# Errors a tenth of the finest that a record is taken to be known to (``integration``); loosely as fine as that.
-_MASS = Effort(
+# Simulate ten times finer than the assumed record floor (``forward.integration``); use the floor itself during the search.
+_SMOOTH = Effort(
     accuracy=1e-6, loose=1e-5, steps=20_000, tighter=100.0, rough=False, apart=False, asked=64, kept=6,
     descend=40, roughly=1.0, tolerance=1e-2, step=1e-8, gain=1e-9, elsewhere=1e-3,
 )  # fmt: skip
-# It takes some thousand steps a revolution, and its error goes with the tolerance as their number does.
-_JOINT = Effort(
+# A joint takes some thousand steps a revolution, and its error goes with the tolerance as their number does.
+_LARGE = Effort(
     accuracy=1e-3, loose="balanced", steps=8_000, tighter=4.0, rough=True, apart=True, asked=4, kept=4,
     descend=12, roughly=10.0, tolerance=1.0, step=1e-4, gain=1e-6, elsewhere=1e-2,
 )  # fmt: skip
@@ -63,7 +62,14 @@ _JOINT = Effort(
 
 def effort(scene: AbstractModel) -> Effort:
     """What a scene's runs are worth."""
-    if not isinstance(scene, Joint):
-        return _MASS
-    # Without inertia it is solved, not integrated: as exact as may be.
-    return _JOINT if scene.fidelity == "dynamic" else _JOINT._replace(accuracy=_MASS.accuracy, rough=False)
+    traits = scene.traits
+    if not (traits.large or traits.rough):
+        return _SMOOTH
+    # Without roughness runs are as exact as may be: a large model is then solved, not integrated.
+    found = _LARGE if traits.rough else _LARGE._replace(accuracy=_SMOOTH.accuracy, rough=False)
+    if traits.large:
+        return found
+    small = _SMOOTH
+    return found._replace(
+        steps=small.steps, apart=small.apart, asked=small.asked, kept=small.kept, descend=small.descend
+    )

@@ -4,43 +4,22 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 
-from bcfj_jax import laws
-from bcfj_jax.mechanism.scene import Body, Contact, Load, Scene
+from bcfj_jax.contact.gaps import from_depth
+from bcfj_jax.core.quantities import CATALOGUE
+from bcfj_jax.mechanism.bodies import Body
+from bcfj_jax.mechanism.contacts import Contact
+from bcfj_jax.mechanism.loads import Gravity
+from bcfj_jax.mechanism.mechanism import Mechanism
 
 
-def _gap(q, params):
-    del params
-    return q[1] - 0.02 * jnp.cos(20.0 * q[0])
+def _depth(place, c):
+    del c
+    return 0.02 * jnp.cos(20.0 * place[0]) - place[1]
 
 
-def _weight(params):
-    return jnp.stack([jnp.zeros(()), -params["mass"] * params["gravity"]])
-
-
-def _start(params):
-    return jnp.stack([jnp.asarray(0.013), params["drop_height"]]), jnp.zeros(2)
-
-
-def _scale(params):
-    return params["mass"], jnp.sqrt(2.0 * params["gravity"] * params["drop_height"])
-
-
-def _horizon(params):
-    del params
-    return jnp.asarray(8.0)
-
-
-def bumps() -> Scene:
+def bumps() -> Mechanism:
     """Bumps of 20 mm, 0.3 m apart, under a drop of 0.3 m."""
-    defaults = {"stiffness": 1e5, "exponent": 1.5, "mass": 0.02, "gravity": 9.81, "drop_height": 0.3}
-    return Scene(
-        kind="bumps",
-        bodies=(Body("body", coordinates=2),),
-        contacts=(Contact("contact", _gap, laws.make("hertz"), False),),
-        loads=(Load("weight", _weight, ("gravity",)),),
-        needs=("drop_height",),
-        defaults=tuple(defaults.items()),
-        start=_start,
-        impact_scale=_scale,
-        horizon=_horizon,
-    )
+    ball = Body("body", "particle", mass="mass", start={"x": 0.013, "y": "drop_height"})
+    floor = Contact("contact", ("ground", "body"), from_depth(_depth), law="hertz", smoothing=False)
+    given = {"stiffness": 1e5, "exponent": 1.5, "mass": 0.02, "gravity": 9.81, "drop_height": 0.3}
+    return Mechanism("bumps", (ball,), (floor,), (Gravity("-y"),), own=(CATALOGUE["drop_height"],), given=given, end=8.0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 from bcfj_jax.contact.elastic import ELASTIC as ELASTIC
 from bcfj_jax.contact.elastic import AbstractElastic as AbstractElastic
 from bcfj_jax.contact.elastic import bai_zhao_stiffness as bai_zhao_stiffness
@@ -9,19 +11,21 @@ from bcfj_jax.contact.friction import FRICTION as FRICTION
 from bcfj_jax.contact.friction import AbstractFriction as AbstractFriction
 from bcfj_jax.contact.friction import make_friction as make_friction
 from bcfj_jax.contact.normal import AbstractLaw as AbstractLaw
-from bcfj_jax.contact.normal import AdamsImpact, DampedStop, Hertz, KelvinVoigt, MemoryFree, Restitution
+from bcfj_jax.contact.normal import AdamsImpact, DampedStop, ElastoGap, Hertz, KelvinVoigt, MemoryFree, Restitution
 from bcfj_jax.contact.normal import onset_force as onset_force
 from bcfj_jax.contact.restitution import FACTORS
 from bcfj_jax.core.errors import InputError, nearest
 
-_CLASSES = {
-    "memory_free": MemoryFree,
-    "damped_stop": DampedStop,
-    "hertz": Hertz,
-    "kelvin_voigt": KelvinVoigt,
-    "adams_impact": AdamsImpact,
+# Each with its own default elastic part: ``linear`` for ``kelvin_voigt``, ``power`` for the rest.
+LAWS: dict[str, AbstractLaw] = {
+    "memory_free": MemoryFree(),
+    "damped_stop": DampedStop(),
+    "hertz": Hertz(),
+    "kelvin_voigt": KelvinVoigt(),
+    "adams_impact": AdamsImpact(),
+    "elasto_gap": ElastoGap(),
+    **{name: Restitution(factor=factor) for name, factor in FACTORS.items()},
 }
-LAWS = (*_CLASSES, *FACTORS)
 
 
 def make(law: str = "memory_free", elastic: str | None = None) -> AbstractLaw:
@@ -34,13 +38,15 @@ def make(law: str = "memory_free", elastic: str | None = None) -> AbstractLaw:
     Raises:
         InputError: for a name that is not known, with the nearest one that is.
     """
+    if law not in LAWS:
+        raise InputError("law", f"no law '{law}'", nearest(law, LAWS))
+    found = LAWS[law]
     if elastic is None:
-        elastic = "linear" if law == "kelvin_voigt" else "power"
+        return found
     if elastic not in ELASTIC:
         raise InputError("elastic", f"no elastic part '{elastic}'", nearest(elastic, ELASTIC))
-    part = ELASTIC[elastic]
-    if law in _CLASSES:
-        return _CLASSES[law](elastic=part)
-    if law in FACTORS:
-        return Restitution(factor=FACTORS[law], elastic=part)
-    raise InputError("law", f"no law '{law}'", nearest(law, LAWS))
+    if "elastic" not in (field.name for field in dataclasses.fields(found)):
+        raise InputError(
+            "elastic", f"the law '{law}' has no elastic part to replace by '{elastic}'", "leave elastic out"
+        )
+    return dataclasses.replace(found, elastic=ELASTIC[elastic])

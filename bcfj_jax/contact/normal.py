@@ -4,7 +4,7 @@ A law is an elastic part with a way to lose energy. It takes one scalar contact 
 shape) and knows nothing of geometry, bodies or time. The force is pushing only: every law is clipped
 at zero, since a formula with damping turns tensile just before separation.
 
-To add a law: a final module with ``needs`` and ``force``, and a line in ``laws._CLASSES``.
+To add a law: a final module with ``needs`` and ``force``, and a line in ``laws.LAWS``.
 """
 
 from __future__ import annotations
@@ -150,6 +150,27 @@ class AdamsImpact(AbstractLaw):
     def force(self, penetration: Array, rate: Array, c: Coefficients) -> Array:
         share = smooth_step(penetration / c["damping_depth"])
         return positive(self.elastic.force(penetration, c) + c["dashpot"] * share * rate)
+
+
+class ElastoGap(AbstractLaw):
+    """F = f(d) + clip(c d', -f(d), f(d)): a dashpot that neither pulls nor weighs more than the spring beside it.
+
+    ElastoGap of Modelica.Mechanics.Translational (Modelica Standard Library 4.0; physics sheet 1.2) for one direction:
+    0 <= F <= 2 f(d), so the force neither jumps at touch nor pulls before separation. With f(d) = K d the restitution is
+    the same at every speed, below Kelvin-Voigt's loss: while c d' > K d the stop is a spring of 2 K. The corners where
+    the dashpot is limited are no smoother than that.
+    Coefficients: those of the elastic part, ``dashpot`` c [N s/m].
+    """
+
+    elastic: AbstractElastic = Power()
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return (*self.elastic.needs, "dashpot")
+
+    def force(self, penetration: Array, rate: Array, c: Coefficients) -> Array:
+        spring = self.elastic.force(penetration, c)
+        return spring + jnp.clip(c["dashpot"] * rate, -spring, spring)
 
 
 def onset_force(law: AbstractLaw, penetration: Array, rate: Array, c: Coefficients, width: Array | None) -> Array:

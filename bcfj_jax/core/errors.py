@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import os
 from collections.abc import Iterable
 
 
@@ -31,3 +32,16 @@ def nearest(name: str, known: Iterable[str]) -> str:
     if close:
         return f"did you mean '{close[0]}'?"
     return "known here: " + (", ".join(names) or "nothing")
+
+
+def origin(error: BaseException) -> str:
+    """File and line of the user's own code that an error came from: "my_file.py, line 12"; "" where none took part."""
+    here = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+    found, frame = "", error.__traceback__
+    while frame is not None:
+        name = frame.tb_frame.f_code.co_filename
+        theirs = name.startswith((here + os.sep, "<")) or f"{os.sep}site-packages{os.sep}" in name
+        if not theirs and not name.startswith(os.path.dirname(os.__file__) + os.sep):
+            found = f"{name}, line {frame.tb_lineno}"
+        frame = frame.tb_next
+    return found

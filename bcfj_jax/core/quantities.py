@@ -73,7 +73,7 @@ CATALOGUE: dict[str, Quantity] = {
         _positive("radius_difference", "m", "hole radius less body radius"),
         _not_negative("damping", "s/m", "a of F = f(d) (1 + a d')"),
         Quantity("restitution", "1", "coefficient of restitution e the law is asked for", 0.0, 1.0),
-        _not_negative("dashpot", "N s/m", "viscous coefficient c (Kelvin-Voigt), c_max (ADAMS IMPACT)"),
+        _not_negative("dashpot", "N s/m", "viscous coefficient c (Kelvin-Voigt, ElastoGap), c_max (ADAMS IMPACT)"),
         _positive("damping_depth", "m", "penetration at which the ADAMS dashpot is fully in"),
         _not_negative("smoothing", "m", "half-width of the C2 onset of penetration; 0 is the sharp onset"),
         # coefficients of the friction laws

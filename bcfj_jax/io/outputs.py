@@ -20,7 +20,6 @@ from bcfj_jax.io.provenance import environment as environment
 from bcfj_jax.mechanism.readings import STATES
 
 if TYPE_CHECKING:
-    from bcfj_jax.models.joint.observe import Whole
     from bcfj_jax.solve.simulation import Run
 
 COMPONENTS = ("normal", "axial", "tangential")
@@ -134,12 +133,16 @@ def channels(history: Mapping[str, np.ndarray], components: int = 0) -> dict[str
     return apart
 
 
+def write_histories(path: Path, times: np.ndarray, columns: Mapping[str, np.ndarray]) -> None:
+    """A CSV file of histories: time [s], then (T,) columns by their heads."""
+    write_csv(path, ["time [s]", *columns], np.column_stack([times, *columns.values()]).tolist())
+
+
 def write_forces(path: Path, run: Run) -> None:
     """``forces.csv``: time [s], then every contact's three components [N]."""
     forces = channels(run.force, 1)
-    header = ["time [s]", *(f"{name}.{part} [N]" for name in forces for part in COMPONENTS)]
-    table = np.column_stack([run.times, *forces.values()])
-    write_csv(path, header, table.tolist())
+    columns = {f"{name}.{part} [N]": x[:, k] for name, x in forces.items() for k, part in enumerate(COMPONENTS)}
+    write_histories(path, run.times, columns)
 
 
 def write_contacts(path: Path, run: Run) -> None:
@@ -156,98 +159,3 @@ def write_contacts(path: Path, run: Run) -> None:
         # A failed run's state is unknown: an empty cell, as its numbers.
         columns.append([STATES[code] if code >= 0 else "" for code in state[name].tolist()])
     write_csv(path, header, zip(*columns, strict=True))
-
-
-def write_resultants(path: Path, run: Run, resultants: Mapping[str, np.ndarray]) -> None:
-    """``resultants.csv``: time [s], then ``joint.observe.resultants`` of every contact along x, y and z [N]."""
-    header = ["time [s]", *(f"{name}.{axis} [N]" for name in run.force for axis in "xyz")]
-    table = np.column_stack([run.times, *(resultants[name] for name in run.force)])
-    write_csv(path, header, table.tolist())
-
-
-def share_of_time(times: np.ndarray, state: np.ndarray) -> dict[str, float]:
-    """Share of the time spent in each of ``STATES``, of the samples whose state is known; NaN where none is.
-
-    A sample counts for half of the intervals beside it.
-    """
-    gaps = np.diff(times)
-    weight = np.where(state >= 0, 0.5 * (np.append(gaps, 0.0) + np.append(0.0, gaps)), 0.0)
-    total = weight.sum() if weight.any() else float("nan")
-    return {word: float(weight[state == code].sum() / total) for code, word in enumerate(STATES)}
-
-
-def summary(run: Run) -> dict[str, Any]:
-    """``summary.json``: status, every contact's features, what the solver did, and a rung that was chosen, and why.
-
-    The period of a scene that turns is that of its force history, of the last two thirds; else that of its contacts.
-    """
-    from bcfj_jax.analysis import features, histories
-
-    penetration, rate = channels(run.penetration), channels(run.rate)
-    stats = run.stats
-    contacts: dict[str, dict[str, Any]] = {
-        name: features.summary(run.times, force[:, 0], penetration[name], rate[name])
-        for name, force in channels(run.force, 1).items()
-    }
-    if run.slip:
-        for name, force in channels(run.force, 1).items():
-            found = histories.settled_period(run.times, force[:, 0]) if run.status == "ok" else float("nan")
-            contacts[name]["period"] = found
-    for name, state in channels(run.state).items():
-        contacts[name]["share_of_time"] = share_of_time(run.times, state)
-    chosen = {"fidelity": run.choice._asdict()} if run.choice else {}
-    return chosen | {
-        "status": run.status,
-        "reason": run.reason,
-        "failure_time": run.failure_time,
-        "contacts": contacts,
-        "units": features.UNITS | {"share_of_time": "1", "failure_time": "s", "wall_s": "s", "compile_s": "s"},
-        "solver": {key: stats[key] for key in ("accepted", "rejected", "tolerance")},
-        "wall_s": stats["wall_s"],
-        "compile_s": stats["compile_s"],
-    }
-
-
-def joint_summary(times: np.ndarray, whole: Whole) -> dict[str, Any]:
-    """What ``summary.json`` says of a joint as a whole: what it transmits, its energy, Newton's law of its cage.
-
-    Transmission is that of the last two thirds. Works [J] are trapezoidal sums over the samples, and their closure,
-    |in - out - lost - change of the store| over the largest of them, is as good as these: ``ledger.balance`` resolves
-    the motion between samples.
-    """
-    settled = times >= times[-1] / 3.0
-
-    def work(power: Any, part: Any = slice(None)) -> float:
-        return float(np.trapezoid(np.asarray(power)[part], times[part]))
-
-    works = {name: work(flow) for name, flow in whole.power._asdict().items()}
-    store = np.asarray(whole.stored.total)
-    change = float(store[-1] - store[0])
-    largest = max(map(abs, (*works.values(), change)))
-    error, ratio = (np.asarray(x)[settled] for x in (whole.angle_error, whole.speed_ratio))
-    given = work(whole.power.drive + whole.power.hold, settled)
-    found = {
-        "transmission": {
-            "angle_error_min": float(error.min()),
-            "angle_error_max": float(error.max()),
-            "speed_ratio_min": float(ratio.min()),
-            "speed_ratio_mean": float(ratio.mean()),
-            "speed_ratio_max": float(ratio.max()),
-            "efficiency": work(whole.power.load, settled) / given if given else float("nan"),
-            "units": {"angle_error": "rad", "speed_ratio": "1", "efficiency": "1"},
-        },
-        "energy": {
-            **works,
-            "stored_change": change,
-            "closure": abs(work(whole.power.net) - change) / largest if largest else float("nan"),
-            "units": {"work": "J", "closure": "1"},
-        },
-    }
-    if whole.cage_residual is not None:
-        on_cage = [np.asarray(whole.resultants[name]) for name in whole.resultants if "cage" in name]
-        found["cage_equilibrium"] = {
-            "largest_residual": float(np.abs(whole.cage_residual).max()),
-            "largest_resultant": float(np.abs(on_cage).max()) if on_cage else 0.0,
-            "units": {"largest_residual": "N", "largest_resultant": "N"},
-        }
-    return found

@@ -1,6 +1,6 @@
 """Scene files: what a TOML file says, checked, in SI, with every default filled in.
 
-    [scene]        kind, the scene's options (law, elastic, smoothing), [scene.spheres] for ``impact``
+    [scene]        kind, the options that the scene's function takes (law, elastic, smoothing, ...), some: [scene.spheres]
     [parameters]   values by name, SI numbers or texts with a unit
     [time]         end, samples; the run starts at 0
     [accuracy]     force_error or level, max_steps and solver
@@ -31,8 +31,6 @@ from bcfj_jax.io.spheres import Spheres
 from bcfj_jax.io.units import quantity
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.models import scenes
-from bcfj_jax.models.joint.checks import check_joint
-from bcfj_jax.models.joint.scene import AUTO, Joint
 from bcfj_jax.solve import named
 from bcfj_jax.solve.integrate import LEVELS, MAX_STEPS
 
@@ -50,7 +48,7 @@ class SceneFile:
         source: the file; None for a built-in scene's defaults.
         max_steps: budget of attempted steps.
         solver: by which values are integrated; None: the scene's own.
-        open: whether a joint's fidelity was left to what runs it.
+        open: whether the level of the model was left to what runs it.
     """
 
     scene: AbstractModel
@@ -102,17 +100,16 @@ def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
     """The scene that a file's content describes; errors as ``load``."""
     where = str(source) if source else f"scene '{table['scene']['kind']}'"
     file = tables.validated(_File, dict(table), where)
-    scene, spheres = _scene(file, where)
+    scene, options, spheres = _scene(file, where)
     values = _values(scene, file.parameters, spheres, where)
     params = scene.parameters(values)
-    if isinstance(scene, Joint):
-        check_joint(scene, params, where)
+    scene.check(params, where)
     end = _end(scene, params, file.time, where)
     samples = file.time.samples or scene.samples
     accuracy, solver = _accuracy(file.accuracy, where), file.accuracy.solver
-    named.check(solver, isinstance(scene, Joint), f"{where}: [accuracy] ")
+    named.check(solver, scene.traits.stiff, f"{where}: [accuracy] ")
     resolved = {
-        "scene": _resolved_options(scene, file),
+        "scene": options,
         "parameters": {name: float(value) for name, value in params.items()},
         "time": {"end": end, "samples": samples},
         "accuracy": {
@@ -122,44 +119,25 @@ def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
         | ({"solver": solver} if solver else {}),
     }
     times = np.linspace(0.0, end, samples)
-    free = isinstance(scene, Joint) and "fidelity" not in file.scene
+    levels = scene.choice_options()
+    free = bool(levels) and not set(levels) & set(file.scene)
     return SceneFile(scene, params, times, accuracy, resolved, source, file.accuracy.max_steps, solver, free)
 
 
 def quickest(given: SceneFile) -> SceneFile:
-    """A scene file as ``bcfj simulate`` runs it: at the level ``fast`` a joint of open fidelity takes ``auto``.
+    """A scene file as ``bcfj simulate`` runs it: at ``fast`` the level of the model is chosen, if it was left open.
 
-    It keeps the 5 % all the same. Derivatives and fits need a model by name, and take the dynamic one.
+    The run keeps the 5 % all the same. Derivatives and fits need a model by name, and take the whole one.
     """
-    if not (given.open and given.accuracy == "fast" and isinstance(given.scene, Joint)):
+    if not (given.open and given.accuracy == "fast"):
         return given
-    resolved = given.resolved | {"scene": given.resolved["scene"] | {"fidelity": AUTO}}
-    return replace(given, scene=replace(given.scene, fidelity=AUTO), resolved=resolved)
+    options = given.scene.choice_options()
+    resolved = given.resolved | {"scene": given.resolved["scene"] | options}
+    return replace(given, scene=replace(given.scene, **options), resolved=resolved)
 
 
-def _resolved_options(scene: AbstractModel, file: _File) -> dict[str, Any]:
-    """The scene's options with every default; what TOML has no word for (nothing) is left out."""
-    function = inspect.signature(scenes.SCENES[scene.kind]).parameters
-    options = {name: file.scene.get(name, parameter.default) for name, parameter in function.items()}
-    options["law"] = _law_name(file)
-    if isinstance(scene, Joint):
-        # No elastic part to name unless one was given: each contact's law has its own.
-        options["contacts"] = [contact.name for contact in scene.contacts]
-    else:
-        options["elastic"] = _elastic_name(scene)
-    return {"kind": scene.kind} | {name: value for name, value in options.items() if value is not None}
-
-
-def _law_name(file: _File) -> str:
-    return file.scene.get("law") or ("exact" if "restitution" in file.parameters else "memory_free")
-
-
-def _elastic_name(scene: AbstractModel) -> str:
-    part = getattr(scene.contacts[0].law, "elastic", None)
-    return next(name for name, known in laws.ELASTIC.items() if type(known) is type(part))
-
-
-def _scene(file: _File, where: str) -> tuple[AbstractModel, Spheres | None]:
+def _scene(file: _File, where: str) -> tuple[AbstractModel, dict[str, Any], Spheres | None]:
+    """The scene, its options with every default, and the spheres that set its parameters."""
     kind = file.scene.get("kind")
     place = f"{where}: [scene]"
     if kind is None:
@@ -168,9 +146,10 @@ def _scene(file: _File, where: str) -> tuple[AbstractModel, Spheres | None]:
         raise InputError(f"{place} kind", f"no scene '{kind}'", nearest(str(kind), scenes.SCENES))
     checked = tables.validated(_options(kind), file.scene, where, "scene")
     options = {name: value for name, value in checked if name not in ("kind", "spheres")}
-    options["law"] = _law_name(file)
+    if "law" in options and "law" not in file.scene and "restitution" in file.parameters:
+        options["law"] = "exact"
     for name, known in (("law", laws.LAWS), ("elastic", laws.ELASTIC)):
-        if options[name] is not None and options[name] not in known:
+        if options.get(name) is not None and options[name] not in known:
             raise InputError(f"{place} {name}", f"no such {name} '{options[name]}'", nearest(options[name], known))
     try:
         scene = scenes.make(kind, **options)
@@ -181,7 +160,29 @@ def _scene(file: _File, where: str) -> tuple[AbstractModel, Spheres | None]:
     if spheres and _elastic_name(scene) != "power":
         found = f"spheres with elastic = '{_elastic_name(scene)}'"
         raise InputError(f"{place} elastic", found, "spheres are in Hertz contact: leave elastic out, or say 'power'")
-    return scene, spheres
+    return scene, {"kind": kind} | _resolved_options(scene, options | _given(file, options)), spheres
+
+
+def _given(file: _File, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options that the file gives, as it writes them."""
+    return {name: file.scene[name] for name in options if name in file.scene}
+
+
+def _resolved_options(scene: AbstractModel, options: Mapping[str, Any]) -> dict[str, Any]:
+    """A scene's options as it was made of them; what TOML has no word for (nothing) is left out."""
+    found = dict(options)
+    if "contacts" in options:
+        found["contacts"] = [contact.name for contact in scene.contacts]
+    # With several contacts there may be no one elastic part to name: each contact's law has its own.
+    if "elastic" in options and len(scene.contacts) == 1:
+        found["elastic"] = _elastic_name(scene)
+    return {name: value for name, value in found.items() if value is not None}
+
+
+def _elastic_name(scene: AbstractModel) -> str | None:
+    """Name of the first contact's elastic part; None for a law that has none of these."""
+    part = getattr(scene.contacts[0].law, "elastic", None)
+    return next((name for name, known in laws.ELASTIC.items() if type(known) is type(part)), None)
 
 
 def _options(kind: str) -> type[tables.Table]:
@@ -191,22 +192,25 @@ def _options(kind: str) -> type[tables.Table]:
     fields: dict[str, Any] = {
         name: (hints[name], parameter.default) for name, parameter in inspect.signature(function).parameters.items()
     }
-    if kind == "impact":
+    if kind in scenes.OF_SPHERES:
         fields["spheres"] = (Spheres | None, None)
     return pydantic.create_model("Options", __base__=tables.Table, kind=(str, ...), **fields)
 
 
-def _values(scene: AbstractModel, given: Mapping[str, Any], spheres: Spheres | None, where: str) -> dict[str, float]:
+def _values(scene: AbstractModel, written: Mapping[str, Any], spheres: Spheres | None, where: str) -> dict[str, float]:
     derived = spheres.derived(f"{where}: [scene.spheres]") if spheres else {}
-    known = scene.quantities
-    for name in given:
-        place = f"{where}: [parameters] {name}"
+    known, given = scene.quantities, {}
+    for key, value in written.items():
+        place, name = f"{where}: [parameters] {key}", scene.canonical(key)
+        if name in given:
+            raise InputError(place, f"'{name}' is given twice, by two names", "take one of them out")
+        given[name] = value
         if name in derived:
             raise InputError(place, f"'{name}' is given twice", "[scene.spheres] sets it too: take one of them out")
         if name not in known:
             # A right name in the wrong place is no misspelling: the law, or another option, does not read it.
-            hint = f"known here: {', '.join(sorted(known))}" if name in CATALOGUE else nearest(name, known)
-            raise InputError(place, f"scene '{scene.kind}' with these options has no parameter '{name}'", hint)
+            hint = f"known here: {', '.join(sorted(known))}" if key in CATALOGUE else nearest(key, known)
+            raise InputError(place, f"scene '{scene.kind}' with these options has no parameter '{key}'", hint)
     values = {name: value for name, value in derived.items() if name in known}
     defaults = dict(scene.defaults)
     # Exponents first: the unit of a stiffness depends on its contact's, or else on the shared one.

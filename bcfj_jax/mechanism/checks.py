@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +14,7 @@ import numpy as np
 from jax import Array
 from jax.core import Tracer
 
+from bcfj_jax.core import host
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.quantities import check_order, check_value
 from bcfj_jax.mechanism.bodies import GROUND
@@ -23,6 +26,9 @@ if TYPE_CHECKING:
 
 # Bodies that overlap at the start by so many times the penetration that is to be expected were not placed there.
 _DEEP = 20.0
+# So many times NumPy looks at a mechanism's start; who asks more often, as a study does, gets a compiled program.
+_BY_HAND = 3
+_LOOKS: Counter[tuple[Mechanism, tuple[str, ...]]] = Counter()
 
 
 def check_structure(scene: Mechanism) -> None:
@@ -38,9 +44,8 @@ def check_structure(scene: Mechanism) -> None:
     for b in scene.bodies:
         if b.name in bodies:
             found = f"body '{b.name}' hangs on '{bodies[b.name]}' and on '{b.parent}': joints alone would close a loop"
-            raise InputError(
-                where, found, "give it one parent, and close the loop by a contact with clearance or a bush"
-            )
+            remedy = "give it one parent, and close the loop by a contact with clearance or a bush"
+            raise InputError(f"{where} body '{b.name}'", found, remedy)
         bodies[b.name] = b.parent
     for b in scene.bodies:
         if b.parent != GROUND and b.parent not in bodies:
@@ -53,7 +58,7 @@ def check_structure(scene: Mechanism) -> None:
         while at != GROUND:
             if at in chain:
                 found = f"the tree goes round: {' on '.join([*chain, at])}"
-                raise InputError(where, found, f"hang one of them on '{GROUND}'")
+                raise InputError(f"{where} body '{b.name}' parent", found, f"hang one of them on '{GROUND}'")
             chain.append(at)
             at = bodies[at]
     names: dict[str, str] = dict.fromkeys(bodies, "body")
@@ -102,9 +107,13 @@ class _Recorder(Mapping):
             remedy = f"{nearest(name, self.scene.quantities)} Declare quantities of your own in ``own``"
             raise InputError(self.where, f"no parameter '{name}'", remedy)
         owners = [known.rpartition(".")[0] for known in self.scene.quantities if known.endswith(f".{name}")]
-        missing = [owner for owner in owners if f"{owner}.{name}" not in self.values_]
+        missing = [owner for owner in owners if owner and f"{owner}.{name}" not in self.values_]
+        if name == "mass":
+            remedy = f"a body needs one to be moved: give {missing[0]}.mass, or mass for every body without its own"
+            raise InputError(f"{self.where} body '{missing[0]}' mass", f"{', '.join(missing)} without a mass", remedy)
+        reads = f", which {', '.join(missing)} would read" if missing else ""
         beside = f", or {missing[0]}.{name}" if missing else ""
-        raise InputError(self.where, f"the parameter '{name}' has no value", f"give {name}{beside}")
+        raise InputError(self.where, f"the parameter '{name}' has no value{reads}", f"give {name}{beside}")
 
     def __contains__(self, name: object) -> bool:
         if name in self.values_:
@@ -162,7 +171,7 @@ def check_values(scene: Mechanism, params: Params, where: str = "") -> None:
 
 
 def _check_start(scene: Mechanism, params: dict[str, Array], where: str) -> None:
-    depths, expected = jax.device_get(_starts(scene, params))
+    depths, expected = _looked_at(scene, params)
     for name, depth in depths.items():
         deepest = float(np.max(depth))
         if not np.isfinite(deepest):
@@ -176,8 +185,25 @@ def _check_start(scene: Mechanism, params: dict[str, Array], where: str) -> None
             raise InputError(f"{where} contact '{name}'", found, remedy)
 
 
-@partial(jax.jit, static_argnums=0)
-def _starts(scene: Mechanism, params: dict[str, Array]) -> tuple[dict[str, Array], Array]:
+def _looked_at(scene: Mechanism, params: dict[str, Array]) -> tuple[dict[str, Array], Array]:
+    """``_at_start`` by NumPy the first times, so that a bad mechanism is refused before anything is compiled."""
+    key = (scene, tuple(params))
+    _LOOKS[key] += 1
+    if _LOOKS[key] <= _BY_HAND:
+        with contextlib.suppress(host.Unknown):
+            traced, shape = _traced(*key)
+            found = host.evaluate(traced, [params[name] for name in sorted(params)])
+            return jax.tree.unflatten(jax.tree.structure(shape), found)
+    return jax.device_get(_compiled(scene, params))
+
+
+@lru_cache(maxsize=64)
+def _traced(scene: Mechanism, names: tuple[str, ...]) -> tuple[Any, Any]:
+    shapes = dict.fromkeys(names, jax.ShapeDtypeStruct((), jnp.float64))
+    return jax.make_jaxpr(partial(_at_start, scene), return_shape=True)(shapes)
+
+
+def _at_start(scene: Mechanism, params: dict[str, Array]) -> tuple[dict[str, Array], Array]:
     """Penetration of each contact at time 0, and the one that is to be expected."""
     from bcfj_jax.mechanism.scales import expected
 
@@ -188,3 +214,6 @@ def _starts(scene: Mechanism, params: dict[str, Array]) -> tuple[dict[str, Array
         for name, touching in now.faces.items()
     }
     return depths, expected(scene, params).depth
+
+
+_compiled = jax.jit(_at_start, static_argnums=0)

@@ -19,7 +19,7 @@ from bcfj_jax.contact import laws
 from bcfj_jax.contact.friction import AbstractFriction
 from bcfj_jax.contact.gaps import AbstractGap, Frame
 from bcfj_jax.contact.normal import AbstractLaw
-from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.errors import InputError, origin
 from bcfj_jax.core.numerics import positive
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
 from bcfj_jax.core.vectors import WORLD, ZERO, Number
@@ -181,7 +181,8 @@ def _friction(friction: Any) -> AbstractFriction | None:
 
 
 def _known(part: Any) -> Mapping[str, Quantity]:
-    return getattr(part, "quantities", {})
+    """What a law, and its elastic part, say of coefficients of their own."""
+    return {**getattr(getattr(part, "elastic", None), "quantities", {}), **getattr(part, "quantities", {})}
 
 
 class _Any(dict):
@@ -205,7 +206,16 @@ def _faces(gap: AbstractGap) -> int:
 
 
 def raised(where: str, error: Exception) -> InputError:
-    """What a user's own code raised, as an error that names the place."""
+    """What a user's own code raised, as an error that names the place, the file and the line."""
     if isinstance(error, InputError):
         return error
-    return InputError(where, f"its code raised {type(error).__name__}: {error}", "mend that code")
+    at, said = origin(error), f"{error}".splitlines()
+    found = f"its code raised {type(error).__name__}{f' in {at}' if at else ''}: {said[0] if said else ''}".rstrip(": ")
+    remedy = "mend that code"
+    if isinstance(error, jax.errors.TracerArrayConversionError):
+        remedy = "use jax.numpy in place of numpy: numbers are traced"
+    elif isinstance(error, jax.errors.ConcretizationTypeError):
+        remedy = "use jnp.where in place of 'if', and jnp.maximum in place of 'max': numbers are traced"
+    elif isinstance(error, KeyError):
+        remedy = "name what it reads in 'needs'"
+    return InputError(where, found, remedy)

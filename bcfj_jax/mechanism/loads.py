@@ -31,7 +31,7 @@ from bcfj_jax.core.vectors import (
     unit,
 )
 from bcfj_jax.mechanism import sizes
-from bcfj_jax.mechanism.bodies import GROUND, STILL, Part
+from bcfj_jax.mechanism.bodies import GROUND, STILL, Drive, Part
 from bcfj_jax.mechanism.sizes import ORIGIN, Params, Place, Size
 
 
@@ -270,10 +270,11 @@ class Bush(AbstractLoad):
 
 
 class JointSpring(AbstractLoad):
-    """A spring and damper on the coordinate of a slide or hinge:  -k (q - q0) - c dq/dt  on it.
+    """A spring and damper on the coordinate of a slide or hinge:  -k (q - q0) - c (dq/dt - dq0/dt)  on it.
 
     Attributes:
         body: whose joint; stiffness: k [N/m or N m/rad]; damping: c; rest: q0 [m or rad].
+        drive: a motion q0(t), in place of ``rest``: a flexible drive.
     """
 
     name: str = eqx.field(static=True)
@@ -281,6 +282,7 @@ class JointSpring(AbstractLoad):
     stiffness: Size = eqx.field(static=True, default=0.0)
     damping: Size = eqx.field(static=True, default=0.0)
     rest: Size = eqx.field(static=True, default=0.0)
+    drive: Drive | None = None
 
     @property
     def touches(self) -> tuple[str, ...]:
@@ -292,18 +294,23 @@ class JointSpring(AbstractLoad):
         del t, bodies, p
         return []
 
-    def on_coordinate(self, position: Number, rate: Number, p: Params) -> Number:
+    def on_coordinate(self, t: Array, position: Number, rate: Number, p: Params) -> Number:
         """Force or torque on the coordinate."""
         k, c, rest = (
             sizes.length(size, self.name, name, p)
             for size, name in ((self.stiffness, "stiffness"), (self.damping, "damping"), (self.rest, "rest"))
         )
+        if self.drive is not None:
+            rest, speed, _ = self.drive.motion(t, self.name, p)
+            rate = minus(rate, speed)
         return minus(times(-1.0, times(k, minus(position, rest))), times(c, rate))
 
     def parameters(self) -> dict[str, tuple[Quantity, float | None]]:
-        """Stiffness, damping and rest."""
+        """Stiffness, damping and rest, or those of its drive."""
         found = _stated(self.stiffness, self.name, "stiffness", "N/m")
         found |= _stated(self.damping, self.name, "damping", "N s/m")
+        if self.drive is not None:
+            return found | self.drive.needs(self.name, turns=True)
         return found | _stated(self.rest, self.name, "rest", "m")
 
 

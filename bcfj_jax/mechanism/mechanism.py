@@ -24,6 +24,7 @@ from bcfj_jax.contact.normal import onset_force
 from bcfj_jax.contact.wrench import Touch, press
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
+from bcfj_jax.core.status import OK
 from bcfj_jax.core.vectors import (
     ZERO,
     Number,
@@ -45,7 +46,7 @@ from bcfj_jax.mechanism.bodies import GROUND, STILL, Body, Part, carried, quater
 from bcfj_jax.mechanism.contacts import Contact, raised
 from bcfj_jax.mechanism.equations import Equations, flat
 from bcfj_jax.mechanism.loads import AbstractLoad, JointSpring, Moving
-from bcfj_jax.mechanism.model import AbstractModel, BodyMotion, Flows, ModelTraits, Params, Reading
+from bcfj_jax.mechanism.model import AbstractModel, BodyMotion, Flows, ModelTraits, Params, Reading, Solution
 
 # Local error a step, in units of ``error_scale``, per unit of force error asked for: of explicit methods, derived by
 # benchmarks/solve/levels.py on random impacts and bounces; of implicit ones, by benchmarks/solve/mechanisms.py.
@@ -101,7 +102,7 @@ class Mechanism(AbstractModel):
         """Implicit where there is friction or a damper; a period is the drive's where something is driven."""
         rough = any(c.friction is not None for c in self.contacts)
         driven = any(b.drive is not None for b in self.bodies)
-        return ModelTraits(stiff=rough, turning=driven, rough=driven)
+        return ModelTraits(stiff=rough, history=bool(self._free), turning=driven, rough=driven)
 
     @cached_property
     def ordered(self) -> tuple[Body, ...]:
@@ -164,6 +165,8 @@ class Mechanism(AbstractModel):
             for name in ("size", "ramp", "stiffness", "damping", "rest", "free_length", "turning_damping", "at"):
                 part = getattr(load, name, None)
                 found += list(_flattened(part)) if isinstance(part, tuple) else [part]
+            drive = getattr(load, "drive", None)
+            found += [drive.speed, drive.over, drive.start] if drive else []
         return [x.removeprefix("-") for x in found if isinstance(x, str)]
 
     @property
@@ -232,6 +235,12 @@ class Mechanism(AbstractModel):
                 memory += [c.approach.first(-face.depth, touch.rate, params)] if c.remembers else []
                 memory += [0.0, 0.0, 0.0] if c.bristles else []
         return jnp.concatenate([start, flat(memory, [k for _, k in self._memory])])
+
+    def instants(self, params: Params, times: Array, near: Any = None) -> tuple[Solution, Any]:
+        """Of a mechanism whose every joint is driven: nothing is integrated."""
+        del params
+        nothing = jnp.zeros((times.shape[0], 0))
+        return Solution(nothing, jnp.asarray(OK), times[-1], jnp.asarray(0), jnp.asarray(0)), near
 
     # The equations.
 
@@ -330,7 +339,7 @@ class Mechanism(AbstractModel):
         if isinstance(load, JointSpring):
             j = next(j for j, (body, *_) in enumerate(self._free) if body == load.body)
             i = next(i for i, (body, *_) in enumerate(self._placed) if body == load.body)
-            found.forces[j] = plus(found.forces[j], load.on_coordinate(now.q[i], now.v[j], p))
+            found.forces[j] = plus(found.forces[j], load.on_coordinate(t, now.q[i], now.v[j], p))
             return
         try:
             actions = load.actions(t, now.bodies, p)
@@ -414,6 +423,18 @@ class Mechanism(AbstractModel):
             jnp.where(lost, jnp.nan, whole),
         )
 
+    @property
+    def body_names(self) -> tuple[str, ...]:
+        """All bodies."""
+        return tuple(b.name for b in self.ordered)
+
+    def coefficient(self, params: Params, owner: str, name: str) -> Array:
+        """A contact's coefficient as it reads it; else as any model's."""
+        for c in self.contacts:
+            if c.name == owner and name in c.reads:
+                return c.coefficients(params)[name]
+        return super().coefficient(params, owner, name)
+
     def motions(self, t: Array, y: Array, prepared: Params) -> dict[str, BodyMotion]:
         """Centres of mass, axes, accelerations and the drives' forces."""
         now = self.instant(t, y, prepared)
@@ -490,7 +511,7 @@ class Mechanism(AbstractModel):
         if isinstance(load, JointSpring):
             j = next(j for j, (body, *_) in enumerate(self._free) if body == load.body)
             i = next(i for i, (body, *_) in enumerate(self._placed) if body == load.body)
-            return load.on_coordinate(now.q[i], now.v[j], p) * now.v[j]
+            return load.on_coordinate(t, now.q[i], now.v[j], p) * now.v[j]
         power: Number = 0.0
         for action in load.actions(t, now.bodies, p):
             part = now.bodies.parts[action.body]

@@ -5,15 +5,15 @@ module without arrays, hashable): one compiled program per distinct model. Numbe
 of float64 scalars that may be traced, batched and differentiated.
 """
 
-# No ``from __future__ import annotations``: equinox reads ``AbstractVar`` from the annotations themselves.
+from __future__ import annotations
+
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from equinox import AbstractVar
 from jax import Array
 from jax.typing import ArrayLike
 
@@ -147,11 +147,18 @@ class AbstractModel(eqx.Module):
         horizon: (params) -> a sensible end time [s] where the user gives none.
     """
 
-    kind: AbstractVar[str]
-    contacts: AbstractVar[tuple[Any, ...]]
-    samples: AbstractVar[int]
-    defaults: AbstractVar[tuple[tuple[str, float], ...]]
-    horizon: AbstractVar[Callable[[Params], Array]]
+    if TYPE_CHECKING:
+        # Fields, properties or methods of every model; as fields of this class they would come first in every model's.
+        @property
+        def kind(self) -> str: ...  # noqa: D102
+        @property
+        def contacts(self) -> tuple[Any, ...]: ...  # noqa: D102
+        @property
+        def samples(self) -> int: ...  # noqa: D102
+        @property
+        def defaults(self) -> tuple[tuple[str, float], ...]: ...  # noqa: D102
+        @property
+        def horizon(self) -> Callable[[Params], Array]: ...  # noqa: D102
 
     # What it is.
 
@@ -222,6 +229,11 @@ class AbstractModel(eqx.Module):
     def observe(self, t: Array, y: Array, prepared: Any) -> dict[str, Reading]:
         """Every contact's reading in one state."""
 
+    @property
+    def body_names(self) -> tuple[str, ...]:
+        """Names of the bodies whose ``motions`` can be read."""
+        return ()
+
     def motions(self, t: Array, y: Array, prepared: Any) -> dict[str, BodyMotion]:
         """Every body's motion in one state."""
         del t, y, prepared
@@ -276,7 +288,12 @@ class AbstractModel(eqx.Module):
         del params
         return 0.0
 
-    def full(self) -> "AbstractModel":
+    @property
+    def settled_when(self) -> str:
+        """What has happened by ``settled_from``, in words."""
+        return "the start is forgotten"
+
+    def full(self) -> AbstractModel:
         """The model of the same thing that leaves nothing out: this one, unless it is a coarser one."""
         return self
 
@@ -289,7 +306,7 @@ class AbstractModel(eqx.Module):
         return ()
 
     def choose(
-        self, params: Params, times: np.ndarray, budget: float, run: "Callable[[AbstractModel, np.ndarray], Any]"
+        self, params: Params, times: np.ndarray, budget: float, run: Callable[[AbstractModel, np.ndarray], Any]
     ) -> Any:
         """The run of the cheapest level that keeps a budget of force error, with its ``Choice``.
 

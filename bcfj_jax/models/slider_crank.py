@@ -43,6 +43,19 @@ def _turns(p: Any) -> Array:
     return 2.0 * jnp.pi / jnp.abs(p["crank_speed"])
 
 
+def _half_rod(p: Any) -> Array:
+    return 0.5 * p["rod_length"]
+
+
+def _outmost(p: Any) -> Array:
+    return p["crank_length"] + p["rod_length"]
+
+
+def _fold(p: Any) -> Array:
+    """Speed of the rod against the crank in line [rad/s]: it turns back by the ratio of the lengths."""
+    return -p["crank_speed"] * (1.0 + p["crank_length"] / p["rod_length"])
+
+
 def _rod_angle(t: Array, p: Any) -> Array:
     """Angle of the ideal rod against the crank [rad]: the slider stays on the axis."""
     turn = p["crank_speed"] * t
@@ -75,7 +88,7 @@ def slider_crank(
     """
     crank = Body("crank", "hinge", mass=0.30, inertia=1.0e-4, drive=Drive("constant", speed="crank_speed"))
     rod: dict[str, Any] = {"parent": "crank", "at": ("crank_length", 0, 0), "mass": 0.21, "inertia": 2.5e-4}
-    rod["center"] = (lambda p: 0.5 * p["rod_length"], 0, 0)
+    rod["center"] = (_half_rod, 0, 0)
     if ideal:
         moved = (Drive("function", function=_rod_angle), Drive("function", function=_slider_place))
         parts = (
@@ -84,12 +97,10 @@ def slider_crank(
             Body("slider", "slide", axis="x", mass=0.14, drive=moved[1]),
         )
         return Mechanism("slider_crank", parts, own=_OWN, end=_turns, samples=2001)
-    # In line, the rod turns back against the crank by the ratio of the lengths.
-    start = {"speed": lambda p: -p["crank_speed"] * (1.0 + p["crank_length"] / p["rod_length"])}
     parts = (
         crank,
-        Body("rod", "hinge", **rod, start=start),
-        Body("slider", "slide", axis="x", mass=0.14, start={"position": lambda p: p["crank_length"] + p["rod_length"]}),
+        Body("rod", "hinge", **rod, start={"speed": _fold}),
+        Body("slider", "slide", axis="x", mass=0.14, start={"position": _outmost}),
     )
     journal = Contact(
         "journal", ("slider", "rod"), PinInBearing(), law=law, elastic=elastic, friction=friction, smoothing=smoothing,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple
 
 import diffrax as dfx
@@ -17,6 +17,8 @@ from jax.typing import ArrayLike
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.quantities import increasing
 from bcfj_jax.core.status import OK, reason
+from bcfj_jax.mechanism import channels
+from bcfj_jax.mechanism.channels import Channel, channel
 from bcfj_jax.mechanism.model import AbstractModel, Choice, Params, Reading, Solution
 from bcfj_jax.mechanism.readings import contact_states
 from bcfj_jax.solve.forward_reverse import two_way
@@ -48,6 +50,7 @@ class Run(NamedTuple):
         trajectory: (T, n) the flat states themselves, as the model reads them; None likewise.
         choice: the level at which an ``open`` model was run, and why; None for every other model.
         accuracy: the error that was measured, where ``measure_error`` asked for it; None without.
+        readings: by name (T,), or (T, k) over members, what ``read`` asked for (``mechanism.channels``).
     """
 
     times: np.ndarray
@@ -63,6 +66,7 @@ class Run(NamedTuple):
     trajectory: np.ndarray | None = None
     choice: Choice | None = None
     accuracy: Accuracy | None = None
+    readings: dict[str, np.ndarray] = {}
 
 
 def outcome(
@@ -142,12 +146,48 @@ def force_history(
     raise InputError("mode", f"no mode '{mode}'", "use auto, forward or reverse")
 
 
+def reading_history(
+    scene: AbstractModel,
+    params: Params,
+    times: ArrayLike,
+    read: Sequence[str],
+    *,
+    accuracy: str | float | Plan = "balanced",
+    mode: Literal["forward", "reverse"] = "forward",
+) -> dict[str, Array]:
+    """Histories of any readings (``mechanism.channels``) as a pure function of parameters and times.
+
+    Args:
+        scene, params, times, accuracy: as ``force_history``.
+        read: names such as "slider.acceleration.x" or "journal.force.x in rod".
+        mode: "forward" (jvp, jacfwd) or "reverse" (vjp, grad).
+
+    Returns:
+        By name (T,), or (T, k) over members, SI.
+
+    Raises:
+        InputError: for a reading that the model has not, with the nearest that it has.
+    """
+    how = accuracy if isinstance(accuracy, Plan) else plan(scene, accuracy)
+    wanted = [channel(name, scene) for name in read]
+    adjoint = {"forward": _FORWARD, "reverse": _REVERSE}.get(mode)
+    if adjoint is None:
+        raise InputError("mode", f"no mode '{mode}'", "use forward or reverse")
+    times = jnp.asarray(times, dtype=jnp.float64)
+    how = how if mode == "forward" else _backward(scene, how)
+    return channels.histories(scene, params, times, integrate(scene, params, times, how, adjoint, True).states, wanted)
+
+
 @eqx.filter_jit
-def _run(scene: AbstractModel, params: Params, times: Array, how: Plan) -> tuple[Solution, dict[str, Reading]]:
-    return outcome(scene, params, times, how, _FORWARD)
+def _run(
+    scene: AbstractModel, params: Params, times: Array, how: Plan, wanted: tuple[Channel, ...]
+) -> tuple[Solution, dict[str, Reading], dict[str, Array]]:
+    solution, found = outcome(scene, params, times, how, _FORWARD)
+    more = channels.histories(scene, params, times, solution.states, wanted) if wanted else {}
+    return solution, found, more
 
 
-_compiled: dict[object, Callable[..., tuple[Solution, dict[str, Reading]]]] = {}
+_compiled: dict[object, Callable[..., tuple[Solution, dict[str, Reading], dict[str, Array]]]] = {}
 
 
 def simulate(
@@ -159,6 +199,7 @@ def simulate(
     max_steps: int = MAX_STEPS,
     solver: str | None = None,
     measure_error: bool = False,
+    read: Sequence[str] = (),
 ) -> Run:
     """Simulate a model and say how it went.
 
@@ -170,23 +211,27 @@ def simulate(
         solver: a name of ``solve.named`` in place of the model's own.
         measure_error: run the same program again at a tenth of the tolerance, and tell how far the two runs are apart
             (``Run.accuracy``). Not of a model without a history, which takes no steps.
+        read: names of readings to keep beside the contacts' (``mechanism.channels``), such as "slider.acceleration.x".
 
     Raises:
         InputError: for times that are not finite and increasing, an unknown accuracy or solver, a budget below 1, and
             a model that its own ``check`` refuses.
     """
     values = increasing(times)
-    scene.check(params)
     tolerance = plan(scene, accuracy, max_steps, solver).tolerance
+    scene.check(params)
     if scene.traits.open:
-        same: dict[str, Any] = dict(accuracy=accuracy, max_steps=max_steps, solver=solver, measure_error=measure_error)
+        same: dict[str, Any] = dict(
+            accuracy=accuracy, max_steps=max_steps, solver=solver, measure_error=measure_error, read=read
+        )
         run = lambda level, at: simulate(level, params, at, **same)  # noqa: E731
         return scene.choose(params, values, force_error(accuracy), run)
     # Values alone: one program, whether or not derivatives would need their own error controlled.
-    run = timed(scene, params, values, Plan(tolerance, max_steps, solver=solver))
+    wanted = tuple(channel(name, scene) for name in read)
+    run = timed(scene, params, values, Plan(tolerance, max_steps, solver=solver), wanted)
     if not (measure_error and scene.traits.history):
         return run
-    finer = timed(scene, params, values, Plan(0.1 * tolerance, max_steps, solver=solver))
+    finer = timed(scene, params, values, Plan(0.1 * tolerance, max_steps, solver=solver), wanted)
     found = measured(
         force_error(accuracy), scene.settled_from(params), values, run.force, finer.force,
         tolerance=run.stats["tolerance"], wall_s=finer.stats["wall_s"],
@@ -194,19 +239,21 @@ def simulate(
     return run._replace(accuracy=found)
 
 
-def timed(scene: AbstractModel, params: Params, values: np.ndarray, how: Plan) -> Run:
+def timed(scene: AbstractModel, params: Params, values: np.ndarray, how: Plan, wanted: tuple[Channel, ...] = ()) -> Run:
     """A run as planned, at times (T,) [s], with the seconds it took; nothing is checked."""
-    arguments = (scene, dict(params), jnp.asarray(values), how)
-    key = (scene, len(values), how.max_steps, how.solver, jax.tree.structure(params))
+    arguments = (scene, dict(params), jnp.asarray(values), how, wanted)
+    key = (scene, len(values), how.max_steps, how.solver, wanted, jax.tree.structure(params))
     begin = time.perf_counter()
     if key not in _compiled:
         _compiled[key] = _run.lower(*arguments).compile()
     compiled = time.perf_counter()
-    solution, readings = jax.device_get(_compiled[key](*arguments))
+    solution, readings, more = jax.device_get(_compiled[key](*arguments))
     done = time.perf_counter()
     walls = {"wall_s": done - compiled, "compile_s": compiled - begin}
     run = story(scene, values, solution, readings, how, walls)
-    return run._replace(state=contact_states(scene, params, readings), trajectory=np.asarray(solution.states))
+    found = {name: np.asarray(more[name]) for name in (c.name for c in wanted)}
+    states = contact_states(scene, params, readings)
+    return run._replace(state=states, trajectory=np.asarray(solution.states), readings=found)
 
 
 def story(

@@ -30,8 +30,6 @@ from bcfj_jax.io.journal import Journal, key_of
 from bcfj_jax.io.outputs import plain
 from bcfj_jax.io.scenefile import from_table, quickest
 from bcfj_jax.io.stop import heeded
-from bcfj_jax.models.joint.periodic import risen
-from bcfj_jax.models.joint.scene import Joint
 from bcfj_jax.solve.integrate import LEVELS
 from benchmarks.common import RESULTS, ROOT, load, markdown, put_in_readme, save
 from benchmarks.models import joint_reference
@@ -52,13 +50,15 @@ def levels(name: str, found: Study) -> dict[str, dict[str, float]]:
     for level in LEVELS:
         given = quickest(from_table({**TABLES[name], "accuracy": {"level": level}}, None))
         run, cost = trial(given)
-        if isinstance(given.scene, Joint):
+        begin = given.scene.settled_from(given.params)
+        if begin > 0.0:
             truth = joint_reference.load()
-            late = truth.times >= risen(given.scene, given.params, 1)
+            late = truth.times >= begin
             ours, theirs = ({key: force[late] for key, force in x.force.items()} for x in (run, truth))
             error = off(ours, theirs, truth.times[late])
         else:
-            error = worst(errors(measured(run, given.times), found.reference.truth, given.times))
+            ours = measured(run, given.times, given.scene.traits.turning)
+            error = worst(errors(ours, found.reference.truth, given.times))
         kept[level] = cost | {"error": error}
     return kept
 

@@ -24,10 +24,9 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import expm
-from scipy.optimize import brentq
 
 from benchmarks.references.laws import hertz
-from benchmarks.references.solving import check, compiled, run
+from benchmarks.references.solving import check, compiled, root, run
 
 
 @dataclasses.dataclass(frozen=True)
@@ -142,7 +141,7 @@ def restitution(mass: float, stiffness: float, damping: float) -> float:
     late = step = 0.05 / w
     while pressing(late) > 0.0:
         late += step
-    end = brentq(pressing, late - step, late, xtol=1e-15, rtol=1e-15)
+    end = root(pressing, late - step, late)
     return float(-(expm(matrix * end) @ state)[1])
 
 

@@ -1,15 +1,18 @@
 """Scalar contact laws of the references: floats in, floats out, ``math`` alone, so that numba can compile them.
 
 d is the penetration [m], positive inside; d' its rate [m/s], positive while approaching. Sources: physics.md, sections
-1.1 (one family of normal laws), 2 (friction), 3 (restitution).
+1.1 (one family of normal laws), 2 (friction), 3 (restitution). ``python -m benchmarks.references.laws`` compares
+restitution with the table of section 3 and the two forms of the onset with each other.
 """
 
 from __future__ import annotations
 
 import math
+import sys
 
 import numpy as np
-from scipy.optimize import brentq
+
+from benchmarks.references.solving import check, root
 
 FRICTION = {"none": 0, "brown_mcphee": 1, "coulomb": 2, "step": 3}
 
@@ -82,12 +85,12 @@ def restitution(chi: float) -> float:
     if chi < 1e-3:
         return 1.0 - chi * (2 / 3 - chi * (4 / 9 - chi * (44 / 135 - chi * 104 / 405)))
     # At fixed chi the residual falls from e = 0 on.
-    return float(brentq(lambda e: _residual(chi, e), 0.0, min(1.0, (1.0 - 1e-15) / chi), xtol=1e-16, rtol=1e-14))
+    return root(lambda e: _residual(chi, e), 0.0, min(1.0, (1.0 - 1e-15) / chi))
 
 
 def exact_chi(e: float) -> float:
     """The chi that delivers the restitution 0 < e < 1 for any n, K, m and v0; table of physics.md, section 3."""
-    return float(brentq(lambda chi: _residual(chi, e), 0.5 * (1.0 - e), (1.0 - 1e-15) / e, xtol=1e-16, rtol=1e-14))
+    return root(lambda chi: _residual(chi, e), 0.5 * (1.0 - e), (1.0 - 1e-15) / e)
 
 
 def lankarani_nikravesh(e: float) -> float:
@@ -112,3 +115,25 @@ def normal_on(d: np.ndarray, rate: np.ndarray, *law: float) -> np.ndarray:
     """``normal`` of arrays [N], any shape, given K, n, a and the width of the onset."""
     d, rate = np.broadcast_arrays(d, rate)
     return np.reshape([normal(float(a), float(b), *law)[0] for a, b in zip(d.flat, rate.flat, strict=True)], d.shape)
+
+
+def main() -> bool:
+    """Compare with printed numbers of physics.md, section 3, and check the onset's slope."""
+    e = [0.1, 0.3, 0.5, 0.7, 0.9, 0.99]
+    held = check(
+        "exact chi", [exact_chi(x) for x in e], [9.998159, 3.087082, 1.432751, 0.634828, 0.166482, 0.015151], 6e-7
+    )
+    delivered = [restitution(lankarani_nikravesh(x)) for x in e]
+    held &= check(
+        "e delivered by Lankarani-Nikravesh", delivered, [0.66527, 0.68422, 0.72524, 0.79597, 0.91318, 0.99015], 6e-6
+    )
+    held &= check("undamped impact, K = m = v0 = 1", hertz(1.0, 1.0, 1.0), (1.0933621, 1.1432626, 3.2180655), 6e-8)
+    depths, h = np.linspace(-1.1, 1.1, 23), 1e-6
+    slopes = [(onset(d + h, 1.0)[0] - onset(d - h, 1.0)[0]) / (2.0 * h) for d in depths]
+    held &= check("slope of the onset", [onset(d, 1.0)[1] for d in depths], slopes, 1e-9)
+    held &= check("onset meets d at w", onset(1.0 - 1e-9, 1.0), (1.0 - 1e-9, 1.0), 1e-15)
+    return bool(held)
+
+
+if __name__ == "__main__":
+    sys.exit(not main())

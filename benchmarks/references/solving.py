@@ -105,7 +105,7 @@ def run(
         reached, stopped = solver.t, False
         before, level = level, event(solver.t, solver.y) if event else 1.0
         if event and before > 0.0 >= level:
-            reached = float(brentq(lambda t: event(t, landed(t)), old_time, solver.t, xtol=1e-300, rtol=1e-15))
+            reached = root(lambda t: event(t, landed(t)), old_time, solver.t)
             stopped = True
         while taken < times.size and times[taken] <= reached:
             states.append(landed(times[taken]))
@@ -113,6 +113,12 @@ def run(
         if stopped:
             return Solved(np.array(states), reached, landed(reached), True, steps)
     return Solved(np.array(states), end, states[-1], False, steps)
+
+
+def root(function: Callable[[float], float], low: float, high: float) -> float:
+    """A zero of ``function`` between two points where its signs differ, to the last digits."""
+    find: Any = brentq
+    return float(find(function, low, high, xtol=1e-18, rtol=1e-15))
 
 
 def check(name: str, found: Any, expected: Any, tolerance: float) -> bool:

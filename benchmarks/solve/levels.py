@@ -25,7 +25,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from bcfj_jax import scenes
-from bcfj_jax.analysis.envelope import measures
 from bcfj_jax.analysis.tradeoff.measures import Measured, errors, worst
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.models.joint.periodic import risen
@@ -95,7 +94,7 @@ def springs_down(kind: str, law: str, count: int, seed: int, ladder: Sequence[fl
         for a, b, c, d, t in zip(truth, other, code, code_2, grid, strict=True)
     ]
     for k, row in enumerate(rows):
-        row["measures"] = measures(scene, {name: value[k] for name, value in params.items()}, grid[k])
+        row["measures"] = scene.envelope({name: value[k] for name, value in params.items()}, grid[k])[0]
     for tolerance in ladder:
         found, code, steps = at(tolerance)
         for k, row in enumerate(rows):
@@ -131,7 +130,7 @@ def joints_down(count: int, seed: int, ladder: Sequence[float], wide: bool = Fal
         other, code_2, _ = at(tight[1]) if code == 0 else ({}, 1, 0)
         apart, apart_whole = both(other, truth, code == code_2 == 0)
         row: Row = {"law": "default", "apart": apart, "apart_whole": apart_whole, "error": [], "whole": [], "steps": []}
-        row["measures"] = measures(scene, params, JOINT_TIMES)
+        row["measures"] = scene.envelope(params, JOINT_TIMES)[0]
         for tolerance in ladder:
             # Without a truth there is no error to tell.
             found, code, steps = at(tolerance) if apart < LOST else ({}, 1, 0)

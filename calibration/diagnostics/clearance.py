@@ -55,12 +55,14 @@ def _missing(name: str, contact: str, mine: list[Contact]) -> str:
 def whole_contact_test(model: Model, seen: list[Contact], peaks_inside: bool) -> list[Test]:
     """Whether the data hold a contact from its start past its peak, for scenes whose records are of impacts.
 
+    Those are scenes that nothing turns: their bodies fly, touch and part.
+
     Args:
         model: what was fitted.
         seen: ``runs.contacts`` at the optimum.
         peaks_inside: whether the predicted force turns before the end of some record.
     """
-    if model.scene.kind not in ("impact", "bounce") or not model.channels:
+    if model.scene.traits.turning or not model.channels:
         return []
     touched = any(c.touching.any() for c in seen)
     reason = (

@@ -14,7 +14,6 @@ from bcfj_jax.analysis.derivatives.jacobian import Histories, channel_names
 from bcfj_jax.analysis.derivatives.measures import vector
 from bcfj_jax.analysis.derivatives.names import feature, members
 from bcfj_jax.mechanism.model import AbstractModel
-from bcfj_jax.models.joint.scene import Joint
 from calibration.problem import Experiment
 
 # A delay is sought over so many times its measured size, both signs together, and over so many samples at least.
@@ -109,7 +108,7 @@ def watches(scene: AbstractModel, experiments: tuple[Experiment, ...]) -> tuple[
 
 
 def _period(scene: AbstractModel, times: np.ndarray, found: Histories, channel: int, about: float) -> Array:
-    if isinstance(scene, Joint):
+    if scene.traits.turning:
         return _repeat(times, found.force[:, channel, 0], about)
     return _interval(times, found.penetration[:, channel], found.rate[:, channel])
 

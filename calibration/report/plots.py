@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bcfj_jax import Run, simulate
+from bcfj_jax.analysis.simulation.pictures import loops
 from bcfj_jax.io.outputs import channels
-from bcfj_jax.io.plots import COLOURS, engineering, figure, label, loops, save, style
+from bcfj_jax.io.plots import COLOURS, engineering, figure, label, save, style
 from calibration.diagnostics.records import Record
 from calibration.fit import Fit
 from calibration.problem import COMPONENTS, Problem

@@ -121,7 +121,7 @@ def _next(model: Model, leg: _Leg, ends: list[np.ndarray], points: np.ndarray, l
         return None
     if leg.reached == whole:
         return _Leg(whole, False, True)
-    if effort(model.scene).apart:  # A joint's contacts come when its drive brings them, never far off.
+    if model.scene.traits.turning:  # Contacts come when the drive brings them, never far off.
         return _Leg(leg.reached + 1, False, False)
     residuals, _ = evaluator(loosened(model), log_depth)(points)
     met = meets(model, residuals, ends)

@@ -10,7 +10,6 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from bcfj_jax.models.joint.scene import Joint
 from calibration.forward.model import Model
 
 # A contact rises above the rest level by so many deviations of the noise, or this share of the peak if that is more.
@@ -47,7 +46,7 @@ def stages(model: Model) -> list[np.ndarray]:
     fitted as the contact took: far from the truth a mass may come to rest, and vibrates all the way. The last stage is
     always all data; where each instant is solved for itself, it is the only one.
     """
-    if isinstance(model.scene, Joint) and model.scene.fidelity != "dynamic":
+    if not model.scene.traits.history:
         return [np.asarray(model.data.times)[:, -1]]
     times, values, weights = (np.asarray(a) for a in (model.data.times, model.data.values, model.data.weights))
     normal = [j for j, name in enumerate(model.channels) if name.endswith(".normal")]

@@ -9,7 +9,7 @@ import pytest
 
 from bcfj_jax import scenes, simulate
 from bcfj_jax.analysis import envelope
-from bcfj_jax.io.simulation_results import write
+from bcfj_jax.analysis.simulation.results import write
 from bcfj_jax.solve.integrate import LEVELS, plan
 from benchmarks.common import load
 from benchmarks.solve.levels import CERTAIN, KINDS, calm, compared, derived, joints_down, off, springs_down
@@ -85,7 +85,7 @@ def test_measures_by_hand():
     params = scene.parameters(
         mass=1.0, stiffness=1e6, approach_speed=1.0, dashpot=100.0, smoothing=1e-4, clearance_contact=1e-3
     )
-    found = envelope.measures(scene, params, np.array([0.0, 6e-3]))
+    found, _ = scene.envelope(params, np.array([0.0, 6e-3]))
     assert found == pytest.approx({"onset": 0.1, "loss": 0.1, "durations": 2.0}, rel=1e-6)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bcfj_jax import nonlinear, scenes
-from bcfj_jax.analysis.nonlinear import diagrams, modes, portraits
+from bcfj_jax.analysis.nonlinear import diagrams, modes
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.solve.simulation import Run
 
@@ -118,7 +118,7 @@ def test_what_is_wrong_with_a_picture_is_said(tmp_path):
         nonlinear.contact_portrait(run, "cage_bal", path)
     with pytest.raises(InputError, match="cage_turn"):
         nonlinear.state_portrait(run, scene, "cage_turn", path)
-    with pytest.raises(InputError, match="no joint"):
+    with pytest.raises(InputError, match="no members"):
         nonlinear.ball_loads(run, bounce, path)  # pyright: ignore[reportArgumentType]
     with pytest.raises(InputError, match="contact of a ball"):
         nonlinear.ball_loads(run, scene, path, contact="seat_cage")

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from oracles import impact, within
 
 from bcfj_jax import laws
+from bcfj_jax.contact.normal import onset_force
 from bcfj_jax.contact.restitution import (
     damped_penetration,
     delivered_restitution,
@@ -19,8 +20,6 @@ from bcfj_jax.contact.restitution import (
     undamped_penetration,
 )
 from bcfj_jax.core.numerics import smooth_ramp
-from bcfj_jax.mechanism.dynamics import normal_force
-from bcfj_jax.mechanism.scene import Contact
 
 
 def ramp_and_derivatives(x):
@@ -74,7 +73,7 @@ def test_smooth_ramp_is_finite_and_sharp_without_width(distance, width):
 @pytest.mark.parametrize("exponent", [1.0, 1.5, 3.0])
 @pytest.mark.parametrize("chi", [0.0, 0.634828])
 def test_smoothing_changes_neither_peak_nor_restitution(exponent, share, chi):
-    """The bound that ``dynamics.normal_force`` states, for an onset of width w = share * d0: no effect at all.
+    """The bound that ``onset_force`` states, for an onset of width w = share * d0: no effect at all.
 
     The elastic part keeps its potential, now along r(d), and (1 + a d') separates in the first integral; so the
     impulse m v0 (1 + e) is unchanged too. The duration grows by 2 w / v0, to first order.
@@ -84,10 +83,9 @@ def test_smoothing_changes_neither_peak_nor_restitution(exponent, share, chi):
     numbers = (params["stiffness"], exponent, mass, speed)
     depth = float(damped_penetration(chi, *numbers) if chi else undamped_penetration(*numbers))
     width = share * depth
-    contact = Contact("contact", gap=lambda q, p: -q[0], law=laws.make("memory_free"))
-    params["smoothing"] = width
+    law = laws.make("memory_free")
 
-    run = impact(jax.jit(lambda d, rate: normal_force(contact, d, rate, None, params)), mass, speed, onset=width)
+    run = impact(jax.jit(lambda d, rate: onset_force(law, d, rate, params, width)), mass, speed, onset=width)
     assert run.restitution == pytest.approx(float(delivered_restitution(chi)), abs=1e-8)
     assert run.penetration == within(depth, 1e-8)
     if not chi:  # a damped peak comes before the deepest point, and may lie inside the blend

@@ -15,10 +15,10 @@ import pytest
 from conftest import BUILD
 from typer.testing import CliRunner
 
+from bcfj_jax.analysis.simulation import pictures
+from bcfj_jax.analysis.simulation.results import FILES
 from bcfj_jax.cli import app, use_compile_cache
-from bcfj_jax.io import plots
 from bcfj_jax.io.scenefile import load
-from bcfj_jax.io.simulation_results import FILES
 
 pytestmark = pytest.mark.filterwarnings("error")
 
@@ -177,7 +177,7 @@ def test_an_interrupt_exits_5(monkeypatch, here):
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(plots, "forces", interrupted)
+    monkeypatch.setattr(pictures, "forces", interrupted)
     assert bcfj("simulate", "impact", "--out", "out").exit_code == 5
 
 

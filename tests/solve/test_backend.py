@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bcfj_jax import Body, Contact, InputError, Scene, force_history, laws, scenes, simulate
+from bcfj_jax import Body, Contact, InputError, Mechanism, force_history, scenes, simulate
 
 LANES = 20_000
 
@@ -52,24 +52,16 @@ def test_many_lanes_of_histories():
 
 def counted_scene():
     """An impact whose gap counts how often it is traced."""
-    built_in = scenes.impact("hertz", smoothing=False)
     count = [0]
 
-    def gap(q, params):
+    def depth(place, c):
         count[0] += 1
-        return params["clearance_contact"] - q[0]
+        return place[0] - c["clearance"]
 
-    scene = Scene(
-        kind="counted",
-        bodies=(Body("body"),),
-        contacts=(Contact("contact", gap, laws.make("hertz"), smoothed=False),),
-        loads=(),
-        needs=built_in.needs,
-        defaults=built_in.defaults,
-        start=built_in.start,
-        impact_scale=built_in.impact_scale,
-        horizon=built_in.horizon,
-    )
+    ball = Body("body", "slide", axis="x", mass="mass", start={"velocity": "approach_speed"})
+    wall = Contact("contact", ("ground", "body"), gaps.from_depth(depth, ("clearance",)), law="hertz", smoothing=False)
+    given = {"stiffness": 1.3476e10, "exponent": 1.5, "mass": 0.016731, "approach_speed": 1.5, "clearance_contact": 0.0}
+    scene = Mechanism("counted", (ball,), (wall,), given=given)
     return scene, count
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from bcfj_jax.mechanism.structure import Dense
 from bcfj_jax.solve import bdf
 from bcfj_jax.solve.sdirk import Sdirk
-from bcfj_jax.mechanism.structure import Dense
 
 TIMES = np.sort(np.concatenate([[0.0, 3.0], np.random.default_rng(1).uniform(0, 3, 200)]))
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from bcfj_jax.mechanism.structure import Dense
 from bcfj_jax.solve.rodas import Rodas
 from bcfj_jax.solve.sdirk import Sdirk
-from bcfj_jax.mechanism.structure import Dense
 
 
 def pol(t, y, mu):

@@ -82,7 +82,9 @@ def confirm(
     Raises:
         InputError: as ``simulate``.
     """
-    both = [{name: jnp.asarray(x, dtype=float) for name, x in params.items()} for params in designs]
+    # Another model may not have every parameter.
+    known = judge.quantities
+    both = [{name: jnp.asarray(x, dtype=float) for name, x in one.items() if name in known} for one in designs]
     runs = [simulate(judge, params, times, accuracy=accuracy, solver=solver) for params in both]
     tables = [features(run, judge, times, objective) for run in runs]
     before, after = (float(objective.of([jnp.asarray(x) for x in table.values()])) for table in tables)

@@ -147,7 +147,7 @@ def ball_loads(
     """
     members = {name: count for name, count in scene.members.items() if count}
     if not (scene.drive_coordinate and members):
-        raise InputError("scene", f"'{scene.kind}' has no members around a drive: it has no balls", "give a joint")
+        raise InputError("scene", f"'{scene.kind}' has no members around a drive", "give a joint: it has balls")
     _known(contact, members, "contact of a ball")
     if run.trajectory is None:
         raise InputError("run", "holds no states", "take one that simulate made")

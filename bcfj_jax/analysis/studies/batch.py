@@ -1,7 +1,7 @@
 """Many points at once: how each run ended, its features, and on request its forces. One program a size of batch.
 
-Scenes with a history go through ``lanes``; equilibria and closed forms, all of equal cost, side by side. On several
-devices each has its own part of the batch and its own queue.
+Scenes with a history go through a batch with a work queue; instants that are solved for themselves, each run from the one
+before it. On several devices each has its own part of the batch and its own queue.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-import diffrax as dfx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,8 +22,7 @@ from bcfj_jax.analysis.features import contact_interval
 from bcfj_jax.analysis.histories import delay, settled_period
 from bcfj_jax.core.status import OK, reason
 from bcfj_jax.mechanism.model import AbstractModel
-from bcfj_jax.models.joint.scene import Joint
-from bcfj_jax.solve.integrate import Plan, integrate
+from bcfj_jax.solve.integrate import Plan
 from bcfj_jax.solve.simulation import readings
 from bcfj_jax.solve.work_queue import equilibria, integrate_lanes
 
@@ -56,8 +54,8 @@ class Batch(NamedTuple):
 
 
 def has_history(scene: AbstractModel) -> bool:
-    """Whether the scene is integrated."""
-    return not isinstance(scene, Joint) or scene.fidelity == "dynamic"
+    """Whether the scene is integrated; not of one whose level is yet to be chosen."""
+    return scene.traits.history and not scene.traits.open
 
 
 def slots() -> int:
@@ -80,7 +78,7 @@ def run(
     """Run N points, N at most ``size``.
 
     Args:
-        scene: of fixed fidelity.
+        scene: one whose level is chosen.
         params: leaves (N,).
         ends: (N,) last time of each [s].
         grid: (T,) from 0 to 1.
@@ -154,11 +152,8 @@ def _part(
     rounds = jnp.asarray(0)
     if has_history(scene):
         solution, rounds = integrate_lanes(scene, params, ends, jnp.asarray(grid), how, count, min(slots(), ends.size))
-    elif isinstance(scene, Joint) and scene.fidelity == "quasistatic":
-        solution = equilibria(scene, params, ends, jnp.asarray(grid))
     else:
-        alone = lambda params, end: integrate(scene, params, end * grid, how, dfx.ForwardMode())  # noqa: E731
-        solution = jax.vmap(alone)(params, ends)
+        solution = equilibria(scene, params, ends, jnp.asarray(grid))
     features, *read = jax.lax.map(look, (params, ends, solution.states), batch_size=min(_AT_ONCE, ends.size))
     return features, solution.code, solution.end, solution.accepted + solution.rejected, rounds, *read
 
@@ -172,7 +167,7 @@ def _on_host(
 
     def cycle(name: str) -> float:
         at = place[name]
-        if isinstance(scene, Joint):
+        if scene.traits.turning:
             return settled_period(grid, force[:, at])
         return contact_interval(grid, depth[:, at], rate[:, at])
 

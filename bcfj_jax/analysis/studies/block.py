@@ -26,11 +26,10 @@ from bcfj_jax.core.quantities import ORDERED, check_order, check_value
 from bcfj_jax.core.status import reason
 from bcfj_jax.io import outputs
 from bcfj_jax.io.journal import key_of
-from bcfj_jax.models.joint.scene import AUTO, Joint
 from bcfj_jax.solve.integrate import LEVELS, Plan, plan, problem
 from bcfj_jax.solve.simulation import simulate
 
-# Points of a block: of a joint's motion, of all else. Enough to fill the slots several times over,
+# Points of a block: of the motion of a large model, of all else. Enough to fill the slots several times over,
 # few enough that little is lost with one; and numbers of state that a block may hold at once.
 _OF_MOTION, _OTHERS, _FEWEST, _NUMBERS = 64, 512, 4, 2**24
 # A run that failed is tried once more with steps of so much less error.
@@ -70,9 +69,9 @@ class Blocks:
     def __init__(self, study: Study) -> None:
         self.study = study
         scene = study.given.scene
-        joint = isinstance(scene, Joint)
-        few = _OF_MOTION if joint and has_history(scene) else _OTHERS
-        held = _NUMBERS // ((64 if joint else 4) * len(study.given.times))
+        large = scene.traits.large
+        few = _OF_MOTION if large and has_history(scene) else _OTHERS
+        held = _NUMBERS // ((64 if large else 4) * len(study.given.times))
         # Four blocks at least, so that there is work for several.
         self.size = max(_FEWEST, min(few, held, -(-study.count // 4)))
 
@@ -109,8 +108,8 @@ class Blocks:
 def predicted_cost(study: Study) -> np.ndarray:
     """(N,) of each point in units of its own: the time simulated over a contact's time; 1 where all cost alike."""
     scene = study.given.scene
-    if not has_history(scene) or isinstance(scene, Joint):
-        # A joint's steps are set by its contacts, which begin and end with its turns.
+    if not has_history(scene) or scene.traits.turning:
+        # Steps are set by the contacts, which begin and end with the turns.
         turns = has_history(scene) and "drive_speed" in study.names
         return np.abs(study.points[:, study.names.index("drive_speed")]) if turns else np.ones(study.count)
     how = plan(scene, study.given.accuracy)
@@ -176,14 +175,14 @@ def compute(study: Study, at: np.ndarray, size: int) -> Table:
 def _run(study: Study, values: np.ndarray, last: np.ndarray, grid: np.ndarray, size: int, safety: float) -> Batch:
     given = study.given
     scene: Any = given.scene
-    if study.derivatives or given.solver is not None or (isinstance(scene, Joint) and scene.fidelity == AUTO):
+    if study.derivatives or given.solver is not None or scene.traits.open:
         return _one_by_one(study, values, last, grid, safety)
     how = Plan(safety * plan(scene, given.accuracy).tolerance, given.max_steps)
     return run(scene, study.params(values), last, grid, study.features, how, size, study.histories)
 
 
 def _one_by_one(study: Study, values: np.ndarray, last: np.ndarray, grid: np.ndarray, safety: float) -> Batch:
-    """As ``batch.run``, for what has no batch: derivatives, a solver of one's own, a fidelity to be chosen."""
+    """As ``batch.run``, for what has no batch: derivatives, a solver of one's own, a level to be chosen."""
     given = study.given
     scene, contacts, params = given.scene, given.scene.members, study.params(values)
     rows: list[tuple] = []
@@ -206,7 +205,7 @@ def _one_by_one(study: Study, values: np.ndarray, last: np.ndarray, grid: np.nda
             value, slopes = (Histories(read[0], read[1], read[2], None), _no_slopes(read))
             why, stop = single.reason, single.failure_time
             steps = int(single.stats["accepted"] + single.stats["rejected"])
-        numbers, by = measure(times, value, slopes, study.features, contacts, isinstance(scene, Joint))
+        numbers, by = measure(times, value, slopes, study.features, contacts, scene.traits.turning)
         row = np.concatenate([numbers, by.ravel()])
         rows.append((np.full_like(row, np.nan) if why else row, why, stop, steps, value.force))
     features, whys, stop, steps, force = zip(*rows, strict=True)

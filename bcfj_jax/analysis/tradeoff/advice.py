@@ -21,7 +21,6 @@ from bcfj_jax.analysis.tradeoff.measures import MAIN, worst
 from bcfj_jax.analysis.tradeoff.reference import Reference
 from bcfj_jax.analysis.tradeoff.settings import AS_GIVEN, Setting
 from bcfj_jax.analysis.tradeoff.study import OK, Study
-from bcfj_jax.models.joint.scene import FIDELITIES
 
 BUDGETS = (0.1, 0.05, 0.02, 0.01, 0.005, 0.001)
 SAFETY = 2.0
@@ -95,8 +94,7 @@ def _one(study: Study, known: Sequence[float], budget: float, trusted: bool) -> 
 
 def asks(setting: Setting, budget: float) -> bool:
     """Whether a setting asks for a budget, or for less; equilibria and closed forms ask for no error."""
-    static = setting.table["scene"].get("fidelity") in FIDELITIES[:-1]
-    return static or setting.error <= budget
+    return not setting.integrated or setting.error <= budget
 
 
 def shared(advice: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:

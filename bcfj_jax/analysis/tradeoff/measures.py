@@ -9,9 +9,10 @@
 | ``dissipated_error`` | difference of the work on all members | the same of all contacts |
 
 A contact's peak is the reference's largest normal force over the times and its members. The period is the mean interval
-of contacts, in a joint that of the force's history (``histories.period``, last two thirds); nan where the reference has
-none, 1 where only the reference has one. The work on a contact is the integral of F dd + |F_friction| slip dt over the
-run, so that what is still stored at its end counts; nan for a scene that loses less than a millionth of what it moves.
+of contacts, of a scene that turns that of the force's history (``histories.period``, last two thirds); nan where the
+reference has none, 1 where only the reference has one. The work on a contact is the integral of F dd + |F_friction| slip
+dt over the run, so that what is still stored at its end counts; nan for a scene that loses less than a millionth of what
+it moves.
 """
 
 from __future__ import annotations
@@ -48,8 +49,14 @@ class Measured(NamedTuple):
     moved: np.ndarray
 
 
-def measured(run: Run, times: np.ndarray) -> Measured:
-    """A good run's forces at the times, straight lines between its own where these differ; the rest on its own."""
+def measured(run: Run, times: np.ndarray, turning: bool) -> Measured:
+    """A good run's forces at the times, straight lines between its own where these differ; the rest on its own.
+
+    Args:
+        run: what was simulated.
+        times: (T,) [s].
+        turning: whether the period is that of the forces' history (``ModelTraits``).
+    """
     force, depth, rate = channels(run.force, 1), channels(run.penetration), channels(run.rate)
     slip = channels(run.slip)
     owners = [k for k, part in enumerate(run.force.values()) for _ in range(part.shape[1] if part.ndim == 3 else 1)]
@@ -63,16 +70,16 @@ def measured(run: Run, times: np.ndarray) -> Measured:
             rubbed = np.trapezoid(np.hypot(part[:, 1], part[:, 2]) * slip[name], run.times)
         work.append(step.sum() + rubbed)
         moved.append(np.abs(step).sum() + rubbed)
-        period.append(_period(run, normal, depth[name], rate[name]))
+        period.append(
+            _repeats(run, normal) if turning else features.contact_interval(run.times, depth[name], rate[name])
+        )
     if len(times) != len(run.times):
         flat = stacked.reshape(len(run.times), -1)
         stacked = np.stack([np.interp(times, run.times, x) for x in flat.T], 1).reshape(len(times), *stacked.shape[1:])
     return Measured(stacked, np.array(owners), np.array(period), np.array(work), np.array(moved))
 
 
-def _period(run: Run, normal: np.ndarray, depth: np.ndarray, rate: np.ndarray) -> float:
-    if not run.slip:
-        return features.contact_interval(run.times, depth, rate)
+def _repeats(run: Run, normal: np.ndarray) -> float:
     settled = (float(run.times[-1]) / 3.0, float(run.times[-1]))
     enough = np.count_nonzero(run.times >= settled[0]) > 10
     return histories.period(run.times, normal, settled) if enough else float("nan")

@@ -15,30 +15,31 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bcfj_jax.analysis.tradeoff.measures import Measured, derivative_error, errors, measured, worst
-from bcfj_jax.analysis.tradeoff.settings import overlaid
+from bcfj_jax.analysis.tradeoff.settings import level, overlaid
 from bcfj_jax.analysis.tradeoff.trial import loaded, parameters, slopes, trial
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.io.outputs import atomic
 from bcfj_jax.io.scenefile import SceneFile
-from bcfj_jax.models.joint.scene import Joint
 from bcfj_jax.solve.integrate import MAX_STEPS
 from bcfj_jax.solve.simulation import Run
 
 NAME = "reference.npz"
 # Below this many times its own error a reference tells settings apart no more.
 TELLS = 3.0
-# Solver and force error, rung by rung; of those in a rung the first two that succeed.
-_SPRINGS = tuple(tuple((solver, e) for solver in ("tsit5", "kvaerno5", "bosh3")) for e in (1e-7, 1e-9))
-_JOINT = tuple((("bdf", e), ("rodas3", 100 * e), ("sdirk2", 100 * e)) for e in (1e-7, 1e-8, 1e-9))
-# The same of derivatives. SDIRK2's are not in its step control, so that a tighter tolerance is not a better one: of the
-# joint both are run, and the nearer witnesses (docs/derivatives.md has tighter ones, which are worse).
+# By whether the scene is stiff: solver and force error, step by step; of those in a step the first two that succeed.
+_METHODS = {
+    False: tuple(tuple((solver, e) for solver in ("tsit5", "kvaerno5", "bosh3")) for e in (1e-7, 1e-9)),
+    True: tuple((("bdf", e), ("rodas3", 100 * e), ("sdirk2", 100 * e)) for e in (1e-7, 1e-8, 1e-9)),
+}
+# The same of derivatives. SDIRK2's are not in its step control, so that a tighter tolerance is not a better one: both
+# are run, and the nearer witnesses (docs/derivatives.md has tighter ones, which are worse).
 _SLOPES = {
     False: (("tsit5", 1e-9), ("kvaerno5", 1e-8), ("bosh3", 1e-8)),
     True: (("bdf", 1e-6), ("sdirk2", 2e-3), ("sdirk2", 1e-3)),
 }
 # Worst difference at which tightening ends.
 _GOAL = {False: 1e-8, True: 1e-5}
-# A rung costs at most so many times the one before.
+# A step of tightening costs at most so many times the one before.
 _DEARER = 5.0
 
 
@@ -94,7 +95,7 @@ def reference(
 
 
 def _still(given: SceneFile) -> bool:
-    return isinstance(given.scene, Joint) and given.scene.fidelity != "dynamic"
+    return not given.scene.traits.history
 
 
 def _method(given: SceneFile, solver: str, error: float) -> SceneFile:
@@ -106,8 +107,7 @@ def _method(given: SceneFile, solver: str, error: float) -> SceneFile:
 def _values(given: SceneFile, left: Callable[[], float], say: Callable[[str], None]) -> tuple[Any, dict[str, Any]]:
     best: dict[str, Any] = {"status": "failed", "reason": "", "methods": [], "errors": {}}
     truth, failures, spent = None, [], 0.0
-    joint = isinstance(given.scene, Joint)
-    for candidates in _rungs(given):
+    for candidates in _candidates(given):
         if truth is not None and spent * _DEARER > left() / 3.0:
             best["reason"] = "a tighter one would take more than a third of the time left"
             break
@@ -120,7 +120,7 @@ def _values(given: SceneFile, left: Callable[[], float], say: Callable[[str], No
                 continue
             spent += found.cost["wall_s"]
             if found.run.status == "ok":
-                pair.append((label | found.cost, measured(pick(found.run), given.times)))
+                pair.append((label | found.cost, measured(pick(found.run), given.times, given.scene.traits.turning)))
             else:
                 failures.append(f"{label['solver']}: {found.run.reason}")
             if len(pair) == 2:
@@ -134,28 +134,28 @@ def _values(given: SceneFile, left: Callable[[], float], say: Callable[[str], No
         truth = truth_now
         best |= {"status": "ok", "methods": [first, second], "errors": apart}
         say(f"reference: {first['solver']} and {second['solver']} differ by {worst(apart):.1e}")
-        if worst(apart) <= _GOAL[joint]:
+        if worst(apart) <= _GOAL[given.scene.traits.stiff]:
             break
     if truth is None:
         best["reason"] = f"no two methods reached the end: {'; '.join(failures)}"
     return truth, best
 
 
-def _rungs(given: SceneFile) -> Iterator[list[tuple[dict[str, Any], SceneFile, Callable[[Run], Run]]]]:
-    """Rungs of candidates: a label, the scene file, and what turns its run into one at the user's times."""
+def _candidates(given: SceneFile) -> Iterator[list[tuple[dict[str, Any], SceneFile, Callable[[Run], Run]]]]:
+    """Ever tighter candidates: a label, the scene file, and what turns its run into one at the user's times."""
     if _still(given):
         count = given.resolved["time"]["samples"]
         double = loaded(overlaid(given.resolved, {"time": {"samples": 2 * count - 1}}))
-        label = {"solver": given.resolved["scene"]["fidelity"], "force_error": float("nan")}
+        label = {"solver": level(given), "force_error": float("nan")}
         yield [
             (label, given, lambda run: run),
             ({**label, "solver": label["solver"] + ", other starts"}, double, _half),
         ]
         return
-    for rung in _JOINT if isinstance(given.scene, Joint) else _SPRINGS:
+    for methods in _METHODS[given.scene.traits.stiff]:
         yield [
             ({"solver": solver, "force_error": error}, _method(given, solver, error), lambda run: run)
-            for solver, error in rung
+            for solver, error in methods
         ]
 
 
@@ -168,8 +168,8 @@ def _half(run: Run) -> Run:
 def _slopes(given: SceneFile, names: tuple[str, ...]) -> tuple[np.ndarray | None, dict[str, Any]]:
     truth, first, failures = None, {}, []
     witnesses: list[tuple[float, dict[str, Any]]] = []
-    joint = isinstance(given.scene, Joint)
-    for solver, error in _SLOPES[joint]:
+    stiff = given.scene.traits.stiff
+    for solver, error in _SLOPES[stiff]:
         if solver == first.get("solver"):
             continue
         each = slopes(_method(given, solver, error), names)
@@ -181,7 +181,7 @@ def _slopes(given: SceneFile, names: tuple[str, ...]) -> tuple[np.ndarray | None
             truth, first = each.value, told
             continue
         witnesses.append((derivative_error(each.value, truth), told))
-        if not joint:
+        if not stiff:
             break
     said = {"parameters": names, "methods": [first] if first else [], "error": float("nan")}
     said["reason"] = "; ".join(failures)

@@ -15,27 +15,19 @@ from bcfj_jax.contact.laws import FRICTION
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.io.outputs import plain
 from bcfj_jax.io.scenefile import SceneFile
-from bcfj_jax.mechanism.dynamics import state_scales
 from bcfj_jax.mechanism.model import AbstractModel
-from bcfj_jax.mechanism.scene import Scene
 from bcfj_jax.models import scenes
-from bcfj_jax.models.joint.scales import scales as joint_scales
-from bcfj_jax.models.joint.scene import AUTO, FIDELITIES, Joint
 from bcfj_jax.solve import named
 from bcfj_jax.solve.integrate import LEVELS, plan
 
 AS_GIVEN = "as given"
 ERRORS = (0.2, 0.1, 0.05, 0.02, 0.01, 5e-3, 2e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 1e-6)
-# Force errors at which anything but the tolerance is tried; the joint's runs are dear.
-_KNOBS_AT = {"springs": (1e-2, 1e-3), "joint": (5e-3,)}
+# Force errors at which anything but the tolerance is tried, by whether the scene is large: its runs are dear.
+_KNOBS_AT = {False: (1e-2, 1e-3), True: (5e-3,)}
 _WIDTHS_OF_DEPTH = (0.01, 0.03, 0.1, 0.3)
 _FACTORS = {"smoothing": (0.25, 0.5, 2.0, 4.0), "friction_speed": (1 / 3, 2.0, 3.0, 10.0)}
 _THINNED = (4, 16)
 _PHYSICS = {
-    "fidelity": {
-        "quasistatic": "equilibrium at each instant: no inertia, no friction, no damping, no impacts",
-        "kinematic": "closed-form load sharing: no clearance, no friction, no inertia",
-    },
     "smoothing": "the onset of penetration is {:.2g} times as wide: contacts begin {}",
     "friction_speed": "friction's transition speed is {:.2g} times the given: what sticks creeps {}",
     "output": "a sample of every {} is kept, straight lines between: peaks between samples are cut",
@@ -59,6 +51,7 @@ class Setting:
         physics: what it changes in the model, in words; "" where only numbers are computed in another way.
         derivatives: whether its derivatives are measured, too.
         bits: of the numbers it is computed in.
+        integrated: whether its model takes steps; a model that is solved instant by instant asks for no error.
     """
 
     name: str
@@ -70,6 +63,7 @@ class Setting:
     physics: str = ""
     derivatives: bool = False
     bits: int = 64
+    integrated: bool = True
 
     @property
     def digest(self) -> str:
@@ -87,13 +81,19 @@ def overlaid(resolved: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str
     if "accuracy" in change:
         table["accuracy"] = {"max_steps": resolved["accuracy"]["max_steps"], **change["accuracy"]}
     if "scene" in change:
-        options = {name: value for name, value in table["scene"].items() if name != "kind"}
-        try:
-            known = scenes.make(table["scene"]["kind"], **options).quantities
-        except InputError:
-            return table  # It will say why when it is run.
+        model = _made(table)
+        known = model.quantities if model else table["parameters"]
         table["parameters"] = {name: value for name, value in table["parameters"].items() if name in known}
     return table
+
+
+def _made(table: Mapping[str, Any]) -> AbstractModel | None:
+    """The model that a scene file's content names; None for options that make none, which a run will say."""
+    options = {name: value for name, value in table["scene"].items() if name != "kind"}
+    try:
+        return scenes.make(table["scene"]["kind"], **options)
+    except InputError:
+        return None
 
 
 def own_error(given: SceneFile) -> float:
@@ -103,7 +103,17 @@ def own_error(given: SceneFile) -> float:
 
 def own_solver(given: SceneFile) -> str:
     """The solver of the user's own file."""
-    return given.solver or ("rodas3" if isinstance(given.scene, Joint) else "tsit5")
+    return given.solver or _default_solver(given)
+
+
+def _default_solver(given: SceneFile) -> str:
+    return named.known(given.scene.traits.stiff)[0]
+
+
+def level(given: SceneFile) -> str:
+    """The level of the user's own model as its file names it; what a sentence calls a model without levels."""
+    option = next(iter(given.scene.choice_options()), None)
+    return given.resolved["scene"][option] if option else given.scene.title
 
 
 def rungs(scene: AbstractModel, errors: tuple[float, ...] = ERRORS) -> list[float]:
@@ -121,11 +131,13 @@ def settings(given: SceneFile, only: Sequence[str] = (), derivatives: bool = Tru
         derivatives: whether derivatives are measured where they can be.
 
     Raises:
-        InputError: for a group or a solver that this scene has not, with the nearest that it has, and for a joint of
-            fidelity "auto".
+        InputError: for a group or a solver that this scene has not, with the nearest that it has, and for a model whose
+            level is yet to be chosen.
     """
-    if isinstance(given.scene, Joint) and given.scene.fidelity == AUTO:
-        raise InputError("[scene] fidelity", f"'{AUTO}' is no model to compare with", "give dynamic: all are tried")
+    if given.scene.traits.open:
+        option, value = next(iter(given.scene.choice_options().items()))
+        remedy = f"give {given.scene.coarser()[-1].name}: all are tried"
+        raise InputError(f"[scene] {option}", f"'{value}' is no model to compare with", remedy)
     every = _every(given)
     known = dict.fromkeys([s.group for s in every] + [s.ladder for s in every if s.group == "tolerance"])
     for name in only:
@@ -136,7 +148,7 @@ def settings(given: SceneFile, only: Sequence[str] = (), derivatives: bool = Tru
 
 
 def _every(given: SceneFile) -> list[Setting]:
-    moves = not (isinstance(given.scene, Joint) and given.scene.fidelity != "dynamic")
+    moves = given.scene.traits.history
     solver = own_solver(given) if moves else "none"
     # An empty change: the file as it stands.
     own = Setting(AS_GIVEN, "tolerance", solver, own_error(given), given.resolved, derivatives=moves)
@@ -148,7 +160,7 @@ def _every(given: SceneFile) -> list[Setting]:
         if key not in seen:
             seen.add(key)
             found.append(setting)
-    return found
+    return found if moves else [replace(setting, integrated=False) for setting in found]
 
 
 def _same(table: Mapping[str, Any]) -> str:
@@ -161,8 +173,7 @@ def _same(table: Mapping[str, Any]) -> str:
 
 def _accuracy(given: SceneFile, error: float, solver: str | None = None) -> dict[str, Any]:
     chosen = solver or given.solver
-    default = "rodas3" if isinstance(given.scene, Joint) else "tsit5"
-    return {"force_error": error} | ({"solver": chosen} if chosen and chosen != default else {})
+    return {"force_error": error} | ({"solver": chosen} if chosen and chosen != _default_solver(given) else {})
 
 
 def _percent(error: float) -> str:
@@ -170,31 +181,32 @@ def _percent(error: float) -> str:
 
 
 def _tolerances(given: SceneFile) -> Iterator[Setting]:
-    joint = isinstance(given.scene, Joint)
-    for solver in named.STIFF if joint else named.NOT_STIFF:
+    stiff = given.scene.traits.stiff
+    for solver in named.known(stiff):
         for place, error in enumerate(rungs(given.scene)):
             change = {"accuracy": _accuracy(given, error, solver)}
             # The tangents' own control below 5e-4 is BDF's; looser ones are SDIRK2's (integrate).
             fit = {"sdirk2": error >= 5e-4, "bdf": 1e-5 <= error < 5e-4, "rodas3": False}
-            wanted = fit[solver] if joint else place % 2 == 0
+            wanted = fit[solver] if stiff else place % 2 == 0
             name, table = f"{solver} at {_percent(error)}", overlaid(given.resolved, change)
             yield Setting(name, "tolerance", solver, error, table, change, derivatives=wanted)
 
 
 def _fidelities(given: SceneFile) -> Iterator[Setting]:
-    if not isinstance(given.scene, Joint):
-        return
-    for fidelity in FIDELITIES[: FIDELITIES.index(given.scene.fidelity)]:
-        change = {"scene": {"fidelity": fidelity}}
-        physics = _PHYSICS["fidelity"][fidelity]
+    for coarse in given.scene.coarser():
+        change = {"scene": coarse.options}
         table = overlaid(given.resolved, change)
+        model = _made(table)
+        steps = model is None or model.traits.history
         # Sorted first: nothing is as cheap.
-        yield Setting(fidelity, "fidelity", fidelity, 1.0, table, change, physics)
+        yield Setting(
+            coarse.name, "fidelity", coarse.name, 1.0, table, change, coarse.physics, integrated=steps
+        )  # fmt: skip
 
 
 def _knobs(given: SceneFile, moves: bool) -> Iterator[Setting]:
     scene, values = given.scene, given.resolved["parameters"]
-    joint = isinstance(scene, Joint)
+    large = scene.traits.large
     changes: list[tuple[str, str, dict[str, Any], str]] = []
     if "smoothing" in values and not values["smoothing"]:
         changes.append(("smoothing", "without smoothing", {"scene": {"smoothing": False}}, ""))
@@ -221,11 +233,11 @@ def _knobs(given: SceneFile, moves: bool) -> Iterator[Setting]:
             at = {**change, "accuracy": _accuracy(given, error)} if moves else change
             title = f"{name} at {_percent(error)}" if moves else name
             table = overlaid(given.resolved, at)
-            yield Setting(title, group, name, error, table, at, physics, derivatives=not joint and group == "smoothing")
+            yield Setting(title, group, name, error, table, at, physics, derivatives=not large and group == "smoothing")
 
 
 def _knobs_at(scene: AbstractModel) -> list[float]:
-    return rungs(scene, _KNOBS_AT["joint" if isinstance(scene, Joint) else "springs"])
+    return rungs(scene, _KNOBS_AT[scene.traits.large])
 
 
 def _precisions(given: SceneFile, moves: bool) -> Iterator[Setting]:
@@ -238,10 +250,7 @@ def _precisions(given: SceneFile, moves: bool) -> Iterator[Setting]:
 
 def _depth(given: SceneFile) -> float:
     """A typical penetration [m]."""
-    if isinstance(given.scene, Joint):
-        return float(joint_scales(given.scene, given.params)[0])
-    assert isinstance(given.scene, Scene)
-    return float(state_scales(given.scene, given.params)[0])
+    return float(given.scene.error_scale(given.params)[0])
 
 
 def _outputs(given: SceneFile) -> Iterator[Setting]:

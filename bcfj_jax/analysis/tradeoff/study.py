@@ -149,7 +149,7 @@ def _measured(given: SceneFile, file: SceneFile, setting: Setting, truth: Refere
     row: dict[str, Any] = {**cost, "precision": f"float{setting.bits}"}
     if found.status != "ok":
         return row | {"status": FAILED, "reason": f"{found.reason}, at {found.failure_time:g} s"}
-    row |= {"status": OK, **errors(measured(found, given.times), truth.truth, given.times)}
+    row |= {"status": OK, **errors(measured(found, given.times, given.scene.traits.turning), truth.truth, given.times)}
     row["at_reference"] = worst(row) <= truth.floor
     if setting.derivatives and truth.slopes is not None:
         each = slopes(file, tuple(truth.certificate["derivatives"]["parameters"]))

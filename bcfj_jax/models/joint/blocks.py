@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
+from bcfj_jax.core.small import block_diagonal
 from bcfj_jax.models.joint import system
 from bcfj_jax.models.joint.bristles import Freed, effective, free
 from bcfj_jax.models.joint.constants import BALLS, Constants
@@ -26,7 +27,6 @@ from bcfj_jax.models.joint.contacts import dot
 from bcfj_jax.models.joint.guides import BODIES, GUIDES
 from bcfj_jax.models.joint.scene import Joint
 from bcfj_jax.models.joint.slopes import Slopes, slopes
-from bcfj_jax.core.small import block_diagonal
 
 
 class Bristled(NamedTuple):

@@ -1,14 +1,14 @@
-"""The joint's default numbers, each with where it is from. Nothing here is a measurement of the paper's joint.
-
-"paper": Zhu et al., Machines 2023, 11(4), 466. "group": sizes of the optimised joint of the same group (Energies
-2022, 15, 7591), read as sphere diameters. "derived": computed from these. "GUESS": within the ranges usual for such
-joints.
-"""
+"""The joint's default numbers, each with where it is from. Nothing here is a measurement of the paper's joint."""
 
 from __future__ import annotations
 
 import math
 
+LEGEND = (
+    "paper: Zhu et al., Machines 2023, 11(4), 466. group: sizes of the same group's optimised joint (Energies 2022, 15, "
+    "7591), read as sphere diameters. derived: computed from these. GUESS: nowhere stated, chosen within what is usual. "
+    "None of them was measured."
+)
 DEFAULTS: dict[str, tuple[float, str]] = {
     "drive_speed": (100.0 * 2.0 * math.pi / 60.0, "paper: 100 r/min"),
     "load_torque": (1800.0, "paper: resisting torque 1.8 kN m"),

@@ -19,7 +19,17 @@ from jax.typing import ArrayLike
 from bcfj_jax.contact import laws as normal_laws
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.status import OK, UNBALANCED
-from bcfj_jax.mechanism.model import AbstractModel, Coarser, Flows, ModelTraits, Params, Reading, Solution
+from bcfj_jax.mechanism.model import (
+    AbstractModel,
+    BodyMotion,
+    Coarser,
+    Flows,
+    ModelTraits,
+    Params,
+    Reading,
+    Solution,
+)
+from bcfj_jax.mechanism.structure import AbstractStructure
 from bcfj_jax.models.joint import envelope, summary, system
 from bcfj_jax.models.joint.arrowhead import Arrowhead
 from bcfj_jax.models.joint.checks import check_joint
@@ -27,7 +37,7 @@ from bcfj_jax.models.joint.constants import constants
 from bcfj_jax.models.joint.energy import power, stored
 from bcfj_jax.models.joint.fidelity import adaptive, resolved
 from bcfj_jax.models.joint.kinematic import kinematic_readings, kinematic_states
-from bcfj_jax.models.joint.observe import observe, observe_at_rest, whole
+from bcfj_jax.models.joint.observe import BODIES, motions, observe, observe_at_rest, whole
 from bcfj_jax.models.joint.periodic import risen
 from bcfj_jax.models.joint.quasistatic import quasistatic
 from bcfj_jax.models.joint.scales import scales, tolerance
@@ -46,7 +56,6 @@ from bcfj_jax.models.joint.scene import (
     JointContact,
 )
 from bcfj_jax.models.joint.start import nominal
-from bcfj_jax.mechanism.structure import AbstractStructure
 
 # What the levels without inertia leave out.
 _PHYSICS = {
@@ -125,6 +134,15 @@ class JointModel(Joint):
         look = observe_at_rest if self.fidelity == "quasistatic" else observe
         return look(self, prepared, y)
 
+    @property
+    def body_names(self) -> tuple[str, ...]:
+        """Of a joint in motion; without inertia nothing has an acceleration."""
+        return BODIES if self.in_motion else ()
+
+    def motions(self, t: Array, y: Array, prepared: Any) -> dict[str, BodyMotion]:
+        """``observe.motions``."""
+        return motions(self, prepared, t, y)
+
     def flows(self, t: Array, y: Array, prepared: Any) -> Flows:
         """``energy.power`` and ``energy.stored``."""
         if not self.in_motion:
@@ -199,6 +217,11 @@ class JointModel(Joint):
         """When the load has risen and a ball's pitch has passed."""
         return risen(self, params, 1)
 
+    @property
+    def settled_when(self) -> str:
+        """As ``settled_from``."""
+        return "the load has risen and a ball's pitch has passed"
+
     def full(self) -> AbstractModel:
         """Its motion."""
         return resolved(self, "dynamic")
@@ -261,16 +284,18 @@ def joint(
         law, elastic, smoothing: as ``impact``, for every contact. A law stated by restitution takes the parameter
             ``approach_speed`` for all impacts, as the paper does.
         friction: False for none, True for Brown-McPhee, or a name of ``laws.FRICTION``.
-        laws, frictions: other normal-force and friction laws for contacts by name.
-        contacts: those in the program (``joint.scene.CONTACTS``); by default all, less seat_cage if the cage is fixed.
-        track: "gothic" or "circular" section of the tracks.
-        spin: whether balls turn, and so roll; without, a ball is a particle at its centre.
-        cage: "free", or "fixed" to the bisecting plane.
-        head: "free" to shift, or "fixed" at the centre; it turns either way.
-        drive: "prescribed" speed of the seat, or "flexible".
-        fidelity: "dynamic"; "quasistatic": equilibrium at each angle; "kinematic": closed-form load sharing; "auto":
-            ``simulate`` takes the cheapest that keeps the accuracy asked for (``bcfj_jax.models.joint.fidelity``).
-        balls: their number, at least 3.
+        laws, frictions: other normal-force and friction laws for single contacts, by name.
+        contacts: those there are; by default all, but seat_cage where the cage is fixed. Balls need both of theirs.
+        track: one of gothic, circular: two flanks at the contact angle, or one, of the ball's radius and clearance.
+        spin: true lets the balls turn, and so roll; without, a ball is a particle at its centre.
+        cage: one of free, fixed: to the bisecting plane, turning with the drive.
+        head: one of free, fixed: at the centre; it turns about its own axis either way.
+        drive: one of prescribed, flexible: adds seat_inertia, drive_stiffness and drive_damping.
+        fidelity: one of kinematic, quasistatic, dynamic, auto. kinematic: closed-form load sharing. quasistatic:
+            equilibrium at each instant, without friction. dynamic: motion. auto: the cheapest that keeps the accuracy
+            asked for, and motion of the last pitch repeated where it repeats itself. A scene file that gives none:
+            dynamic, and at the level fast auto.
+        balls: 3 or more, each in a track of its own.
 
     Raises:
         InputError: for a name that is not known, and for contacts that do not make a joint.
@@ -312,7 +337,7 @@ def joint(
         )
         for name in ordered
     )
-    return JointModel(  # pyright: ignore[reportCallIssue] (``defaults`` is a property here)
+    return JointModel(
         contacts=made, balls=balls, track=track, spin=spin, cage=cage, head=head, drive=drive, smoothing=smoothing,
         fidelity=fidelity,
     )  # fmt: skip

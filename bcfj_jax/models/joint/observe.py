@@ -20,12 +20,12 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from bcfj_jax.mechanism.model import Params, Reading
+from bcfj_jax.mechanism.model import BodyMotion, Params, Reading
 from bcfj_jax.models.joint import energy
 from bcfj_jax.models.joint.constants import Constants, constants
 from bcfj_jax.models.joint.contacts import Touch, dot
 from bcfj_jax.models.joint.scene import GROOVES, Joint
-from bcfj_jax.models.joint.system import State, around, touches, view
+from bcfj_jax.models.joint.system import State, around, drive_torque, field, on_bodies, touches, view
 
 
 def _unit(vector: Array) -> Array:
@@ -99,6 +99,53 @@ def _along(scene: Joint, c: Constants, state: State) -> Array:
     found = around(scene, c, state)
     place = found.motion.arm[:, :2] - c.groove.offset[:, None] * c.axes
     return _unit(jnp.cross(place, found.across))
+
+
+BODIES = ("seat", "head", "cage", "ball")
+
+
+def motions(scene: Joint, c: Constants, t: Array, y: Array) -> dict[str, BodyMotion]:
+    """How every body moves; balls side by side. The cage has no azimuth of its own, hence no axes.
+
+    The seat's ``drive`` is the torque that holds its speed, or a flexible drive's.
+    """
+    state, rate = view(scene, c, y), field(t, y, (scene, c))
+    n, k = scene.balls, scene.twist
+    ball = rate[3 * n + scene.border :][: k * n].reshape(n, k)
+    rates = rate[(3 + k) * n + scene.border : scene.moving]
+    zero = jnp.zeros(3)
+
+    def of(name: str) -> Array:
+        slot = scene.slots[name]
+        return zero if slot is None else rates[slot]
+
+    _, loads = on_bodies(scene, c, state, touches(scene, c, state))
+    seat = scene.slots["seat_turn"]
+    assert seat is not None
+    flexible = scene.drive == "flexible"
+    drive = drive_torque(scene, c, t, state) if flexible else -loads[seat][0]
+    found = {"ball": BodyMotion(state.ball_place, state.ball_velocity, ball[:, :3])}
+    if scene.spin:
+        found["ball"] = found["ball"]._replace(spin=state.ball_spin, spin_rate=ball[:, 3:])
+    for i, (name, turn, spin) in enumerate(
+        (("seat", state.seat_turn, state.seat_spin), ("head", state.head_turn, state.head_spin))
+    ):
+        cosine, sine = jnp.cos(turn), jnp.sin(turn)
+        x = cosine * c.radial[i] + sine * c.tangent[i]
+        found[name] = BodyMotion(
+            place=state.head_place if i else zero,
+            velocity=state.head_velocity if i else zero,
+            acceleration=of("head") if i else zero,
+            axes=jnp.stack([x, cosine * c.tangent[i] - sine * c.radial[i], c.axes[i]], -1),
+            spin=spin * c.axes[i],
+            spin_rate=of(f"{name}_turn")[0] * c.axes[i],
+            angle=turn,
+            drive=None if i else drive,
+        )
+    found["cage"] = BodyMotion(
+        state.cage_place, state.cage_velocity, of("cage"), spin=state.cage_spin, spin_rate=of("cage_turn")
+    )
+    return found
 
 
 class Whole(NamedTuple):

@@ -1,0 +1,42 @@
+"""``bcfj simulate``: a run in a folder and in words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from bcfj_jax.analysis.simulation import results
+from bcfj_jax.io.outputs import open_folder
+from bcfj_jax.io.scenefile import load, quickest
+from bcfj_jax.solve.simulation import simulate
+
+
+def run(what: str, out: Path | None, say: Callable[[str], None], measure_error: bool = True) -> tuple[str, bool]:
+    """Simulate a scene file and write what ``results.files`` names.
+
+    Args:
+        what: a scene file, or a built-in scene's name.
+        out: folder for the results, None for one made up.
+        say: is told of the progress, and of what to be warned of.
+        measure_error: whether the run is made once more, ten times finer, to measure its force error.
+
+    Returns:
+        The results in words, and whether the run reached its end.
+
+    Raises:
+        InputError: for bad input, and where something would be overwritten.
+    """
+    given = quickest(load(what))
+    stem = given.source.stem if given.source else what
+    folder = open_folder(out, "simulate", stem, results.files(given.scene))
+    say(f"simulating {what}: {len(given.times)} samples to {given.times[-1]:.6g} s")
+    found = simulate(
+        given.scene, given.params, given.times, accuracy=given.accuracy, max_steps=given.max_steps,
+        solver=given.solver, measure_error=measure_error,
+    )  # fmt: skip
+    text, warnings = results.write(folder, given, found, stem)
+    for warning in warnings:
+        say(f"warning: {warning}")
+    if found.status != "ok":
+        say(f"error: {results.verdict(found)}")
+    return f"{text}\nresults in {folder}", found.status == "ok"

@@ -1,0 +1,235 @@
+"""The files of one run, and what they say of it: contacts, measured accuracy, what to be warned of."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bcfj_jax.analysis import envelope, features, histories
+from bcfj_jax.analysis.simulation import pictures
+from bcfj_jax.io import outputs, report
+from bcfj_jax.io.scenefile import SceneFile
+from bcfj_jax.io.units import format_si
+from bcfj_jax.mechanism.model import AbstractModel
+from bcfj_jax.mechanism.readings import STATES
+from bcfj_jax.solve.measured_error import FACTOR, Accuracy
+from bcfj_jax.solve.simulation import Run
+
+FILES = (
+    "forces.csv",
+    "contacts.csv",
+    "summary.json",
+    "forces.png",
+    "force_penetration.png",
+    "report.html",
+    "run.toml",
+    "environment.json",
+)
+
+
+def files(scene: AbstractModel) -> tuple[str, ...]:
+    """Names of the files that ``write`` may leave for a scene."""
+    return (*FILES, *scene.tables)
+
+
+def choice_sentence(run: Run) -> str:
+    """Which level of the model was chosen, and why; "" where nothing was to be chosen."""
+    return f"Fidelity {run.choice.fidelity}: {run.choice.reason}." if run.choice else ""
+
+
+def verdict(run: Run) -> str:
+    """How the run went, in a sentence."""
+    if run.status == "ok":
+        return f"The simulation reached {format_si(float(run.times[-1]), 's')}."
+    return f"The simulation failed at {format_si(run.failure_time, 's')}: {run.reason}."
+
+
+# Accuracy.
+
+
+def measured_errors(accuracy: Accuracy) -> dict[str, dict[str, float]]:
+    """By contact its measured errors, fractions: rms and peak of the contact's peak, impulse of its impulse."""
+    parts = {"rms": accuracy.rms, "peak": accuracy.peak, "impulse": accuracy.impulse}
+    return {name: {part: errors[name] for part, errors in parts.items()} for name in accuracy.rms}
+
+
+def accuracy_sentences(run: Run) -> list[str]:
+    """A line a contact, "seat_ball: asked 1 %, measured 0.3 %" (the worst of its errors); from when on runs disagree.
+
+    Nothing for a run whose error was not measured.
+    """
+    accuracy = run.accuracy
+    if accuracy is None:
+        return []
+    lines = []
+    for name, errors in measured_errors(accuracy).items():
+        worst = float(np.max(list(errors.values())))
+        lines.append(f"{name}: asked {_percent(accuracy.asked, 6)}, measured {_percent(worst, 2)}")
+    if np.isfinite(accuracy.agree_until):
+        lines.append(
+            f"This run and the same at a tenth of its tolerance agree until {format_si(accuracy.agree_until, 's', 4)}: "
+            f"from then on a force differs by more than {FACTOR:g} times the error asked for."
+        )
+    return lines
+
+
+def _percent(share: float, digits: int) -> str:
+    return f"{100.0 * share:.{digits}g} %" if np.isfinite(share) else "unknown"
+
+
+def _accuracy_json(accuracy: Accuracy) -> dict[str, Any]:
+    return {
+        "asked": accuracy.asked,
+        "measured": measured_errors(accuracy),
+        "from": accuracy.begin,
+        "agree_until": accuracy.agree_until,
+        "tolerance": accuracy.tolerance,
+        "wall_s": accuracy.wall_s,
+        "units": {"asked": "1", "measured": "1", "from": "s", "agree_until": "s", "wall_s": "s"},
+    }
+
+
+def _accuracy_rows(accuracy: Accuracy) -> list[list[str]]:
+    rows = [["contact", "asked", "rms", "peak", "impulse"]]
+    for name, errors in measured_errors(accuracy).items():
+        rows.append([name, _percent(accuracy.asked, 6), *(_percent(errors[k], 2) for k in rows[0][2:])])
+    return rows
+
+
+# Contacts.
+
+
+def share_of_time(times: np.ndarray, state: np.ndarray) -> dict[str, float]:
+    """Share of the time spent in each of ``STATES``, of the samples whose state is known; NaN where none is.
+
+    A sample counts for half of the intervals beside it.
+    """
+    gaps = np.diff(times)
+    weight = np.where(state >= 0, 0.5 * (np.append(gaps, 0.0) + np.append(0.0, gaps)), 0.0)
+    total = weight.sum() if weight.any() else float("nan")
+    return {word: float(weight[state == code].sum() / total) for code, word in enumerate(STATES)}
+
+
+def summary(run: Run, turning: bool) -> dict[str, Any]:
+    """``summary.json``: status, every contact's features, accuracy, what the solver did, a level that was chosen.
+
+    The period of a scene that is ``turning`` is that of its force history, of the last two thirds; else that of its
+    contacts.
+    """
+    penetration, rate = outputs.channels(run.penetration), outputs.channels(run.rate)
+    stats = run.stats
+    contacts: dict[str, dict[str, Any]] = {
+        name: features.summary(run.times, force[:, 0], penetration[name], rate[name])
+        for name, force in outputs.channels(run.force, 1).items()
+    }
+    if turning:
+        for name, force in outputs.channels(run.force, 1).items():
+            found = histories.settled_period(run.times, force[:, 0]) if run.status == "ok" else float("nan")
+            contacts[name]["period"] = found
+    for name, state in outputs.channels(run.state).items():
+        contacts[name]["share_of_time"] = share_of_time(run.times, state)
+    chosen = {"fidelity": run.choice._asdict()} if run.choice else {}
+    return chosen | {
+        "status": run.status,
+        "reason": run.reason,
+        "failure_time": run.failure_time,
+        "contacts": contacts,
+        "units": features.UNITS | {"share_of_time": "1", "failure_time": "s", "wall_s": "s", "compile_s": "s"},
+        **({"accuracy": _accuracy_json(run.accuracy)} if run.accuracy else {}),
+        "solver": {key: stats[key] for key in ("accepted", "rejected", "tolerance")},
+        "wall_s": stats["wall_s"],
+        "compile_s": stats["compile_s"],
+    }
+
+
+def resolution_warnings(run: Run) -> list[str]:
+    """Contacts that the samples do not resolve, so that peaks and impulses taken from them are wrong."""
+    missed, shortest = {}, {}
+    penetration, rate = outputs.channels(run.penetration), outputs.channels(run.rate)
+    for name, depth in penetration.items():
+        missed[name] = len(features.unseen(depth, rate[name]))
+        pressed = np.concatenate([[False], depth > 0, [False]]).astype(int)
+        lengths = np.flatnonzero(np.diff(pressed) < 0) - np.flatnonzero(np.diff(pressed) > 0)
+        if lengths.size and lengths.min() < pictures.FEW_SAMPLES and run.status == "ok":
+            shortest[name] = int(lengths.min())
+    found = []
+    missed = {name: count for name, count in missed.items() if count}
+    if missed:
+        found.append(
+            f"{_several(missed)}: contacts that lie between two samples: {sum(missed.values())}; peak, mean, impulse "
+            "and work leave them out: raise [time] samples"
+        )
+    if shortest:
+        found.append(
+            f"{_several(shortest)}: the shortest contact has {min(shortest.values())} sample(s) only; peak, impulse "
+            "and work are coarse: raise [time] samples"
+        )
+    return found
+
+
+def _several(names: Iterable[str]) -> str:
+    first, *more = names
+    return f"{first} and {len(more)} more" if len(more) > 2 else ", ".join([first, *more])
+
+
+def _contacts(contacts: dict[str, dict[str, float]]) -> list[list[str]]:
+    """Rows for people: features down, contacts across; the other way round where there are many."""
+    rows = [["", *contacts]]
+    for name, unit in features.UNITS.items():
+        values = (format_si(contact[name], unit) for contact in contacts.values())
+        rows.append([name.replace("_", " "), *values])
+    return [list(row) for row in zip(*rows, strict=True)] if len(contacts) > 3 else rows
+
+
+# The folder.
+
+
+def _input_rows(given: SceneFile) -> list[list[str]]:
+    resolved: dict[str, Any] = given.resolved
+    rows = [["", "value", "meaning"]]
+    rows += [[f"scene: {key}", str(value), ""] for key, value in resolved["scene"].items()]
+    for name, quantity in given.scene.quantities.items():
+        if name not in resolved["parameters"]:
+            continue
+        rows.append([name, quantity.text(resolved["parameters"][name], 8), quantity.meaning])
+    rows += [["time: end", format_si(resolved["time"]["end"], "s"), ""]]
+    rows += [["time: samples", str(resolved["time"]["samples"]), ""]]
+    rows += [[f"accuracy: {key}", str(value), ""] for key, value in resolved["accuracy"].items()]
+    return rows
+
+
+def write(folder: Path, given: SceneFile, run: Run, stem: str) -> tuple[str, list[str]]:
+    """Write every one of ``files``, less tables that the level chosen does not have.
+
+    Returns:
+        The results as a text table, and what to warn of.
+    """
+    warnings = resolution_warnings(run)
+    warnings += envelope.warnings(given.scene, given.params, run.times)
+    warnings += envelope.of_the_start(given.scene, given.params, run.times, run.force)
+    source = str(given.source) if given.source else f"the built-in scene '{stem}'"
+    head = f"{source}, as it was run: every default, SI\n{choice_sentence(run)}".strip()
+    outputs.write_toml(folder / "run.toml", given.resolved, head)
+    outputs.write_json(folder / "environment.json", outputs.environment(data=[given.source] if given.source else []))
+    outputs.write_forces(folder / "forces.csv", run)
+    outputs.write_contacts(folder / "contacts.csv", run)
+    whole, extra = given.scene.whole(given.params, run)
+    for name, columns in extra.items():
+        outputs.write_histories(folder / name, run.times, columns)
+    told = summary(run, given.scene.traits.turning) | whole
+    outputs.write_json(folder / "summary.json", told | {"warnings": warnings})
+    pictures.forces(run, folder / "forces.png")
+    pictures.loops(run, folder / "force_penetration.png")
+    rows = _contacts(told["contacts"])
+    tables = [("Contacts", rows)]
+    if run.accuracy:
+        tables.append(("Measured force error", _accuracy_rows(run.accuracy)))
+    tables += [("Input", _input_rows(given)), ("Solver", report.solver_rows(run.stats))]
+    said = f"{verdict(run)} {choice_sentence(run)}".strip()
+    shown = [folder / "forces.png", folder / "force_penetration.png"]
+    report.write(folder, f"Simulation of {stem}", said, tables, shown, warnings)
+    accuracy = "".join(f"{line}\n" for line in accuracy_sentences(run))
+    return f"{said}\n\n{report.text(rows)}\n" + (f"\n{accuracy}" if accuracy else ""), warnings

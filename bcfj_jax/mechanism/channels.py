@@ -1,0 +1,144 @@
+"""Readings by name: what an instrument on a contact or on a body would show.
+
+    <contact>.normal | axial | tangential        force in the contact's own frame [N]
+    <contact>.penetration | rate | slip          [m], [m/s], [m/s]
+    <contact>.force.x | y | z                    whole force on the second body, world axes [N]
+    <body>.place | velocity | acceleration.x|y|z of the centre of mass, world axes [m, m/s, m/s^2]
+    <body>.spin | spin_rate.x|y|z                [rad/s, rad/s^2]
+    <body>.angle                                 [rad], of a body with one axis
+    <body>.torque | drive                        what its drive exerts [N m or N]
+
+A vector can be resolved in the axes of a body:  "journal.force.x in rod". The same force looks constant in one frame and
+turns once a revolution in another. Every reading is a pure function of the state: it can be plotted, differentiated,
+made a feature and fitted to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.mechanism.model import AbstractModel, BodyMotion, Params, Reading
+
+_OWN = {"normal": 0, "axial": 1, "tangential": 2}
+_SCALARS = {"penetration": "m", "rate": "m/s", "slip": "m/s"}
+_VECTORS = {"place": "m", "velocity": "m/s", "acceleration": "m/s^2", "spin": "rad/s", "spin_rate": "rad/s^2"}
+_TURNS = {"angle": "rad", "torque": "N m", "drive": "N"}
+
+
+class Channel(NamedTuple):
+    """One reading: the part it is of, what of it, which component, in whose axes ("" is the world)."""
+
+    part: str
+    what: str
+    axis: str = ""
+    frame: str = ""
+
+    @property
+    def name(self) -> str:
+        """As users write it."""
+        text = f"{self.part}.{self.what}" + (f".{self.axis}" if self.axis else "")
+        return f"{text} in {self.frame}" if self.frame else text
+
+    @property
+    def unit(self) -> str:
+        """SI."""
+        return {**_SCALARS, **_VECTORS, **_TURNS}.get(self.what, "N")
+
+
+def channel(name: str, model: AbstractModel, frame: str = "", where: str = "reading") -> Channel:
+    """A reading by name.
+
+    Args:
+        name: as in the module docstring; " in BODY" may follow.
+        model: whose.
+        frame: the body in whose axes a vector is resolved, beside the name.
+        where: place, for the message.
+
+    Raises:
+        InputError: for a contact, a body or a quantity that is not there, with the nearest that is.
+    """
+    text, _, beside = name.partition(" in ")
+    frame = beside.strip() or frame
+    part, _, rest = text.strip().partition(".")
+    what, _, axis = rest.partition(".")
+    contacts, bodies = [c.name for c in model.contacts], model.body_names
+    if part in contacts:
+        known = [*_OWN, *_SCALARS, *(f"force.{k}" for k in "xyz")]
+    elif part in bodies:
+        known = [*(f"{v}.{k}" for v in _VECTORS for k in "xyz"), *_TURNS]
+    else:
+        raise InputError(where, f"no contact and no body '{part}' in '{name}'", nearest(part, [*contacts, *bodies]))
+    if rest not in known:
+        raise InputError(where, f"'{part}' has no reading '{rest}'", nearest(rest, known))
+    if frame and not axis:
+        raise InputError(where, f"'{text}' has no components to resolve in '{frame}'", "leave the frame out")
+    if frame and frame not in bodies:
+        raise InputError(where, f"no body '{frame}' to resolve '{text}' in", nearest(frame, bodies))
+    return Channel(part, what, axis, frame)
+
+
+def read(
+    channels: Sequence[Channel], contacts: Mapping[str, Reading], bodies: Mapping[str, BodyMotion]
+) -> dict[str, Array]:
+    """Values of readings, by name, (...,) or (..., k) over members, from what contacts and bodies show.
+
+    Raises:
+        InputError: for a reading that this model has not: an angle of a body that has none, a slip without friction.
+    """
+    return {c.name: _value(c, contacts, bodies) for c in channels}
+
+
+def _value(c: Channel, contacts: Mapping[str, Reading], bodies: Mapping[str, BodyMotion]) -> Array:
+    if c.part in contacts:
+        found = contacts[c.part]
+        if c.what in _OWN:
+            return found.force[..., _OWN[c.what]]
+        return _component(c, found.world, bodies) if c.axis else _there(c, getattr(found, c.what))
+    motion = bodies[c.part]
+    if c.what in ("torque", "drive"):
+        return _there(c, motion.drive)
+    return _component(c, getattr(motion, c.what), bodies) if c.axis else _there(c, getattr(motion, c.what))
+
+
+def _there(c: Channel, value: Any) -> Array:
+    if value is None:
+        raise InputError("reading", f"'{c.part}' has no {c.what}", "read another quantity of it, or another part")
+    return value
+
+
+def _component(c: Channel, vector: Any, bodies: Mapping[str, BodyMotion]) -> Array:
+    vector, k = _there(c, vector), "xyz".index(c.axis)
+    axes = bodies[c.frame].axes if c.frame else None
+    if axes is None:
+        return vector[..., k]
+    way = axes[..., :, k]
+    # A frame without members beside a vector with them.
+    way = way[..., None, :] if way.ndim < vector.ndim else way
+    return jnp.sum(vector * way, -1)
+
+
+def histories(
+    model: AbstractModel, params: Params, times: Array, states: Array, channels: Sequence[Channel]
+) -> dict[str, Array]:
+    """Values of readings (T,), or (T, k) over members, in states (T, n) at times (T,) [s]; NaN where a state is."""
+    prepared, moving = model.prepare(params), needs_bodies(channels, model)
+
+    def one(t: Array, y: Array) -> dict[str, Array]:
+        found = read(channels, model.observe(t, y, prepared), model.motions(t, y, prepared) if moving else {})
+        # What is prescribed does not know of a failed state.
+        lost = jnp.any(jnp.isnan(y))
+        return {name: jnp.where(lost, jnp.nan, value) for name, value in found.items()}
+
+    return jax.vmap(one)(jnp.maximum(times, 0.0), states)
+
+
+def needs_bodies(channels: Sequence[Channel], model: AbstractModel) -> bool:
+    """Whether any of them asks for more than contacts show."""
+    contacts = {c.name for c in model.contacts}
+    return any(c.frame or c.part not in contacts for c in channels)

@@ -1,0 +1,153 @@
+"""The joint from the parts of which every mechanism is made: five kinds of contact between four kinds of bodies.
+
+Its equations of motion are the joint's own (``system``), which stay because they run faster: docs/joint.md. A test holds
+the two to each other.
+"""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import Array
+
+from bcfj_jax.contact.gaps import AbstractGap, BallBetweenPlanes, BallInGroove, SphereInSocket
+from bcfj_jax.core.quantities import CATALOGUE
+from bcfj_jax.mechanism.bodies import Body, Drive
+from bcfj_jax.mechanism.contacts import Contact
+from bcfj_jax.mechanism.loads import AbstractLoad, Force, JointSpring, Torque
+from bcfj_jax.mechanism.mechanism import Mechanism
+from bcfj_jax.mechanism.sizes import Params, Size
+from bcfj_jax.models.joint.scene import Joint, JointContact
+from bcfj_jax.models.joint.start import nominal
+
+
+def as_mechanism(joint: Joint) -> Mechanism:
+    """A dynamic joint of generic parts, with the joint's parameters and defaults.
+
+    The state has places, velocities and bristles of the same bodies in another order; the head's place is in axes that
+    lean by the joint angle, and the cage has a quaternion. A prescribed seat and a fixed cage are driven and have none.
+    A parameter that only the joint's checks read (the sphere radii of a joint without pilots) is not in the mechanism.
+    """
+    only = {"seat_radius": "seat_cage", "head_radius": "head_cage"}
+    given = {name: value for name, value in joint.defaults if name not in only or joint.has(only[name])}
+    return Mechanism(
+        "joint",
+        (_seat(joint), _head(joint), _cage(joint), _balls(joint)),
+        tuple(_contact(joint, contact) for contact in joint.contacts),
+        _loads(joint),
+        own=[CATALOGUE["head_radius"]] if joint.has("head_cage") else [],
+        given=given,
+        end=3.0,
+        samples=joint.samples,
+    )
+
+
+def _seat(joint: Joint) -> Body:
+    """It turns about z: driven, or free with a drive that is a spring (``_loads``)."""
+    if joint.drive == "prescribed":
+        return Body("seat", "hinge", mass=_none, inertia=_none, drive=Drive("constant", speed="drive_speed"))
+    return Body("seat", "hinge", mass=_none, inertia="seat_inertia", start={"speed": "drive_speed"})
+
+
+def _head(joint: Joint) -> Body:
+    """It turns about its axis, and shifts where it is free."""
+    held = "bearing" if joint.head == "free" else "hinge"
+    tilt = ("y", "joint_angle")
+    return Body("head", held, tilt=tilt, mass="head_mass", inertia="head_inertia", start={"speed": "drive_speed"})
+
+
+def _cage(joint: Joint) -> Body:
+    """A free spherical shell whose z axis starts on the bisector; or driven about it."""
+    if joint.cage == "fixed":
+        drive = Drive("constant", speed="drive_speed")
+        return Body("cage", "hinge", tilt=("y", _half), mass=_none, inertia=_none, drive=drive)
+    start: dict[str, Size] = {name: _OfCage(name) for name in ("q0", "q2", "wx", "wz")}
+    return Body("cage", "free", mass="cage_mass", inertia="cage_inertia", start=start)
+
+
+def _balls(joint: Joint) -> Body:
+    """Particles, or solid spheres that turn."""
+    first, n = 3 * joint.balls + joint.border, joint.balls
+    start: dict[str, Size] = {key: _OfBalls(joint, 0, 3, k) for k, key in enumerate("xyz")}
+    rates = ("vx", "vy", "vz", "wx", "wy", "wz")[: joint.twist]
+    start |= {key: _OfBalls(joint, first, joint.twist, k) for k, key in enumerate(rates)}
+    held = "sphere" if joint.spin else "particle"
+    return Body("ball", held, mass="ball_mass", inertia=_solid, start=start, members=n)
+
+
+def _contact(joint: Joint, contact: JointContact) -> Contact:
+    """One kind of contact; the force that is read acts on the second body."""
+    name, tracks = contact.name, {"tracks": joint.balls, "section": joint.track}
+    gaps: dict[str, AbstractGap] = {
+        "seat_cage": SphereInSocket(axis_of="b"),
+        "head_cage": SphereInSocket(axis_of="a"),
+        "cage_ball": BallBetweenPlanes(),
+        "seat_ball": BallInGroove(side="outer", **tracks),
+        "head_ball": BallInGroove(side="inner", **tracks),
+    }
+    between = {"head_cage": ("cage", "head")}
+    sizes: dict[str, Size] = {key: key for key in gaps[name].needs if key != "clearance"}
+    # The hollow sphere: the seat's, and the cage's around the head.
+    if "radius" in sizes:
+        sizes["radius"] = "seat_radius" if name == "seat_cage" else _hollow
+    return Contact(
+        name, between.get(name) or tuple(name.split("_")), gaps[name], contact.law, contact.friction,
+        smoothing=joint.smoothing, values=sizes, approach="parameter",
+    )  # fmt: skip
+
+
+def _loads(joint: Joint) -> tuple[AbstractLoad, ...]:
+    """Torque and axial load on the head, against its axis; the drive of a seat that has inertia."""
+    torque = Torque("load_torque", "head", "-z", size="load_torque", ramp="load_ramp", follows=True)
+    axial = Force("axial_load", "head", "-z", size="axial_load", follows=True)
+    if joint.drive == "prescribed":
+        return torque, axial
+    drive = Drive("constant", speed="drive_speed")
+    spring = JointSpring("drive", "seat", stiffness="drive_stiffness", damping="drive_damping", drive=drive)
+    return torque, axial, spring
+
+
+class _OfBalls(eqx.Module):
+    """A coordinate or velocity of all balls at time 0 (balls,): a column of ``start.nominal``."""
+
+    joint: Joint
+    first: int = eqx.field(static=True)
+    width: int = eqx.field(static=True)
+    column: int = eqx.field(static=True)
+
+    def __call__(self, p: Params) -> Array:
+        part = nominal(self.joint, p, jnp.zeros(()))[self.first :][: self.width * self.joint.balls]
+        return part.reshape(-1, self.width)[:, self.column]
+
+
+class _OfCage(eqx.Module):
+    """A component of the cage's attitude, z on the bisector, or of its angular velocity about it at time 0."""
+
+    name: str = eqx.field(static=True)
+
+    def __call__(self, p: Params) -> Array:
+        quarter = 0.5 * _half(p)
+        if self.name.startswith("q"):
+            return jnp.cos(quarter) if self.name == "q0" else jnp.sin(quarter)
+        return p["drive_speed"] * (jnp.sin(_half(p)) if self.name == "wx" else jnp.cos(_half(p)))
+
+
+def _none(p: Params) -> float:
+    """Inertia of what turns as it is driven, and mass of what stays in its place."""
+    del p
+    return 0.0
+
+
+def _half(p: Params) -> Array:
+    """Lean of the bisector [rad]."""
+    return 0.5 * p["joint_angle"]
+
+
+def _solid(p: Params) -> Array:
+    """Inertia of a ball [kg m^2]."""
+    return 0.4 * p["ball_mass"] * p["ball_radius"] ** 2
+
+
+def _hollow(p: Params) -> Array:
+    """Radius of the cage's hollow sphere [m]."""
+    return p["head_radius"] + p["clearance_head_cage"]

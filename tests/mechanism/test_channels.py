@@ -1,0 +1,127 @@
+"""Readings by name: of contacts and bodies, in the contact's, any body's and the world's axes."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import bcfj_jax as bj
+from bcfj_jax import InputError, reading_history, scenes, simulate
+
+TIMES = np.linspace(0.0, 2e-3, 401)
+READ = (
+    "slider.acceleration.x", "slider.velocity.x", "slider.place.x", "journal.force.x", "journal.force.y",
+    "journal.force.x in rod", "journal.force.y in rod", "journal.normal", "journal.penetration", "rod.angle",
+    "rod.spin.z", "crank.torque", "rod.acceleration.x", "rod.acceleration.y",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def run():
+    scene = scenes.slider_crank()
+    found = simulate(scene, scene.parameters(), TIMES, accuracy=1e-4, read=READ)
+    assert found.status == "ok"
+    return found
+
+
+def test_the_journal_pushes_the_slider(run):
+    """Newton's third law: the force that is read acts on the rod."""
+    force, gain = run.readings["journal.force.x"], run.readings["slider.acceleration.x"]
+    assert np.abs(force).max() > 1e4
+    np.testing.assert_allclose(0.14 * gain, -force, rtol=0, atol=1e-9 * np.abs(force).max())
+
+
+def test_a_bodys_axes_turn_the_components_and_not_the_force(run):
+    """Components in the rod's axes against those of the world turned by its angle, crank's turn and all, in NumPy."""
+    angle = run.readings["rod.angle"] + scenes.slider_crank().parameters()["crank_speed"] * TIMES
+    x, y = run.readings["journal.force.x"], run.readings["journal.force.y"]
+    along = np.cos(angle) * x + np.sin(angle) * y
+    across = -np.sin(angle) * x + np.cos(angle) * y
+    size = np.abs(x).max()
+    np.testing.assert_allclose(run.readings["journal.force.x in rod"], along, rtol=0, atol=1e-9 * size)
+    np.testing.assert_allclose(run.readings["journal.force.y in rod"], across, rtol=0, atol=1e-9 * size)
+    np.testing.assert_allclose(np.hypot(x, y), np.abs(run.readings["journal.normal"]), rtol=1e-9, atol=1e-9 * size)
+
+
+def test_velocities_and_accelerations_are_derivatives(run):
+    """Central differences of the places, away from impacts, to their own error of order h^2."""
+    free = run.readings["journal.penetration"] < 0
+    calm = free[2:] & free[1:-1] & free[:-2]
+    h = TIMES[1] - TIMES[0]
+    place, speed, gain = (run.readings[f"slider.{what}.x"] for what in ("place", "velocity", "acceleration"))
+    np.testing.assert_allclose(((place[2:] - place[:-2]) / (2 * h))[calm], speed[1:-1][calm], rtol=0, atol=1e-6 * 26.0)
+    np.testing.assert_allclose(
+        ((speed[2:] - speed[:-2]) / (2 * h))[calm], gain[1:-1][calm], rtol=0, atol=1e-6 * 26.0 / h
+    )
+    assert np.abs(run.readings["rod.spin.z"]).max() > 100.0
+
+
+def test_the_drives_torque_is_the_power_that_the_bodies_gain(run):
+    """Torque times speed against the derivative of all kinetic energy, in the flight before the first touch."""
+    first = np.argmax(run.readings["journal.penetration"] > 0)
+    part = slice(0, first)
+    assert first > 20
+    scene = scenes.slider_crank()
+    p = scene.parameters()
+    found = simulate(scene, p, TIMES[part], accuracy=1e-6, read=("crank.torque",))
+    flows = [scene.flows(jnp.asarray(t), jnp.asarray(y), p) for t, y in zip(TIMES[part], found.trajectory, strict=True)]
+    energy = np.array([float(f.stored["kinetic"]) for f in flows])
+    power = found.readings["crank.torque"] * float(p["crank_speed"])
+    rate = np.gradient(energy, TIMES[part], edge_order=2)[2:-2]
+    np.testing.assert_allclose(power[2:-2], rate, rtol=0, atol=2e-3 * np.abs(power).max())
+
+
+def test_readings_are_differentiable():
+    """Derivative of the slider's acceleration by its mass and by the clearance against central differences."""
+    scene = scenes.slider_crank()
+    p, times = scene.parameters(), jnp.linspace(0.0, 2.6e-4, 27)
+
+    def gain(value, name):
+        found = reading_history(scene, {**p, name: value}, times, ("slider.acceleration.x",), accuracy=1e-9)
+        return found["slider.acceleration.x"]
+
+    for name in ("slider.mass", "stiffness"):
+        slope = jax.jacfwd(gain)(p[name], name)
+        step = 1e-4 * p[name]
+        differences = (gain(p[name] + step, name) - gain(p[name] - step, name)) / (2 * step)
+        size = np.abs(np.asarray(differences)).max()
+        assert size > 0
+        np.testing.assert_allclose(slope, differences, rtol=0, atol=1e-6 * size)
+    backward = jax.grad(lambda value: jnp.sum(
+        reading_history(scene, {**p, "slider.mass": value}, times, ("slider.acceleration.x",), accuracy=1e-9,
+                        mode="reverse")["slider.acceleration.x"]))(p["slider.mass"])  # fmt: skip
+    assert float(backward) == pytest.approx(float(jnp.sum(jax.jacfwd(gain)(p["slider.mass"], "slider.mass"))), rel=1e-6)
+
+
+def test_the_joints_bodies_are_read_too():
+    scene = scenes.joint()
+    p, times = scene.parameters(), np.linspace(0.0, 0.1, 11)
+    names = ("seat.torque", "head.angle", "ball.place.z", "seat_ball.force.x in head", "head_cage.force.z")
+    found = simulate(scene, p, times, read=names).readings
+    assert found["ball.place.z"].shape == found["seat_ball.force.x in head"].shape == (11, 6)
+    # Of 1.8 kN m on the head and some per cent of friction.
+    assert 1800.0 < found["seat.torque"][-1] < 1.06 * 1800.0
+    assert found["head.angle"][-1] == pytest.approx(float(p["drive_speed"]) * 0.1, abs=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("slidr.acceleration.x", "slider"),
+        ("slider.acceleraton.x", "acceleration.x"),
+        ("journal.force.q", "force"),
+        ("journal.normal in rod", "leave the frame out"),
+        ("journal.force.x in rodd", "rod"),
+        ("slider.angle", "no angle"),
+        ("rod.torque", "no torque"),
+        ("journal.slip", "no slip"),
+    ],
+)
+def test_what_cannot_be_read_is_refused_with_the_nearest(name, hint):
+    scene = scenes.slider_crank()
+    with pytest.raises(InputError) as raised:
+        simulate(scene, scene.parameters(), TIMES[:3], read=(name,))
+    assert hint in str(raised.value)
+    assert bj.InputError is InputError

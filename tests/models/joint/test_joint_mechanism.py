@@ -1,0 +1,236 @@
+"""The joint's own equations of motion against the same joint made of generic parts."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from joints import GROOVES, QUICK, constants, noisy, view
+
+from bcfj_jax import scenes
+from bcfj_jax.core.vectors import array
+from bcfj_jax.mechanism.bodies import _attitude
+from bcfj_jax.mechanism.model import Flows
+from bcfj_jax.models.joint.bristles import split
+from bcfj_jax.models.joint.parts import as_mechanism
+from bcfj_jax.models.joint.scene import PILOTS
+
+OPTIONS = {
+    "default": {},
+    "spin": {"spin": True},
+    "circular": {"track": "circular"},
+    "fixed cage": {"cage": "fixed"},
+    "fixed head": {"head": "fixed"},
+    "flexible drive": {"drive": "flexible"},
+    "no friction": {"friction": False},
+    "bristles": {"friction": "lugre"},
+    "bristles, spin, flexible": {"friction": "lugre", "spin": True, "drive": "flexible"},
+    "unlike laws, five balls": {
+        "laws": {"head_ball": "kelvin_voigt", "head_cage": "flores"}, "balls": 5, "smoothing": False,
+        "frictions": {"seat_ball": "coulomb", "head_cage": "lugre", "seat_cage": False},
+    },
+    "no pilots, fixed": {"contacts": ("cage_ball", *GROOVES), "cage": "fixed", "head": "fixed", "spin": True},
+}  # fmt: skip
+FAST = ("default", "bristles, spin, flexible", "fixed cage")
+EACH = pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[] if name in FAST else [pytest.mark.slow]) for name in OPTIONS]
+)
+SEEDS = (1, 2, 3)
+# Of the largest: two ways of adding up differ by rounding, some 1e-13 where flanks push against each other.
+TOLERANCE = 1e-12
+
+
+def tilted(joint_angle) -> np.ndarray:
+    """Axes of the head's joint, as columns (3, 3)."""
+    c, s = np.cos(joint_angle), np.sin(joint_angle)
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+
+
+def named(joint, params, y) -> dict[tuple[str, str], np.ndarray]:
+    """A joint's state by the mechanism's body and coordinate or velocity."""
+    state = jax.tree.map(np.asarray, view(joint, constants(joint, params), jnp.asarray(y)))
+    turned = tilted(float(params["joint_angle"])).T
+    axis = state.cage_axis
+    vectors = {
+        ("head", "place"): turned @ state.head_place, ("head", "velocity"): turned @ state.head_velocity,
+        ("cage", "place"): state.cage_place, ("cage", "velocity"): state.cage_velocity, ("cage", "spin"): state.cage_spin,
+        ("ball", "place"): state.ball_place, ("ball", "velocity"): state.ball_velocity, ("ball", "spin"): state.ball_spin,
+    }  # fmt: skip
+    keys = {"place": ("x", "y", "z"), "velocity": ("vx", "vy", "vz"), "spin": ("wx", "wy", "wz")}
+    found = {
+        (body, key): vector[..., k]
+        for (body, what), vector in vectors.items()
+        if vector is not None
+        for k, key in enumerate(keys[what])
+    }
+    found |= {("seat", "angle"): state.seat_turn, ("seat", "speed"): state.seat_spin}
+    found |= {("head", "angle"): state.head_turn, ("head", "speed"): state.head_spin}
+    # The shortest turn from z to the cage's axis.
+    quaternion = np.array([1.0 + axis[2], -axis[1], axis[0], 0.0])
+    quaternion /= np.linalg.norm(quaternion)
+    return found | {("cage", f"q{k}"): x for k, x in enumerate(quaternion)}
+
+
+def remembered(joint, y) -> list[np.ndarray]:
+    """Bristles of a joint's state or its rate in the mechanism's order, as numbers and (balls,)."""
+    if not joint.bristles:
+        return []
+    parts = {name: np.asarray(x) for name, x in split(joint, jnp.asarray(y)).items()}
+    found = []
+    for contact in joint.contacts:
+        if contact.name in parts:
+            part = parts[contact.name] if contact.name not in PILOTS else parts[contact.name][None]
+            for face in range(part.shape[1]):
+                found += [part[:, face, k] for k in range(3)]
+    return found
+
+
+class Pair(NamedTuple):
+    """What the mechanism and the joint say of one state; bristles in the mechanism's order."""
+
+    state: dict[tuple[str, str], np.ndarray]
+    rates: dict[tuple[str, str], np.ndarray]
+    own_rates: dict[tuple[str, str], np.ndarray]
+    bristles: list[tuple[np.ndarray, np.ndarray]]
+    readings: tuple[dict, dict]
+    flows: tuple[Flows, Flows]
+    params: dict
+
+
+@functools.cache
+def compared(name: str) -> tuple[Any, list[Pair]]:
+    """A joint in disturbed states of disturbed parameters, by its own equations and as a mechanism."""
+    joint = scenes.joint(**OPTIONS[name])
+    mechanism = as_mechanism(joint)
+    keys = [(body, key) for body, key, _ in (*mechanism._placed, *mechanism._free)]
+
+    def looking(model):
+        def look(t, y, prepared):
+            return model.vector_field(t, y, prepared), model.observe(t, y, prepared), model.flows(t, y, prepared)
+
+        return jax.jit(look, compiler_options=QUICK)
+
+    of_mechanism, of_joint, found = looking(mechanism), looking(joint), []
+    for seed in SEEDS:
+        draw = np.random.default_rng(seed)
+        values = joint.parameters(axial_load=500.0, load_ramp=1.0)
+        params = {key: x * draw.uniform(1.0, 1.05) for key, x in values.items()}
+        y = noisy(joint, params, seed)
+        y[joint.moving :] = 1e-6 * draw.normal(size=y.size - joint.moving)
+        state = named(joint, params, y)
+        # A driven seat is where its drive is; a flexible drive is ahead of its own.
+        t = state["seat", "angle"] / params["drive_speed"] + (1e-4 if joint.drive == "flexible" else 0.0)
+        numbers = [state[key] for key in keys] + remembered(joint, y)
+        flat = jnp.concatenate([jnp.atleast_1d(x) for x in numbers])
+        given = {key: x for key, x in params.items() if key in mechanism.quantities}
+        rates, readings, flows = of_mechanism(t, flat, given)
+        own_rates, own_readings, own_flows = of_joint(t, jnp.asarray(y), joint.prepare(params))
+        ends = np.cumsum([np.size(x) for x in numbers])[:-1]
+        parts = [part.reshape(np.shape(x)) for part, x in zip(np.split(np.asarray(rates), ends), numbers, strict=True)]
+        bristles = list(zip(parts[len(keys) :], remembered(joint, own_rates), strict=True))
+        # Accelerations as velocities, of a state whose places are those that were.
+        places = 3 * joint.balls + joint.border
+        own = named(joint, params, np.r_[y[:places], np.asarray(own_rates)[places:]])
+        own = {key: x for key, x in own.items() if key in keys}
+        found.append(
+            Pair(
+                state,
+                dict(zip(keys, parts, strict=False)),
+                own,
+                bristles,
+                (readings, own_readings),
+                (flows, own_flows),
+                params,
+            )
+        )
+    return joint, found
+
+
+def apart(pairs) -> float:
+    """Largest difference of pairs over the largest number in them."""
+    pairs = [(np.asarray(a), np.asarray(b)) for a, b in pairs]
+    return max(np.max(np.abs(a - b)) for a, b in pairs) / max(np.max(np.abs(b)) for _, b in pairs)
+
+
+@EACH
+def test_bodies_and_bristles_move_as_in_the_joints_own_equations(name):
+    joint, found = compared(name)
+    for pair in found:
+        for body in {body for body, _ in pair.own_rates}:
+            for keys in (("vx", "vy", "vz"), ("wx", "wy", "wz"), ("speed",)):
+                own = [(pair.rates[body, key], pair.own_rates[body, key]) for key in keys if (body, key) in pair.rates]
+                assert not own or apart(own) < TOLERANCE, (body, keys)
+        assert bool(pair.bristles) == bool(joint.bristles)
+        assert not pair.bristles or apart(pair.bristles) < TOLERANCE
+
+
+def test_the_cages_attitude_turns_with_its_spin():
+    _, found = compared("default")
+    for pair in found:
+        at, rate = ([jnp.asarray(x["cage", f"q{k}"]) for k in range(4)] for x in (pair.state, pair.rates))
+        axis, moving = jax.jvp(lambda q: array(_attitude(q)[2]), (at,), (rate,))
+        spin = np.array([pair.state["cage", key] for key in ("wx", "wy", "wz")])
+        np.testing.assert_allclose(moving, np.cross(spin, axis), rtol=0, atol=1e-14 * np.linalg.norm(spin))
+
+
+@EACH
+def test_instruments_read_the_same(name):
+    _, found = compared(name)
+    pressed = set()
+    for pair in found:
+        left, right = pair.readings
+        assert list(left) == list(right)
+        for contact in right:
+            for part in ("force", "penetration", "rate", "slip", "world"):
+                a, b = getattr(left[contact], part), getattr(right[contact], part)
+                assert a is None or not np.any(b) or apart([(a, b)]) < TOLERANCE, (contact, part)
+            assert np.array_equal(left[contact].force[..., 0] != 0, right[contact].force[..., 0] != 0)
+            pressed |= {contact} if np.any(right[contact].force[..., 0]) else set()
+    assert pressed == set(found[0].readings[1]), "a contact that never touches is not compared"
+
+
+@EACH
+def test_energy_flows_agree(name):
+    joint, found = compared(name)
+    for pair in found:
+        left, right = pair.flows
+        speed, drive, lost = pair.state["seat", "speed"], right.given["drive"], right.taken["damping"]
+        if joint.drive == "flexible":
+            # The mechanism's load is what its spring and damper do on the seat; the joint's begins at the drive.
+            lag = pair.params["drive_speed"] - speed
+            drive, lost = drive * speed / pair.params["drive_speed"], lost - pair.params["drive_damping"] * lag**2
+        powers = {
+            "drive": (left.given["drive" if joint.drive == "flexible" else "seat drive"], drive),
+            "hold": (left.given.get("cage drive", 0.0), right.given["hold"]),
+            "load": (-left.given["load_torque"], right.taken["load"]),
+            "axial": (-left.given["axial_load"], right.taken["axial"]),
+            "friction": (left.taken["friction"], right.taken["friction"]),
+            "damping": (left.taken["damping"], lost),
+            "kinetic": (left.stored["kinetic"], right.stored["kinetic"]),
+            "elastic": (left.stored["elastic"], right.stored["elastic"]),
+        }
+        for what, (a, b) in powers.items():
+            print(name, what, float(a), float(b), abs(float(a)-float(b))/max(abs(float(b)),1e-300))
+            np.testing.assert_allclose(a, b, rtol=1e-11, atol=1e-300, err_msg=what)
+
+
+@EACH
+def test_parameters_and_start_are_the_joints(name):
+    joint = scenes.joint(**OPTIONS[name])
+    mechanism = as_mechanism(joint)
+    unread = set(joint.quantities) - set(mechanism.quantities)
+    assert unread <= {"seat_radius", "head_radius"} and set(mechanism.quantities) <= set(joint.quantities)
+    assert dict(mechanism.defaults) == {key: x for key, x in joint.defaults if key not in unread}
+    assert mechanism == as_mechanism(joint) and hash(mechanism) == hash(as_mechanism(joint))
+    params = mechanism.parameters(joint_angle=0.3)
+    mechanism.check(params)
+    values = joint.parameters(joint_angle=0.3)
+    state = named(joint, values, joint.initial_state(values))
+    expected = [np.ravel(state[body, key]) for body, key, _ in (*mechanism._placed, *mechanism._free)]
+    found = np.asarray(mechanism.initial_state(params))
+    expected = np.pad(np.concatenate(expected), (0, found.size - sum(x.size for x in expected)))
+    np.testing.assert_allclose(found, expected, rtol=1e-14, atol=1e-16)

@@ -1,0 +1,80 @@
+"""The joint as everything outside sees it: what instruments on its bodies read, and what follows from its options."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import bcfj_jax as bj
+from bcfj_jax.models.joint.observe import resultants
+
+JOINT = bj.scenes.joint()
+PARAMS = JOINT.parameters(joint_angle=0.1)
+
+
+def jolted(scene=JOINT):
+    """A state near the start in which everything moves and touches."""
+    rng = np.random.default_rng(3)
+    prepared, y = scene.prepare(PARAMS), scene.initial_state(PARAMS)
+    return prepared, y + 0.3 * scene.error_scale(PARAMS) * rng.standard_normal(y.size)
+
+
+def test_bodies_move_as_their_states_say():
+    prepared, y = jolted()
+    t, step = jnp.asarray(0.03), 1e-9
+    change = JOINT.vector_field(t, y, prepared)
+    read = jax.jit(JOINT.motions)
+    here, ahead = read(t, y, prepared), read(t, y + step * change, prepared)
+    assert set(here) == set(JOINT.body_names)
+    for name, body in here.items():
+        after = ahead[name]
+        moved = (after.place - body.place) / step
+        assert np.asarray(moved) == pytest.approx(np.asarray(body.velocity), rel=1e-4, abs=1e-5), name
+        gained = (after.velocity - body.velocity) / step
+        assert np.asarray(gained) == pytest.approx(np.asarray(body.acceleration), rel=1e-3, abs=1.0), name
+        if body.axes is None:
+            continue
+        assert np.asarray(body.axes.T @ body.axes) == pytest.approx(np.eye(3), abs=1e-12)
+        assert np.linalg.det(body.axes) == pytest.approx(1.0)
+        turned = (after.axes - body.axes) / step
+        spins = jnp.cross(body.spin, body.axes.T).T
+        assert np.asarray(turned) == pytest.approx(np.asarray(spins), rel=1e-4, abs=1e-5)
+        if body.angle is not None:
+            assert float((after.angle - body.angle) / step) == pytest.approx(
+                float(body.spin @ body.axes[:, 2]), rel=1e-4
+            )
+
+
+def test_forces_in_world_axes_are_the_whole_forces():
+    prepared, y = jolted()
+    read, summed = JOINT.observe(jnp.zeros(()), y, prepared), resultants(JOINT, prepared, y)
+    for name, reading in read.items():
+        assert reading.world is not None
+        size = np.linalg.norm(np.asarray(reading.world), axis=-1)
+        assert np.asarray(jnp.sum(reading.world.reshape(-1, 3), 0)) == pytest.approx(
+            np.asarray(summed[name]), rel=1e-12
+        )
+        if not name.endswith("_ball"):
+            # One normal and two tangents at right angles.
+            assert size == pytest.approx(np.linalg.norm(np.asarray(reading.force), axis=-1), rel=1e-9)
+
+
+def test_the_drive_torque_is_that_of_the_energy_balance():
+    prepared, y = jolted()
+    t = jnp.asarray(0.03)
+    seat, flows = JOINT.motions(t, y, prepared)["seat"], JOINT.flows(t, y, prepared)
+    assert float(seat.drive * (seat.spin @ seat.axes[:, 2])) == pytest.approx(float(flows.given["drive"]), rel=1e-12)
+
+
+def test_levels_are_options():
+    levels = JOINT.coarser()
+    assert [level.name for level in levels] == ["kinematic", "quasistatic"]
+    still = dataclasses.replace(JOINT, **levels[1].options)
+    assert still == bj.scenes.joint(fidelity="quasistatic") and still.full() == JOINT
+    assert not still.traits.history and still.body_names == () and still.tables == ()
+    undecided = dataclasses.replace(JOINT, **JOINT.choice_options())
+    assert undecided.traits.open and [level.name for level in undecided.coarser()][-1] == "dynamic"
