@@ -8,9 +8,9 @@ from typing import Literal
 import numpy as np
 
 from bcfj_jax import InputError, check_value, nearest
-from bcfj_jax.analysis.derivatives.jacobian import channel_names
 from bcfj_jax.analysis.derivatives.names import feature
 from bcfj_jax.core.quantities import Quantity
+from bcfj_jax.mechanism.channels import channel as reading
 from bcfj_jax.mechanism.model import AbstractModel
 from calibration.solver_budget import effort
 
@@ -25,7 +25,6 @@ NUISANCES = {
     ),
 }
 LOSSES = ("linear", "soft_l1", "cauchy")
-COMPONENTS = ("normal", "axial", "tangential")
 
 
 @dataclass(frozen=True)
@@ -33,7 +32,7 @@ class Channel:
     """What a sensor saw in one experiment, with noise of variance sigma^2 + (relative reading)^2.
 
     Attributes:
-        observes: "contact.component", as in "contact.normal".
+        observes: a reading of the scene (``bcfj_jax.mechanism.channels``), as "contact.normal" or "slider.acceleration.x".
         values: (T,) force [N]; NaN where there is no sample.
         sigma: standard deviation of its noise [N]; None: to be estimated from the residuals, one number for all
             experiments that leave it so.
@@ -163,7 +162,7 @@ class Problem:
         # Of a contact with members one is observed: seat_ball_2.
         contacts = self.scene.members
         for experiment in self.experiments:
-            _check_experiment(experiment, channel_names(contacts))
+            _check_experiment(experiment, self.scene)
             _check_features(experiment, contacts)
         fitted = [e for e in self.experiments if not e.hold_out]
         samples = sum(e.samples for e in fitted)
@@ -206,7 +205,7 @@ class Problem:
             raise InputError(where, f"scale = log with lower = {f.lower:g}", "use positive bounds or scale = 'linear'")
 
 
-def _check_experiment(experiment: Experiment, contacts: list[str]) -> None:
+def _check_experiment(experiment: Experiment, scene: AbstractModel) -> None:
     where = experiment.source or experiment.name
     late = np.flatnonzero(np.diff(experiment.times) <= 0)
     if late.size:
@@ -219,11 +218,10 @@ def _check_experiment(experiment: Experiment, contacts: list[str]) -> None:
         raise InputError(where, f"{experiment.name} holds no reading and no feature", "give data, or leave it out")
     for channel in experiment.channels:
         _check_noise(channel, f"{where}: noise of {channel.observes}")
-        contact, _, component = channel.observes.partition(".")
-        if contact not in contacts:
-            raise InputError(where, f"observe '{channel.observes}': no contact '{contact}'", nearest(contact, contacts))
-        if component not in COMPONENTS:
-            raise InputError(where, f"observe '{channel.observes}'", nearest(component, COMPONENTS))
+        seen = reading(channel.observes, scene, where=f"{where}: observe '{channel.observes}'")
+        if scene.members.get(seen.part) and not seen.member:
+            found = f"'{seen.part}' has {scene.members[seen.part]} members"
+            raise InputError(f"{where}: observe '{channel.observes}'", found, f"observe one, such as {seen.part}_1")
 
 
 def _check_noise(channel: Channel, where: str) -> None:

@@ -1,90 +1,54 @@
-"""Which way imports point, and the rules of the house, read from the sources."""
+"""Which way imports point, who knows what, and the rules of the house, read from the sources."""
 
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-# A room may import from rooms further left. Rooms of one floor may import each other only as WITHIN says.
-FLOORS = {
+# A folder (or a module at the top of a package) may import from those before it. The front door, ``__init__``, may
+# name everything.
+LAYERS = {
     "bcfj_jax": (
-        {"errors", "endings", "numerics", "quantities", "directions", "compile_cache"},
-        {"restitution", "elliptic", "stiffness"},
-        {"laws"},
-        {"scene"},
-        {"dynamics", "solvers"},
-        {"joint"},
-        {"scenes"},
-        {"integrate", "two_way"},
-        {"ledger", "fidelity", "lanes"},
-        {"simulation"},
-        {"features", "histories", "units", "tables", "spheres", "scenetemplate", "scenefile", "provenance", "stop"},
-        {"outputs", "plots", "report", "envelope"},
-        {"simulation_results", "reproduction", "derivatives", "journal"},
-        {"tradeoff", "studies", "nonlinear", "designs"},
-        {"cli"},
+        "core", "contact", "mechanism", "models", "solve", "io", "analysis", "reproduction", "cli", "__main__",
     ),
     "calibration": (
-        {"effort"},
-        {"problem"},
-        {"losses", "observables", "slots"},
-        {"model"},
-        {"integration"},
-        {"noise", "runs", "check"},
-        {"descent", "horizon"},
-        {"polish", "evaluate"},
-        {"staged"},
-        {"search", "settle"},
-        {"judge"},
-        {"whiteness", "clearance"},
-        {"records", "estimates", "averaging"},
-        {"where"},
-        {"uncertainty"},
-        {"fit"},
-        {"choice", "next_experiment"},
-        {"data"},
-        {"problemfile", "plots", "plots_uncertainty", "petab"},
-        {"alternatives"},
-        {"command"},
+        "solver_budget", "problem", "forward", "search", "noise", "diagnostics", "uncertainty", "fit", "data",
+        "problemfile", "selection", "petab", "report", "command",
     ),
-}
-WITHIN = {
-    ("quantities", "errors"),
-    ("stiffness", "elliptic"),
-    ("features", "histories"),
-    ("spheres", "units"),
-    ("spheres", "tables"),
-    ("scenetemplate", "units"),
-    ("scenefile", "scenetemplate"),
-    ("scenefile", "spheres"),
-    ("scenefile", "tables"),
-    ("scenefile", "units"),
-    ("plots", "outputs"),
-    ("report", "outputs"),
-}
-PHYSICS = {"laws", "numerics", "restitution", "elliptic", "stiffness", "dynamics", "integrate", "simulation", "two_way"}
-PHYSICS |= {"scene", "scenes", "quantities", "errors", "features", "histories", "joint", "solvers", "ledger"}
-PHYSICS |= {"envelope", "fidelity", "lanes"}
+}  # fmt: skip
+# What is computed, without files, units, commands and pictures.
+PHYSICS = ("core", "contact", "mechanism", "models", "solve")
+PHYSICS_FILES = tuple(f"analysis/{name}.py" for name in ("features", "histories", "energy_balance", "envelope"))
 TOOLS = {"pint", "pydantic", "typer", "matplotlib", "calibration"}
+# May know which model they hold: the models, what they are made of, and what is about one of them.
+KNOWING = ("models", "mechanism", "reproduction")
+# A question about the kind of a model, as opposed to a kind of feature, design or scene file.
+ASKS = re.compile(
+    r"isinstance\([^()]*(\([^()]*\)[^()]*)?,[^)]*\b(Joint|JointModel|Mechanism|Scene)\b"
+    r"|\b(scene|model)\.kind *(==|!=|in\b|not in\b)|\.fidelity *(==|!=|in\b|not in\b)|\.in_motion\b"
+)
+INSIDES = re.compile(r"bcfj_jax\.(models\.(?!scenes\b)|mechanism\.(equations|scales|sizes|checks)\b)")
 # What fulfils a documented abstract method or property is documented there: of a law, of diffrax's solvers and
 # interpolations, of a structure.
 INHERITED = {"force", "needs", "mobility"}
 INHERITED |= {"order", "error_order", "init", "func", "step", "evaluate"}
 INHERITED |= {"field", "factor", "solve", "time_derivative"}
-SOURCES = sorted(path for package in FLOORS for path in (ROOT / package).rglob("*.py"))
-
-
-def room(path: Path) -> str:
-    """The module or sub-package a file belongs to."""
-    return path.relative_to(ROOT).with_suffix("").parts[1]
+SOURCES = sorted(path for package in LAYERS for path in (ROOT / package).rglob("*.py"))
+FRONT = [path for path in SOURCES if path.relative_to(ROOT).parts[1] != "__init__.py"]
 
 
 def named(path: Path) -> str:
     """A test's name."""
     return str(path.relative_to(ROOT))
+
+
+def layer(path: Path) -> str:
+    """The folder, or the module at the top of its package, that a file belongs to."""
+    return path.relative_to(ROOT).with_suffix("").parts[1]
 
 
 def imports(path: Path, everywhere: bool = True):
@@ -98,38 +62,56 @@ def imports(path: Path, everywhere: bool = True):
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
-FRONT = [path for path in SOURCES if room(path) not in ("__init__", "__main__")]
-
-
 @pytest.mark.parametrize("path", FRONT, ids=named)
 def test_imports_point_down(path):
-    package, here = path.relative_to(ROOT).parts[0], room(path)
-    floor = {name: level for level, names in enumerate(FLOORS[package]) for name in names}
-    assert here in floor, "a new room: give it a floor in FLOORS"
+    package, here = path.relative_to(ROOT).parts[0], layer(path)
+    order = LAYERS[package]
+    assert here in order, "a new folder: give it a place in LAYERS"
     for name in imports(path):
         first, second = (*name.split("."), "")[:2]
-        # ``from bcfj_jax import simulate`` names a public function of the front door, which is no room below it.
-        if first != package or second not in floor or second == here:
-            continue
-        assert floor[second] < floor[here] or (here, second) in WITHIN, f"{here} may not import {second}"
+        # ``from bcfj_jax import simulate`` names a public function of the front door, which is in no layer.
+        if first == package and second in order:
+            assert order.index(second) <= order.index(here), f"{here} may not import {name}"
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=named)
 def test_tools_stay_out_of_the_physics(path):
-    package, found = path.relative_to(ROOT).parts[0], {name.split(".")[0] for name in imports(path)}
+    package, *inside = path.relative_to(ROOT).parts
+    found = {name.split(".")[0] for name in imports(path)}
     assert "pickle" not in found
     if package == "bcfj_jax":
         top = {name.split(".")[0] for name in imports(path, everywhere=False)}
-        assert "calibration" not in (top if room(path) == "cli" else found)
-        if room(path) in PHYSICS:
+        assert "calibration" not in (top if layer(path) == "cli" else found)
+        if inside[0] in PHYSICS or "/".join(inside) in PHYSICS_FILES:
             assert not found & TOOLS
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=named)
-def test_files_are_short_and_say_what_they_are(path):
+@pytest.mark.parametrize("path", [p for p in FRONT if layer(p) not in KNOWING], ids=named)
+def test_nobody_asks_what_kind_of_model_it_holds(path):
     text = path.read_text(encoding="utf-8")
-    assert len(text.splitlines()) <= 300
-    tree = ast.parse(text)
+    asked = [line.strip() for line in text.splitlines() if ASKS.search(line)]
+    assert not asked, "ask the model itself (mechanism.model): its traits, or a method that every model has"
+    known = [name for name in imports(path) if INSIDES.match(name)]
+    assert not known, "know a model by its interface (mechanism.model), a built-in one by its name (models.scenes)"
+
+
+def test_questions_about_the_kind_are_found():
+    for line in (
+        "if isinstance(scene, Joint):",
+        "joint = not isinstance(given.scene, (Scene, Joint))",
+        "if isinstance(self.of(scene), Mechanism) and large:",
+        "if base.scene.kind in _IMPACTS:",
+        'return model.kind == "joint"',
+        'if scene.fidelity != "dynamic":',
+    ):
+        assert ASKS.search(line), line
+    for line in ('if feature.kind == "peak":', "if kind not in scenes.SCENES:", "box = boxes.get(scene.kind)"):
+        assert not ASKS.search(line), line
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=named)
+def test_files_say_what_they_are(path):
+    tree = ast.parse(path.read_text(encoding="utf-8"))
     assert ast.get_docstring(tree)
     missing = []
 

@@ -143,9 +143,36 @@ def quantity(value: object, unit: str, where: str, *, exponent: float | None = N
     if match is None:
         raise InputError(where, f"'{value}' is not a number with a unit", remedy)
     number, text = float(match[1]), match[2]
+    if not text and unit == _STIFFNESS:
+        return number  # Its unit goes with the exponent; without one it is SI, as a bare number is.
     if not text and unit != "1":
         raise InputError(where, f"'{value}' has no unit", f"{remedy}, or a bare number without quotes for {unit}")
     return _times(number, _factor(text, unit, where, exponent, value)) if text else number
+
+
+def coherent(unit: str, where: str) -> str:
+    """A unit in which values are kept as they are: SI without a prefix or a factor; "1" is dimensionless.
+
+    Raises:
+        InputError: for a unit that is not known, and for one such as "mm" with the one to give in its place.
+    """
+    if unit in ("1", _STIFFNESS):
+        return unit
+    found = _registry().Quantity(1.0, _unit(unit, where, unit, "an SI unit such as m, N/m or rad/s")).to_base_units()
+    if abs(found.magnitude - 1.0) > 1e-12:
+        plain = f"{found.units:~C}".replace("**", "^") or "1"
+        near = (known for known in _EXAMPLES if alike(known, plain))
+        right = plain if plain in _EXAMPLES else next(near, plain)
+        raise InputError(where, f"'{unit}' is not an SI unit", f"values are kept in SI: give {right}")
+    return unit
+
+
+def alike(first: str, second: str) -> bool:
+    """Whether two coherent units measure the same: rad/s and 1/s do, N and N m do not."""
+    if _STIFFNESS in (first, second):
+        return first == second
+    sizes = (_registry().parse_units("" if unit == "1" else unit).dimensionality for unit in (first, second))
+    return next(sizes) == next(sizes)
 
 
 def column(header: str) -> tuple[str, str | None]:

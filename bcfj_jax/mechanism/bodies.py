@@ -240,7 +240,7 @@ class Body(eqx.Module):
         if self.tilt is not None:
             found |= sizes.own(self.tilt[1], name, "tilt", "rad", f"angle that turns the joint of {name}")
         for key, size in self.start:
-            unit = _unit(key)
+            unit = unit_of(key)
             found |= sizes.own(size, name, key, unit, f"{key} of {name} at time 0")
         if self.drive is not None:
             found |= self.drive.needs(name, self.joint == "hinge")
@@ -251,7 +251,8 @@ def _items(start: Any) -> tuple[tuple[str, Size], ...]:
     return tuple(start.items()) if isinstance(start, Mapping) else tuple(start)
 
 
-def _unit(key: str) -> str:
+def unit_of(key: str) -> str:
+    """Unit of a coordinate or a velocity by its name."""
     if key in ("position", "x", "y", "z"):
         return "m"
     if key in ("angle",):

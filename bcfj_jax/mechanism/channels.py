@@ -8,13 +8,14 @@
     <body>.angle                                 [rad], of a body with one axis
     <body>.torque | drive                        what its drive exerts [N m or N]
 
-A vector can be resolved in the axes of a body:  "journal.force.x in rod". The same force looks constant in one frame and
-turns once a revolution in another. Every reading is a pure function of the state: it can be plotted, differentiated,
-made a feature and fitted to.
+Of a part with members "seat_ball_2" is the second. A vector can be resolved in the axes of a body, as in
+"journal.force.x in rod": the same force looks constant in one frame and turns once a revolution in another. Every reading
+is a pure function of the state: it can be plotted, differentiated, made a feature and fitted to.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -32,23 +33,43 @@ _TURNS = {"angle": "rad", "torque": "N m", "drive": "N"}
 
 
 class Channel(NamedTuple):
-    """One reading: the part it is of, what of it, which component, in whose axes ("" is the world)."""
+    """One reading: the part it is of, what of it, which component, in whose axes ("" is the world), of which member.
+
+    A member counts from 1; 0 is all of them, or a part without members.
+    """
 
     part: str
     what: str
     axis: str = ""
     frame: str = ""
+    member: int = 0
 
     @property
     def name(self) -> str:
         """As users write it."""
-        text = f"{self.part}.{self.what}" + (f".{self.axis}" if self.axis else "")
+        part = f"{self.part}_{self.member}" if self.member else self.part
+        text = f"{part}.{self.what}" + (f".{self.axis}" if self.axis else "")
         return f"{text} in {self.frame}" if self.frame else text
 
     @property
     def unit(self) -> str:
         """SI."""
         return {**_SCALARS, **_VECTORS, **_TURNS}.get(self.what, "N")
+
+
+_PATTERN = re.compile(
+    rf"\w+\.(?:{'|'.join([*_OWN, *_SCALARS, *_TURNS])}|(?:force|{'|'.join(_VECTORS)})\.[xyz])(?: in \w+)?"
+)
+
+
+def is_reading(name: str) -> bool:
+    """Whether a text is written as a reading, of whatever model."""
+    return _PATTERN.fullmatch(name) is not None
+
+
+def unit_of(name: str) -> str:
+    """SI unit of a reading by its name, of whatever model."""
+    return {**_SCALARS, **_VECTORS, **_TURNS}.get(name.partition(" in ")[0].split(".")[1] if "." in name else "", "N")
 
 
 def channel(name: str, model: AbstractModel, frame: str = "", where: str = "reading") -> Channel:
@@ -67,20 +88,27 @@ def channel(name: str, model: AbstractModel, frame: str = "", where: str = "read
     frame = beside.strip() or frame
     part, _, rest = text.strip().partition(".")
     what, _, axis = rest.partition(".")
-    contacts, bodies = [c.name for c in model.contacts], model.body_names
+    contacts, bodies, member = model.members, model.body_names, 0
+    stem, _, number = part.rpartition("_")
+    if part not in contacts and part not in bodies and stem in (*contacts, *bodies) and number.isdigit():
+        if not contacts.get(stem) or not 1 <= int(number) <= contacts[stem]:
+            count = contacts.get(stem, 0)
+            raise InputError(where, f"'{stem}' has no member {number}", f"it has {count}" if count else f"write {stem}")
+        part, member = stem, int(number)
     if part in contacts:
         known = [*_OWN, *_SCALARS, *(f"force.{k}" for k in "xyz")]
     elif part in bodies:
         known = [*(f"{v}.{k}" for v in _VECTORS for k in "xyz"), *_TURNS]
     else:
-        raise InputError(where, f"no contact and no body '{part}' in '{name}'", nearest(part, [*contacts, *bodies]))
+        known = [*(n for c, k in contacts.items() for n in (c, *(f"{c}_{i + 1}" for i in range(k)))), *bodies]
+        raise InputError(where, f"no contact '{part}' and no body of that name", nearest(part, known))
     if rest not in known:
         raise InputError(where, f"'{part}' has no reading '{rest}'", nearest(rest, known))
     if frame and not axis:
         raise InputError(where, f"'{text}' has no components to resolve in '{frame}'", "leave the frame out")
     if frame and frame not in bodies:
         raise InputError(where, f"no body '{frame}' to resolve '{text}' in", nearest(frame, bodies))
-    return Channel(part, what, axis, frame)
+    return Channel(part, what, axis, frame, member)
 
 
 def read(
@@ -91,7 +119,11 @@ def read(
     Raises:
         InputError: for a reading that this model has not: an angle of a body that has none, a slip without friction.
     """
-    return {c.name: _value(c, contacts, bodies) for c in channels}
+    return {c.name: _member(c, _value(c, contacts, bodies)) for c in channels}
+
+
+def _member(c: Channel, value: Array) -> Array:
+    return value[..., c.member - 1] if c.member else value
 
 
 def _value(c: Channel, contacts: Mapping[str, Reading], bodies: Mapping[str, BodyMotion]) -> Array:

@@ -77,13 +77,15 @@ class Contact(eqx.Module):
     friction: AbstractFriction | None = eqx.field(default=None, converter=lambda x: _friction(x))
     elastic: str | None = eqx.field(static=True, default=None)
     smoothing: bool = eqx.field(static=True, default=True)
-    at: tuple[Place, Place] = eqx.field(static=True, default=(ORIGIN, ORIGIN), converter=lambda x: tuple(map(tuple, x)))
+    at: tuple[Place, Place] = eqx.field(static=True, default=(ORIGIN, ORIGIN), converter=lambda x: _places(x))
     values: tuple[tuple[str, Size], ...] = eqx.field(static=True, default=(), converter=lambda x: _items(x))
     approach: Any = eqx.field(static=True, default=Approach())
 
     def __check_init__(self):
         if isinstance(self.law, str):
             object.__setattr__(self, "law", laws.make(self.law, self.elastic))
+            # The law has it now: a contact whose elastic part was named is the one that has it by default.
+            object.__setattr__(self, "elastic", None)
         where = f"contact '{self.name}'"
         if not self.name.isidentifier():
             raise InputError(where, "is no name for a contact", "give a word of letters, digits and '_'")
@@ -172,6 +174,10 @@ class Contact(eqx.Module):
 
 def _items(values: Any) -> tuple[tuple[str, Size], ...]:
     return tuple(values.items()) if isinstance(values, Mapping) else tuple(values)
+
+
+def _places(at: Any) -> Any:
+    return tuple(map(tuple, at))
 
 
 def _friction(friction: Any) -> AbstractFriction | None:

@@ -305,13 +305,13 @@ class JointSpring(AbstractLoad):
             rate = minus(rate, speed)
         return minus(times(-1.0, times(k, minus(position, rest))), times(c, rate))
 
-    def parameters(self) -> dict[str, tuple[Quantity, float | None]]:
-        """Stiffness, damping and rest, or those of its drive."""
-        found = _stated(self.stiffness, self.name, "stiffness", "N/m")
-        found |= _stated(self.damping, self.name, "damping", "N s/m")
+    def parameters(self, turns: bool = True) -> dict[str, tuple[Quantity, float | None]]:
+        """Stiffness, damping and rest, or those of its drive; ``turns``: whether the coordinate is an angle."""
+        found = _stated(self.stiffness, self.name, "stiffness", "N m/rad" if turns else "N/m")
+        found |= _stated(self.damping, self.name, "damping", "N m s/rad" if turns else "N s/m")
         if self.drive is not None:
-            return found | self.drive.needs(self.name, turns=True)
-        return found | _stated(self.rest, self.name, "rest", "m")
+            return found | self.drive.needs(self.name, turns)
+        return found | _stated(self.rest, self.name, "rest", "rad" if turns else "m")
 
 
 class Load(AbstractLoad):

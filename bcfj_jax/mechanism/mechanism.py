@@ -145,7 +145,8 @@ class Mechanism(AbstractModel):
         for part in (shared, *parts, *(b.parameters(self.turning(b.name)) for b in self.bodies)):
             found |= {name: x for name, x in part.items() if found.get(name, (None, None))[1] is None}
         for load in self.loads:
-            found |= load.parameters()
+            turns = isinstance(load, JointSpring) and self.body(load.body).joint == "hinge"
+            found |= load.parameters(turns) if isinstance(load, JointSpring) else load.parameters()
         found |= {quantity.name: (quantity, default) for quantity, default in self.own}
         for name in self._named():
             if name not in found and name in CATALOGUE:
@@ -177,9 +178,8 @@ class Mechanism(AbstractModel):
             found.setdefault("smoothing", 0.0)
         given = {self.canonical(name): float(value) for name, value in self.given}
         known = self._parameters
-        return tuple(
-            {name: given.get(name, found.get(name)) for name in known if name in found or name in given}.items()
-        )
+        values = {**found, **given}
+        return tuple((name, values[name]) for name in known if name in values)
 
     def horizon(self, params: Params) -> Array:
         """``end``."""
@@ -292,7 +292,7 @@ class Mechanism(AbstractModel):
             frames.append(Frame(add(part.place, turned(part.axes, c.marker(which, p))), part.axes))
         coefficients = c.coefficients(p)
         try:
-            faces = c.gap.faces(*frames, coefficients)
+            faces = c.gap.faces(frames[0], frames[1], coefficients)
         except Exception as error:
             raise raised(f"contact '{c.name}' gap {type(c.gap).__name__}", error) from error
         found = []
@@ -403,7 +403,7 @@ class Mechanism(AbstractModel):
         drag = add(*(touch.drag for _, touch in touching))
         normal = minus(*normals) if c.gap.signed else _sum(normals)
         way = touching[0][0].normal if len(touching) == 1 else unit(subtract(drag, force))
-        axial = c.gap.axial(*frames, c.coefficients(p))
+        axial = c.gap.axial(frames[0], frames[1], c.coefficients(p))
         along = unit(subtract(axial, scale(dot(axial, way), way)))
         across = cross(way, along)
         depth, rate, slip = _deepest(touching)

@@ -11,7 +11,7 @@ import math
 import jax.numpy as jnp
 import numpy as np
 
-from bcfj_jax import InputError, Scene, scenes
+from bcfj_jax import AbstractModel, InputError, scenes
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint.checks import check_joint
 from bcfj_jax.models.joint.scene import OF_A_BALL
@@ -40,7 +40,7 @@ EVENLY = {
 }
 
 
-def springs(kind: str, law: str, count: int, seed: int, wide: bool = False) -> tuple[Scene, Params, np.ndarray]:
+def springs(kind: str, law: str, count: int, seed: int, wide: bool = False) -> tuple[AbstractModel, Params, np.ndarray]:
     """A scene of a law, ``count`` random parameter sets (each (count,)), and their end times [s] (count,).
 
     Masses of 1 g to 10 kg at 1 cm/s to 10 m/s, contacts of 1 um to 1 mm depth with exponents 1 to 2.5, losses from

@@ -9,6 +9,7 @@ import numpy as np
 
 from bcfj_jax import InputError
 from bcfj_jax.io.units import format_si
+from bcfj_jax.mechanism.channels import unit_of
 from calibration.data.table import Table
 
 # A step of the clock that much above all but the longest tenth of the steps is a gap.
@@ -65,7 +66,7 @@ def check_channel(observes: str, values: np.ndarray, masked: np.ndarray, offset:
         raise InputError(place, "holds no number at all", "choose another column, or other rows")
     if seen.min() == seen.max():
         remedy = "choose the column that the sensor wrote, or take the channel out"
-        raise InputError(place, f"reads {format_si(float(seen[0]), 'N')} in every row", remedy)
+        raise InputError(place, f"reads {format_si(float(seen[0]), unit_of(observes))} in every row", remedy)
     if not (np.isfinite(values) & ~masked).any():
         raise InputError(place, "every sample is at or beyond the saturation", "give the sensor's true limit")
     level = seen - (np.median(seen) if offset else 0.0)
@@ -85,7 +86,7 @@ def channel_notes(observes: str, values: np.ndarray, masked: np.ndarray) -> list
         notes.append(f"{observes}: {int(masked.sum())} samples dropped as saturated")
     level, count = _plateau(values[np.isfinite(values) & ~masked])
     if count:
-        shown = format_si(level, "N")
+        shown = format_si(level, unit_of(observes))
         said = f"{observes}: reads {shown} {count} times in a row at its peak"
         notes.append(f'{said}; if it clips there, give saturation = "{shown}"')
     return notes

@@ -12,6 +12,7 @@ import numpy as np
 
 from bcfj_jax import InputError
 from bcfj_jax.io.units import format_si
+from bcfj_jax.mechanism.channels import unit_of
 from calibration.data.inspection import (
     TOUCHING,
     channel_notes,
@@ -89,7 +90,7 @@ def prepare(name: str, part: Table, time: str, observe: dict[str, str], recipe: 
         name: of the experiment.
         part: its rows.
         time: header of the clock's column.
-        observe: header of a column, "-" before it to flip its sign, by the "contact.component" it reads.
+        observe: header of a column, "-" before it to flip its sign, by the reading it is of.
         recipe: what to do.
         where: the experiment in its problem file, for messages.
 
@@ -99,7 +100,7 @@ def prepare(name: str, part: Table, time: str, observe: dict[str, str], recipe: 
     """
     clock = part.numbers(time, "s", f"{where} time", blank=False)
     check_clock(clock, part, time)
-    raw = {o: _signed(part, header, where) for o, header in observe.items()}
+    raw = {o: _signed(part, header, unit_of(o), where) for o, header in observe.items()}
     onset = _onset(clock, next(iter(raw.values())), where) if recipe.align else None
     clock = clock - (onset or 0.0)
     breaks = jumps(clock)
@@ -138,9 +139,9 @@ def _place(part: Table, header: str) -> str:
     return f"{part.span}, column '{header.removeprefix('-').strip()}'"
 
 
-def _signed(part: Table, header: str, where: str) -> np.ndarray:
+def _signed(part: Table, header: str, unit: str, where: str) -> np.ndarray:
     sign = -1.0 if header.startswith("-") else 1.0
-    return sign * part.numbers(header.removeprefix("-").strip(), "N", f"{where} observe", blank=True)
+    return sign * part.numbers(header.removeprefix("-").strip(), unit, f"{where} observe", blank=True)
 
 
 def _onset(clock: np.ndarray, values: np.ndarray, where: str) -> float:

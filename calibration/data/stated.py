@@ -17,6 +17,7 @@ import numpy as np
 from bcfj_jax import InputError, nearest
 from bcfj_jax.analysis.derivatives.names import UNITS
 from bcfj_jax.io.units import quantity
+from bcfj_jax.mechanism.channels import unit_of
 from calibration.problem import Observation
 
 _OF_READING = re.compile(r"(.*%)\s*of\s+(?:the\s+)?reading")
@@ -24,7 +25,7 @@ _RIGHT = 'give "2 %", "0.1 kN", "0.1 kN + 2 % of reading" or "estimate"'
 
 
 class Noise(NamedTuple):
-    """Standard deviation [N] (None: to be estimated), and the part that grows with the reading, as a share."""
+    """Standard deviation, SI (None: to be estimated), and the part that grows with the reading, as a share."""
 
     sigma: float | None
     relative: float
@@ -34,9 +35,9 @@ def noise(stated: object, observes: str, values: np.ndarray, where: str) -> Nois
     """The noise of one channel.
 
     Args:
-        stated: a number [N], a text, or a table of these by channel.
+        stated: a number, SI, a text, or a table of these by channel.
         observes: the channel.
-        values: (T,) its readings [N].
+        values: (T,) its readings, SI.
         where: place, for messages.
 
     Raises:
@@ -50,7 +51,7 @@ def noise(stated: object, observes: str, values: np.ndarray, where: str) -> Nois
         return Noise(None, 0.0)
     largest = float(np.nanmax(np.abs(values), initial=0.0))
     if not largest > 0:
-        raise InputError(where, "the record holds no force at all", "choose another column, or widen the window")
+        raise InputError(where, "the record is zero throughout", "choose another column, or widen the window")
     sigmas, shares = [], []
     for part in stated.split(" + ") if isinstance(stated, str) else [stated]:
         text = part.strip() if isinstance(part, str) else part
@@ -60,7 +61,7 @@ def noise(stated: object, observes: str, values: np.ndarray, where: str) -> Nois
         elif isinstance(text, str) and text.endswith("%"):
             sigmas.append(quantity(text, "1", where) * largest)
         else:
-            sigmas.append(quantity(text, "N", where))
+            sigmas.append(quantity(text, unit_of(observes), where))
     if not min(sigmas + shares) > 0:
         raise InputError(where, f"noise = {stated} gives a deviation of {min(sigmas + shares):g}", _RIGHT)
     # Independent parts add in their squares.

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax import force_history
+from bcfj_jax import reading_history
 from bcfj_jax.analysis.derivatives.jacobian import Histories, histories
 from bcfj_jax.analysis.derivatives.names import complete
 from bcfj_jax.mechanism.model import AbstractModel
@@ -24,7 +24,7 @@ from bcfj_jax.solve.integrate import Plan, plan
 from calibration.forward.losses import loss_of, straightened
 from calibration.forward.observables import Watch, fine, grid, low_pass, measured, tabulated, watches
 from calibration.forward.slots import Slot, make_slots
-from calibration.problem import COMPONENTS, NUISANCES, Experiment, Problem
+from calibration.problem import NUISANCES, Experiment, Problem
 from calibration.solver_budget import effort
 
 # Steps over a record that its force is sampled in where a sensor's low-pass is to be applied.
@@ -37,7 +37,7 @@ class Data(eqx.Module):
 
     Attributes:
         times: (E, T) [s].
-        values, weights: (E, C, T) readings [N] and 1/sigma; weight 0 is no sample.
+        values, weights: (E, C, T) readings, SI, and 1/sigma; weight 0 is no sample.
         memory: (E, C, T) correlation of a sample's noise with the one before, whose index is ``previous``.
         features, feature_weights: (E, F) likewise.
         fixed, chain: by name (E,), scene parameters and nuisances where they are not searched.
@@ -126,15 +126,15 @@ class Model(eqx.Module):
         return table, chain
 
     def predictions(self, point: Array, log_depth: Array) -> Array:
-        """What each channel would have read, (E, C, T) [N]."""
+        """What each channel would have read, (E, C, T), SI."""
 
         def one(params: dict, own: dict, times: Array) -> Array:
             shifted = times - own["time_offset"]
             # Samples may stand in any order; of those that read the initial state, a batch is done at its first step.
             order = jnp.argsort(shifted)
             sampled, places = fine(shifted, self.parts) if self.parts else (shifted[order], jnp.argsort(order))
-            forces = force_history(self.scene, params, sampled, accuracy=self.how, mode="forward")
-            readings = jnp.stack([_component(forces, channel) for channel in self.channels], axis=1)
+            seen = reading_history(self.scene, params, sampled, self.channels, accuracy=self.how)
+            readings = jnp.stack([seen[channel] for channel in self.channels], axis=1)
             passed = low_pass(sampled, readings, own["bandwidth"]) if self.parts else readings
             return own["gain"] * passed[places].T + own["force_offset"]
 
@@ -177,14 +177,6 @@ class Model(eqx.Module):
         return np.sum(loss_of(self.loss, np.square(residuals))[0], axis=-1)
 
 
-def _component(forces: dict[str, Array], channel: str) -> Array:
-    contact, _, component = channel.partition(".")
-    if contact in forces:
-        return forces[contact][:, COMPONENTS.index(component)]
-    whole, _, member = contact.rpartition("_")
-    return forces[whole][:, int(member) - 1, COMPONENTS.index(component)]
-
-
 def values_at(model: Model, points: np.ndarray, log_depth: float) -> np.ndarray:
     """``Model.values`` of unit-box points (..., P), in NumPy."""
     lower, width = (np.asarray(a) for a in model.box(jnp.asarray(log_depth)))
@@ -213,7 +205,7 @@ def batch(model: Model, points: Array, log_depth: Array) -> tuple[Array, Array]:
 
 @eqx.filter_jit
 def predictions(model: Model, point: Array, log_depth: Array) -> Array:
-    """What each channel would have read, (E, C, T) [N]."""
+    """What each channel would have read, (E, C, T), SI."""
     return model.predictions(point, log_depth)
 
 

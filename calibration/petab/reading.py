@@ -12,8 +12,9 @@ import numpy as np
 from bcfj_jax import InputError, nearest
 from bcfj_jax.analysis.derivatives.names import UNITS
 from bcfj_jax.io import scenefile
+from bcfj_jax.mechanism.channels import is_reading
 from calibration.data.readers import library
-from calibration.problem import COMPONENTS, NUISANCES, Channel, Experiment, Free, Observation, Problem
+from calibration.problem import NUISANCES, Channel, Experiment, Free, Observation, Problem
 
 
 def load(path: str | Path, scene: str | Path | None = None) -> Problem:
@@ -174,7 +175,7 @@ class _Reader:
         fixed = {name: value for name, value in values.items() if value is not None}
         by = {o: [m for m in rows if m.observable_id == o] for o in dict.fromkeys(m.observable_id for m in rows)}
         reads = {o: self._reads(o, fixed) for o in by}
-        histories = [o for o in by if reads[o].rpartition(".")[2] in COMPONENTS]
+        histories = [o for o in by if is_reading(reads[o])]
         times = np.array(sorted({m.time for o in histories for m in by[o]}))
         channels, features, spans = [], [], set()
         for o, measured in by.items():
@@ -202,7 +203,8 @@ class _Reader:
         if observable not in self.observables:
             raise InputError(str(self.path), f"no observable '{observable}'", nearest(observable, self.observables))
         formula = self.observables[observable].formula
-        outputs = [s for s in formula.free_symbols if self.name(str(s)).rpartition(".")[2] in (*COMPONENTS, *UNITS)]
+        names = {s: self.name(str(s)) for s in formula.free_symbols}
+        outputs = [s for s, name in names.items() if is_reading(name) or name.rpartition(".")[2] in UNITS]
         right = 'write gain * output + force_offset, with the output mapped to "contact.normal" or the like'
         if len(outputs) != 1 or not formula.is_polynomial(outputs[0]):
             raise InputError(where, f"the formula '{formula}'", right)

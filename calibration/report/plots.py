@@ -9,11 +9,11 @@ import numpy as np
 
 from bcfj_jax import Run, simulate
 from bcfj_jax.analysis.simulation.pictures import loops
-from bcfj_jax.io.outputs import channels
 from bcfj_jax.io.plots import COLOURS, engineering, figure, label, save, style
+from bcfj_jax.mechanism.channels import channel as reading
 from calibration.diagnostics.records import Record
 from calibration.fit import Fit
-from calibration.problem import COMPONENTS, Problem
+from calibration.problem import Problem
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -49,7 +49,8 @@ def _run(fit: Fit, problem: Problem, record: Record) -> Run:
     if not span.size:  # features alone, of a run that starts with the model's clock
         span = next(np.array([0.0, e.span or 0.0]) for e in problem.experiments if e.name == record.name)
     times = np.linspace(min(0.0, span[0]), max(span[-1], span[0] + 1e-9), _CURVE_SAMPLES)
-    return simulate(problem.scene, problem.scene.parameters(params), times, accuracy=1e-4)
+    read = dict.fromkeys(c.observes for e in problem.experiments for c in e.channels)
+    return simulate(problem.scene, problem.scene.parameters(params), times, accuracy=1e-4, read=tuple(read))
 
 
 def _panel(upper: Axes, lower: Axes, record: Record, channel: str, fit: Fit, problem: Problem) -> None:
@@ -60,13 +61,12 @@ def _panel(upper: Axes, lower: Axes, record: Record, channel: str, fit: Fit, pro
     lower.set_visible(True)
     name, colour = ("prediction", COLOURS[1]) if record.held_out else ("fit", COLOURS[0])
     run, own = _run(fit, problem, record), record.params
-    contact, _, component = channel.partition(".")
-    force = channels(run.force, 1)[contact][:, COMPONENTS.index(component)]
-    curve = own["gain"] * force + own["force_offset"]
+    curve = own["gain"] * run.readings[channel] + own["force_offset"]
     upper.plot((run.times + own["time_offset"]) * time_scale, curve * scale, color=colour, label=name)
     upper.plot(record.times * time_scale, data * scale, "o", ms=3.5, color=COLOURS[5], label="data")
     upper.set_title(f"{record.name}: {channel}" + (" (held out)" if record.held_out else ""))
-    upper.set_ylabel(label("force", "N", prefix))
+    seen = reading(channel, problem.scene)
+    upper.set_ylabel(label(seen.what.replace("_", " ") if seen.unit != "N" else "force", seen.unit, prefix))
     upper.legend(loc="upper right")
     strip = (data - record.prediction[channel]) / record.sigma[channel]
     lower.axhspan(-2, 2, color="#e8eef6", lw=0)

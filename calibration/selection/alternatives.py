@@ -28,6 +28,7 @@ import pydantic
 from bcfj_jax import InputError, nearest
 from bcfj_jax.io import scenefile, tables
 from bcfj_jax.io.units import quantity
+from bcfj_jax.mechanism.channels import unit_of
 from calibration.fit import Fit, fit
 from calibration.problem import NUISANCES, Problem
 from calibration.problemfile import FreeTable, free_of
@@ -163,7 +164,10 @@ def _candidate(entry: _Candidate, where: str, problem: Problem) -> Candidate:
     if len(shares) > 1:
         raise InputError(f"{where} observe", "noise in % and in N", "give one or the other for all channels")
     share = shares.pop()
-    noise = {name: quantity(value, "1" if share else "N", f"{where} observe") for name, value in entry.observe.items()}
+    noise = {
+        name: quantity(value, "1" if share else unit_of(name), f"{where} observe")
+        for name, value in entry.observe.items()
+    }
     first, last = (quantity(v, "s", f"{where} {key}") for key, v in (("start", entry.start), ("end", entry.end)))
     if not first < last:
         raise InputError(f"{where} end", f"{last:g} s is not after the start, {first:g} s", "give a later end")

@@ -27,7 +27,8 @@ from bcfj_jax.contact.gaps.spheres import SphereOnPlane as SphereOnPlane
 from bcfj_jax.contact.gaps.spheres import SphereOnSphere as SphereOnSphere
 from bcfj_jax.core.errors import InputError, nearest
 
-GAPS: dict[str, type[AbstractGap]] = {
+# A gap of the user's own (``io.usercode``) may be an object, which has no options.
+GAPS: dict[str, type[AbstractGap] | AbstractGap] = {
     "point_on_plane": PointOnPlane,
     "sphere_on_plane": SphereOnPlane,
     "sphere_on_sphere": SphereOnSphere,
@@ -53,8 +54,11 @@ def make_gap(name: str, **options: Any) -> AbstractGap:
     """
     if name not in GAPS:
         raise InputError("gap", f"no gap '{name}'", nearest(name, GAPS))
-    known = [field.name for field in dataclasses.fields(GAPS[name])]
+    gap = GAPS[name]
+    known = [field.name for field in dataclasses.fields(gap)] if isinstance(gap, type) else []
     for option in options:
         if option not in known:
             raise InputError(f"gap '{name}'", f"no option '{option}'", nearest(option, known))
-    return GAPS[name](**{key: tuple(x) if isinstance(x, list) else x for key, x in options.items()})
+    if not isinstance(gap, type):
+        return gap
+    return gap(**{key: tuple(x) if isinstance(x, list) else x for key, x in options.items()})

@@ -119,7 +119,7 @@ def compared(name: str) -> tuple[Any, list[Pair]]:
         draw = np.random.default_rng(seed)
         values = joint.parameters(axial_load=500.0, load_ramp=1.0)
         params = {key: x * draw.uniform(1.0, 1.05) for key, x in values.items()}
-        y = noisy(joint, params, seed)
+        y = noisy(joint, params, seed, places=5e-5)
         y[joint.moving :] = 1e-6 * draw.normal(size=y.size - joint.moving)
         state = named(joint, params, y)
         # A driven seat is where its drive is; a flexible drive is ahead of its own.
@@ -174,7 +174,7 @@ def test_the_cages_attitude_turns_with_its_spin():
         at, rate = ([jnp.asarray(x["cage", f"q{k}"]) for k in range(4)] for x in (pair.state, pair.rates))
         axis, moving = jax.jvp(lambda q: array(_attitude(q)[2]), (at,), (rate,))
         spin = np.array([pair.state["cage", key] for key in ("wx", "wy", "wz")])
-        np.testing.assert_allclose(moving, np.cross(spin, axis), rtol=0, atol=1e-14 * np.linalg.norm(spin))
+        np.testing.assert_allclose(moving, np.cross(spin, axis), rtol=0, atol=1e-14 * float(np.linalg.norm(spin)))
 
 
 @EACH
@@ -184,10 +184,12 @@ def test_instruments_read_the_same(name):
     for pair in found:
         left, right = pair.readings
         assert list(left) == list(right)
+        for part in ("force", "penetration", "rate", "slip", "world"):
+            both = [(getattr(left[contact], part), getattr(right[contact], part)) for contact in right]
+            # The mechanism does not read how a contact without friction slides.
+            both = [x for x in both if x[0] is not None]
+            assert not both or apart(both) < TOLERANCE, part
         for contact in right:
-            for part in ("force", "penetration", "rate", "slip", "world"):
-                a, b = getattr(left[contact], part), getattr(right[contact], part)
-                assert a is None or not np.any(b) or apart([(a, b)]) < TOLERANCE, (contact, part)
             assert np.array_equal(left[contact].force[..., 0] != 0, right[contact].force[..., 0] != 0)
             pressed |= {contact} if np.any(right[contact].force[..., 0]) else set()
     assert pressed == set(found[0].readings[1]), "a contact that never touches is not compared"
@@ -214,7 +216,6 @@ def test_energy_flows_agree(name):
             "elastic": (left.stored["elastic"], right.stored["elastic"]),
         }
         for what, (a, b) in powers.items():
-            print(name, what, float(a), float(b), abs(float(a)-float(b))/max(abs(float(b)),1e-300))
             np.testing.assert_allclose(a, b, rtol=1e-11, atol=1e-300, err_msg=what)
 
 

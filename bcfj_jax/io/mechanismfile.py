@@ -1,0 +1,611 @@
+"""Mechanisms of one's own in a scene file: its bodies, contacts, loads and quantities become a ``Mechanism``.
+
+    [scene]          kind = "mechanism"; law, elastic, friction, smoothing: of every contact that does not say its own
+    [[body]]         name, joint, parent, at, axis, tilt = [axis, angle], center, mass, inertia, start, drive, members
+    [[contact]]      name, between, gap, at = [on a, on b], law, elastic, friction, smoothing, approach, values
+    [[load]]         kind = gravity | force | torque | spring | bush | joint_spring | a function of one's own; name, ...
+    [quantity.NAME]  unit, lower, upper, default, meaning: a parameter that places and coefficients may name
+    [[read]]         of, frame: readings to keep
+
+A number is SI, a text with a unit ("50 mm"), or the name of a quantity ("rod_length", "-rod_length"). A number is the
+default of a parameter, which has the name of its part: "rod.mass", "rod.at_x", "journal.stiffness".
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple, TypeVar
+
+import jax.numpy as jnp
+import pydantic
+from jax import Array
+
+from bcfj_jax.contact import laws
+from bcfj_jax.contact.gaps import GAPS, AbstractGap, make_gap
+from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.quantities import CATALOGUE, Quantity, check_value
+from bcfj_jax.io import tables, usercode
+from bcfj_jax.io.units import alike, coherent, quantity
+from bcfj_jax.io.usercode import MECHANISM as KIND
+from bcfj_jax.mechanism import channels, sizes
+from bcfj_jax.mechanism.bodies import GROUND, JOINTS, Body, Drive, unit_of
+from bcfj_jax.mechanism.channels import Channel
+from bcfj_jax.mechanism.contacts import Approach, Contact
+from bcfj_jax.mechanism.loads import LOADS, AbstractLoad, Load
+from bcfj_jax.mechanism.mechanism import Mechanism
+
+# Tables of a mechanism beside those of every scene file.
+LISTS, TABLES = ("body", "contact", "load", "read"), ("quantity",)
+_NAME = re.compile(r"-?[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
+_WHERE = re.compile(r"(?:mechanism|scene) '[^']*'\s*(.*)", re.DOTALL)
+_PART = re.compile(r"(body|contact|load) '([^']*)'\s*(.*)", re.DOTALL)
+# What a drive of each kind reads.
+_DRIVES = {"constant": ("speed", "start"), "ramp": ("speed", "over", "start"), "table": ("table",)}
+M = TypeVar("M", bound=tables.Table)
+
+
+class _Scene(tables.Table):
+    kind: str
+    law: str | None = None
+    elastic: str | None = None
+    friction: bool | str = False
+    smoothing: bool = True
+
+
+class _Drive(tables.Table):
+    kind: str = "constant"
+    speed: Any = None
+    over: Any = None
+    start: Any = None
+    table: list[list[Any]] | None = None
+
+
+class _Body(tables.Table):
+    name: str
+    joint: str = "free"
+    parent: Any = GROUND
+    at: list[Any] = [0, 0, 0]
+    axis: str | list[float | int] = "z"
+    tilt: list[Any] | None = None
+    center: list[Any] = [0, 0, 0]
+    mass: Any = None
+    inertia: Any = None
+    start: dict[str, Any] = {}
+    drive: _Drive | None = None
+    members: int = pydantic.Field(default=0, ge=0)
+
+
+class _Contact(tables.Table):
+    name: str
+    between: list[str]
+    gap: str | dict[str, Any]
+    at: list[list[Any]] = [[0, 0, 0], [0, 0, 0]]
+    law: str | None = None
+    elastic: str | None = None
+    friction: bool | str | None = None
+    smoothing: bool | None = None
+    approach: str = "memory"
+    values: dict[str, Any] = {}
+
+
+class _Quantity(tables.Table):
+    unit: str
+    lower: Any = None
+    upper: Any = None
+    default: Any = None
+    meaning: str = ""
+
+
+class _Read(tables.Table):
+    of: str
+    frame: str | None = None
+
+
+class _Gravity(tables.Table):
+    kind: str
+    name: str = "gravity"
+    direction: str | list[float | int] = "-y"
+
+
+class _Force(tables.Table):
+    kind: str
+    name: str
+    body: str
+    direction: str | list[float | int] = "x"
+    size: Any = None
+    at: list[Any] = [0, 0, 0]
+    ramp: Any = None
+    table: list[list[Any]] | None = None
+    follows: bool = False
+
+
+class _Torque(_Force):
+    against: str = GROUND
+
+
+class _Spring(tables.Table):
+    kind: str
+    name: str
+    between: list[str]
+    at: list[list[Any]] = [[0, 0, 0], [0, 0, 0]]
+    stiffness: Any = 0
+    damping: Any = 0
+    free_length: Any = 0
+
+
+class _Bush(tables.Table):
+    kind: str
+    name: str
+    between: list[str]
+    at: list[list[Any]] = [[0, 0, 0], [0, 0, 0]]
+    stiffness: Any = 1e7
+    damping: Any = 0
+    turning_damping: Any = 0
+
+
+class _JointSpring(tables.Table):
+    kind: str
+    name: str
+    body: str
+    stiffness: Any = 0
+    damping: Any = 0
+    rest: Any = 0
+    drive: _Drive | None = None
+
+
+class _Own(tables.Table):
+    kind: str
+    name: str
+    bodies: list[str] = []
+
+
+_LOADS: dict[str, type[tables.Table]] = {
+    "gravity": _Gravity, "force": _Force, "torque": _Torque, "spring": _Spring, "bush": _Bush, "joint_spring": _JointSpring,
+}  # fmt: skip
+
+
+class Built(NamedTuple):
+    """A mechanism from a file.
+
+    Attributes:
+        scene: the mechanism.
+        resolved: its tables with every default, SI, which a file may hold again.
+    """
+
+    scene: Mechanism
+    resolved: dict[str, Any]
+
+
+@dataclasses.dataclass(frozen=True)
+class OneTurn:
+    """Time in which a driven body turns once [s]: where a mechanism ends if nobody says."""
+
+    body: str
+    speed: Any
+
+    def __call__(self, p: Mapping[str, Array]) -> Array:
+        """The time."""
+        speed = jnp.abs(sizes.value(self.speed, self.body, "drive_speed", p))
+        return 2.0 * jnp.pi / jnp.maximum(speed, 1e-6)
+
+
+def build(content: Mapping[str, Any], where: str, given: Mapping[str, Any]) -> Built:
+    """The mechanism that the tables of a file list.
+
+    Args:
+        content: the tables, by name.
+        where: the file, for messages.
+        given: what [parameters] says, by name, as it is written.
+
+    Raises:
+        InputError: for anything that is not right, with the table, the entry and what would be.
+    """
+    return _Builder(content, where, given).built()
+
+
+@contextlib.contextmanager
+def placed(content: Mapping[str, Any], where: str) -> Iterator[None]:
+    """Within, what is refused of a body, a contact or a load names the entry of the file."""
+    try:
+        yield
+    except InputError as error:
+        rest = error.where.removeprefix(where).strip()
+        match = _WHERE.fullmatch(rest)
+        found = _PART.fullmatch(match[1] if match else rest)
+        if found is None:
+            text = match[1] if match else rest
+            place = where if error.where.startswith(where) or match else ""
+            raise InputError(f"{place} {text}".strip(), error.found, error.remedy) from error.__cause__
+        table, name, key = found[1], found[2], found[3]
+        # The last of that name: of two, the first was right when it was read.
+        numbers = [k for k, entry in enumerate(content.get(table, ())) if entry.get("name", entry.get("kind")) == name]
+        entry = f"[[{table}]] {numbers[-1] + 1} '{name}'" if numbers else f"[[{table}]] '{name}'"
+        raise InputError(f"{where}: {entry} {key}".strip(), error.found, error.remedy) from error.__cause__
+
+
+def readings(content: Mapping[str, Any], scene: Any, where: str) -> tuple[list[dict[str, str]], tuple[Channel, ...]]:
+    """What [[read]] asks for: the resolved tables, and the readings.
+
+    Raises:
+        InputError: for a reading that the scene has not, with the nearest that it has.
+    """
+    found, resolved = [], []
+    for k, table in enumerate(_listed(content, "read", where)):
+        place = f"{where}: [[read]] {k + 1}"
+        entry = _checked(_Read, table, place)
+        try:
+            found.append(channels.channel(entry.of, scene, entry.frame or "", f"{place} of"))
+        except InputError as error:
+            frame = entry.frame and "to resolve" in error.found
+            raise InputError(f"{place} {'frame' if frame else 'of'}", error.found, error.remedy) from None
+        resolved.append({"of": entry.of} | ({"frame": entry.frame} if entry.frame else {}))
+    return resolved, tuple(found)
+
+
+class _Builder:
+    """Reads a file's tables; remembers every name that stands for a number, to be looked up when all parts are known."""
+
+    def __init__(self, content: Mapping[str, Any], where: str, given: Mapping[str, Any]) -> None:
+        self.content, self.where, self.given = content, where, given
+        self.named: list[tuple[str, str, str]] = []
+
+    def built(self) -> Built:
+        scene = _checked(_Scene, self.content["scene"], f"{self.where}: [scene]")
+        law = scene.law or (
+            "exact" if any(n.rpartition(".")[2] == "restitution" for n in self.given) else "memory_free"
+        )
+        options = scene.model_copy(update={"law": law})
+        own, quantities = self._quantities()
+        parts: dict[str, list[Any]] = {"body": [], "contact": [], "load": []}
+        resolved: dict[str, list[dict[str, Any]]] = {"body": [], "contact": [], "load": []}
+        for table, one in (("body", self._body), ("contact", self._contact), ("load", self._load)):
+            for k, entry in enumerate(_listed(self.content, table, self.where)):
+                part, plain = one(entry, self._place(table, k, entry), options)
+                parts[table].append(part)
+                resolved[table].append(plain)
+        with placed(self.content, self.where):
+            mechanism = Mechanism(
+                KIND, tuple(parts["body"]), tuple(parts["contact"]), tuple(parts["load"]), own=own,
+                end=_end(parts["body"]),
+            )  # fmt: skip
+        self._look_up(mechanism)
+        tables_ = {"scene": _plain(options), **resolved, "quantity": quantities}
+        return Built(mechanism, {name: table for name, table in tables_.items() if table})
+
+    def _place(self, table: str, k: int, entry: Mapping[str, Any]) -> str:
+        name = entry.get("name")
+        return f"{self.where}: [[{table}]] {k + 1}" + (f" '{name}'" if isinstance(name, str) else "")
+
+    def _look_up(self, scene: Mechanism) -> None:
+        """Refuse names that no parameter has, and those of parameters of another kind."""
+        known = scene.quantities
+        for place, text, unit in self.named:
+            name = scene.canonical(text.removeprefix("-"))
+            if name not in known:
+                remedy = f"{nearest(name, known)} Declare one of your own in [quantity.{name}]"
+                raise InputError(place, f"no quantity '{name}'", remedy)
+            if not alike(known[name].unit, unit):
+                found = f"'{name}' is in {known[name].unit}, and this is in {unit}"
+                raise InputError(place, found, f"name a quantity in {unit}")
+
+    # Numbers.
+
+    def _size(self, value: Any, unit: str, place: str, exponent: float | None = None) -> float | str | None:
+        """A number in SI, or a name, which is looked up later."""
+        if value is None:
+            return None
+        if isinstance(value, str) and _NAME.fullmatch(value.strip()):
+            self.named.append((place, value.strip(), unit))
+            return value.strip()
+        try:
+            return quantity(value, unit, place, exponent=exponent)
+        except InputError as error:
+            remedy = f"{error.remedy}, or the name of a quantity" if isinstance(value, str) else error.remedy
+            raise InputError(error.where, error.found, remedy) from None
+
+    def _vector(self, values: Sequence[Any], unit: str, place: str) -> tuple[Any, Any, Any]:
+        if len(values) != 3:
+            raise InputError(place, f"{list(values)}", f"give three numbers, such as [{_example(unit)}, 0, 0]")
+        x, y, z = (self._size(value, unit, f"{place}[{k}]") for k, value in enumerate(values))
+        return x, y, z
+
+    def _markers(self, values: Sequence[Sequence[Any]], place: str) -> tuple[Any, Any]:
+        if len(values) != 2:
+            raise InputError(place, f"{len(values)} places", "give two: [on the first body, on the second]")
+        return self._vector(values[0], "m", f"{place}[0]"), self._vector(values[1], "m", f"{place}[1]")
+
+    def _table(self, rows: list[list[Any]] | None, units: tuple[str, str], place: str) -> Any:
+        if rows is None:
+            return None
+        if len(rows) != 2 or len(rows[0]) != len(rows[1]):
+            raise InputError(place, "has not two rows of one length", "give [[times], [values]]")
+        return tuple(
+            tuple(quantity(x, unit, f"{place}[{i}][{k}]") for k, x in enumerate(row))
+            for i, (row, unit) in enumerate(zip(rows, units, strict=True))
+        )
+
+    def _quantities(self) -> tuple[list[tuple[Quantity, float | None]], dict[str, dict[str, Any]]]:
+        found, resolved = [], {}
+        for name, table in self.content.get("quantity", {}).items():
+            place = f"{self.where}: [quantity.{name}]"
+            if not name.isidentifier():
+                raise InputError(place, f"'{name}' is no name for a quantity", "give a word of letters, digits and '_'")
+            entry = _checked(_Quantity, table, place)
+            unit = coherent(entry.unit, f"{place} unit")
+            known = CATALOGUE.get(name)
+            if known is not None and not alike(known.unit, unit):
+                found_ = f"'{name}' is {known.meaning}, in {known.unit}, not in {unit}"
+                raise InputError(f"{place} unit", found_, f"give {known.unit}, or the quantity another name")
+            numbers = {
+                key: quantity(getattr(entry, key), unit, f"{place} {key}")
+                for key in ("lower", "upper", "default")
+                if getattr(entry, key) is not None
+            }
+            low, high = numbers.get("lower", float("-inf")), numbers.get("upper", float("inf"))
+            if not low <= high:
+                raise InputError(f"{place} lower", f"{low:g} is above upper = {high:g}", "give lower <= upper")
+            own = Quantity(name, unit, entry.meaning or name.replace("_", " "), low, high)
+            if "default" in numbers:
+                check_value(f"{place} default", own, numbers["default"])
+            found.append((own, numbers.get("default")))
+            finite = {key: x for key, x in numbers.items() if abs(x) != float("inf")}
+            resolved[name] = {"unit": unit, **finite, "meaning": own.meaning}
+        return found, resolved
+
+    # Parts.
+
+    def _body(self, table: Mapping[str, Any], place: str, options: _Scene) -> tuple[Body, dict[str, Any]]:
+        del options
+        entry = _checked(_Body, table, place)
+        if isinstance(entry.parent, list):
+            found = (
+                f"'{entry.name}' hangs on {' and on '.join(map(repr, entry.parent))}: joints alone would close a loop"
+            )
+            remedy = "give it one parent, and close the loop by a contact with clearance or a bush"
+            raise InputError(f"{place} parent", found, remedy)
+        if not isinstance(entry.parent, str):
+            raise InputError(f"{place} parent", f"{entry.parent!r}", f"give the name of a body, or '{GROUND}'")
+        if entry.joint not in JOINTS:
+            raise InputError(f"{place} joint", f"no joint '{entry.joint}'", nearest(entry.joint, JOINTS))
+        given: dict[str, Any] = {
+            "name": entry.name, "joint": entry.joint, "parent": entry.parent, "axis": _axis(entry.axis, f"{place} axis"),
+            "at": self._vector(entry.at, "m", f"{place} at"),
+            "center": self._vector(entry.center, "m", f"{place} center"),
+            "mass": self._size(entry.mass, "kg", f"{place} mass"),
+        }  # fmt: skip
+        if isinstance(entry.inertia, list):
+            given["inertia"] = self._vector(entry.inertia, "kg m^2", f"{place} inertia")
+        else:
+            given["inertia"] = self._size(entry.inertia, "kg m^2", f"{place} inertia")
+        if entry.tilt is not None:
+            if len(entry.tilt) != 2:
+                raise InputError(f"{place} tilt", f"{entry.tilt}", 'give [axis, angle], such as ["y", "90 deg"]')
+            axis = _axis(entry.tilt[0], f"{place} tilt[0]")
+            given["tilt"] = (axis, self._size(entry.tilt[1], "rad", f"{place} tilt[1]"))
+        drive = self._drive(entry.drive, entry.joint == "hinge", f"{place} drive") if entry.drive else None
+        given["start"] = {key: self._size(x, unit_of(key), f"{place} start.{key}") for key, x in entry.start.items()}
+        given["members"] = entry.members
+        with _said_of(f"body '{entry.name}'", place):
+            body = Body(**given, drive=drive)
+        plain = {key: _listing(x) for key, x in given.items() if x not in (None, {}, (0.0, 0.0, 0.0))}
+        return body, plain | ({"drive": _drive_table(entry.drive, drive)} if entry.drive and drive else {})
+
+    def _drive(self, entry: _Drive, turns: bool, place: str) -> Drive:
+        known = (*_DRIVES, *usercode.functions())
+        if entry.kind not in known:
+            raise InputError(
+                f"{place}.kind", f"no kind of drive '{entry.kind}'", nearest(entry.kind, known) + usercode.hint()
+            )
+        reads = _DRIVES.get(entry.kind, ())
+        for key in ("speed", "over", "start", "table"):
+            if key not in reads and getattr(entry, key) is not None:
+                found = f"a drive of kind '{entry.kind}' has no {key}"
+                raise InputError(f"{place}.{key}", found, nearest(key, reads) if reads else "its function says all")
+        if entry.kind not in _DRIVES:
+            return Drive("function", function=usercode.functions()[entry.kind])
+        unit = "rad" if turns else "m"
+        with _said_of("drive", place):
+            return Drive(
+                entry.kind,
+                speed=self._size(entry.speed, f"{unit}/s", f"{place}.speed"),
+                over=self._size(entry.over, "s", f"{place}.over"),
+                start=0.0 if entry.start is None else self._size(entry.start, unit, f"{place}.start"),
+                table=self._table(entry.table, ("s", unit), f"{place}.table"),
+            )
+
+    def _contact(self, table: Mapping[str, Any], place: str, options: _Scene) -> tuple[Contact, dict[str, Any]]:
+        entry = _checked(_Contact, table, place)
+        gap, told = _gap(entry.gap, f"{place} gap")
+        # A law of its own has its own elastic part, whatever the other contacts have.
+        elastic = entry.elastic or (options.elastic if entry.law is None else None)
+        law = _named("law", entry.law or options.law, elastic, place)
+        friction = _friction(options.friction if entry.friction is None else entry.friction, place)
+        smoothing = options.smoothing if entry.smoothing is None else entry.smoothing
+        if entry.approach not in ("memory", "parameter"):
+            found = f"no approach '{entry.approach}'"
+            raise InputError(f"{place} approach", found, nearest(entry.approach, ("memory", "parameter")))
+        given: dict[str, Any] = {
+            "name": entry.name, "between": tuple(entry.between), "gap": gap, "law": law, "friction": friction,
+            "smoothing": smoothing, "at": self._markers(entry.at, f"{place} at"),
+            "approach": "parameter" if entry.approach == "parameter" else Approach(),
+        }  # fmt: skip
+        with _said_of(f"contact '{entry.name}'", place):
+            contact = Contact(**given)
+            if entry.values:
+                values = self._coefficients(contact, entry.values, f"{place} values")
+                contact = Contact(**given, values=values)
+        plain = {"name": entry.name, "between": list(entry.between), "gap": told, "at": _listing(contact.at)}
+        own = {key: getattr(entry, key) for key in ("law", "elastic", "friction", "smoothing")}
+        plain |= {key: x for key, x in own.items() if x is not None} | {"approach": entry.approach}
+        return contact, plain | ({"values": dict(contact.values)} if contact.values else {})
+
+    def _coefficients(self, contact: Contact, values: Mapping[str, Any], place: str) -> dict[str, Any]:
+        known = contact.parameters()
+        units = {key.removeprefix(f"{contact.name}."): q.unit for key, (q, _) in known.items()}
+        units |= {"clearance": "m"} if "clearance" in contact.reads else {}
+        found = {}
+        for key in sorted(values, key=lambda key: key != "exponent"):
+            if key not in contact.reads:
+                said = f"its gap, law and friction read no '{key}'"
+                raise InputError(f"{place}.{key}", said, nearest(key, contact.reads))
+            exponents = (found, self.given)
+            names = ("exponent", f"{contact.name}.exponent")
+            exponent = next((x[n] for n in names for x in exponents if isinstance(x.get(n), (int, float))), None)
+            found[key] = self._size(values[key], units[key], f"{place}.{key}", exponent)
+        return found
+
+    def _load(self, table: Mapping[str, Any], place: str, options: _Scene) -> tuple[AbstractLoad, dict[str, Any]]:
+        del options
+        kind, known = table.get("kind"), (*LOADS, *usercode.functions())
+        if kind is None:
+            raise InputError(f"{place} kind", "the key 'kind' is missing", f"give one of {', '.join(known)}")
+        if kind not in known:
+            raise InputError(f"{place} kind", f"no kind of load '{kind}'", nearest(str(kind), known) + usercode.hint())
+        if kind not in LOADS:
+            own = _checked(_Own, table, place)
+            return Load(own.name, usercode.functions()[kind], tuple(own.bodies)), _plain(own)
+        entry: Any = _checked(_LOADS[kind], table, place)
+        given = {key: getattr(entry, key) for key in type(entry).model_fields if key != "kind"}
+        if "direction" in given:
+            given["direction"] = _axis(entry.direction, f"{place} direction")
+        if "between" in given:
+            if len(entry.between) != 2 or entry.between[0] == entry.between[1]:
+                raise InputError(f"{place} between", f"{entry.between}", "give the names of two different bodies")
+            given["between"] = tuple(entry.between)
+            given["at"] = self._markers(entry.at, f"{place} at")
+        elif "at" in given:
+            given["at"] = self._vector(entry.at, "m", f"{place} at")
+        turns = kind == "joint_spring" and self._joint(entry.body) == "hinge"
+        for key, unit in _units(kind, turns).items():
+            given[key] = self._size(given[key], unit, f"{place} {key}")
+        if given.get("table") is not None:
+            if entry.size is not None or entry.ramp is not None:
+                raise InputError(f"{place} table", "is given beside a size or a ramp", "give one of them")
+            given["table"] = self._table(entry.table, ("s", _units(kind, turns)["size"]), f"{place} table")
+        drive = given.pop("drive", None)
+        made: dict[str, Any] = {"drive": self._drive(drive, turns, f"{place} drive")} if drive else {}
+        with _said_of(f"load '{entry.name}'", place):
+            load = LOADS[kind](**given, **made)
+        plain = {"kind": kind} | {key: _listing(x) for key, x in given.items() if x is not None}
+        return load, plain | ({"drive": _drive_table(drive, made["drive"])} if drive else {})
+
+    def _joint(self, body: str) -> str:
+        """The joint of a body, as its table says."""
+        found = (entry for entry in self.content.get("body", ()) if entry.get("name") == body)
+        return next(found, {}).get("joint", "free")
+
+
+def _units(kind: str, turns: bool) -> dict[str, str]:
+    """Units of a load's numbers; ``turns``: whether a joint's coordinate is an angle."""
+    if kind in ("force", "torque"):
+        return {"size": "N" if kind == "force" else "N m", "ramp": "s"}
+    if kind == "spring":
+        return {"stiffness": "N/m", "damping": "N s/m", "free_length": "m"}
+    if kind == "bush":
+        return {"stiffness": "N/m", "damping": "N s/m", "turning_damping": "N m s/rad"}
+    if kind == "joint_spring" and turns:
+        return {"stiffness": "N m/rad", "damping": "N m s/rad", "rest": "rad"}
+    return {"stiffness": "N/m", "damping": "N s/m", "rest": "m"} if kind == "joint_spring" else {}
+
+
+def _listed(content: Mapping[str, Any], table: str, where: str) -> list[Mapping[str, Any]]:
+    """The entries of [[table]]."""
+    entries = content.get(table) or []
+    for k, entry in enumerate(entries):
+        if not isinstance(entry, Mapping):
+            raise InputError(
+                f"{where}: [[{table}]] {k + 1}", f"{entry!r} is no table", f"write [[{table}]] and keys below"
+            )
+    return entries
+
+
+def _checked(model: type[M], table: Mapping[str, Any], place: str) -> M:
+    """``tables.validated`` with an entry's place in front of the key."""
+    try:
+        return tables.validated(model, dict(table), "@")
+    except InputError as error:
+        key = re.sub(r"^@: (?:\[(.*?)\] )?", lambda m: f"{m[1]}." if m[1] else "", error.where)
+        raise InputError(f"{place} {key}", error.found, error.remedy) from None
+
+
+@contextlib.contextmanager
+def _said_of(part: str, place: str) -> Iterator[None]:
+    """Within, what a part refuses of itself names the entry of the file."""
+    try:
+        yield
+    except InputError as error:
+        rest = error.where.removeprefix(part).strip()
+        raise InputError(error.where if error.where.startswith(place) else f"{place} {rest}".strip(), error.found,
+                         error.remedy) from error.__cause__  # fmt: skip
+
+
+def _axis(axis: Any, place: str) -> Any:
+    sizes.axis(axis, place)
+    return axis if isinstance(axis, str) else tuple(float(x) for x in axis)
+
+
+def _gap(given: str | dict[str, Any], place: str) -> tuple[AbstractGap, Any]:
+    """A gap, and how a file says it with every default."""
+    options = {} if isinstance(given, str) else {key: x for key, x in given.items() if key != "kind"}
+    kind = given if isinstance(given, str) else given.get("kind")
+    if kind is None:
+        raise InputError(f"{place}.kind", "the key 'kind' is missing", f"give one of {', '.join(GAPS)}")
+    if kind not in GAPS:
+        raise InputError(place, f"no gap '{kind}'", nearest(str(kind), GAPS) + usercode.hint())
+    try:
+        gap = make_gap(kind, **options)
+    except InputError as error:
+        key = re.search(r"option '(\w+)'", f"{error.where} {error.found}")
+        raise InputError(f"{place}.{key[1]}" if key else place, error.found, error.remedy) from None
+    if not isinstance(GAPS[kind], type):
+        return gap, kind
+    fields = {f.name: _listing(getattr(gap, f.name)) for f in dataclasses.fields(gap)}
+    return gap, {"kind": kind, **fields} if fields else kind
+
+
+def _named(what: str, name: str | None, elastic: str | None, place: str) -> Any:
+    """A law by its name and that of its elastic part."""
+    for key, value, known in ((what, name, laws.LAWS), ("elastic", elastic, laws.ELASTIC)):
+        if value is not None and value not in known:
+            raise InputError(f"{place} {key}", f"no such {key} '{value}'", nearest(value, known) + usercode.hint())
+    try:
+        return laws.make(name or "memory_free", elastic)
+    except InputError as error:
+        raise InputError(f"{place} {error.where}", error.found, error.remedy) from None
+
+
+def _friction(name: bool | str, place: str) -> Any:
+    try:
+        return laws.make_friction(name)
+    except InputError as error:
+        raise InputError(f"{place} friction", error.found, error.remedy + usercode.hint()) from None
+
+
+def _end(bodies: Sequence[Body]) -> Any:
+    for body in bodies:
+        drive = body.drive
+        if drive is not None and body.joint == "hinge" and drive.kind in ("constant", "ramp"):
+            return OneTurn(body.name, drive.speed)
+    return 1.0
+
+
+def _drive_table(entry: _Drive, drive: Drive) -> dict[str, Any]:
+    given = {"kind": entry.kind, "speed": drive.speed, "over": drive.over, "table": drive.table}
+    given |= {"start": drive.start} if "start" in _DRIVES.get(entry.kind, ()) else {}
+    return {key: _listing(x) for key, x in given.items() if x is not None}
+
+
+def _plain(entry: tables.Table) -> dict[str, Any]:
+    return {key: x for key, x in entry.model_dump().items() if x is not None}
+
+
+def _listing(x: Any) -> Any:
+    """Tuples as TOML writes them."""
+    return [_listing(part) for part in x] if isinstance(x, (tuple, list)) else x
+
+
+def _example(unit: str) -> str:
+    return '"50 mm"' if unit == "m" else '"1e-4 kg m^2"'

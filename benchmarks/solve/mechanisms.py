@@ -1,0 +1,139 @@
+"""What accuracy mechanisms keep: force errors of every built-in scene down a ladder of tolerances.
+
+Each case is run until before its contacts lose the order that two tight runs by different methods agree on, then at
+rising tolerances against the tighter of them. An error is the worst of force rms, peak and impulse over all contacts.
+Of every promise the largest tolerance that keeps it, it and all tighter ones, is found; over the promise that is the
+constant (``mechanism.EXPLICIT``, ``IMPLICIT``) that the case would bear.
+
+    python -m benchmarks.solve.mechanisms [--only CASE ...]      writes results/mechanisms.json
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from typing import Any, NamedTuple
+
+os.environ.setdefault("EQX_ON_ERROR", "nan")
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from bcfj_jax.models import scenes
+from bcfj_jax.solve import measured_error
+from bcfj_jax.solve.integrate import MAX_STEPS, Plan
+from bcfj_jax.solve.simulation import Run, timed
+from benchmarks.common import RESULTS, ROOT, load, markdown, save
+
+ASKED = (5e-2, 1e-2, 1e-3, 1e-5)
+LADDER = {
+    False: tuple(10.0 ** (-0.25 * k) for k in range(12, 41)),
+    True: tuple(10.0 ** (-0.25 * k) for k in range(5, 26)),
+}
+# Tight runs that stand for the truth, by method and tolerance; the second confirms the first.
+TIGHT = {False: (("tsit5", 1e-12), ("dopri5", 1e-11)), True: (("bdf", 1e-7), ("rodas3", 3e-7))}
+# References further apart than this fraction of a promise are none; stands for the error of a failed run.
+CERTAIN, LOST = 0.05, 1e9
+
+
+class Case(NamedTuple):
+    """A scene by name with its options and parameters, run to an end [s]; None for the scene's own."""
+
+    kind: str
+    options: dict[str, Any] = {}
+    values: dict[str, float] = {}
+    end: float | None = None
+
+
+_LAWS = {"friction": "lugre"}, {"friction": "coulomb"}, {"friction": "step"}
+CASES: dict[str, Case] = {
+    "impact": Case("impact"),
+    "chain": Case("chain"),
+    "chain, damped": Case("chain", {"count": 5, "law": "memory_free"}),
+    "crank 0.05 mm": Case("slider_crank", values={"clearance_journal": 5e-5}),
+    "crank 0.2 mm": Case("slider_crank", values={"clearance_journal": 2e-4}),
+    "crank 0.5 mm": Case("slider_crank"),
+    "crank, rubbing": Case("slider_crank", {"friction": True}),
+    "crank, latched": Case("slider_crank", {"law": "lankarani_nikravesh"}),
+    "guide": Case("slider_guide"),
+    "guide, elastic": Case("slider_guide", {"law": "hertz"}),
+    "guide, rubbing": Case("slider_guide", {"friction": True}),
+    "backlash": Case("backlash"),
+    "backlash, free": Case("backlash", {"driven": False}),
+    "backlash, smooth": Case("backlash", {"law": "memory_free"}, {"smoothing": 0.05}),
+    "oblique": Case("oblique_impact"),
+    "oblique, 60 deg": Case("oblique_impact", values={"impact_angle": 1.05}),
+    "oblique, no friction": Case("oblique_impact", {"friction": False}),
+    **{f"oblique, {law['friction']}": Case("oblique_impact", law) for law in _LAWS},
+    "four-bar": Case("four_bar", end=0.3),
+    "four-bar, smooth": Case("four_bar", {"friction": False}, end=0.3),
+}
+
+
+def measured(case: Case) -> dict[str, Any]:
+    """Errors and steps of a case at the tolerances of ``ASKED`` and down the ladder."""
+    scene = scenes.make(case.kind, **case.options)
+    params = scene.parameters(case.values)
+    end = float(scene.horizon(params)) if case.end is None else case.end
+    times, stiff = np.linspace(0.0, end, scene.samples), scene.traits.stiff
+
+    def at(tolerance: float, solver: str | None = None) -> Run:
+        return timed(scene, params, times, Plan(jnp.asarray(tolerance), 10 * MAX_STEPS, solver=solver))
+
+    truth, other = (at(tight, solver) for solver, tight in TIGHT[stiff])
+
+    def off(run: Run) -> float:
+        found = measured_error.measured(1.0, 0.0, times, run.force, truth.force, tolerance=0.0, wall_s=0.0).worst
+        return float(found) if np.isfinite(found) else LOST
+
+    row: dict[str, Any] = {"stiff": stiff, "end_s": end, "apart": off(other), "tight_steps": truth.stats["accepted"]}
+
+    def error(tolerance: float) -> tuple[float, int]:
+        run = at(tolerance)
+        return off(run), int(run.stats["accepted"] + run.stats["rejected"])
+
+    told = [error(scene.tolerance(asked)) for asked in ASKED]
+    row |= {"asked": ASKED, "error": [e for e, _ in told], "steps": [n for _, n in told]}
+    row["ladder"] = [error(tolerance)[0] for tolerance in LADDER[stiff]]
+    row["kept"] = [_kept(row["ladder"], LADDER[stiff], asked) for asked in ASKED]
+    return row
+
+
+def _kept(errors: list[float], ladder: tuple[float, ...], promise: float) -> float | None:
+    """The largest tolerance that keeps a promise, as all tighter ones do, over it."""
+    broken = np.flatnonzero(np.array(errors) > promise)
+    first = int(broken[-1]) + 1 if broken.size else 0
+    return ladder[first] / promise if first < len(ladder) else None
+
+
+def report(rows: dict[str, dict[str, Any]]) -> str:
+    """A table: by case the error over what was asked and, in brackets, the constant that would keep it."""
+    table = [["case", "solver", *(f"{100 * a:g} %" for a in ASKED), "steps", "references apart"]]
+    for name, row in rows.items():
+        cells = []
+        for asked, error, kept in zip(ASKED, row["error"], row["kept"], strict=True):
+            sure = row["apart"] <= CERTAIN * asked
+            bears = "-" if kept is None else f"{kept:.1g}"
+            cells.append(f"{error / asked:.2g} ({bears})" if sure else "no reference")
+        way = "implicit" if row["stiff"] else "explicit"
+        table.append([name, way, *cells, str(row["steps"][1]), f"{row['apart']:.1g}"])
+    return markdown(table)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", nargs="*", default=list(CASES), choices=list(CASES))
+    asked = parser.parse_args()
+    jax.config.update("jax_compilation_cache_dir", str(ROOT / "build" / "jax-cache"))
+    known = load("mechanisms")["cases"] if (RESULTS / "mechanisms.json").exists() else {}
+    for name in asked.only:
+        known[name] = measured(CASES[name])
+        print(report({name: known[name]}).splitlines()[-1], flush=True)
+        kept = {name: known[name] for name in CASES if name in known}
+        save("mechanisms", {"asked": ASKED, "ladder": {str(k): v for k, v in LADDER.items()}, "cases": kept})
+    print(report(load("mechanisms")["cases"]))
+
+
+if __name__ == "__main__":
+    main()
