@@ -27,14 +27,15 @@ if TYPE_CHECKING:
     from bcfj_jax.analysis.designs.api import design as design
     from bcfj_jax.analysis.designs.space import Free as Free
     from bcfj_jax.analysis.studies.api import study as study
+    from bcfj_jax.contact import gaps as gaps
     from bcfj_jax.contact import laws as laws
     from bcfj_jax.contact import restitution as restitution
     from bcfj_jax.contact import stiffness as stiffness
     from bcfj_jax.core.errors import InputError as InputError
     from bcfj_jax.core.errors import nearest as nearest
-    from bcfj_jax.contact import gaps as gaps
     from bcfj_jax.core.quantities import Quantity as Quantity
     from bcfj_jax.core.quantities import check_value as check_value
+    from bcfj_jax.io.usercode import use_code as use_code
     from bcfj_jax.mechanism import loads as loads
     from bcfj_jax.mechanism.bodies import Body as Body
     from bcfj_jax.mechanism.bodies import Drive as Drive
@@ -64,6 +65,7 @@ _PUBLIC = {
     "Load": "mechanism.loads",
     "Mechanism": "mechanism.mechanism",
     "AbstractModel": "mechanism.model",
+    "use_code": "io.usercode",
     **{name: "solve.simulation" for name in ("Run", "force_history", "reading_history", "simulate")},
     **{name: "analysis.derivatives.sensitivity" for name in ("Sensitivity", "sensitivity")},
     "study": "analysis.studies.api",

@@ -35,11 +35,25 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
+Code = Annotated[
+    list[Path] | None,
+    typer.Option("--code", help="A Python file of your own whose names the scene may use; can be given again."),
+]
 Out = Annotated[Path | None, typer.Option("--out", help="Folder for the results; nothing in it is overwritten.")]
 
 
 def _log(text: str) -> None:
     typer.echo(text, err=True)
+
+
+def _use(files: list[Path] | None) -> None:
+    """Execute the user's own files. Before it: JAX decides at its first compilation whether there is a cache."""
+    use_compile_cache()
+    if files:
+        from bcfj_jax.io.usercode import use_code
+
+        for file in files:
+            use_code(file)
 
 
 def _guarded(verb: Callable[..., int]) -> Callable[..., None]:
@@ -82,11 +96,11 @@ def _common(
 def simulate(
     scene: Annotated[str, typer.Argument(help="A scene file, or a built-in scene's name for its defaults.")],
     measure_error: Annotated[bool, typer.Option(help="Whether to run once more, finer, to measure the error.")] = True,
+    code: Code = None,
     out: Out = None,
 ) -> int:
     """Run a scene: forces.csv, summary.json with the measured force error, pictures and report.html."""
-    # First: JAX decides at its first compilation, which reading a scene may be, whether there is a cache.
-    use_compile_cache()
+    _use(code)
     from bcfj_jax.analysis.simulation import command
 
     text, good = command.run(scene, out, _log, measure_error)
@@ -103,13 +117,14 @@ def calibrate(
     starts: Annotated[int, typer.Option(min=1, help="Number of starting points.")] = 12,
     intervals: Annotated[str, typer.Option(help="covariance, profile or posterior.")] = "covariance",
     export_petab: Annotated[Path | None, typer.Option(help="Write PEtab 2 tables there instead of fitting.")] = None,
+    code: Code = None,
 ) -> int:
     """Fit parameters to measured forces: fit.json, pictures and report.html.
 
     Finished starts are kept in DIR/journal.jsonl. After Ctrl-C (exit code 5), or a crash, the same command with the
     same --out goes on from there and finds the same fit; the journal is removed when the fit is written.
     """
-    use_compile_cache()
+    _use(code)
     progress = logging.getLogger("calibration")
     progress.setLevel(logging.INFO)
     progress.addHandler(logging.StreamHandler(sys.stderr))
@@ -127,10 +142,11 @@ def sensitivity(
     wrt: Annotated[str, typer.Option(help="Parameters to differentiate by, names separated by commas.")],
     features: Annotated[str, typer.Option(help="Features such as seat_ball.peak; by default every one.")] = "",
     certify: Annotated[bool, typer.Option(help="Whether to say how good the derivatives are.")] = True,
+    code: Code = None,
     out: Out = None,
 ) -> int:
     """Differentiate a run: sensitivity.csv, certificate.json, a ranked table, pictures and report.html."""
-    use_compile_cache()
+    _use(code)
     from bcfj_jax.analysis.derivatives import command
 
     names, wanted = ([n.strip() for n in text.split(",") if n.strip()] for text in (wrt, features))
@@ -146,6 +162,7 @@ def tradeoff(
     only: Annotated[str, typer.Option(help="Groups of settings and solvers, such as tsit5,smoothing.")] = "",
     derivatives: Annotated[bool, typer.Option(help="Whether to measure derivatives, too.")] = True,
     budget: Annotated[float, typer.Option(min=0.0, help="Seconds; what would not fit is left out.")] = 900.0,
+    code: Code = None,
     out: Out = None,
 ) -> int:
     """Measure what accuracy costs on a scene: tradeoff.csv, a setting per error budget, pictures and report.html.
@@ -153,13 +170,13 @@ def tradeoff(
     Finished settings are kept in DIR/journal.jsonl: the same command with the same --out goes on after Ctrl-C (exit
     code 5), after a crash, and with what the budget left out.
     """
-    use_compile_cache()
+    _use(code)
     from bcfj_jax.analysis.tradeoff import command
 
     wanted = [name.strip() for name in only.split(",") if name.strip()]
-    text, code = command.run(scene, wanted, derivatives, budget, out, _log)
+    text, found = command.run(scene, wanted, derivatives, budget, out, _log)
     typer.echo(text)
-    return code
+    return found
 
 
 @app.command(epilog=_EPILOG)
@@ -176,8 +193,37 @@ def reproduce(out: Out = None) -> int:
 
 @app.command(epilog=_EPILOG)
 @_guarded
+def validate(
+    file: Annotated[Path, typer.Argument(help="A scene file, a calibration file or a study file.")], code: Code = None
+) -> int:
+    """Check a file and say what it holds; nothing is run, and nothing is written."""
+    _use(code)
+    from bcfj_jax.io import scenefile, tables
+
+    content = tables.read(file)
+    if "experiment" in content or "free" in content:
+        from calibration import problemfile
+
+        problem = problemfile.load(file)
+        free, records = [f.name for f in problem.free], len(problem.experiments)
+        text = f"a calibration of {', '.join(free)} from {records} records, of the scene '{problem.scene.kind}'"
+    elif "vary" in content:
+        from bcfj_jax.analysis.studies import specification
+
+        study = specification.load(file)
+        text = f"a study of {', '.join(study.names)}: {study.count} points of the scene '{study.given.scene.kind}'"
+    else:
+        given = scenefile.load(file)
+        contacts = ", ".join(contact.name for contact in given.scene.contacts) or "none"
+        text = f"a scene '{given.scene.kind}', {len(given.params)} parameters, contacts: {contacts}"
+    typer.echo(f"{file} is {text}")
+    return DONE
+
+
+@app.command(epilog=_EPILOG)
+@_guarded
 def init(
-    scene: Annotated[str, typer.Argument(help="A built-in scene's name.")],
+    scene: Annotated[str, typer.Argument(help="A built-in scene's name, or mechanism for one of your own.")],
     out: Annotated[Path | None, typer.Option("--out", help="Folder for SCENE.toml; by default this one.")] = None,
 ) -> int:
     """Write a commented scene file to start from."""
@@ -202,51 +248,59 @@ Dry = Annotated[bool, typer.Option("--dry-run", help="Count points, estimate tim
 Scheduler = Annotated[str | None, typer.Option(help="Dask scheduler that shall do the work: tcp://HOST:PORT.")]
 
 
-def _study(study: str, out: Path | None, workers: int | None, scheduler: str | None, dry: bool, resuming: bool) -> int:
-    use_compile_cache()
+def _study(
+    study: str, files: list[Path] | None, out: Path | None, workers: int | None, scheduler: str | None, dry: bool,
+    resuming: bool,
+) -> int:  # fmt: skip
+    _use(files)
     from bcfj_jax.analysis.studies import command
 
-    text, code = command.run(study, out, workers, scheduler, dry, _log, resuming)
+    text, found = command.run(study, out, workers, scheduler, dry, _log, resuming)
     typer.echo(text)
-    return code
+    return found
 
 
 @studies.command("run", epilog=_EPILOG)
 @_guarded
 def study_run(
-    study: StudyFile, out: StudyOut = None, workers: Workers = None, scheduler: Scheduler = None, dry_run: Dry = False
-) -> int:
+    study: StudyFile, out: StudyOut = None, workers: Workers = None, scheduler: Scheduler = None, dry_run: Dry = False,
+    code: Code = None,
+) -> int:  # fmt: skip
     """Run a study: results.parquet, study.json, a picture and report.html; goes on with what its folder holds."""
-    return _study(study, out, workers, scheduler, dry_run, False)
+    return _study(study, code, out, workers, scheduler, dry_run, False)
 
 
 @studies.command("resume", epilog=_EPILOG)
 @_guarded
-def study_resume(study: StudyFile, out: StudyOut = None, workers: Workers = None, scheduler: Scheduler = None) -> int:
+def study_resume(
+    study: StudyFile, out: StudyOut = None, workers: Workers = None, scheduler: Scheduler = None, code: Code = None
+) -> int:
     """Compute what is missing of a study that was cut off."""
-    return _study(study, out, workers, scheduler, False, True)
+    return _study(study, code, out, workers, scheduler, False, True)
 
 
 @studies.command("status", epilog=_EPILOG)
 @_guarded
-def study_status(study: StudyFile, out: StudyOut = None) -> int:
+def study_status(study: StudyFile, out: StudyOut = None, code: Code = None) -> int:
     """Say what is finished, what failed and what is left (then the exit code is 5)."""
+    _use(code)
     from bcfj_jax.analysis.studies import command
 
-    text, code = command.status(study, out)
+    text, found = command.status(study, out)
     typer.echo(text)
-    return code
+    return found
 
 
 @studies.command("merge", epilog=_EPILOG)
 @_guarded
-def study_merge(study: StudyFile, out: StudyOut = None, other: Others = None) -> int:
+def study_merge(study: StudyFile, out: StudyOut = None, other: Others = None, code: Code = None) -> int:
     """Take in blocks that were computed elsewhere, and write results.parquet when none is missing."""
+    _use(code)
     from bcfj_jax.analysis.studies import command
 
-    text, code = command.merge(study, out, other or [])
+    text, found = command.merge(study, out, other or [])
     typer.echo(text)
-    return code
+    return found
 
 
 Features = Annotated[list[str] | None, typer.Option("--feature", help="Such as contact.peak; by default every one.")]
@@ -256,25 +310,30 @@ Slopes = Annotated[bool, typer.Option(help="Whether to use the study's derivativ
 
 @studies.command("indices", epilog=_EPILOG)
 @_guarded
-def study_indices(study: StudyFile, out: StudyOut = None, feature: Features = None, seed: Seed = 0) -> int:
+def study_indices(
+    study: StudyFile, out: StudyOut = None, feature: Features = None, seed: Seed = 0, code: Code = None
+) -> int:
     """Say how much of each feature's variation each parameter brings: a table, indices.json and bars."""
+    _use(code)
     from bcfj_jax.analysis.studies import indices_command
 
-    text, code = indices_command.run(study, out, feature or [], seed)
+    text, found = indices_command.run(study, out, feature or [], seed)
     typer.echo(text)
-    return code
+    return found
 
 
 @studies.command("surface", epilog=_EPILOG)
 @_guarded
-def study_surface(study: StudyFile, out: StudyOut = None, feature: Features = None, derivatives: Slopes = True) -> int:
+def study_surface(
+    study: StudyFile, out: StudyOut = None, feature: Features = None, derivatives: Slopes = True, code: Code = None
+) -> int:
     """Lay a response surface through each feature: its errors, surface.json and a picture a feature."""
-    use_compile_cache()
+    _use(code)
     from bcfj_jax.analysis.studies import surface_command
 
-    text, code = surface_command.run(study, out, feature or [], derivatives)
+    text, found = surface_command.run(study, out, feature or [], derivatives)
     typer.echo(text)
-    return code
+    return found
 
 
 def main() -> None:

@@ -12,6 +12,7 @@ from bcfj_jax.analysis.derivatives.names import feature
 from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.mechanism.channels import channel as reading
 from bcfj_jax.mechanism.model import AbstractModel
+from bcfj_jax.mechanism.watched import watching
 from calibration.solver_budget import effort
 
 # Nuisance parameters of the measuring chain: reading(t) = gain L[F](t - time_offset) + force_offset, with L a sensor of
@@ -147,6 +148,8 @@ class Problem:
     loss: str = "linear"
 
     def __post_init__(self) -> None:
+        names = [seen.feature for e in self.experiments for seen in e.features]
+        object.__setattr__(self, "scene", watching(self.scene, names))
         if not self.accuracy:
             object.__setattr__(self, "accuracy", effort(self.scene).accuracy)
         if not self.free:

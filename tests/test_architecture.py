@@ -31,7 +31,7 @@ ASKS = re.compile(
     r"isinstance\([^()]*(\([^()]*\)[^()]*)?,[^)]*\b(Joint|JointModel|Mechanism|Scene)\b"
     r"|\b(scene|model)\.kind *(==|!=|in\b|not in\b)|\.fidelity *(==|!=|in\b|not in\b)|\.in_motion\b"
 )
-INSIDES = re.compile(r"bcfj_jax\.(models\.(?!scenes\b)|mechanism\.(equations|scales|sizes|checks)\b)")
+INSIDES = re.compile(r"bcfj_jax\.(models\.(?!scenes\b)|mechanism\.(equations|scales)\b)")
 # What fulfils a documented abstract method or property is documented there: of a law, of diffrax's solvers and
 # interpolations, of a structure.
 INHERITED = {"force", "needs", "mobility"}

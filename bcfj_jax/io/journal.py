@@ -15,18 +15,21 @@ from types import TracebackType
 from typing import Any
 
 from bcfj_jax.core.errors import InputError
+from bcfj_jax.io import usercode
 from bcfj_jax.io.outputs import plain
 
 NAME = "journal.jsonl"
 
 
 def key_of(*parts: Any, packages: Sequence[str] = ("bcfj_jax",)) -> str:
-    """SHA-256 of plain data, and of the source of the packages at work: other code may find other numbers."""
+    """SHA-256 of plain data, and of the code at work, the user's own too: other code may find other numbers."""
     digest = hashlib.sha256(json.dumps([plain(part) for part in parts], sort_keys=True).encode())
     root = Path(__file__).resolve().parents[2]
     for package in packages:
         for path in sorted((root / package).rglob("*.py")):
             digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+    for code in usercode.used():
+        digest.update(code.sha256.encode())
     return digest.hexdigest()
 
 

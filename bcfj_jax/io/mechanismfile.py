@@ -33,12 +33,13 @@ from bcfj_jax.io.usercode import MECHANISM as KIND
 from bcfj_jax.mechanism import channels, sizes
 from bcfj_jax.mechanism.bodies import GROUND, JOINTS, Body, Drive, unit_of
 from bcfj_jax.mechanism.channels import Channel
+from bcfj_jax.mechanism.checks import names_read
 from bcfj_jax.mechanism.contacts import Approach, Contact
 from bcfj_jax.mechanism.loads import LOADS, AbstractLoad, Load
 from bcfj_jax.mechanism.mechanism import Mechanism
 
 # Tables of a mechanism beside those of every scene file.
-LISTS, TABLES = ("body", "contact", "load", "read"), ("quantity",)
+TABLES = ("body", "contact", "load", "quantity")
 _NAME = re.compile(r"-?[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
 _WHERE = re.compile(r"(?:mechanism|scene) '[^']*'\s*(.*)", re.DOTALL)
 _PART = re.compile(r"(body|contact|load) '([^']*)'\s*(.*)", re.DOTALL)
@@ -224,6 +225,23 @@ def placed(content: Mapping[str, Any], where: str) -> Iterator[None]:
         numbers = [k for k, entry in enumerate(content.get(table, ())) if entry.get("name", entry.get("kind")) == name]
         entry = f"[[{table}]] {numbers[-1] + 1} '{name}'" if numbers else f"[[{table}]] '{name}'"
         raise InputError(f"{where}: {entry} {key}".strip(), error.found, error.remedy) from error.__cause__
+
+
+def refuse_unread(scene: Any, params: Mapping[str, Array], given: Mapping[str, Any], where: str) -> None:
+    """Refuse a parameter that the file gives and that every part has a value of its own in place of.
+
+    Raises:
+        InputError: naming it.
+    """
+    read, defaults = names_read(scene, params, where), dict(scene.defaults)
+    for key in given:
+        name = scene.canonical(key)
+        # A file that was written with every default gives those that nobody reads, too.
+        if name in read or float(params[name]) == defaults.get(name):
+            continue
+        own = [n for n in read if n.endswith(f".{name}")]
+        beside = f": {', '.join(sorted(own))} stand in its place" if own else ""
+        raise InputError(f"{where}: [parameters] {key}", f"nothing reads the parameter '{key}'{beside}", "take it out")
 
 
 def readings(content: Mapping[str, Any], scene: Any, where: str) -> tuple[list[dict[str, str]], tuple[Channel, ...]]:

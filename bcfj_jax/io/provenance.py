@@ -1,4 +1,4 @@
-"""What a result was made with: versions, commit, device, seed and the data's checksums."""
+"""What a result was made with: versions, commit, device, seed, the checksums of the data and of the user's own code."""
 
 from __future__ import annotations
 
@@ -41,8 +41,10 @@ def _commit() -> dict[str, Any]:
 
 
 def environment(seed: int | None = None, data: Sequence[Path] = ()) -> dict[str, Any]:
-    """``environment.json``: versions, device, seed, and the SHA-256 of every data file."""
+    """``environment.json``: versions, device, seed, and the SHA-256 of every data file and of the user's own code."""
     import jax
+
+    from bcfj_jax.io import usercode
 
     return {
         "bcfj_jax": version(),
@@ -53,4 +55,5 @@ def environment(seed: int | None = None, data: Sequence[Path] = ()) -> dict[str,
         "device": {"backend": jax.default_backend(), "devices": [str(d) for d in jax.devices()]},
         "seed": seed,
         "data": {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in data},
+        "code": usercode.record(),
     }

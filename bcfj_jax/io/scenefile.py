@@ -4,12 +4,15 @@
     [parameters]   values by name, SI numbers or texts with a unit
     [time]         end, samples; the run starts at 0
     [accuracy]     force_error or level, max_steps and solver
+    [[read]]       of, frame: readings to keep (``mechanism.channels``)
 
+A scene of kind "mechanism" lists its parts in further tables (``mechanismfile``).
 Without a ``law``, a file that gives ``restitution`` gets the law ``exact``, which delivers it.
 """
 
 from __future__ import annotations
 
+import contextlib
 import inspect
 import math
 import typing
@@ -25,10 +28,11 @@ from jax import Array
 from bcfj_jax.contact import laws
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.quantities import CATALOGUE, check_order, check_value
-from bcfj_jax.io import tables
+from bcfj_jax.io import mechanismfile, tables, usercode
 from bcfj_jax.io.scenetemplate import template as template
 from bcfj_jax.io.spheres import Spheres
 from bcfj_jax.io.units import quantity
+from bcfj_jax.mechanism.channels import Channel
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.models import scenes
 from bcfj_jax.solve import named
@@ -49,6 +53,7 @@ class SceneFile:
         max_steps: budget of attempted steps.
         solver: by which values are integrated; None: the scene's own.
         open: whether the level of the model was left to what runs it.
+        reads: what [[read]] asks for.
     """
 
     scene: AbstractModel
@@ -60,6 +65,7 @@ class SceneFile:
     max_steps: int = MAX_STEPS
     solver: str | None = None
     open: bool = False
+    reads: tuple[Channel, ...] = ()
 
 
 class _Time(tables.Table):
@@ -79,6 +85,11 @@ class _File(tables.Table):
     parameters: dict[str, Any] = pydantic.Field(default_factory=dict)
     time: _Time = _Time()
     accuracy: _Accuracy = _Accuracy()
+    body: list[Any] = pydantic.Field(default_factory=list)
+    contact: list[Any] = pydantic.Field(default_factory=list)
+    load: list[Any] = pydantic.Field(default_factory=list)
+    quantity: dict[str, Any] = pydantic.Field(default_factory=dict)
+    read: list[Any] = pydantic.Field(default_factory=list)
 
 
 def load(what: str | Path) -> SceneFile:
@@ -100,16 +111,21 @@ def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
     """The scene that a file's content describes; errors as ``load``."""
     where = str(source) if source else f"scene '{table['scene']['kind']}'"
     file = tables.validated(_File, dict(table), where)
-    scene, options, spheres = _scene(file, where)
+    scene, made_of, spheres = _scene(file, where)
     values = _values(scene, file.parameters, spheres, where)
     params = scene.parameters(values)
-    scene.check(params, where)
+    listed = file.scene.get("kind") == mechanismfile.KIND
+    with mechanismfile.placed(table, where) if listed else contextlib.nullcontext():
+        scene.check(params, where)
+    if listed:
+        mechanismfile.refuse_unread(scene, params, file.parameters, where)
+    readings, reads = mechanismfile.readings(table, scene, where)
     end = _end(scene, params, file.time, where)
     samples = file.time.samples or scene.samples
     accuracy, solver = _accuracy(file.accuracy, where), file.accuracy.solver
     named.check(solver, scene.traits.stiff, f"{where}: [accuracy] ")
     resolved = {
-        "scene": options,
+        **made_of,
         "parameters": {name: float(value) for name, value in params.items()},
         "time": {"end": end, "samples": samples},
         "accuracy": {
@@ -117,11 +133,16 @@ def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
             "max_steps": file.accuracy.max_steps,
         }
         | ({"solver": solver} if solver else {}),
-    }
+    } | ({"read": readings} if readings else {})
     times = np.linspace(0.0, end, samples)
     levels = scene.choice_options()
     free = bool(levels) and not set(levels) & set(file.scene)
-    return SceneFile(scene, params, times, accuracy, resolved, source, file.accuracy.max_steps, solver, free)
+    return SceneFile(scene, params, times, accuracy, resolved, source, file.accuracy.max_steps, solver, free, reads)
+
+
+def model(table: Mapping[str, Any], where: str = "scene") -> AbstractModel:
+    """The model that a file's content describes, whatever its parameters are; errors as ``load``."""
+    return _scene(tables.validated(_File, dict(table), where), where)[0]
 
 
 def quickest(given: SceneFile) -> SceneFile:
@@ -137,20 +158,29 @@ def quickest(given: SceneFile) -> SceneFile:
 
 
 def _scene(file: _File, where: str) -> tuple[AbstractModel, dict[str, Any], Spheres | None]:
-    """The scene, its options with every default, and the spheres that set its parameters."""
-    kind = file.scene.get("kind")
+    """The scene, the tables of its parts with every default, and the spheres that set its parameters."""
+    kind, kinds = file.scene.get("kind"), (*scenes.SCENES, mechanismfile.KIND)
     place = f"{where}: [scene]"
     if kind is None:
-        raise InputError(f"{place} kind", "the key 'kind' is missing", f"give one of {', '.join(scenes.SCENES)}")
-    if not isinstance(kind, str) or kind not in scenes.SCENES:
-        raise InputError(f"{place} kind", f"no scene '{kind}'", nearest(str(kind), scenes.SCENES))
+        raise InputError(f"{place} kind", "the key 'kind' is missing", f"give one of {', '.join(kinds)}")
+    if not isinstance(kind, str) or kind not in kinds:
+        raise InputError(f"{place} kind", f"no scene '{kind}'", nearest(str(kind), kinds) + usercode.hint())
+    parts = {name: getattr(file, name) for name in mechanismfile.TABLES}
+    if kind == mechanismfile.KIND:
+        built = mechanismfile.build({"scene": file.scene, **parts}, where, file.parameters)
+        return built.scene, built.resolved, None
+    if given := [name for name, entries in parts.items() if entries]:
+        brackets = f"[quantity.{next(iter(file.quantity))}]" if given[0] == "quantity" else f"[[{given[0]}]]"
+        remedy = f'say kind = "{mechanismfile.KIND}" to list parts of your own'
+        raise InputError(f"{where}: {brackets}", f"the scene '{kind}' has its own parts", remedy)
     checked = tables.validated(_options(kind), file.scene, where, "scene")
     options = {name: value for name, value in checked if name not in ("kind", "spheres")}
     if "law" in options and "law" not in file.scene and "restitution" in file.parameters:
         options["law"] = "exact"
     for name, known in (("law", laws.LAWS), ("elastic", laws.ELASTIC)):
         if options.get(name) is not None and options[name] not in known:
-            raise InputError(f"{place} {name}", f"no such {name} '{options[name]}'", nearest(options[name], known))
+            hint = nearest(options[name], known) + usercode.hint()
+            raise InputError(f"{place} {name}", f"no such {name} '{options[name]}'", hint)
     try:
         scene = scenes.make(kind, **options)
     except InputError as error:
@@ -160,7 +190,7 @@ def _scene(file: _File, where: str) -> tuple[AbstractModel, dict[str, Any], Sphe
     if spheres and _elastic_name(scene) != "power":
         found = f"spheres with elastic = '{_elastic_name(scene)}'"
         raise InputError(f"{place} elastic", found, "spheres are in Hertz contact: leave elastic out, or say 'power'")
-    return scene, {"kind": kind} | _resolved_options(scene, options | _given(file, options)), spheres
+    return scene, {"scene": {"kind": kind} | _resolved_options(scene, options | _given(file, options))}, spheres
 
 
 def _given(file: _File, options: Mapping[str, Any]) -> dict[str, Any]:
@@ -189,8 +219,10 @@ def _options(kind: str) -> type[tables.Table]:
     """The keys of [scene]: the scene function's own keyword arguments."""
     function = scenes.SCENES[kind]
     hints = typing.get_type_hints(function)
+    # A function of the user's own may say no type, and give no default.
     fields: dict[str, Any] = {
-        name: (hints[name], parameter.default) for name, parameter in inspect.signature(function).parameters.items()
+        name: (hints.get(name, Any), ... if parameter.default is parameter.empty else parameter.default)
+        for name, parameter in inspect.signature(function).parameters.items()
     }
     if kind in scenes.OF_SPHERES:
         fields["spheres"] = (Spheres | None, None)

@@ -11,11 +11,13 @@ import json
 import re
 import textwrap
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 
 from bcfj_jax.contact import laws
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.io.units import format_si
+from bcfj_jax.io.usercode import MECHANISM
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.models import scenes
 from bcfj_jax.solve import named
@@ -34,6 +36,9 @@ _OWN = """\
 # A contact's own coefficients, in place of the shared ones above (whose values stand here).
 """
 
+# A slider-crank, with every table and most keys.
+_OF_A_MECHANISM = Path(__file__).with_name("templates") / "mechanism.toml"
+
 
 def template(kind: str) -> str:
     """A scene's file to start from: every parameter with unit, range, meaning and default.
@@ -41,8 +46,10 @@ def template(kind: str) -> str:
     Raises:
         InputError: for a scene that does not exist.
     """
+    if kind == MECHANISM:
+        return _OF_A_MECHANISM.read_text(encoding="utf-8")
     if kind not in scenes.SCENES:
-        raise InputError("scene", f"no scene '{kind}'", nearest(kind, scenes.SCENES))
+        raise InputError("scene", f"no scene '{kind}'", nearest(kind, (*scenes.SCENES, MECHANISM)))
     scene, sources = scenes.make(kind), scenes.SOURCES.get(kind, scenes.Sources())
     defaults = dict(scene.defaults)
     given = [(quantity, defaults[name]) for name, quantity in scene.quantities.items() if name in defaults]

@@ -92,9 +92,15 @@ def use_code(path: str | Path, sha256: str = "") -> ModuleType:
     return _use(path.resolve(), text, str(path), sha256)
 
 
-def use_text(name: str, text: bytes) -> ModuleType:
-    """As ``use_code``, of a file that is on another machine."""
-    return _use(Path(name), text, name, "")
+def use_only(files: Iterable[tuple[str, bytes]]) -> None:
+    """Have these files in use and no other: names and contents of files that may be on another machine."""
+    files = tuple(files)
+    for code in used():
+        # Of an earlier job of this process, in which a name may have meant something else.
+        if (str(code.path), code.text) not in files:
+            _withdraw(code)
+    for name, text in files:
+        _use(Path(name), text, name, "")
 
 
 def used() -> tuple[Code, ...]:

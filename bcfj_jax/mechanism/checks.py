@@ -83,9 +83,9 @@ def check_structure(scene: Mechanism) -> None:
             if body not in known:
                 raise InputError(f"{where} load '{load.name}'", f"no body '{body}'", nearest(body, known))
         if isinstance(load, JointSpring):
-            b = scene.body(load.body)
-            if len(b.rates) != 1:
-                found = f"'{load.body}' has {len(b.rates)} free coordinates"
+            free = len(scene.body(load.body).rates) if load.body != GROUND else 0
+            if free != 1:
+                found = f"'{load.body}' has {free} free coordinates"
                 raise InputError(f"{where} load '{load.name}' body", found, "give a body that slides or hinges freely")
     for name, _ in scene.given:
         if scene.canonical(name) not in scene.quantities:
@@ -144,6 +144,11 @@ def _read(scene: Mechanism, names: tuple[str, ...], where: str) -> frozenset[str
     shape = jax.ShapeDtypeStruct((), jnp.float64)
     jax.eval_shape(everything, dict.fromkeys(names, shape))
     return frozenset(seen)
+
+
+def names_read(scene: Mechanism, params: Params, where: str) -> frozenset[str]:
+    """Names of the parameters that the mechanism's equations read."""
+    return _read(scene, tuple(params), where)
 
 
 def check_values(scene: Mechanism, params: Params, where: str = "") -> None:

@@ -28,13 +28,17 @@ from bcfj_jax.mechanism.sizes import ORIGIN, Params, Place, Size
 
 # The speed that a law stated by restitution is told of at least [m/s]: a resting contact would be rigid.
 SLOWEST = 1e-3
+# Gap within which a memory is settled [m].
+_NEAR = 1e-7
 
 
 class Approach(eqx.Module):
     """How a contact remembers the speed at which its bodies came together.
 
     While they are apart and closing at the rate v over the gap g, the memory s follows:  ds/dt = 4 v (v - s)/(g + l),
-    l = 10 um: what it knew before is forgotten as the fourth power of the gap, whatever the scale. From touch on it stays.
+    l = 0.1 um: what it knew before is forgotten as the fourth power of the gap, whatever the scale. From touch on it
+    stays. It knows the speed of l/3 before touch, so that it errs by the fraction a l/(3 v^2) under the acceleration a,
+    and by ((g + l)/l)^-4 of the change since the last touch where the gap between was no more than g.
     """
 
     def first(self, gap: Number, rate: Number, p: Params) -> Number:
@@ -52,7 +56,7 @@ class Approach(eqx.Module):
         """
         del p
         closing = positive(rate)
-        return 4.0 * closing * (jnp.maximum(closing, SLOWEST) - memory) / (positive(gap) + 1e-5)
+        return 4.0 * closing * (jnp.maximum(closing, SLOWEST) - memory) / (positive(gap) + _NEAR)
 
 
 class Contact(eqx.Module):

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -355,7 +356,7 @@ class AbstractModel(eqx.Module):
         defaults = dict(self.defaults)
         check_order(where, known, {**defaults, **given})
         return {
-            name: jnp.asarray(given[name] if name in given else defaults[name], dtype=jnp.float64)
+            name: _array(given[name] if name in given else defaults[name])
             for name in known
             if name in given or name in defaults
         }
@@ -364,6 +365,13 @@ class AbstractModel(eqx.Module):
         """The one name of a parameter: ``<contact>.clearance`` is ``clearance_<contact>``."""
         contact, _, own = name.rpartition(".")
         return f"clearance_{contact}" if own == "clearance" and contact else name
+
+
+def _array(value: ArrayLike) -> Array:
+    """In float64; of a plain number nothing is compiled, so that bad ones are refused at once."""
+    if isinstance(value, (int, float, np.ndarray, np.generic)):
+        return jax.device_put(np.asarray(value, dtype=np.float64))
+    return jnp.asarray(value, dtype=jnp.float64)
 
 
 def _field(t: Any, y: Array, args: tuple[AbstractModel, Any]) -> Array:

@@ -112,13 +112,16 @@ def expected(scene: Mechanism, params: Params) -> Expected:
 def expected_scale(scene: Mechanism, params: Params) -> Array:
     """Error scale (n,): a coordinate by the expected penetration over its lever, a velocity by the speed over it.
 
-    With friction the speed is no more than friction's transition speed, whose fraction is an error of its force.
+    With friction the speed is no more than friction's transition speed over its coefficient: a fraction of that is as
+    large an error of the force as the same fraction of the penetration.
     """
     found = expected(scene, params)
     speed = found.speed
     for c in scene.contacts:
-        if c.friction is not None:
-            speed = jnp.minimum(speed, c.coefficients(params).get("friction_speed", speed))
+        told = c.coefficients(params) if c.friction is not None else {}
+        if "friction_speed" in told:
+            share = told.get("friction_static", told.get("friction_dynamic", jnp.ones(())))
+            speed = jnp.minimum(speed, told["friction_speed"] / jnp.clip(share, 1e-9, 1.0))
     places, at = [], 0
     for b in scene.ordered:
         own = found.levers[at : at + len(b.rates)]

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.mechanism.contacts import raised
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.models import steel_ball
 from bcfj_jax.models.backlash import backlash
@@ -62,4 +63,14 @@ def make(kind: str, **options: object) -> AbstractModel:
     for name, value in options.items():
         if name not in known:
             raise InputError(f"scene '{kind}'", f"no option '{name}' = {value}", nearest(name, known))
-    return SCENES[kind](**options)
+    function = SCENES[kind]
+    if function.__module__.startswith(f"{__package__}."):
+        return function(**options)
+    # A function of the user's own (``io.usercode``).
+    try:
+        found = function(**options)
+    except Exception as error:
+        raise raised(f"scene '{kind}'", error) from error
+    if not isinstance(found, AbstractModel):
+        raise InputError(f"scene '{kind}'", f"its function returned {found!r}", "return a model, such as a Mechanism")
+    return found

@@ -13,8 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.mechanism.model import Reading
-from bcfj_jax.mechanism.model import Params
+from bcfj_jax.mechanism.model import Params, Reading
 from bcfj_jax.models.joint.constants import constants
 from bcfj_jax.models.joint.observe import observe
 from bcfj_jax.models.joint.scene import Joint

@@ -19,8 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.solve.batched_jvp import still
 from bcfj_jax.mechanism.structure import AbstractStructure
+from bcfj_jax.solve.batched_jvp import still
 
 GAMMA = 1.0 - 0.5**0.5
 NODES = np.array([GAMMA, 1.0])

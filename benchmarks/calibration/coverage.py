@@ -12,6 +12,7 @@ The dynamic joint's are by CVODES (``joint_calibration``).
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import functools
 import json
 import multiprocessing
@@ -136,10 +137,13 @@ CASES = {
 }
 
 
-def bound(case: Case, noise: float) -> dict[str, float]:
-    """Cramer-Rao deviation of each parameter, as a share of it, from the Jacobian at the truth and the noise."""
+def bound(case: Case, noise: float, accuracy: float | None = None) -> dict[str, float]:
+    """Cramer-Rao deviation of each parameter, as a share of it, from the Jacobian at the truth and the noise.
+
+    ``accuracy``: of the runs that it is taken from; None: the fit's own.
+    """
     made = case.problem(noise, 0)
-    model = build(made, made.experiments)
+    model = build(dataclasses.replace(made, accuracy=accuracy or made.accuracy), made.experiments)
     # At a reference penetration of 1 m the coordinate of the stiffness is that of the stiffness itself.
     point = jnp.asarray(model.point(np.array([case.truth[s.name] for s in model.slots]), 0.0))
     jacobian = np.asarray(residuals_and_jacobian(model, point, jnp.asarray(0.0))[1])
@@ -151,14 +155,14 @@ def bound(case: Case, noise: float) -> dict[str, float]:
     }
 
 
-def replicates(task: tuple[str, float, list[int], int]) -> int:
+def replicates(task: tuple[str, Case, float, list[int], int]) -> int:
     """Fit each seed's record in this process, which keeps to one core, and keep what came of it."""
-    name, noise, seeds, worker = task
+    name, case, noise, seeds, worker = task
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {sorted(os.sched_getaffinity(0))[worker % len(os.sched_getaffinity(0))]})
     jax.config.update("jax_compilation_cache_dir", str(ROOT / "build" / "jax-cache"))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
-    case, compilation = CASES[name], Compilation()
+    compilation = Compilation()
     for count, seed in enumerate(seeds):
         begin, cpu = time.perf_counter(), time.process_time()
         found = fit(case.problem(noise, seed), seed=seed, starts=case.starts)
@@ -193,9 +197,18 @@ def finished(name: str, noise: float) -> list[dict[str, Any]]:
     return [rows[seed] for seed in sorted(rows)]
 
 
-def summary(name: str, noise: float, rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Coverage and efficiency of each parameter over a case's replicates."""
-    case, least = CASES[name], bound(CASES[name], noise)
+def fit_missing(name: str, case: Case, noise: float, count: int, workers: int, pool: ProcessPoolExecutor) -> None:
+    """Fit those of ``count`` seeds that are not kept."""
+    have = {row["seed"] for row in finished(name, noise)}
+    missing = [seed for seed in range(count) if seed not in have]
+    list(pool.map(replicates, [(name, case, noise, missing[k::workers], k) for k in range(workers)]))
+
+
+def summary(
+    name: str, case: Case, noise: float, rows: list[dict[str, Any]], accuracy: float | None = None
+) -> dict[str, Any]:
+    """Coverage and efficiency of each parameter over a case's replicates; ``accuracy`` as ``bound``."""
+    least = bound(case, noise, accuracy)
     log, parameters = {f.name: f.told_as_share for f in case.problem(noise, 0).free}, {}
     for parameter, true in case.truth.items():
         values, intervals, identifiable = zip(*(r["parameters"][parameter] for r in rows), strict=True)
@@ -212,6 +225,7 @@ def summary(name: str, noise: float, rows: list[dict[str, Any]]) -> dict[str, An
             "identifiable_share": float(np.mean(identifiable)), "cramer_rao": least[parameter],
             "square_error_over_bound": ratio, "variance_over_bound": float(np.var(error)) / least[parameter] ** 2,
             "ratio_expected": limits.tolist(), "bias_over_bound": float(np.mean(error)) / least[parameter],
+            "bias_over_standard_error": float(np.mean(error) / np.std(error, ddof=1)) * len(rows) ** 0.5,
         }  # fmt: skip
     verdicts = [r["verdict"] for r in rows]
     reasons = [reason for r in rows for reason in r["reasons"]]
@@ -249,14 +263,12 @@ def main() -> None:
     with ProcessPoolExecutor(given.workers, mp_context=multiprocessing.get_context("spawn")) as pool:
         for name in given.cases:
             for noise in given.noise:
-                have = {row["seed"] for row in finished(name, noise)}
-                missing = [seed for seed in range(given.replicates or CASES[name].replicates) if seed not in have]
-                tasks = [(name, noise, missing[k :: given.workers], k) for k in range(given.workers)]
-                list(pool.map(replicates, tasks))
+                count = given.replicates or CASES[name].replicates
+                fit_missing(name, CASES[name], noise, count, given.workers, pool)
     earlier = {(c["case"], c["noise"]): c for c in load("coverage")["cases"]}
     done = [(name, noise, finished(name, noise)) for name in CASES for noise in (0.01, 0.02, 0.05)]
     # Of a case that this clone has no replicates of, what is committed stays.
-    found = [summary(*case) if case[2] else earlier.get(case[:2]) for case in done]
+    found = [summary(n, CASES[n], noise, rows) if rows else earlier.get((n, noise)) for n, noise, rows in done]
     cases = [case for case in found if case]
     save("coverage", {"what": "whole fits of records with fresh noise, as a share of each peak", "cases": cases})
     put_in_readme("coverage", table(cases), "docs/calibration.md")

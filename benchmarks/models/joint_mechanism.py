@@ -2,9 +2,9 @@
 
     python -m benchmarks.models.joint_mechanism        some five minutes
 
-The state is that of full load. Variants take turns, so that what else runs on the machine falls on all alike; times are
-medians of compiled programs, one thread of XLA, results awaited. A run is 0.1 s by RODAS3 at the joint's tolerance for
-1 %, its error measured in the joint's sizes in each layout of the state.
+Variants take turns. Times are CPU times of the process, which does nothing else, of compiled programs, one thread of XLA,
+results awaited: on a busy machine they are steady where wall times are not. A run is 0.1 s by RODAS3 at the joint's tolerance for 1 %, its error measured in the joint's sizes
+in each layout of the state. The field's state is the run's last, of full load.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
@@ -30,11 +31,15 @@ from bcfj_jax.mechanism.mechanism import Mechanism
 from bcfj_jax.mechanism.structure import AbstractStructure, Dense
 from bcfj_jax.models.joint.arrowhead import Arrowhead
 from bcfj_jax.models.joint.parts import as_mechanism
-from bcfj_jax.solve.integrate import Plan, _field, _solved, integrate, plan, problem
+from bcfj_jax.solve.integrate import Plan, _field, _solved, plan, problem
 from bcfj_jax.solve.rodas import Rodas
 from benchmarks.common import save
 
-LANES, ROUNDS, PASSES = 64, 7, {1: 2000, 64: 100}
+# Waiting for another thread costs CPU time.
+jax.config.update("jax_cpu_enable_async_dispatch", False)
+
+# By lanes, fields in a row.
+ROUNDS, PASSES = 7, {1: 5000, 64: 200}
 TIMES = jnp.linspace(0.0, 0.1, 51)
 JOINT = bj.scenes.joint()
 
@@ -43,7 +48,9 @@ def sizes(mechanism: Mechanism, params: Any, end: Any) -> Array:
     """The joint's error scale in the mechanism's layout; the cage's axis moves by twice its quaternion."""
     own = JOINT.error_scale(params, end)
     place, speed, radius = own[0], own[3 * JOINT.balls + JOINT.border], params["pitch_radius"]
-    turning = {"angle": 1.0, "speed": 1.0, "wx": 1.0, "wy": 1.0, "wz": 1.0} | dict.fromkeys(("q0", "q1", "q2", "q3"), 0.5)
+    turning = {"angle": 1.0, "speed": 1.0, "wx": 1.0, "wy": 1.0, "wz": 1.0} | dict.fromkeys(
+        ("q0", "q1", "q2", "q3"), 0.5
+    )
     found = []
     for scale, group in ((place, mechanism._placed), (speed, mechanism._free)):
         for _, key, members in group:
@@ -61,7 +68,7 @@ VARIANTS: dict[str, tuple[Any, AbstractStructure]] = {
 }
 
 
-def run(model: Any, structure: AbstractStructure, params: Any, how: Plan) -> Any:
+def run(model: Any, structure: AbstractStructure, how: Plan, params: Any) -> Any:
     """0.1 s by RODAS3 on a structure."""
     posed = problem(model, params, TIMES[-1], how, False)
     posed = posed._replace(field=structure.field, solver=Rodas(structure))
@@ -77,67 +84,66 @@ def field_passes(model: Any, params: Any, y: Array, count: int) -> Callable[[], 
     return lambda: loop(y)
 
 
-def turns(programs: dict[str, Callable[[], Any]], per: dict[str, float]) -> dict[str, float]:
-    """Median seconds over ``per`` of every program, taking turns."""
+def turns(programs: dict[str, Callable[[], Any]], per: float, first: str) -> dict[str, dict[str, float]]:
+    """Microseconds over ``per`` of every program, taking turns, median and least; and over those of the first."""
     taken: dict[str, list[float]] = {name: [] for name in programs}
     for call in programs.values():
         jax.block_until_ready(call())
     for _ in range(ROUNDS):
         for name, call in programs.items():
-            begin = time.perf_counter()
+            begin = time.process_time()
             jax.block_until_ready(call())
-            taken[name].append(time.perf_counter() - begin)
-    return {name: float(np.median(x)) / per[name] for name, x in taken.items()}
+            taken[name].append(time.process_time() - begin)
+    found = {name: {"median": float(np.median(x)), "least": float(np.min(x))} for name, x in taken.items()}
+    return {
+        name: {f"{what}, us": 1e6 * x / per for what, x in own.items()}
+        | {f"{what} over that of {first}": x / found[first][what] for what, x in own.items()}
+        for name, own in found.items()
+    }
 
 
-def fields() -> dict[str, Any]:
-    """Microseconds of one field, alone and per lane of 64."""
+def fields(states: dict[str, Array]) -> dict[str, Any]:
+    """One field, alone and per lane of 64, in a loaded state of each model."""
     found = {}
-    models = {"closed form": JOINT, "generic": GENERIC}
     for lanes, count in PASSES.items():
         programs = {}
-        for name, model in models.items():
-            params = model.parameters()
-            loaded = integrate(model, params, jnp.asarray([0.0, 0.09]), plan(JOINT), dfx.ForwardMode()).states[-1]
-            noise = 1e-9 * jnp.asarray(np.random.default_rng(0).normal(size=(lanes, loaded.size)))
-            programs[name] = field_passes(model, params, loaded + noise[0] if lanes == 1 else loaded + noise, count)
-        seconds = turns(programs, dict.fromkeys(programs, count * lanes))
-        found[f"lanes {lanes}"] = {f"{name}, us": 1e6 * x for name, x in seconds.items()}
-        found[f"lanes {lanes}"]["generic over closed form"] = seconds["generic"] / seconds["closed form"]
+        for name, model in {"closed form": JOINT, "generic": GENERIC}.items():
+            noise = 1e-9 * jnp.asarray(np.random.default_rng(0).normal(size=(lanes, states[name].size)))
+            y = states[name] + (noise[0] if lanes == 1 else noise)
+            programs[name] = field_passes(model, model.parameters(), y, count)
+        found[f"lanes {lanes}"] = turns(programs, count * lanes, "closed form")
     return found
 
 
-def runs() -> dict[str, Any]:
-    """Seconds of a run, alone and per lane of 64 clearances; seconds to compile; steps."""
-    how, found = plan(JOINT, 1e-2), {}
+def runs() -> tuple[dict[str, Any], dict[str, Array]]:
+    """A run alone and per lane of 64 clearances, with seconds to compile and steps; and the last states by field."""
+    how, found, states = plan(JOINT, 1e-2), {}, {}
     for lanes in PASSES:
         programs, made = {}, {}
         for name, (model, structure) in VARIANTS.items():
             params = model.parameters()
-            call = lambda p, model=model, structure=structure: run(model, structure, p, how)  # noqa: E731
+            call = partial(run, model, structure, how)
             if lanes > 1:
                 params = {key: jnp.broadcast_to(x, (lanes,)) for key, x in params.items()}
                 params["clearance_seat_cage"] = jnp.linspace(20e-6, 100e-6, lanes)
                 call = jax.vmap(call)
-            begin = time.perf_counter()
+            begin = time.process_time()
             compiled = jax.jit(call).lower(params).compile()
-            spent = time.perf_counter() - begin
+            spent = time.process_time() - begin
+            programs[name] = partial(compiled, params)
             steps = compiled(params)
-            programs[name] = lambda compiled=compiled, params=params: compiled(params)
-            made[name] = {
-                "compile, s": spent,
-                "accepted": float(jnp.mean(steps.accepted)), "rejected": float(jnp.mean(steps.rejected)),
-            }  # fmt: skip
-        seconds = turns(programs, dict.fromkeys(programs, lanes))
-        first = seconds["closed form, arrowhead"]
-        found[f"lanes {lanes}"] = {
-            name: {"run, ms": 1e3 * x, "over closed form, arrowhead": x / first, **made[name]} for name, x in seconds.items()
-        }
-    return found
+            made[name] = {"compile, s": spent}
+            made[name] |= {key: float(jnp.mean(getattr(steps, key))) for key in ("accepted", "rejected")}
+            if lanes == 1:
+                states[name.partition(",")[0]] = steps.states[-1]
+        seconds = turns(programs, lanes, "closed form, arrowhead")
+        found[f"lanes {lanes}"] = {name: own | made[name] for name, own in seconds.items()}
+    return found, states
 
 
 def main() -> None:
-    content = {"field": fields(), "run": runs()}
+    run_times, states = runs()
+    content = {"run": run_times, "field": fields(states)}
     print(content)
     save("joint_mechanism", content)
 

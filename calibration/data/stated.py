@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bcfj_jax import InputError, nearest
-from bcfj_jax.analysis.derivatives.names import UNITS
+from bcfj_jax.analysis.derivatives.names import UNITS, feature_unit
 from bcfj_jax.io.units import quantity
 from bcfj_jax.mechanism.channels import unit_of
 from calibration.problem import Observation
@@ -84,12 +84,12 @@ def features(stated: dict[str, Any], deviation: object, where: str) -> tuple[Obs
         kind = name.rpartition(".")[2]
         if kind not in UNITS:
             raise InputError(f"{where} features", f"no feature '{kind}'", nearest(kind, UNITS))
-        number = quantity(value, UNITS[kind], f"{where} features.{name}")
+        number = quantity(value, feature_unit(name), f"{where} features.{name}")
         own = deviation.get(name) if isinstance(deviation, dict) else deviation
         if own is None:
             raise InputError(f"{where} feature_noise", f"no noise of '{name}'", 'give feature_noise = "2 %"')
         place = f"{where} feature_noise"
         share = isinstance(own, str) and own.strip().endswith("%")
-        sigma = quantity(own, "1", place) * abs(number) if share else quantity(own, UNITS[kind], place)
+        sigma = quantity(own, "1", place) * abs(number) if share else quantity(own, feature_unit(name), place)
         found.append(Observation(name, number, sigma))
     return tuple(found)

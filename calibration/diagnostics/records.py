@@ -12,7 +12,7 @@ from calibration.diagnostics import fit_tests
 from calibration.diagnostics.residual_tests import Series
 from calibration.forward import integration
 from calibration.forward.model import Model, build, predictions, residuals_and_jacobian
-from calibration.forward.runs import Contact
+from calibration.forward.runs import Contact, together
 from calibration.noise.noise_model import OUTLYING, Estimate
 from calibration.problem import Experiment, Problem
 from calibration.search.refinement import FAILED_RESIDUAL, End
@@ -172,7 +172,9 @@ def series_of(
             j = model.channels.index(channel.observes)
             own = np.flatnonzero(weights[i, j] > 0)
             contact = channel.observes.partition(".")[0]
-            mine = next(c for c in seen if c.experiment == i and c.name == contact)
+            own_contacts = [c for c in seen if c.experiment == i]
+            # A body feels every contact.
+            mine = together([c for c in own_contacts if c.name == contact] or own_contacts)
             clock = np.asarray(model.data.times)[i, own] - mine.offset
             touching = np.interp(clock, mine.times, mine.touching.astype(float), left=0.0) >= 0.5
             durations = mine.durations

@@ -39,6 +39,11 @@ class Contact(NamedTuple):
         return self.times[ends[1::2] - 1] - self.times[ends[::2]]
 
 
+def together(contacts: list[Contact]) -> Contact:
+    """Several channels of one experiment as one, which touches where any of them does."""
+    return contacts[0]._replace(touching=np.any([c.touching for c in contacts], axis=0))
+
+
 @eqx.filter_jit
 def _histories(model: Model, point: Array, log_depth: Array, times: Array) -> tuple[Histories, Array]:
     table, _ = model.settings(point, log_depth)

@@ -139,9 +139,10 @@ def _model(entry: _Model, content: dict[str, Any], path: Path, problem: Problem)
     named = content["scene"]
     table = tables.read(path.parent / named) if named.endswith(".toml") else {"scene": {"kind": named}}
     options = {**table["scene"], **entry.scene}
-    known = scenefile.from_table({"scene": options}, Path(where)).scene.quantities
+    model = scenefile.model({**table, "scene": options}, where)
+    known = model.quantities
     # What the scene file gives a law that this model does not have is left out; what the model gives must be known.
-    given = {name: value for name, value in table.get("parameters", {}).items() if name in known}
+    given = {name: value for name, value in table.get("parameters", {}).items() if model.canonical(name) in known}
     base = scenefile.from_table({**table, "scene": options, "parameters": {**given, **entry.parameters}}, Path(where))
     free = {f.name: f for f in problem.free if f.name in {**known, **NUISANCES} and f.name not in entry.parameters}
     for name, own in entry.free.items():

@@ -10,15 +10,18 @@ import sys
 from pathlib import Path
 
 import jax
+import numpy as np
 import platformdirs
 import pytest
 from conftest import BUILD
 from typer.testing import CliRunner
 
 from bcfj_jax.analysis.simulation import pictures
-from bcfj_jax.analysis.simulation.results import FILES
+from bcfj_jax.analysis.simulation.results import FILES, accuracy_sentences
 from bcfj_jax.cli import app, use_compile_cache
 from bcfj_jax.io.scenefile import load
+from bcfj_jax.solve.measured_error import Accuracy
+from bcfj_jax.solve.simulation import Run
 
 pytestmark = pytest.mark.filterwarnings("error")
 
@@ -75,6 +78,30 @@ def test_chung_ooi(name, peak, end, here):
     assert list(environment["data"]) == [str(EXAMPLES / f"{name}.toml")]
     assert environment["device"]["backend"] == "cpu"
     assert load(here / "out/run.toml").resolved == load(EXAMPLES / f"{name}.toml").resolved
+
+
+def test_the_force_error_is_measured_and_told(here):
+    done = bcfj("simulate", "impact", "--out", "out")
+    accuracy = json.loads((here / "out/summary.json").read_text())["accuracy"]
+    assert accuracy["asked"] == 0.01 and accuracy["agree_until"] is None
+    errors = accuracy["measured"]["contact"]
+    assert set(errors) == {"rms", "peak", "impulse"} and all(0.0 < error < 0.01 for error in errors.values())
+    assert f"contact: asked 1 %, measured {100 * max(errors.values()):.2g} %\n" in done.stdout
+    assert "Measured force error" in (here / "out/report.html").read_text()
+    assert "asked" not in bcfj("simulate", "impact", "--no-measure-error", "--out", "without").stdout
+    assert "accuracy" not in json.loads((here / "without/summary.json").read_text())
+
+
+def test_runs_that_do_not_agree_are_told():
+    found = Accuracy(0.01, 5e-6, 0.0, {"pin": 0.003}, {"pin": 0.25}, {"pin": 0.02}, 0.41, 1.0)
+    blank = np.zeros((2, 3))
+    run = Run(np.zeros(2), {"pin": blank}, {}, {}, {}, "ok", "", float("nan"), {}, accuracy=found)
+    first, second = accuracy_sentences(run)
+    assert first == "pin: asked 1 %, measured 25 %"
+    assert "agree until 410 ms" in second and "more than 10 times the error asked for" in second
+    lost = found._replace(rms={"pin": float("nan")}, agree_until=float("nan"))
+    assert accuracy_sentences(run._replace(accuracy=lost)) == ["pin: asked 1 %, measured unknown"]
+    assert accuracy_sentences(run._replace(accuracy=None)) == []
 
 
 def test_default_folders_are_numbered(here):
@@ -182,8 +209,6 @@ def test_an_interrupt_exits_5(monkeypatch, here):
 
 
 def test_members_of_a_contact_are_numbered():
-    import numpy as np
-
     from bcfj_jax.io.outputs import channels
 
     assert list(channels({"seat_ball": np.zeros((4, 6, 3))}, 1)) == [f"seat_ball_{k}" for k in range(1, 7)]

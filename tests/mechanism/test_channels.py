@@ -125,3 +125,21 @@ def test_what_cannot_be_read_is_refused_with_the_nearest(name, hint):
         simulate(scene, scene.parameters(), TIMES[:3], read=(name,))
     assert hint in str(raised.value)
     assert bj.InputError is InputError
+
+
+def test_a_readings_feature_is_taken_and_differentiated_like_a_contacts():
+    """Largest acceleration before the second touch, by the slider's mass: the wrapped model against the reading itself."""
+    scene = scenes.slider_crank()
+    p, times = scene.parameters(), np.linspace(0.0, 2.6e-4, 261)
+    found = bj.sensitivity(scene, p, times, ("slider.mass",), features=("slider.acceleration.x.largest",), certify=False)
+    read = simulate(scene, p, times, read=("slider.acceleration.x",)).readings["slider.acceleration.x"]
+    name = "slider.acceleration.x.largest"
+    assert found.features[name] == pytest.approx(np.abs(read).max(), rel=1e-6)
+
+    def peak(mass):
+        history = reading_history(scene, {**p, "slider.mass": mass}, times, ("slider.acceleration.x",))
+        return jnp.abs(history["slider.acceleration.x"]).max()
+
+    assert found.feature_derivatives["slider.mass"][name] == pytest.approx(
+        float(jax.jacfwd(peak)(p["slider.mass"])), rel=1e-6
+    )

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bcfj_jax import Body, Contact, InputError, Mechanism, force_history, scenes, simulate
+from bcfj_jax import Body, Contact, InputError, Mechanism, force_history, gaps, scenes, simulate
 
 LANES = 20_000
 

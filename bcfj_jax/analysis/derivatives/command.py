@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bcfj_jax.analysis.derivatives import pictures
-from bcfj_jax.analysis.derivatives.names import UNITS, complete, derivative_unit
+from bcfj_jax.analysis.derivatives.names import UNITS, complete, derivative_unit, feature_unit
 from bcfj_jax.analysis.derivatives.ranking import certificate_rows, ranked_rows, ranking, said
 from bcfj_jax.analysis.derivatives.sensitivity import Sensitivity, sensitivity
 from bcfj_jax.io import outputs, report
@@ -98,7 +98,7 @@ def certificate_json(found: Sensitivity, params: Any, scene: AbstractModel) -> d
     features = {
         name: {
             "value": value,
-            "unit": UNITS[name.rpartition(".")[2]],
+            "unit": feature_unit(name),
             "derivatives": {p: found.feature_derivatives[p][name] for p in found.wrt},
         }
         for name, value in found.features.items()

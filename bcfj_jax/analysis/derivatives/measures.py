@@ -27,6 +27,7 @@ def channel_features(times: np.ndarray, force: Array, depth: Array) -> dict[str,
     several = len(times) > 1
     return {
         "peak": features.peak(force),
+        "largest": features.peak(jnp.abs(force)),
         "mean": features.mean(times, force) if several else unknown,
         "impulse": features.impulse(times, force) if several else unknown,
         "dissipated_work": features.dissipated_work(force, depth) if several else unknown,
@@ -37,7 +38,7 @@ def channel_features(times: np.ndarray, force: Array, depth: Array) -> dict[str,
 
 def grouped(kind: str, values: Array) -> Array:
     """One number of the members' (k,): the largest peak, the mean of anything else. Pure."""
-    return jnp.max(values) if kind == "peak" else jnp.mean(values)
+    return jnp.max(values) if kind in ("peak", "largest") else jnp.mean(values)
 
 
 def vector(

@@ -8,12 +8,21 @@ from typing import NamedTuple
 from jax import Array
 
 from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.mechanism.channels import is_reading, unit_of
 from bcfj_jax.mechanism.model import AbstractModel, Params
 
 FEATURES = (
     "peak", "mean", "impulse", "period", "dissipated_work", "residual_oscillation", "contact_fraction",
 )  # fmt: skip
+# By kind; ``largest`` is the greatest size of a reading of either sign, and is taken where it is named.
 UNITS: dict[str, str] = dict(zip((*FEATURES, "delay"), ("N", "N", "N s", "s", "J", "N", "1", "s"), strict=True))
+UNITS["largest"] = "N"
+
+
+def feature_unit(name: str) -> str:
+    """Unit of a feature by its name: a reading's own where it is of one, else of a force."""
+    place, _, kind = name.rpartition(".")
+    return UNITS[kind].replace("N", unit_of(place)) if is_reading(place) else UNITS[kind]
 
 
 class Feature(NamedTuple):

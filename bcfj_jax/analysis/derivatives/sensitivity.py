@@ -21,6 +21,7 @@ from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.quantities import increasing
 from bcfj_jax.core.status import OK, reason
 from bcfj_jax.mechanism.model import AbstractModel, Params
+from bcfj_jax.mechanism.watched import watching
 from bcfj_jax.solve.integrate import LEVELS, MAX_STEPS, Plan, plan
 
 MODES = ("auto", "forward", "reverse")
@@ -81,7 +82,7 @@ def sensitivity(
         scene, params, times, accuracy, max_steps: as ``simulate``.
         wrt: names of parameters; a contact's own (``seat_ball.stiffness``) starts from the shared value.
         features: names as ``seat_ball.peak``, ``seat_ball_2.mean``, ``seat_ball:head_ball.delay``; by default every
-            feature of every contact.
+            feature of every contact. A reading's feature is ``slider.acceleration.x.peak`` (``mechanism.channels``).
         average: width of the certificate's moving average [s], at most a tenth of the horizon.
         mode: "forward" for histories and features; "reverse" for features alone, without periods and delays, by a
             program compiled per times and features too; "auto": reverse from 51 parameters.
@@ -96,8 +97,9 @@ def sensitivity(
     t = increasing(times)
     scene.check(params)
     full, names = complete(scene, params, wrt)
-    contacts = scene.members
     asked = (features,) if isinstance(features, str) else features
+    scene = watching(scene, asked)
+    contacts = scene.members
     wanted = [named(name, contacts) for name in asked] or default_features(contacts)
     for what, value, known in (("mode", mode, MODES), ("differences", differences, DIFFERENCES)):
         if value not in known:

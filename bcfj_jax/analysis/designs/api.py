@@ -33,6 +33,7 @@ from bcfj_jax.analysis.designs.tolerance import DISTRIBUTIONS, robust, robustnes
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.quantities import increasing
 from bcfj_jax.mechanism.model import AbstractModel, Params
+from bcfj_jax.mechanism.watched import watching
 from bcfj_jax.solve.integrate import MAX_STEPS, plan
 
 SENSES = {"minimise": 1.0, "maximise": -1.0}
@@ -99,6 +100,8 @@ def design(
     sign = _sign(sense, distribution, kappa, samples, starts, norms, iterations)
     if scene.traits.open:
         raise InputError(f"scene '{scene.kind}' fidelity", f"'{scene.title}' is no model yet", "give one by name")
+    asked = features if callable(objective) else [objective] if isinstance(objective, str) else objective
+    scene = watching(scene, asked)
     wanted, box = _objective(objective, features, scene.members), space(scene, params, free)
     full = complete(scene, params, box.names)[0]
     scene.check(full)

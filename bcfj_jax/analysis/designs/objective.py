@@ -23,7 +23,7 @@ from jax import Array
 
 from bcfj_jax.analysis.derivatives.jacobian import Histories, channel_names
 from bcfj_jax.analysis.derivatives.measures import vector
-from bcfj_jax.analysis.derivatives.names import UNITS, Feature, feature, members
+from bcfj_jax.analysis.derivatives.names import Feature, feature, feature_unit, members
 from bcfj_jax.core.errors import InputError
 
 # Beside the features of ``derivatives``: the deepest penetration, and the greatest |F| where a force has two signs.
@@ -94,7 +94,8 @@ def objective(
 
 def unit_of(name: str) -> str:
     """Unit of a feature by its name."""
-    return ({**UNITS, **OWN})[name.rpartition(".")[2]]
+    kind = name.rpartition(".")[2]
+    return OWN[kind] if kind in OWN else feature_unit(name)
 
 
 def _feature(name: str, contacts: Mapping[str, int]) -> Feature:

@@ -28,11 +28,11 @@ def run(what: str, out: Path | None, say: Callable[[str], None], measure_error: 
     """
     given = quickest(load(what))
     stem = given.source.stem if given.source else what
-    folder = open_folder(out, "simulate", stem, results.files(given.scene))
+    folder = open_folder(out, "simulate", stem, results.files(given))
     say(f"simulating {what}: {len(given.times)} samples to {given.times[-1]:.6g} s")
     found = simulate(
         given.scene, given.params, given.times, accuracy=given.accuracy, max_steps=given.max_steps,
-        solver=given.solver, measure_error=measure_error,
+        solver=given.solver, measure_error=measure_error, read=[channel.name for channel in given.reads],
     )  # fmt: skip
     text, warnings = results.write(folder, given, found, stem)
     for warning in warnings:

@@ -13,7 +13,6 @@ from bcfj_jax.analysis.simulation import pictures
 from bcfj_jax.io import outputs, report
 from bcfj_jax.io.scenefile import SceneFile
 from bcfj_jax.io.units import format_si
-from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.mechanism.readings import STATES
 from bcfj_jax.solve.measured_error import FACTOR, Accuracy
 from bcfj_jax.solve.simulation import Run
@@ -28,11 +27,13 @@ FILES = (
     "run.toml",
     "environment.json",
 )
+# What [[read]] asks for.
+READINGS = "readings.csv"
 
 
-def files(scene: AbstractModel) -> tuple[str, ...]:
-    """Names of the files that ``write`` may leave for a scene."""
-    return (*FILES, *scene.tables)
+def files(given: SceneFile) -> tuple[str, ...]:
+    """Names of the files that ``write`` may leave for a scene file."""
+    return (*FILES, *given.scene.tables, *([READINGS] if given.reads else []))
 
 
 def choice_sentence(run: Run) -> str:
@@ -201,6 +202,17 @@ def _input_rows(given: SceneFile) -> list[list[str]]:
     return rows
 
 
+def _readings(given: SceneFile, run: Run) -> dict[str, np.ndarray]:
+    """What [[read]] asks for, by heads that hold a unit; a column a member."""
+    found: dict[str, np.ndarray] = {}
+    for channel in given.reads:
+        values = run.readings[channel.name]
+        members = range(values.shape[1]) if values.ndim > 1 else ()
+        parts = [(channel._replace(member=k + 1), values[:, k]) for k in members] or [(channel, values)]
+        found |= {f"{one.name} [{one.unit}]": column for one, column in parts}
+    return found
+
+
 def write(folder: Path, given: SceneFile, run: Run, stem: str) -> tuple[str, list[str]]:
     """Write every one of ``files``, less tables that the level chosen does not have.
 
@@ -216,6 +228,8 @@ def write(folder: Path, given: SceneFile, run: Run, stem: str) -> tuple[str, lis
     outputs.write_json(folder / "environment.json", outputs.environment(data=[given.source] if given.source else []))
     outputs.write_forces(folder / "forces.csv", run)
     outputs.write_contacts(folder / "contacts.csv", run)
+    if given.reads:
+        outputs.write_histories(folder / READINGS, run.times, _readings(given, run))
     whole, extra = given.scene.whole(given.params, run)
     for name, columns in extra.items():
         outputs.write_histories(folder / name, run.times, columns)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -15,7 +16,7 @@ from bcfj_jax.analysis.studies.extra import library
 from bcfj_jax.analysis.studies.specification import Study
 from bcfj_jax.analysis.studies.store import Store, facts_of, merge, write_parquet
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.io import outputs
+from bcfj_jax.io import outputs, usercode
 from bcfj_jax.io.stop import heeded
 
 if TYPE_CHECKING:
@@ -96,11 +97,18 @@ def prepare(found: Study, folder: Path) -> Store:
     if said.exists():
         if specification.load(said).resolved != found.resolved:
             raise InputError(f"--out {folder}", "holds another study", "name another folder: nothing is overwritten")
+        usercode.same_as(_code(folder), f"--out {folder}: the study there")
     else:
         outputs.open_folder(folder, "study", "", (RESULTS, STATE))
         outputs.write_toml(said, found.resolved, "the study as it was run: every default, SI")
         outputs.write_json(folder / "environment.json", outputs.environment(seed=found.seed))
     return Store(folder, Blocks(found))
+
+
+def _code(folder: Path) -> list[dict[str, str]]:
+    """The user's own files that a study was begun with, as ``usercode.record`` had them."""
+    kept = folder / "environment.json"
+    return json.loads(kept.read_text(encoding="utf-8")).get("code", []) if kept.exists() else []
 
 
 def compute(store: Store, workers: int | None, scheduler: str | None, progress: Callable[[int, int], None]) -> None:
@@ -160,6 +168,6 @@ def state(store: Store) -> dict[str, Any]:
     return {
         "points": study.count, "finished": points, "left": study.count - points, "failed": failed,
         "reasons": reasons, "blocks": len(blocks), "blocks_finished": len(finished), "steps": steps, "rounds": slots,
-        "status": "finished" if points == study.count else "unfinished",
+        "code": usercode.record(), "status": "finished" if points == study.count else "unfinished",
         "written": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
     }  # fmt: skip

@@ -19,35 +19,41 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from bcfj_jax.analysis.studies.store import Store
 
+# Names and contents of the user's own files.
+Files = tuple[tuple[str, bytes], ...]
 # How long a scheduler may be away [s].
 PATIENCE_S = 300.0
 _PAUSE_S = 1.0
 
 
 @functools.lru_cache(maxsize=4)
-def _blocks(study: str) -> Any:
+def _blocks(study: str, code: Files) -> Any:
     import tomllib
 
     from bcfj_jax.core.compile_cache import use_compile_cache
 
     use_compile_cache()
+    from bcfj_jax.io import usercode
+
+    usercode.use_only(code)
     from bcfj_jax.analysis.studies.block import Blocks
     from bcfj_jax.analysis.studies.specification import from_table
 
     return Blocks(from_table(tomllib.loads(study)))
 
 
-def compute_block(study: str, block: int, name: str) -> dict[str, bytes]:
+def compute_block(study: str, block: int, name: str, code: Files = ()) -> dict[str, bytes]:
     """On a worker: the files of a block, by their names in ``blocks/``.
 
     Args:
         study: the content of ``run.toml``.
         block, name: which, and what it is called where it was asked for.
+        code: the user's own files, which are not on this machine.
 
     Raises:
         RuntimeError: if it is called something else here: then this is another version of the code.
     """
-    blocks = _blocks(study)
+    blocks = _blocks(study, code)
     from bcfj_jax.analysis.studies.block import compute
     from bcfj_jax.analysis.studies.store import Store
 
@@ -72,7 +78,10 @@ def run(store: Store, address: str, progress: Callable[[int], None]) -> None:
     from bcfj_jax.io.stop import check
 
     distributed = library("distributed")
+    from bcfj_jax.io import usercode
+
     study = (store.folder / "run.toml").read_text(encoding="utf-8")
+    code = tuple((str(one.path), one.text) for one in usercode.used())
     seen = time.monotonic()
     away = (OSError, TimeoutError, distributed.CancelledError, distributed.comm.CommClosedError)
     while missing := [k for k in range(len(store.blocks)) if not store.finished(k)]:
@@ -81,7 +90,9 @@ def run(store: Store, address: str, progress: Callable[[int], None]) -> None:
             with distributed.Client(address, timeout=10, set_as_default=False) as client:
                 seen = time.monotonic()
                 names = store.blocks.names
-                asked = {client.submit(compute_block, study, k, names[k], key=f"bcfj-{names[k]}"): k for k in missing}
+                asked = {
+                    client.submit(compute_block, study, k, names[k], code, key=f"bcfj-{names[k]}"): k for k in missing
+                }
                 for future in distributed.as_completed(asked, loop=client.loop):
                     check()
                     files = future.result()

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bcfj_jax.analysis.derivatives.names import UNITS
+from bcfj_jax.analysis.derivatives.names import feature_unit
 from bcfj_jax.analysis.studies import sensitivity
 from bcfj_jax.analysis.studies.api import RESULTS, prepare
 from bcfj_jax.analysis.studies.command import DONE, INTERRUPTED, find, folder_of
@@ -143,6 +143,6 @@ def picture(good: Sequence[Indices], path: Path) -> None:
             axis.set_axisbelow(True)
             axis.axvline(0.0, color="#333333", lw=0.8)
             axis.set_title(one.feature)
-            unit = UNITS[one.feature.rpartition(".")[2]]
+            unit = feature_unit(one.feature)
             axis.set_xlabel(plots.label("change over the range", unit) if one.method == "Morris" else "index")
             axis.legend(fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, columnspacing=1.0)

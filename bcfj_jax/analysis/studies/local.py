@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 
 from bcfj_jax.analysis.studies.store import Store
 from bcfj_jax.analysis.studies.worker import BAD_INPUT, DONE, INTERRUPTED
+from bcfj_jax.io import usercode
 from bcfj_jax.io.stop import check
 
 # Workers that may die one after the other without a block being finished.
@@ -101,6 +102,7 @@ def start(store: Store, number: int) -> subprocess.Popen:
         str(store.folder),
         str(number),
         str(os.getpid()),
+        *usercode.arguments(),
     ]
     # Read when equinox is imported: JAX keeps no program with equinox's checks in its cache (``compile_cache``).
     env = {"EQX_ON_ERROR": "nan", **os.environ}

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bcfj_jax.analysis.derivatives.names import UNITS
+from bcfj_jax.analysis.derivatives.names import UNITS, feature_unit
 from bcfj_jax.analysis.studies.specification import Study
 from bcfj_jax.io import plots
 from bcfj_jax.io.outputs import atomic
@@ -90,7 +90,7 @@ def _maps(study: Study, result: Result) -> Any:
         for axes, feature in zip(panels, shown, strict=True):
             axes.grid(False)
             drawn = axes.pcolormesh(x, y, result.column(feature.name).reshape(shape), shading="nearest")
-            unit = UNITS[feature.kind]
+            unit = feature_unit(feature.name)
             figure.colorbar(drawn, ax=axes, label=unit if unit != "1" else None)
             axes.set(xlabel=label(study, study.names[0]), ylabel=label(study, study.names[1]), title=feature.name)
             for axis, scale in zip(study.axes, (axes.set_xscale, axes.set_yscale), strict=True):

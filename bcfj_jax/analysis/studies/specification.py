@@ -10,7 +10,7 @@ scene     a scene file (beside the study file), a built-in scene's name, or a ta
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ from bcfj_jax.core.quantities import CATALOGUE, check_value
 from bcfj_jax.io import scenefile, tables
 from bcfj_jax.io.scenefile import SceneFile
 from bcfj_jax.io.units import quantity
+from bcfj_jax.mechanism.watched import watching
 
 MOST_POINTS = 100_000_000
 
@@ -133,6 +134,8 @@ def from_table(table: Mapping[str, Any], where: str = "study", beside: Path = Pa
     if not file.vary:
         raise InputError(f"{where}: [vary]", "nothing is varied", f"vary one of {', '.join(given.scene.quantities)}")
     axes = tuple(_axis(given, name, one, kind, where) for name, one in file.vary.items())
+    if len({axis.name for axis in axes}) < len(axes):
+        raise InputError(f"{where}: [vary]", "one parameter is varied twice, by two names", "take one of them out")
     if kind == "list" and len({axis.steps for axis in axes}) > 1:
         found = ", ".join(f"{axis.name}: {axis.steps}" for axis in axes)
         raise InputError(f"{where}: [vary]", f"values of a list side by side: {found}", "give as many of each")
@@ -140,16 +143,16 @@ def from_table(table: Mapping[str, Any], where: str = "study", beside: Path = Pa
     count = number(kind, axes, block_length(kind, len(axes), options) * size)
     if count > MOST_POINTS:
         raise InputError(f"{where}: [vary]", f"{count} points", f"a study has at most {MOST_POINTS}")
-    members = given.scene.members
     wanted = file.results.features
     if wanted is None:
-        wanted = [f"{contact}.peak" for contact in members]
+        wanted = [f"{contact}.peak" for contact in given.scene.members]
     if len(set(wanted)) < len(wanted):
         twice = next(name for name in wanted if wanted.count(name) > 1)
         raise InputError(f"{where}: [results] features", f"'{twice}' is there twice", "name it once")
     slopes = tuple(file.results.derivatives)
     try:
-        features = tuple(feature(name, members) for name in wanted)
+        given = replace(given, scene=watching(given.scene, wanted))
+        features = tuple(feature(name, given.scene.members) for name in wanted)
         if slopes:
             complete(given.scene, given.params, slopes)
     except InputError as error:
@@ -234,6 +237,7 @@ def _resolved(axis: Axis, drawn: bool) -> dict[str, Any]:
 
 def _axis(given: SceneFile, name: str, table: _Axis, kind: str, where: str) -> Axis:
     place, known = f"{where}: [vary.{name}]", given.scene.quantities
+    name = given.scene.canonical(name)
     if name not in known:
         hint = f"known here: {', '.join(sorted(known))}" if name in CATALOGUE else nearest(name, known)
         raise InputError(place, f"scene '{given.scene.kind}' has no parameter '{name}'", hint)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bcfj_jax.analysis.derivatives.names import UNITS
+from bcfj_jax.analysis.derivatives.names import feature_unit
 from bcfj_jax.analysis.studies import pictures, surface
 from bcfj_jax.analysis.studies.command import DONE, INTERRUPTED
 from bcfj_jax.analysis.studies.design import Axis
@@ -82,7 +82,7 @@ def draw(one: Surface, found: Finished, path: Path) -> None:
 
 def _unit(one: Surface) -> tuple[str, str]:
     kind = one.feature.rpartition(".")[2]
-    return kind.replace("_", " "), UNITS[kind]
+    return kind.replace("_", " "), feature_unit(one.feature)
 
 
 def _scale(panel: Any, which: str, axis: Axis) -> None:

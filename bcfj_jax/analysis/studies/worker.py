@@ -1,5 +1,5 @@
 """A worker: computes blocks of a study's folder until none is left. ``python -m bcfj_jax.analysis.studies.worker DIR NUMBER
-PARENT``.
+PARENT [--code FILE SHA256]...``.
 
 Exit codes are those of the command line: 0 nothing is left, 2 the folder cannot be worked on, 5 the disk is full.
 """
@@ -17,6 +17,7 @@ from bcfj_jax.analysis.studies.block import Blocks, compute
 from bcfj_jax.analysis.studies.specification import load
 from bcfj_jax.analysis.studies.store import Store
 from bcfj_jax.core.errors import InputError
+from bcfj_jax.io import usercode
 from bcfj_jax.io.stop import check, heeded
 
 DONE, BAD_INPUT, INTERRUPTED = 0, 2, 5
@@ -65,11 +66,13 @@ def main() -> int:
     """Entry point."""
     from bcfj_jax.core.compile_cache import use_compile_cache
 
-    folder, number = Path(sys.argv[1]), int(sys.argv[2])
+    given = sys.argv[: sys.argv.index("--code")] if "--code" in sys.argv else sys.argv
+    folder, number = Path(given[1]), int(given[2])
     own_core(number)
-    go_with(int(sys.argv[3]))
+    go_with(int(given[3]))
     use_compile_cache()
     try:
+        usercode.from_arguments(sys.argv)
         with heeded():
             work(Store(folder, Blocks(load(folder / "run.toml"))))
     except InputError as error:

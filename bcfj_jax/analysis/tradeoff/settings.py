@@ -13,10 +13,10 @@ from typing import Any
 
 from bcfj_jax.contact.laws import FRICTION
 from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.io import scenefile
 from bcfj_jax.io.outputs import plain
 from bcfj_jax.io.scenefile import SceneFile
 from bcfj_jax.mechanism.model import AbstractModel
-from bcfj_jax.models import scenes
 from bcfj_jax.solve import named
 from bcfj_jax.solve.integrate import LEVELS, plan
 
@@ -77,7 +77,7 @@ def overlaid(resolved: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str
 
     Parameters that changed options no longer read are left out; accuracy is replaced but for its ``max_steps``.
     """
-    table = {section: {**resolved[section], **change.get(section, {})} for section in resolved}
+    table = dict(resolved) | {section: {**resolved.get(section, {}), **own} for section, own in change.items()}
     if "accuracy" in change:
         table["accuracy"] = {"max_steps": resolved["accuracy"]["max_steps"], **change["accuracy"]}
     if "scene" in change:
@@ -89,9 +89,8 @@ def overlaid(resolved: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str
 
 def _made(table: Mapping[str, Any]) -> AbstractModel | None:
     """The model that a scene file's content names; None for options that make none, which a run will say."""
-    options = {name: value for name, value in table["scene"].items() if name != "kind"}
     try:
-        return scenes.make(table["scene"]["kind"], **options)
+        return scenefile.model(table)
     except InputError:
         return None
 

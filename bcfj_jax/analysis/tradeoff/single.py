@@ -21,6 +21,7 @@ import numpy as np
 
 from bcfj_jax.analysis.tradeoff.trial import Trial, loaded, repeatedly
 from bcfj_jax.core.compile_cache import use_compile_cache
+from bcfj_jax.io import usercode
 from bcfj_jax.io.outputs import plain
 from bcfj_jax.io.stop import check as check_stop
 from bcfj_jax.solve.integrate import Plan, plan
@@ -44,7 +45,7 @@ def single(table: Mapping[str, Any], seconds: float) -> Trial:
     with tempfile.TemporaryDirectory() as place:
         asked, out = Path(place, "table.json"), Path(place, "out.npz")
         asked.write_text(json.dumps(plain(table)))
-        command = [sys.executable, "-m", __name__, str(asked), str(out)]
+        command = [sys.executable, "-m", __name__, str(asked), str(out), *usercode.arguments()]
         try:
             done = subprocess.run(command, capture_output=True, text=True, timeout=max(seconds, 1.0), check=False)
         except subprocess.TimeoutExpired:
@@ -81,4 +82,5 @@ def _child(table: Mapping[str, Any], out: Path) -> None:
 
 if __name__ == "__main__":
     use_compile_cache()
+    usercode.from_arguments(sys.argv)
     _child(json.loads(Path(sys.argv[1]).read_text()), Path(sys.argv[2]))

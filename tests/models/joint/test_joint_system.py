@@ -12,12 +12,12 @@ from joints import GROOVES, LITTLE, QUICK, constants
 from oracles import within
 
 from bcfj_jax import scenes
+from bcfj_jax.core.small import inverse, inverse3, inverse6
 from bcfj_jax.models.joint import geometry, system
 from bcfj_jax.models.joint.arrowhead import Arrowhead
 from bcfj_jax.models.joint.law_pair import SkinPair
 from bcfj_jax.models.joint.scene import CONTACTS
 from bcfj_jax.models.joint.start import nominal
-from bcfj_jax.core.small import inverse, inverse3, inverse6
 
 UNLIKE = {"head_ball": "kelvin_voigt", "head_cage": "hertz"}
 OPTIONS = {

@@ -1,0 +1,102 @@
+"""A model that shows readings of bodies beside its contacts, so that whatever takes features of contacts takes theirs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from bcfj_jax.mechanism.channels import Channel, channel, is_reading, needs_bodies, read
+from bcfj_jax.mechanism.model import AbstractModel, Coarser, Params, Reading
+
+
+class Shown(NamedTuple):
+    """A reading in a contact's place: its name, and no laws."""
+
+    name: str
+    law: None = None
+    friction: None = None
+
+
+def _of(name: str) -> Any:
+    return property(lambda self: getattr(self.inner, name))
+
+
+class Watched(AbstractModel):
+    """``inner`` with readings (``channels``) as further contacts: their values stand where a normal force does."""
+
+    inner: AbstractModel
+    channels: tuple[Channel, ...] = eqx.field(static=True)
+
+    kind, samples, defaults, horizon, traits, quantities, title = map(  # pyright: ignore[reportAssignmentType]
+        _of, ("kind", "samples", "defaults", "horizon", "traits", "quantities", "title")
+    )
+    prepare, initial_state, vector_field, error_scale, tolerance = map(
+        _of, ("prepare", "initial_state", "vector_field", "error_scale", "tolerance")
+    )
+    first_step, structure, instants, motions, flows = map(
+        _of, ("first_step", "structure", "instants", "motions", "flows")
+    )
+    body_names, drive_coordinate, settled_when, tables = map(  # pyright: ignore[reportAssignmentType]
+        _of, ("body_names", "drive_coordinate", "settled_when", "tables")
+    )
+    check, period, coordinates, neutral, envelope, settled_from = map(
+        _of, ("check", "period", "coordinates", "neutral", "envelope", "settled_from")
+    )
+    choice_options, whole, coefficient, canonical = map(_of, ("choice_options", "whole", "coefficient", "canonical"))
+
+    def __getattr__(self, name: str) -> Any:
+        # What a model's own code asks of it beyond the interface: its structure solves with it.
+        return getattr(object.__getattribute__(self, "inner"), name)
+
+    @property
+    def contacts(self) -> tuple[Any, ...]:
+        """The model's, then the readings."""
+        return (*self.inner.contacts, *(Shown(c.name) for c in self.channels))
+
+    @property
+    def members(self) -> dict[str, int]:
+        """The model's; a reading of a contact with members has none."""
+        return self.inner.members | {c.name: 0 for c in self.channels}
+
+    def observe(self, t: Array, y: Array, prepared: Any) -> dict[str, Reading]:
+        """The model's contacts, and each reading as a normal force without penetration."""
+        found = self.inner.observe(t, y, prepared)
+        moving = needs_bodies(self.channels, self.inner)
+        values = read(self.channels, found, self.inner.motions(t, y, prepared) if moving else {})
+        zero = jnp.zeros(())
+        shown = {name: Reading(jnp.stack([x, zero, zero]), zero, zero) for name, x in values.items()}
+        return {**found, **shown}
+
+    def full(self) -> AbstractModel:
+        """The model's, watched likewise."""
+        return Watched(self.inner.full(), self.channels)
+
+    def coarser(self) -> tuple[Coarser, ...]:
+        """The model's."""
+        return self.inner.coarser()
+
+    def choose(
+        self, params: Params, times: np.ndarray, budget: float, run: Callable[[AbstractModel, np.ndarray], Any]
+    ) -> Any:
+        """The model's choice."""
+        return self.inner.choose(params, times, budget, lambda level, at: run(Watched(level, self.channels), at))
+
+
+def watching(model: AbstractModel, features: Iterable[str]) -> AbstractModel:
+    """A model that shows the readings which features are of: "slider.acceleration.x.peak" asks for the acceleration.
+
+    Raises:
+        InputError: for a reading that the model has not, with the nearest that it has.
+    """
+    contacts, wanted = model.members, {}
+    known = [*contacts, *(f"{c}_{k + 1}" for c, count in contacts.items() for k in range(count))]
+    for feature in features:
+        for place in feature.rpartition(".")[0].split(":"):
+            if place not in known and is_reading(place):
+                wanted[place] = channel(place, model, where=f"feature '{feature}'")
+    return Watched(model, tuple(wanted.values())) if wanted else model

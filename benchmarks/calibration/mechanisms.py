@@ -1,0 +1,137 @@
+"""Coefficients of mechanisms from records that an independent SciPy code makes: are they found, and with honest intervals?
+
+    python -m benchmarks.calibration.mechanisms [CASE ...] [--seeds 100] [--workers 2]
+writes results/identification.json and docs/calibration.md. Cases: friction, clearance; both by default.
+
+| case | free | record, noise of 1 % of each history's peak |
+|---|---|---|
+| friction | friction_static, friction_dynamic | tangential and normal force of a sphere that strikes a plane at 5 to 60 degrees |
+| clearance | clearance_journal, stiffness | slider acceleration of a slider-crank at 5000 r/min: the first three contacts |
+
+Below 32 degrees the sphere ends rolling, above it slides all the time. The slider-crank's record ends before its fourth
+contact. A seed is fresh noise and a whole fit with starts of its own; what is finished is kept in build/coverage.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import math
+import multiprocessing
+import os
+from concurrent.futures import ProcessPoolExecutor
+from typing import Any
+
+# Before equinox is imported: JAX keeps no program with host callbacks, which diffrax's checks are.
+os.environ.setdefault("EQX_ON_ERROR", "nan")
+
+import numpy as np
+
+from bcfj_jax import scenes
+from benchmarks.calibration.coverage import Case, finished, fit_missing, noisy, summary
+from benchmarks.common import load, markdown, put_in_readme, save
+from benchmarks.references import oblique_impact, slider_crank
+from calibration import Experiment, Free, Problem
+
+NOISE = 0.01
+ANGLES = tuple(range(5, 65, 5))
+FRICTION = {"friction_static": 0.15, "friction_dynamic": 0.092}
+# From which slip on friction is sliding friction [m/s]: known.
+FRICTION_SPEED = 0.1
+CLEARANCE = {"clearance_journal": 0.5e-3, "stiffness": 6.61e10}
+# Runs that the Cramer-Rao bound is taken from are as exact as may be, whatever the fits make do with.
+FINE = 1e-6
+
+
+@functools.cache
+def rebounds() -> tuple[tuple[int, np.ndarray, np.ndarray, np.ndarray], ...]:
+    """Angle [deg], times [s], tangential and normal force [N] of each impact."""
+    found = []
+    for angle in ANGLES:
+        impact = oblique_impact.Impact(
+            angle=math.radians(angle), friction="brown_mcphee", friction_speed=FRICTION_SPEED, **FRICTION
+        )
+        times = np.linspace(0.0, 1.15 * oblique_impact.rebound(impact).duration, 61)
+        course = oblique_impact.history(impact, times)
+        # That code's T is along the motion, our force against it.
+        found.append((angle, times, -course.tangential, course.normal))
+    return tuple(found)
+
+
+def friction(noise: float, seed: int) -> Problem:
+    """Twelve impacts, each of a known angle."""
+    scene, known = scenes.oblique_impact(smoothing=False), oblique_impact.Impact()
+    given = {"stiffness": known.stiffness, "mass": known.mass, "friction_speed": FRICTION_SPEED}
+    params = {name: float(value) for name, value in scene.parameters(**given).items()}
+    experiments = []
+    for angle, times, tangential, normal in rebounds():
+        names = ["contact.tangential", "contact.normal"]
+        channels = noisy(names, [tangential, normal], noise, 100 * seed + angle)
+        fixed = {"impact_angle": math.radians(angle)}
+        experiments.append(Experiment(f"{angle} deg", times, channels, fixed=fixed))
+    return Problem(scene, params, tuple(experiments), (Free("friction_static", 0.02, 0.6), Free("friction_dynamic", 0.02, 0.6)))
+
+
+@functools.cache
+def strokes() -> tuple[np.ndarray, np.ndarray]:
+    """Times [s] and acceleration of the slider [m/s^2]."""
+    scene, times = scenes.slider_crank(), np.linspace(0.0, 7.6e-4, 381)
+    radius, damping = (float(scene.parameters()[name]) for name in ("radius", "damping"))
+    machine = slider_crank.SliderCrank(
+        bearing_radius=radius + CLEARANCE["clearance_journal"], journal_radius=radius, stiffness=CLEARANCE["stiffness"],
+        damping=damping,
+    )  # fmt: skip
+    return times, slider_crank.readings(machine, slider_crank.simulate(machine, times)).slider_acceleration
+
+
+def clearance(noise: float, seed: int) -> Problem:
+    """A twelfth of a turn from line to line."""
+    scene, (times, acceleration) = scenes.slider_crank(), strokes()
+    params = {name: float(value) for name, value in scene.parameters().items()}
+    channels = noisy(["slider.acceleration.x"], [acceleration], noise, seed)
+    free = (Free("clearance_journal", 1e-4, 1e-3), Free("stiffness", 1e10, 5e11))
+    return Problem(scene, params, (Experiment("start", times, channels),), free)
+
+
+CASES = {"friction": Case(friction, FRICTION, 6, 100), "clearance": Case(clearance, CLEARANCE, 12, 100)}
+
+
+def table(cases: list[dict[str, Any]]) -> str:
+    """All parameters of both cases as Markdown."""
+    rows = [["case", "parameter", "identified", "coverage (its 95 %)", "bias / its standard error",
+             "variance / Cramer-Rao (95 % of chance)", "Cramer-Rao deviation"]]  # fmt: skip
+    for c in cases:
+        for name, p in c["parameters"].items():
+            ends, (low, high) = p["coverage_ci95"], p["ratio_expected"]
+            told = f"{p['coverage']:.0%} of {p['printed']} ({ends[0]:.0%} to {ends[1]:.0%})" if ends else "none printed"
+            ratio = f"{p['variance_over_bound']:.2f} ({low:.2f} to {high:.2f})"
+            found = f"{c['verdicts'].get('identified', 0)} of {c['replicates']}"
+            rows.append([c["case"], name, found, told, f"{p['bias_over_standard_error']:+.1f}", ratio, f"{p['cramer_rao']:.2%}"])
+    return markdown(rows)
+
+
+def main() -> None:
+    """Fit the seeds that are missing of the cases asked for, and put together all that is there."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("cases", nargs="*", choices=[*CASES, []], default=list(CASES))
+    parser.add_argument("--seeds", type=int, default=100)
+    parser.add_argument("--workers", type=int, default=2)
+    given = parser.parse_args()
+    with ProcessPoolExecutor(given.workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+        for name in given.cases:
+            fit_missing(name, CASES[name], NOISE, given.seeds, given.workers, pool)
+    try:
+        earlier = {c["case"]: c for c in load("identification")["cases"]}
+    except FileNotFoundError:
+        earlier = {}
+    done = {name: finished(name, NOISE) for name in CASES}
+    # Of a case that this clone has no fits of, what is committed stays.
+    found = [summary(n, CASES[n], NOISE, rows, FINE) if rows else earlier.get(n) for n, rows in done.items()]
+    cases = [case for case in found if case]
+    save("identification", {"what": "whole fits of SciPy's records with fresh noise of 1 % of each peak", "cases": cases})
+    put_in_readme("identification", table(cases), "docs/calibration.md")
+    print(table(cases))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,154 @@
+"""The code of the pages runs: Python blocks in order in one namespace, TOML blocks as the files that they name.
+
+A Python block that begins with a comment like ``# my_parts.py`` is added to that file. A TOML block that begins with
+``# cam.toml --code my_parts.py`` is written to cam.toml, with the user's code in use: a scene is then simulated, a
+calibration fitted, a study run.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import shutil
+import tomllib
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = sorted([*(ROOT / "docs").glob("*.md"), ROOT / "README.md", ROOT / "benchmarks" / "README.md"])
+MECHANISMS = ROOT / "docs" / "mechanisms.md"
+
+
+class Block(NamedTuple):
+    """A fenced block of a page: where it begins, its language, its text."""
+
+    place: str
+    line: int
+    language: str
+    text: str
+
+    @property
+    def file(self) -> str:
+        """The file that its first line names; "" for none."""
+        match = re.match(r"# (\S+\.(?:py|toml))( --code \S+)?\n", self.text)
+        return match[1] if match else ""
+
+    @property
+    def code(self) -> str:
+        """The user's code that its first line names; "" for none."""
+        match = re.match(r"# \S+ --code (\S+)\n", self.text)
+        return match[1] if match else ""
+
+
+def blocks(page: Path, *languages: str) -> list[Block]:
+    """Fenced blocks of a page in some languages, in order."""
+    text, found = page.read_text(encoding="utf-8"), []
+    for match in re.finditer(r"^```(\w*)\n(.*?)^```$", text, re.DOTALL | re.MULTILINE):
+        line = text.count("\n", 0, match.start()) + 2
+        found.append(Block(f"{page.name}, line {line}", line, match[1], match[2]))
+    return [block for block in found if block.language in languages]
+
+
+def code_lines(text: str) -> int:
+    """Lines that are neither empty nor a comment alone."""
+    return sum(1 for line in text.splitlines() if line.strip() and not line.strip().startswith("#"))
+
+
+def run_toml(block: Block) -> None:
+    """Write the file that a block names, and do with it what its tables ask for."""
+    import bcfj_jax as bj
+    import calibration
+    from bcfj_jax.io import scenefile
+
+    if block.code:
+        bj.use_code(block.code)
+    Path(block.file).write_text(block.text, encoding="utf-8")
+    tables = tomllib.loads(block.text)
+    if "experiment" in tables:
+        found = calibration.fit(calibration.load(block.file), starts=4)
+        assert found.verdict == "identified", found.reasons
+    elif "design" in tables:
+        bj.study(block.file, Path(block.file).with_suffix(""), workers=1)
+    else:
+        file = scenefile.load(block.file)
+        assert bj.simulate(file.scene, file.params, file.times).status == "ok"
+
+
+def run_python(block: Block, names: dict[str, object]) -> None:
+    """Add a block to the file that it names, or execute it."""
+    if block.file:
+        with Path(block.file).open("a", encoding="utf-8") as file:
+            file.write(block.text)
+        compile(Path(block.file).read_text(encoding="utf-8"), block.file, "exec")
+        return
+    exec(compile("\n" * (block.line - 1) + block.text, block.place, "exec"), names)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A folder of its own, with the examples in it, in which a page's files lie."""
+    shutil.copytree(ROOT / "examples", tmp_path / "examples")
+    monkeypatch.chdir(tmp_path)
+    yield tmp_path
+    from bcfj_jax.io import usercode
+
+    usercode.forget()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_blocks_can_be_read(page):
+    for block in blocks(page, "python"):
+        ast.parse(block.text, block.place)
+    for block in blocks(page, "toml"):
+        tomllib.loads(block.text)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_links_lead_somewhere(page):
+    text = page.read_text(encoding="utf-8")
+    for target, heading in re.findall(r"\]\(([^)#:\s]*)(?:#([^)\s]+))?\)", text):
+        other = (page.parent / target).resolve() if target else page
+        assert other.exists(), target
+        if heading and other.suffix == ".md":
+            titles = re.findall(r"^#+ (.*)$", other.read_text(encoding="utf-8"), re.MULTILINE)
+            assert heading in [re.sub(r"[^\w\- ]", "", t.lower()).replace(" ", "-") for t in titles], heading
+
+
+def test_files_and_modules_that_the_pages_name_exist():
+    for page in PAGES:
+        text = re.sub(
+            r"<!-- (\w+): begin -->.*?<!-- \1: end -->", "", page.read_text(encoding="utf-8"), flags=re.DOTALL
+        )
+        for name in re.findall(r"`((?:bcfj_jax|calibration|benchmarks|tests|examples)/[\w./*-]+)`", text):
+            assert any(ROOT.glob(name.rstrip("/"))), f"{page.name}: {name}"
+        for name in re.findall(r"python -m (benchmarks[\w.]+)", text):
+            assert (ROOT / (name.replace(".", "/") + ".py")).exists(), f"{page.name}: {name}"
+
+
+def test_every_benchmark_is_in_the_index():
+    index = (ROOT / "benchmarks" / "README.md").read_text(encoding="utf-8")
+    for path in sorted((ROOT / "benchmarks").glob("*/*.py")):
+        if path.name != "__init__.py":
+            name = path.stem if path.parent.name == "references" else f"{path.parent.name}.{path.stem}"
+            assert f"`{name}`" in index or f"`{name} " in index, f"benchmarks/README.md has no {name}"
+
+
+def test_a_mechanism_is_short():
+    python = next(b for b in blocks(MECHANISMS, "python") if "Mechanism(" in b.text)
+    assert code_lines(python.text) <= 25
+    own = [b for b in blocks(MECHANISMS, "python") if b.file == "my_parts.py"]
+    assert len(own) == 4
+    assert all(code_lines(b.text) <= 15 for b in own)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", [MECHANISMS, ROOT / "README.md"], ids=lambda page: page.name)
+def test_blocks_run(page, folder):
+    names: dict[str, object] = {}
+    for block in blocks(page, "python", "toml"):
+        if block.language == "python":
+            run_python(block, names)
+        elif block.file:
+            run_toml(block)
