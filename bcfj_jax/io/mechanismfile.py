@@ -404,6 +404,11 @@ class _Builder:
             axis = _axis(entry.tilt[0], f"{place} tilt[0]")
             given["tilt"] = (axis, self._size(entry.tilt[1], "rad", f"{place} tilt[1]"))
         drive = self._drive(entry.drive, entry.joint == "hinge", f"{place} drive") if entry.drive else None
+        moves = Body("moves", entry.joint) if drive is None else None
+        known = (*moves.coordinates, *moves.rates) if moves else ()
+        for key in entry.start:
+            if key not in known:
+                raise InputError(f"{place} start.{key}", f"no coordinate '{key}'", nearest(key, known))
         given["start"] = {key: self._size(x, unit_of(key), f"{place} start.{key}") for key, x in entry.start.items()}
         given["members"] = entry.members
         with _said_of(f"body '{entry.name}'", place):

@@ -147,6 +147,10 @@ def _there(c: Channel, value: Any) -> Array:
 def _component(c: Channel, vector: Any, bodies: Mapping[str, BodyMotion]) -> Array:
     vector, k = _there(c, vector), "xyz".index(c.axis)
     axes = bodies[c.frame].axes if c.frame else None
+    if c.frame and axes is None and bodies[c.frame].spin is not None:
+        raise InputError(
+            f"reading '{c.name}'", f"'{c.frame}' turns, and its attitude is not known", "take another body's axes"
+        )
     if axes is None:
         return vector[..., k]
     way = axes[..., :, k]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +16,7 @@ from jax.core import Tracer
 
 from bcfj_jax.core import host
 from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.numerics import positive
 from bcfj_jax.core.quantities import check_order, check_value
 from bcfj_jax.mechanism.bodies import GROUND
 from bcfj_jax.mechanism.loads import JointSpring
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 _DEEP = 20.0
 # So many times NumPy looks at a mechanism's start; who asks more often, as a study does, gets a compiled program.
 _BY_HAND = 3
-_LOOKS: Counter[tuple[Mechanism, tuple[str, ...]]] = Counter()
+_LOOKS: Counter[tuple[Any, ...]] = Counter()
 
 
 def check_structure(scene: Mechanism) -> None:
@@ -176,49 +177,72 @@ def check_values(scene: Mechanism, params: Params, where: str = "") -> None:
 
 
 def _check_start(scene: Mechanism, params: dict[str, Array], where: str) -> None:
-    depths, expected = _looked_at(scene, params)
+    depths, expected, speed = _asked(_at_start, scene, params)
+    deep = []
     for name, depth in depths.items():
         deepest = float(np.max(depth))
         if not np.isfinite(deepest):
             raise InputError(
                 f"{where} contact '{name}'", f"the penetration at time 0 is {deepest}", "mend its gap or its sizes"
             )
-        if deepest > _DEEP * float(expected) and deepest > 1e-9:
+        deep += [name] if deepest > _DEEP * float(expected) and deepest > 1e-9 else []
+    # Bodies that are held in balance, such as a ball with preload, start as deep as they like.
+    thrown = _asked(_thrown, scene, params) if deep else {}
+    for name in deep:
+        if float(thrown[name]) > _DEEP * float(speed):
             a, b = scene.contact(name).between
-            found = f"'{a}' and '{b}' start {deepest:.3g} m inside each other"
+            found = f"'{a}' and '{b}' start {float(depths[name]):.3g} m inside each other"
             remedy = f"place them apart, or no deeper than their load presses them (some {float(expected):.2g} m)"
             raise InputError(f"{where} contact '{name}'", found, remedy)
 
 
-def _looked_at(scene: Mechanism, params: dict[str, Array]) -> tuple[dict[str, Array], Array]:
-    """``_at_start`` by NumPy the first times, so that a bad mechanism is refused before anything is compiled."""
-    key = (scene, tuple(params))
+def _asked(what: Callable[..., Any], scene: Mechanism, params: dict[str, Array]) -> Any:
+    """A function of mechanism and parameters by NumPy the first times, so that a bad mechanism is refused uncompiled."""
+    key = (what, scene, tuple(params))
     _LOOKS[key] += 1
     if _LOOKS[key] <= _BY_HAND:
         with contextlib.suppress(host.Unknown):
             traced, shape = _traced(*key)
             found = host.evaluate(traced, [params[name] for name in sorted(params)])
             return jax.tree.unflatten(jax.tree.structure(shape), found)
-    return jax.device_get(_compiled(scene, params))
+    return jax.device_get(_compiled(what, scene, params))
 
 
 @lru_cache(maxsize=64)
-def _traced(scene: Mechanism, names: tuple[str, ...]) -> tuple[Any, Any]:
+def _traced(what: Callable[..., Any], scene: Mechanism, names: tuple[str, ...]) -> tuple[Any, Any]:
     shapes = dict.fromkeys(names, jax.ShapeDtypeStruct((), jnp.float64))
-    return jax.make_jaxpr(partial(_at_start, scene), return_shape=True)(shapes)
+    return jax.make_jaxpr(partial(what, scene), return_shape=True)(shapes)
 
 
-def _at_start(scene: Mechanism, params: dict[str, Array]) -> tuple[dict[str, Array], Array]:
-    """Penetration of each contact at time 0, and the one that is to be expected."""
+@partial(jax.jit, static_argnums=(0, 1))
+def _compiled(what: Callable[..., Any], scene: Mechanism, params: dict[str, Array]) -> Any:
+    return what(scene, params)
+
+
+def _at_start(scene: Mechanism, params: dict[str, Array]) -> tuple[dict[str, Array], Array, Array]:
+    """Penetration of each contact at time 0, and the one and the speed that are to be expected of motion and loads."""
     from bcfj_jax.mechanism.scales import expected
 
-    y = scene.initial_state(params)
-    now = scene.instant(jnp.zeros(()), y, params, laws=False)
-    depths = {
-        name: jnp.max(jnp.stack([jnp.max(jnp.asarray(face.depth)) for face, _ in touching]))
-        for name, touching in now.faces.items()
-    }
-    return depths, expected(scene, params).depth
+    depths, _ = _faces(scene, jnp.zeros(()), scene.initial_state(params), params)
+    found = expected(scene, params, inside=False)
+    return {name: jnp.max(depth) for name, depth in depths.items()}, found.depth, found.speed
 
 
-_compiled = jax.jit(_at_start, static_argnums=0)
+def _thrown(scene: Mechanism, params: dict[str, Array]) -> dict[str, Array]:
+    """Speed [m/s] at which each contact throws its bodies apart from their start, to a factor of about 1."""
+    t, y = jnp.zeros(()), scene.initial_state(params)
+    motion = (jnp.ones(()), scene.vector_field(t, y, scene.prepare(params)))
+    depths, _ = _faces(scene, t, y, params)
+    _, gains = jax.jvp(lambda t, y: _faces(scene, t, y, params)[1], (t, y), motion)
+    return {name: jnp.max(jnp.sqrt(positive(-gains[name]) * positive(depths[name]))) for name in depths}
+
+
+def _faces(scene: Mechanism, t: Array, y: Array, params: Params) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Penetration and its rate of every face of each contact."""
+    now = scene.instant(t, y, params, laws=False)
+    depths, rates = {}, {}
+    for name, touching in now.faces.items():
+        depths[name] = jnp.stack(jnp.broadcast_arrays(*(jnp.asarray(face.depth) for face, _ in touching)))
+        rates[name] = jnp.stack(jnp.broadcast_arrays(*(jnp.asarray(touch.rate, dtype=float) for _, touch in touching)))
+        depths[name], rates[name] = jnp.broadcast_arrays(depths[name], rates[name])
+    return depths, rates

@@ -77,7 +77,7 @@ class Contact(eqx.Module):
     name: str = eqx.field(static=True)
     between: tuple[str, str] = eqx.field(static=True, converter=lambda x: tuple(x))
     gap: AbstractGap
-    law: AbstractLaw = eqx.field(default="memory_free")  # pyright: ignore[reportAssignmentType]
+    law: AbstractLaw = eqx.field(default="memory_free", converter=lambda x: _law(x))
     friction: AbstractFriction | None = eqx.field(default=None, converter=lambda x: _friction(x))
     elastic: str | None = eqx.field(static=True, default=None)
     smoothing: bool = eqx.field(static=True, default=True)
@@ -178,6 +178,11 @@ class Contact(eqx.Module):
 
 def _items(values: Any) -> tuple[tuple[str, Size], ...]:
     return tuple(values.items()) if isinstance(values, Mapping) else tuple(values)
+
+
+def _law(law: Any) -> AbstractLaw:
+    # By its name it is made where the elastic part is known, too.
+    return law
 
 
 def _places(at: Any) -> Any:

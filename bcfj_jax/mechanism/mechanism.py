@@ -50,7 +50,7 @@ from bcfj_jax.mechanism.model import AbstractModel, BodyMotion, Flows, ModelTrai
 
 # Local error a step, in units of ``error_scale``, per unit of force error asked for: of explicit methods, derived by
 # benchmarks/solve/levels.py on random impacts and bounces; of implicit ones, by benchmarks/solve/mechanisms.py.
-EXPLICIT, IMPLICIT, LOOSEST = 5e-4, 5e-2, 1e-3
+EXPLICIT, IMPLICIT, LOOSEST = 5e-4, 1e-2, 1e-3
 # Gauss-Legendre on (0, 1) in s, x = r s^2: exact for d^1.5, and to rounding for every power n >= 1 or its root.
 _NODES, _WEIGHTS = (0.5 * (x + shift) for x, shift in zip(np.polynomial.legendre.leggauss(24), (1.0, 0.0), strict=True))
 

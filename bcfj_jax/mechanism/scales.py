@@ -52,8 +52,8 @@ class Expected(NamedTuple):
     flight: dict[str, Array]
 
 
-def expected(scene: Mechanism, params: Params) -> Expected:
-    """What the first instant says (module docstring)."""
+def expected(scene: Mechanism, params: Params, inside: bool = True) -> Expected:
+    """What the first instant says (module docstring); ``inside``: with what bodies store that start in each other."""
     t = jnp.zeros(())
     now = scene.instant(t, scene.initial_state(params), params, laws=False)
     gathered = scene.assembled(t, now, params, pressing=False)
@@ -100,7 +100,7 @@ def expected(scene: Mechanism, params: Params) -> Expected:
     if not scene.contacts:
         return Expected(jnp.asarray(DEPTH), jnp.asarray(SPEED), lengths, brought, stored, flight)
     # A body that starts inside an onset is thrown out of it: what is stored there counts as well.
-    energy = jnp.max(jnp.stack([brought[name] + stored[name] for name in brought]))
+    energy = jnp.max(jnp.stack([brought[name] + stored[name] if inside else brought[name] for name in brought]))
     force, mass = jnp.max(jnp.stack(forces)), jnp.min(jnp.stack(masses))
     mass = jnp.where(jnp.isfinite(mass), mass, 1.0)
     speed = jnp.maximum(jnp.max(jnp.stack(speeds)), jnp.sqrt(2.0 * energy / mass))

@@ -3,8 +3,9 @@
     python -m benchmarks.models.joint_mechanism        some five minutes
 
 Variants take turns. Times are CPU times of the process, which does nothing else, of compiled programs, one thread of XLA,
-results awaited: on a busy machine they are steady where wall times are not. A run is 0.1 s by RODAS3 at the joint's tolerance for 1 %, its error measured in the joint's sizes
-in each layout of the state. The field's state is the run's last, of full load.
+results awaited: on a busy machine they are steady where wall times are not. A run is 0.1 s by RODAS3 at the joint's
+tolerance for 1 %, its error measured in the joint's sizes in each layout of the state. The field's state is the run's
+last, of full load.
 """
 
 from __future__ import annotations

@@ -131,15 +131,24 @@ def test_a_readings_feature_is_taken_and_differentiated_like_a_contacts():
     """Largest acceleration before the second touch, by the slider's mass: the wrapped model against the reading itself."""
     scene = scenes.slider_crank()
     p, times = scene.parameters(), np.linspace(0.0, 2.6e-4, 261)
-    found = bj.sensitivity(scene, p, times, ("slider.mass",), features=("slider.acceleration.x.largest",), certify=False)
-    read = simulate(scene, p, times, read=("slider.acceleration.x",)).readings["slider.acceleration.x"]
+    found = bj.sensitivity(
+        scene, p, times, ("slider.mass",), features=("slider.acceleration.x.largest",), accuracy=1e-5, certify=False
+    )
+    read = simulate(scene, p, times, accuracy=1e-5, read=("slider.acceleration.x",)).readings["slider.acceleration.x"]
     name = "slider.acceleration.x.largest"
     assert found.features[name] == pytest.approx(np.abs(read).max(), rel=1e-6)
 
     def peak(mass):
-        history = reading_history(scene, {**p, "slider.mass": mass}, times, ("slider.acceleration.x",))
+        history = reading_history(scene, {**p, "slider.mass": mass}, times, ("slider.acceleration.x",), accuracy=1e-5)
         return jnp.abs(history["slider.acceleration.x"]).max()
 
     assert found.feature_derivatives["slider.mass"][name] == pytest.approx(
         float(jax.jacfwd(peak)(p["slider.mass"])), rel=1e-6
     )
+
+
+def test_axes_that_are_not_known_are_refused():
+    """The joint's cage has an axis and no azimuth."""
+    scene = scenes.joint()
+    with pytest.raises(InputError, match="attitude is not known"):
+        simulate(scene, scene.parameters(), np.linspace(0.0, 0.01, 3), read=("seat_cage.force.x in cage",))
