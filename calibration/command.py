@@ -127,7 +127,7 @@ def text(result: Fit) -> str:
         ]
     lines += [
         "",
-        f"residual: {format_si(result.residual['rms_force'], 'N')} rms over {result.residual['samples']} samples",
+        f"residual: {_sizes(result.residual['rms'])} rms over {result.residual['samples']} samples",
     ]
     for name, seen in result.residual["features"].items():
         lines.append(
@@ -137,6 +137,10 @@ def text(result: Fit) -> str:
         worst, rms = errors["max_error_of_peak"], errors["rms_error_of_peak"]
         lines.append(f"held out, {name}: at most {worst:.2%} of the peak, {rms:.2%} rms")
     return "\n".join([*lines, *(f"note: {note}" for note in result.notes)])
+
+
+def _sizes(by_unit: dict[str, float]) -> str:
+    return " and ".join(format_si(value, unit) for unit, value in by_unit.items()) or "0 N"
 
 
 def _interval(thing: Any, unit: str) -> str:

@@ -9,13 +9,14 @@ import numpy as np
 
 from bcfj_jax import InputError
 from bcfj_jax.io.journal import Journal
+from bcfj_jax.mechanism.channels import unit_of
 from calibration.diagnostics import fit_tests, influence, misfit_location
 from calibration.diagnostics.clearance import clearance_tests, whole_contact_test
-from calibration.diagnostics.records import Record, features_of, hold_out, records_of, rms, series_of
+from calibration.diagnostics.records import Record, features_of, hold_out, records_of, rms, rms_of_peak, series_of
 from calibration.diagnostics.residual_tests import residual_tests
 from calibration.forward import integration
 from calibration.forward.model import Model, build, values_at
-from calibration.forward.runs import commonest_failure, contacts, failure
+from calibration.forward.runs import Contact, commonest_failure, contacts, failure
 from calibration.noise.averaging import averaged, stepped
 from calibration.noise.estimation import settle
 from calibration.noise.noise_model import Estimate
@@ -60,7 +61,7 @@ class Optimum:
 class Fit:
     """Outcome of a calibration; ``verdict`` first.
 
-    ``noise`` is what was estimated of it: by channel its "sigma" [N] and "correlation" [s]. ``check`` is what could be
+    ``noise`` is what was estimated of it: by channel its "sigma" (SI) and "correlation" [s]. ``check`` is what could be
     said before the solve (``influence.at_start``). ``notes`` say what a reader must know though nothing failed.
     """
 
@@ -198,7 +199,7 @@ def _judge(
     verdicts |= {"misfit" for t in quality if not t.passed}
     parameters, reference, identification = estimates(model, labels, best, log_depth, spread, bool(noise.integrator))
     evidence = Evidence()
-    others = clearance_tests(model, seen) + whole_contact_test(model, seen, _turns(records))
+    others = clearance_tests(model, seen) + whole_contact_test(model, seen, _turns(records, seen))
     # Where the verdict stands already no profile can mend it, and no interval is given.
     if intervals != "covariance" or (not verdicts and all(t.passed for t in others)):
         parameters, reference, identification, evidence = revised(
@@ -231,7 +232,8 @@ def _judge(
             "degrees_of_freedom": spread.freedom,
             "reduced_chi2": float(np.sum(best.residuals**2)) / spread.freedom,
             "samples": samples,
-            "rms_force": rms(records),
+            "rms": rms(records),
+            "rms_of_peak": rms_of_peak(records),
             "noise": _told(fitted),
             "loss": model.loss,
             "features": features_of(model, fitted, best.residuals),
@@ -250,9 +252,13 @@ def _judge(
     )
 
 
-def _turns(records: list[Record]) -> bool:
-    """Whether the predicted force reaches a peak inside some record."""
-    return any(int(np.argmax(np.abs(p))) < p.size - 1 for record in records for p in record.prediction.values())
+def _turns(records: list[Record], seen: list[Contact]) -> bool:
+    """Whether a contact reaches its peak inside some record: the predicted force, or where none is read the contact."""
+    names = {c.name for c in seen}
+    forces = [
+        p for r in records for name, p in r.prediction.items() if unit_of(name) == "N" and name.split(".")[0] in names
+    ]
+    return any(int(np.argmax(np.abs(p))) < p.size - 1 for p in forces) if forces else any(c.turned for c in seen)
 
 
 def _told(fitted: tuple[Experiment, ...]) -> str:
@@ -264,7 +270,7 @@ def _told(fitted: tuple[Experiment, ...]) -> str:
 def _notes(noise: Estimate) -> list[str]:
     return [
         f"the noise of {name} is the integrator's: residuals are no larger than what its own error may be, "
-        f"and count as {noise.sigma[name]:.2g} N"
+        f"and count as {noise.sigma[name]:.2g} {unit_of(name)}"
         for name in noise.integrator
     ]
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -11,21 +12,37 @@ from bcfj_jax import InputError, check_value, nearest
 from bcfj_jax.analysis.derivatives.names import feature
 from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.mechanism.channels import channel as reading
+from bcfj_jax.mechanism.channels import unit_of
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.mechanism.watched import watching
 from calibration.solver_budget import effort
 
-# Nuisance parameters of the measuring chain: reading(t) = gain L[F](t - time_offset) + force_offset, with L a sensor of
-# first order, y' = 2 pi bandwidth (F - y).
+# Nuisance parameters of the measuring chain: reading(t) = gain L[x](t - time_offset) + force_offset of a force or whatever
+# else x is read, with L a sensor of first order, y' = 2 pi bandwidth (x - y).
 NUISANCES = {
     "time_offset": Quantity("time_offset", "s", "clock of the record ahead of the model's"),
-    "force_offset": Quantity("force_offset", "N", "reading at no force"),
-    "gain": Quantity("gain", "1", "reading per force", low=0.0, open_low=True),
+    "force_offset": Quantity("force_offset", "N", "reading where there is nothing to read, in the channels' unit"),
+    "gain": Quantity("gain", "1", "reading per what is there", low=0.0, open_low=True),
     "bandwidth": Quantity(
         "bandwidth", "Hz", "frequency at which a first-order sensor passes 1/sqrt(2)", 0.0, 1e12, True
     ),
 }
 LOSSES = ("linear", "soft_l1", "cauchy")
+
+
+def units_of(observed: Iterable[str]) -> dict[str, list[str]]:
+    """Readings by their SI unit."""
+    found: dict[str, list[str]] = {}
+    for name in observed:
+        found.setdefault(unit_of(name), []).append(name)
+    return found
+
+
+def nuisances(observed: Iterable[str]) -> dict[str, Quantity]:
+    """Nuisance parameters of channels that observe some readings: an offset is in their unit, where they share one."""
+    unit, *others = units_of(observed) or ("N",)
+    offset = NUISANCES["force_offset"]
+    return {**NUISANCES, "force_offset": offset if others else offset._replace(unit=unit)}
 
 
 @dataclass(frozen=True)
@@ -34,8 +51,8 @@ class Channel:
 
     Attributes:
         observes: a reading of the scene (``bcfj_jax.mechanism.channels``), as "contact.normal" or "slider.acceleration.x".
-        values: (T,) force [N]; NaN where there is no sample.
-        sigma: standard deviation of its noise [N]; None: to be estimated from the residuals, one number for all
+        values: (T,) readings, SI; NaN where there is no sample.
+        sigma: standard deviation of its noise, SI; None: to be estimated from the residuals, one number for all
             experiments that leave it so.
         relative: part of the noise that grows with the reading, as a share of it.
         correlation: time [s] over which the noise remembers itself, exp(-dt/correlation) between samples; 0 for
@@ -49,7 +66,7 @@ class Channel:
     correlation: float | None = 0.0
 
     def deviation(self, readings: np.ndarray) -> np.ndarray:
-        """Standard deviation [N] of the noise at readings; where it is to be estimated, 1 % of the largest value."""
+        """Standard deviation, SI, of the noise at readings; where it is to be estimated, 1 % of the largest value."""
         if self.sigma is None:
             return np.full(readings.shape, 0.01 * np.nanmax(np.abs(self.values)))
         # The least that was read bounds it where the model reads 0.
@@ -148,6 +165,12 @@ class Problem:
     loss: str = "linear"
 
     def __post_init__(self) -> None:
+        # <contact>.clearance and clearance_<contact> are one parameter.
+        one = self.scene.canonical
+        object.__setattr__(self, "free", tuple(replace(f, name=one(f.name)) for f in self.free))
+        if any(name != one(name) for e in self.experiments for name in e.fixed):
+            named = (replace(e, fixed={one(n): value for n, value in e.fixed.items()}) for e in self.experiments)
+            object.__setattr__(self, "experiments", tuple(named))
         names = [seen.feature for e in self.experiments for seen in e.features]
         object.__setattr__(self, "scene", watching(self.scene, names))
         if not self.accuracy:
@@ -179,21 +202,28 @@ class Problem:
                 if e.hold_out and c.sigma is None and c.observes not in known:
                     found = f"the noise of {c.observes} is 'estimate' in {e.name}, and no fitted record tells it"
                     raise InputError(self.where, found, "state its noise")
+        units = list(units_of(self.observed))
+        if len(units) > 1 and "force_offset" in {f.name for f in self.free}.union(*(e.fixed for e in self.experiments)):
+            found = f"one force_offset for channels in {' and '.join(units)}"
+            raise InputError(self.where, found, "take it out, or fit the channels apart")
         for e in self.experiments:
             for f in self.free:
                 if f.name in e.fixed:
                     found = f"'{f.name}' is free, and known to be {e.fixed[f.name]:g} in {e.name}"
                     raise InputError(self.where, found, "take one of them out")
 
-    def unit(self, name: str) -> str:
-        """SI unit of a scene's parameter or nuisance."""
-        return self._known()[name].unit
+    @property
+    def observed(self) -> tuple[str, ...]:
+        """The readings of all channels, each once."""
+        return tuple(dict.fromkeys(c.observes for e in self.experiments for c in e.channels))
 
-    def _known(self) -> dict[str, Quantity]:
-        return {**self.scene.quantities, **NUISANCES}
+    @property
+    def quantities(self) -> dict[str, Quantity]:
+        """What may be free: the scene's parameters and the nuisances."""
+        return {**self.scene.quantities, **nuisances(self.observed)}
 
     def _check_free(self, f: Free) -> None:
-        where, known = f"{self.where}: [free.{f.name}]", self._known()
+        where, known = f"{self.where}: [free.{f.name}]", self.quantities
         if f.name not in known:
             raise InputError(where, f"scene '{self.scene.kind}' has no parameter '{f.name}'", nearest(f.name, known))
         for value in (f.lower, f.upper):
@@ -229,6 +259,7 @@ def _check_experiment(experiment: Experiment, scene: AbstractModel) -> None:
 
 def _check_noise(channel: Channel, where: str) -> None:
     """Every sample must have a noise above 0, known or to be found."""
+    unit = unit_of(channel.observes)
     if channel.sigma is None and channel.relative:
         raise InputError(where, "one part is stated, the other estimated", "state both or estimate one number")
     if channel.correlation is not None and not channel.correlation >= 0:
@@ -236,13 +267,14 @@ def _check_noise(channel: Channel, where: str) -> None:
     if channel.sigma is None:
         return
     if not (channel.sigma >= 0 and channel.relative >= 0):
-        raise InputError(where, f"{channel.sigma:g} N + {channel.relative:.3%} of reading", "give deviations above 0")
+        found = f"{channel.sigma:g} {unit} + {channel.relative:.3%} of reading"
+        raise InputError(where, found, "give deviations above 0")
     size = np.abs(channel.values[np.isfinite(channel.values)])
     least, peak = size.min(initial=np.inf), size.max(initial=0.0)
     # A ten-thousandth of the peak is below what any sensor resolves.
     if size.size and not channel.sigma + channel.relative * least > 1e-4 * channel.relative * peak:
-        remedy = 'add an absolute part, as in "0.1 kN + 2 % of reading"'
-        raise InputError(where, f"a reading of {least:g} N would be exact", remedy)
+        remedy = f'add an absolute part, as in "{0.01 * peak:.2g} {unit} + 2 % of reading"'
+        raise InputError(where, f"a reading of {least:g} {unit} would be exact", remedy)
 
 
 def _check_features(experiment: Experiment, contacts: dict[str, int]) -> None:

@@ -4,9 +4,10 @@ scene = "impact.toml"            a scene file (relative to this one) or a built-
 [[experiment]]                   name; file (of a kind in ``readers``), table (which one inside it), time, rows,
                                  observe, noise (of the samples as fitted) and its correlation time, hold_out;
                                  parameters (known for it alone); features, feature_noise and span (``stated``);
-                                 saturation = "10 kN" drops samples at or beyond it; resample = "10 kHz" brings the
-                                 record down to that rate; align = "onset" puts time 0 where the force first exceeds
-                                 a tenth of its peak; window = [from, to] keeps those times (after aligning)
+                                 saturation = "10 kN" (or of each channel, as noise) drops samples at or beyond it;
+                                 resample = "10 kHz" brings the record down to that rate; align = "onset" puts time 0
+                                 where the first channel first exceeds a tenth of its peak; window = [from, to] keeps
+                                 those times (after aligning)
 loss = "linear"                  what a residual costs, as in ``Problem``
 accuracy = 1e-6                  error of the simulated forces as a share of their peak, likewise
 [free.NAME]                      lower, upper, start, scale; each = true gives every experiment its own
@@ -15,6 +16,7 @@ accuracy = 1e-6                  error of the simulated forces as a share of the
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
@@ -25,12 +27,13 @@ from bcfj_jax import InputError, nearest
 from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.io import scenefile, tables
 from bcfj_jax.io.units import quantity
+from bcfj_jax.mechanism.channels import channel, unit_of
 from bcfj_jax.models import scenes
 from calibration.data import stated
 from calibration.data.preparation import Prepared, Recipe, prepare
 from calibration.data.readers import read
 from calibration.data.table import split
-from calibration.problem import NUISANCES, Channel, Experiment, Free, Problem
+from calibration.problem import Channel, Experiment, Free, Problem, nuisances, units_of
 
 
 class _Experiment(tables.Table):
@@ -82,15 +85,16 @@ def load(path: str | Path) -> Problem:
     path = Path(path)
     file = tables.validated(_File, tables.read(path), str(path))
     base = _scene(file, path)
-    known = base.scene.quantities
+    known = {**base.scene.quantities, **nuisances(o for entry in file.experiment for o in entry.observe)}
+    one = base.scene.canonical
     records = _records(file, path, base)
     return Problem(
         scene=base.scene,
         params={name: float(value) for name, value in base.params.items()},
         experiments=tuple(
-            _experiment(entry, record, f"{path}: [[experiment]] {k + 1}", known) for k, entry, record in records
+            _experiment(entry, record, f"{path}: [[experiment]] {k + 1}", known, one) for k, entry, record in records
         ),
-        free=tuple(free_of(name, table, path, known) for name, table in file.free.items()),
+        free=tuple(free_of(one(name), table, path, known) for name, table in file.free.items()),
         where=str(path),
         loss=file.loss,
         accuracy=file.accuracy or 0.0,
@@ -116,7 +120,7 @@ def sources(path: Path) -> list[Path]:
 
 def free_of(name: str, table: FreeTable, path: Path, known: dict[str, Quantity]) -> Free:
     """A free parameter; texts become SI by the unit that the scene, or a nuisance, gives the name."""
-    unit = {**known, **NUISANCES}[name].unit if name in known or name in NUISANCES else None
+    unit = known[name].unit if name in known else None
     # The unit of a stiffness follows an exponent that may itself be free: its bounds' own unit is taken.
     texts = {key: getattr(table, key) for key in ("lower", "upper", "start") if getattr(table, key) is not None}
     numbers = {
@@ -144,6 +148,8 @@ def _records(file: _File, path: Path, base: scenefile.SceneFile) -> list[tuple[i
         if not entry.observe:
             records.append((k, entry, None))
             continue
+        for observes in entry.observe:  # Before its column is read in a unit that a wrong name does not have.
+            channel(observes, base.scene, where=f"{where} observe")
         if entry.file is None or entry.time is None:
             missing = "file" if entry.file is None else "time"
             raise InputError(f"{where} {missing}", f"the key '{missing}' is missing", "it must be given to observe")
@@ -167,16 +173,34 @@ def _recipe(entry: _Experiment, where: str, impact: bool, offset: bool) -> Recip
         first, last = (quantity(w, "s", f"{where} window") for w in entry.window)
         window = first, last
     rate = None if entry.resample is None else quantity(entry.resample, "Hz", f"{where} resample")
-    limit = None if entry.saturation is None else quantity(entry.saturation, "N", f"{where} saturation")
-    for key, value in (("resample", rate), ("saturation", limit)):
+    limits = _limits(entry, where)
+    for key, value in (("resample", rate), *(("saturation", limit) for limit in limits.values())):
         if value is not None and not 0 < value < np.inf:
             raise InputError(f"{where} {key}", f"{key} = {getattr(entry, key)}", "give a positive value")
-    return Recipe(rate, limit, entry.align is not None, window, impact, offset)
+    return Recipe(rate, limits, entry.align is not None, window, impact, offset)
 
 
-def _experiment(entry: _Experiment, record: Prepared | None, where: str, known: dict[str, Quantity]) -> Experiment:
-    fixed, known = {}, {**known, **NUISANCES}
-    for name, value in entry.parameters.items():
+def _limits(entry: _Experiment, where: str) -> dict[str, float]:
+    """Saturation by channel, SI: stated of each, or once where all are in one unit."""
+    if entry.saturation is None:
+        return {}
+    units, place = units_of(entry.observe), f"{where} saturation"
+    if isinstance(entry.saturation, dict):
+        for name in entry.saturation:
+            if name not in entry.observe:
+                raise InputError(place, f"'{name}' is not observed", nearest(name, entry.observe))
+        return {o: quantity(value, unit_of(o), f"{place}.{o}") for o, value in entry.saturation.items()}
+    if len(units) > 1:
+        remedy = f'state it of each: {{ "{next(iter(entry.observe))}" = "{entry.saturation}" }}'
+        raise InputError(place, f"one limit for channels in {' and '.join(units)}", remedy)
+    return dict.fromkeys(entry.observe, quantity(entry.saturation, next(iter(units)), place))
+
+
+def _experiment(
+    entry: _Experiment, record: Prepared | None, where: str, known: dict[str, Quantity], one: Callable[[str], str]
+) -> Experiment:
+    fixed = {}
+    for name, value in ((one(name), value) for name, value in entry.parameters.items()):
         if name not in known:
             raise InputError(f"{where} parameters", f"the scene has no parameter '{name}'", ", ".join(known))
         fixed[name] = quantity(value, known[name].unit, f"{where} parameters.{name}")

@@ -22,4 +22,6 @@ def bumps() -> Mechanism:
     ball = Body("body", "particle", mass="mass", start={"x": 0.013, "y": "drop_height"})
     floor = Contact("contact", ("ground", "body"), from_depth(_depth), law="hertz", smoothing=False)
     given = {"stiffness": 1e5, "exponent": 1.5, "mass": 0.02, "gravity": 9.81, "drop_height": 0.3}
-    return Mechanism("bumps", (ball,), (floor,), (Gravity("-y"),), own=(CATALOGUE["drop_height"],), given=given, end=8.0)
+    return Mechanism(
+        "bumps", (ball,), (floor,), (Gravity("-y"),), own=(CATALOGUE["drop_height"],), given=given, end=8.0
+    )

@@ -177,6 +177,7 @@ def check_values(scene: Mechanism, params: Params, where: str = "") -> None:
 
 
 def _check_start(scene: Mechanism, params: dict[str, Array], where: str) -> None:
+    _check_onsets(scene, params, where)
     depths, expected, speed = _asked(_at_start, scene, params)
     deep = []
     for name, depth in depths.items():
@@ -194,6 +195,33 @@ def _check_start(scene: Mechanism, params: dict[str, Array], where: str) -> None
             found = f"'{a}' and '{b}' start {float(depths[name]):.3g} m inside each other"
             remedy = f"place them apart, or no deeper than their load presses them (some {float(expected):.2g} m)"
             raise InputError(f"{where} contact '{name}'", found, remedy)
+
+
+def _check_onsets(scene: Mechanism, params: dict[str, Array], where: str) -> None:
+    """Refuse a body that a smoothed onset throws out, under a law whose damping goes by the approach speed.
+
+    Such a law is rigid to a body that leaves at more than the speed it is told of.
+    """
+    told = [c for c in scene.contacts if c.smoothing and "approach_speed" in c.law.needs]
+    widths = {c.name: float(scene.coefficient(params, c.name, "smoothing")) for c in told}
+    if not any(widths.values()):
+        return
+    apart, out = _asked(_onsets, scene, params)
+    for name, width in widths.items():
+        if width > 0.0 and bool(out[name]):
+            found = f"an onset of {width:g} m throws out the body, which starts {-float(apart[name]):g} m away"
+            remedy = "give less smoothing, a start further away, or a law without restitution (memory_free)"
+            raise InputError(f"{where} smoothing", found, remedy)
+
+
+def _onsets(scene: Mechanism, params: dict[str, Array]) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Penetration of each contact at time 0, and whether more is stored there than its approach brings."""
+    from bcfj_jax.mechanism.scales import expected
+
+    depths, _ = _faces(scene, jnp.zeros(()), scene.initial_state(params), params)
+    found = expected(scene, params)
+    deepest = {name: jnp.max(depth) for name, depth in depths.items()}
+    return deepest, {name: found.stored[name] > found.brought[name] for name in depths}
 
 
 def _asked(what: Callable[..., Any], scene: Mechanism, params: dict[str, Array]) -> Any:

@@ -140,7 +140,7 @@ class Contact(eqx.Module):
     def parameters(self) -> dict[str, tuple[Quantity, float | None]]:
         """Shared coefficients, its own and its clearance, with defaults."""
         given, found = dict(self.values), {}
-        special = {**self.gap.quantities, **_known(self.law), **_known(self.friction)}
+        special = {**self.gap.quantities, **own_quantities(self.law), **own_quantities(self.friction)}
         for name in self.reads:
             size = given.get(name)
             if isinstance(size, str) or callable(size):
@@ -173,7 +173,10 @@ class Contact(eqx.Module):
     @property
     def faces(self) -> int:
         """Number of its faces."""
-        return _faces(self.gap)
+        try:
+            return _faces(self.gap)
+        except InputError as error:
+            raise InputError(f"contact '{self.name}' {error.where}", error.found, error.remedy) from error
 
 
 def _items(values: Any) -> tuple[tuple[str, Size], ...]:
@@ -195,7 +198,7 @@ def _friction(friction: Any) -> AbstractFriction | None:
     return laws.make_friction(friction)
 
 
-def _known(part: Any) -> Mapping[str, Quantity]:
+def own_quantities(part: Any) -> Mapping[str, Quantity]:
     """What a law, and its elastic part, say of coefficients of their own."""
     return {**getattr(getattr(part, "elastic", None), "quantities", {}), **getattr(part, "quantities", {})}
 

@@ -3,8 +3,8 @@
 To add one in a file of your own: ``Load(name, function)`` with a function (t, bodies, p) -> list of ``Action``.
 """
 
-from __future__ import annotations
-
+# No ``from __future__ import annotations``: equinox reads ``AbstractVar`` from the annotations themselves, and would
+# take ``name`` for the first field of every load.
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple

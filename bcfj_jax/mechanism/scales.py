@@ -67,7 +67,7 @@ def expected(scene: Mechanism, params: Params, inside: bool = True) -> Expected:
         first, second = (parts[name] for name in c.between)
         place = add(second.place, turned(second.axes, c.marker(1, params)))
         energies, held, flights = [], [], []
-        for face, touch in now.faces[c.name]:
+        for (face, touch), own in zip(now.faces[c.name], now.memory[c.name], strict=True):
             point = add(place, face.lever)
             partials: dict[int, Vector] = {}
             arms = (subtract(point, first.place), subtract(point, second.place))
@@ -87,6 +87,9 @@ def expected(scene: Mechanism, params: Params, inside: bool = True) -> Expected:
             pull, rate = jnp.abs(jnp.asarray(dot(way, gain))), jnp.asarray(dot(way, moving))
             gap = positive(-jnp.asarray(face.depth))
             squared = rate**2 + 2.0 * pull * gap
+            if c.remembers:
+                # A contact that begins pressed knows of the fall that loads it so.
+                squared = jnp.maximum(squared, jnp.asarray(own[0]) ** 2)
             energies.append(jnp.max(0.5 * mass * squared))
             forces.append(jnp.max(mass * pull))
             speeds.append(jnp.max(jnp.sqrt(squared + 1e-300)))

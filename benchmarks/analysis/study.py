@@ -146,7 +146,9 @@ def spread() -> dict[str, Any]:
     scene, count = scenes.bounce(), 256
     params = {name: np.full(count, float(x)) for name, x in scene.parameters().items()}
     last = np.geomspace(3.0, 0.3, count)
-    found = batch.run(scene, params, last, np.linspace(0, 1, 101), [feature("contact.peak", {"contact": 0})], plan(scene), count)  # fmt: skip
+    found = batch.run(
+        scene, params, last, np.linspace(0, 1, 101), [feature("contact.peak", {"contact": 0})], plan(scene), count
+    )
     share = float(found.steps.sum() / (found.rounds * batch.slots()))
     return {"largest_over_least": float(found.steps.max() / found.steps.min()), "efficiency": share}
 

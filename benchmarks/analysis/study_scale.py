@@ -122,7 +122,16 @@ def dask(points: int = 2048) -> dict[str, Any]:
         for workers in (1, 2, 1, 2):
             port = free_port()
             address = f"tcp://127.0.0.1:{port}"
-            jobs = [start("--host", "127.0.0.1", "--port", str(port), "--no-dashboard", module="distributed.cli.dask_scheduler")]  # fmt: skip
+            jobs = [
+                start(
+                    "--host",
+                    "127.0.0.1",
+                    "--port",
+                    str(port),
+                    "--no-dashboard",
+                    module="distributed.cli.dask_scheduler",
+                )
+            ]
             time.sleep(3.0)
             jobs += [
                 start(address, "--nthreads", "1", "--no-nanny", "--no-dashboard", module="distributed.cli.dask_worker")

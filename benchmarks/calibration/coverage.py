@@ -255,13 +255,13 @@ def table(cases: list[dict[str, Any]]) -> str:
 def main() -> None:
     """Do what is missing of the cases asked for, and put together all that is there."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("cases", nargs="*", choices=[*CASES, []], default=list(CASES))
+    parser.add_argument("cases", nargs="*", choices=[*CASES, []], default=[])
     parser.add_argument("--replicates", type=int)
     parser.add_argument("--noise", type=float, nargs="*", default=(0.01, 0.02, 0.05))
     parser.add_argument("--workers", type=int, default=2)
     given = parser.parse_args()
     with ProcessPoolExecutor(given.workers, mp_context=multiprocessing.get_context("spawn")) as pool:
-        for name in given.cases:
+        for name in given.cases or CASES:
             for noise in given.noise:
                 count = given.replicates or CASES[name].replicates
                 fit_missing(name, CASES[name], noise, count, given.workers, pool)

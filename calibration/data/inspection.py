@@ -57,9 +57,9 @@ def clock_note(clock: np.ndarray) -> str:
 
 
 def check_channel(observes: str, values: np.ndarray, masked: np.ndarray, offset: bool, place: str) -> None:
-    """Refuse readings (N,) [N] that are empty, constant, all ``masked`` as saturated or of the wrong sign.
+    """Refuse readings (N,), SI, that are empty, constant, all ``masked`` as saturated or of the wrong sign.
 
-    Where the reading at no force is unknown (``offset``), the median stands for it.
+    Where the reading at rest is unknown (``offset``), the median stands for it.
     """
     seen = values[np.isfinite(values)]
     if not seen.size:
@@ -77,7 +77,7 @@ def check_channel(observes: str, values: np.ndarray, masked: np.ndarray, offset:
 
 
 def channel_notes(observes: str, values: np.ndarray, masked: np.ndarray) -> list[str]:
-    """What a channel's readings (N,) [N] lack, what is ``masked`` of them, and whether they look clipped."""
+    """What a channel's readings (N,), SI, lack, what is ``masked`` of them, and whether they look clipped."""
     notes = []
     blanks = int(np.isnan(values).sum())
     if blanks:

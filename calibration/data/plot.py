@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bcfj_jax.io.plots import COLOURS, engineering, label, panels
+from bcfj_jax.mechanism.channels import unit_of
 from calibration.data.inspection import TOUCHING
 from calibration.data.preparation import Prepared
 
@@ -28,6 +29,13 @@ def data(records: list[Prepared], path: Path) -> None:
     with panels(len(shown), 2, path, 6.3, 2.8) as axes:
         for axis, (record, observes) in zip(axes, shown, strict=True):
             _panel(axis, record, observes)
+
+
+def reading_label(observes: str, prefix: str) -> str:
+    """Text for the axis of a reading, in its unit."""
+    unit = unit_of(observes)
+    name = "force" if unit == "N" else observes.split(".")[1].replace("_", " ")
+    return label(name, unit, prefix)
 
 
 def _panel(axis: Axes, record: Prepared, observes: str) -> None:
@@ -64,7 +72,7 @@ def _panel(axis: Axes, record: Prepared, observes: str) -> None:
         )
     axis.set_title(f"{record.name}: {observes}")
     axis.set_xlabel(label("time", "s", time_prefix))
-    axis.set_ylabel(label("force", "N", prefix))
+    axis.set_ylabel(reading_label(observes, prefix))
     axis.legend(loc="best", fontsize=8, frameon=True, edgecolor="none", framealpha=0.8)
 
 

@@ -6,7 +6,8 @@ into stretches, and each stretch is prepared for itself.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -32,15 +33,15 @@ class Recipe:
 
     Attributes:
         resample: rate [Hz] to bring it down to.
-        saturation: magnitude [N] at and beyond which the sensor cannot read.
+        saturation: magnitude at and beyond which the sensor cannot read, by channel.
         align: whether time 0 becomes the first sample above a tenth of the first channel's peak.
         window: times [s] to keep, after aligning.
         impact: whether the record holds a whole impact, which begins and ends apart.
-        offset: whether the reading at no force is unknown.
+        offset: whether the reading where there is nothing to read is unknown.
     """
 
     resample: float | None = None
-    saturation: float | None = None
+    saturation: Mapping[str, float] = field(default_factory=dict)
     align: bool = False
     window: tuple[float, float] | None = None
     impact: bool = False
@@ -49,7 +50,7 @@ class Recipe:
 
 @dataclass(frozen=True)
 class Reading:
-    """A channel: ``raw`` (N,) [N] on the record's clock, which of it is ``masked``, and the ``values`` (T,) kept."""
+    """A channel: ``raw`` (N,), SI, on the record's clock, which of it is ``masked``, and the ``values`` (T,) kept."""
 
     raw: np.ndarray
     masked: np.ndarray
@@ -101,14 +102,14 @@ def prepare(name: str, part: Table, time: str, observe: dict[str, str], recipe: 
     clock = part.numbers(time, "s", f"{where} time", blank=False)
     check_clock(clock, part, time)
     raw = {o: _signed(part, header, unit_of(o), where) for o, header in observe.items()}
-    onset = _onset(clock, next(iter(raw.values())), where) if recipe.align else None
+    onset = _onset(clock, *next(iter(raw.items())), where) if recipe.align else None
     clock = clock - (onset or 0.0)
     breaks = jumps(clock)
     notes = [clock_note(clock)]
     if breaks.size:
         longest = format_si(float(np.diff(clock).max()), "s", 3)
         notes.append(f"{breaks.size} gaps in time, the longest {longest}; nothing is put into them")
-    masked = {o: _saturated(values, recipe.saturation) for o, values in raw.items()}
+    masked = {o: np.abs(values) >= recipe.saturation.get(o, np.inf) for o, values in raw.items()}
     for observes, values in raw.items():
         check_channel(observes, values, masked[observes], recipe.offset, _place(part, observe[observes]))
         notes += channel_notes(observes, values, masked[observes])
@@ -144,16 +145,15 @@ def _signed(part: Table, header: str, unit: str, where: str) -> np.ndarray:
     return sign * part.numbers(header.removeprefix("-").strip(), unit, f"{where} observe", blank=True)
 
 
-def _onset(clock: np.ndarray, values: np.ndarray, where: str) -> float:
-    """Time of the first sample above a tenth of the peak."""
+def _onset(clock: np.ndarray, observes: str, values: np.ndarray, where: str) -> float:
+    """Time of the first sample above a tenth of the peak; only a normal force has a sign that it must have."""
+    values = values if observes.endswith(".normal") else np.abs(values)
     peak = np.nanmax(values, initial=0.0)
     if not peak > 0:
+        if not observes.endswith(".normal"):
+            raise InputError(f"{where} observe", f"'{observes}' reads 0 throughout", "choose another column")
         raise InputError(f"{where} observe", "the force is never positive", 'flip its sign with "-" before the column')
     return float(clock[np.flatnonzero(values > TOUCHING * peak)[0]])
-
-
-def _saturated(values: np.ndarray, limit: float | None) -> np.ndarray:
-    return np.zeros(values.size, dtype=bool) if limit is None else np.abs(values) >= limit
 
 
 def _inside(times: np.ndarray, window: tuple[float, float] | None, name: str, where: str) -> np.ndarray:

@@ -60,7 +60,7 @@ def whole_contact_test(model: Model, seen: list[Contact], peaks_inside: bool) ->
     Args:
         model: what was fitted.
         seen: ``runs.contacts`` at the optimum.
-        peaks_inside: whether the predicted force turns before the end of some record.
+        peaks_inside: whether the contact turns before the end of some record.
     """
     if model.scene.traits.turning or not model.channels:
         return []

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from bcfj_jax import InputError
+from bcfj_jax.mechanism.channels import unit_of
 from calibration.forward.model import Model, residuals_and_jacobian
 from calibration.problem import Experiment, Problem
 
@@ -58,8 +59,8 @@ def refuse_data(problem: Problem) -> None:
             where = f"{e.source or e.name}: {c.observes}"
             values = c.values[np.isfinite(c.values)]
             if values.size > 1 and np.ptp(values) == 0.0:
-                found = f"all {values.size} readings are {values[0]:g} N"
-                raise InputError(where, found, "choose another channel, or widen the window to where the force changes")
+                found = f"all {values.size} readings are {values[0]:g} {unit_of(c.observes)}"
+                raise InputError(where, found, "choose another channel, or widen the window to where it changes")
             if c.observes.endswith(".normal") and values.size:
                 rest = float(np.median(values[: max(1, values.size // 20)])) if offset else 0.0
                 push, pull = float(np.max(values)) - rest, rest - float(np.min(values))

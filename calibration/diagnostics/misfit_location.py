@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bcfj_jax.mechanism.channels import unit_of
 from calibration.diagnostics.records import Record
 
 # A stretch counts where its weight is so many deviations of the record's other errors; the worst few are told.
@@ -27,7 +28,7 @@ class Miss(NamedTuple):
         record, channel: where.
         time: of its largest error [s], in the record's time as fitted.
         first, last: its first and last sample [s].
-        error: data less model there [N].
+        error: data less model there, SI.
         share: that over the peak of the data.
         brief: whether it is a spike above the middle of a contact, as where a soft layer bottoms out.
     """
@@ -44,10 +45,8 @@ class Miss(NamedTuple):
     def text(self) -> str:
         """The miss as a sentence."""
         side = "above" if self.error > 0 else "below"
-        said = (
-            f"in {self.record}, {self.channel} is {abs(self.error):.3g} N ({abs(self.share):.0%} of its peak) {side} "
-            f"the model at {self.time:.4g} s"
-        )
+        size = f"{abs(self.error):.3g} {unit_of(self.channel)} ({abs(self.share):.0%} of its peak)"
+        said = f"in {self.record}, {self.channel} is {size} {side} the model at {self.time:.4g} s"
         if self.brief:
             return f"{said}: a short spike on top of the contact, as where a soft layer bottoms out"
         return said if self.first == self.last else f"{said} (on that side from {self.first:.4g} to {self.last:.4g} s)"

@@ -14,13 +14,13 @@ from calibration.forward import integration
 from calibration.forward.model import Model, build, predictions, residuals_and_jacobian
 from calibration.forward.runs import Contact, together
 from calibration.noise.noise_model import OUTLYING, Estimate
-from calibration.problem import Experiment, Problem
+from calibration.problem import Experiment, Problem, units_of
 from calibration.search.refinement import FAILED_RESIDUAL, End
 
 
 @dataclass(frozen=True)
 class Record:
-    """One experiment beside its prediction: times (T,), per channel data, prediction (T,) and sigma [N].
+    """One experiment beside its prediction: times (T,), per channel data, prediction (T,) and sigma, SI.
 
     ``params`` are the scene's parameters and the nuisances that the prediction was made with.
     """
@@ -172,12 +172,14 @@ def series_of(
             j = model.channels.index(channel.observes)
             own = np.flatnonzero(weights[i, j] > 0)
             contact = channel.observes.partition(".")[0]
+            touching, durations = np.zeros(own.size, dtype=bool), np.zeros(0)
             own_contacts = [c for c in seen if c.experiment == i]
             # A body feels every contact.
-            mine = together([c for c in own_contacts if c.name == contact] or own_contacts)
-            clock = np.asarray(model.data.times)[i, own] - mine.offset
-            touching = np.interp(clock, mine.times, mine.touching.astype(float), left=0.0) >= 0.5
-            durations = mine.durations
+            if felt := [c for c in own_contacts if c.name == contact] or own_contacts:
+                mine = together(felt)
+                clock = np.asarray(model.data.times)[i, own] - mine.offset
+                touching = np.interp(clock, mine.times, mine.touching.astype(float), left=0.0) >= 0.5
+                durations = mine.durations
             memory = noise.correlation.get(channel.observes) if channel.correlation is None else channel.correlation
             peak = float(np.max(np.abs(values[i, j, own])))
             rows = np.ravel_multi_index((np.full(own.size, i), np.full(own.size, j), own), shape)
@@ -214,7 +216,16 @@ def features_of(
     }
 
 
-def rms(records: list[Record]) -> float:
-    """Root mean square of prediction less data [N], over all samples; 0 where features alone were fitted."""
-    errors = [r.prediction[c] - r.data[c] for r in records for c in r.data]
-    return float(np.sqrt(np.nanmean(np.concatenate(errors) ** 2))) if errors else 0.0
+def rms(records: list[Record]) -> dict[str, float]:
+    """Root mean square of prediction less data by SI unit, over all samples; none where features alone were fitted."""
+    seen = [(c, r.prediction[c] - r.data[c]) for r in records for c in r.data]
+    return {
+        unit: float(np.sqrt(np.nanmean(np.concatenate([e for c, e in seen if c in names]) ** 2)))
+        for unit, names in units_of(c for c, _ in seen).items()
+    }
+
+
+def rms_of_peak(records: list[Record]) -> float:
+    """Root mean square of prediction less data as a share of each history's peak; 0 where there is none."""
+    shares = [(r.prediction[c] - r.data[c]) / np.nanmax(np.abs(r.data[c])) for r in records for c in r.data]
+    return float(np.sqrt(np.nanmean(np.concatenate(shares) ** 2))) if shares else 0.0

@@ -24,7 +24,7 @@ _FINEST = 1e-5
 
 
 class Limit(NamedTuple):
-    """Of one channel: deviations [N] up to ``below`` are the integrator's and count as ``sigma`` [N].
+    """Of one channel: deviations up to ``below`` are the integrator's and count as ``sigma``, SI.
 
     ``sigma`` is ten times the length of the error e over all samples. No combination of coordinates is then moved by
     more than a tenth of its deviation, however e lies: |Q^T e| <= |e|.

@@ -23,7 +23,7 @@ _NOT_DIFFERENTIABLE = "the simulation ends well, but its derivative is not finit
 class Contact(NamedTuple):
     """One channel of contact in one experiment's record: (T,) times [s] of the model's clock and whether it touches.
 
-    ``offset`` [s] is how far the record's clock is ahead of that.
+    ``offset`` [s] is how far the record's clock is ahead of that; ``turned``: whether it is deepest before the end.
     """
 
     experiment: int
@@ -31,6 +31,7 @@ class Contact(NamedTuple):
     offset: float
     times: np.ndarray
     touching: np.ndarray
+    turned: bool
 
     @property
     def durations(self) -> np.ndarray:
@@ -74,9 +75,10 @@ def contacts(model: Model, point: np.ndarray, log_depth: float) -> list[Contact]
     found, _ = _histories(model, at, depth, jnp.asarray(times))
     names = channel_names(model.scene.members)
     # Not by the force: a smoothed onset bears a little across a gap.
-    touching = np.asarray(found.penetration) > 0
+    depth = np.asarray(found.penetration)
+    turned = (depth.max(axis=1) > 0) & (depth.argmax(axis=1) < _SAMPLES - 1)
     return [
-        Contact(i, name, float(offsets[i]), times[i], touching[i, :, k])
+        Contact(i, name, float(offsets[i]), times[i], depth[i, :, k] > 0, bool(turned[i, k]))
         for i in range(len(times))
         for k, name in enumerate(names)
     ]

@@ -30,7 +30,7 @@ class Estimate(NamedTuple):
     """What was found of the noise.
 
     Attributes:
-        sigma: deviation [N] by channel whose noise is estimated.
+        sigma: deviation, SI, by channel whose noise is estimated.
         correlation: time [s] by channel whose correlation is.
         moved: for each of these numbers, the derivative (P, P) of the information matrix by its logarithm, and the
             variance of that.
@@ -44,7 +44,7 @@ class Estimate(NamedTuple):
 
 
 class _Series(NamedTuple):
-    """Samples of one experiment and channel: places, errors (n,) [N], their Jacobian (n, P), base deviations."""
+    """Samples of one experiment and channel: places, errors (n,), SI, their Jacobian (n, P), base deviations."""
 
     place: tuple[int, int]
     channel: Channel

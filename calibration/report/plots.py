@@ -10,7 +10,7 @@ import numpy as np
 from bcfj_jax import Run, simulate
 from bcfj_jax.analysis.simulation.pictures import loops
 from bcfj_jax.io.plots import COLOURS, engineering, figure, label, save, style
-from bcfj_jax.mechanism.channels import channel as reading
+from calibration.data.plot import reading_label
 from calibration.diagnostics.records import Record
 from calibration.fit import Fit
 from calibration.problem import Problem
@@ -65,8 +65,7 @@ def _panel(upper: Axes, lower: Axes, record: Record, channel: str, fit: Fit, pro
     upper.plot((run.times + own["time_offset"]) * time_scale, curve * scale, color=colour, label=name)
     upper.plot(record.times * time_scale, data * scale, "o", ms=3.5, color=COLOURS[5], label="data")
     upper.set_title(f"{record.name}: {channel}" + (" (held out)" if record.held_out else ""))
-    seen = reading(channel, problem.scene)
-    upper.set_ylabel(label(seen.what.replace("_", " ") if seen.unit != "N" else "force", seen.unit, prefix))
+    upper.set_ylabel(reading_label(channel, prefix))
     upper.legend(loc="upper right")
     strip = (data - record.prediction[channel]) / record.sigma[channel]
     lower.axhspan(-2, 2, color="#e8eef6", lw=0)
@@ -78,7 +77,12 @@ def _panel(upper: Axes, lower: Axes, record: Record, channel: str, fit: Fit, pro
 
 
 def force_penetration(fit: Fit, problem: Problem, path: Path) -> None:
-    """The loop of the first fitted experiment at the fitted values, with the energy it dissipates."""
+    """The loop of the first fitted experiment at the fitted values, with the energy it dissipates.
+
+    No picture of a scene without contacts.
+    """
+    if not problem.scene.members:
+        return
     loops(_run(fit, problem, fit.records[0]), path)
 
 

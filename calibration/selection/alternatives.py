@@ -30,7 +30,7 @@ from bcfj_jax.io import scenefile, tables
 from bcfj_jax.io.units import quantity
 from bcfj_jax.mechanism.channels import unit_of
 from calibration.fit import Fit, fit
-from calibration.problem import NUISANCES, Problem
+from calibration.problem import NUISANCES, Problem, nuisances, units_of
 from calibration.problemfile import FreeTable, free_of
 from calibration.selection.choice import Choice, choose
 from calibration.selection.next_experiment import Candidate, Gain, next_experiment
@@ -144,26 +144,28 @@ def _model(entry: _Model, content: dict[str, Any], path: Path, problem: Problem)
     # What the scene file gives a law that this model does not have is left out; what the model gives must be known.
     given = {name: value for name, value in table.get("parameters", {}).items() if model.canonical(name) in known}
     base = scenefile.from_table({**table, "scene": options, "parameters": {**given, **entry.parameters}}, Path(where))
-    free = {f.name: f for f in problem.free if f.name in {**known, **NUISANCES} and f.name not in entry.parameters}
-    for name, own in entry.free.items():
-        if name not in {**known, **NUISANCES}:
+    every = {**known, **nuisances(problem.observed)}
+    set_here = {model.canonical(name) for name in entry.parameters}
+    free = {f.name: f for f in problem.free if f.name in every and f.name not in set_here}
+    for name, own in ((model.canonical(name), own) for name, own in entry.free.items()):
+        if name not in every:
             raise InputError(f"{where} free.{name}", f"no parameter '{name}'", nearest(name, known))
-        free[name] = free_of(name, own, path, known)
+        free[name] = free_of(name, own, path, every)
     params = {name: float(value) for name, value in base.params.items()}
     own = replace(problem, scene=base.scene, params=params, free=tuple(free.values()), where=where)
     return Alternative(entry.name, own, base)
 
 
 def _candidate(entry: _Candidate, where: str, problem: Problem) -> Candidate:
-    quantities = {**problem.scene.quantities, **NUISANCES}
-    fixed = {}
-    for name, value in entry.parameters.items():
+    fixed, quantities = {}, problem.quantities
+    for name, value in ((problem.scene.canonical(name), value) for name, value in entry.parameters.items()):
         if name not in quantities:
             raise InputError(f"{where} parameters", f"no parameter '{name}'", nearest(name, quantities))
         fixed[name] = quantity(value, quantities[name].unit, f"{where} parameters.{name}")
     shares = {isinstance(v, str) and v.strip().endswith("%") for v in entry.observe.values()}
     if len(shares) > 1:
-        raise InputError(f"{where} observe", "noise in % and in N", "give one or the other for all channels")
+        mixed = f"noise in % and in {' and '.join(units_of(entry.observe))}"
+        raise InputError(f"{where} observe", mixed, "give one or the other for all channels")
     share = shares.pop()
     noise = {
         name: quantity(value, "1" if share else unit_of(name), f"{where} observe")

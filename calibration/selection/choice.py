@@ -174,7 +174,7 @@ def judged(rivals: Sequence[Rival]) -> Choice:
     def score(r: Rival) -> float:
         if by_held_out:
             return float(r.held_out or 0.0)
-        return _bic(r) if by_bic else float(r.fit.residual["rms_force"])
+        return _bic(r) if by_bic else float(r.fit.residual["rms_of_peak"])
 
     ranked = tuple(
         Rival(r.name, r.fit, r.likelihood, r.held_out, r.seconds, r.name in names) for r in sorted(rivals, key=score)

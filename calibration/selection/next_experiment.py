@@ -22,7 +22,7 @@ from bcfj_jax.core.quantities import increasing
 from calibration.fit import Fit
 from calibration.forward.model import Model, build, predictions, residuals_and_jacobian
 from calibration.noise import noise_model
-from calibration.problem import NUISANCES, Channel, Experiment, Problem
+from calibration.problem import Channel, Experiment, Problem
 
 _UNIFORM = 12.0  # information of a uniform density on [0, 1]
 
@@ -34,7 +34,7 @@ class Candidate:
     Attributes:
         name: of it.
         times: (T,) [s] at which it would be read.
-        noise: deviation [N] by channel ("contact.normal"), or as a share of its predicted peak where ``share``.
+        noise: deviation, SI, by channel ("contact.normal"), or as a share of its predicted peak where ``share``.
         fixed: scene parameters (and nuisances) that make it: known, or where every experiment has its own to be found,
             the value it would have.
         share: whether ``noise`` is a share of the peak.
@@ -148,7 +148,7 @@ def _gain(
     nominal = {**usual, **candidate.fixed}
     point = other.point(np.array([nominal[slot.name] for slot in other.slots]), 0.0)
     if candidate.share:
-        other = _in_newtons(other, planned, point)
+        other = _absolute(other, planned, point)
     residuals, jacobian = (np.asarray(a) for a in residuals_and_jacobian(other, jnp.asarray(point), jnp.asarray(0.0)))
     if not (np.isfinite(residuals).all() and np.isfinite(jacobian).all()):
         return Gain(candidate.name, float("nan"), float("nan"), {}, "its simulation fails")
@@ -183,7 +183,7 @@ def _marginal(information: np.ndarray, shared: list[int]) -> np.ndarray:
 def _planned(problem: Problem, candidate: Candidate, known: dict[str, float]) -> Experiment:
     """The candidate as an experiment without readings of its own, refused as a problem refuses experiments."""
     where = f"{problem.where}: candidate '{candidate.name}'"
-    quantities = {**problem.scene.quantities, **NUISANCES}
+    quantities = problem.quantities
     for name, value in candidate.fixed.items():
         if name not in quantities:
             raise InputError(where, f"no parameter '{name}'", nearest(name, quantities))
@@ -198,7 +198,7 @@ def _planned(problem: Problem, candidate: Candidate, known: dict[str, float]) ->
     return planned
 
 
-def _in_newtons(model: Model, planned: Experiment, point: np.ndarray) -> Model:
+def _absolute(model: Model, planned: Experiment, point: np.ndarray) -> Model:
     """The model with noise that is a share of each channel's predicted peak."""
     read = np.asarray(predictions(model, jnp.asarray(point), jnp.asarray(0.0)))[0]
     shares = np.array([channel.sigma for channel in planned.channels], dtype=float)

@@ -11,7 +11,7 @@ from calibration.diagnostics import fit_tests
 from calibration.diagnostics.influence import separation
 from calibration.forward.losses import straightened
 from calibration.forward.model import Model, residuals_and_jacobian
-from calibration.problem import NUISANCES
+from calibration.problem import nuisances
 from calibration.search.evaluate import evaluator
 from calibration.search.refinement import End
 from calibration.solver_budget import effort
@@ -77,7 +77,7 @@ def estimates(
         half = spread.half_width(slopes[i])
         widest = fit_tests.widest(slot)
         identifiable = bool(half < widest)
-        quantity = {**model.scene.quantities, **NUISANCES}[slot.name]
+        quantity = {**model.scene.quantities, **nuisances(model.channels)}[slot.name]
         # No lower than the quantity can be: a clearance that may be closed.
         reach = 1.0 if slot.log or not identifiable else min(1.0, (values[i] - quantity.low) / half)
         reaches.append(reach)

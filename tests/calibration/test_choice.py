@@ -87,7 +87,7 @@ def clean(experiment: Experiment) -> np.ndarray:
 
 
 def scored(name, verdict="identified", bic=0.0, held_out=None, seconds=1.0, labels=("a",)) -> Rival:
-    fit = SimpleNamespace(verdict=verdict, labels=labels, residual={"rms_force": 1.0}, reasons=[])
+    fit = SimpleNamespace(verdict=verdict, labels=labels, residual={"rms_of_peak": 1.0}, reasons=[])
     return Rival(name, fit, Likelihood(bic, 0, 100), held_out, seconds)
 
 

@@ -247,10 +247,10 @@ def test_saturated_samples_are_dropped_before_anything_smears_them():
     _, values, said, _ = record(CLOCK, clipped)
     assert 'reads 1.5 kN 107 times in a row at its peak; if it clips there, give saturation = "1.5 kN"' in said
     assert np.count_nonzero(clipped == 1500.0) == 107
-    times, values, said, _ = record(CLOCK, clipped, saturation=1500.0)
+    times, values, said, _ = record(CLOCK, clipped, saturation={"contact.normal": 1500.0})
     np.testing.assert_array_equal(values, np.where(pulse(CLOCK) < 1500.0, pulse(CLOCK), np.nan))
     assert "107 samples dropped as saturated" in said and "in a row" not in said
-    times, values, said, _ = record(CLOCK, clipped, saturation=1500.0, resample=1e4)
+    times, values, said, _ = record(CLOCK, clipped, saturation={"contact.normal": 1500.0}, resample=1e4)
     seen = np.isfinite(values)
     np.testing.assert_allclose(values[seen], pulse(times[seen]), atol=15.0)
 
@@ -274,7 +274,7 @@ def test_the_picture_shows_what_was_left_out(tmp_path):
     force = np.minimum(pulse(CLOCK), 1500.0)
     plain = record(CLOCK, force)[3]
     force[1200:1240] = np.nan
-    marked = record(CLOCK, force, saturation=1500.0, align=True, window=(-5e-3, 8e-3))[3]
+    marked = record(CLOCK, force, saturation={"contact.normal": 1500.0}, align=True, window=(-5e-3, 8e-3))[3]
     for name, done in (("plain", plain), ("marked", marked)):
         data([done], tmp_path / f"{name}.png")
         drawn = imread(tmp_path / f"{name}.png")[:, :, :3]

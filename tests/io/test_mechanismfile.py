@@ -11,6 +11,7 @@ import jax
 import numpy as np
 import pytest
 import tomli_w
+from compiled import COMPILED
 from conftest import BUILD
 from typer.testing import CliRunner
 
@@ -85,10 +86,6 @@ radius = "9.5 mm"
 end = "4 ms"
 samples = 201
 """
-_COMPILED: list[str] = []
-jax.monitoring.register_event_duration_secs_listener(
-    lambda event, _, **__: _COMPILED.append(event) if "backend_compile" in event else None
-)
 
 
 @pytest.fixture(autouse=True)
@@ -369,22 +366,22 @@ def test_a_bad_mechanism_is_refused_by_place_before_anything_is_compiled(which):
     old, new, said = BAD[which]
     assert old in TOML
     written(TOML.replace(old, new, 1))
-    _COMPILED.clear()
+    COMPILED.clear()
     done = bcfj("simulate", "my.toml", "--out", "out")
     assert done.exit_code == 2, done.output
     assert done.stderr.startswith("error: my.toml") and done.stderr.count("\n") == 1
     for text in said:
         assert text in done.stderr, done.stderr
-    assert not _COMPILED and not Path("out").exists()
+    assert not COMPILED and not Path("out").exists()
 
 
 def test_a_good_mechanism_is_checked_without_compiling_and_then_compiled():
     written(TOML)
-    _COMPILED.clear()
+    COMPILED.clear()
     given = load("my.toml")
-    assert not _COMPILED
+    assert not COMPILED
     bj.simulate(given.scene, given.params, given.times[:3])
-    assert _COMPILED
+    assert COMPILED
 
 
 @pytest.mark.parametrize("kind", ["slider_crank", "bounce", "impact"])

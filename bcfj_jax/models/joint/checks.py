@@ -168,6 +168,12 @@ def check_joint(scene: Joint, params: Params, where: str = "scene 'joint'") -> N
     Raises:
         InputError: naming the key, its value and what would be right.
     """
+    for contact in scene.contacts:
+        for name in contact.needs:
+            # Of a law of the user's own: every other coefficient has a default.
+            if name not in params and f"{contact.name}.{name}" not in params:
+                found = f"the parameter '{name}' has no value, which {contact.name} would read"
+                raise InputError(where, found, f"give {name}, or {contact.name}.{name}")
     values = {name: float(value) for name, value in params.items() if _single(value)}
     check_geometry(values | {"balls": scene.balls}, where)
     if scene.fidelity == "kinematic" and scene.track == "gothic" and values.get("offset") == 0.0:

@@ -14,6 +14,7 @@ from jax import Array
 
 from bcfj_jax.contact.laws import AbstractFriction, AbstractLaw
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
+from bcfj_jax.mechanism.contacts import own_quantities
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.models.joint.defaults import DEFAULTS
 
@@ -86,7 +87,9 @@ class Joint(AbstractModel):
         names += ["ball_mass", "head_mass", "head_inertia"]
         names += ["cage_mass", "cage_inertia"] if self.cage == "free" else []
         names += ["seat_inertia", "drive_stiffness", "drive_damping"] if self.drive == "flexible" else []
-        return {name: _quantity(name) for name in (*shared, *own, *names)}
+        parts = [part for contact in self.contacts for part in (contact.law, contact.friction)]
+        theirs = {name: quantity for part in parts for name, quantity in own_quantities(part).items()}
+        return {name: _quantity(name, theirs) for name in (*shared, *own, *names)}
 
     def _reads(self, contact: JointContact) -> tuple[str, ...]:
         return (*contact.needs, *(("smoothing",) if self.smoothing else ()))
@@ -167,9 +170,10 @@ class Joint(AbstractModel):
         return self.moving + 3 * sum(members[name] * faces for name, faces in self.bristles.items())
 
 
-def _quantity(name: str) -> Quantity:
+def _quantity(name: str, theirs: Mapping[str, Quantity]) -> Quantity:
+    """What a parameter is; ``theirs``: coefficients that laws of the user's own have beside the known ones."""
     contact, _, own = name.rpartition(".")
-    quantity = CATALOGUE[own]
+    quantity = theirs.get(own) or CATALOGUE.get(own) or Quantity(own, "1", f"coefficient {own}")
     if not contact:
         return quantity
     return quantity._replace(name=name, meaning=f"{quantity.meaning}; of {contact} alone")
