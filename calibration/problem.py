@@ -200,7 +200,7 @@ class Problem:
         for e in self.experiments:
             for c in e.channels:
                 if e.hold_out and c.sigma is None and c.observes not in known:
-                    found = f"the noise of {c.observes} is 'estimate' in {e.name}, and no fitted record tells it"
+                    found = f"the noise of {c.observes} is 'estimate' in {e.name}, and no fitted record determines it"
                     raise InputError(self.where, found, "state its noise")
         units = list(units_of(self.observed))
         if len(units) > 1 and "force_offset" in {f.name for f in self.free}.union(*(e.fixed for e in self.experiments)):

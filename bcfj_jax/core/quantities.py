@@ -75,7 +75,7 @@ CATALOGUE: dict[str, Quantity] = {
         Quantity("restitution", "1", "coefficient of restitution e the law is asked for", 0.0, 1.0),
         _not_negative("dashpot", "N s/m", "viscous coefficient c (Kelvin-Voigt, ElastoGap), c_max (ADAMS IMPACT)"),
         _positive("damping_depth", "m", "penetration at which the ADAMS dashpot is fully in"),
-        _not_negative("smoothing", "m", "half-width of the C2 onset of penetration; 0 is the sharp onset"),
+        _not_negative("smoothing", "m", "half-width of the contact regularisation (C2); 0 is the sharp contact"),
         # coefficients of the friction laws
         Quantity("friction_static", "1", "friction coefficient mu_s at break-away", 0.0, 2.0, open_low=True),
         _not_negative("friction_dynamic", "1", "friction coefficient mu_d of fast sliding"),

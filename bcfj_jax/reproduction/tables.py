@@ -105,7 +105,7 @@ def rows(
 
 def inequality_rows(tests: Mapping[str, Sequence[Inequality]]) -> list[list[str]]:
     """The qualitative claims, a line each and run."""
-    words = {True: "holds", False: "does not hold", None: "cannot tell"}
+    words = {True: "holds", False: "does not hold", None: "cannot say"}
     return [["run", "claim (Q37)", "verdict", "numbers"]] + [
         [name, test.text, words[test.holds], test.numbers] for name, each in tests.items() for test in each
     ]

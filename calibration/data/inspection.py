@@ -125,7 +125,7 @@ def check_contact(times: np.ndarray, values: np.ndarray, offset: bool, cut: bool
     inside = int(np.count_nonzero(force > TOUCHING * force[peak]))
     if inside < _FEW_IN_CONTACT:
         found = f"{inside} samples lie within the contact (above a tenth of the peak of {format_si(force[peak], 'N')})"
-        raise InputError(place, found, "sample faster: no law can be told from so few")
+        raise InputError(place, found, "sample faster: so few samples determine no law")
     edge = "first" if peak == 0 else "last" if peak == force.size - 1 else ""
     if not edge:
         return []

@@ -64,7 +64,7 @@ def polished(model: Model, starts: np.ndarray, found: Lanes, log_depth: float) -
         if np.isfinite(cost) and (len(best) < _BEST or (elsewhere and len(best) < _BEST + _OTHERS)):
             ends.append(early.get(int(k)) or finish(model, start, point, log_depth))
             best.append(ends[-1])
-            log.info("polished start %d: chi2 %.6g", k + 1, ends[-1].cost)
+            log.info("refined start %d: chi2 %.6g", k + 1, ends[-1].cost)
         else:
             failure = "" if np.isfinite(cost) else "the simulation failed"
             empty = np.zeros((0, point.size))

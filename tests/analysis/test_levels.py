@@ -116,7 +116,7 @@ def test_a_joint_beyond_the_envelope_is_told():
     (fast,) = told(parameters={"drive_speed": 30.0})
     assert "along its track over friction's transition speed is 4.16" in fast
     (wide,) = told(parameters={"clearance_seat_ball": 60e-6})
-    assert "a ball's clearance over the onset of contact is 3," in wide
+    assert "a ball's clearance over the width of contact regularisation is 3," in wide
     (own,) = told(parameters={"seat_cage.exponent": 2.5})
     assert "exponent is 2.5, tried from 1.5 to 1.5" in own
     (other,) = told(spin=True)

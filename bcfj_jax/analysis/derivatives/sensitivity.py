@@ -106,7 +106,7 @@ def sensitivity(
             raise InputError(what, f"no {what} '{value}'", nearest(value, known))
     if not average > 0 or rungs < 1:
         found = f"average = {average:g} s, rungs = {rungs}"
-        raise InputError("certificate", found, "give an average > 0 and at least 1 rung")
+        raise InputError("certificate", found, "give an average > 0 and rungs >= 1")
     how = plan(scene, accuracy, max_steps)
     if mode == "reverse" or (mode == "auto" and len(names) > _MANY):
         able = reversible(wanted)

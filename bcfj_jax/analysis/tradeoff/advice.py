@@ -57,7 +57,7 @@ def recommended(study: Study) -> dict[str, dict[str, Any]]:
 
 def _one(study: Study, known: Sequence[float], budget: float, trusted: bool) -> dict[str, Any]:
     if not trusted or study.reference is None:
-        return {"setting": None, "reason": "no reference to judge by"}
+        return {"setting": None, "reason": "no reference to compare with"}
     if SAFETY * study.reference.floor > budget:
         return {"setting": None, "reason": f"the reference is certain to {study.reference.floor:.1e} only"}
     within = [

@@ -162,7 +162,7 @@ def adaptive(
             return chosen(_unfolded(motion, params, times, folded, short), "periodic", reason)
         spent.append(short.stats)
     if not ends:
-        reason = "no cheaper rung keeps the budget, and the run is too short for one that repeats a pitch"
+        reason = "no cheaper level keeps the budget, and the run is too short for one that repeats a pitch"
         return chosen(run(motion, times), "dynamic", reason)
     # At as many times as the short runs: the same program.
     folded = periodic.fold(scene, params, times, ends[0], whole=True)
