@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections import Counter
 from typing import NamedTuple
 
+import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.analysis.derivatives.jacobian import Histories, channel_names, histories
+from bcfj_jax.analysis.derivatives.jacobian import by_channel, channel_names
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.status import OK, reason
+from bcfj_jax.solve.simulation import outcome
 from calibration.forward.model import Model
 
 _SAMPLES = 2001
@@ -46,12 +48,14 @@ def together(contacts: list[Contact]) -> Contact:
 
 
 @eqx.filter_jit
-def _histories(model: Model, point: Array, log_depth: Array, times: Array) -> tuple[Histories, Array]:
+def _depths(model: Model, point: Array, log_depth: Array, times: Array) -> tuple[Array, Array]:
+    """Penetrations (E, T, C) of all contacts at times (E, T), and how each run ended (E,)."""
     table, _ = model.settings(point, log_depth)
 
-    def one(params: dict, times: Array) -> tuple[Histories, Array]:
-        found, (code, *_) = histories(model.scene, params, times, model.how)
-        return found, code
+    def one(params: dict, times: Array) -> tuple[Array, Array]:
+        solution, readings = outcome(model.scene, params, times, model.how, dfx.ForwardMode(), True)
+        depth = by_channel(model.scene, readings)[1] if readings else jnp.zeros((times.size, 0))
+        return depth, solution.code
 
     return jax.vmap(one)(table, times)
 
@@ -72,13 +76,13 @@ def contacts(model: Model, point: np.ndarray, log_depth: float) -> list[Contact]
     offsets = np.asarray(model.settings(at, depth)[1]["time_offset"])
     spans = np.maximum(_spans(model) - offsets[:, None], 0.0)
     times = np.linspace(spans[:, 0], np.maximum(spans[:, 1], spans[:, 0] + 1e-9), _SAMPLES, axis=1)
-    found, _ = _histories(model, at, depth, jnp.asarray(times))
+    found, _ = _depths(model, at, depth, jnp.asarray(times))
     names = channel_names(model.scene.members)
     # Not by the force: a smoothed onset bears a little across a gap.
-    depth = np.asarray(found.penetration)
-    turned = (depth.max(axis=1) > 0) & (depth.argmax(axis=1) < _SAMPLES - 1)
+    inside = np.asarray(found)
+    turned = (inside.max(axis=1) > 0) & (inside.argmax(axis=1) < _SAMPLES - 1)
     return [
-        Contact(i, name, float(offsets[i]), times[i], depth[i, :, k] > 0, bool(turned[i, k]))
+        Contact(i, name, float(offsets[i]), times[i], inside[i, :, k] > 0, bool(turned[i, k]))
         for i in range(len(times))
         for k, name in enumerate(names)
     ]
@@ -101,7 +105,7 @@ def failure(model: Model, point: np.ndarray, log_depth: float) -> str:
         return told
     spans = _spans(model)
     times = np.linspace(np.minimum(spans[:, 0], 0.0), np.maximum(spans[:, 1], 1e-9), _SAMPLES, axis=1)
-    _, codes = _histories(model, jnp.asarray(point), jnp.asarray(log_depth), jnp.asarray(times))
+    _, codes = _depths(model, jnp.asarray(point), jnp.asarray(log_depth), jnp.asarray(times))
     bad = [int(code) for code in np.asarray(codes) if int(code) != OK]
     return reason(bad[0], model.how.max_steps) if bad else _NOT_DIFFERENTIABLE
 

@@ -182,7 +182,7 @@ def test_a_whole_contact_is_judged_by_the_contact_where_no_force_is_read():
     ]
     sigma = 1e-5
     noisy = place + sigma * np.random.default_rng(0).standard_normal(times.size)
-    for count, verdict in ((81, "identified"), (21, "not_identified")):
+    for count, verdict in ((81, "identified"), (13, "not_identified")):
         one = Experiment("a", times[:count], (Channel("body.place.x", noisy[:count], sigma),))
         found = fit(Problem(scene, params, (one,), (Free("stiffness", 1e5, 1e7),)), starts=4)
         assert found.verdict == verdict, found.reasons

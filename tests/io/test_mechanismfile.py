@@ -287,6 +287,60 @@ def test_every_kind_of_part_can_be_written_with_units_and_loads_back():
     assert again.resolved == given.resolved and again.scene == given.scene
 
 
+SQUEEZED = """
+[scene]
+kind = "mechanism"
+law = "hertz"
+[[body]]
+name = "ball"
+joint = "slide"
+axis = "x"
+mass = 0.1
+[[contact]]
+name = "left"
+between = ["ground", "ball"]
+gap = { kind = "sphere_on_plane", axis = "x" }
+at = [["-9.9 mm", 0, 0], [0, 0, 0]]
+[[contact]]
+name = "right"
+between = ["ground", "ball"]
+gap = { kind = "sphere_on_plane", axis = "-x" }
+at = [["9.9 mm", 0, 0], [0, 0, 0]]
+[parameters]
+radius = "10 mm"
+stiffness = 1e10
+exponent = 1.5
+[time]
+end = "1 ms"
+"""
+
+
+def test_a_ball_with_preload_starts_in_balance_and_one_out_of_place_is_refused():
+    given = load(written(SQUEEZED))
+    assert float(given.scene.error_scale(given.params)[0]) > 0
+    with pytest.raises(bj.InputError, match=r"\[\[contact\]\] 1 'left': 'ground' and 'ball' start 0.003 m inside"):
+        load(written(SQUEEZED.replace("-9.9 mm", "-7 mm")))
+
+
+def test_models_of_a_calibration_file_change_the_options_of_a_mechanism():
+    from calibration.problemfile import load as problem
+    from calibration.selection.alternatives import models
+
+    written(TOML.replace('"rod.mass"', 'restitution = 0.9\n"rod.mass"').replace('damping = "0.333 s/m"\n', ""))
+    rows = (f"{t:.4f},{100.0 * max(0.0, np.sin(np.pi * t)):.4f}" for t in np.linspace(0.0, 1.2, 25))
+    written("\n".join(["time [ms],force [N]", *rows]), "d.csv")
+    text = 'scene = "my.toml"\n[[experiment]]\nfile = "d.csv"\ntime = "time [ms]"\nnoise = "1 N"\n'
+    text += 'observe = { "journal.normal" = "force [N]" }\n[free.restitution]\nlower = 0.5\nupper = 1\n'
+    text += '[free."journal.stiffness"]\nlower = 1e9\nupper = 1e12\n'
+    text += '[[model]]\nname = "by restitution"\n[[model]]\nname = "elastic"\nscene = { law = "hertz" }\n'
+    path = written(text, "p.toml")
+    first, second = models(path, problem(path))
+    assert first.base.scene.contacts[0].remembers and "restitution" in first.base.params
+    assert "restitution" not in second.base.scene.quantities
+    # The clearance is given by its other name.
+    assert float(second.base.params["clearance_journal"]) == 0.5e-3
+
+
 def test_a_law_by_restitution_is_taken_where_one_is_given():
     given = load(written(TOML.replace("damping = ", "restitution = ").replace('"0.333 s/m"', "0.9")))
     assert given.resolved["scene"]["law"] == "exact" and given.scene.contacts[0].remembers
