@@ -1,4 +1,4 @@
-"""The README says what was measured, and its examples run."""
+"""The README says what was measured; its examples are run by ``test_docs``."""
 
 from __future__ import annotations
 
@@ -45,13 +45,6 @@ def test_commands_and_links_exist():
         assert (ROOT / target).exists(), target
     for command in re.findall(r"^bcfj \w+ (examples/\S+)", README, re.MULTILINE):
         assert (ROOT / command).exists(), command
-
-
-@pytest.mark.slow
-def test_python_examples_run(monkeypatch):
-    monkeypatch.chdir(ROOT)
-    for block in re.findall(r"```python\n(.*?)```", README, re.DOTALL):
-        exec(compile(block, "README.md", "exec"), {})
 
 
 def test_a_table_is_put_between_its_markers_and_nowhere_else(tmp_path, monkeypatch):

@@ -228,8 +228,8 @@ class Spring(AbstractLoad):
 class Bush(AbstractLoad):
     """A compliant bush: two points held together,  F = -k r - c dr/dt  on the second; it closes a loop of bodies.
 
-    r is the second point's place from the first's. ``turning`` [N m/rad] and ``turning_damping`` [N m s/rad] resist the
-    relative spin's integral only through damping: a bush has no memory of angles.
+    r is the second point's place from the first's. ``turning_damping`` resists the relative spin; nothing resists the
+    relative angle.
 
     Attributes:
         between, at: bodies and points in their axes [m].

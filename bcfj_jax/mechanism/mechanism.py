@@ -99,7 +99,7 @@ class Mechanism(AbstractModel):
 
     @property
     def traits(self) -> ModelTraits:
-        """Implicit where there is friction or a damper; a period is the drive's where something is driven."""
+        """Implicit where there is friction; a period is the drive's where something is driven."""
         rough = any(c.friction is not None for c in self.contacts)
         driven = any(b.drive is not None for b in self.bodies)
         return ModelTraits(stiff=rough, history=bool(self._free), turning=driven, rough=driven)

@@ -135,7 +135,7 @@ def main() -> None:
         else:
             wider[kind] = [r for law in LAWS for r in springs_down(kind, law, asked.scenes, 1, at, wide=True)]
         save("envelope", {"wider": wider})
-    write_json(ROOT / "bcfj_jax" / KEPT, {kind: ranges(levels[kind]["rows"]) for kind in SCENES})
+    write_json(ROOT / "bcfj_jax" / "analysis" / KEPT, {kind: ranges(levels[kind]["rows"]) for kind in SCENES})
     sections = []
     for kind in SCENES:
         rows = levels[kind]["rows"]
