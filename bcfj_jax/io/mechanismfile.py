@@ -20,7 +20,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import jax.numpy as jnp
-import pydantic
 from jax import Array
 
 from bcfj_jax.contact import laws
@@ -28,6 +27,17 @@ from bcfj_jax.contact.gaps import GAPS, AbstractGap, make_gap
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.quantities import CATALOGUE, Quantity, check_value
 from bcfj_jax.io import tables, usercode
+from bcfj_jax.io.mechanismtables import (
+    LOAD_TABLES,
+    BodyTable,
+    ContactTable,
+    DriveTable,
+    OwnTable,
+    QuantityTable,
+    ReadTable,
+    SceneTable,
+    load_units,
+)
 from bcfj_jax.io.units import alike, coherent, quantity
 from bcfj_jax.io.usercode import MECHANISM as KIND
 from bcfj_jax.mechanism import channels, sizes
@@ -46,126 +56,6 @@ _PART = re.compile(r"(body|contact|load) '([^']*)'\s*(.*)", re.DOTALL)
 # What a drive of each kind reads.
 _DRIVES = {"constant": ("speed", "start"), "ramp": ("speed", "over", "start"), "table": ("table",)}
 M = TypeVar("M", bound=tables.Table)
-
-
-class _Scene(tables.Table):
-    kind: str
-    law: str | None = None
-    elastic: str | None = None
-    friction: bool | str = False
-    smoothing: bool = True
-
-
-class _Drive(tables.Table):
-    kind: str = "constant"
-    speed: Any = None
-    over: Any = None
-    start: Any = None
-    table: list[list[Any]] | None = None
-
-
-class _Body(tables.Table):
-    name: str
-    joint: str = "free"
-    parent: Any = GROUND
-    at: list[Any] = [0, 0, 0]
-    axis: str | list[float | int] = "z"
-    tilt: list[Any] | None = None
-    center: list[Any] = [0, 0, 0]
-    mass: Any = None
-    inertia: Any = None
-    start: dict[str, Any] = {}
-    drive: _Drive | None = None
-    members: int = pydantic.Field(default=0, ge=0)
-
-
-class _Contact(tables.Table):
-    name: str
-    between: list[str]
-    gap: str | dict[str, Any]
-    at: list[list[Any]] = [[0, 0, 0], [0, 0, 0]]
-    law: str | None = None
-    elastic: str | None = None
-    friction: bool | str | None = None
-    smoothing: bool | None = None
-    approach: str = "memory"
-    values: dict[str, Any] = {}
-
-
-class _Quantity(tables.Table):
-    unit: str
-    lower: Any = None
-    upper: Any = None
-    default: Any = None
-    meaning: str = ""
-
-
-class _Read(tables.Table):
-    of: str
-    frame: str | None = None
-
-
-class _Gravity(tables.Table):
-    kind: str
-    name: str = "gravity"
-    direction: str | list[float | int] = "-y"
-
-
-class _Force(tables.Table):
-    kind: str
-    name: str
-    body: str
-    direction: str | list[float | int] = "x"
-    size: Any = None
-    at: list[Any] = [0, 0, 0]
-    ramp: Any = None
-    table: list[list[Any]] | None = None
-    follows: bool = False
-
-
-class _Torque(_Force):
-    against: str = GROUND
-
-
-class _Spring(tables.Table):
-    kind: str
-    name: str
-    between: list[str]
-    at: list[list[Any]] = [[0, 0, 0], [0, 0, 0]]
-    stiffness: Any = 0
-    damping: Any = 0
-    free_length: Any = 0
-
-
-class _Bush(tables.Table):
-    kind: str
-    name: str
-    between: list[str]
-    at: list[list[Any]] = [[0, 0, 0], [0, 0, 0]]
-    stiffness: Any = 1e7
-    damping: Any = 0
-    turning_damping: Any = 0
-
-
-class _JointSpring(tables.Table):
-    kind: str
-    name: str
-    body: str
-    stiffness: Any = 0
-    damping: Any = 0
-    rest: Any = 0
-    drive: _Drive | None = None
-
-
-class _Own(tables.Table):
-    kind: str
-    name: str
-    bodies: list[str] = []
-
-
-_LOADS: dict[str, type[tables.Table]] = {
-    "gravity": _Gravity, "force": _Force, "torque": _Torque, "spring": _Spring, "bush": _Bush, "joint_spring": _JointSpring,
-}  # fmt: skip
 
 
 class Built(NamedTuple):
@@ -253,7 +143,7 @@ def readings(content: Mapping[str, Any], scene: Any, where: str) -> tuple[list[d
     found, resolved = [], []
     for k, table in enumerate(_listed(content, "read", where)):
         place = f"{where}: [[read]] {k + 1}"
-        entry = _checked(_Read, table, place)
+        entry = _checked(ReadTable, table, place)
         try:
             found.append(channels.channel(entry.of, scene, entry.frame or "", f"{place} of"))
         except InputError as error:
@@ -271,7 +161,7 @@ class _Builder:
         self.named: list[tuple[str, str, str]] = []
 
     def built(self) -> Built:
-        scene = _checked(_Scene, self.content["scene"], f"{self.where}: [scene]")
+        scene = _checked(SceneTable, self.content["scene"], f"{self.where}: [scene]")
         law = scene.law or (
             "exact" if any(n.rpartition(".")[2] == "restitution" for n in self.given) else "memory_free"
         )
@@ -351,7 +241,7 @@ class _Builder:
             place = f"{self.where}: [quantity.{name}]"
             if not name.isidentifier():
                 raise InputError(place, f"'{name}' is no name for a quantity", "give a word of letters, digits and '_'")
-            entry = _checked(_Quantity, table, place)
+            entry = _checked(QuantityTable, table, place)
             unit = coherent(entry.unit, f"{place} unit")
             known = CATALOGUE.get(name)
             if known is not None and not alike(known.unit, unit):
@@ -375,9 +265,9 @@ class _Builder:
 
     # Parts.
 
-    def _body(self, table: Mapping[str, Any], place: str, options: _Scene) -> tuple[Body, dict[str, Any]]:
+    def _body(self, table: Mapping[str, Any], place: str, options: SceneTable) -> tuple[Body, dict[str, Any]]:
         del options
-        entry = _checked(_Body, table, place)
+        entry = _checked(BodyTable, table, place)
         if isinstance(entry.parent, list):
             found = (
                 f"'{entry.name}' hangs on {' and on '.join(map(repr, entry.parent))}: joints alone would close a loop"
@@ -416,7 +306,7 @@ class _Builder:
         plain = {key: _listing(x) for key, x in given.items() if x not in (None, {}, (0.0, 0.0, 0.0))}
         return body, plain | ({"drive": _drive_table(entry.drive, drive)} if entry.drive and drive else {})
 
-    def _drive(self, entry: _Drive, turns: bool, place: str) -> Drive:
+    def _drive(self, entry: DriveTable, turns: bool, place: str) -> Drive:
         known = (*_DRIVES, *usercode.functions())
         if entry.kind not in known:
             raise InputError(
@@ -439,8 +329,8 @@ class _Builder:
                 table=self._table(entry.table, ("s", unit), f"{place}.table"),
             )
 
-    def _contact(self, table: Mapping[str, Any], place: str, options: _Scene) -> tuple[Contact, dict[str, Any]]:
-        entry = _checked(_Contact, table, place)
+    def _contact(self, table: Mapping[str, Any], place: str, options: SceneTable) -> tuple[Contact, dict[str, Any]]:
+        entry = _checked(ContactTable, table, place)
         gap, told = _gap(entry.gap, f"{place} gap")
         # A law of its own has its own elastic part, whatever the other contacts have.
         elastic = entry.elastic or (options.elastic if entry.law is None else None)
@@ -480,7 +370,7 @@ class _Builder:
             found[key] = self._size(values[key], units[key], f"{place}.{key}", exponent)
         return found
 
-    def _load(self, table: Mapping[str, Any], place: str, options: _Scene) -> tuple[AbstractLoad, dict[str, Any]]:
+    def _load(self, table: Mapping[str, Any], place: str, options: SceneTable) -> tuple[AbstractLoad, dict[str, Any]]:
         del options
         kind, known = table.get("kind"), (*LOADS, *usercode.functions())
         if kind is None:
@@ -488,9 +378,9 @@ class _Builder:
         if kind not in known:
             raise InputError(f"{place} kind", f"no kind of load '{kind}'", nearest(str(kind), known) + usercode.hint())
         if kind not in LOADS:
-            own = _checked(_Own, table, place)
+            own = _checked(OwnTable, table, place)
             return Load(own.name, usercode.functions()[kind], tuple(own.bodies)), _plain(own)
-        entry: Any = _checked(_LOADS[kind], table, place)
+        entry: Any = _checked(LOAD_TABLES[kind], table, place)
         given = {key: getattr(entry, key) for key in type(entry).model_fields if key != "kind"}
         if "direction" in given:
             given["direction"] = _axis(entry.direction, f"{place} direction")
@@ -502,12 +392,12 @@ class _Builder:
         elif "at" in given:
             given["at"] = self._vector(entry.at, "m", f"{place} at")
         turns = kind == "joint_spring" and self._joint(entry.body) == "hinge"
-        for key, unit in _units(kind, turns).items():
+        for key, unit in load_units(kind, turns).items():
             given[key] = self._size(given[key], unit, f"{place} {key}")
         if given.get("table") is not None:
             if entry.size is not None or entry.ramp is not None:
                 raise InputError(f"{place} table", "is given beside a size or a ramp", "give one of them")
-            given["table"] = self._table(entry.table, ("s", _units(kind, turns)["size"]), f"{place} table")
+            given["table"] = self._table(entry.table, ("s", load_units(kind, turns)["size"]), f"{place} table")
         drive = given.pop("drive", None)
         made: dict[str, Any] = {"drive": self._drive(drive, turns, f"{place} drive")} if drive else {}
         with _said_of(f"load '{entry.name}'", place):
@@ -519,19 +409,6 @@ class _Builder:
         """The joint of a body, as its table says."""
         found = (entry for entry in self.content.get("body", ()) if entry.get("name") == body)
         return next(found, {}).get("joint", "free")
-
-
-def _units(kind: str, turns: bool) -> dict[str, str]:
-    """Units of a load's numbers; ``turns``: whether a joint's coordinate is an angle."""
-    if kind in ("force", "torque"):
-        return {"size": "N" if kind == "force" else "N m", "ramp": "s"}
-    if kind == "spring":
-        return {"stiffness": "N/m", "damping": "N s/m", "free_length": "m"}
-    if kind == "bush":
-        return {"stiffness": "N/m", "damping": "N s/m", "turning_damping": "N m s/rad"}
-    if kind == "joint_spring" and turns:
-        return {"stiffness": "N m/rad", "damping": "N m s/rad", "rest": "rad"}
-    return {"stiffness": "N/m", "damping": "N s/m", "rest": "m"} if kind == "joint_spring" else {}
 
 
 def _listed(content: Mapping[str, Any], table: str, where: str) -> list[Mapping[str, Any]]:
@@ -615,7 +492,7 @@ def _end(bodies: Sequence[Body]) -> Any:
     return 1.0
 
 
-def _drive_table(entry: _Drive, drive: Drive) -> dict[str, Any]:
+def _drive_table(entry: DriveTable, drive: Drive) -> dict[str, Any]:
     given = {"kind": entry.kind, "speed": drive.speed, "over": drive.over, "table": drive.table}
     given |= {"start": drive.start} if "start" in _DRIVES.get(entry.kind, ()) else {}
     return {key: _listing(x) for key, x in given.items() if x is not None}

@@ -18,16 +18,18 @@ _SIGMAS, _SHARE = 5.0, 0.02
 _QUIET = 3
 # A step so many times as long as the usual one is a gap.
 _GAP = 10.0
+# Readings that a contact makes pulse, beside normal forces.
+_PULSING = ("axial", "tangential", "force", "acceleration")
 # Contacts are met where the residuals hold less than this share of the data's own energy: they overlap by most.
 _MET = 0.2
 
 
 def contacts(values: np.ndarray, sigma: float) -> list[tuple[int, int]]:
-    """First and last sample of each contact in a force record (T,), in order.
+    """First and last sample of each contact in a record (T,), in order.
 
     Args:
-        values: force [N], positive in contact, without gaps.
-        sigma: standard deviation of its noise [N].
+        values: positive in contact, without gaps.
+        sigma: standard deviation of their noise.
     """
     rise = values - np.percentile(values, 10)
     peak = float(rise.max(initial=0.0))
@@ -39,24 +41,33 @@ def contacts(values: np.ndarray, sigma: float) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in zip(firsts, lasts, strict=True)]
 
 
+def _rise(name: str, values: np.ndarray) -> np.ndarray:
+    """How far readings (..., T) are above rest: of a normal force, which can only push; on either side of it of others."""
+    if name.endswith(".normal"):
+        return values - np.nanpercentile(values, 10, axis=-1, keepdims=True)
+    return np.abs(values - np.nanmedian(values, axis=-1, keepdims=True))
+
+
 def stages(model: Model) -> list[np.ndarray]:
     """Ends of the data (E,) [s] to fit one after the other: the 1st contact, all before the 3rd, the 5th, ..., all.
 
-    An experiment's contacts are those of the normal force that has most. Of the flight after the first, only as much is
-    fitted as the contact took: far from the truth a mass may come to rest, and vibrates all the way. The last stage is
-    always all data; where each instant is solved for itself, it is the only one.
+    An experiment's contacts are those of the normal force that has most, or of another reading that contacts make pulse.
+    Of the flight after the first, only as much is fitted as the contact took: far from the truth a mass may come to rest,
+    and vibrates all the way. The last stage is always all data; where each instant is solved for itself, it is the only one.
     """
     if not model.scene.traits.history:
         return [np.asarray(model.data.times)[:, -1]]
     times, values, weights = (np.asarray(a) for a in (model.data.times, model.data.values, model.data.weights))
-    normal = [j for j, name in enumerate(model.channels) if name.endswith(".normal")]
+    told = [j for j, name in enumerate(model.channels) if name.endswith(".normal")]
+    told = told or [j for j, name in enumerate(model.channels) if name.split(".")[1] in _PULSING]
     ends = []
     for i in range(len(times)):
         most: list[float] = []
-        for j in normal:
+        for j in told:
             seen = weights[i, j] > 0
             if np.any(seen):
-                found = contacts(values[i, j][seen], 1.0 / float(weights[i, j][seen].min()))
+                rise = _rise(model.channels[j], values[i, j][seen])
+                found = contacts(rise, 1.0 / float(weights[i, j][seen].min()))
                 # The last quiet sample: that nothing has arrived by then is known, too.
                 clock = times[i][seen]
                 quiet = [float(clock[first - 1]) for first, _ in found[1:]]
@@ -88,8 +99,8 @@ def meets(model: Model, residuals: np.ndarray, ends: list[np.ndarray]) -> np.nda
     times, values, weights = (np.asarray(a) for a in (model.data.times, model.data.values, model.data.weights))
     seen = weights > 0
     known = np.where(seen, values, np.where(seen.any(axis=2, keepdims=True), np.nan, 0.0))
-    rest = np.nanpercentile(known, 10, axis=2, keepdims=True)
-    data = np.square(weights * (values - rest))
+    rise = np.stack([_rise(name, known[:, j]) for j, name in enumerate(model.channels)], axis=1)
+    data = np.square(weights * np.where(seen, rise, 0.0))
     errors = np.square(residuals[:, : weights.size].reshape(-1, *weights.shape))
     firsts = [np.full(len(times), -np.inf), *ends[:-1]]
     met = []
