@@ -14,19 +14,20 @@ from bcfj_jax.mechanism.loads import Bush, Force, Gravity, JointSpring, Spring, 
 from bcfj_jax.mechanism.mechanism import Mechanism
 
 JOINTS = ("slide", "hinge", "planar", "bearing", "particle", "spherical", "free", "sphere", "fixed")
-# Gaps with a size that is chosen so that they touch, its name, and how the penetration grows with it.
-GAPS: dict[str, tuple[Any, str, float]] = {
-    "sphere_on_plane": (gaps.SphereOnPlane((0.6, 0.0, 0.8)), "{}.radius", 1.0),
-    "point_on_plane": (gaps.PointOnPlane("-y", clearance=True), "clearance_{}", -1.0),
-    "sphere_on_sphere": (gaps.SphereOnSphere(), "{}.radius_a", 1.0),
-    "sphere_in_socket": (gaps.SphereInSocket(), "clearance_{}", -1.0),
-    "pin_in_bearing": (gaps.PinInBearing(), "clearance_{}", -1.0),
-    "pin_with_ends": (gaps.PinInBearing(ends=True), "clearance_{}", -1.0),
-    "pin_in_slot": (gaps.PinInSlot("y"), "clearance_{}", -1.0),
-    "slider_in_guide": (gaps.SliderInGuide("x"), "clearance_{}", -1.0),
-    "two_sided_stop": (gaps.TwoSidedStop("x"), "clearance_{}", -1.0),
+GAPS: dict[str, Any] = {
+    "sphere_on_plane": gaps.SphereOnPlane((0.6, 0.0, 0.8)),
+    "point_on_plane": gaps.PointOnPlane("-y", clearance=True),
+    "sphere_on_sphere": gaps.SphereOnSphere(),
+    "sphere_in_socket": gaps.SphereInSocket(),
+    "pin_in_bearing": gaps.PinInBearing(),
+    "pin_with_ends": gaps.PinInBearing(ends=True),
+    "pin_in_slot": gaps.PinInSlot("y"),
+    "slider_in_guide": gaps.SliderInGuide("x"),
+    "two_sided_stop": gaps.TwoSidedStop("x"),
 }
-_SIZES = {"radius": 0.05, "radius_a": 0.05, "radius_b": 0.04, "half_length": 0.03, "half_width": 0.02}
+_SIZES = {
+    "radius": 0.05, "radius_a": 0.05, "radius_b": 0.04, "half_length": 0.03, "half_width": 0.02, "clearance": 0.01,
+}  # fmt: skip
 SHARED = {
     "stiffness": 1e4, "exponent": 1.5, "damping": 0.3, "restitution": 0.7, "dashpot": 5.0, "smoothing": 1e-3,
     "friction_static": 0.3, "friction_dynamic": 0.2, "friction_speed": 0.3, "bristle_stiffness": 300.0,
@@ -81,42 +82,65 @@ def loads(bodies: list[Body], rng: np.random.Generator) -> list[Any]:
     return found + ([JointSpring("coil", single[0], 5.0, 0.3, 0.2)] if single else [])
 
 
-def contact(i: int, gap: str, bodies: list[Body], rng: np.random.Generator) -> Contact:
-    """A random contact of a body with the ground or another body, with a law and friction drawn by chance."""
-    names = [GROUND, *(b.name for b in bodies)]
-    first, second = (str(x) for x in rng.choice(names, 2, replace=False))
-    between = (second, first) if second == GROUND else (first, second)
+def apart(gap: str, depth: float, turned: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """From the first marker to the second, in the first body's axes, for a penetration [m].
+
+    ``turned``: the second body's axes in the first's, as columns.
+    """
+    p, way, play = 0.02 * rng.normal(size=3), rng.normal(size=3), _SIZES["clearance"] + depth
+    if gap == "sphere_on_plane":
+        e = np.array([0.6, 0.0, 0.8])
+        return p + (_SIZES["radius"] - depth - p @ e) * e
+    if gap in ("sphere_on_sphere", "sphere_in_socket"):
+        reach = play if gap == "sphere_in_socket" else _SIZES["radius_a"] + _SIZES["radius_b"] - depth
+        return reach * way / np.linalg.norm(way)
+    if gap in ("pin_in_bearing", "pin_with_ends"):
+        return np.array([*(play * way[:2] / np.linalg.norm(way[:2])), p[2]])
+    if gap == "slider_in_guide":
+        corners = turned @ np.array([[-0.03, 0.03], [0.02, 0.02], [0.0, 0.0]])
+        return np.array([p[0], 0.02 + play - corners[1].max(), p[2]])
+    p[1 if gap == "point_on_plane" else 0] = play
+    return p
+
+
+def contact(i: int, gap: str, bodies: list[Body], parts: Any, rng: np.random.Generator) -> Contact | None:
+    """A random contact that touches, of a law and friction drawn by chance; None where no body fits."""
+    round_ = [b.name for b in bodies if b.joint == "sphere"]
+    names = [GROUND, *(b.name for b in bodies if b.name not in round_)]
+    # A sphere's marker is its centre; what has directions is on the other body.
+    others = [*names[1:], *(round_ if gap not in ("pin_with_ends", "slider_in_guide") else [])]
+    if not others:
+        return None
+    second = str(rng.choice(others))
+    first = str(rng.choice([name for name in names if name != second]))
     law = str(rng.choice(["memory_free", "hertz", "kelvin_voigt", "elasto_gap", "exact"]))
     friction = [None, "brown_mcphee", "coulomb", "step", "lugre"][rng.integers(5)]
-    made = GAPS[gap][0]
-    values = {name: _SIZES[name] for name in made.needs if name != "clearance"}
-    places = tuple(tuple((0.1 * rng.normal(size=3)).tolist()) for _ in range(2))
-    return Contact(f"c{i}", between, made, law, friction, smoothing=bool(rng.random() < 0.5), at=places, values=values)
+    values = {name: _SIZES[name] for name in GAPS[gap].needs}
+    ours = np.zeros(3) if second in round_ else 0.1 * rng.normal(size=3)
+    (axes, place), (other, origin) = (
+        (np.array(parts[name].axes, float).T, np.array(parts[name].place, float)) for name in (first, second)
+    )
+    way = apart(gap, rng.uniform(2e-3, 2e-2), axes.T @ other, rng)
+    theirs = axes.T @ (origin + other @ ours - place) - way
+    return Contact(
+        f"c{i}", (first, second), GAPS[gap], law, friction, smoothing=bool(rng.random() < 0.5),
+        at=(tuple(theirs.tolist()), tuple(ours.tolist())), values=values,
+    )  # fmt: skip
 
 
 def mechanism(joints: list[str], touching: list[str], seed: int, loaded: bool = True) -> tuple[Mechanism, dict]:
-    """A random mechanism whose contacts touch at its start, and its parameters."""
+    """A random mechanism whose contacts are some 10 mm deep at its start, and its parameters."""
     rng, bodies = np.random.default_rng(seed), []
     for i, joint in enumerate(joints):
         parents = [GROUND, *(b.name for b in bodies if b.joint != "sphere")]
         bodies.append(body(i, joint, parents, rng))
-    contacts = [contact(i, gap, bodies, rng) for i, gap in enumerate(touching)]
+    bare = Mechanism("bare", bodies)
+    known = bare.parameters()
+    parts = bare.instant(jnp.zeros(()), bare.initial_state(known), known).bodies.parts
+    drawn = [contact(i, gap, bodies, parts, rng) for i, gap in enumerate(touching)]
+    contacts = [c for c in drawn if c is not None]
     made = Mechanism("random", bodies, contacts, loads(bodies, rng) if loaded else (), end=0.5, samples=501)
-    params = made.parameters({name: x for name, x in SHARED.items() if name in made.quantities})
-    return made, touched(made, params, touching, rng)
-
-
-def touched(made: Mechanism, params: dict, touching: list[str], rng: np.random.Generator) -> dict:
-    """Parameters with which every contact is some 10 mm deep at time 0."""
-    sizes = {
-        c.name: (GAPS[gap][1].format(c.name), GAPS[gap][2]) for c, gap in zip(made.contacts, touching, strict=True)
-    }
-    params = params | {name: jnp.asarray(1.0) for name, _ in sizes.values()}
-    faces = made.instant(jnp.zeros(()), made.initial_state(params), params, laws=False).faces
-    for contact, (name, way) in sizes.items():
-        deepest = max(float(np.max(np.asarray(face.depth))) for face, _ in faces[contact])
-        params[name] = jnp.asarray(1.0 + way * (rng.uniform(2e-3, 2e-2) - deepest))
-    return params
+    return made, made.parameters({name: x for name, x in SHARED.items() if name in made.quantities})
 
 
 # Kinematics, independent of the package: matrices, and a rotation vector on top of each attitude.

@@ -170,7 +170,9 @@ class ElastoGap(AbstractLaw):
 
     def force(self, penetration: Array, rate: Array, c: Coefficients) -> Array:
         spring = self.elastic.force(penetration, c)
-        return spring + jnp.clip(c["dashpot"] * rate, -spring, spring)
+        damped = jnp.clip(c["dashpot"] * rate, -spring, spring)
+        # Apart both are 0; so are then their derivatives.
+        return jnp.where(penetration > 0, spring + damped, 0.0)
 
 
 def onset_force(law: AbstractLaw, penetration: Array, rate: Array, c: Coefficients, width: Array | None) -> Array:

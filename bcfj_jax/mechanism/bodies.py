@@ -182,6 +182,9 @@ class Body(eqx.Module):
         if self.drive is not None and self.joint not in ("slide", "hinge"):
             found = f"a drive moves one coordinate, a joint '{self.joint}' has {len(JOINTS[self.joint])}"
             raise InputError(f"{where} drive", found, "drive a slide or a hinge")
+        if self.joint == "sphere" and (any(self.center) or isinstance(self.inertia, tuple)):
+            found = "a sphere whose attitude nobody follows has its centre of mass in the middle and one inertia"
+            raise InputError(f"{where} joint", found, "give joint = 'free'")
         if self.members and (self.parent != GROUND or self.drive is not None):
             raise InputError(f"{where} members", "like bodies hang on the ground and have no drive", "leave one out")
         for key, _ in self.start:

@@ -14,6 +14,7 @@ import numpy as np
 from jax import Array
 from jax.core import Tracer
 
+from bcfj_jax.contact.gaps import SphereInSocket, SphereOnSphere
 from bcfj_jax.core import host
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.numerics import positive
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 
 # Bodies that overlap at the start by so many times the penetration that is to be expected were not placed there.
 _DEEP = 20.0
+# Of joint "sphere".
+_SPHERE, _FREE = "sphere, whose attitude nobody follows", "give it joint = 'free', or let the other body carry that"
 # So many times NumPy looks at a mechanism's start; who asks more often, as a study does, gets a compiled program.
 _BY_HAND = 3
 _LOOKS: Counter[tuple[Any, ...]] = Counter()
@@ -55,6 +58,8 @@ def check_structure(scene: Mechanism) -> None:
             )
         if b.parent != GROUND and scene.body(b.parent).members:
             raise InputError(f"{where} body '{b.name}' parent", f"'{b.parent}' has members", "members carry nothing")
+        if b.parent != GROUND and scene.body(b.parent).joint == "sphere":
+            raise InputError(f"{where} body '{b.name}' parent", f"'{b.parent}' is a {_SPHERE}", _FREE)
         chain, at = [b.name], b.parent
         while at != GROUND:
             if at in chain:
@@ -74,6 +79,12 @@ def check_structure(scene: Mechanism) -> None:
         for body in c.between:
             if body not in known:
                 raise InputError(f"{where} contact '{c.name}' between", f"no body '{body}'", nearest(body, known))
+        for body, place in zip(c.between, c.at, strict=True):
+            round_ = body != GROUND and scene.body(body).joint == "sphere"
+            faces = body == c.between[0] and not isinstance(c.gap, (SphereOnSphere, SphereInSocket))
+            if round_ and (faces or any(place)):
+                what = f"{type(c.gap).__name__} on" if faces else "a place off the centre of"
+                raise InputError(f"{where} contact '{c.name}'", f"{what} '{body}', a {_SPHERE}", _FREE)
         counts = {scene.body(b).members for b in c.between if b != GROUND and scene.body(b).members}
         counts |= {c.gap.members} if c.gap.members else set()
         if len(counts) > 1:

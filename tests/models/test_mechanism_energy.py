@@ -164,6 +164,8 @@ def check_power(joints, touching, seed):
     def stored(t, y):
         return sum(scene.flows(t, y, params).stored.values())
 
+    depths = [np.max(np.asarray(f.depth)) for c in scene.instant(t, y, params).faces.values() for f, _ in c]
+    assert all(c.name for c in scene.contacts) and (not depths or max(depths) > 0.0)
     _, gain = jax.jvp(stored, (t, y), (jnp.ones(()), scene.vector_field(t, y, params)))
     powers = [float(x) for x in (*flows.given.values(), *flows.taken.values())]
     given_, taken = sum(map(float, flows.given.values())), sum(map(float, flows.taken.values()))
