@@ -10,7 +10,6 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from mechanisms import GAPS, JOINTS, mechanism, poses
 
-from bcfj_jax import simulate
 from bcfj_jax.mechanism.loads import Bush, Force, Gravity, JointSpring, Spring, Torque
 
 SEEDS = st.integers(0, 2**32 - 1)
