@@ -1,6 +1,6 @@
-"""Calibration of contact coefficients from force histories, with a verdict.
+"""Calibration of a scene's parameters from records of forces, accelerations or any other reading, with a verdict.
 
-Reading order: ``problem`` (plain data), ``model`` (residuals), ``search`` (optima), ``judge`` (tests), ``fit``.
+Reading order: ``problem`` (plain data), ``forward.model`` (residuals), ``search`` (optima), ``diagnostics`` (tests), ``fit``.
 """
 
 from calibration.fit import Fit as Fit

@@ -149,7 +149,7 @@ def _records(file: _File, path: Path, base: scenefile.SceneFile) -> list[tuple[i
             records.append((k, entry, None))
             continue
         for observes in entry.observe:  # Before its column is read in a unit that a wrong name does not have.
-            channel(observes, base.scene, where=f"{where} observe")
+            channel(observes, base.scene, where=f"{where} observe '{observes}'")
         if entry.file is None or entry.time is None:
             missing = "file" if entry.file is None else "time"
             raise InputError(f"{where} {missing}", f"the key '{missing}' is missing", "it must be given to observe")

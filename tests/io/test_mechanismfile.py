@@ -420,6 +420,8 @@ def test_a_bad_mechanism_is_refused_by_place_before_anything_is_compiled(which):
     old, new, said = BAD[which]
     assert old in TOML
     written(TOML.replace(old, new, 1))
+    # A mechanism that was looked at often is checked by a compiled program.
+    checks._LOOKS.clear()
     COMPILED.clear()
     done = bcfj("simulate", "my.toml", "--out", "out")
     assert done.exit_code == 2, done.output
