@@ -273,7 +273,7 @@ def _check_noise(channel: Channel, where: str) -> None:
     least, peak = size.min(initial=np.inf), size.max(initial=0.0)
     # A ten-thousandth of the peak is below what any sensor resolves.
     if size.size and not channel.sigma + channel.relative * least > 1e-4 * channel.relative * peak:
-        remedy = f'add an absolute part, as in "0.1 {unit} + 2 % of reading"'
+        remedy = f'add an absolute part, as in "0.1 {"kN" if unit == "N" else unit} + 2 % of reading"'
         raise InputError(where, f"a reading of {least:g} {unit} would be exact", remedy)
 
 
