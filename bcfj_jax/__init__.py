@@ -4,9 +4,10 @@ Reading order: ``laws`` (what a contact does), ``scene`` and ``scenes`` (what th
 ODE and the instruments), ``integrate`` (the one place that solves), ``simulation`` (the public verbs),
 ``derivatives`` (what changes with the parameters, and how far that may be trusted).
 
-Importing this package switches JAX to 64-bit numbers, for the whole process: penetrations of micrometres
-over metres of travel mean nothing in 32 bits. That is its only side effect. Names load on first use, so
-that the command line answers ``--help`` without loading a solver.
+Importing this package has two side effects, for the whole process. It switches JAX to 64-bit numbers: penetrations of
+micrometres over metres of travel mean nothing in 32 bits. It adds one option to ``XLA_FLAGS``, which compiles the loops
+of a solver as single kernels (``core.kernels``). Names load on first use, so that the command line answers ``--help``
+without loading a solver.
 """
 
 from __future__ import annotations
@@ -16,6 +17,9 @@ from typing import TYPE_CHECKING
 
 import jax as _jax
 
+from bcfj_jax.core import kernels as _kernels
+
+_kernels.compile_small_loops_whole()
 _jax.config.update("jax_enable_x64", True)
 
 if TYPE_CHECKING:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 
@@ -98,7 +99,7 @@ def test_parameters_are_64_bit():
 
 
 _PROBE = """
-import jax, sys
+import jax, os, sys
 import diffrax  # a dependency may have settings of its own
 before = dict(jax.config.values)
 import bcfj_jax
@@ -106,14 +107,26 @@ after = dict(jax.config.values)
 print([name for name in after if after[name] is not before.get(name) and after[name] != before.get(name)])
 print([name for name in ("matplotlib", "pint", "pydantic", "typer", "calibration") if name in sys.modules])
 print(bcfj_jax.scenes.impact().parameters()["mass"].dtype)
+print(os.environ["XLA_FLAGS"])
 """
+_WHOLE = "xla_cpu_small_while_loop_byte_threshold"
 
 
-def test_importing_switches_on_64_bits_and_loads_no_tools():
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("", f"--xla_backend_extra_options={_WHOLE}=1048576"),
+        ("--xla_cpu_use_thunk_runtime=true", f"--xla_cpu_use_thunk_runtime=true --xla_backend_extra_options={_WHOLE}=1048576"),
+        ("--xla_backend_extra_options=a=1", f"--xla_backend_extra_options={_WHOLE}=1048576,a=1"),
+        (f"--xla_backend_extra_options={_WHOLE}=2", f"--xla_backend_extra_options={_WHOLE}=2"),
+    ],
+)  # fmt: skip
+def test_importing_switches_on_64_bits_and_whole_loops_and_loads_no_tools(before, after):
     # A process of its own: this one has imported everything.
-    done = subprocess.run([sys.executable, "-c", _PROBE], capture_output=True, text=True, check=False)
+    surroundings = {**os.environ, "XLA_FLAGS": before}
+    done = subprocess.run([sys.executable, "-c", _PROBE], capture_output=True, text=True, check=False, env=surroundings)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines() == ["['jax_enable_x64']", "[]", "float64"]
+    assert done.stdout.splitlines() == ["['jax_enable_x64']", "[]", "float64", after]
 
 
 def test_32_bit_numbers_are_refused():

@@ -1,0 +1,102 @@
+"""Loops compiled as single kernels (``bcfj_jax.core.kernels``): run time, compile time and forces, with and without.
+
+Each scene runs in fresh processes that differ in one option of XLA alone, in turn; medians over the processes.
+
+    python -m benchmarks.solve.kernels            measures, keeps benchmarks/results/kernels.json
+    python -m benchmarks.solve.kernels --worker   (internal) one process: all scenes
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import statistics
+import subprocess
+import sys
+import time
+from typing import Any
+
+import numpy as np
+
+from benchmarks.common import ROOT, markdown, save
+
+OPTION = "xla_cpu_small_while_loop_byte_threshold"
+# XLA's own limit, and the package's.
+LIMITS = {"without": 1024, "with": 1 << 20}
+PROCESSES, RUNS = 3, 9
+# Scene and end [s]; forces at 400 times are compared.
+SCENES = {
+    "impact": 5e-5, "bounce": 0.2, "chain": 1e-4, "slider_crank": 0.012, "slider_guide": 0.012, "four_bar": 0.1,
+    "backlash": 0.1, "oblique_impact": 2e-5, "joint": 0.1,
+}  # fmt: skip
+
+
+def worker() -> None:
+    import jax
+
+    import bcfj_jax as bj
+
+    found = {}
+    for name, end in SCENES.items():
+        scene = getattr(bj.scenes, name)()
+        params, times = scene.parameters(), np.linspace(0.0, end, 400)
+        first = bj.simulate(scene, params, times)
+        walls = [bj.simulate(scene, params, times).stats["wall_s"] for _ in range(RUNS)]
+        begin = time.perf_counter()
+        batch = jax.jit(jax.vmap(lambda p, s=scene, t=times: bj.force_history(s, p, t, mode="forward")))
+        lanes = {k: np.full(16, v) for k, v in params.items()}
+        jax.block_until_ready(batch(lanes))
+        middle = time.perf_counter()
+        jax.block_until_ready(batch(lanes))
+        forces = np.concatenate([f.ravel() for f in first.force.values()])
+        found[name] = {
+            "run_s": statistics.median(walls),
+            "compile_s": first.stats["compile_s"],
+            "derivative_batch_compile_s": middle - begin,
+            "derivative_batch_run_s": time.perf_counter() - middle,
+            "status": first.status,
+            "forces": base64.b64encode(np.nan_to_num(forces).tobytes()).decode(),
+        }
+    print(json.dumps(found))
+
+
+def one_process(limit: int) -> dict[str, Any]:
+    surroundings = {**os.environ, "XLA_FLAGS": f"--xla_backend_extra_options={OPTION}={limit}", "EQX_ON_ERROR": "nan"}
+    command = [sys.executable, "-m", "benchmarks.solve.kernels", "--worker"]
+    done = subprocess.run(command, env=surroundings, capture_output=True, text=True, check=True, cwd=ROOT)
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def forces(row: dict[str, Any]) -> np.ndarray:
+    return np.frombuffer(base64.b64decode(row["forces"]))
+
+
+def main() -> None:
+    rounds = [{name: one_process(limit) for name, limit in LIMITS.items()} for _ in range(PROCESSES)]
+    result: dict[str, Any] = {}
+    for scene in SCENES:
+        before, after = (forces(rounds[0][side][scene]) for side in ("without", "with"))
+        row: dict[str, Any] = {"force_difference": float(np.abs(after - before).max() / np.abs(before).max())}
+        for key in ("run_s", "compile_s", "derivative_batch_run_s", "derivative_batch_compile_s"):
+            for side in LIMITS:
+                row[f"{key}_{side}"] = statistics.median(r[side][scene][key] for r in rounds)
+        result[scene] = {**row, "status": rounds[0]["with"][scene]["status"]}
+    save("kernels", {"processes": PROCESSES, "scenes": result})
+    print(table(result))
+
+
+def table(result: dict[str, Any]) -> str:
+    """Ratios of without to with: above 1, the option is faster."""
+    rows = [["scene", "run", "compile", "batch of 16: run", "compile", "largest difference of a force, of the peak"]]
+    for name, r in result.items():
+        ratios = [
+            f"{r[f'{key}_without'] / r[f'{key}_with']:.2f}"
+            for key in ("run_s", "compile_s", "derivative_batch_run_s", "derivative_batch_compile_s")
+        ]
+        rows.append([f"`{name}`", *ratios, f"{r['force_difference']:.1e}"])
+    return markdown(rows)
+
+
+if __name__ == "__main__":
+    worker() if "--worker" in sys.argv else main()
