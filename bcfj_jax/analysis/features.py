@@ -10,7 +10,7 @@ All but ``period``, ``unseen``, ``onsets`` and what counts these are pure and di
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -57,19 +57,24 @@ class Oscillation(NamedTuple):
     relative: Array
 
 
+def _numpy(*values: ArrayLike) -> Any:
+    """NumPy for arrays of the host, on which nothing is compiled; ``jax.numpy`` for traced ones."""
+    return jnp if any(isinstance(x, Array) for x in values) else np
+
+
 def peak(values: ArrayLike) -> Array:
     """Greatest sample of a force, max F [N], or of a penetration, max d [m]."""
-    return jnp.max(jnp.asarray(values))
+    return _numpy(values).max(values)
 
 
 def impulse(times: ArrayLike, force: ArrayLike) -> Array:
     """Impulse, the integral of F dt by the trapezoidal rule [N s]."""
-    return jnp.trapezoid(jnp.asarray(force), jnp.asarray(times))
+    return _numpy(times, force).trapezoid(force, times)
 
 
 def mean(times: ArrayLike, force: ArrayLike) -> Array:
     """Time average of the force, (integral of F dt)/(t_end - t_0) [N], time apart included."""
-    times = jnp.asarray(times)
+    times = _numpy(times).asarray(times)
     return impulse(times, force) / (times[-1] - times[0])
 
 
@@ -79,16 +84,17 @@ def dissipated_work(force: ArrayLike, penetration: ArrayLike) -> Array:
     It is the area of the loop of force against penetration when the history starts and ends apart;
     else it still holds the elastic energy stored at the end.
     """
-    return jnp.trapezoid(jnp.asarray(force), jnp.asarray(penetration))
+    return _numpy(force, penetration).trapezoid(force, penetration)
 
 
 def contact_fraction(times: ArrayLike, penetration: ArrayLike) -> Array:
     """Share of the time with d > 0, d linear between samples [-]."""
-    times, d = jnp.asarray(times), jnp.asarray(penetration)
-    inside = jnp.maximum(d, 0.0)
-    size = jnp.abs(d[1:]) + jnp.abs(d[:-1])
-    share = (inside[1:] + inside[:-1]) / jnp.where(size == 0, 1.0, size)
-    return jnp.sum(share * jnp.diff(times)) / (times[-1] - times[0])
+    xp = _numpy(times, penetration)
+    times, d = xp.asarray(times), xp.asarray(penetration)
+    inside = xp.maximum(d, 0.0)
+    size = xp.abs(d[1:]) + xp.abs(d[:-1])
+    share = (inside[1:] + inside[:-1]) / xp.where(size == 0, 1.0, size)
+    return xp.sum(share * xp.diff(times)) / (times[-1] - times[0])
 
 
 def transfer_loss(force_in: ArrayLike, force_out: ArrayLike) -> Array:

@@ -1,23 +1,67 @@
-"""Compiled programs kept between runs. Imports nothing that reads the environment before it is set here."""
+"""Where compiled programs are kept between processes. Imports nothing that reads the environment before it is set here."""
 
 from __future__ import annotations
 
 import os
+import stat
+from pathlib import Path
+
+# Size of the machine code that is kept [bytes]; what was used longest ago goes first.
+_LIMIT = 2 << 30
 
 
 def use_compile_cache() -> None:
-    """Keep compiled programs between runs: ``BCFJ_CACHE``, JAX's own setting, or the user's cache folder."""
-    import jax
-    import platformdirs
+    """Keep compiled programs between processes: in ``BCFJ_CACHE``, or in the user's cache folder (``off``: nowhere).
 
+    The folder belongs to the user alone (mode 0700) and has a part for every build of jaxlib: JAX trusts what it finds
+    there. A folder that is another user's, or cannot be written, is not used, which is said once.
+    """
     # JAX keeps no program that calls back to the host, as diffrax's checks do to raise. Here they give NaN instead,
     # which a run reports as its failure. Read when equinox is first imported, so it must be set before.
     os.environ.setdefault("EQX_ON_ERROR", "nan")
-    own = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
-    folder = os.environ.get("BCFJ_CACHE") or own
-    if folder == "off":
+    # A false alarm of jaxlib 0.10.1 about every program from its cache (jax-ml/jax#38445).
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    import jax
+
+    from bcfj_jax.core import programs
+
+    folder = _folder()
+    if folder is None:
         return
-    folder = folder or platformdirs.user_cache_dir("bcfj-jax")
-    jax.config.update("jax_compilation_cache_dir", str(folder))
+    own = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
+    if own is None or os.environ.get("BCFJ_CACHE"):
+        jax.config.update("jax_compilation_cache_dir", str(folder / "xla"))
+        programs.prune(folder / "xla", _LIMIT)
     # JAX's own threshold of a second would leave out most of these programs.
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    programs.Settings.folder = folder / "programs"
+
+
+def _folder() -> Path | None:
+    """The folder of this build of jaxlib, made private; None where nothing can be kept."""
+    import jaxlib
+    import platformdirs
+
+    from bcfj_jax.core.programs import say_once
+
+    given = os.environ.get("BCFJ_CACHE")
+    if given == "off":
+        return None
+    try:
+        base = Path(given or platformdirs.user_cache_dir("bcfj-jax"))
+        folder = base / f"jaxlib-{jaxlib.__version__}"
+        for part in (base, folder, folder / "xla", folder / "programs"):
+            part.mkdir(mode=0o700, parents=True, exist_ok=True)
+            about = part.stat()
+            if hasattr(os, "getuid") and about.st_uid != os.getuid():
+                say_once(f"compiled programs are not kept: {part} belongs to another user; name a folder in BCFJ_CACHE")
+                return None
+            if stat.S_IMODE(about.st_mode) & 0o077:
+                part.chmod(0o700)
+            if not os.access(part, os.W_OK | os.X_OK):
+                raise PermissionError(13, "no permission to write", str(part))
+    except (OSError, RuntimeError) as error:
+        why = f"{error.strerror}: {error.filename}" if isinstance(error, OSError) and error.filename else str(error)
+        say_once(f"compiled programs are not kept ({why}); name a folder in BCFJ_CACHE, or say BCFJ_CACHE=off")
+        return None
+    return folder

@@ -33,7 +33,7 @@ from bcfj_jax.io.scenetemplate import template as template
 from bcfj_jax.io.spheres import Spheres
 from bcfj_jax.io.units import quantity
 from bcfj_jax.mechanism.channels import Channel
-from bcfj_jax.mechanism.model import AbstractModel
+from bcfj_jax.mechanism.model import AbstractModel, horizon
 from bcfj_jax.models import scenes
 from bcfj_jax.solve import named
 from bcfj_jax.solve.integrate import LEVELS, MAX_STEPS
@@ -260,7 +260,7 @@ def _values(scene: AbstractModel, written: Mapping[str, Any], spheres: Spheres |
 
 
 def _end(scene: AbstractModel, params: dict[str, Array], time: _Time, where: str) -> float:
-    end = float(scene.horizon(params)) if time.end is None else quantity(time.end, "s", f"{where}: [time] end")
+    end = horizon(scene, params) if time.end is None else quantity(time.end, "s", f"{where}: [time] end")
     if not (math.isfinite(end) and end > 0):
         raise InputError(f"{where}: [time] end", f"{end:g} s is out of range", "give a time > 0")
     return end

@@ -18,7 +18,7 @@ from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.io.units import format_si
 from bcfj_jax.io.usercode import MECHANISM
-from bcfj_jax.mechanism.model import AbstractModel
+from bcfj_jax.mechanism.model import AbstractModel, horizon
 from bcfj_jax.models import scenes
 from bcfj_jax.solve import named
 
@@ -69,7 +69,7 @@ kind = "{kind}"
 {_legend(sources.legend)}{chr(10).join(lines)}
 {_OWN + chr(10).join(own) + chr(10) if own else ""}
 [time]
-# end = "{format_si(float(scene.horizon(scene.parameters())), "s")}"  # by default long enough for this scene
+# end = "{format_si(horizon(scene, scene.parameters()), "s")}"  # by default long enough for this scene
 samples = {scene.samples}  # equally spaced, the first at 0
 
 [accuracy]

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -15,7 +13,7 @@ from jax import Array
 from jax.core import Tracer
 
 from bcfj_jax.contact.gaps import SphereInSocket, SphereOnSphere
-from bcfj_jax.core import host
+from bcfj_jax.core import programs
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.numerics import positive
 from bcfj_jax.core.quantities import check_order, check_value
@@ -30,9 +28,6 @@ if TYPE_CHECKING:
 _DEEP = 20.0
 # Of joint "sphere".
 _SPHERE, _FREE = "sphere, whose attitude nobody follows", "give it joint = 'free', or let the other body carry that"
-# So many times NumPy looks at a mechanism's start; who asks more often, as a study does, gets a compiled program.
-_BY_HAND = 3
-_LOOKS: Counter[tuple[Any, ...]] = Counter()
 
 
 def check_structure(scene: Mechanism) -> None:
@@ -236,26 +231,8 @@ def _onsets(scene: Mechanism, params: dict[str, Array]) -> tuple[dict[str, Array
 
 
 def _asked(what: Callable[..., Any], scene: Mechanism, params: dict[str, Array]) -> Any:
-    """A function of mechanism and parameters by NumPy the first times, so that a bad mechanism is refused uncompiled."""
-    key = (what, scene, tuple(params))
-    _LOOKS[key] += 1
-    if _LOOKS[key] <= _BY_HAND:
-        with contextlib.suppress(host.Unknown):
-            traced, shape = _traced(*key)
-            found = host.evaluate(traced, [params[name] for name in sorted(params)])
-            return jax.tree.unflatten(jax.tree.structure(shape), found)
-    return jax.device_get(_compiled(what, scene, params))
-
-
-@lru_cache(maxsize=64)
-def _traced(what: Callable[..., Any], scene: Mechanism, names: tuple[str, ...]) -> tuple[Any, Any]:
-    shapes = dict.fromkeys(names, jax.ShapeDtypeStruct((), jnp.float64))
-    return jax.make_jaxpr(partial(what, scene), return_shape=True)(shapes)
-
-
-@partial(jax.jit, static_argnums=(0, 1))
-def _compiled(what: Callable[..., Any], scene: Mechanism, params: dict[str, Array]) -> Any:
-    return what(scene, params)
+    """A function of mechanism and parameters, answered without compiling, so that a bad mechanism is refused at once."""
+    return programs.ask(what.__name__.strip("_"), what, (scene,), (params,))
 
 
 def _at_start(scene: Mechanism, params: dict[str, Array]) -> tuple[dict[str, Array], Array, Array]:

@@ -19,6 +19,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.programs import ask
 from bcfj_jax.core.quantities import Quantity, check_order, check_value
 from bcfj_jax.mechanism.structure import AbstractStructure, Dense
 
@@ -365,6 +366,15 @@ class AbstractModel(eqx.Module):
         """The one name of a parameter: ``<contact>.clearance`` is ``clearance_<contact>``."""
         contact, _, own = name.rpartition(".")
         return f"clearance_{contact}" if own == "clearance" and contact else name
+
+
+def horizon(model: AbstractModel, params: Params) -> float:
+    """A sensible end time [s] of a run where none is given; nothing is compiled for it."""
+    return float(ask("horizon", _horizon, (model,), (dict(params),)))
+
+
+def _horizon(model: AbstractModel, params: Params) -> Array:
+    return jnp.asarray(model.horizon(params))
 
 
 def _array(value: ArrayLike) -> Array:

@@ -10,6 +10,7 @@ from jax import Array
 
 from bcfj_jax.contact.gaps import PointOnPlane
 from bcfj_jax.contact.restitution import undamped_duration
+from bcfj_jax.core.programs import ask
 from bcfj_jax.core.vectors import Number
 from bcfj_jax.mechanism.bodies import Body
 from bcfj_jax.mechanism.contacts import Approach, Contact
@@ -144,15 +145,18 @@ def _contact_time(sizes: Array) -> Array:
 def _envelope(scene: Mechanism, params: Params, times: np.ndarray) -> dict[str, float]:
     """Where a run lies among those on which the promised error was measured."""
     p = {name: float(value) for name, value in params.items()}
-    sizes = np.asarray(expected_scale(scene, params))
+    sizes, flight = ask("envelope", _sizes, (scene,), (dict(params),))
     depth, speed, contact = float(sizes[0]), float(sizes[1]), 3.0 * float(sizes[0] / sizes[1])
     found = {"onset": p.get("smoothing", 0.0) / depth, "loss": _loss(p, depth, speed)}
     if "exponent" in p:
         found["exponent"] = p["exponent"]
     if "drop_height" not in p:
         return found | {"durations": float(times[-1]) / contact}
-    flight = float(_flight(params))
-    return found | {"flights": float(times[-1]) / flight, "rarity": flight / contact}
+    return found | {"flights": float(times[-1]) / float(flight), "rarity": float(flight) / contact}
+
+
+def _sizes(scene: Mechanism, params: Params) -> tuple[Array, Array]:
+    return expected_scale(scene, params), _flight(params) if "drop_height" in params else jnp.zeros(())
 
 
 def _loss(p: dict[str, float], depth: float, speed: float) -> float:

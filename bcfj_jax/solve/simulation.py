@@ -15,6 +15,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.programs import program
 from bcfj_jax.core.quantities import increasing
 from bcfj_jax.core.status import OK, reason
 from bcfj_jax.mechanism import channels
@@ -178,16 +179,12 @@ def reading_history(
     return channels.histories(scene, params, times, integrate(scene, params, times, how, adjoint, True).states, wanted)
 
 
-@eqx.filter_jit
 def _run(
-    scene: AbstractModel, params: Params, times: Array, how: Plan, wanted: tuple[Channel, ...]
+    scene: AbstractModel, wanted: tuple[Channel, ...], params: Params, times: Array, how: Plan
 ) -> tuple[Solution, dict[str, Reading], dict[str, Array]]:
     solution, found = outcome(scene, params, times, how, _FORWARD)
     more = channels.histories(scene, params, times, solution.states, wanted) if wanted else {}
     return solution, found, more
-
-
-_compiled: dict[object, Callable[..., tuple[Solution, dict[str, Reading], dict[str, Array]]]] = {}
 
 
 def simulate(
@@ -241,15 +238,11 @@ def simulate(
 
 def timed(scene: AbstractModel, params: Params, values: np.ndarray, how: Plan, wanted: tuple[Channel, ...] = ()) -> Run:
     """A run as planned, at times (T,) [s], with the seconds it took; nothing is checked."""
-    arguments = (scene, dict(params), jnp.asarray(values), how, wanted)
-    key = (scene, len(values), how.max_steps, how.solver, wanted, jax.tree.structure(params))
+    arguments = (dict(params), np.asarray(values), how)
+    run_it, compile_s = program("simulate", _run, (scene, wanted), arguments)
     begin = time.perf_counter()
-    if key not in _compiled:
-        _compiled[key] = _run.lower(*arguments).compile()
-    compiled = time.perf_counter()
-    solution, readings, more = jax.device_get(_compiled[key](*arguments))
-    done = time.perf_counter()
-    walls = {"wall_s": done - compiled, "compile_s": compiled - begin}
+    solution, readings, more = run_it(*arguments)
+    walls = {"wall_s": time.perf_counter() - begin, "compile_s": compile_s}
     run = story(scene, values, solution, readings, how, walls)
     found = {name: np.asarray(more[name]) for name in (c.name for c in wanted)}
     states = contact_states(scene, params, readings)

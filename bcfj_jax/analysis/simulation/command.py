@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from bcfj_jax.analysis.simulation import results
+from bcfj_jax.core.programs import keep_asked
 from bcfj_jax.io.outputs import open_folder
 from bcfj_jax.io.scenefile import load, quickest
 from bcfj_jax.solve.simulation import simulate
@@ -39,4 +40,5 @@ def run(what: str, out: Path | None, say: Callable[[str], None], measure_error: 
         say(f"warning: {warning}")
     if found.status != "ok":
         say(f"error: {results.verdict(found)}")
+    keep_asked()
     return f"{text}\nresults in {folder}", found.status == "ok"

@@ -1,0 +1,368 @@
+"""Compiled programs: made once a process, and kept between processes as exported StableHLO (``jax.export``).
+
+A program is a pure function of static structure and arrays. ``program`` traces and compiles it on first use. Where a
+folder is set (``core.compile_cache``), the traced program is written there, and the next process reads it instead of
+tracing; XLA's own cache then has the machine code. A kept program is found by a digest of all that it depends on: name,
+structure, shapes, the package's sources, versions, XLA's options. Its file holds the digest of its content, and a file
+that does not match is made anew. Nothing is pickled. What holds a user's own code is not kept: its text alone does not
+say what it does.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import enum
+import functools
+import hashlib
+import importlib
+import importlib.metadata
+import json
+import logging
+import os
+import tempfile
+import time
+import types
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.export
+import numpy as np
+
+from bcfj_jax.core import host
+
+_LOG = logging.getLogger("bcfj_jax.programs")
+_ROOT = Path(__file__).resolve().parent.parent
+_OURS = ("bcfj_jax", "calibration")
+# Whose classes and functions are known by name and version.
+_KNOWN = (*_OURS, "jax", "jaxlib", "diffrax", "equinox", "lineax", "optimistix", "numpy", "builtins", "functools")
+_VERSIONS = ("jax", "jaxlib", "diffrax", "equinox", "lineax", "optimistix", "numpy")
+_SUFFIX = ".stablehlo"
+_MAGIC = b"bcfj-jax program 1\n"
+
+
+class Settings:
+    """Where programs are kept: None for nowhere. ``limit`` is the folder's size [bytes]; the oldest go first."""
+
+    folder: Path | None = None
+    limit: int = 512 << 20
+
+
+# Names of the programs that this process traced, and of those that it read from the folder, in order.
+traced: list[str] = []
+fetched: list[str] = []
+_loaded: dict[Any, Callable[..., Any]] = {}
+# What NumPy has answered: the program, its trace, how often.
+_asked: dict[Any, list[Any]] = {}
+# So many times NumPy answers a question.
+_BY_HAND = 3
+_told: set[str] = set()
+
+
+class Unkept(Exception):
+    """Static structure of which no text says what it does, such as a user's function."""
+
+
+def program(
+    name: str, function: Callable[..., Any], static: tuple[Any, ...], arguments: tuple[Any, ...]
+) -> tuple[Callable[..., Any], float]:
+    """A compiled program for arguments like these, and the seconds [s] that getting it took now.
+
+    Args:
+        name: of the program; one name stands for one function.
+        function: ``function(*static, *arguments)``, pure; a module's own function, or one made from nothing but
+            what ``static`` says.
+        static: hashable structure: models, names, numbers, None.
+        arguments: pytrees of arrays and numbers; only their shapes matter here.
+
+    Returns:
+        A function of arguments of the same shapes; it gives the result as NumPy arrays.
+    """
+    begin = time.perf_counter()
+    wanted = _wanted(name, function, static, arguments)
+    if wanted.key not in _loaded:
+        _loaded[wanted.key] = _fetched(wanted) or _made(wanted)
+    return _loaded[wanted.key], time.perf_counter() - begin
+
+
+def ask(name: str, function: Callable[..., Any], static: tuple[Any, ...], arguments: tuple[Any, ...]) -> Any:
+    """What a small program gives, for a question that is asked once before a run, such as whether it can start.
+
+    A kept program answers. Without one the function is traced, and NumPy answers the first times (``core.host``), so
+    that a run that is refused compiles nothing; who asks more often, as a study does, gets a compiled program. What was
+    answered so is compiled and kept by ``keep_asked``. Arguments as ``program``'s.
+    """
+    wanted = _wanted(name, function, static, arguments)
+    if wanted.key not in _loaded and (found := _fetched(wanted)) is not None:
+        _loaded[wanted.key] = found
+    if wanted.key in _loaded:
+        return _loaded[wanted.key](*arguments)
+    if wanted.key not in _asked:
+        _asked[wanted.key] = [wanted, _traced(wanted), 0]
+    entry = _asked[wanted.key]
+    _, (jitted, known), count = entry
+    entry[2] = count + 1
+    if count < _BY_HAND:
+        with contextlib.suppress(host.Unknown):
+            leaves = [np.asarray(x, s.dtype) for x, s in zip(jax.tree.leaves(arguments), wanted.shapes, strict=True)]
+            found = host.evaluate(known.jaxpr, leaves)
+            return jax.tree.unflatten(jax.tree.structure(known.out_info), found)
+    del _asked[wanted.key]
+    _loaded[wanted.key] = _made(wanted, jitted)
+    return _loaded[wanted.key](*arguments)
+
+
+def keep_asked() -> None:
+    """Compile and keep what NumPy has answered in this process, so that the next one traces nothing."""
+    if Settings.folder is not None:
+        for key, (wanted, (jitted, _), _) in _asked.items():
+            _loaded[key] = _made(wanted, jitted)
+    _asked.clear()
+
+
+def forget() -> None:
+    """Forget the programs of this process; kept files stay."""
+    _loaded.clear()
+    _asked.clear()
+
+
+class _Wanted(NamedTuple):
+    """A program that is asked for: what it is made of, and its key in this process."""
+
+    name: str
+    function: Callable[..., Any]
+    static: tuple[Any, ...]
+    tree: Any
+    shapes: tuple[jax.ShapeDtypeStruct, ...]
+
+    @property
+    def key(self) -> tuple[Any, ...]:
+        return self.name, self.static, self.tree, tuple((s.shape, s.dtype) for s in self.shapes)
+
+
+def _wanted(name: str, function: Callable[..., Any], static: tuple[Any, ...], arguments: tuple[Any, ...]) -> _Wanted:
+    leaves, tree = jax.tree.flatten(arguments)
+    shapes = tuple(jax.ShapeDtypeStruct(np.shape(x), _dtype(x)) for x in leaves)
+    return _Wanted(name, function, static, tree, shapes)
+
+
+def _dtype(x: Any) -> np.dtype:
+    return np.dtype(np.float64) if isinstance(x, float) else np.asarray(x).dtype if np.isscalar(x) else x.dtype
+
+
+def _traced(wanted: _Wanted) -> tuple[Any, Any]:
+    """The function of flat arguments, to be compiled, and its trace. The user's mistakes raise here."""
+
+    def flat(*leaves: Any) -> Any:
+        return wanted.function(*wanted.static, *jax.tree.unflatten(wanted.tree, leaves))
+
+    jitted = jax.jit(flat)
+    known = jitted.trace(*wanted.shapes)
+    traced.append(wanted.name)
+    return jitted, known
+
+
+def _fetched(wanted: _Wanted) -> Callable[..., Any] | None:
+    """A kept program, compiled; None where there is none."""
+    path = _path(wanted)
+    found = _read(path) if path else None
+    if found is None:
+        return None
+    fetched.append(wanted.name)
+    return _compiled(found.call, wanted)
+
+
+def _made(wanted: _Wanted, jitted: Any = None) -> Callable[..., Any]:
+    """A program traced, kept and compiled."""
+    jitted = jitted or _traced(wanted)[0]
+    path = _path(wanted)
+    return _compiled((_export(path, jitted, wanted.shapes) if path else None) or jitted, wanted)
+
+
+def _compiled(call: Callable[..., Any], wanted: _Wanted) -> Callable[..., Any]:
+    compiled = jax.jit(call).lower(*wanted.shapes).compile()
+
+    def run(*arguments: Any) -> Any:
+        leaves = zip(jax.tree.leaves(arguments), wanted.shapes, strict=True)
+        return jax.device_get(compiled(*(np.asarray(x, s.dtype) if np.isscalar(x) else x for x, s in leaves)))
+
+    return run
+
+
+# Files.
+
+
+def _path(wanted: _Wanted) -> Path | None:
+    """The file of a program; None where none is kept."""
+    if Settings.folder is None:
+        return None
+    shapes = repr([(s.shape, str(s.dtype)) for s in wanted.shapes])
+    try:
+        parts = [wanted.name, describe(wanted.static), _text(wanted.tree), shapes, _surroundings()]
+    except Unkept:
+        return None
+    return Settings.folder / f"{hashlib.sha256(json.dumps(parts).encode()).hexdigest()}{_SUFFIX}"
+
+
+def _read(path: Path) -> Any:
+    """The program of a file; None where there is none, or none that is whole and of that name."""
+    try:
+        content = path.read_bytes()
+        head, _, payload = content.removeprefix(_MAGIC).partition(b"\n")
+        known = json.loads(head)
+        whole = known["digest"] == hashlib.sha256(payload).hexdigest() and known["program"] == path.stem
+        if not (content.startswith(_MAGIC) and whole):
+            return None
+        for outcome in known["outcomes"]:
+            _register(outcome)
+        found = jax.export.deserialize(bytearray(payload))
+        os.utime(path)
+    except FileNotFoundError:
+        return None
+    except Exception:  # Whatever a damaged or foreign file does, the program is made anew.
+        return None
+    return found
+
+
+def _export(path: Path, jitted: Callable[..., Any], shapes: tuple[Any, ...]) -> Callable[..., Any] | None:
+    """Write a program; what calls it, or None where it cannot be exported (it calls back to the host)."""
+    try:
+        outcomes = sorted(set(_outcomes(jax.eval_shape(jitted, *shapes))))
+        for outcome in outcomes:
+            _register(outcome)
+        exported = jax.export.export(jitted)(*shapes)
+        payload = bytes(exported.serialize())
+    except Exception:  # An operation that is not exported, or an outcome that has no name: the program still runs.
+        return None
+    head = {"program": path.stem, "digest": hashlib.sha256(payload).hexdigest(), "outcomes": outcomes}
+    try:
+        _write(path, _MAGIC + json.dumps(head).encode() + b"\n" + payload)
+        prune(path.parent, Settings.limit)
+    except OSError as error:
+        say_once(f"compiled programs cannot be kept in {path.parent}: {error.strerror or error}; runs stay right")
+    return exported.call
+
+
+def _write(path: Path, content: bytes) -> None:
+    handle, temporary = tempfile.mkstemp(dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+        os.replace(temporary, path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+def prune(folder: Path, limit: int) -> None:
+    """Delete the files of a folder that were used longest ago until the others fit into so many bytes."""
+    known = []
+    for entry in os.scandir(folder):
+        # Another process may delete it meanwhile.
+        try:
+            about = entry.stat()
+        except FileNotFoundError:
+            continue
+        known.append((about.st_mtime, about.st_size, entry.path))
+    total = sum(size for _, size, _ in known)
+    for _, size, path in sorted(known):
+        if total <= limit:
+            return
+        Path(path).unlink(missing_ok=True)
+        total -= size
+
+
+def say_once(text: str) -> None:
+    """Log a warning, the first time in this process."""
+    if text not in _told:
+        _told.add(text)
+        _LOG.warning("%s", text)
+
+
+def _outcomes(tree: Any) -> Iterable[str]:
+    """Names of the named tuples in a result, all of them our own classes."""
+    if isinstance(tree, tuple) and hasattr(tree, "_fields"):
+        yield f"{type(tree).__module__}:{type(tree).__qualname__}"
+    if isinstance(tree, Mapping):
+        tree = tuple(tree.values())
+    for part in tree if isinstance(tree, (tuple, list)) else ():
+        yield from _outcomes(part)
+
+
+@functools.cache
+def _register(outcome: str) -> None:
+    module, _, name = outcome.partition(":")
+    if module.partition(".")[0] not in _OURS:
+        raise Unkept(outcome)
+    jax.export.register_namedtuple_serialization(
+        getattr(importlib.import_module(module), name), serialized_name=outcome
+    )
+
+
+# What a program depends on, as text.
+
+
+def describe(x: Any) -> str:
+    """Static structure as text: equal texts mean equal programs.
+
+    Raises:
+        Unkept: for what is neither data nor a class or function of a known package.
+    """
+    if x is None or isinstance(x, (bool, int, str, bytes)):
+        return f"{type(x).__name__}:{x!r}"
+    if isinstance(x, (float, np.generic)):
+        return f"{type(x).__name__}:{float(x).hex()}"
+    if isinstance(x, enum.Enum):
+        return f"{_name(type(x))}.{x.name}"
+    if isinstance(x, np.ndarray):
+        return f"array:{x.dtype}:{x.shape}:{hashlib.sha256(np.ascontiguousarray(x).tobytes()).hexdigest()}"
+    if isinstance(x, (tuple, list)):
+        return f"{_name(type(x))}({','.join(map(describe, x))})"
+    if isinstance(x, (set, frozenset)):
+        return f"{_name(type(x))}({','.join(sorted(map(describe, x)))})"
+    if isinstance(x, Mapping):
+        return f"{_name(type(x))}({','.join(f'{describe(k)}={describe(v)}' for k, v in x.items())})"
+    if isinstance(x, type):
+        return _name(x)
+    if isinstance(x, functools.partial):
+        return f"partial({describe(x.func)},{describe(x.args)},{describe(x.keywords)})"
+    if isinstance(x, types.MethodType):
+        return f"method({describe(x.__self__)},{x.__func__.__qualname__})"
+    if isinstance(x, types.FunctionType):
+        cells = [cell.cell_contents for cell in x.__closure__ or ()]
+        return f"{_name(x)}:{x.__code__.co_firstlineno}({describe(x.__defaults__)},{describe(cells)})"
+    if dataclasses.is_dataclass(x):
+        fields = (f"{f.name}={describe(getattr(x, f.name))}" for f in dataclasses.fields(x) if hasattr(x, f.name))
+        return f"{_name(type(x))}({','.join(fields)})"
+    if callable(x) and not hasattr(x, "__closure__") and getattr(x, "__module__", None) and hasattr(x, "__qualname__"):
+        return _name(x)
+    raise Unkept(repr(x))
+
+
+def _name(x: Any) -> str:
+    module = x.__module__ or ""
+    if module.partition(".")[0] not in _KNOWN:
+        raise Unkept(f"{module}.{x.__qualname__}")
+    return f"{module}.{x.__qualname__}"
+
+
+def _text(tree: Any) -> str:
+    text = str(tree)
+    if " at 0x" in text:
+        raise Unkept(text)
+    return text
+
+
+@functools.cache
+def _surroundings() -> str:
+    """Sources of the package, versions, device and the options that JAX and XLA compile with."""
+    digest = hashlib.sha256()
+    for package in _OURS:
+        for path in sorted((_ROOT.parent / package).rglob("*.py")):
+            digest.update(path.relative_to(_ROOT.parent).as_posix().encode())
+            digest.update(hashlib.sha256(path.read_bytes()).digest())
+    versions = {name: importlib.metadata.version(name) for name in _VERSIONS}
+    options = [os.environ.get(name, "") for name in ("XLA_FLAGS", "EQX_ON_ERROR", "JAX_ENABLE_X64")]
+    return json.dumps([digest.hexdigest(), versions, options, jax.default_backend(), jax.config.jax_enable_x64])  # pyright: ignore[reportAttributeAccessIssue]
