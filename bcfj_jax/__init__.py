@@ -1,13 +1,12 @@
-"""Differentiable contact dynamics of the ball-cage flexible joint.
+"""Differentiable simulation of mechanisms with clearance: bodies, ideal joints, contacts and loads.
 
-Reading order: ``laws`` (what a contact does), ``scene`` and ``scenes`` (what there is), ``dynamics`` (the
-ODE and the instruments), ``integrate`` (the one place that solves), ``simulation`` (the public verbs),
-``derivatives`` (what changes with the parameters, and how far that may be trusted).
+Reading order: ``contact`` (the force of one contact), ``mechanism`` (bodies, contacts, loads and their equations of
+motion), ``models`` (the built-in scenes, and the ball-cage joint), ``solve`` (``simulate`` and ``force_history``),
+``analysis`` (features, sensitivities, studies, designs), ``io`` and ``cli`` (files and commands).
 
-Importing this package has two side effects, for the whole process. It switches JAX to 64-bit numbers: penetrations of
-micrometres over metres of travel mean nothing in 32 bits. It adds one option to ``XLA_FLAGS``, which compiles the loops
-of a solver as single kernels (``core.kernels``). Names load on first use, so that the command line answers ``--help``
-without loading a solver.
+The import has two side effects, for the whole process. It sets JAX to 64-bit numbers, because penetrations are
+micrometres and travel is metres. It adds one option to ``XLA_FLAGS``, which compiles the loops of a solver as single
+kernels (``core.kernels``). Public names are loaded on first use, so that ``bcfj --help`` needs no solver.
 """
 
 from __future__ import annotations

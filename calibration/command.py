@@ -106,7 +106,7 @@ def _interrupted(folder: Path, path: Path, stop: KeyboardInterrupt) -> int:
     """Leave the best so far, which is no fit yet, and say how to go on."""
     print(f"interrupted; go on with: bcfj calibrate {path} --out {folder} (same options)", file=sys.stderr)
     if not isinstance(stop, Interrupted):
-        stop = Interrupted("all", None, float("nan"), "judgement")
+        stop = Interrupted("all", None, float("nan"), "assessment")
     best = {"finished_starts": stop.finished, "stage": stop.stage, "chi2_of_stage": stop.cost, "best": stop.values}
     # Gone on with and cut off again at once, it knows less than before.
     if stop.values is not None or not (folder / _SO_FAR).exists():

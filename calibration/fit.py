@@ -23,8 +23,8 @@ from calibration.noise.noise_model import Estimate
 from calibration.problem import Experiment, Problem
 from calibration.search.evaluate import evaluator, loosened
 from calibration.search.refinement import End
-from calibration.search.starts import Screen, by_cost, lanes, reference_depth, screen, search
-from calibration.solver_budget import effort
+from calibration.search.starts import Screen, batch_size, by_cost, reference_depth, screen, search
+from calibration.solver_budget import budget
 from calibration.uncertainty.estimates import Parameter as Parameter
 from calibration.uncertainty.estimates import Reference as Reference
 from calibration.uncertainty.estimates import estimates
@@ -117,7 +117,7 @@ def fit(
     influence.refuse_data(problem)
     fitted = tuple(e for e in problem.experiments if not e.hold_out)
     model = build(problem, fitted)
-    labels = tuple(slot.label(fitted) for slot in model.slots)
+    labels = tuple(axis.label(fitted) for axis in model.coordinates)
     given = [_given_start(problem, model)] if any(f.start is not None for f in problem.free) else []
     screened = screen(model, starts, seed)
     if not np.isfinite(screened.costs).any():
@@ -132,14 +132,14 @@ def fit(
         why = commonest_failure(model, np.array([end.point for end in ends[:_ASKED]]), found.log_depth)
         raise AllStartsFailed(f"all {len(ends)} starts failed: {why}")
     model, ends, noise = settle(model, fitted, ends, found.log_depth, problem.accuracy)
-    return _judge(problem, fitted, labels, model, ends, found.log_depth, noise, seed, checked, intervals)
+    return _assess(problem, fitted, labels, model, ends, found.log_depth, noise, seed, checked, intervals)
 
 
 def _given_start(problem: Problem, model: Model) -> np.ndarray:
     by_name = {f.name: f for f in problem.free}
     middle = {f.name: np.sqrt(f.lower * f.upper) if f.log else 0.5 * (f.lower + f.upper) for f in problem.free}
-    chosen = [by_name[s.name].start for s in model.slots]
-    return np.array([middle[s.name] if c is None else c for s, c in zip(model.slots, chosen, strict=True)])
+    chosen = [by_name[s.name].start for s in model.coordinates]
+    return np.array([middle[s.name] if c is None else c for s, c in zip(model.coordinates, chosen, strict=True)])
 
 
 def _checked(
@@ -157,10 +157,10 @@ def _checked(
         point = model.point(values_at(model, point, 0.0), depth)
     if given:
         point = model.point(given[0], depth)
-    return influence.at_start(problem, model, labels, point, depth, screened.reach, influence.floor(fitted))
+    return influence.at_start(problem, model, labels, point, depth, screened.reach, influence.noise_floor(fitted))
 
 
-def _judge(
+def _assess(
     problem: Problem,
     fitted: tuple[Experiment, ...],
     labels: tuple[str, ...],
@@ -175,7 +175,7 @@ def _judge(
     best = ends[0]
     samples = sum(e.samples for e in fitted)
     spread = fit_tests.spread(best, samples, noise.moved, model.loss)
-    if effort(model.scene).rough and spread.covariance is not None:
+    if budget(model.scene).rough and spread.covariance is not None:
         # Loosely: a mean needs no more digits, and tight steps follow swings that the mean is to smooth.
         best = averaged(evaluator(loosened(model), log_depth), best, spread.covariance)
         best = stepped(evaluator(model, log_depth), best) if model.loss == "linear" else best
@@ -184,7 +184,7 @@ def _judge(
     seen = contacts(model, best.point, log_depth)
     errors = integration.errors(model, best.point, log_depth, best.residuals)
     tests = [
-        *fit_tests.agreement((best, *ends[1:]), spread.covariance, errors, effort(model.scene).rough),
+        *fit_tests.agreement((best, *ends[1:]), spread.covariance, errors, budget(model.scene).rough),
         fit_tests.integration_test(errors, best.jacobian),
     ]
     # A rival that fits as well is another answer, not a failed search.
@@ -204,7 +204,7 @@ def _judge(
     if intervals != "covariance" or (not verdicts and all(t.passed for t in others)):
         parameters, reference, identification, evidence = revised(
             intervals, model, labels, best.point, log_depth, spread, parameters, reference, identification,
-            estimated=list(noise.sigma), lanes=lanes(len(ends)), seed=seed,
+            estimated=list(noise.sigma), batch=batch_size(len(ends)), seed=seed,
         )  # fmt: skip
     identification += others
     verdicts |= {"not_identified" for t in identification if not t.passed}
@@ -216,7 +216,9 @@ def _judge(
         evidence = evidence.withheld(f"no interval is given: {verdict}")
     values = {name: float(v[0]) for name, v in model.data.fixed.items()}
     values |= {
-        s.name: parameters[name].value for s, name in zip(model.slots, labels, strict=True) if s.experiment is None
+        s.name: parameters[name].value
+        for s, name in zip(model.coordinates, labels, strict=True)
+        if s.experiment is None
     }
     sigma = np.sqrt(np.diag(spread.covariance)) if spread.covariance is not None else None
     return Fit(
@@ -234,7 +236,7 @@ def _judge(
             "samples": samples,
             "rms": rms(records),
             "rms_of_peak": rms_of_peak(records),
-            "noise": _told(fitted),
+            "noise": _noise_source(fitted),
             "loss": model.loss,
             "features": features_of(model, fitted, best.residuals),
         },
@@ -261,7 +263,7 @@ def _turns(records: list[Record], seen: list[Contact]) -> bool:
     return any(int(np.argmax(np.abs(p))) < p.size - 1 for p in forces) if forces else any(c.turned for c in seen)
 
 
-def _told(fitted: tuple[Experiment, ...]) -> str:
+def _noise_source(fitted: tuple[Experiment, ...]) -> str:
     """Where the noise comes from."""
     kinds = {"estimated" if c.sigma is None else "stated" for e in fitted for c in e.channels} or {"stated"}
     return kinds.pop() if len(kinds) == 1 else "partly estimated"

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
+from bcfj_jax.mechanism.watched import watching
 
 from bcfj_jax import InputError, check_value, nearest
 from bcfj_jax.analysis.derivatives.names import feature
@@ -14,8 +15,7 @@ from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.mechanism.channels import channel as reading
 from bcfj_jax.mechanism.channels import unit_of
 from bcfj_jax.mechanism.model import AbstractModel
-from bcfj_jax.mechanism.watched import watching
-from calibration.solver_budget import effort
+from calibration.solver_budget import budget
 
 # Nuisance parameters of the measuring chain: reading(t) = gain L[x](t - time_offset) + force_offset of a force or whatever
 # else x is read, with L a sensor of first order, y' = 2 pi bandwidth (x - y).
@@ -128,10 +128,10 @@ class Free:
         return self.scale == "log" if self.scale else bool(self.lower > 0)
 
     @property
-    def told_as_share(self) -> bool:
-        """Whether the interval is one of the logarithm, as data tell a stiffness: to a share of itself.
+    def as_share(self) -> bool:
+        """Whether the interval is one of the logarithm, as data determine a stiffness: to a share of itself.
 
-        They tell a clearance to a length, however small it is. On a logarithmic scale its large estimates would seem
+        They determine a clearance to a length, however small it is. On a logarithmic scale its large estimates would seem
         better known than its small ones, and the verdict would pick those that came out too large.
         """
         return self.log and (self.scale == "log" or not self.name.startswith("clearance"))
@@ -174,7 +174,7 @@ class Problem:
         names = [seen.feature for e in self.experiments for seen in e.features]
         object.__setattr__(self, "scene", watching(self.scene, names))
         if not self.accuracy:
-            object.__setattr__(self, "accuracy", effort(self.scene).accuracy)
+            object.__setattr__(self, "accuracy", budget(self.scene).accuracy)
         if not self.free:
             raise InputError(
                 self.where, "no free parameter", "add a table such as [free.stiffness] with lower and upper"

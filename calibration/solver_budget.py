@@ -1,6 +1,6 @@
 """What a scene's runs are worth on the way to an optimum, by its traits: small or large, smooth or rough.
 
-A small scene costs in proportion to the lanes of a batch, and the cost of its fit is smooth. A run of a large one takes a
+A small scene costs in proportion to the size of a batch, and the cost of its fit is smooth. A run of a large one takes a
 good part of a second and its program minutes to compile. Where contacts begin and end all the time, integration makes the
 cost rough.
 """
@@ -12,22 +12,22 @@ from typing import NamedTuple
 from bcfj_jax.mechanism.model import AbstractModel
 
 
-class Effort(NamedTuple):
-    """What the search and its judge may spend on runs of one kind of scene.
+class SolverBudget(NamedTuple):
+    """What the search and its tests may spend on runs of one kind of scene.
 
     Attributes:
         accuracy: force error of runs, where the problem says nothing.
         loose: the same on the way to an optimum.
         steps: attempted steps of a run until it has failed.
-        tighter: so many times as tight is the run that tells the integrator's error.
-        rough: whether that error is what the cost's last digits are made of, so that its slopes must tell, and no
+        tighter: so many times as tight is the run that gives the integrator's error.
+        rough: whether that error is what the cost's last digits are made of, so that its slopes must decide, and no
             profile is drawn unless it is asked for.
         apart: whether points are run one by one, as many at a time as there are cores; else a batch in one program.
-        asked: points of the design that are asked what all data tell of a coordinate.
+        asked: points of the design at which the influence of a coordinate on all data is computed.
         kept: starts that are not given up, however far off.
         descend: steps of a batched descent on one leg.
         roughly, tolerance: what that may leave to gain, in units of cost / residuals, on the way and at the end. The
-            judge distinguishes 0.1; of a rough cost no more can be had, and the trust region goes on anyway.
+            tests distinguish 0.1; of a rough cost no more can be had, and the trust region goes on anyway.
         step, gain: of the trust region, the shortest step and the least gain as a share of the cost.
         elsewhere: unit-box distance of ends that are not one.
     """
@@ -48,19 +48,19 @@ class Effort(NamedTuple):
     elsewhere: float
 
 
-# Simulate ten times finer than the assumed record floor (``forward.integration``); use the floor itself during the search.
-_SMOOTH = Effort(
+# Simulate ten times finer than the assumed noise of a record (``forward.integration``); use that itself during the search.
+_SMOOTH = SolverBudget(
     accuracy=1e-6, loose=1e-5, steps=20_000, tighter=100.0, rough=False, apart=False, asked=64, kept=6,
     descend=40, roughly=1.0, tolerance=1e-2, step=1e-8, gain=1e-9, elsewhere=1e-3,
 )  # fmt: skip
 # A joint takes some thousand steps a revolution, and its error goes with the tolerance as their number does.
-_LARGE = Effort(
+_LARGE = SolverBudget(
     accuracy=1e-3, loose="balanced", steps=8_000, tighter=4.0, rough=True, apart=True, asked=4, kept=4,
     descend=12, roughly=10.0, tolerance=1.0, step=1e-4, gain=1e-6, elsewhere=1e-2,
 )  # fmt: skip
 
 
-def effort(scene: AbstractModel) -> Effort:
+def budget(scene: AbstractModel) -> SolverBudget:
     """What a scene's runs are worth."""
     traits = scene.traits
     if not (traits.large or traits.rough):

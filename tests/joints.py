@@ -55,9 +55,11 @@ def in_grooves(rng: np.random.Generator, radius: float) -> tuple[np.ndarray, np.
 def noisy(scene, params, seed, places=3e-5, speeds=0.3):
     """A state in contact: the nominal one at some angle, with noise [m] and [m/s]; angles by each body's radius."""
     draw = np.random.default_rng(seed)
-    p, n, b = params, scene.balls, scene.border
+    p, n, b = params, scene.balls, scene.coupling
     radius = float(p["pitch_radius"])
-    turns = [name.endswith("turn") for name, slot in scene.slots.items() if slot for _ in range(slot.stop - slot.start)]
+    turns = [
+        name.endswith("turn") for name, piece in scene.slices.items() if piece for _ in range(piece.stop - piece.start)
+    ]
     lever = np.where(turns, 1.0 / radius, 1.0)
     twist = np.ones((n, scene.twist))
     twist[:, 3:] = 1.0 / float(p["ball_radius"])
@@ -65,7 +67,7 @@ def noisy(scene, params, seed, places=3e-5, speeds=0.3):
     begin = start(scene, params, jnp.asarray(draw.uniform(0.0, 2 * np.pi)))
     y = np.array(begin)
     y[: size.size] += size * draw.normal(size=size.size)
-    tilt = scene.slots["cage_turn"]
+    tilt = scene.slices["cage_turn"]
     if tilt is not None:
         axis = y[3 * n : 3 * n + b][tilt]
         axis /= np.linalg.norm(axis)

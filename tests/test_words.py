@@ -79,8 +79,7 @@ def test_pages_use_the_fields_words():
     assert not places, "\n" + "\n".join(places)
 
 
-def messages_use_the_fields_words():
-    """To be named ``test_...`` when all messages are clean."""
+def test_messages_use_the_fields_words():
     places = [
         f"{path.relative_to(ROOT)}:{number}: '{ours}': {theirs}"
         for package in ("bcfj_jax", "calibration")

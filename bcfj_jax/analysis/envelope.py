@@ -40,7 +40,7 @@ MEANING = {
 }
 
 KEPT = "envelope.json"
-# Peaks as high as later ones, to a percent, are told by these.
+# Peaks as high as later ones, to a percent, are identified by these.
 _HIGHER = 0.01
 
 

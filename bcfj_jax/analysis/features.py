@@ -4,7 +4,7 @@ The features are ``peak``, ``mean``, ``impulse``, ``period``, ``dissipated_work`
 ``contact_fraction``, and of a pair ``delay``; ``period`` and ``delay`` are those of ``histories``, which says what a
 window is and which errors those that take one raise.
 
-All but ``period``, ``unseen``, ``onsets`` and what counts these are pure and differentiable and take arrays of shape
+All but ``period``, ``unseen``, ``contact_times`` and what counts these are pure and differentiable and take arrays of shape
 (T,); ``vmap`` them over members and batches. They see samples only: what happens between two samples is not in them.
 """
 
@@ -161,7 +161,7 @@ def oscillation(times: ArrayLike, force: ArrayLike, window: Window, order: int =
 def unseen(penetration: np.ndarray, rate: np.ndarray) -> np.ndarray:
     """Indices k of contacts that began and ended between the samples k and k + 1.
 
-    Told by the rate: it turns from approach to departure, apart at both samples, in a jump (more than ten
+    Found by the rate: it turns from approach to departure, apart at both samples, in a jump (more than ten
     times the median change of the rate over a sample), as no load but a contact does.
     """
     jump = np.abs(np.diff(rate))
@@ -170,7 +170,7 @@ def unseen(penetration: np.ndarray, rate: np.ndarray) -> np.ndarray:
     return np.flatnonzero(turned & (jump > 10.0 * np.median(finite))) if finite.size else np.empty(0, dtype=int)
 
 
-def onsets(times: ArrayLike, penetration: ArrayLike, rate: ArrayLike) -> list[tuple[float, float]]:
+def contact_times(times: ArrayLike, penetration: ArrayLike, rate: ArrayLike) -> list[tuple[float, float]]:
     """Start and end of each contact, d > 0 between them [s]; NaN for an end after the last sample.
 
     Roots of the cubic Hermite interpolant of d and d' in the samples' interval. A contact between two
@@ -207,7 +207,7 @@ def _root(t: np.ndarray, d: np.ndarray, v: np.ndarray, k: np.integer) -> float:
 
 def contact_interval(times: ArrayLike, penetration: ArrayLike, rate: ArrayLike) -> float:
     """Mean interval between the starts of contacts, (t_last - t_first)/(count - 1) [s]; NaN for fewer than 2."""
-    starts = [start for start, _ in onsets(times, penetration, rate)]
+    starts = [start for start, _ in contact_times(times, penetration, rate)]
     # What is pressed at the first sample began before it.
     starts = starts[1:] if np.asarray(penetration)[0] > 0 else starts
     return (starts[-1] - starts[0]) / (len(starts) - 1) if len(starts) > 1 else float("nan")
@@ -217,7 +217,7 @@ def summary(times: ArrayLike, force: ArrayLike, penetration: ArrayLike, rate: Ar
     """The features that ``UNITS`` names, of one contact, in these units; start and end are those of the first contact,
     the period is ``contact_interval``.
     """
-    contacts = onsets(times, penetration, rate)
+    contacts = contact_times(times, penetration, rate)
     start, end = contacts[0] if contacts else (float("nan"), float("nan"))
     return {
         "peak": float(peak(force)),

@@ -83,7 +83,7 @@ def period(times: ArrayLike, values: ArrayLike, window: Window = None) -> float:
     what repeats itself by less than half (n < 0.5: noise, one impact, a start-up that outweighs the rest: leave it out
     of the window) have none: NaN. So do lags whose overlap holds less than a quarter of its share of sum x^2. A history
     that nearly repeats itself sooner, with n within 10 % of the greatest, has that for its period.
-    ``features.contact_interval`` counts onsets instead.
+    ``features.contact_interval`` counts starts of contacts instead.
 
     Raises:
         InputError: see the top of the file; or fewer than 8 samples in the window.
@@ -224,8 +224,8 @@ def _repeat(t: np.ndarray, values: np.ndarray) -> float:
     pairs = np.fft.irfft(np.abs(np.fft.rfft(x, 2 * x.size)) ** 2, 2 * x.size)[k]
     size = energy[x.size - k] + energy[-1] - energy[k]
     # What overlaps may be the quiet between two impacts, which repeats itself without saying so.
-    told = size > 0.5 * energy[-1] * (1 - k / x.size)
-    n = np.where(told, 2.0 * pairs / np.where(told, size, 1.0), 0.0)
+    varied = size > 0.5 * energy[-1] * (1 - k / x.size)
+    n = np.where(varied, 2.0 * pairs / np.where(varied, size, 1.0), 0.0)
     first = int(np.argmax(n <= 0))
     best = float(np.max(n[first:]))
     if first == 0 or best < 0.5:
@@ -266,10 +266,10 @@ def _best_shift(a: Array, b: Array, most: int) -> tuple[Array, Array]:
     sum_a, sum_b = sums(a, from_a), sums(b, from_b)
     spread_a, spread_b = sums(a * a, from_a) - sum_a**2 / count, sums(b * b, from_b) - sum_b**2 / count
     # Where one is all but flat, over the shared times or at all, the coefficient is rounding.
-    told_a = spread_a > count * jnp.maximum(0.01 * jnp.mean(a * a), 1e-24 * raw_a)
-    told = told_a & (spread_b > count * jnp.maximum(0.01 * jnp.mean(b * b), 1e-24 * raw_b))
-    scale = power(jnp.where(told, spread_a * spread_b, 1.0), 0.5)
-    match = jnp.where(told, (cross - sum_a * sum_b / count) / scale, -1.0)
+    varied_a = spread_a > count * jnp.maximum(0.01 * jnp.mean(a * a), 1e-24 * raw_a)
+    varied = varied_a & (spread_b > count * jnp.maximum(0.01 * jnp.mean(b * b), 1e-24 * raw_b))
+    scale = power(jnp.where(varied, spread_a * spread_b, 1.0), 0.5)
+    match = jnp.where(varied, (cross - sum_a * sum_b / count) / scale, -1.0)
     return _crest(match, jnp.argmax(match)) - most, jnp.max(match)
 
 

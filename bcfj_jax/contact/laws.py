@@ -12,7 +12,7 @@ from bcfj_jax.contact.friction import AbstractFriction as AbstractFriction
 from bcfj_jax.contact.friction import make_friction as make_friction
 from bcfj_jax.contact.normal import AbstractLaw as AbstractLaw
 from bcfj_jax.contact.normal import AdamsImpact, DampedStop, ElastoGap, Hertz, KelvinVoigt, MemoryFree, Restitution
-from bcfj_jax.contact.normal import onset_force as onset_force
+from bcfj_jax.contact.normal import regularised_force as regularised_force
 from bcfj_jax.contact.restitution import FACTORS
 from bcfj_jax.core.errors import InputError, nearest
 

@@ -54,7 +54,7 @@ class Hertz(AbstractLaw):
 
 
 class KelvinVoigt(AbstractLaw):
-    """F = K d + c d' in contact (Kelvin-Voigt): jumps by c v0 at first touch unless the onset is smoothed.
+    """F = K d + c d' in contact (Kelvin-Voigt): jumps by c v0 at first touch unless the contact is regularised.
 
     Pushing only: restitution as Schwager and Poeschel 2007. With ``tension`` the dashpot may pull until
     the gap opens, and e = exp(-pi z / sqrt(1 - z^2)), z = c / (2 sqrt(K m)).
@@ -118,7 +118,7 @@ class Restitution(AbstractLaw):
 
     Validity is the factor's: each docstring there says which e it delivers. ``exact`` delivers all.
     Coefficients: those of the elastic part, ``restitution`` e [-] and ``approach_speed`` v0 [m/s] > 0, which
-    the scene supplies (a floor of 1e-9 m/s keeps a resting contact finite).
+    the scene supplies (at least 1e-9 m/s, which keeps a resting contact finite).
     """
 
     factor: Callable[[Array], Array] = eqx.field(static=True)
@@ -175,20 +175,20 @@ class ElastoGap(AbstractLaw):
         return jnp.where(penetration > 0, spring + damped, 0.0)
 
 
-def onset_force(law: AbstractLaw, penetration: Array, rate: Array, c: Coefficients, width: Array | None) -> Array:
+def regularised_force(law: AbstractLaw, penetration: Array, rate: Array, c: Coefficients, width: Array | None) -> Array:
     """Normal force [N] of a law from penetration d [m] and rate d' [m/s].
 
-    With a smoothed onset r(d) of width w (``numerics.smooth_ramp``) the force is  F = r'(d) law(r(d), d'):
+    With a regularisation r(d) of width w (``numerics.smooth_ramp``) the force is  F = r'(d) law(r(d), d'):
     the law's own energy stored along r instead of d. Whatever lies beyond d = w is then exactly the
     sharp law's: for every law f(d) (1 + chi d'/v0), peak force, greatest penetration, restitution and
     hence impulse do not change at all where the peak is beyond w, and the contact lasts 2 w / v0 longer
     (first order in w over the greatest penetration). Only the first and last 2 w of the loop differ.
-    A body that starts nearer than w has not felt the onset's beginning: from touching, d = 0, the peak of an
+    A body that starts nearer than w has not felt the beginning of the regularisation: from touching, d = 0, the peak of an
     undamped impact is higher by the fraction n/(n+1) (0.15625 w/d0)^(n+1), the energy not yet stored.
 
     Args:
         law, penetration, rate, c: as ``AbstractLaw.force``.
-        width: half-width w [m] of the onset, >= 0; None takes the smoothing out of the program.
+        width: half-width w [m] of the regularisation, >= 0; None takes the smoothing out of the program.
     """
     if width is None:
         return law.force(penetration, rate, c)

@@ -5,12 +5,12 @@ contact gives the rest:
 
     rate  d' = n . w        sliding  u = w - d' n        force on b  f = -N n - N (mu(|u|)/|u|) u
 
-with N = g F(d, d') from the normal-force law (``contact.normal.onset_force``). Friction with bristles, deflected by z,
+with N = g F(d, d') from the normal-force law (``contact.normal.regularised_force``). Friction with bristles, deflected by z,
 has its force by their part in the contact plane,  b = z - n (n . z),  and they bend (``LuGre.bond`` has k, s and m):
 
     f = -N n - N (s b + m u)        z' = W x z + (1 - o) (u - k z) - o z/tau
 
-W is a's angular velocity, so that a bristle turns with a. o rises from 0 to 1 over a gap of 1 um beyond the onset and
+W is a's angular velocity, so that a bristle turns with a. o rises from 0 to 1 over a gap of 1 um beyond the regularisation and
 tau is 1e-5 s, so that nothing is remembered from one touch to the next.
 """
 
@@ -23,7 +23,7 @@ from jax import Array
 
 from bcfj_jax.contact.friction import AbstractFriction
 from bcfj_jax.contact.gaps import Coefficients, Face
-from bcfj_jax.contact.normal import AbstractLaw, onset_force
+from bcfj_jax.contact.normal import AbstractLaw, regularised_force
 from bcfj_jax.core.numerics import smooth_step
 from bcfj_jax.core.vectors import ZERO, Number, Vector, add, cross, dot, minus, negative, scale, subtract, times
 
@@ -68,14 +68,14 @@ def press(
 
     Args:
         law, friction: the contact's laws; friction None is none.
-        c: their coefficients; ``smoothing`` among them is the half-width of the onset [m].
+        c: their coefficients; ``smoothing`` among them is the half-width of the regularisation [m].
         face: where it touches.
         velocity: of b less that of a at the point of contact [m/s], world.
         bristle: deflection z [m], world; without it every friction law acts by its steady slip.
         spin: angular velocity of a [rad/s], world; read with bristles only.
     """
     rate = dot(face.normal, velocity)
-    normal = times(face.gate, onset_force(law, face.depth, jnp.asarray(rate), c, c.get("smoothing")))
+    normal = times(face.gate, regularised_force(law, face.depth, jnp.asarray(rate), c, c.get("smoothing")))
     slide = subtract(velocity, scale(rate, face.normal))
     push = negative(scale(normal, face.normal))
     if friction is None:
@@ -94,5 +94,5 @@ def press(
 
 
 def separated(depth: Number, c: Coefficients) -> Array:
-    """0 wherever there may be a normal force, 1 from a gap of ``GAP`` beyond the onset; C1."""
+    """0 wherever there may be a normal force, 1 from a gap of ``GAP`` beyond the regularisation; C1."""
     return smooth_step((-depth - c.get("smoothing", 0.0)) / GAP)

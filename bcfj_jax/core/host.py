@@ -15,7 +15,7 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
 
 class Unknown(Exception):
-    """A primitive that NumPy is not told how to do."""
+    """A primitive without a NumPy equivalent here."""
 
 
 def _select(which: Any, *cases: Any) -> Any:

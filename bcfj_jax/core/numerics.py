@@ -40,7 +40,7 @@ def smooth_rise(fraction: ArrayLike) -> Array:
 
 
 def smooth_ramp(distance: ArrayLike, width: ArrayLike) -> tuple[Array, Array]:
-    """C3 onset of a penetration, and its (C2) slope.
+    """C3 regularisation of a penetration, and its (C2) slope.
 
     With s = (d + w) / 2 w clipped to [0, 1]:  r(d) = 2 w (5/2 s^4 - 3 s^5 + s^6)  for d < w,  r = d  above;
     dr/dd = s^3 (10 - 15 s + 6 s^2).  Exactly 0 for d <= -w, exactly d for d >= w, max(d, 0) where w = 0.
@@ -65,7 +65,7 @@ def smooth_ramp(distance: ArrayLike, width: ArrayLike) -> tuple[Array, Array]:
 def newton_root(residual: Callable[[Array], Array], start: ArrayLike, iterations: int = 40) -> Array:
     """Root of a smooth elementwise residual by Newton, differentiated by the implicit function theorem.
 
-    A NaN stays in its own lane. The iteration stops at ``iterations`` or when the step falls to rounding; a start on
+    A NaN stays in its own row of the batch. The iteration stops at ``iterations`` or when the step falls to rounding; a start on
     the convex side of the root makes it monotone, which is the caller's business.
     """
 

@@ -3,7 +3,7 @@
 A vector is a tuple of three numbers; a number is an array (a scalar, or (k,) over the members of a body) or a Python
 float. A Python 0.0 is known to be zero when the program is traced, so products with it, and sums, leave the program: a
 planar mechanism has no third component, a slide no rotation, and nobody says so twice. Arithmetic by components also
-lets the lanes of a batch be the vector axis: nothing is reduced over an axis of length 3.
+lets the batch be the vector axis: nothing is reduced over an axis of length 3.
 """
 
 from __future__ import annotations

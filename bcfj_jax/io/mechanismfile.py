@@ -331,7 +331,7 @@ class _Builder:
 
     def _contact(self, table: Mapping[str, Any], place: str, options: SceneTable) -> tuple[Contact, dict[str, Any]]:
         entry = _checked(ContactTable, table, place)
-        gap, told = _gap(entry.gap, f"{place} gap")
+        gap, gap_table = _gap(entry.gap, f"{place} gap")
         # A law of its own has its own elastic part, whatever the other contacts have.
         elastic = entry.elastic or (options.elastic if entry.law is None else None)
         law = _named("law", entry.law or options.law, elastic, place)
@@ -350,7 +350,7 @@ class _Builder:
             if entry.values:
                 values = self._coefficients(contact, entry.values, f"{place} values")
                 contact = Contact(**given, values=values)
-        plain = {"name": entry.name, "between": list(entry.between), "gap": told, "at": _listing(contact.at)}
+        plain = {"name": entry.name, "between": list(entry.between), "gap": gap_table, "at": _listing(contact.at)}
         own = {key: getattr(entry, key) for key in ("law", "elastic", "friction", "smoothing")}
         plain |= {key: x for key, x in own.items() if x is not None} | {"approach": entry.approach}
         return contact, plain | ({"values": dict(contact.values)} if contact.values else {})

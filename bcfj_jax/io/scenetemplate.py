@@ -97,7 +97,7 @@ def _options(kind: str, scene: AbstractModel) -> Iterator[str]:
             off = "# " if len(scene.contacts) > 1 else ""
             yield f'{off}elastic = "power"  # {_wrapped(laws.ELASTIC)}'
         elif name == "smoothing":
-            yield f"smoothing = {value}  # false takes the smooth onset of penetration, and its parameter, out"
+            yield f"smoothing = {value}  # false leaves out the contact regularisation and its parameter"
         elif name == "friction":
             yield f"friction = {value}  # false for none, true for brown_mcphee, or {_wrapped(laws.FRICTION)}"
         elif name == "laws":

@@ -24,7 +24,7 @@ def _remember(_: int, __: FrameType | None) -> None:
 def heeded() -> Iterator[None]:
     """Within, Ctrl-C is remembered. Where it is ignored, as by a shell's background jobs, it stays ignored.
 
-    Within another, what came since the outer one began, and was told to nobody, is raised at once.
+    Within another, what came since the outer one began, and was reported to nobody, is raised at once.
 
     Raises:
         KeyboardInterrupt: if Ctrl-C came since an outer one began.

@@ -183,7 +183,7 @@ def check_values(scene: Mechanism, params: Params, where: str = "") -> None:
 
 
 def _check_start(scene: Mechanism, params: dict[str, Array], where: str) -> None:
-    _check_onsets(scene, params, where)
+    _check_regularisation(scene, params, where)
     depths, expected, speed = _asked(_at_start, scene, params)
     deep = []
     for name, depth in depths.items():
@@ -203,24 +203,24 @@ def _check_start(scene: Mechanism, params: dict[str, Array], where: str) -> None
             raise InputError(f"{where} contact '{name}'", found, remedy)
 
 
-def _check_onsets(scene: Mechanism, params: dict[str, Array], where: str) -> None:
-    """Refuse a body that a smoothed onset throws out, under a law whose damping goes by the approach speed.
+def _check_regularisation(scene: Mechanism, params: dict[str, Array], where: str) -> None:
+    """Refuse a body that the contact regularisation throws out, under a law whose damping goes by the approach speed.
 
-    Such a law is rigid to a body that leaves at more than the speed it is told of.
+    Such a law is rigid to a body that leaves at more than its stated approach speed.
     """
-    told = [c for c in scene.contacts if c.smoothing and "approach_speed" in c.law.needs]
-    widths = {c.name: float(scene.coefficient(params, c.name, "smoothing")) for c in told}
+    needing = [c for c in scene.contacts if c.smoothing and "approach_speed" in c.law.needs]
+    widths = {c.name: float(scene.coefficient(params, c.name, "smoothing")) for c in needing}
     if not any(widths.values()):
         return
-    apart, out = _asked(_onsets, scene, params)
+    apart, out = _asked(_stored_energy, scene, params)
     for name, width in widths.items():
         if width > 0.0 and bool(out[name]):
-            found = f"an onset of {width:g} m throws out the body, which starts {-float(apart[name]):g} m away"
+            found = f"a smoothing of {width:g} m throws out the body, which starts {-float(apart[name]):g} m away"
             remedy = "give less smoothing, a start further away, or a law without restitution (memory_free)"
             raise InputError(f"{where} smoothing", found, remedy)
 
 
-def _onsets(scene: Mechanism, params: dict[str, Array]) -> tuple[dict[str, Array], dict[str, Array]]:
+def _stored_energy(scene: Mechanism, params: dict[str, Array]) -> tuple[dict[str, Array], dict[str, Array]]:
     """Penetration of each contact at time 0, and whether more is stored there than its approach brings."""
     from bcfj_jax.mechanism.scales import expected
 

@@ -26,7 +26,7 @@ from bcfj_jax.core.vectors import WORLD, ZERO, Number
 from bcfj_jax.mechanism import sizes
 from bcfj_jax.mechanism.sizes import ORIGIN, Params, Place, Size
 
-# The speed that a law stated by restitution is told of at least [m/s]: a resting contact would be rigid.
+# Least approach speed of a law stated by restitution [m/s]: a resting contact would be rigid.
 SLOWEST = 1e-3
 # Gap within which a memory is settled [m].
 _NEAR = 1e-7
@@ -68,7 +68,7 @@ class Contact(eqx.Module):
         gap: the geometry (``contact.gaps``).
         law, friction: normal-force law, by name or itself; friction law, by name or itself, None or False for none.
         elastic: name of the law's elastic part, where the law is given by its name.
-        smoothing: whether the onset of penetration can be smoothed (coefficient ``smoothing`` [m]).
+        smoothing: whether the contact is regularised (coefficient ``smoothing`` [m]).
         at: places of the markers in the axes of a and of b [m].
         values: coefficients of its own: a number is a default, a text names a parameter.
         approach: where a law's ``approach_speed`` is from: "parameter", or a memory (``Approach``).

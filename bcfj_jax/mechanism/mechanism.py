@@ -20,7 +20,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from bcfj_jax.contact.gaps import Face, Frame
-from bcfj_jax.contact.normal import onset_force
+from bcfj_jax.contact.normal import regularised_force
 from bcfj_jax.contact.wrench import Touch, press
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
@@ -309,10 +309,10 @@ class Mechanism(AbstractModel):
                 rate = dot(face.normal, velocity)
                 found.append((face, Touch(ZERO, ZERO, 0.0, rate, subtract(velocity, scale(rate, face.normal)))))
                 continue
-            told = coefficients | {"approach_speed": own[0]} if c.remembers else coefficients
+            c_values = coefficients | {"approach_speed": own[0]} if c.remembers else coefficients
             bristle = (own[-3], own[-2], own[-1]) if c.bristles else None
             try:
-                touch = press(c.law, c.friction, told, face, velocity, bristle, first.spin)
+                touch = press(c.law, c.friction, c_values, face, velocity, bristle, first.spin)
             except Exception as error:
                 raise raised(f"contact '{c.name}' law {type(c.law).__name__}", error) from error
             found.append((face, touch))
@@ -376,7 +376,7 @@ class Mechanism(AbstractModel):
             for (face, touch), own in zip(now.faces[c.name], now.memory[c.name], strict=True):
                 if c.remembers:
                     width = c.coefficients(p).get("smoothing", 0.0)
-                    # Within a smoothed onset there is a force: that is no flight.
+                    # Within the regularisation there is a force: that is no flight.
                     learning = c.approach.learning(-face.depth, touch.rate, own[0], p)
                     found.append(jnp.where(-face.depth > width, learning, 0.0))
                 if c.bristles:
@@ -494,15 +494,15 @@ class Mechanism(AbstractModel):
         damping: Number = jnp.zeros(())
         elastic: Number = jnp.zeros(())
         for c in self.contacts:
-            told = c.coefficients(p)
+            c_values = c.coefficients(p)
             for (face, touch), own in zip(now.faces[c.name], now.memory[c.name], strict=True):
-                told = told | {"approach_speed": own[0]} if c.remembers else told
+                c_values = c_values | {"approach_speed": own[0]} if c.remembers else c_values
                 friction = friction - jnp.sum(jnp.asarray(dot(touch.drag, touch.slide)))
-                still = onset_force(
-                    c.law, face.depth, jnp.zeros_like(jnp.asarray(face.depth)), told, told.get("smoothing")
+                still = regularised_force(
+                    c.law, face.depth, jnp.zeros_like(jnp.asarray(face.depth)), c_values, c_values.get("smoothing")
                 )
                 damping = damping + jnp.sum((touch.normal - face.gate * still) * touch.rate)
-                elastic = elastic + jnp.sum(face.gate * _stored(c, face.depth, told))
+                elastic = elastic + jnp.sum(face.gate * _stored(c, face.depth, c_values))
         return Flows(
             given, {"friction": friction, "damping": damping}, {"kinetic": jnp.asarray(kinetic), "elastic": elastic}
         )
@@ -619,13 +619,13 @@ def _deepest(touching: list[tuple[Face, Touch]]) -> tuple[Number, Number, Number
     return depth, rate, slip
 
 
-def _stored(c: Contact, depth: Number, told: Mapping[str, Array]) -> Array:
+def _stored(c: Contact, depth: Number, c_values: Mapping[str, Array]) -> Array:
     """Elastic energy of a face [J]: the integral of law(x, 0) from 0 to the smoothed penetration."""
     from bcfj_jax.core.numerics import positive, smooth_ramp
 
-    width = told.get("smoothing")
+    width = c_values.get("smoothing")
     reach = positive(jnp.asarray(depth)) if width is None else smooth_ramp(depth, width)[0]
     x = reach[..., None] * _NODES**2
-    wide = {name: value[..., None] if getattr(value, "ndim", 0) else value for name, value in told.items()}
+    wide = {name: value[..., None] if getattr(value, "ndim", 0) else value for name, value in c_values.items()}
     force = c.law.force(x, jnp.zeros_like(x), wide)
     return jnp.sum(force * 2.0 * _NODES * _WEIGHTS, -1) * reach

@@ -86,7 +86,7 @@ class ModelTraits(NamedTuple):
         stiff: whether it needs an implicit solver (friction, strong damping); springs alone are oscillatory.
         history: whether it is integrated; without, each instant is solved for itself (``AbstractModel.instants``).
         turning: whether a period is that of the force history (a drive turns), and not the interval between contacts.
-        large: whether one run fills a core (tens of states): batches are small, lanes gain little.
+        large: whether one run fills a core (tens of states): batches are small and gain little.
         rough: whether a fit's cost is rough in its parameters: many contacts begin and end in every run.
         open: whether the model is yet to be chosen (``AbstractModel.choose``): ``simulate`` alone can run it.
     """

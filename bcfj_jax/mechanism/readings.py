@@ -16,7 +16,7 @@ UNKNOWN = -1
 def contact_state(normal: np.ndarray, slip: np.ndarray | None = None, transition: float | None = None) -> np.ndarray:
     """What a contact is doing, as codes that count ``STATES``, of the shape of its normal force; ``UNKNOWN`` where NaN.
 
-    Apart: no normal force, because damping lets go in a rebound or for a gap; a smoothed onset bears a little across
+    Apart: no normal force, because damping lets go in a rebound or for a gap; the regularisation bears a little across
     a gap, which the caller takes out. Touching: a force, without friction. With friction: sticking
     where it slides slower than friction's transition speed (these laws creep under load, so nothing ever stands),
     sliding from there on.
@@ -34,7 +34,7 @@ def contact_state(normal: np.ndarray, slip: np.ndarray | None = None, transition
 
 
 def pressed(reading: Reading) -> np.ndarray:
-    """Normal force where surfaces overlap: what a smoothed onset bears across a gap is numerical."""
+    """Normal force where surfaces overlap: what the regularisation bears across a gap is numerical."""
     return np.where(np.asarray(reading.penetration) < 0, 0.0, np.asarray(reading.force)[..., 0])
 
 

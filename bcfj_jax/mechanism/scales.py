@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from bcfj_jax.contact.normal import onset_force
+from bcfj_jax.contact.normal import regularised_force
 from bcfj_jax.core.numerics import positive, smooth_ramp
 from bcfj_jax.core.vectors import ZERO, Number, Vector, add, dot, plus, scale, subtract, times, turned, unit
 from bcfj_jax.mechanism.equations import Equations, flat, solved
@@ -102,7 +102,7 @@ def expected(scene: Mechanism, params: Params, inside: bool = True) -> Expected:
     lengths: list[Number] = [jnp.where(x > 1e-9, x, 1.0) for x in found]
     if not scene.contacts:
         return Expected(jnp.asarray(DEPTH), jnp.asarray(SPEED), lengths, brought, stored, flight)
-    # A body that starts inside an onset is thrown out of it: what is stored there counts as well.
+    # A body that starts inside the regularisation is thrown out: what is stored there counts as well.
     energy = jnp.max(jnp.stack([brought[name] + stored[name] if inside else brought[name] for name in brought]))
     force, mass = jnp.max(jnp.stack(forces)), jnp.min(jnp.stack(masses))
     mass = jnp.where(jnp.isfinite(mass), mass, 1.0)
@@ -121,10 +121,10 @@ def expected_scale(scene: Mechanism, params: Params) -> Array:
     found = expected(scene, params)
     speed = found.speed
     for c in scene.contacts:
-        told = c.coefficients(params) if c.friction is not None else {}
-        if "friction_speed" in told:
-            share = told.get("friction_static", told.get("friction_dynamic", jnp.ones(())))
-            speed = jnp.minimum(speed, told["friction_speed"] / jnp.clip(share, 1e-9, 1.0))
+        values = c.coefficients(params) if c.friction is not None else {}
+        if "friction_speed" in values:
+            share = values.get("friction_static", values.get("friction_dynamic", jnp.ones(())))
+            speed = jnp.minimum(speed, values["friction_speed"] / jnp.clip(share, 1e-9, 1.0))
     places, at = [], 0
     for b in scene.ordered:
         own = found.levers[at : at + len(b.rates)]
@@ -134,10 +134,10 @@ def expected_scale(scene: Mechanism, params: Params) -> Array:
         places += [found.depth / x for x in own[:plain]] + [found.depth / longest] * (len(b.coordinates) - plain)
     kept: list[Number] = []
     for c in scene.contacts:
-        told = c.coefficients(params)
+        values = c.coefficients(params)
         for _ in range(c.faces):
             kept += [found.speed] if c.remembers else []
-            kept += [told["friction_static"] / told["bristle_stiffness"]] * 3 if c.bristles else []
+            kept += [values["friction_static"] / values["bristle_stiffness"]] * 3 if c.bristles else []
     members = [*(k for *_, k in scene._placed), *(k for *_, k in scene._free), *(k for _, k in scene._memory)]
     return flat([*places, *(speed / x for x in found.levers), *kept], members)
 
@@ -168,27 +168,27 @@ def _compliance(gathered: Equations, row: dict[int, Number], count: int) -> Numb
     return found
 
 
-def _told(c: Contact, speed: Array, params: Params) -> dict[str, Array]:
-    told = c.coefficients(params)
-    return told | {"approach_speed": speed} if c.remembers else told
+def _coefficients(c: Contact, speed: Array, params: Params) -> dict[str, Array]:
+    values = c.coefficients(params)
+    return values | {"approach_speed": speed} if c.remembers else values
 
 
 def _stored(c: Contact, depth: Array, params: Params) -> Array:
-    """Energy [J] of a contact at rest, to a factor of n + 1: force times depth, of its onset's."""
-    told = _told(c, jnp.ones(()), params)
-    reach = smooth_ramp(depth, told["smoothing"])[0] if "smoothing" in told else positive(depth)
-    return c.law.force(reach, jnp.zeros_like(reach), told) * reach
+    """Energy [J] of a contact at rest, to a factor of n + 1: force times depth, of its regularisation's."""
+    values = _coefficients(c, jnp.ones(()), params)
+    reach = smooth_ramp(depth, values["smoothing"])[0] if "smoothing" in values else positive(depth)
+    return c.law.force(reach, jnp.zeros_like(reach), values) * reach
 
 
 def _depth(c: Contact, energy: Array, force: Array, speed: Array, params: Params) -> Array:
     """Penetration that takes in an energy (force times depth is twice it), or bears a force, whichever is deeper."""
-    told = _told(c, speed, params)
+    values = _coefficients(c, speed, params)
 
     def halve(_, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = bracket
         middle = 0.5 * (low + high)
         depth = jnp.exp(middle)
-        push = onset_force(c.law, depth, jnp.zeros_like(depth), told, told.get("smoothing"))
+        push = regularised_force(c.law, depth, jnp.zeros_like(depth), values, values.get("smoothing"))
         enough = (push * depth > 2.0 * energy) & (push > force)
         return jnp.where(enough, low, middle), jnp.where(enough, middle, high)
 

@@ -45,7 +45,7 @@ def chain(count: int = 10, law: str = "hertz", elastic: str | None = None, smoot
         spheres.append(Body(f"sphere_{i}", "slide", at=(_place(i), 0, 0), axis="x", mass="mass", start=start))
     for i in range(1, count):
         between, radii = (f"sphere_{i}", f"sphere_{i + 1}"), {"radius_a": "radius", "radius_b": "radius"}
-        # A law stated by restitution is told the first sphere's speed: all but the last are struck at nearly it.
+        # A law stated by restitution has the first sphere's speed: all but the last are struck at nearly it.
         contacts.append(
             Contact(f"contact_{i}", between, SphereOnSphere(), law, elastic=elastic, smoothing=smoothing, values=radii,
                     approach="parameter")

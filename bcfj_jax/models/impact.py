@@ -36,7 +36,7 @@ def impact(law: str = "memory_free", elastic: str | None = None, smoothing: bool
     Args:
         law: name of a normal-force law (``laws.LAWS``).
         elastic: name of its elastic part (``laws.ELASTIC``).
-        smoothing: whether the onset of penetration can be smoothed; False takes it out of the program.
+        smoothing: whether the contact is regularised; False takes it out of the program.
     """
     body = Body("body", "slide", axis="x", mass="mass", start={"velocity": "approach_speed"})
     surface = Contact(
@@ -63,7 +63,7 @@ class _Fall(Approach):
     def first(self, gap: Number, rate: Number, p: Params) -> Array:
         """A mass let go on the surface has had no flight: it moves as quickly as falling by its sag.
 
-        A restitution law told of a speed of 0 would be rigid. The first flight, if there is one, forgets this.
+        A restitution law with an approach speed of 0 would be rigid. The first flight, if there is one, forgets this.
         """
         return jnp.sqrt(jnp.square(_fall(gap, rate, p)) + 2.0 * p["gravity"] * _sag(p))
 

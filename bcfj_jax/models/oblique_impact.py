@@ -78,7 +78,7 @@ def oblique_impact(
     on the sphere: normal into the plane, axial along z, tangential along -x.
 
     Args:
-        law, elastic, smoothing: as ``impact``; a law stated by restitution is told the speed along the normal.
+        law, elastic, smoothing: as ``impact``; a law stated by restitution has the speed along the normal.
         friction: False for none, True for Brown-McPhee, or a name of ``laws.FRICTION``.
     """
     sphere = Body(

@@ -42,7 +42,7 @@ def run(out: Path | None, say: Say, end: float = END) -> tuple[str, bool]:
 
     Args:
         out: folder for the results, None for one made up.
-        say: is told of the progress.
+        say: receives the progress.
         end: time simulated [s]; the paper's, but for tests.
 
     Returns:
@@ -93,11 +93,11 @@ def verdict(found: PeakFit, records: Mapping[str, Record]) -> str:
         if not missed
         else f"Misfit: no start found values within the bounds that give all peaks; the best miss {', '.join(missed)}."
     )
-    told = (
+    tested = (
         f"The peaks determine {found.combinations} of the {len(found.estimates)} combinations of unknowns, and {count} "
         f"unknown(s) by themselves{'' if not missed else ', were the model right'}."
     )
-    return " ".join([*(f"{f[0].upper()}{f[1:]}." for f in failed), reached, told])
+    return " ".join([*(f"{f[0].upper()}{f[1:]}." for f in failed), reached, tested])
 
 
 def _write(

@@ -1,4 +1,4 @@
-"""Unknowns of the joint fitted to the paper's five peaks, and what those peaks can tell of them.
+"""Unknowns of the joint fitted to the paper's five peaks, and what those peaks determine of them.
 
 Least squares on relative residuals r_i = F_i/paper_i - 1 of the six numbers that the five peaks are (Q23 has two), over
 the logarithms of the unknowns in a box. The loss is Huber's at ``ERROR``: a number that the model cannot reach counts
@@ -157,7 +157,7 @@ def fit(
         params: all parameters; those of the unknowns are the first start.
         unknowns: what is free, and in what bounds.
         wanted: six peaks in the order of ``TARGETS``; by default the paper's.
-        say: is told of the progress.
+        say: receives the progress.
     """
     model = _Model(params, unknowns, targets() if wanted is None else wanted)
     design = qmc.Sobol(len(unknowns), rng=0).random(_SCREENED)
@@ -175,10 +175,10 @@ def fit(
         ends.append((np.inf if np.all(residual == _FAILED) else _cost(residual), result.x))
         say(f"start {number + 1} of {len(starts)}: cost {ends[-1][0]:.4g} after {result.nfev} evaluations")
     ends.sort(key=lambda end: end[0])
-    return _judge(model, ends)
+    return _assess(model, ends)
 
 
-def _judge(model: _Model, ends: list[tuple[float, np.ndarray]]) -> PeakFit:
+def _assess(model: _Model, ends: list[tuple[float, np.ndarray]]) -> PeakFit:
     """What the best end is worth."""
     best, point = ends[0]
     residual, slope, found = model(point)

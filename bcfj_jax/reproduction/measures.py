@@ -35,7 +35,7 @@ class Measured(NamedTuple):
 
 
 class Inequality(NamedTuple):
-    """One of the qualitative claims: what is said, whether the model does so (None: cannot tell), the numbers."""
+    """One of the qualitative claims: what is said, whether the model does so (None: unknown), the numbers."""
 
     text: str
     holds: bool | None

@@ -52,8 +52,8 @@ def _run(scene: Joint, params: Params, times: Array, how: Plan) -> tuple[Solutio
 
     def look(y: Array) -> tuple[dict[str, Reading], Array, Array]:
         state = view(scene, c, y)
-        _, border = on_bodies(scene, c, state, touches(scene, c, state))
-        return observe(scene, c, y), border[scene.slots["cage"]], state.cage_velocity
+        _, coupling = on_bodies(scene, c, state, touches(scene, c, state))
+        return observe(scene, c, y), coupling[scene.slices["cage"]], state.cage_velocity
 
     readings, forces, velocity = jax.vmap(look)(solution.states)
     return solution, readings, forces, velocity

@@ -67,8 +67,10 @@ def used(params: Params, end: float, step: float, balls: int) -> dict[str, str]:
 
 def _cell(row: Claim, found: Mapping[str, Measured] | None, tests: Sequence[Inequality] | None) -> str:
     if row.id == "Q37" and tests is not None:
-        told = [t.holds for t in tests if t.holds is not None]
-        return f"{sum(told)} of {len(told)} hold" + (f", {len(tests) - len(told)} untold" * (len(told) < len(tests)))
+        known = [t.holds for t in tests if t.holds is not None]
+        return f"{sum(known)} of {len(known)} hold" + (
+            f", {len(tests) - len(known)} unknown" * (len(known) < len(tests))
+        )
     if row.kind != FIGURE or found is None or row.id not in found:
         return "-"
     return shown(found[row.id].values, row.unit)
@@ -112,7 +114,7 @@ def inequality_rows(tests: Mapping[str, Sequence[Inequality]]) -> list[list[str]
 
 
 def unknown_rows(params: Params, fit: PeakFit) -> list[list[str]]:
-    """The unknowns: as given, fitted, bounds, and whether the data can tell."""
+    """The unknowns: as given, fitted, bounds, and whether the data determine them."""
     table = [["unknown", "as given", "fitted", "known to a factor of", "verdict", "bounds", "why these"]]
     for u in UNKNOWNS:
         e = fit.estimates[u.name]
@@ -152,7 +154,7 @@ def peak_rows(
 
 
 def combination_rows(fit: PeakFit) -> list[list[str]]:
-    """What the peaks can tell: combinations of the unknowns (in the unit box), best known first."""
+    """What the peaks determine: combinations of the unknowns (in the unit box), best known first."""
     names = tuple(fit.estimates)
     return [["singular value", "combination of logarithms", "verdict"]] + [
         [f"{s:.3g}", combination(d, names), "determined" if s > KNOWN else "not determined"]

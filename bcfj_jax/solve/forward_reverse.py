@@ -1,7 +1,7 @@
 """A function that forward and reverse differentiation both go through, each by its own cheap method.
 
 diffrax offers an adjoint for either direction; the one that does both costs time in proportion to the
-step budget. ``two_way`` gives JAX the tangent map as one linear primitive that knows its transpose, and
+step budget. ``forward_and_reverse`` gives JAX the tangent map as one linear primitive that knows its transpose, and
 traces only the direction that is asked for. (``jax.custom_derivatives.linear_call`` is this without vmap.)
 """
 
@@ -21,7 +21,7 @@ X = TypeVar("X")
 Y = TypeVar("Y")
 
 # Operands: the point (``points`` arrays), then the vector. ``push`` and ``pull`` map (point, vector) -> vector.
-_linear_p = Primitive("two_way_linear")
+_linear_p = Primitive("forward_and_reverse_linear")
 _linear_p.multiple_results = True
 
 
@@ -72,7 +72,7 @@ batching.primitive_batchers[_linear_p] = _batch
 mlir.register_lowering(_linear_p, mlir.lower_fun(_apply, multiple_results=True))
 
 
-def two_way(
+def forward_and_reverse(
     forward: Callable[[X], Y], reverse: Callable[[X], Y], value: Callable[[X], Y] | None = None
 ) -> Callable[[X], Y]:
     """One function out of two that compute the same: one with a jvp, one with a vjp.

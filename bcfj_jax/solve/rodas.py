@@ -1,7 +1,7 @@
 """RODAS3: a stiffly accurate, L-stable Rosenbrock method of order 3 with an embedded one of order 2.
 
 Sandu, Verwer, Blom, Spee, Carmichael and Potra, Atmospheric Environment 31 (1997) 3459; gamma = 1/2. One Jacobian
-and one factorisation a step, three fields, four solves, no iteration: in a batch no lane waits for another's Newton.
+and one factorisation a step, three fields, four solves, no iteration: in a batch no run waits for another's Newton.
 The joint's steps are set by contacts that begin and end, not by the order: RODAS (order 4, six fields and solves) took
 as many and cost half as much again.
 For values only: differentiated, it carries the Jacobian's own derivative and its tangents are unbounded at
@@ -96,7 +96,7 @@ def _step(structure: AbstractStructure, t0: Any, t1: Any, y0: Array, args: Any) 
         """The next stage, from the rows of the tables; stages not yet known are 0."""
         i, when, place, coupling, share = row
         stages, slope = known
-        # Not batched with the lanes, so this is a branch there, too.
+        # Not batched with the runs, so this is a branch there, too.
         at = (t0 + when * h, y0 + place @ stages)
         slope = jax.lax.cond(i == 1, lambda t, y: slope, lambda t, y: structure.field(t, y, args), *at)
         found = structure.solve(factors, slope + coupling @ stages / h + share * drift)

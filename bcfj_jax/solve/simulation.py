@@ -22,7 +22,7 @@ from bcfj_jax.mechanism import channels
 from bcfj_jax.mechanism.channels import Channel, channel
 from bcfj_jax.mechanism.model import AbstractModel, Choice, Params, Reading, Solution
 from bcfj_jax.mechanism.readings import contact_states
-from bcfj_jax.solve.forward_reverse import two_way
+from bcfj_jax.solve.forward_reverse import forward_and_reverse
 from bcfj_jax.solve.integrate import MAX_STEPS, Plan, force_error, integrate, plan
 from bcfj_jax.solve.measured_error import Accuracy, measured
 
@@ -143,7 +143,7 @@ def force_history(
             return _forces(_REVERSE, scene, x[0], x[1], _backward(scene, x[2]), True)
 
         ways = way(_FORWARD, True), backward, way(_FORWARD, False)
-        return two_way(*ways)((dict(params), times, how))
+        return forward_and_reverse(*ways)((dict(params), times, how))
     raise InputError("mode", f"no mode '{mode}'", "use auto, forward or reverse")
 
 
@@ -206,7 +206,7 @@ def simulate(
         scene: the model; params, times, accuracy: as ``force_history``.
         max_steps: budget of attempted steps; beyond it the run fails with that reason.
         solver: a name of ``solve.named`` in place of the model's own.
-        measure_error: run the same program again at a tenth of the tolerance, and tell how far the two runs are apart
+        measure_error: run the same program again at a tenth of the tolerance, and report how far the two runs are apart
             (``Run.accuracy``). Not of a model without a history, which takes no steps.
         read: names of readings to keep beside the contacts' (``mechanism.channels``), such as "slider.acceleration.x".
 

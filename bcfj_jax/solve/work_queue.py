@@ -1,8 +1,8 @@
 """Many runs of one model at once, none waiting for another.
 
-``vmap`` of an adaptive solve goes on until its slowest run ends. Here a batch has a fixed number of slots, each in
-its own run at its own time; a slot whose run ends takes the next run from the queue within the same compiled loop, so
-that slots stand idle only at the very end. Solver and step control are those of ``integrate``; a run's steps do not
+``vmap`` of an adaptive solve goes on until its slowest run ends. Here a batch has a fixed number of places, each in
+its own run at its own time; a place whose run ends takes the next run from the queue within the same compiled loop, so
+that places stand idle only at the very end. Solver and step control are those of ``integrate``; a run's steps do not
 depend on the runs beside it.
 """
 
@@ -20,13 +20,13 @@ from bcfj_jax.core.status import NOT_FINITE, OK, SOLVER, STEPS
 from bcfj_jax.mechanism.model import AbstractModel, Params, Solution
 from bcfj_jax.solve.integrate import Plan, controller, problem
 
-# Numbers that a slot reads from a step in one round, and samples at least; for more the step is taken again.
+# Numbers that a place reads from a step in one round, and samples at least; for more the step is taken again.
 _READ, _FEWEST = 128, 8
 _GOING_ON = -1
 
 
-class _Slot(NamedTuple):
-    """One slot: the number of its run (that of all runs for none), the run's problem, and how far it is."""
+class _Place(NamedTuple):
+    """One place: the number of its run (that of all runs for none), the run's problem, and how far it is."""
 
     run: Array
     arrays: Any
@@ -41,7 +41,7 @@ class _Slot(NamedTuple):
     rejected: Array
 
 
-class _Told(NamedTuple):
+class _Outcome(NamedTuple):
     """How the runs ended; the last row takes what belongs to none."""
 
     code: Array
@@ -50,8 +50,8 @@ class _Told(NamedTuple):
     rejected: Array
 
 
-def integrate_lanes(
-    model: AbstractModel, params: Params, ends: Array, grid: Array, how: Plan, count: Array, slots: int
+def integrate_queue(
+    model: AbstractModel, params: Params, ends: Array, grid: Array, how: Plan, count: Array, places: int
 ) -> tuple[Solution, Array]:
     """Solve the first ``count`` of N runs. Pure; values only.
 
@@ -62,10 +62,10 @@ def integrate_lanes(
         grid: (T,) increasing from 0 to 1: samples are at ``ends * grid``.
         how: as ``integrate``; its budget of steps is each run's own.
         count: may be traced, so that a shorter queue needs no other program.
-        slots: runs under way at one time.
+        places: runs under way at one time.
 
     Returns:
-        As ``integrate``, with a leading axis (N,), and how many rounds all slots went through. Runs beyond ``count``
+        As ``integrate``, with a leading axis (N,), and how many rounds all places went through. Runs beyond ``count``
         are NaN.
     """
     total, rows = ends.size, grid.size
@@ -79,7 +79,7 @@ def integrate_lanes(
         """Time of a sample [s]; infinity for those that are no more."""
         return jnp.where(sample < rows, end * grid[jnp.minimum(sample, rows - 1)], jnp.inf)
 
-    def load(run: Array) -> _Slot:
+    def load(run: Array) -> _Place:
         at = jnp.minimum(run, total - 1)
         posed = problem(model, {name: leaf[at] for name, leaf in params.items()}, ends[at], how, False)
         terms, solver, zero, none = dfx.ODETerm(posed.field), posed.solver, jnp.zeros(()), jnp.zeros((), int)  # pyright: ignore[reportArgumentType]
@@ -89,79 +89,81 @@ def integrate_lanes(
         )  # fmt: skip
         memory = solver.init(terms, zero, goal, posed.start, posed.args)
         arrays = eqx.filter(posed, eqx.is_array)
-        return _Slot(run, arrays, ends[at], zero, goal, posed.start, memory, control, none, none, none)
+        return _Place(run, arrays, ends[at], zero, goal, posed.start, memory, control, none, none, none)
 
-    def advance(slot: _Slot) -> tuple[_Slot, Array, Array]:
-        """A slot after one step, the states of the samples in it, and how its run ended."""
-        posed = eqx.combine(slot.arrays, static)
+    def advance(place: _Place) -> tuple[_Place, Array, Array]:
+        """A place after one step, the states of the samples in it, and how its run ended."""
+        posed = eqx.combine(place.arrays, static)
         terms, solver = dfx.ODETerm(posed.field), posed.solver
-        goal = jnp.where(slot.goal > slot.end * (1.0 - 1e-14), slot.end, slot.goal)
+        goal = jnp.where(place.goal > place.end * (1.0 - 1e-14), place.end, place.goal)
         found, error, dense, memory, _ = solver.step(
-            terms, slot.time, goal, slot.state, posed.args, slot.memory, jnp.asarray(False)
+            terms, place.time, goal, place.state, posed.args, place.memory, jnp.asarray(False)
         )
         keep, _, after, _, control, fine = controller(posed, how).adapt_step_size(
-            slot.time, goal, slot.state, found, posed.args, error, solver.error_order(terms), slot.control
+            place.time, goal, place.state, found, posed.args, error, solver.error_order(terms), place.control
         )
-        times = due(slot.end, slot.sample + jnp.arange(read))
+        times = due(place.end, place.sample + jnp.arange(read))
         here = keep & (times <= goal)
-        between = solver.interpolation_cls(t0=slot.time, t1=goal, **dense)
+        between = solver.interpolation_cls(t0=place.time, t1=goal, **dense)
         values = jax.vmap(between.evaluate)(jnp.where(here, times, goal))
-        again = keep & (due(slot.end, slot.sample + read) <= goal)
+        again = keep & (due(place.end, place.sample + read) <= goal)
         done = keep & ~again
-        attempts = slot.accepted + slot.rejected + ~again
+        attempts = place.accepted + place.rejected + ~again
         spent = jnp.where(attempts >= how.max_steps, STEPS, _GOING_ON)
         code = jnp.where(fine == dfx.RESULTS.successful, spent, SOLVER)
-        code = jnp.where(done & (goal >= slot.end), OK, code)
+        code = jnp.where(done & (goal >= place.end), OK, code)
 
         def chosen(which: Any, new: Any, old: Any) -> Any:
             return jax.tree.map(lambda x, y: jnp.where(which, x, y), new, old)
 
-        moved = slot._replace(
-            time=jnp.where(done, goal, slot.time),
-            goal=jnp.where(again, slot.goal, after),
-            state=chosen(done, found, slot.state),
-            memory=chosen(done, memory, slot.memory),
-            control=chosen(again, slot.control, control),
-            sample=slot.sample + jnp.sum(here),
-            accepted=slot.accepted + done,
-            rejected=slot.rejected + ~keep,
+        moved = place._replace(
+            time=jnp.where(done, goal, place.time),
+            goal=jnp.where(again, place.goal, after),
+            state=chosen(done, found, place.state),
+            memory=chosen(done, memory, place.memory),
+            control=chosen(again, place.control, control),
+            sample=place.sample + jnp.sum(here),
+            accepted=place.accepted + done,
+            rejected=place.rejected + ~keep,
         )
         return moved, values, code
 
     def body(carry: tuple) -> tuple:
-        waiting, before, told, states, rounds = carry
+        waiting, before, outcome, states, rounds = carry
         after, values, code = jax.vmap(advance)(before)
         # One by one, in place: a scatter would copy all states in every round. Rows written too far are written again.
-        for i in range(slots):
+        for i in range(places):
             states = jax.lax.dynamic_update_slice(states, values[i][None], (before.run[i], before.sample[i], 0))
         ended = code != _GOING_ON
 
         def hand_over(now: tuple) -> tuple:
-            waiting, slot, told = now
-            at = jnp.where(ended, slot.run, total)
-            news = _Told(code, slot.time, slot.accepted, slot.rejected)
-            told = jax.tree.map(lambda x, new: x.at[at].set(new), told, news)
+            waiting, place, outcome = now
+            at = jnp.where(ended, place.run, total)
+            news = _Outcome(code, place.time, place.accepted, place.rejected)
+            outcome = jax.tree.map(lambda x, new: x.at[at].set(new), outcome, news)
             run = waiting + jnp.cumsum(ended) - 1
             fresh = jax.vmap(load)(jnp.where(run < count, run, total))
-            slot = jax.tree.map(lambda x, y: jnp.where(ended.reshape(-1, *[1] * (x.ndim - 1)), x, y), fresh, slot)
-            return waiting + jnp.sum(ended), slot, told
+            place = jax.tree.map(lambda x, y: jnp.where(ended.reshape(-1, *[1] * (x.ndim - 1)), x, y), fresh, place)
+            return waiting + jnp.sum(ended), place, outcome
 
-        now = jax.lax.cond(jnp.any(ended), hand_over, lambda now: now, (waiting, after, told))
+        now = jax.lax.cond(jnp.any(ended), hand_over, lambda now: now, (waiting, after, outcome))
         return *now, states, rounds + 1
 
-    first = jnp.arange(slots)
+    first = jnp.arange(places)
     start = jax.vmap(load)(jnp.where(first < count, first, total))
     none = jnp.zeros(total + 1, int)
-    told = _Told(none + NOT_FINITE, jnp.zeros(total + 1), none, none)
+    outcome = _Outcome(none + NOT_FINITE, jnp.zeros(total + 1), none, none)
     # ``read`` rows beyond the last sample, which the last step's writing may reach.
     states = jnp.full((total + 1, rows + read, width), jnp.nan)
-    carry = (jnp.asarray(slots), start, told, states, jnp.asarray(0))
-    *_, told, states, rounds = jax.lax.while_loop(lambda carry: jnp.any(carry[1].run < total), body, carry)
+    carry = (jnp.asarray(places), start, outcome, states, jnp.asarray(0))
+    *_, outcome, states, rounds = jax.lax.while_loop(lambda carry: jnp.any(carry[1].run < total), body, carry)
     # Beyond the last sample that was reached stands what was written too far.
-    reached = ends[:, None] * grid <= jnp.where(told.code[:-1] == OK, jnp.inf, told.end[:-1])[:, None]
+    reached = ends[:, None] * grid <= jnp.where(outcome.code[:-1] == OK, jnp.inf, outcome.end[:-1])[:, None]
     states = jnp.where(reached[..., None], states[:-1, :rows], jnp.nan)
-    code = jnp.where((told.code[:-1] == OK) & ~jnp.all(jnp.isfinite(states), axis=(1, 2)), NOT_FINITE, told.code[:-1])
-    return Solution(states, code, told.end[:-1], told.accepted[:-1], told.rejected[:-1]), rounds
+    code = jnp.where(
+        (outcome.code[:-1] == OK) & ~jnp.all(jnp.isfinite(states), axis=(1, 2)), NOT_FINITE, outcome.code[:-1]
+    )
+    return Solution(states, code, outcome.end[:-1], outcome.accepted[:-1], outcome.rejected[:-1]), rounds
 
 
 def equilibria(model: AbstractModel, params: Params, ends: Array, grid: Array) -> Solution:
@@ -169,7 +171,7 @@ def equilibria(model: AbstractModel, params: Params, ends: Array, grid: Array) -
 
     Args:
         model: one whose instants are each solved for themselves.
-        params, ends, grid: as ``integrate_lanes``.
+        params, ends, grid: as ``integrate_queue``.
 
     Returns:
         As ``integrate`` gives it, with a leading axis (N,).

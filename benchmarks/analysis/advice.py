@@ -32,34 +32,34 @@ CHANGED = ("mass", "stiffness", "approach_speed", "drop_height", "clearance_cont
 
 
 def ladder(kind: str, law: str, count: int) -> np.ndarray:
-    """Errors (count, 1 + VARIANTS, rungs) of scenes of a law and of their variants; the scene itself comes first."""
+    """Errors (count, 1 + VARIANTS, levels) of scenes of a law and of their variants; the scene itself comes first."""
     scene, params, ends = springs(kind, law, count, SEED)
     rng = np.random.default_rng(SEED)
-    lanes = count * (1 + VARIANTS)
+    runs = count * (1 + VARIANTS)
     wide = {name: np.repeat(np.asarray(value), 1 + VARIANTS) for name, value in params.items()}
     for name in set(CHANGED) & set(wide):
         factor = rng.uniform(1.0 - SPREAD, 1.0 + SPREAD, (count, 1 + VARIANTS))
         factor[:, 0] = 1.0
         wide[name] = wide[name] * factor.ravel()
     grid = np.linspace(0.0, 1.0, SAMPLES[kind]) * np.repeat(ends, 1 + VARIANTS)[:, None]
-    run = runner(scene, lanes=True)
+    run = runner(scene, batched=True)
     given = {name: jnp.asarray(value) for name, value in wide.items()}
 
     def at(tolerance: float) -> tuple[Any, np.ndarray]:
         forces, code, _ = jax.device_get(run(given, jnp.asarray(grid), Plan(jnp.asarray(tolerance), BUDGET)))
-        return [{name: f[k] for name, f in forces.items()} for k in range(lanes)], code
+        return [{name: f[k] for name, f in forces.items()} for k in range(runs)], code
 
     truth, code = at(1e-10)
-    found = np.full((lanes, len(ERRORS)), np.nan)
-    for rung, error in enumerate(ERRORS):
+    found = np.full((runs, len(ERRORS)), np.nan)
+    for level, error in enumerate(ERRORS):
         forces, ended = at(float(plan(scene, error).tolerance))
         for k in np.flatnonzero(code == 0):
-            found[k, rung] = off(forces[k], truth[k], grid[k]) if ended[k] == 0 else LOST
+            found[k, level] = off(forces[k], truth[k], grid[k]) if ended[k] == 0 else LOST
     return found.reshape(count, 1 + VARIANTS, -1)
 
 
 def advised(errors: np.ndarray, budget: float) -> int | None:
-    """The rung that is recommended to a scene with these errors (rungs,): the loosest that may be."""
+    """The level that is recommended to a scene with these errors (levels,): the loosest that may be."""
     todo = [Setting(f"{error:g}", "tolerance", "tsit5", error, {"scene": {}}) for error in ERRORS]
     rows = [{"status": OK} | dict.fromkeys(advice.MAIN, float(error)) for error in errors]
     known = advice.expected(Study(todo, rows, None, False))
@@ -68,7 +68,7 @@ def advised(errors: np.ndarray, budget: float) -> int | None:
 
 
 def loosest(errors: np.ndarray, budget: float) -> int | None:
-    """The loosest rung that is right on the scene itself."""
+    """The loosest level that is right on the scene itself."""
     return next((k for k, error in enumerate(errors) if error <= budget), None)
 
 

@@ -62,7 +62,7 @@ def share(kind: str, row: Row) -> float:
     """Error over promise at ``balanced``: of a row down the ladder, or of a wider one, which was run there alone."""
     k = 0
     if len(row["error"]) > 1:
-        k = next((k for k, rung in enumerate(LADDER[kind]) if rung <= 1.001 * balanced(kind)), len(LADDER[kind]) - 1)
+        k = next((k for k, level in enumerate(LADDER[kind]) if level <= 1.001 * balanced(kind)), len(LADDER[kind]) - 1)
     return row["error"][k] / LEVELS["balanced"]
 
 

@@ -43,8 +43,8 @@ from benchmarks.common import RESULTS, ROOT, load, save
 
 KEPT = ROOT / "build" / "extremes"
 ACCURACY = "balanced"
-# Lanes side by side, instants, and cases of a scene. An equilibrium is searched for case by case: no lane waits.
-LANES = {"impact": 512, "bounce": 512, "kinematic": 512, "quasistatic": 1, "dynamic": 20}
+# Runs side by side, instants, and cases of a scene. An equilibrium is searched for case by case: no run waits.
+BATCH = {"impact": 512, "bounce": 512, "kinematic": 512, "quasistatic": 1, "dynamic": 20}
 SAMPLES = {"impact": 65, "bounce": 65, "kinematic": 17, "quasistatic": 5, "dynamic": 33}
 CASES = {"impact": 10_000, "bounce": 10_000, "kinematic": 10_000, "quasistatic": 10_000, "dynamic": 1_600}
 # Energy above what was there at the start, as a fraction of it, that counts as created: the force error asked for.
@@ -57,7 +57,7 @@ _NUMBER = re.compile(r"(?<![\w.])-?\d[\d.]*(e[+-]?\d+)?")
 
 @eqx.filter_jit
 def attempt(scene: Any, params: Any, moves: Any, times: Any, how: Any) -> dict[str, Any]:
-    """Lanes of runs, each with the derivative of its forces in one direction of all parameters, if there is one."""
+    """Batches of runs, each with the derivative of its forces in one direction of all parameters, if there is one."""
 
     def forces(p: Any, t: Any) -> Any:
         solution, readings = outcome(scene, p, t, how, dfx.ForwardMode(), moves is not None)
@@ -147,10 +147,10 @@ def gained(energy: np.ndarray, size: np.ndarray) -> np.ndarray:
 def created(variant: Variant, scene: Any, p: dict[str, np.ndarray], times: Any, states: np.ndarray) -> np.ndarray:
     """Energy that a case has created, ``gained``; 0 where none is known."""
     if variant.name == "passive":
-        books = np.asarray(passive_energy(scene, {k: jnp.asarray(v) for k, v in p.items()}, times, states))
+        mechanical = np.asarray(passive_energy(scene, {k: jnp.asarray(v) for k, v in p.items()}, times, states))
         # What is stored while the head falls is as large as what it gives; unloaded, 10 N through the unit of places.
         depth = np.asarray(jax.vmap(lambda q: joint_scales(scene, q)[0])({k: jnp.asarray(v) for k, v in p.items()}))
-        return gained(books, np.nanmax(np.abs(books), 1, keepdims=True) + 10.0 * depth[:, None])
+        return gained(mechanical, np.nanmax(np.abs(mechanical), 1, keepdims=True) + 10.0 * depth[:, None])
     if variant.scene not in ("impact", "bounce"):
         return np.zeros(states.shape[0])
     return gained(*energies(p, variant.scene, states))
@@ -162,7 +162,7 @@ def verdicts(variant: Variant, cases: dict[str, np.ndarray]) -> list[dict[str, A
     if "friction_static" in cases:
         cases = cases | {"friction_dynamic": 0.7 * cases["friction_static"]}
     names = [name for name in cases if name != "end"]
-    count, lanes = cases["end"].size, LANES[variant.scene]
+    count, count_at_once = cases["end"].size, BATCH[variant.scene]
     rows = [{name: float(cases[name][k]) for name in names} | variant.fixed for k in range(count)]
     said = [refusal(scene, row) for row in rows]
     good = np.array([k for k in range(count) if not said[k]], int)
@@ -176,11 +176,11 @@ def verdicts(variant: Variant, cases: dict[str, np.ndarray]) -> list[dict[str, A
         times = instants(scene, cases["end"][good], params, SAMPLES[variant.scene])
         # Together with its own size, or where that is 0 with a small one: every parameter counts.
         moves = {name: np.where(value != 0, value, 1e-6) for name, value in params.items()}
-        # The last lanes run again: one program for any number of cases.
-        pad = np.concatenate([np.arange(good.size), np.full(-good.size % lanes, good.size - 1)])
+        # The last runs are repeated: one program for any number of cases.
+        pad = np.concatenate([np.arange(good.size), np.full(-good.size % count_at_once, good.size - 1)])
         how = plan(scene, ACCURACY, variant.budget)
-        for k in range(0, pad.size, lanes):
-            some = pad[k : k + lanes]
+        for k in range(0, pad.size, count_at_once):
+            some = pad[k : k + count_at_once]
             own = {name: value[some] for name, value in params.items()}
             batch, move = ({n: jnp.asarray(v[some]) for n, v in x.items()} for x in (params, moves))
             t = jnp.asarray(times[some])
@@ -189,17 +189,17 @@ def verdicts(variant: Variant, cases: dict[str, np.ndarray]) -> list[dict[str, A
             got = jax.device_get(attempt(scene, batch, None if alone else move, t, how))
             above = created(variant, scene, own, t, got["states"])
             steep = jax.device_get(attempt(scene, batch, move, t, how)) if alone and variant.slopes else None
-            for lane, which in enumerate(some[: max(0, good.size - k)]):
-                ends = [{key: x[lane] for key, x in run.items() if key != "states"} for run in (got, steep) if run]
-                judgements = [judged(end, float(above[lane]), float(times[which, -1]), variant.budget) for end in ends]
-                worst = next((j for j in judgements if j["class"] != "ok"), judgements[0])
+            for member, which in enumerate(some[: max(0, good.size - k)]):
+                ends = [{key: x[member] for key, x in run.items() if key != "states"} for run in (got, steep) if run]
+                checks = [checked(end, float(above[member]), float(times[which, -1]), variant.budget) for end in ends]
+                worst = next((j for j in checks if j["class"] != "ok"), checks[0])
                 # A run that went well, whose derivatives did not.
-                part = "derivatives: " if worst is not judgements[0] else ""
+                part = "derivatives: " if worst is not checks[0] else ""
                 found[good[which]] = worst | {"reason": part + worst["reason"] if worst["reason"] else ""}
     return [{**row, "end": float(cases["end"][k]), **found[k]} for k, row in enumerate(rows)]
 
 
-def judged(one: dict[str, Any], above: float, end: float, budget: int) -> dict[str, Any]:
+def checked(one: dict[str, Any], above: float, end: float, budget: int) -> dict[str, Any]:
     """The class of one finished case."""
     code, steps = int(one["code"]), int(one["steps"])
     if code == OK and bool(one["force"]) and not bool(one["slope"]):

@@ -73,7 +73,7 @@ def shared(p: Numbers, time: float) -> dict[str, np.ndarray]:
     }
 
 
-def skin(p: Numbers, contact: str) -> Case:
+def law_case(p: Numbers, contact: str) -> Case:
     """The laws of a contact at rest, as those of a mass."""
     return Case("memory_free", {k: p.get(f"{contact}.{k}", p[k]) for k in ("stiffness", "exponent", "smoothing")})
 
@@ -86,7 +86,7 @@ def guided(p: Numbers, y: np.ndarray, rates: bool = False) -> dict[str, np.ndarr
     head_rate, cage_rate, spin = y[half + 18 : half + 21], y[half + 22 : half + 25], y[half + 25 : half + 28]
 
     def push(contact: str, depth: Any, rate: Any) -> float:
-        return skin(p, contact).force(float(depth), float(rate), p["damping"] if rates else 0.0)
+        return law_case(p, contact).force(float(depth), float(rate), p["damping"] if rates else 0.0)
 
     found = {"cage_ball": np.zeros(BALLS)}
     for k in range(BALLS):

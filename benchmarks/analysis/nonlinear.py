@@ -100,7 +100,7 @@ def known() -> dict[str, Any]:
 def bouncing() -> dict[str, Any]:
     """Six bounces against Newton's restitution and Zeno's time."""
     scene = scenes.bounce("exact", smoothing=False)
-    fall, told = math.sqrt(2.0 * HEIGHT / GRAVITY), {}
+    fall, result = math.sqrt(2.0 * HEIGHT / GRAVITY), {}
     for e in (0.5, 0.7, 0.85):
         k = np.arange(6)
         end = fall * (1.0 + 2.0 * sum(e**j for j in range(1, 6))) + 0.5 * fall * e**6
@@ -109,8 +109,8 @@ def bouncing() -> dict[str, Any]:
         found = nonlinear.impacts(run.times, run.penetration["contact"], run.rate["contact"])
         worst = np.max(np.abs(found.speeds / (e**k * fall * GRAVITY) - 1.0))
         rest = found.times[-1] + 2.0 * found.speeds[-1] * e / GRAVITY / (1.0 - e)
-        told[str(e)] = {"worst": float(worst), "rest_s": float(rest), "zeno_s": fall * (1.0 + e) / (1.0 - e)}
-    return told
+        result[str(e)] = {"worst": float(worst), "rest_s": float(rest), "zeno_s": fall * (1.0 + e) / (1.0 - e)}
+    return result
 
 
 def pair_of_runs(smoothing: float, interval: float, intervals: int, separation: float, tolerance: float):
@@ -122,9 +122,9 @@ def pair_of_runs(smoothing: float, interval: float, intervals: int, separation: 
         -1
     ]
     posed = problem(scene, params, jnp.asarray(settle + 1.0), how, False)
-    seat, cage = scene.slots["seat_turn"], scene.slots["cage_turn"]
+    seat, cage = scene.slices["seat_turn"], scene.slices["cage_turn"]
     assert seat is not None and cage is not None
-    places, rates = 3 * scene.balls, 3 * scene.balls + scene.border + 3 * scene.balls
+    places, rates = 3 * scene.balls, 3 * scene.balls + scene.coupling + 3 * scene.balls
     common = posed.scales.at[jnp.array([places + seat.start, rates + seat.start])].set(0.0)
     axis = slice(places + cage.start, places + cage.stop)
 
@@ -141,7 +141,7 @@ def pair_of_runs(smoothing: float, interval: float, intervals: int, separation: 
 
 def exponents() -> dict[str, Any]:
     scene = scenes.joint()
-    told: dict[str, Any] = {}
+    result: dict[str, Any] = {}
     shown = {}
     table: list[tuple[str, ...]] = [("joint", "force error 1e-3", "1e-4", "1e-5", "1e-6", "two trajectories")]
     for name, smoothing in ONSETS.items():
@@ -161,55 +161,55 @@ def exponents() -> dict[str, Any]:
         row["two trajectories"] = {
             "found": pair.value, "standard_error": pair.standard_error, "cpu_s": time.process_time() - begin,
         }  # fmt: skip
-        told[name] = row
+        result[name] = row
         table.append((name, *(f"{x['found']:.4g} ± {x['standard_error']:.1g} 1/s" for x in row.values())))
         print(name, row, flush=True)
     nonlinear.draw_exponent(shown, IMAGES / "nonlinear_exponents.png")
     put_in_readme("exponents", markdown(table), PAGE)
-    return told
+    return result
 
 
 def clearance() -> dict[str, Any]:
     """Penetration of the windows once per revolution, at 10 clearances of theirs."""
-    scene, told = scenes.joint(), {}
+    scene, result = scenes.joint(), {}
     values = np.linspace(4e-6, 40e-6, 10)
     # The calm joint's scatter at looser accuracy would be the solver's; the rattle needs no digits, and costs more.
-    efforts = (1e-4, 1e-3)
-    for key, (name, smoothing), accuracy in zip(("default", "sharp"), ONSETS.items(), efforts, strict=True):
+    budgets = (1e-4, 1e-3)
+    for key, (name, smoothing), accuracy in zip(("default", "sharp"), ONSETS.items(), budgets, strict=True):
         begin = time.process_time()
         params = scene.parameters(smoothing=smoothing)
         found = nonlinear.bifurcation(
-            scene, params, "clearance_cage_ball", values, 24, transients=20, accuracy=accuracy, slots=5
+            scene, params, "clearance_cage_ball", values, 24, transients=20, accuracy=accuracy, places=5
         )
         depth = found.penetration["cage_ball"]
         path = IMAGES / f"nonlinear_clearance_{key}.png"
         labels = {"parameter": "clearance of the windows [µm]", "reading": "penetration at phase 0 [µm]"}
         nonlinear.draw_bifurcation(1e6 * values, 1e6 * depth, path, **labels)
         periods = [[nonlinear.period_number(row[:, k], 1e-8, most=2) for k in range(6)] for row in depth]
-        told[name] = {
+        result[name] = {
             "clearances_m": values.tolist(), "failed": int(found.failed.sum()), "periods": periods,
             "widest_spread_m": np.ptp(depth, axis=1).max(axis=1).tolist(),
             "cpu_s": time.process_time() - begin,
         }  # fmt: skip
-        print(name, told[name], flush=True)
-    return told
+        print(name, result[name], flush=True)
+    return result
 
 
 def scatter() -> dict[str, Any]:
     """How far the unloaded ball's section at the default onset scatters, against the accuracy asked for."""
-    scene, told = scenes.joint(), {}
+    scene, result = scenes.joint(), {}
     values = np.array([12e-6, 20e-6, 40e-6])
     table = [("force error", *(f"{1e6 * value:.0f} µm" for value in values))]
     for accuracy in (1e-4, 1e-5, 1e-6):
         found = nonlinear.bifurcation(
-            scene, scene.parameters(), "clearance_cage_ball", values, 9, transients=5, accuracy=accuracy, slots=3
+            scene, scene.parameters(), "clearance_cage_ball", values, 9, transients=5, accuracy=accuracy, places=3
         )
         spread = np.ptp(found.penetration["cage_ball"], axis=1).max(axis=1)
-        told[f"{accuracy:g}"] = spread.tolist()
+        result[f"{accuracy:g}"] = spread.tolist()
         table.append((f"{accuracy:g}", *(f"{1e6 * one:.2g} µm" for one in spread)))
         print(accuracy, spread, flush=True)
     put_in_readme("scatter", markdown(table), PAGE)
-    return {"clearances_m": values.tolist(), "spread_m": told}
+    return {"clearances_m": values.tolist(), "spread_m": result}
 
 
 def crossing() -> dict[str, Any]:
@@ -263,9 +263,9 @@ def main() -> None:
     for name in chosen:
         begin = time.process_time()
         part = PARTS[name]() | {"part_cpu_s": time.process_time() - begin}
-        told = load("nonlinear") if (RESULTS / "nonlinear.json").exists() else {}
-        told.pop("environment", None)
-        save("nonlinear", told | {name: part})
+        result = load("nonlinear") if (RESULTS / "nonlinear.json").exists() else {}
+        result.pop("environment", None)
+        save("nonlinear", result | {name: part})
         print(f"{name}: {part['part_cpu_s']:.0f} s", flush=True)
 
 

@@ -103,28 +103,28 @@ def study(table: dict[str, Any], workers: int) -> dict[str, Any]:
                 "points": result.table.num_rows, "failed": result.failed, "whole_s": time.perf_counter() - begin,
                 "blocks": len(blocks), "size": blocks.size,
                 "rate": (done - workers) * blocks.size / (last - first),
-                "efficiency": steps / (rounds * min(blocks.size, batch.slots())) if rounds else None,
+                "efficiency": steps / (rounds * min(blocks.size, batch.places())) if rounds else None,
             }  # fmt: skip
     return found
 
 
-def by_slots(count: int) -> list[dict[str, float]]:
+def by_places(count: int) -> list[dict[str, float]]:
     """Points a second of one core against the number of slots."""
     scene, rows = scenes.joint(), []
     params = {name: np.full(count, float(x)) for name, x in scene.parameters().items()}
     params["clearance_seat_cage"] = np.geomspace(LOW, HIGH, count)
     wanted = [feature(name, {"seat_cage": 0, "seat_ball": 6}) for name in FEATURES]
-    given = batch.slots
-    for slots in (1, 2, 4, 8, 16, 32, 64, 128):
-        batch.slots = lambda slots=slots: slots
+    given = batch.places
+    for places in (1, 2, 4, 8, 16, 32, 64, 128):
+        batch.places = lambda places=places: places
         # Another size for each: the program's key does not know the slots.
-        args = (scene, params, np.full(count, 0.6), TIMES / 0.6, wanted, plan(scene), count + slots)
+        args = (scene, params, np.full(count, 0.6), TIMES / 0.6, wanted, plan(scene), count + places)
         batch.run(*args)
         begin = time.perf_counter()
         batch.run(*args)
-        rows.append({"slots": slots, "rate": count / (time.perf_counter() - begin)})
+        rows.append({"slots": places, "rate": count / (time.perf_counter() - begin)})
         print(rows[-1], flush=True)
-    batch.slots = given
+    batch.places = given
     return rows
 
 
@@ -149,7 +149,7 @@ def spread() -> dict[str, Any]:
     found = batch.run(
         scene, params, last, np.linspace(0, 1, 101), [feature("contact.peak", {"contact": 0})], plan(scene), count
     )
-    share = float(found.steps.sum() / (found.rounds * batch.slots()))
+    share = float(found.steps.sum() / (found.rounds * batch.places()))
     return {"largest_over_least": float(found.steps.max() / found.steps.min()), "efficiency": share}
 
 
@@ -174,11 +174,11 @@ def main() -> None:
     print("quasistatic", still, flush=True)
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-    wide, slots = spread(), by_slots(128)
-    drawn(slots, ROOT / "docs" / "images" / "study_slots.png")
+    wide, places = spread(), by_places(128)
+    drawn(places, ROOT / "docs" / "images" / "study_slots.png")
     content = {
         "loop_points_s": loop, "pool_points_s": pair, "dynamic": joint, "over_loop": joint["rate"] / one,
-        "over_pool": joint["rate"] / pair, "quasistatic": still, "spread": wide, "slots": slots,
+        "over_pool": joint["rate"] / pair, "quasistatic": still, "spread": wide, "slots": places,
         "largest_worker_mb": resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024,
     }  # fmt: skip
     save("study", content)
@@ -193,8 +193,8 @@ def main() -> None:
         [f"quasistatic joint, 13 instants, {given.static} points, 2 workers", f"{still['rate']:.4g}", ""],
     ]  # fmt: skip
     more = [
-        ["slots", *(str(r["slots"]) for r in slots)],
-        ["points a second, one core", *(f"{r['rate']:.3g}" for r in slots)],
+        ["slots", *(str(r["slots"]) for r in places)],
+        ["points a second, one core", *(f"{r['rate']:.3g}" for r in places)],
     ]
     text = f"{markdown(rows)}\n\n{markdown(more)}\n\n![points a second against slots](images/study_slots.png)\n\n"
     text += (

@@ -109,8 +109,15 @@ def disk() -> dict[str, Any]:
             same = digest(small / "out") == digest(folder / "whole")
         finally:
             subprocess.run(["umount", small], check=True)
-    told = next((line for line in reversed(said.splitlines()) if "full" in line or "space" in line), said[-200:])
-    return {"mounted": True, "exit": code, "said": told, "blocks_kept": blocks, "resumed": resumed, "same_bytes": same}
+    message = next((line for line in reversed(said.splitlines()) if "full" in line or "space" in line), said[-200:])
+    return {
+        "mounted": True,
+        "exit": code,
+        "said": message,
+        "blocks_kept": blocks,
+        "resumed": resumed,
+        "same_bytes": same,
+    }
 
 
 def dask(points: int = 2048) -> dict[str, Any]:

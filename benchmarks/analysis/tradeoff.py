@@ -72,8 +72,8 @@ def measure(name: str, budget: float, only: list[str], derivatives: bool) -> Non
         found = study(
             given, settings(given, only, derivatives), journal, budget, lambda text: print(name, text, flush=True)
         )
-    told = as_json(found, advice.recommended(found), advice.doubts(found.reference))
-    save(f"tradeoff_{name}", plain({**told, "levels": levels(name, found)}))
+    content = as_json(found, advice.recommended(found), advice.doubts(found.reference))
+    save(f"tradeoff_{name}", plain({**content, "levels": levels(name, found)}))
 
 
 def known() -> list[str]:

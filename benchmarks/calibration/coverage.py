@@ -145,13 +145,13 @@ def bound(case: Case, noise: float, accuracy: float | None = None) -> dict[str, 
     made = case.problem(noise, 0)
     model = build(dataclasses.replace(made, accuracy=accuracy or made.accuracy), made.experiments)
     # At a reference penetration of 1 m the coordinate of the stiffness is that of the stiffness itself.
-    point = jnp.asarray(model.point(np.array([case.truth[s.name] for s in model.slots]), 0.0))
+    point = jnp.asarray(model.point(np.array([case.truth[s.name] for s in model.coordinates]), 0.0))
     jacobian = np.asarray(residuals_and_jacobian(model, point, jnp.asarray(0.0))[1])
     width = np.asarray(model.box(jnp.asarray(0.0))[1])
     deviation = np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian))) * width
     return {
-        slot.name: float(s if slot.log else s / case.truth[slot.name])
-        for slot, s in zip(model.slots, deviation, strict=True)
+        axis.name: float(s if axis.log else s / case.truth[axis.name])
+        for axis, s in zip(model.coordinates, deviation, strict=True)
     }
 
 
@@ -209,7 +209,7 @@ def summary(
 ) -> dict[str, Any]:
     """Coverage and efficiency of each parameter over a case's replicates; ``accuracy`` as ``bound``."""
     least = bound(case, noise, accuracy)
-    log, parameters = {f.name: f.told_as_share for f in case.problem(noise, 0).free}, {}
+    log, parameters = {f.name: f.as_share for f in case.problem(noise, 0).free}, {}
     for parameter, true in case.truth.items():
         values, intervals, identifiable = zip(*(r["parameters"][parameter] for r in rows), strict=True)
         printed = [ends for ends in intervals if ends]
@@ -218,10 +218,10 @@ def summary(
         ratio = float(np.mean(error**2)) / least[parameter] ** 2
         # Of n squared errors of the bound's own deviation.
         limits = np.array(chi2.interval(0.95, len(rows))) / len(rows)
-        told = binomtest(inside, len(printed)).proportion_ci() if printed else None
+        binomial = binomtest(inside, len(printed)).proportion_ci() if printed else None
         parameters[parameter] = {
             "printed": len(printed), "inside": inside, "coverage": inside / len(printed) if printed else None,
-            "coverage_ci95": told and [float(told.low), float(told.high)],
+            "coverage_ci95": binomial and [float(binomial.low), float(binomial.high)],
             "identifiable_share": float(np.mean(identifiable)), "cramer_rao": least[parameter],
             "square_error_over_bound": ratio, "variance_over_bound": float(np.var(error)) / least[parameter] ** 2,
             "ratio_expected": limits.tolist(), "bias_over_bound": float(np.mean(error)) / least[parameter],
@@ -244,11 +244,13 @@ def table(cases: list[dict[str, Any]]) -> str:
     for c in cases:
         for name, p in c["parameters"].items():
             ends = p["coverage_ci95"]
-            told = f"{p['coverage']:.1%} of {p['printed']} ({ends[0]:.0%} to {ends[1]:.0%})" if ends else "none printed"
+            binomial = (
+                f"{p['coverage']:.1%} of {p['printed']} ({ends[0]:.0%} to {ends[1]:.0%})" if ends else "none printed"
+            )
             low, high = p["ratio_expected"]
             ratio = f"{p['variance_over_bound']:.2f} ({low:.2f} to {high:.2f})"
             verdicts = ", ".join(f"{v} {n}" for v, n in c["verdicts"].items())
-            rows.append([c["case"], f"{c['noise']:.0%}", name, told, ratio, verdicts])
+            rows.append([c["case"], f"{c['noise']:.0%}", name, binomial, ratio, verdicts])
     return markdown(rows)
 
 

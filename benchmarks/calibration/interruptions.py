@@ -110,9 +110,9 @@ def main() -> None:
             print(rows[-1], flush=True)
     good = sum(r["equal"] and r["nothing_lost"] and r["exit_after"] == code for r in rows)
     save("interruptions", {"starts": given.starts, "straight_s": seconds, "exit": code, "good": good, "cuts": rows})
-    told = f"{good} of {len(rows)}: nothing that was finished is lost, and the result equals that of the uncut run."
-    put_in_readme("interruptions", told, "docs/calibration.md")
-    print(told)
+    sentence = f"{good} of {len(rows)}: nothing that was finished is lost, and the result equals that of the uncut run."
+    put_in_readme("interruptions", sentence, "docs/calibration.md")
+    print(sentence)
 
 
 if __name__ == "__main__":

@@ -109,7 +109,7 @@ def unidentifiable(noise: float, starts: int, compilation: Compilation) -> tuple
 
 
 def main() -> None:
-    """All eight, then what can be told, seed by seed; the first of these compiles."""
+    """All eight, then what can be determined, seed by seed; the first of these compiles."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("seeds", type=int, nargs="?", default=3)
     parser.add_argument("--noise", type=float, default=0.02)
@@ -130,12 +130,12 @@ def main() -> None:
         clocks = time.perf_counter() - begin, time.process_time() - cpu, compilation.since()
         rows.append(row(found, seed, clocks))
         print(rows[-1], flush=True)
-    told = [p for r in rows for p in r["parameters"].values() if p["identifiable"]]
+    known = [p for r in rows for p in r["parameters"].values() if p["identifiable"]]
     save("joint_calibration", {
         "what": "joint, 0.6 s, 20 normal forces every 1 ms by CVODES, noise as a share of each peak",
         "noise": given.noise, "starts": given.starts, "cores_used": cores(), "bounds_over_truth": BOUNDS,
         "all_eight": eight, "fixed_at": {name: f"{WRONG} times the truth" for name in named}, "fits": rows,
-        "identifiable": len(told), "recovered": sum(p["recovered"] for p in told),
+        "identifiable": len(known), "recovered": sum(p["recovered"] for p in known),
         "wall_s_after_compilation": [r["wall_s"] - r["compiling_s"] for r in rows],
     })  # fmt: skip
     table = [["seed", "verdict", "recovered", "wall, compiled", "CPU", "starts at the optimum"]]
@@ -145,10 +145,10 @@ def main() -> None:
         count = f"{r['starts_at_the_optimum']} of {given.starts}"
         table.append([str(r["seed"]), r["verdict"], inside, wall, f"{r['cpu_s']:.0f} s", count])
     first = eight.get("wall_s", 0.0) - eight.get("compiling_s", 0.0)
-    told = f"All eight free, in {first:.0f} s: {eight['verdict']}; not told by the data: {', '.join(named) or 'none'}."
-    told += f" That fixed at {WRONG} times the truth:\n\n{markdown(table)}"
-    put_in_readme("joint_calibration", told, "docs/calibration.md")
-    print(told)
+    known = f"All eight free, in {first:.0f} s: {eight['verdict']}; not determined by the data: {', '.join(named) or 'none'}."
+    known += f" That fixed at {WRONG} times the truth:\n\n{markdown(table)}"
+    put_in_readme("joint_calibration", known, "docs/calibration.md")
+    print(known)
 
 
 if __name__ == "__main__":

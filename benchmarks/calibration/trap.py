@@ -285,10 +285,10 @@ def main() -> None:
     else:
         result["mujoco_sysid"] = load("trap").get("mujoco_sysid") if (RESULTS / "trap.json").exists() else None
     save("trap", result)
-    told = f"{table(summaries)}\n\n{excluding} of {printed} printed intervals exclude the truth."
-    told += f"\n\n{peer_table(result['mujoco_sysid'])}" if result["mujoco_sysid"] else ""
-    put_in_readme("trap", told, "docs/calibration.md")
-    print(told)
+    text = f"{table(summaries)}\n\n{excluding} of {printed} printed intervals exclude the truth."
+    text += f"\n\n{peer_table(result['mujoco_sysid'])}" if result["mujoco_sysid"] else ""
+    put_in_readme("trap", text, "docs/calibration.md")
+    print(text)
 
 
 def within(task: tuple[str, int, float, tuple[int, ...]], end: float) -> list[dict[str, Any]]:

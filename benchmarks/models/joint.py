@@ -67,7 +67,7 @@ def _sum(tree: Any) -> jax.Array:
 
 
 def costs() -> dict[str, Any]:
-    """Microseconds of field, Jacobian, factorisation, solve and step; one lane, and per lane of 64."""
+    """Microseconds of field, Jacobian, factorisation, solve and step; one run, and per run of 64."""
     scene = bj.scenes.joint()
     params = scene.parameters()
     c, y = constants(scene, params), loaded_state(scene, params)
@@ -86,9 +86,9 @@ def costs() -> dict[str, Any]:
         "dense Jacobian (jacfwd)": lambda y: y + 1e-30 * jnp.sum(jax.jacfwd(lambda y: a.field(t, y, args))(y)),
         "dense factorisation and solve": lambda y: y + 1e-30 * jnp.linalg.solve(jnp.eye(y.size) + y[0], y),
     }
-    lanes = y + 1e-9 * jnp.asarray(np.random.default_rng(0).normal(size=(64, y.size)))
+    many_values = y + 1e-9 * jnp.asarray(np.random.default_rng(0).normal(size=(64, y.size)))
     return {
-        name: {"one": microseconds(body, y), "of 64": microseconds(jax.vmap(body), lanes, 200) / 64}
+        name: {"one": microseconds(body, y), "of 64": microseconds(jax.vmap(body), many_values, 200) / 64}
         for name, body in parts.items()
     }
 
@@ -160,18 +160,18 @@ def seconds() -> dict[str, Any]:
 
 
 def batch() -> dict[str, Any]:
-    """64 lanes of differing clearance, 0.6 s at 1 %: time per lane beside one lane alone."""
+    """64 runs of differing clearance, 0.6 s at 1 %: time per run beside one run alone."""
     scene = bj.scenes.joint()
     params, times = scene.parameters(), jnp.linspace(0.0, 0.6, 301)
     how = plan(scene, 1e-2)
     clearance = jnp.linspace(20e-6, 100e-6, 64)
-    lanes = {name: jnp.broadcast_to(value, (64,)) for name, value in params.items()} | {
+    many_values = {name: jnp.broadcast_to(value, (64,)) for name, value in params.items()} | {
         "clearance_seat_cage": clearance
     }
     many = jax.jit(jax.vmap(lambda p: integrate(scene, p, times, how, dfx.ForwardMode()).states))
     alone = jax.jit(lambda p: integrate(scene, p, times, how, dfx.ForwardMode()).states)
-    jax.block_until_ready((many(lanes), alone(params)))
-    together, one = median(lambda: many(lanes), 3), median(lambda: alone(params))
+    jax.block_until_ready((many(many_values), alone(params)))
+    together, one = median(lambda: many(many_values), 3), median(lambda: alone(params))
     return {"lanes": 64, "per_lane_s": together / 64, "one_lane_s": one}
 
 

@@ -80,7 +80,7 @@ def measured(count: int, seed: int, budget: float, friction: float) -> tuple[lis
 def summed(rows: list[dict[str, Any]], budget: float) -> dict[str, Any]:
     """Counts and ratios over the joints."""
     ratios = np.array([row["dynamic_s"] / row["auto_s"] for row in rows])
-    rungs = [row["fidelity"] for row in rows]
+    levels = [row["fidelity"] for row in rows]
     errors = [row["error"] for row in rows]
     low, high = np.quantile(np.random.default_rng(0).choice(ratios, (2000, ratios.size)).mean(axis=1), [0.025, 0.975])
     return {
@@ -88,7 +88,7 @@ def summed(rows: list[dict[str, Any]], budget: float) -> dict[str, Any]:
         "within_budget": sum(e <= budget for e in errors),
         "largest_error": max(errors),
         "median_error": float(np.median(errors)),
-        "rungs": {name: rungs.count(name) for name in sorted(set(rungs))},
+        "rungs": {name: levels.count(name) for name in sorted(set(levels))},
         "speed_up_mean": float(ratios.mean()),
         "speed_up_mean_95": [float(low), float(high)],
         "speed_up_median": float(np.median(ratios)),

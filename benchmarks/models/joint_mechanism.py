@@ -39,7 +39,7 @@ from benchmarks.common import save
 # Waiting for another thread costs CPU time.
 jax.config.update("jax_cpu_enable_async_dispatch", False)
 
-# By lanes, fields in a row.
+# By size of the batch, fields in a row.
 ROUNDS, PASSES = 7, {1: 5000, 64: 200}
 TIMES = jnp.linspace(0.0, 0.1, 51)
 JOINT = bj.scenes.joint()
@@ -48,7 +48,7 @@ JOINT = bj.scenes.joint()
 def sizes(mechanism: Mechanism, params: Any, end: Any) -> Array:
     """The joint's error scale in the mechanism's layout; the cage's axis moves by twice its quaternion."""
     own = JOINT.error_scale(params, end)
-    place, speed, radius = own[0], own[3 * JOINT.balls + JOINT.border], params["pitch_radius"]
+    place, speed, radius = own[0], own[3 * JOINT.balls + JOINT.coupling], params["pitch_radius"]
     turning = {"angle": 1.0, "speed": 1.0, "wx": 1.0, "wy": 1.0, "wz": 1.0} | dict.fromkeys(
         ("q0", "q1", "q2", "q3"), 0.5
     )
@@ -77,7 +77,7 @@ def run(model: Any, structure: AbstractStructure, how: Plan, params: Any) -> Any
 
 
 def field_passes(model: Any, params: Any, y: Array, count: int) -> Callable[[], Any]:
-    """Compiled: the field ``count`` times, one after the other, of states (n,) or (lanes, n)."""
+    """Compiled: the field ``count`` times, one after the other, of states (n,) or (batch, n)."""
     prepared = model.prepare(params)
     one = lambda y: y + 1e-15 * model.vector_field(jnp.asarray(0.09), y, prepared)  # noqa: E731
     body = jax.vmap(one) if y.ndim == 2 else one
@@ -104,29 +104,29 @@ def turns(programs: dict[str, Callable[[], Any]], per: float, first: str) -> dic
 
 
 def fields(states: dict[str, Array]) -> dict[str, Any]:
-    """One field, alone and per lane of 64, in a loaded state of each model."""
+    """One field, alone and per run of 64, in a loaded state of each model."""
     found = {}
-    for lanes, count in PASSES.items():
+    for many, count in PASSES.items():
         programs = {}
         for name, model in {"closed form": JOINT, "generic": GENERIC}.items():
-            noise = 1e-9 * jnp.asarray(np.random.default_rng(0).normal(size=(lanes, states[name].size)))
-            y = states[name] + (noise[0] if lanes == 1 else noise)
+            noise = 1e-9 * jnp.asarray(np.random.default_rng(0).normal(size=(many, states[name].size)))
+            y = states[name] + (noise[0] if many == 1 else noise)
             programs[name] = field_passes(model, model.parameters(), y, count)
-        found[f"lanes {lanes}"] = turns(programs, count * lanes, "closed form")
+        found[f"lanes {many}"] = turns(programs, count * many, "closed form")
     return found
 
 
 def runs() -> tuple[dict[str, Any], dict[str, Array]]:
-    """A run alone and per lane of 64 clearances, with seconds to compile and steps; and the last states by field."""
+    """A run alone and per run of 64 clearances, with seconds to compile and steps; and the last states by field."""
     how, found, states = plan(JOINT, 1e-2), {}, {}
-    for lanes in PASSES:
+    for many in PASSES:
         programs, made = {}, {}
         for name, (model, structure) in VARIANTS.items():
             params = model.parameters()
             call = partial(run, model, structure, how)
-            if lanes > 1:
-                params = {key: jnp.broadcast_to(x, (lanes,)) for key, x in params.items()}
-                params["clearance_seat_cage"] = jnp.linspace(20e-6, 100e-6, lanes)
+            if many > 1:
+                params = {key: jnp.broadcast_to(x, (many,)) for key, x in params.items()}
+                params["clearance_seat_cage"] = jnp.linspace(20e-6, 100e-6, many)
                 call = jax.vmap(call)
             begin = time.process_time()
             compiled = jax.jit(call).lower(params).compile()
@@ -135,10 +135,10 @@ def runs() -> tuple[dict[str, Any], dict[str, Array]]:
             steps = compiled(params)
             made[name] = {"compile, s": spent}
             made[name] |= {key: float(jnp.mean(getattr(steps, key))) for key in ("accepted", "rejected")}
-            if lanes == 1:
+            if many == 1:
                 states[name.partition(",")[0]] = steps.states[-1]
-        seconds = turns(programs, lanes, "closed form, arrowhead")
-        found[f"lanes {lanes}"] = {name: own | made[name] for name, own in seconds.items()}
+        seconds = turns(programs, many, "closed form, arrowhead")
+        found[f"lanes {many}"] = {name: own | made[name] for name, own in seconds.items()}
     return found, states
 
 

@@ -174,7 +174,7 @@ def random_states(scene: Joint, params: Mapping[str, Any], count: int, seed: int
 
     rng = np.random.default_rng(seed)
     half = scene.states // 2
-    tilt = scene.slots["cage_turn"]
+    tilt = scene.slices["cage_turn"]
     assert tilt is not None
     axis = slice(3 * scene.balls + tilt.start, 3 * scene.balls + tilt.stop)
     states = []
@@ -255,9 +255,9 @@ def default_scales(scene: Joint, place: float = 5e-5, speed: float = 0.1) -> np.
     """Unit of each state: a place and a speed, and both over 35.5 mm for turns and spins [SI]."""
     half = scene.states // 2
     unit = np.ones(half)
-    for name, slot in scene.slots.items():
-        if slot is not None and "turn" in name:
-            unit[3 * scene.balls + slot.start : 3 * scene.balls + slot.stop] = 1.0 / 0.0355
+    for name, piece in scene.slices.items():
+        if piece is not None and "turn" in name:
+            unit[3 * scene.balls + piece.start : 3 * scene.balls + piece.stop] = 1.0 / 0.0355
     return np.concatenate([place * unit, speed * unit])
 
 

@@ -50,15 +50,15 @@ SLIDES = 2.0
 SAMPLES, JOINT_TIMES = {"impact": 2001, "bounce": 20001}, np.linspace(0.0, 0.6, 601)
 
 
-def runner(scene: AbstractModel, lanes: bool) -> Callable[..., tuple[Any, Any, Any]]:
-    """(params, times, plan) -> forces by contact, code, steps; over lanes of params and times, or of one scene."""
+def runner(scene: AbstractModel, batched: bool) -> Callable[..., tuple[Any, Any, Any]]:
+    """(params, times, plan) -> forces by contact, code, steps; over a batch of params and times, or of one scene."""
 
     def one(p: Params, t: jax.Array, how: Plan) -> tuple[dict[str, jax.Array], jax.Array, jax.Array]:
         solution, readings = outcome(scene, p, t, how, dfx.ForwardMode())
         forces = {name: reading.force for name, reading in readings.items()}
         return forces, solution.code, solution.accepted + solution.rejected
 
-    return jax.jit(jax.vmap(one, in_axes=(0, 0, None)) if lanes else one)
+    return jax.jit(jax.vmap(one, in_axes=(0, 0, None)) if batched else one)
 
 
 def compared(forces: dict[str, np.ndarray]) -> Measured:
@@ -79,7 +79,7 @@ def springs_down(kind: str, law: str, count: int, seed: int, ladder: Sequence[fl
     """Errors and steps down the ladder, of random scenes of a law, all in one batch."""
     scene, params, ends = springs(kind, law, count, seed, wide)
     grid = np.linspace(0.0, 1.0, SAMPLES[kind]) * ends[:, None]
-    run = runner(scene, lanes=True)
+    run = runner(scene, batched=True)
 
     def at(tolerance: float, solver: str | None = None) -> tuple[list[dict[str, np.ndarray]], Any, Any]:
         how = Plan(jnp.asarray(tolerance), BUDGET, solver=solver)
@@ -110,7 +110,7 @@ def joints_down(count: int, seed: int, ladder: Sequence[float], wide: bool = Fal
     before, too: the cage's knocks in its clearances, which no load holds yet.
     """
     scene, tight = scenes.joint(), (3e-7, 3e-6)
-    run, times = runner(scene, lanes=False), jnp.asarray(JOINT_TIMES)
+    run, times = runner(scene, batched=False), jnp.asarray(JOINT_TIMES)
     for params in joints(count, seed, wide):
         loaded = risen(scene, params, 1) <= JOINT_TIMES
 
@@ -161,11 +161,11 @@ def derived(kind: str, rows: list[Row]) -> list[Row]:
 
 
 def at_level(kind: str, rows: list[Row], level: str, whole: bool = False) -> list[str]:
-    """A row of the table: a level's promise, and what came of it at the next tighter rung of the ladder."""
+    """A row of the table: a level's promise, and what came of it at the next tighter level of the ladder."""
     rows = [row for row in rows if calm(row)]
     error, apart = ("whole", "apart_whole") if whole else ("error", "apart")
     promise, tolerance = LEVELS[level], float(plan(scenes.make(kind), level).tolerance)
-    k = next((k for k, rung in enumerate(LADDER[kind]) if rung <= tolerance * 1.001), len(LADDER[kind]) - 1)
+    k = next((k for k, level in enumerate(LADDER[kind]) if level <= tolerance * 1.001), len(LADDER[kind]) - 1)
     sure = [row[error][k] for row in rows if row[apart] <= CERTAIN * promise]
     steps = np.median([row["steps"][k] for row in rows if row[apart] < LOST])
     kept = sum(e <= promise for e in sure)

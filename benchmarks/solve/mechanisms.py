@@ -126,8 +126,8 @@ def measured(case: Case) -> dict[str, Any]:
         run = at(tolerance)
         return off(run), int(run.stats["accepted"] + run.stats["rejected"])
 
-    told = [error(scene.tolerance(asked)) for asked in ASKED]
-    row |= {"asked": ASKED, "error": [e for e, _ in told], "steps": [n for _, n in told]}
+    stated = [error(scene.tolerance(asked)) for asked in ASKED]
+    row |= {"asked": ASKED, "error": [e for e, _ in stated], "steps": [n for _, n in stated]}
     row["ladder"] = [error(tolerance)[0] for tolerance in LADDER[stiff]]
     row["kept"] = [_kept(row["ladder"], LADDER[stiff], asked) for asked in ASKED]
     return row

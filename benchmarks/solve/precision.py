@@ -34,10 +34,10 @@ from bcfj_jax.solve.integrate import Plan, plan
 from bcfj_jax.solve.simulation import outcome
 from benchmarks.common import ROOT, markdown, put_in_readme, save
 
-LANES, REPEATS, BUDGET = 16, 5, 200_000
+BATCH, REPEATS, BUDGET = 16, 5, 200_000
 ASKED = (1e-2, 1e-3, 1e-4)
 TIGHT = 1e-6
-# Scene, options, what varies over the lanes, samples and end [s].
+# Scene, options, what varies over the batch, samples and end [s].
 CASES: dict[str, tuple[str, dict[str, Any], str, int, float | None]] = {
     "impact": ("impact", {}, "stiffness", 1001, None),
     "bounce": ("bounce", {}, "stiffness", 2001, None),
@@ -47,13 +47,13 @@ CASES: dict[str, tuple[str, dict[str, Any], str, int, float | None]] = {
 }
 
 
-def measured(case: str, lanes: int, asks: tuple[float, ...]) -> Iterator[tuple[float, dict[str, np.ndarray], float]]:
-    """At each accuracy forces and codes of every lane, and the median wall of the batch [s], compiling apart."""
+def measured(case: str, count: int, asks: tuple[float, ...]) -> Iterator[tuple[float, dict[str, np.ndarray], float]]:
+    """At each accuracy forces and codes of every run, and the median wall of the batch [s], compiling apart."""
     name, options, varied, samples, end = CASES[case]
     scene = scenes.make(name, **options)
     params = scene.parameters()
     times = jnp.linspace(0.0, float(scene.horizon(params)) if end is None else end, samples)
-    values = jnp.asarray(np.geomspace(0.7, 1.4, lanes) * float(params[varied]))
+    values = jnp.asarray(np.geomspace(0.7, 1.4, count) * float(params[varied]))
     numbers = {key: jnp.asarray(np.asarray(value)) for key, value in params.items()}
 
     def one(value: jax.Array, how: Plan) -> tuple[jax.Array, dict[str, jax.Array]]:
@@ -82,7 +82,7 @@ def child(bits: int, cases: list[str], folder: Path) -> None:
         warnings.filterwarnings("ignore", message="Explicitly requested dtype")
     walls = {}
     for case in cases:
-        for asked, found, wall in measured(case, LANES, (*ASKED, TIGHT) if bits == 64 else ASKED):
+        for asked, found, wall in measured(case, BATCH, (*ASKED, TIGHT) if bits == 64 else ASKED):
             walls[f"{case} {asked:g}"] = wall
             print(f"{bits} bits, {case}, {asked:g}: {wall:.3g} s", flush=True)
             np.savez(folder / f"{bits} {case} {asked:g}.npz", allow_pickle=False, **found)
@@ -90,7 +90,7 @@ def child(bits: int, cases: list[str], folder: Path) -> None:
 
 
 def error(found: dict[str, np.ndarray], truth: dict[str, np.ndarray]) -> float:
-    """Worst contact's rms error over the batch's good lanes, in fractions of the lane's peak."""
+    """Worst contact's rms error over the batch's good runs, in fractions of the run's peak."""
     good = (found["code"] == 0) & (truth["code"] == 0)
     if not good.any():
         return float("nan")
@@ -121,10 +121,10 @@ def main(cases: list[str]) -> None:
                     "case": case, "asked": asked,
                     "error": {bits: error(found, truth) for bits, found in both.items()},
                     "failed": {bits: int((found["code"] != 0).sum()) for bits, found in both.items()},
-                    "lane_ms": {bits: 1e3 * walls[bits][key] / LANES for bits in both},
+                    "lane_ms": {bits: 1e3 * walls[bits][key] / BATCH for bits in both},
                 })  # fmt: skip
-    save("precision", {"lanes": LANES, "rows": rows})
-    table = [["scene", "asked", "error, 64 bit", "32 bit", f"failed of {LANES}", "64 bit over 32 bit, time"]]
+    save("precision", {"lanes": BATCH, "rows": rows})
+    table = [["scene", "asked", "error, 64 bit", "32 bit", f"failed of {BATCH}", "64 bit over 32 bit, time"]]
     for row in rows:
         e, ms = row["error"], row["lane_ms"]
         worst = "-" if np.isnan(e[32]) else f"{100 * e[32]:.1g} %"

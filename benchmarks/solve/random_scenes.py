@@ -1,6 +1,6 @@
 """Random scenes within the ranges that engineers use, for levels of accuracy to be derived on and tried on.
 
-``springs`` draws parameters of ``impact`` and ``bounce`` as arrays over lanes, ``joints`` whole dynamic joints. The box
+``springs`` draws parameters of ``impact`` and ``bounce`` as arrays over runs, ``joints`` whole dynamic joints. The box
 of the extremes is wider: ``extremes_box``.
 """
 

@@ -24,7 +24,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from bcfj_jax import scenes, simulate
-from bcfj_jax.analysis.derivatives.jacobian import rung
+from bcfj_jax.analysis.derivatives.jacobian import level
 from bcfj_jax.solve.integrate import plan
 from bcfj_jax.solve.simulation import force_history
 from benchmarks.common import ROOT, markdown, put_in_readme, save
@@ -78,7 +78,7 @@ def slopes(scene: Any, params: Any, names: tuple[str, ...], end: float) -> tuple
     """The same of a run with derivatives by names."""
 
     def one() -> tuple[float, int]:
-        found = rung(scene, params, np.linspace(0.0, end, SAMPLES), names, plan(scene))
+        found = level(scene, params, np.linspace(0.0, end, SAMPLES), names, plan(scene))
         return found.wall_s, found.steps
 
     return median(one, REPEATS // 2 + 1)

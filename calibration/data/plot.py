@@ -1,4 +1,4 @@
-"""A picture of what was understood of the data: samples kept and left out, gaps, onset and window."""
+"""A picture of what was understood of the data: samples kept and left out, gaps, first contact and window."""
 
 from __future__ import annotations
 
@@ -59,8 +59,10 @@ def _panel(axis: Axes, record: Prepared, observes: str) -> None:
         # A label that begins with "_" is not in the legend.
         name = "nothing measured" if number == 0 else "_"
         axis.axvspan(first * time_scale, last * time_scale, color=COLOURS[4], alpha=0.25, lw=0, label=name)
-    if record.onset is not None:
-        axis.axvline(0.0, color=COLOURS[2], lw=1, ls="--", label=f"onset ({TOUCHING:.0%} of the peak) is time 0")
+    if record.first_contact is not None:
+        axis.axvline(
+            0.0, color=COLOURS[2], lw=1, ls="--", label=f"first contact ({TOUCHING:.0%} of the peak) is time 0"
+        )
     if record.window is not None:
         for edge in record.window:
             axis.axvline(edge * time_scale, color=COLOURS[3], lw=1, ls=":")

@@ -68,7 +68,7 @@ class Prepared:
         gaps: pairs of times [s] between which nothing was sampled.
         times: (T,) of the samples kept [s].
         readings: by what each observes.
-        onset: what alignment took from the clock [s], or None.
+        first_contact: what alignment took from the clock [s], or None.
         window: as asked [s].
         notes: in words, for people.
     """
@@ -79,7 +79,7 @@ class Prepared:
     gaps: tuple[tuple[float, float], ...]
     times: np.ndarray
     readings: dict[str, Reading]
-    onset: float | None
+    first_contact: float | None
     window: tuple[float, float] | None
     notes: tuple[str, ...]
 
@@ -102,8 +102,8 @@ def prepare(name: str, part: Table, time: str, observe: dict[str, str], recipe: 
     clock = part.numbers(time, "s", f"{where} time", blank=False)
     check_clock(clock, part, time)
     raw = {o: _signed(part, header, unit_of(o), where) for o, header in observe.items()}
-    onset = _onset(clock, *next(iter(raw.items())), where) if recipe.align else None
-    clock = clock - (onset or 0.0)
+    first_contact = _first_contact(clock, *next(iter(raw.items())), where) if recipe.align else None
+    clock = clock - (first_contact or 0.0)
     breaks = jumps(clock)
     notes = [clock_note(clock)]
     if breaks.size:
@@ -130,7 +130,7 @@ def prepare(name: str, part: Table, time: str, observe: dict[str, str], recipe: 
         gaps=tuple((float(clock[k]), float(clock[k + 1])) for k in breaks),
         times=times,
         readings={o: Reading(raw[o], masked[o], values[o]) for o in raw},
-        onset=onset,
+        first_contact=first_contact,
         window=recipe.window,
         notes=tuple(notes),
     )
@@ -145,7 +145,7 @@ def _signed(part: Table, header: str, unit: str, where: str) -> np.ndarray:
     return sign * part.numbers(header.removeprefix("-").strip(), unit, f"{where} observe", blank=True)
 
 
-def _onset(clock: np.ndarray, observes: str, values: np.ndarray, where: str) -> float:
+def _first_contact(clock: np.ndarray, observes: str, values: np.ndarray, where: str) -> float:
     """Time of the first sample above a tenth of the peak; only a normal force has a sign that it must have."""
     values = values if observes.endswith(".normal") else np.abs(values)
     peak = np.nanmax(values, initial=0.0)

@@ -1,4 +1,4 @@
-"""What a record must show before it can tell a clearance: a contact after a flight, not one that always touches.
+"""What a record must show before it can identify a clearance: a contact after a flight, not one that always touches.
 
 A clearance acts through where and when a contact begins: a body that separated and touches again has crossed it, be it
 back to the same side or to the other. While it only presses, or only flies, the gap could be any.
@@ -30,7 +30,7 @@ def clearance_tests(model: Model, seen: list[Contact]) -> list[Test]:
         seen: ``runs.contacts`` at the optimum.
     """
     tests = []
-    for name, experiment in dict.fromkeys((s.name, s.experiment) for s in model.slots):
+    for name, experiment in dict.fromkeys((s.name, s.experiment) for s in model.coordinates):
         contact = gap_of(name)
         if contact is None:
             continue
@@ -49,7 +49,7 @@ def _missing(name: str, contact: str, mine: list[Contact]) -> str:
         what = f"'{contact}' touches all the time"
     else:
         what = f"'{contact}' only lets go and does not touch again"
-    return f"{name}: {what}, and no flight is seen: only a touch after one, on the same side or the other, tells a gap"
+    return f"{name}: {what}, and no flight is seen: only a contact after a flight, on either side, shows a clearance"
 
 
 def whole_contact_test(model: Model, seen: list[Contact], peaks_inside: bool) -> list[Test]:

@@ -1,6 +1,6 @@
 """What may be believed of an optimum: covariance, agreement, and the verdict that tests make together.
 
-Read are the best end's white residuals, its Jacobian in unit-box coordinates, and the other ends; ``whiteness`` tests
+Read are the best end's white residuals, its Jacobian in unit-box coordinates, and the other ends; ``residual_tests`` tests
 the residuals themselves. Nothing here simulates.
 
 Levels: size, outliers and held-out prediction 1e-3 each, order of signs 5e-4 and correlation 5e-3, each in contact and
@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
+from calibration.forward.coordinates import Coordinate
 from calibration.forward.losses import influence
-from calibration.forward.slots import Slot
 from calibration.search.refinement import End
 
 LEVEL = 1e-3  # of a test of the residuals: a right model is called wrong once in a thousand
@@ -24,7 +24,7 @@ AGREEING_STARTS = 3
 ALIKE = (0.1, 3.0)
 # The integrator may move an estimate by this share of its deviation: a 95 % interval then covers 92 %.
 MOST_BLUR = 0.5
-# Two optima whose costs differ by less than this many sigma squared cannot be told apart by the data.
+# Two optima whose costs differ by less than this many sigma squared are not distinguished by the data.
 RIVAL_COST = 9.0
 # A parameter known to worse than this factor (log scale) or share of its range (linear) is not determined.
 WIDEST_FACTOR, WIDEST_SHARE = 2.0, 0.5
@@ -32,9 +32,9 @@ WIDEST_FACTOR, WIDEST_SHARE = 2.0, 0.5
 WORST_CONDITION = 1e10
 
 
-def widest(slot: Slot) -> float:
+def widest(axis: Coordinate) -> float:
     """Half width of an interval, in the parameter's coordinate, from which on it is not determined."""
-    return float(np.log(WIDEST_FACTOR)) if slot.log else WIDEST_SHARE * (slot.upper - slot.lower)
+    return float(np.log(WIDEST_FACTOR)) if axis.log else WIDEST_SHARE * (axis.upper - axis.lower)
 
 
 class Test(NamedTuple):
@@ -54,7 +54,7 @@ class Spread(NamedTuple):
         covariance: (P, P); None where the data leave a combination of coordinates free.
         quantile: the largest that an interval of a single coordinate takes.
         freedom: samples less parameters.
-        weakest, condition: direction that the data tell least of, and largest over least singular value.
+        weakest, condition: direction that the data determine least, and largest over least singular value.
         moved: for every estimated number of the noise, the derivative (P, P) of the covariance by its logarithm and the
             variance of that.
         rise: of the cost by a step whose length is 1 in units of the covariance; 1 but for a robust loss.
@@ -106,9 +106,9 @@ def spread(end: End, samples: int, moved: list[tuple[np.ndarray, float]], loss: 
         return Spread(None, float(stats.norm.ppf(0.975)), freedom, directions[-1], condition)
     factor, mean = 1.0, 1.0
     if loss != "linear":
-        told = np.abs(end.jacobian).max(axis=1) > 0
-        told |= end.residuals != 0
-        psi, bend = (a[told] for a in influence(loss, end.residuals))
+        informed = np.abs(end.jacobian).max(axis=1) > 0
+        informed |= end.residuals != 0
+        psi, bend = (a[informed] for a in influence(loss, end.residuals))
         mean = max(float(np.mean(bend)), 1e-3)
         factor = (
             (1.0 + count / samples * float(np.var(bend)) / mean**2) ** 2 * float(np.sum(psi**2)) / freedom / mean**2
@@ -125,7 +125,7 @@ def agreement(
     """Whether independent starts ended in one optimum, and whether a rival explains the data as well.
 
     A rough cost has many little minima within the uncertainty of the estimate. There, starts also agree whose costs the
-    data cannot tell apart and whose points x are as near as two draws of the estimate might be, less than
+    data cannot distinguish and whose points x are as near as two draws of the estimate might be, less than
     (x - y)^T C^-1 (x - y) = P.
 
     Args:
@@ -160,7 +160,7 @@ def agreement(
         ),
         Test(
             "no rival optimum", len(rivals), 0, not rivals,
-            f"{len(rivals)} starts ended elsewhere with a cost that the data cannot tell from the best",
+            f"{len(rivals)} starts ended elsewhere with a cost that the data do not distinguish from the best",
         ),
     ]  # fmt: skip
 
@@ -179,7 +179,7 @@ def integration_test(errors: np.ndarray, jacobian: np.ndarray) -> Test:
 
 
 def rank_test(singular: Spread) -> Test:
-    """Whether every combination of the parameters moves the data, as far as numbers can tell."""
+    """Whether every combination of the parameters moves the data, to numerical accuracy."""
     passed = singular.covariance is not None
     reason = "a combination of the parameters moves no residual at all"
     return Test("rank of the Jacobian", singular.condition, WORST_CONDITION, passed, reason)

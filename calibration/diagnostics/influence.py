@@ -16,7 +16,7 @@ from bcfj_jax.mechanism.channels import unit_of
 from calibration.forward.model import Model, residuals_and_jacobian
 from calibration.problem import Experiment, Problem
 
-# Where the noise is to be estimated, no sensor is taken to tell less than this share of its largest reading.
+# Where the noise is to be estimated, no sensor is taken to resolve less than this share of its largest reading.
 _FINEST = 1e-4
 # A combination of parameters that the data let vary by more than this share of a box is weak.
 _WEAK = 0.25
@@ -25,7 +25,7 @@ _PART = 0.3
 # A force that pulls this much further than it pushes has its sign the wrong way round.
 _PULLS = 3.0
 
-# What tells two parameters apart, by words in their names.
+# What separates two parameters, by words in their names.
 _APART = (
     (("stiffness", "exponent"), "impacts of different speeds, so that the penetrations differ"),
     (("reference_force", "exponent"), "impacts of different speeds, so that the penetrations differ"),
@@ -69,7 +69,7 @@ def refuse_data(problem: Problem) -> None:
                     raise InputError(where, found, 'flip its sign with "-" before the column')
 
 
-def floor(experiments: tuple[Experiment, ...]) -> float:
+def noise_floor(experiments: tuple[Experiment, ...]) -> float:
     """Factor from assumed to finest noise where all of it is to be estimated: the weights of ``Channel.deviation``."""
     estimated = any(c.sigma is None for e in experiments for c in e.channels)
     return 0.01 / _FINEST if estimated else 1.0
@@ -85,7 +85,7 @@ def refuse_idle(
         labels: of the coordinates.
         reach: (P,) most that any single residual moved over the screened design.
         jacobian: (N, P) at the start, whose columns' lengths are what all residuals move together.
-        factor: ``floor``.
+        factor: ``noise_floor``.
 
     Raises:
         InputError: naming it.
@@ -112,13 +112,13 @@ def at_start(
     reach: np.ndarray,
     factor: float,
 ) -> dict[str, Any]:
-    """What the data tell at a start, for ``fit.json``.
+    """What the data determine at a start, for ``fit.json``.
 
     Args:
         problem, model, labels: what is fitted.
         point, log_depth: the start: the one given, or the best of the screened design.
         reach: of the screened design.
-        factor: ``floor``.
+        factor: ``noise_floor``.
 
     Returns:
         at: parameter values; reach: deviations of the noise that each parameter moves all data; singular_values of the
@@ -145,7 +145,7 @@ def at_start(
 
 
 def weak_direction(names: list[str], direction: np.ndarray, singular: float) -> dict[str, Any]:
-    """A direction of the box that the data hardly tell, in words: who trades against whom, and what separates them."""
+    """A direction of the box that the data hardly determine, in words: who trades against whom, and what separates them."""
     most = float(np.max(np.abs(direction)))
     part = [k for k in np.argsort(-np.abs(direction), kind="stable") if abs(direction[k]) > _PART * most]
     own = [names[k] for k in part]
@@ -160,7 +160,7 @@ def weak_direction(names: list[str], direction: np.ndarray, singular: float) -> 
 
 
 def separation(names: list[str]) -> str:
-    """What would tell parameters apart that trade against each other."""
+    """What would separate parameters that trade against each other."""
     found = [
         remedy
         for (a, b), remedy in _APART

@@ -13,7 +13,7 @@ import numpy as np
 from bcfj_jax.mechanism.channels import unit_of
 from calibration.diagnostics.records import Record
 
-# A stretch counts where its weight is so many deviations of the record's other errors; the worst few are told.
+# A stretch counts where its weight is so many deviations of the record's other errors; the worst few are reported.
 _LEAST, _MOST = 4.0, 3
 # In contact is where the model reads more than this share of its peak.
 _TOUCHING = 0.02

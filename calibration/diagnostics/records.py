@@ -47,10 +47,10 @@ def hold_out(
     Returns:
         Errors by record and channel as fractions of the peak, the records, and the test.
     """
-    held = tuple(told(e, noise) for e in problem.experiments if e.hold_out)
+    held = tuple(with_noise(e, noise) for e in problem.experiments if e.hold_out)
     other = build(problem, held)
-    shared = sum(s.experiment is None for s in model.slots)
-    own = np.array([_mean_of(model, best.point, s.name) for s in other.slots[shared:]])
+    shared = sum(s.experiment is None for s in model.coordinates)
+    own = np.array([_mean_of(model, best.point, s.name) for s in other.coordinates[shared:]])
     point = _own_fitted(other, np.concatenate([best.point[:shared], own]), shared, log_depth)
     records = records_of(other, held, point, log_depth, True)
     report = {}
@@ -73,12 +73,12 @@ def hold_out(
         push = through.T @ free
         doubt = np.linalg.inv(quality.covariance[:shared, :shared]) + through.T @ through
         square -= float(push @ np.linalg.solve(doubt, push))
-    freedom = sum(e.samples for e in held) - len(other.slots) + shared
+    freedom = sum(e.samples for e in held) - len(other.coordinates) + shared
     return report, records, fit_tests.held_out_test(square, freedom, quality)
 
 
-def told(experiment: Experiment, noise: Estimate) -> Experiment:
-    """A record with the noise that others told, where its own is not stated."""
+def with_noise(experiment: Experiment, noise: Estimate) -> Experiment:
+    """A record with the noise estimated from others, where its own is not stated."""
     channels = []
     for c in experiment.channels:
         sigma = noise.sigma[c.observes] if c.sigma is None else c.sigma
@@ -88,7 +88,7 @@ def told(experiment: Experiment, noise: Estimate) -> Experiment:
 
 
 def _mean_of(model: Model, point: np.ndarray, name: str) -> float:
-    return float(np.mean([u for s, u in zip(model.slots, point, strict=True) if s.name == name]))
+    return float(np.mean([u for s, u in zip(model.coordinates, point, strict=True) if s.name == name]))
 
 
 def _own_fitted(model: Model, point: np.ndarray, shared: int, log_depth: float) -> np.ndarray:
@@ -127,7 +127,7 @@ def records_of(
         count = experiment.times.size
         own = {c.observes: (model.channels.index(c.observes), c.values) for c in experiment.channels}
         params = {name: float(v[i]) for known in (model.data.chain, model.data.fixed) for name, v in known.items()}
-        params |= {s.name: v for s, v in zip(model.slots, values, strict=True) if s.experiment in (None, i)}
+        params |= {s.name: v for s, v in zip(model.coordinates, values, strict=True) if s.experiment in (None, i)}
         records.append(
             Record(
                 name=experiment.name,

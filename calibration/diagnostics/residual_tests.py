@@ -58,8 +58,8 @@ def residual_tests(series: list[Series], residuals: np.ndarray, jacobian: np.nda
     """
     tests = []
     inside = np.abs(residuals) < OUTLYING if robust else np.ones(residuals.size, dtype=bool)
-    told = np.concatenate([s.rows for s in series]) if series else np.zeros(0, dtype=int)
-    others = np.setdiff1d(np.flatnonzero((residuals != 0) | (np.abs(jacobian).max(axis=1) > 0)), told)
+    tested = np.concatenate([s.rows for s in series]) if series else np.zeros(0, dtype=int)
+    others = np.setdiff1d(np.flatnonzero((residuals != 0) | (np.abs(jacobian).max(axis=1) > 0)), tested)
     left, singular, _ = np.linalg.svd(jacobian, full_matrices=False)
     basis = left[:, singular > 1e-10 * singular[0]]
     stated = [s.rows for s in series if not s.estimated]
@@ -76,11 +76,11 @@ def residual_tests(series: list[Series], residuals: np.ndarray, jacobian: np.nda
     if any(s.declared for s in series):
         tests.append(_memory_test(series))
     if robust:
-        share = 1.0 - float(np.mean(inside[told]))
+        share = 1.0 - float(np.mean(inside[tested]))
         reason = f"{share:.0%} of the samples are outliers: not a few accidents, but something that the model misses"
         tests.append(Test("few outliers", share, MOST_OUTLIERS, share <= MOST_OUTLIERS, reason))
         return tests
-    worst, limit = float(np.max(np.abs(residuals[told]))), float(stats.norm.isf(LEVEL / (2 * told.size)))
+    worst, limit = float(np.max(np.abs(residuals[tested]))), float(stats.norm.isf(LEVEL / (2 * tested.size)))
     reason = f"a residual is {worst:.3g} sigma: the model misses an event, or a sample is wrong"
     return [*tests, Test("no outlier", worst, limit, worst < limit, reason)]
 
@@ -223,10 +223,7 @@ def _matched(first: float, second: float, third: float) -> float:
 
 
 def _memory_test(series: list[Series]) -> Test:
-    """Whether the noise forgets faster than a contact lasts: a slow error cannot be told from a wrong shape."""
+    """Whether the noise forgets faster than a contact lasts: a slow error looks like a wrong shape."""
     worst = max((s.memory / s.longest for s in series if s.declared), default=0.0)
-    reason = (
-        f"residuals keep their sign over {worst:.2g} of a contact: "
-        "that cannot be told from a shape that the model misses"
-    )
+    reason = f"residuals keep their sign over {worst:.2g} of a contact: that looks like a shape that the model misses"
     return Test("memory of the noise", worst, LONGEST_MEMORY, worst <= LONGEST_MEMORY, reason)

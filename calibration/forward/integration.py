@@ -1,6 +1,6 @@
 """What the integrator's own error does to a fit: it is measured where the fit ended, by a run at a tighter tolerance.
 
-Residuals that are no larger are the integrator's and tell nothing of noise or model; and where they are, the cost of a
+Residuals that are no larger are the integrator's and say nothing of noise or model; and where they are, the cost of a
 point is uncertain by as much, so that starts cannot agree on it to the last digit.
 """
 
@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from calibration.forward.model import Model, predictions, residuals_and_jacobian
-from calibration.solver_budget import effort
+from calibration.solver_budget import budget
 
 # Residuals up to so many times the measured error may be the integrator's.
 _MAY_BE = 3.0
@@ -52,8 +52,8 @@ def limits(model: Model, point: np.ndarray, log_depth: float, accuracy: float) -
 
 def errors(model: Model, point: np.ndarray, log_depth: float, residuals: np.ndarray) -> np.ndarray:
     """Error (N,) of white residuals at a point; NaN where the tighter run fails."""
-    told = np.asarray(residuals_and_jacobian(tighter(model), jnp.asarray(point), jnp.asarray(log_depth))[0])
-    return _scale(model) * (residuals - told)
+    finer = np.asarray(residuals_and_jacobian(tighter(model), jnp.asarray(point), jnp.asarray(log_depth))[0])
+    return _scale(model) * (residuals - finer)
 
 
 def own(residuals: np.ndarray, error: np.ndarray, accuracy: float, peak: float) -> bool:
@@ -71,9 +71,9 @@ def own(residuals: np.ndarray, error: np.ndarray, accuracy: float, peak: float) 
 
 def tighter(model: Model) -> Model:
     """The model at a tighter tolerance, which is traced: nothing is compiled for it."""
-    return eqx.tree_at(lambda m: m.how.tolerance, model, model.how.tolerance / effort(model.scene).tighter)
+    return eqx.tree_at(lambda m: m.how.tolerance, model, model.how.tolerance / budget(model.scene).tighter)
 
 
 def _scale(model: Model) -> float:
     """From the difference of the two runs to the error of the first, if that goes with the tolerance."""
-    return 1.0 / (1.0 - 1.0 / effort(model.scene).tighter)
+    return 1.0 / (1.0 - 1.0 / budget(model.scene).tighter)

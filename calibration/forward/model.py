@@ -21,11 +21,19 @@ from bcfj_jax.analysis.derivatives.names import complete
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve.batched_jvp import with_jacobian
 from bcfj_jax.solve.integrate import Plan, plan
+from calibration.forward.coordinates import Coordinate, coordinates_of
 from calibration.forward.losses import loss_of, straightened
-from calibration.forward.observables import Watch, fine, grid, low_pass, measured, tabulated, watches
-from calibration.forward.slots import Slot, make_slots
+from calibration.forward.observables import (
+    ObservedFeatures,
+    fine,
+    grid,
+    low_pass,
+    measured,
+    observed_features,
+    tabulated,
+)
 from calibration.problem import NUISANCES, Experiment, Problem
-from calibration.solver_budget import effort
+from calibration.solver_budget import budget
 
 # Steps over a record that its force is sampled in where a sensor's low-pass is to be applied.
 _FINE_STEPS = 2000
@@ -61,25 +69,25 @@ class Model(eqx.Module):
     """
 
     scene: AbstractModel
-    slots: tuple[Slot, ...] = eqx.field(static=True)
+    coordinates: tuple[Coordinate, ...] = eqx.field(static=True)
     channels: tuple[str, ...] = eqx.field(static=True)
     data: Data
     how: Plan
-    watches: tuple[Watch, ...] = eqx.field(static=True, default=())
+    observed_features: tuple[ObservedFeatures, ...] = eqx.field(static=True, default=())
     parts: int = eqx.field(static=True, default=0)
     loss: str = eqx.field(static=True, default="linear")
 
     @property
     def referenced(self) -> bool:
         """Whether stiffness is searched as a reference force."""
-        shared = {slot.name for slot in self.slots if slot.experiment is None}
-        return {"stiffness", "exponent"} <= shared and all(s.log for s in self.slots if s.name == "stiffness")
+        shared = {axis.name for axis in self.coordinates if axis.experiment is None}
+        return {"stiffness", "exponent"} <= shared and all(s.log for s in self.coordinates if s.name == "stiffness")
 
     def values(self, point: Array, log_depth: Array) -> list[Array]:
-        """Parameter values, SI, one a slot, at a unit-box point; ``log_depth`` is ln d_ref."""
+        """Parameter values, SI, one a coordinate, at a unit-box point; ``log_depth`` is ln d_ref."""
         lower, width = self.box(log_depth)
         z = lower + point * width
-        values = [jnp.exp(z[i]) if slot.log else z[i] for i, slot in enumerate(self.slots)]
+        values = [jnp.exp(z[i]) if axis.log else z[i] for i, axis in enumerate(self.coordinates)]
         if self.referenced:
             k, n = self.pair()
             values[k] = jnp.exp(z[k] - values[n] * log_depth)
@@ -88,7 +96,7 @@ class Model(eqx.Module):
     def point(self, values: np.ndarray, log_depth: float) -> np.ndarray:
         """The inverse of ``values``, for NumPy vectors (..., P)."""
         z = np.array(values, dtype=float)
-        log = [slot.log for slot in self.slots]
+        log = [axis.log for axis in self.coordinates]
         z[..., log] = np.log(z[..., log])
         if self.referenced:
             k, n = self.pair()
@@ -97,17 +105,17 @@ class Model(eqx.Module):
         return (z - np.asarray(lower)) / np.asarray(width)
 
     def pair(self) -> tuple[int, int]:
-        """Slots of the shared stiffness and exponent."""
-        names = [slot.name if slot.experiment is None else "" for slot in self.slots]
+        """Coordinates of the shared stiffness and exponent."""
+        names = [axis.name if axis.experiment is None else "" for axis in self.coordinates]
         return names.index("stiffness"), names.index("exponent")
 
     def box(self, log_depth: Array) -> tuple[Array, Array]:
         """Lower bounds and widths of the coordinates on the search scale."""
-        lower = jnp.array([slot.lower for slot in self.slots])
-        upper = jnp.array([slot.upper for slot in self.slots])
+        lower = jnp.array([axis.lower for axis in self.coordinates])
+        upper = jnp.array([axis.upper for axis in self.coordinates])
         if self.referenced:
             k, n = self.pair()
-            exponents = [jnp.exp(b[n]) if self.slots[n].log else b[n] for b in (lower, upper)]
+            exponents = [jnp.exp(b[n]) if self.coordinates[n].log else b[n] for b in (lower, upper)]
             shifts = jnp.stack([e * log_depth for e in exponents])
             lower, upper = lower.at[k].add(shifts.min()), upper.at[k].add(shifts.max())
         return lower, upper - lower
@@ -119,10 +127,10 @@ class Model(eqx.Module):
             {name: jnp.broadcast_to(v, (count,)) for name, v in known.items()}
             for known in (self.data.fixed, self.data.chain)
         )
-        for slot, value in zip(self.slots, self.values(point, log_depth), strict=True):
-            target = chain if slot.name in NUISANCES else table
-            where = slice(None) if slot.experiment is None else slot.experiment
-            target[slot.name] = target[slot.name].at[where].set(value)
+        for axis, value in zip(self.coordinates, self.values(point, log_depth), strict=True):
+            target = chain if axis.name in NUISANCES else table
+            where = slice(None) if axis.experiment is None else axis.experiment
+            target[axis.name] = target[axis.name].at[where].set(value)
         return table, chain
 
     def predictions(self, point: Array, log_depth: Array) -> Array:
@@ -146,16 +154,16 @@ class Model(eqx.Module):
         """What each experiment's features would have been, (E, F), 0 where there is none."""
         table, chain = self.settings(point, log_depth)
         rows = []
-        for i, watch in enumerate(self.watches):
+        for i, observed in enumerate(self.observed_features):
             values = jnp.zeros(self.data.features.shape[1])
-            if watch.names:
-                times, own = jnp.asarray(grid(watch)), {name: v[i] for name, v in chain.items()}
+            if observed.names:
+                times, own = jnp.asarray(grid(observed)), {name: v[i] for name, v in chain.items()}
                 found, _ = histories(self.scene, {name: v[i] for name, v in table.items()}, times, self.how)
                 flat = found.force.reshape(times.size, -1)
                 passed = low_pass(times, flat, own["bandwidth"]) if self.parts else flat
                 force = (own["gain"] * passed + own["force_offset"]).reshape(found.force.shape)
                 seen = Histories(force, found.penetration, found.rate, None)
-                values = values.at[: len(watch.names)].set(measured(self.scene, watch, seen))
+                values = values.at[: len(observed.names)].set(measured(self.scene, observed, seen))
             rows.append(values)
         return jnp.stack(rows) if rows else jnp.zeros(self.data.features.shape)
 
@@ -168,8 +176,8 @@ class Model(eqx.Module):
         weighted = jnp.where(seen, self.predictions(point, log_depth) - d.values, 0.0) * d.weights
         before = jnp.take_along_axis(weighted, d.previous, axis=-1)
         white = jnp.where(seen, (weighted - d.memory * before) / jnp.sqrt(1.0 - jnp.square(d.memory)), 0.0)
-        told = d.feature_weights > 0
-        features = jnp.where(told, self.features(point, log_depth) - d.features, 0.0) * d.feature_weights
+        fitted = d.feature_weights > 0
+        features = jnp.where(fitted, self.features(point, log_depth) - d.features, 0.0) * d.feature_weights
         return jnp.concatenate([white.ravel(), features.ravel()])
 
     def cost(self, residuals: np.ndarray) -> np.ndarray:
@@ -180,7 +188,7 @@ class Model(eqx.Module):
 def values_at(model: Model, points: np.ndarray, log_depth: float) -> np.ndarray:
     """``Model.values`` of unit-box points (..., P), in NumPy."""
     lower, width = (np.asarray(a) for a in model.box(jnp.asarray(log_depth)))
-    values, log = lower + points * width, [slot.log for slot in model.slots]
+    values, log = lower + points * width, [axis.log for axis in model.coordinates]
     if model.referenced:
         k, n = model.pair()
         values[..., k] -= log_depth * (np.exp(values[..., n]) if log[n] else values[..., n])
@@ -213,7 +221,9 @@ def _both(model: Model, log_depth: Array, point: Array) -> tuple[Array, Array]:
     return with_jacobian(lambda u: model.residuals(u, log_depth), point)
 
 
-def build(problem: Problem, experiments: tuple[Experiment, ...], slots: tuple[Slot, ...] | None = None) -> Model:
+def build(
+    problem: Problem, experiments: tuple[Experiment, ...], coordinates: tuple[Coordinate, ...] | None = None
+) -> Model:
     """The model of some of a problem's experiments (those to fit, or those held out)."""
     channels = tuple(dict.fromkeys(c.observes for e in experiments for c in e.channels))
     longest = max(1, *(e.times.size for e in experiments))
@@ -251,11 +261,11 @@ def build(problem: Problem, experiments: tuple[Experiment, ...], slots: tuple[Sl
     arrays = (times, values, weights, memory, previous, features, feature_weights)
     return Model(
         scene=problem.scene,
-        slots=slots or make_slots(problem, len(experiments)),
+        coordinates=coordinates or coordinates_of(problem, len(experiments)),
         channels=channels,
         data=Data(*(jnp.asarray(a) for a in arrays), fixed=fixed, chain=chain),
         how=plan(problem.scene, problem.accuracy, max_steps=_steps(problem)),
-        watches=watches(problem.scene, experiments),
+        observed_features=observed_features(problem.scene, experiments),
         parts=max(4, -(-_FINE_STEPS // longest)) if filtered else 0,
         loss=problem.loss,
     )
@@ -263,5 +273,5 @@ def build(problem: Problem, experiments: tuple[Experiment, ...], slots: tuple[Sl
 
 def _steps(problem: Problem) -> int:
     """Attempted steps of a run until it has failed: more where finer ones are asked for, as of a method of order 2."""
-    means = effort(problem.scene)
+    means = budget(problem.scene)
     return int(means.steps * max(1.0, means.accuracy / problem.accuracy) ** 0.5)

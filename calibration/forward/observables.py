@@ -20,7 +20,7 @@ from calibration.problem import Experiment
 _NEAR, _FEWEST = 2.5, 32
 
 
-class Watch(NamedTuple):
+class ObservedFeatures(NamedTuple):
     """Features of one experiment: names, about what a period or a delay is [s], the last time [s], samples."""
 
     names: tuple[str, ...]
@@ -61,27 +61,27 @@ def fine(times: Array, parts: int) -> tuple[Array, Array]:
     return jnp.concatenate([first, between, times[-1:]]), places
 
 
-def measured(scene: AbstractModel, watch: Watch, found: Histories) -> Array:
-    """The watched features (F,) of histories at ``grid(watch)``."""
-    contacts, times = scene.members, grid(watch)
-    wanted = [feature(name, contacts) for name in watch.names]
+def measured(scene: AbstractModel, observed: ObservedFeatures, found: Histories) -> Array:
+    """The observed features (F,) of histories at ``grid(observed)``."""
+    contacts, times = scene.members, grid(observed)
+    wanted = [feature(name, contacts) for name in observed.names]
     values = vector(times, found, wanted, contacts, {})
     place = {name: k for k, name in enumerate(channel_names(contacts))}
     for k, one in enumerate(wanted):
         if one.kind == "period":
             own = [place[m] for m in members(one.contacts[0], contacts)]
-            cycles = [_period(scene, times, found, i, watch.about[k]) for i in own]
+            cycles = [_period(scene, times, found, i, observed.about[k]) for i in own]
             values = values.at[k].set(jnp.mean(jnp.stack(cycles)))
         if one.kind == "delay":
             values = values.at[k].set(
-                _delay(times, found.force[:, :, 0], one.contacts, place, contacts, watch.about[k])
+                _delay(times, found.force[:, :, 0], one.contacts, place, contacts, observed.about[k])
             )
     return values
 
 
-def grid(watch: Watch) -> np.ndarray:
+def grid(observed: ObservedFeatures) -> np.ndarray:
     """Times of the samples that features are taken from [s]."""
-    return np.linspace(0.0, watch.end, watch.count)
+    return np.linspace(0.0, observed.end, observed.count)
 
 
 def tabulated(experiments: tuple[Experiment, ...]) -> tuple[np.ndarray, np.ndarray]:
@@ -94,16 +94,16 @@ def tabulated(experiments: tuple[Experiment, ...]) -> tuple[np.ndarray, np.ndarr
     return values, weights
 
 
-def watches(scene: AbstractModel, experiments: tuple[Experiment, ...]) -> tuple[Watch, ...]:
+def observed_features(scene: AbstractModel, experiments: tuple[Experiment, ...]) -> tuple[ObservedFeatures, ...]:
     """What is to be computed for the features of each experiment; nothing where there is none at all."""
     if not any(e.features for e in experiments):
         return ()
     found = []
     for e in experiments:
         end = float(e.span if e.span is not None else e.times[-1] if e.times.size else 0.0)
-        # Two digits tell which repetition is meant; more would compile anew for each value.
+        # Two digits say which repetition is meant; more would compile anew for each value.
         about = tuple(float(f"{f.value:.1e}") if f.feature.endswith((".period", ".delay")) else 0.0 for f in e.features)
-        found.append(Watch(tuple(f.feature for f in e.features), about, end, scene.samples))
+        found.append(ObservedFeatures(tuple(f.feature for f in e.features), about, end, scene.samples))
     return tuple(found)
 
 

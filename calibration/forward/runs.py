@@ -64,9 +64,9 @@ def _spans(model: Model) -> np.ndarray:
     """First and last time (E, 2) of each experiment in its own clock [s]; features are of a run from 0 on."""
     times, seen = np.asarray(model.data.times), np.asarray(model.data.weights).max(axis=1, initial=0.0) > 0
     spans = np.array([[t[s].min(initial=np.inf), t[s].max(initial=-np.inf)] for t, s in zip(times, seen, strict=True)])
-    for i, watch in enumerate(model.watches):
-        if watch.names:
-            spans[i] = min(spans[i, 0], 0.0), max(spans[i, 1], watch.end)
+    for i, observed in enumerate(model.observed_features):
+        if observed.names:
+            spans[i] = min(spans[i, 0], 0.0), max(spans[i, 1], observed.end)
     return spans
 
 
@@ -78,7 +78,7 @@ def contacts(model: Model, point: np.ndarray, log_depth: float) -> list[Contact]
     times = np.linspace(spans[:, 0], np.maximum(spans[:, 1], spans[:, 0] + 1e-9), _SAMPLES, axis=1)
     found, _ = _depths(model, at, depth, jnp.asarray(times))
     names = channel_names(model.scene.members)
-    # Not by the force: a smoothed onset bears a little across a gap.
+    # Not by the force: the regularisation bears a little across a gap.
     inside = np.asarray(found)
     turned = (inside.max(axis=1) > 0) & (inside.argmax(axis=1) < _SAMPLES - 1)
     return [
@@ -101,8 +101,8 @@ def refusal(model: Model, point: np.ndarray, log_depth: float) -> str:
 
 def failure(model: Model, point: np.ndarray, log_depth: float) -> str:
     """Why the simulations at a point do not count, in words."""
-    if told := refusal(model, point, log_depth):
-        return told
+    if refused := refusal(model, point, log_depth):
+        return refused
     spans = _spans(model)
     times = np.linspace(np.minimum(spans[:, 0], 0.0), np.maximum(spans[:, 1], 1e-9), _SAMPLES, axis=1)
     _, codes = _depths(model, jnp.asarray(point), jnp.asarray(log_depth), jnp.asarray(times))

@@ -16,7 +16,7 @@ from calibration.problem import Experiment
 from calibration.search.refinement import End, finish
 
 _ROUNDS, _SETTLED = 12, 1e-3
-# A start that ends lower than the one that told the noise by this much tells it anew.
+# A start that ends lower than the one of the noise estimate by this much gives a new estimate.
 _LOWER = 0.1
 # Unit-box coordinates that differ by less are one optimum, approached to different depths.
 _BESIDE = 1e-3
@@ -39,16 +39,16 @@ def settle(
     """
     if noise_model.known(experiments):
         return model, ends, Estimate({}, {}, [])
-    told = ends
+    renewed = ends
     known = limits(model, ends[0].point, log_depth, accuracy)
     settled, found, best = _settled(model, experiments, ends[0], log_depth, known)
     for _ in range(2):
         factor = _factor(model, settled)
-        told = _ordered(settled, list(_all_moved(settled, ends, log_depth, factor)), log_depth)
-        if told[0].cost > best.cost - _LOWER:
+        renewed = _ordered(settled, list(_all_moved(settled, ends, log_depth, factor)), log_depth)
+        if renewed[0].cost > best.cost - _LOWER:
             break
-        settled, found, best = _settled(model, experiments, told[0], log_depth, known)
-    return settled, told, found
+        settled, found, best = _settled(model, experiments, renewed[0], log_depth, known)
+    return settled, renewed, found
 
 
 def _settled(
@@ -67,7 +67,7 @@ def _settled(
 
 
 def _ordered(model: Model, ends: list[End], log_depth: float) -> tuple[End, ...]:
-    """Best first, and the best polished: on another model it may be one that the search left as it was."""
+    """Best first, and the best refined: on another model it may be one that the search left as it was."""
     best, *others = sorted(ends, key=lambda e: (bool(e.failure), e.cost))
     if not best.residuals.size:
         best = finish(model, best.start, np.clip(best.point, 1e-9, 1.0 - 1e-9), log_depth)
@@ -75,7 +75,7 @@ def _ordered(model: Model, ends: list[End], log_depth: float) -> tuple[End, ...]
 
 
 def _all_moved(model: Model, ends: tuple[End, ...], log_depth: float, factor: float | None) -> Iterator[End]:
-    """Every end on the model; those that the search left beside a polished one go where that goes."""
+    """Every end on the model; those that the search left beside a refined one go where that goes."""
     done: list[tuple[End, End]] = []
     for end in ends:
         beside = (new for old, new in done if np.abs(old.point - end.point).max() < _BESIDE)
@@ -103,7 +103,7 @@ def _factor(old: Model, new: Model) -> float | None:
     seen = np.asarray(old.data.weights) > 0
     ratio = np.asarray(new.data.weights)[seen] / np.asarray(old.data.weights)[seen]
     same = ratio.size and np.ptp(ratio) < 1e-12 * ratio[0] and np.array_equal(old.data.memory, new.data.memory)
-    return float(ratio[0]) if same and not new.watches and new.loss == "linear" else None
+    return float(ratio[0]) if same and not new.observed_features and new.loss == "linear" else None
 
 
 def _moved(model: Model, end: End, log_depth: float, factor: float | None) -> End:

@@ -98,7 +98,7 @@ def starts(fit: Fit, path: Path) -> None:
             axis.axvline(float(k + 1), color=COLOURS[1], lw=1, ls=":")
         axis.set_title(f"{int(good.sum())} of {costs.size} starts ended, best first (dotted: failed)")
         axis.set_xlabel("start")
-        axis.set_ylabel("cost above the best\n[weighted squares, floor 1e-6]")
+        axis.set_ylabel("cost above the best\n[weighted squares, at least 1e-6]")
         axis.set_xlim(0.5, costs.size + 0.5)
         axis.set_ylim(5e-7, max(1.0, 2.0 * float(np.nanmax(costs) - np.nanmin(costs))))
         save(drawing, path)

@@ -15,10 +15,10 @@ import numpy as np
 from bcfj_jax.io.journal import Journal
 from bcfj_jax.io.stop import check
 from calibration.forward.model import Model, values_at
-from calibration.search.descent import Lanes, adam, cost_of, levenberg
+from calibration.search.descent import Descents, adam, cost_of, levenberg
 from calibration.search.evaluate import evaluator, loosened
 from calibration.search.horizon import impulses, meets, stages, until
-from calibration.solver_budget import effort
+from calibration.solver_budget import budget
 
 log = logging.getLogger("calibration")
 
@@ -31,13 +31,13 @@ _HOPELESS = 4.0
 
 
 class Interrupted(KeyboardInterrupt):
-    """The user stopped a search; what is best so far is told.
+    """The user stopped a search; what is best so far is reported.
 
     Attributes:
         finished: how many starts were done, of how many.
         values: SI, by name, of the best; None if nothing was finished.
         cost: of it, on the data of its stage.
-        stage: "screening" before the descents, "3 of 6" stages of the horizon, "the optimum" or "polish" after them.
+        stage: "screening" before the descents, "3 of 6" stages of the horizon, "the optimum" or "refinement" after them.
     """
 
     def __init__(self, finished: str, values: dict[str, float] | None, cost: float, stage: str) -> None:
@@ -55,11 +55,13 @@ class _Leg(NamedTuple):
     missed: bool
     last: bool
 
-    def told(self, stages: int) -> str:
+    def title(self, stages: int) -> str:
         return "the optimum" if self.last else f"{self.reached + 1} of {stages}"
 
 
-def staged(model: Model, points: np.ndarray, log_depth: float, size: int, journal: Journal | None = None) -> Lanes:
+def continued(
+    model: Model, points: np.ndarray, log_depth: float, size: int, journal: Journal | None = None
+) -> Descents:
     """Where all starts (B, P) end, in their order, with costs on all data.
 
     Args:
@@ -75,43 +77,43 @@ def staged(model: Model, points: np.ndarray, log_depth: float, size: int, journa
     ends, count = stages(model), len(points)
     at, costs, converged = points.copy(), np.full(count, np.inf), np.zeros(count, dtype=bool)
     going, given_up, best = np.arange(count), np.zeros(0, dtype=int), (np.inf, None)
-    leg: _Leg | None = _Leg(0, len(ends) > 1, len(ends) == 1 and effort(model.scene).apart)
+    leg: _Leg | None = _Leg(0, len(ends) > 1, len(ends) == 1 and budget(model.scene).apart)
     while leg is not None:
         part = model if leg.last else loosened(until(model, ends[leg.reached]))
 
-        def descend(block: np.ndarray, part: Model = part, leg: _Leg = leg) -> Lanes:
+        def descend(block: np.ndarray, part: Model = part, leg: _Leg = leg) -> Descents:
             return _descend(part, block, log_depth, leg)
 
-        least, stage = np.inf, leg.told(len(ends))
+        least, stage = np.inf, leg.title(len(ends))
         for first in range(0, len(going), size):
-            lane = going[first : first + size]
+            rows = going[first : first + size]
             try:
-                done = _once(journal, f"stage {stage} from {first}", at[lane], size, descend)
+                done = _once(journal, f"stage {stage} from {first}", at[rows], size, descend)
             except KeyboardInterrupt:
                 finished = f"{len(given_up) + (first if leg.last else 0)} of {count}"
                 values = None if best[1] is None else named(model, best[1], log_depth)
                 raise Interrupted(finished, values, best[0], stage) from None
-            at[lane], costs[lane], converged[lane] = done
+            at[rows], costs[rows], converged[rows] = done
             k = int(np.argmin(done.costs))
             if done.costs[k] < least:
                 least = float(done.costs[k])
                 best = (least, done.points[k])
             more = f", {len(given_up)} given up before" if len(given_up) else ""
-            told = first + len(lane), len(going), more, least
-            log.info("stage %s: %d of %d starts done%s, best chi2 %.6g", stage, *told)
+            title = first + len(rows), len(going), more, least
+            log.info("stage %s: %d of %d starts done%s, best chi2 %.6g", stage, *title)
         if not leg.last:
             going = going[np.argsort(costs[going], kind="stable")]
-            hopeless = np.arange(len(going)) >= effort(model.scene).kept
+            hopeless = np.arange(len(going)) >= budget(model.scene).kept
             hopeless &= ~(costs[going] <= _HOPELESS * max(least, float(np.count_nonzero(part.data.weights))))
             given_up = np.concatenate([given_up, going[hopeless]])
             going = going[~hopeless]
         leg = _next(model, leg, ends, blocks(at[going], size)[0], log_depth)
     for first in range(0, len(given_up), size):
-        lane = given_up[first : first + size]
+        rows = given_up[first : first + size]
         name = f"given up from {first}"
-        costs[lane] = _once(journal, name, at[lane], size, lambda b: _evaluated(model, b, log_depth)).costs
-        converged[lane] = False
-    return Lanes(at, costs, converged)
+        costs[rows] = _once(journal, name, at[rows], size, lambda b: _evaluated(model, b, log_depth)).costs
+        converged[rows] = False
+    return Descents(at, costs, converged)
 
 
 def _next(model: Model, leg: _Leg, ends: list[np.ndarray], points: np.ndarray, log_depth: float) -> _Leg | None:
@@ -140,13 +142,15 @@ def blocks(points: np.ndarray, size: int) -> list[np.ndarray]:
 def named(model: Model, point: np.ndarray, log_depth: float) -> dict[str, float]:
     """Parameter values, SI, by name, at a unit-box point."""
     several = model.data.times.shape[0] > 1
-    names = [f"{s.name}[{s.experiment + 1}]" if several and s.experiment is not None else s.name for s in model.slots]
+    names = [
+        f"{s.name}[{s.experiment + 1}]" if several and s.experiment is not None else s.name for s in model.coordinates
+    ]
     return dict(zip(names, values_at(model, point, log_depth).tolist(), strict=True))
 
 
 def _once(
-    journal: Journal | None, name: str, points: np.ndarray, size: int, work: Callable[[np.ndarray], Lanes]
-) -> Lanes:
+    journal: Journal | None, name: str, points: np.ndarray, size: int, work: Callable[[np.ndarray], Descents]
+) -> Descents:
     """A batch's outcome from the journal, or else worked out and put there."""
     known = journal.get(name) if journal is not None else None
     if known is None:
@@ -156,12 +160,12 @@ def _once(
         if journal is not None:
             journal.add(name, known)
     costs = [np.inf if cost is None else cost for cost in known["costs"]]
-    return Lanes(np.array(known["points"]), np.array(costs), np.array(known["converged"], dtype=bool))
+    return Descents(np.array(known["points"]), np.array(costs), np.array(known["converged"], dtype=bool))
 
 
-def _descend(part: Model, points: np.ndarray, log_depth: float, leg: _Leg) -> Lanes:
+def _descend(part: Model, points: np.ndarray, log_depth: float, leg: _Leg) -> Descents:
     """One batch on one leg: far off by Adam, then to the right arrivals, then to the least squares."""
-    evaluate, means = evaluator(part, log_depth), effort(part.scene)
+    evaluate, means = evaluator(part, log_depth), budget(part.scene)
     if means.apart:
         return levenberg(evaluate, points, means.descend, means.tolerance if leg.last else means.roughly)
     if leg.last:
@@ -178,6 +182,6 @@ def _descend(part: Model, points: np.ndarray, log_depth: float, leg: _Leg) -> La
     return levenberg(evaluate, points, means.descend, means.roughly, enough=_LEFT)
 
 
-def _evaluated(model: Model, points: np.ndarray, log_depth: float) -> Lanes:
+def _evaluated(model: Model, points: np.ndarray, log_depth: float) -> Descents:
     costs = cost_of(evaluator(model, log_depth)(points)[0])
-    return Lanes(points, costs, np.zeros(len(points), dtype=bool))
+    return Descents(points, costs, np.zeros(len(points), dtype=bool))

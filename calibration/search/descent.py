@@ -1,6 +1,6 @@
-"""Descents of a batch of points in the unit box, all lanes in one program: Adam, and Levenberg-Marquardt.
+"""Descents of a batch of points in the unit box, all in one program: Adam, and Levenberg-Marquardt.
 
-Both ask only for residuals (B, N) and Jacobians (B, N, P) at points (B, P). A lane whose simulation fails stays
+Both ask only for residuals (B, N) and Jacobians (B, N, P) at points (B, P). A point whose simulation fails stays
 where it was.
 """
 
@@ -21,14 +21,14 @@ _DAMPING, _WORSE, _BETTER = 1e-2, 4.0, 0.2
 # No step moves a coordinate further than this share of its range: a contact found must not be jumped over.
 _LONGEST = 0.15
 _SHORTEST = 1e-9
-# A lane gets nowhere that so many times in a row (or as asked for) gained less than this share of its cost.
+# A point gets nowhere that so many times in a row (or as asked for) gained less than this share of its cost.
 _PATIENCE, _PROGRESS = 8, 1e-3
 # A combination of coordinates that moves the residuals less than this share of one alone counts as this.
 _LEAST_SIZE = 1e-12
 
 
-class Lanes(NamedTuple):
-    """Where lanes are: points (B, P), costs (B,), infinite where the simulation failed, whether each converged."""
+class Descents(NamedTuple):
+    """Where the descents are: points (B, P), costs (B,), infinite where the simulation failed, whether each converged."""
 
     points: np.ndarray
     costs: np.ndarray
@@ -42,7 +42,7 @@ def cost_of(residuals: np.ndarray) -> np.ndarray:
 
 
 def adam(evaluate: Evaluate, points: np.ndarray, steps: int) -> np.ndarray:
-    """Adam on the logarithm of the cost; the best point of each lane."""
+    """Adam on the logarithm of the cost; the best point of each descent."""
     optimiser = optax.adam(optax.cosine_decay_schedule(_RATE, steps))
     state = optimiser.init(points)
     at, best, least = points, points, np.full(len(points), np.inf)
@@ -65,12 +65,12 @@ def levenberg(
     *,
     enough: float = 0.0,
     patience: int = _PATIENCE,
-) -> Lanes:
-    """Damped Gauss-Newton within the box, each lane with its own damping.
+) -> Descents:
+    """Damped Gauss-Newton within the box, each point with its own damping.
 
-    A coordinate at a bound that the cost pushes it against is held there. A lane has converged when what
+    A coordinate at a bound that the cost pushes it against is held there. A point has converged when what
     is left to gain is less than ``tolerance`` of the cost per residual, or ``enough``, or its step too short to matter.
-    Lanes that have, and lanes that get nowhere, are not waited for.
+    Points that have, and points that get nowhere, are not waited for.
 
     Args:
         evaluate: residuals and Jacobians; asked at most ``iterations + 1`` times.
@@ -78,7 +78,7 @@ def levenberg(
         iterations: limit.
         tolerance: of the promised decrease, in units of cost / number of residuals.
         enough: of the promised decrease itself.
-        patience: how many times in a row a lane may gain nothing to speak of.
+        patience: how many times in a row a point may gain nothing to speak of.
     """
     at = np.clip(points, 0.0, 1.0)
     residuals, jacobians = evaluate(at)
@@ -93,7 +93,7 @@ def levenberg(
         active &= ~small & (idle < patience)
         if not active.any():
             break
-        # Lanes that are done copy one that is not: they cost nothing more than it does.
+        # Points that are done copy one that is not: they cost nothing more than it does.
         trial = np.where(active[:, None], at + step, (at + step)[np.argmax(active)])
         residuals, jacobians = evaluate(trial)
         new_costs, new_slope, new_bend = _model(residuals, jacobians)
@@ -103,7 +103,7 @@ def levenberg(
         at, slope = (np.where(better[:, None], new, old) for new, old in ((trial, at), (new_slope, slope)))
         bend = np.where(better[:, None, None], new_bend, bend)
         damping = np.clip(np.where(better, _BETTER * damping, _WORSE * damping), 1e-9, 1e12)
-    return Lanes(at, costs, converged)
+    return Descents(at, costs, converged)
 
 
 def _model(residuals: np.ndarray, jacobians: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -13,12 +13,12 @@ from bcfj_jax.solve.integrate import plan
 from calibration.forward.losses import straightened
 from calibration.forward.model import Model, batch, residuals_and_jacobian
 from calibration.search.descent import Evaluate
-from calibration.solver_budget import effort
+from calibration.solver_budget import budget
 
 
 def loosened(model: Model) -> Model:
     """A model integrated as loosely as will do on the way to an optimum."""
-    loose = jnp.maximum(model.how.tolerance, plan(model.scene, effort(model.scene).loose).tolerance)
+    loose = jnp.maximum(model.how.tolerance, plan(model.scene, budget(model.scene).loose).tolerance)
     return eqx.tree_at(lambda m: m.how.tolerance, model, loose)
 
 
@@ -30,8 +30,8 @@ def cores() -> int:
 def evaluator(model: Model, log_depth: float) -> Evaluate:
     """Residuals and Jacobians of several points, as NumPy arrays.
 
-    A batch goes through one program, where all lanes wait for the one with most steps. Of a joint's motion, steps cost
-    in proportion to the lanes: points are then taken one by one, as many at a time as there are cores, and equal ones
+    A batch goes through one program, where all points wait for the one with most steps. Of a joint's motion, steps cost
+    in proportion to the points: points are then taken one by one, as many at a time as there are cores, and equal ones
     once.
     """
     depth = jnp.asarray(log_depth)
@@ -57,4 +57,4 @@ def evaluator(model: Model, log_depth: float) -> Evaluate:
         residuals, jacobians = (np.stack(part)[places.ravel()] for part in zip(*found, strict=True))
         return residuals, jacobians
 
-    return apart if effort(model.scene).apart else together
+    return apart if budget(model.scene).apart else together

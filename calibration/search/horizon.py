@@ -58,12 +58,12 @@ def stages(model: Model) -> list[np.ndarray]:
     if not model.scene.traits.history:
         return [np.asarray(model.data.times)[:, -1]]
     times, values, weights = (np.asarray(a) for a in (model.data.times, model.data.values, model.data.weights))
-    told = [j for j, name in enumerate(model.channels) if name.endswith(".normal")]
-    told = told or [j for j, name in enumerate(model.channels) if name.split(".")[1] in _PULSING]
+    pulsing = [j for j, name in enumerate(model.channels) if name.endswith(".normal")]
+    pulsing = pulsing or [j for j, name in enumerate(model.channels) if name.split(".")[1] in _PULSING]
     ends = []
     for i in range(len(times)):
         most: list[float] = []
-        for j in told:
+        for j in pulsing:
             seen = weights[i, j] > 0
             if np.any(seen):
                 rise = _rise(model.channels[j], values[i, j][seen])

@@ -12,14 +12,14 @@ from scipy.optimize import least_squares
 
 from calibration.forward.model import Model, residuals_and_jacobian
 from calibration.forward.runs import refusal
-from calibration.search.descent import Lanes
-from calibration.solver_budget import effort
+from calibration.search.descent import Descents
+from calibration.solver_budget import budget
 
 log = logging.getLogger("calibration")
 
 # A residual of a failed simulation: far above any real one, finite so that the trust region backs off.
 FAILED_RESIDUAL = 1e4
-# Polished by the trust region: the best few, and so many others at most that ended elsewhere about as low.
+# Refined by the trust region: the best few, and so many others at most that ended elsewhere about as low.
 _BEST, _OTHERS, _AS_LOW = 3, 9, 25.0
 
 
@@ -30,7 +30,7 @@ class End:
     Attributes:
         start, point: unit-box coordinates before and after.
         cost: of the weighted residuals, the sum of their squares or what the loss makes of it.
-        residuals, jacobian: at ``point``, of the ends that the trust region polished; else empty.
+        residuals, jacobian: at ``point``, of the ends that the trust region refined; else empty.
         converged: whether the optimiser met its own tolerance.
         failure: why it cannot count; "" if it can.
     """
@@ -44,14 +44,14 @@ class End:
     failure: str = ""
 
 
-def polished(model: Model, starts: np.ndarray, found: Lanes, log_depth: float) -> tuple[End, ...]:
+def refined(model: Model, starts: np.ndarray, found: Descents, log_depth: float) -> tuple[End, ...]:
     """Ends, best first; those that matter brought to their optimum by the trust region."""
     samples = max(int(np.count_nonzero(model.data.weights)), 1)
     ends: list[End] = []
     best: list[End] = []
     order = np.argsort(found.costs, kind="stable")
     early: dict[int, End] = {}
-    if effort(model.scene).apart:  # Side by side: each is a run after the other.
+    if budget(model.scene).apart:  # Side by side: each is a run after the other.
         first = [int(k) for k in order[:_BEST] if np.isfinite(found.costs[k])]
         with ThreadPoolExecutor(len(first) or 1) as pool:
             done = pool.map(lambda k: finish(model, starts[k], found.points[k], log_depth), first)
@@ -59,7 +59,7 @@ def polished(model: Model, starts: np.ndarray, found: Lanes, log_depth: float) -
     for k in order:
         start, point, cost = starts[k], found.points[k], float(found.costs[k])
         low = min((end.cost for end in best), default=cost)
-        near = any(np.abs(end.point - point).max() < effort(model.scene).elsewhere for end in best)
+        near = any(np.abs(end.point - point).max() < budget(model.scene).elsewhere for end in best)
         elsewhere = not near and cost < low + _AS_LOW * max(1.0, low / samples)
         if np.isfinite(cost) and (len(best) < _BEST or (elsewhere and len(best) < _BEST + _OTHERS)):
             ends.append(early.get(int(k)) or finish(model, start, point, log_depth))
@@ -69,7 +69,7 @@ def polished(model: Model, starts: np.ndarray, found: Lanes, log_depth: float) -
             failure = "" if np.isfinite(cost) else "the simulation failed"
             empty = np.zeros((0, point.size))
             ends.append(End(start, point, cost, empty[:, 0], empty, bool(found.converged[k]), failure))
-    # The best is one that was polished: another may seem lower by the integration's own error, no more.
+    # The best is one that was refined: another may seem lower by the integration's own error, no more.
     first = min(best, key=lambda end: (bool(end.failure), end.cost), default=None)
     return tuple(sorted(ends, key=lambda end: (end is not first, bool(end.failure), end.cost)))
 
@@ -95,8 +95,8 @@ def finish(model: Model, start: np.ndarray, point: np.ndarray, log_depth: float)
         jac=lambda u: evaluate(u)[1],  # pyright: ignore[reportArgumentType]
         bounds=(0.0, 1.0),
         x_scale="jac",
-        xtol=effort(model.scene).step,
-        ftol=effort(model.scene).gain,
+        xtol=budget(model.scene).step,
+        ftol=budget(model.scene).gain,
         gtol=1e-10,
         max_nfev=100,
         loss=model.loss,

@@ -3,7 +3,7 @@
 Every start goes its own way: none is moved to where another did well, so that their agreement means something.
 Starts descend in batches of one size, one compiled program for all. After each stage they are ordered by cost, so that
 those that have arrived go on together and wait for none that has not; of many, those that are far off are given up.
-Nothing here judges: every start is reported with where it ended, failures included.
+Nothing here assesses: every start is reported with where it ended, failures included.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from bcfj_jax.io.stop import check
 from calibration.forward.model import Model, values_at
 from calibration.forward.runs import refusal
 from calibration.search.continuation import Interrupted as Interrupted
-from calibration.search.continuation import blocks, named, staged
+from calibration.search.continuation import blocks, continued, named
 from calibration.search.evaluate import evaluator as evaluator
 from calibration.search.evaluate import loosened
 from calibration.search.horizon import stages, until
 from calibration.search.refinement import End as End
 from calibration.search.refinement import finish as finish
-from calibration.search.refinement import polished
-from calibration.solver_budget import effort
+from calibration.search.refinement import refined
+from calibration.solver_budget import budget
 
 log = logging.getLogger("calibration")
 
-# Lanes of a batch. On a CPU a bounce costs in proportion to them, the joint hardly more; all wait for the slowest.
-LANES = 12
+# Descents of a batch. On a CPU a bounce costs in proportion to them, the joint hardly more; all wait for the slowest.
+BATCH = 12
 
 
 @dataclass(frozen=True)
@@ -55,9 +55,9 @@ class Search:
     log_depth: float
 
 
-def lanes(count: int) -> int:
+def batch_size(count: int) -> int:
     """Size of the batches that ``count`` starts descend in."""
-    return -(-count // -(-count // LANES))
+    return -(-count // -(-count // BATCH))
 
 
 def screen(model: Model, count: int, seed: int) -> Screen:
@@ -78,19 +78,19 @@ def screen(model: Model, count: int, seed: int) -> Screen:
 
 
 def _screened(model: Model, count: int, seed: int) -> Screen:
-    even = qmc.Sobol(len(model.slots), rng=seed).random_base2(3 + int(np.ceil(np.log2(count))))
-    design = np.stack([slot.drawn(u) for slot, u in zip(model.slots, even.T, strict=True)], axis=1)
+    even = qmc.Sobol(len(model.coordinates), rng=seed).random_base2(3 + int(np.ceil(np.log2(count))))
+    design = np.stack([axis.drawn(u) for axis, u in zip(model.coordinates, even.T, strict=True)], axis=1)
     ends, depth, reach = stages(model), 0.0, np.zeros(design.shape[1])
     first, costs = evaluator(loosened(until(model, ends[0])), depth), []
-    for block in blocks(design, lanes(count)):
+    for block in blocks(design, batch_size(count)):
         check()
         residuals, jacobians = first(block)
         costs.append(np.sum(residuals**2, axis=1))
         reach = np.maximum(reach, _reach(jacobians))
     costs = np.concatenate(costs)[: len(design)]
     if len(ends) > 1 and np.any(reach < 1.0):  # What the first contact does not show, all data may.
-        few = np.argsort(costs)[: effort(model.scene).asked]
-        for block in blocks(design[few], lanes(count)):
+        few = np.argsort(costs)[: budget(model.scene).asked]
+        for block in blocks(design[few], batch_size(count)):
             reach = np.maximum(reach, _reach(evaluator(loosened(model), depth)(block)[1]))
     log.info("%d of %d Sobol points simulate", np.isfinite(costs).sum(), len(design))
     return Screen(design, costs, reach)
@@ -108,7 +108,7 @@ def search(
     Args:
         model: residual function.
         screened: the design, from ``screen``.
-        starts: parameter values (SI, one a slot) that must be among the starts.
+        starts: parameter values (SI, one a coordinate) that must be among the starts.
         count: number of starts that descend, >= 2.
         journal: where finished batches are kept, and taken from.
 
@@ -121,17 +121,17 @@ def search(
     if model.referenced and np.isfinite(costs).any():
         log_depth = reference_depth(model, by_cost(design, costs), log_depth)
     points = np.clip(model.point(chosen, log_depth), 1e-3, 1 - 1e-3)
-    found = staged(model, points, log_depth, lanes(len(points)), journal)
+    found = continued(model, points, log_depth, batch_size(len(points)), journal)
     if model.referenced and np.isfinite(found.costs).any():
         old, log_depth = log_depth, reference_depth(model, by_cost(found.points, found.costs), log_depth)
         points, moved = (model.point(values_at(model, u, old), log_depth) for u in (points, found.points))
         found = found._replace(points=np.clip(moved, 0.0, 1.0))
     try:
-        return Search(polished(model, points, found, log_depth), log_depth)
+        return Search(refined(model, points, found, log_depth), log_depth)
     except KeyboardInterrupt:
         k = int(np.argmin(found.costs))
         values, all_of_them = named(model, found.points[k], log_depth), f"{len(points)} of {len(points)}"
-        raise Interrupted(all_of_them, values, float(found.costs[k]), "polish") from None
+        raise Interrupted(all_of_them, values, float(found.costs[k]), "refinement") from None
 
 
 def _spread(design: np.ndarray, costs: np.ndarray, count: int) -> np.ndarray:
@@ -154,9 +154,9 @@ def reference_depth(model: Model, points: Iterable[np.ndarray], log_depth: float
     if point is None:
         return log_depth
     params = {name: float(v[0]) for name, v in model.data.fixed.items()}
-    for slot, value in zip(model.slots, values_at(model, point, log_depth), strict=True):
-        if slot.name in params and slot.experiment in (None, 0):
-            params[slot.name] = float(value)
+    for axis, value in zip(model.coordinates, values_at(model, point, log_depth), strict=True):
+        if axis.name in params and axis.experiment in (None, 0):
+            params[axis.name] = float(value)
     times = np.linspace(0.0, float(model.data.times[0].max()), 2001)
     run = simulate(model.scene, model.scene.parameters(params), times)
     force = np.concatenate([f[..., 0].ravel() for f in run.force.values()])

@@ -112,7 +112,7 @@ def choose(models: Sequence[tuple[str, Problem]], *, journal: Journal | None = N
         found = fit(problem, journal=Chapter(journal, name) if journal is not None else None, **options)
         log.info("model '%s': %s", name, found.verdict)
         rivals.append(rival(name, problem, found))
-    return judged(rivals)
+    return decided(rivals)
 
 
 def rival(name: str, problem: Problem, found: Fit) -> Rival:
@@ -139,9 +139,9 @@ def likelihood_of(
     weights, memory = np.asarray(model.data.weights), np.asarray(model.data.memory)
     seen = weights > 0
     white, own = residuals[: seen.size].reshape(seen.shape), residuals[seen.size :]
-    told = np.asarray(model.data.feature_weights).ravel()
-    told = told[told > 0]
-    volume = 0.5 * np.sum(np.log1p(-(memory[seen] ** 2))) - np.sum(np.log(weights[seen])) - np.sum(np.log(told))
+    weighted = np.asarray(model.data.feature_weights).ravel()
+    weighted = weighted[weighted > 0]
+    volume = 0.5 * np.sum(np.log1p(-(memory[seen] ** 2))) - np.sum(np.log(weights[seen])) - np.sum(np.log(weighted))
     deviance = 2.0 * float(volume) + float(own @ own)
     for i, experiment in enumerate(fitted):
         for channel in experiment.channels:
@@ -153,12 +153,12 @@ def likelihood_of(
         squares = white[rows, j][seen[rows, j]] ** 2
         # The deviation found allows for the parameters; the likeliest one does not.
         deviance += squares.size * (1.0 + float(np.log(squares.mean())))
-    samples = int(seen.sum()) + told.size
-    numbers = len(model.slots) + len(found.sigma) + len(found.correlation)
+    samples = int(seen.sum()) + weighted.size
+    numbers = len(model.coordinates) + len(found.sigma) + len(found.correlation)
     return Likelihood(deviance + samples * float(np.log(2.0 * np.pi)), numbers, samples)
 
 
-def judged(rivals: Sequence[Rival]) -> Choice:
+def decided(rivals: Sequence[Rival]) -> Choice:
     """Rank fitted models and choose the cheapest adequate one, or where none is, the best predictor.
 
     Ranked by held-out score where all have one, else by BIC, else by their own cost. Adequate models are those whose

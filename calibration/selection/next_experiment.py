@@ -91,15 +91,15 @@ def predicted(problem: Problem, values: Mapping[str, float], candidates: Sequenc
         raise InputError("candidates", "none", "give one or more experiments that might be made")
     fitted = tuple(e for e in problem.experiments if not e.hold_out)
     model = build(problem, fitted)
-    own = np.array([values[slot.label(fitted)] for slot in model.slots])
+    own = np.array([values[axis.label(fitted)] for axis in model.coordinates])
     point = model.point(own, 0.0)
     if not noise_model.known(fitted):
         model, _ = noise_model.estimate(model, fitted, point, 0.0)
-    shared = [i for i, slot in enumerate(model.slots) if slot.experiment is None]
+    shared = [i for i, axis in enumerate(model.coordinates) if axis.experiment is None]
     if not shared:
         raise InputError(problem.where, "no parameter is shared by the experiments", "free one without each = true")
     before = _marginal(_information(model, point), shared)
-    names = [model.slots[i].name for i in shared]
+    names = [model.coordinates[i].name for i in shared]
     gains = [_gain(problem, model, own, c, before, names) for c in candidates]
     return sorted(gains, key=lambda gain: -gain.information if not gain.failure else np.inf)
 
@@ -143,23 +143,23 @@ def _gain(
         return Gain(candidate.name, 0.0, 1.0, dict.fromkeys(names, 1.0))
     planned = _planned(problem, candidate, known)
     other = build(replace(problem, free=free), (planned,))
-    pairs = [(slot.name, value) for slot, value in zip(model.slots, values, strict=True)]
+    pairs = [(axis.name, value) for axis, value in zip(model.coordinates, values, strict=True)]
     usual = {name: float(np.mean([v for n, v in pairs if n == name])) for name, _ in pairs}
     nominal = {**usual, **candidate.fixed}
-    point = other.point(np.array([nominal[slot.name] for slot in other.slots]), 0.0)
+    point = other.point(np.array([nominal[axis.name] for axis in other.coordinates]), 0.0)
     if candidate.share:
         other = _absolute(other, planned, point)
     residuals, jacobian = (np.asarray(a) for a in residuals_and_jacobian(other, jnp.asarray(point), jnp.asarray(0.0)))
     if not (np.isfinite(residuals).all() and np.isfinite(jacobian).all()):
         return Gain(candidate.name, float("nan"), float("nan"), {}, "its simulation fails")
-    mine = [k for k, slot in enumerate(other.slots) if slot.experiment is None]
-    theirs = [k for k, slot in enumerate(other.slots) if slot.experiment is not None]
+    mine = [k for k, axis in enumerate(other.coordinates) if axis.experiment is None]
+    theirs = [k for k, axis in enumerate(other.coordinates) if axis.experiment is not None]
     slopes, own = jacobian[:, mine], jacobian[:, theirs]
     seen = slopes.T @ slopes
     seen -= slopes.T @ own @ np.linalg.solve(own.T @ own + _UNIFORM * np.eye(len(theirs)), own.T @ slopes)
     # Before J^T J + 12, with the candidate more: both at the same coordinates, whose boxes are the problem's.
     after = np.linalg.inv(before)
-    places = [names.index(other.slots[k].name) for k in mine]
+    places = [names.index(other.coordinates[k].name) for k in mine]
     after[np.ix_(places, places)] += seen
     left = np.linalg.inv(after)
     ratios = np.diag(left) / np.diag(before)

@@ -14,7 +14,7 @@ from calibration.forward.model import Model, residuals_and_jacobian
 from calibration.problem import nuisances
 from calibration.search.evaluate import evaluator
 from calibration.search.refinement import End
-from calibration.solver_budget import effort
+from calibration.solver_budget import budget
 
 # In half-widths of an interval.
 _NEAR = 0.1
@@ -69,23 +69,23 @@ def estimates(
         reference = _reference(spread, log_depth, float(z[k]), slopes[k])
         # From the coordinate ln F_ref to ln K = ln F_ref - n ln d_ref.
         z[k] -= values[n] * log_depth
-        slopes[k, n] = -log_depth * (values[n] if model.slots[n].log else 1.0) * width[n]
+        slopes[k, n] = -log_depth * (values[n] if model.coordinates[n].log else 1.0) * width[n]
     parameters: dict[str, Parameter] = {}
     tests: list[fit_tests.Test] = []
     reaches: list[float] = []
-    for i, (slot, label) in enumerate(zip(model.slots, labels, strict=True)):
+    for i, (axis, label) in enumerate(zip(model.coordinates, labels, strict=True)):
         half = spread.half_width(slopes[i])
-        widest = fit_tests.widest(slot)
+        widest = fit_tests.widest(axis)
         identifiable = bool(half < widest)
-        quantity = {**model.scene.quantities, **nuisances(model.channels)}[slot.name]
+        quantity = {**model.scene.quantities, **nuisances(model.channels)}[axis.name]
         # No lower than the quantity can be: a clearance that may be closed.
-        reach = 1.0 if slot.log or not identifiable else min(1.0, (values[i] - quantity.low) / half)
+        reach = 1.0 if axis.log or not identifiable else min(1.0, (values[i] - quantity.low) / half)
         reaches.append(reach)
         edges = (z[i] - reach * half, z[i] + half)
-        interval = tuple(float(np.exp(e)) if slot.log else float(e) for e in edges) if identifiable else None
+        interval = tuple(float(np.exp(e)) if axis.log else float(e) for e in edges) if identifiable else None
         # Of many decades the lowest are no thousandth of the range.
-        margin = 1e-3 * (min(slot.upper - slot.lower, values[i]) if slot.decades else slot.upper - slot.lower)
-        at_bound = "lower" if z[i] < slot.lower + margin else "upper" if z[i] > slot.upper - margin else ""
+        margin = 1e-3 * (min(axis.upper - axis.lower, values[i]) if axis.decades else axis.upper - axis.lower)
+        at_bound = "lower" if z[i] < axis.lower + margin else "upper" if z[i] > axis.upper - margin else ""
         kind = "derived" if pair and i == pair[0] else "fitted"
         parameters[label] = Parameter(values[i], quantity.unit, interval, identifiable, at_bound, kind)  # type: ignore[arg-type]
         reason = f"the data do not determine {label}: they allow a factor or share beyond the limit"
@@ -124,7 +124,7 @@ def _curvature(
 ) -> float:
     """Rise of the cost at the ends of an interval, the other parameters following, over the quadratic rise.
 
-    ``reaches``: where those ends are, in half-widths; one that is no way off tells nothing.
+    ``reaches``: where those ends are, in half-widths; one that is no way off has no information.
     """
     assert spread.covariance is not None
     quantile, along = spread.quantile_of(slope), spread.covariance @ slope
@@ -132,18 +132,18 @@ def _curvature(
     expected = quantile**2 * spread.rise * shares**2
     steps = shares[:, None] * quantile * along / np.sqrt(slope @ along)
     ends = best.point + steps
-    if effort(model.scene).apart:
+    if budget(model.scene).apart:
         residuals, jacobians = evaluator(model, float(depth))(ends)
     else:
         each = [straightened(model.loss, *residuals_and_jacobian(model, jnp.asarray(end), depth)) for end in ends]
         residuals, jacobians = ([np.asarray(a) for a in part] for part in zip(*each, strict=True))
-    if rough or effort(model.scene).rough:
+    if rough or budget(model.scene).rough:
         # From slopes, for the integration's own error makes the cost rough: that at the optimum, which is expected, and
         # the end's, of a cost of third order. Of what the predictions change by: the residuals at the optimum are all
         # noise, and times the Jacobian's own error as large as the rise.
         base, _ = straightened(model.loss, jnp.asarray(best.residuals), jnp.asarray(best.jacobian))
-        told = zip(residuals, jacobians, steps, expected, strict=True)
-        rises = [(rise + 2.0 * float((r - np.asarray(base)) @ (j @ s))) / 3.0 for r, j, s, rise in told]
+        parts = zip(residuals, jacobians, steps, expected, strict=True)
+        rises = [(rise + 2.0 * float((r - np.asarray(base)) @ (j @ s))) / 3.0 for r, j, s, rise in parts]
     else:
         rises = [float(np.sum(np.square(r))) - best.cost for r in residuals]
     ratios = np.array(rises) / expected

@@ -11,7 +11,7 @@ import numpy as np
 from bcfj_jax import InputError
 from calibration.diagnostics import fit_tests
 from calibration.forward.model import Model
-from calibration.solver_budget import effort
+from calibration.solver_budget import budget
 from calibration.uncertainty import posterior, profile
 from calibration.uncertainty.estimates import Parameter, Reference
 from calibration.uncertainty.posterior import WORST_RHAT, Chains, Posterior
@@ -34,10 +34,10 @@ class Evidence:
 
 
 def as_json(evidence: Evidence) -> dict[str, Any]:
-    """What ``fit.json`` tells of it: "profiles" by parameter, and "posterior"."""
-    told: dict[str, Any] = {}
+    """What ``fit.json`` holds of it: "profiles" by parameter, and "posterior"."""
+    content: dict[str, Any] = {}
     if evidence.profiles:
-        told["profiles"] = {
+        content["profiles"] = {
             name: {
                 "shape": p.shape, "ends": p.ends, "threshold": p.threshold,
                 "values": p.values, "rises": p.rises, "notes": p.notes,
@@ -46,12 +46,12 @@ def as_json(evidence: Evidence) -> dict[str, Any]:
         }  # fmt: skip
     if evidence.posterior:
         p = evidence.posterior
-        told["posterior"] = {
+        content["posterior"] = {
             "rhat": dict(zip(p.labels, p.rhat.tolist(), strict=True)),
             "effective": dict(zip(p.labels, p.effective.tolist(), strict=True)),
             "draws": p.draws[..., 0].size, "divergences": p.divergences, "refusal": p.refusal,
         }  # fmt: skip
-    return told
+    return content
 
 
 def check_kind(kind: str) -> None:
@@ -76,7 +76,7 @@ def revised(
     tests: list[fit_tests.Test],
     *,
     estimated: Sequence[str],
-    lanes: int,
+    batch: int,
     seed: int,
 ) -> tuple[dict[str, Parameter], Reference | None, list[fit_tests.Test], Evidence]:
     """Estimates and their tests with the intervals that were asked for.
@@ -89,7 +89,7 @@ def revised(
         model, labels, place, log_depth, quality: of the optimum.
         parameters, reference, tests: as the covariance has them, from ``estimates``.
         estimated: channels whose noise has an estimated deviation.
-        lanes: size of compiled batches.
+        batch: size of compiled batches.
         seed: of the sampler.
     """
     if kind == "posterior":
@@ -99,22 +99,22 @@ def revised(
             model, place, log_depth, quality.covariance, labels, estimated=estimated, chains=Chains(seed)
         )
         ends, why = drawn.intervals, dict.fromkeys(labels, drawn.refusal)
-        told = f"posterior: {drawn.refusal}"
+        content = f"posterior: {drawn.refusal}"
         mixed = fit_tests.Test(
-            "chains of the posterior", float(np.max(drawn.rhat)), WORST_RHAT, not drawn.refusal, told
+            "chains of the posterior", float(np.max(drawn.rhat)), WORST_RHAT, not drawn.refusal, content
         )
         parameters, reference = _replaced(kind, model, labels, parameters, reference, ends)
         return parameters, reference, [*_retested(model, labels, tests, ends, why), mixed], Evidence(posterior=drawn)
     failed = {t.name for t in tests if not t.passed}
     bent = {name for name in labels if f"interval of {name}" in failed}
     # Where more fails no interval will be given, whatever a profile says; and a rough cost makes it a profile of noise.
-    if kind == "covariance" and (len(failed) > len(bent) or effort(model.scene).rough):
+    if kind == "covariance" and (len(failed) > len(bent) or budget(model.scene).rough):
         return parameters, reference, tests, Evidence()
     names = [*labels, "reference_force"] if kind == "profile" else sorted(bent)
     if not names:
         return parameters, reference, tests, Evidence()
     allowed = profile.rise_allowed(quality)
-    found = profile.of_model(model, place, log_depth, allowed, labels, only=names, lanes=lanes)
+    found = profile.of_model(model, place, log_depth, allowed, labels, only=names, batch=batch)
     ends = {name: p.interval for name, p in found.items()}
     why = {name: f"the profile of {name} is {p.shape}: {'; '.join(p.notes)}" for name, p in found.items()}
     parameters, reference = _replaced("profile", model, labels, parameters, reference, ends)
@@ -131,9 +131,9 @@ def _replaced(
 ) -> tuple[dict[str, Parameter], Reference | None]:
     """Estimates with other intervals; one wider than what counts as determined is none."""
     changed = dict(parameters)
-    for slot, name in zip(model.slots, labels, strict=True):
+    for axis, name in zip(model.coordinates, labels, strict=True):
         if name in ends:
-            known = _half(ends[name], slot.log) < fit_tests.widest(slot)
+            known = _half(ends[name], axis.log) < fit_tests.widest(axis)
             own = ends[name] if known else None
             changed[name] = replace(parameters[name], ci95=own, identifiable=known, interval_kind=kind)
     if reference and "reference_force" in ends:
@@ -158,9 +158,9 @@ def _retested(
 ) -> list[fit_tests.Test]:
     """Tests of the covariance's intervals give way to those of the intervals that replace them."""
     changed = []
-    for slot, name in zip(model.slots, labels, strict=True):
+    for axis, name in zip(model.coordinates, labels, strict=True):
         if name in ends:
-            half, limit = _half(ends[name], slot.log), fit_tests.widest(slot)
+            half, limit = _half(ends[name], axis.log), fit_tests.widest(axis)
             reason = f"the data do not determine {name}: they allow a factor or share beyond the limit"
             reason = why[name] if ends[name] is None else reason
             changed.append(fit_tests.Test(f"{name} determined", half, limit, half < limit, reason))

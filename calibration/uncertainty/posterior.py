@@ -79,7 +79,7 @@ def of_model(
         place: the optimum, unit-box coordinates (P,).
         log_depth: ln of the reference penetration [m].
         covariance: of the coordinates at the optimum (P, P): the first guess of the sampler's metric.
-        labels: of the model's slots.
+        labels: of the model's coordinates.
         estimated: names of the channels whose noise has an estimated deviation.
         chains: what the sampler does.
     """
@@ -94,7 +94,7 @@ def of_model(
         k, n = model.pair()
         values = np.concatenate([values, (values[..., k] * np.exp(values[..., n] * log_depth))[..., None]], axis=-1)
         names = (*names, "reference_force")
-    return _judged(names, values, found.divergences)
+    return _summary(names, values, found.divergences)
 
 
 def sample(
@@ -142,7 +142,7 @@ def sample(
     first = jnp.asarray(np.log(centre / (1 - centre)) + wide)
     sampler.run(jax.random.key(chains.seed), init_params=first, extra_fields=("diverging",))
     points = np.asarray(jax.nn.sigmoid(sampler.get_samples(group_by_chain=True)))
-    return _judged(tuple(labels), points, int(np.sum(sampler.get_extra_fields()["diverging"])))
+    return _summary(tuple(labels), points, int(np.sum(sampler.get_extra_fields()["diverging"])))
 
 
 def _owners(model: Model, estimated: Sequence[str]) -> np.ndarray:
@@ -176,7 +176,7 @@ def _energy(residuals: Callable[[Array], Array], owners: np.ndarray | None, loss
     return energy
 
 
-def _judged(labels: tuple[str, ...], draws: np.ndarray, divergences: int) -> Posterior:
+def _summary(labels: tuple[str, ...], draws: np.ndarray, divergences: int) -> Posterior:
     from numpyro.diagnostics import effective_sample_size, split_gelman_rubin
 
     rhat, effective = split_gelman_rubin(draws), effective_sample_size(draws)

@@ -58,7 +58,7 @@ def of_model(
     allowed: Callable[[np.ndarray], float],
     labels: Sequence[str],
     only: Sequence[str] | None = None,
-    lanes: int | None = None,
+    batch: int | None = None,
 ) -> dict[str, Profile]:
     """Profiles of a problem's parameters around its optimum, by label.
 
@@ -70,14 +70,14 @@ def of_model(
         place: the optimum, unit-box coordinates (P,).
         log_depth: ln of the reference penetration [m].
         allowed: rise of the cost at the ends of the interval of a combination of coordinates (P,); ``rise_allowed``.
-        labels: of the model's slots.
+        labels: of the model's coordinates.
         only: labels wanted; by default all.
-        lanes: points a compiled call evaluates; by default one a walk. Another batch's size saves a compilation.
+        batch: points a compiled call evaluates; by default one a walk. Another batch's size saves a compilation.
     """
     targets = [t for t in _targets(model, log_depth, labels) if only is None or t.name in only]
     at = np.asarray(place, float)
     thresholds = [allowed(np.eye(at.size)[t.index] - t.shift(at)[1]) for t in targets]
-    found = profiles(evaluator(model, log_depth), targets, at, thresholds, labels=labels, lanes=lanes)
+    found = profiles(evaluator(model, log_depth), targets, at, thresholds, labels=labels, batch=batch)
     return {p.name: p for p in found}
 
 
@@ -99,12 +99,12 @@ def _targets(model: Model, log_depth: float, labels: Sequence[str]) -> list[Targ
     lower, width = (np.asarray(a) for a in model.box(jnp.asarray(log_depth)))
     pair = model.pair() if model.referenced else None
     targets = []
-    for i, (slot, label) in enumerate(zip(model.slots, labels, strict=True)):
+    for i, (axis, label) in enumerate(zip(model.coordinates, labels, strict=True)):
         name = "reference_force" if pair and i == pair[0] else label
-        targets.append(coordinate(name, i, lower=lower[i], width=width[i], log=slot.log))
+        targets.append(coordinate(name, i, lower=lower[i], width=width[i], log=axis.log))
     if pair:
         k, n = pair
-        exponent_is_log = model.slots[n].log
+        exponent_is_log = model.coordinates[n].log
 
         def shift(u: np.ndarray) -> tuple[float, np.ndarray]:
             z = lower[n] + u[n] * width[n]
@@ -113,7 +113,7 @@ def _targets(model: Model, log_depth: float, labels: Sequence[str]) -> list[Targ
             return exponent * log_depth / width[k], np.eye(u.size)[n] * rate * log_depth / width[k]
 
         # The box of F_ref is wider than that of K: K keeps its own.
-        low, high = ((b - lower[k]) / width[k] for b in (model.slots[k].lower, model.slots[k].upper))
+        low, high = ((b - lower[k]) / width[k] for b in (model.coordinates[k].lower, model.coordinates[k].upper))
         plain = coordinate(labels[k], k, lower=lower[k], width=width[k], log=True)
         targets.insert(k, plain._replace(low=low, high=high, shift=shift))
     return targets
@@ -132,7 +132,7 @@ def profiles(
     thresholds: Sequence[float],
     *,
     labels: Sequence[str],
-    lanes: int | None = None,
+    batch: int | None = None,
     scouts: int = 3,
 ) -> tuple[Profile, ...]:
     """Profile likelihood of every target around an optimum.
@@ -143,12 +143,12 @@ def profiles(
         place: the optimum (P,).
         thresholds: rise of the sum of squares that bounds each target's interval.
         labels: names of the P coordinates, for the notes.
-        lanes: points in a call of ``residuals``; by default one a walk.
+        batch: points in a call of ``residuals``; by default one a walk.
         scouts: looks beyond an interval's end, evenly up to the range's, for another region as good.
     """
     asked = list(zip(targets, thresholds, strict=True))
     walks = [walk(target, sign, place, threshold, scouts) for target, threshold in asked for sign in (-1.0, 1.0)]
-    sides = together(walks, residuals, lanes or len(walks))
+    sides = together(walks, residuals, batch or len(walks))
     pairs = zip(asked, sides[::2], sides[1::2], strict=True)
     return tuple(_profile(target, below, above, rise, labels) for (target, rise), below, above in pairs)
 

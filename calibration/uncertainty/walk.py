@@ -77,15 +77,15 @@ T = TypeVar("T")
 Asks = Generator[np.ndarray, tuple[np.ndarray, np.ndarray], T]
 
 
-def together(walks: list[Asks[Side]], residuals: Residuals, lanes: int) -> list[Side]:
+def together(walks: list[Asks[Side]], residuals: Residuals, batch: int) -> list[Side]:
     """Step all walks; every call has the same number of points, so that one compiled program serves."""
     asked = {k: next(walk) for k, walk in enumerate(walks)}
     sides: dict[int, Side] = {}
     while asked:
         todo = list(asked)
-        for first in range(0, len(todo), lanes):
-            block = todo[first : first + lanes]
-            points = np.stack([asked[k] for k in block] + [asked[block[0]]] * (lanes - len(block)))
+        for first in range(0, len(todo), batch):
+            block = todo[first : first + batch]
+            points = np.stack([asked[k] for k in block] + [asked[block[0]]] * (batch - len(block)))
             found, jacobians = residuals(points)
             for k, r, jacobian in zip(block, found, jacobians, strict=False):
                 try:

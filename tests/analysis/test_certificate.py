@@ -45,7 +45,7 @@ def test_a_comparison_with_what_failed_is_infinitely_apart():
 
 @pytest.mark.slow
 def test_a_loose_tolerance_is_caught_and_tightened_away():
-    loose = bounced(0.5, rungs=1).certificate
+    loose = bounced(0.5, levels=1).certificate
     assert loose.verdict == NOT
     for check in loose.parameters.values():
         assert check.verdict == NOT
@@ -58,7 +58,7 @@ def test_a_loose_tolerance_is_caught_and_tightened_away():
     assert np.isnan([c.breakdown for c in tight.certificate.parameters.values()]).all()
     # Balanced climbs until it is as good as it promises: 3 % of the averages.
     found = bounced("balanced")
-    assert found.stats["rungs"] > 2
+    assert found.stats["levels"] > 2
     assert found.certificate.tolerances[-1] < found.certificate.tolerances[0] / 4
     assert all(found.certificate.parameters[name].average < 0.03 for name in NAMES)
 
@@ -76,7 +76,7 @@ def over_stated(height):
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason="two rungs may agree by luck: 0.05 to 4.8 times the figure was measured", strict=False)
+@pytest.mark.xfail(reason="two levels may agree by luck: 0.05 to 4.8 times the figure was measured", strict=False)
 @pytest.mark.parametrize("height", [0.09, 0.1])
 def test_the_figure_stated_is_not_less_than_the_error_itself(height):
     assert max(over_stated(height)) < 1.0

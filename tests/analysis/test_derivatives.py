@@ -157,11 +157,11 @@ def test_finite(impact, case, n):
 
 @pytest.mark.slow
 def test_gradients_of_batches(impact):
-    lanes = POINT * jnp.linspace(0.99, 1.01, 3)[:, None]
-    one_by_one = np.stack([impact.gradient(lane) for lane in lanes]) * lanes
+    points = POINT * jnp.linspace(0.99, 1.01, 3)[:, None]
+    one_by_one = np.stack([impact.gradient(each) for each in points]) * points
     # Other programs round otherwise and rounding may move a step: the accuracy asked for, with a margin.
-    close(impact.batched_gradients(lanes) * lanes, one_by_one, 1e-7)
-    close(impact.gradient_of_batch(lanes) * lanes, one_by_one, 1e-7)
+    close(impact.batched_gradients(points) * points, one_by_one, 1e-7)
+    close(impact.gradient_of_batch(points) * points, one_by_one, 1e-7)
 
 
 CORNERS = {

@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 import bcfj_jax as bj
 from bcfj_jax.analysis.derivatives.certificate import Certificate, Check
 from bcfj_jax.analysis.designs import api
-from bcfj_jax.analysis.designs.evaluate import Effort, Evaluator
+from bcfj_jax.analysis.designs.evaluate import Evaluator, Spent
 from bcfj_jax.analysis.designs.objective import objective
 from bcfj_jax.analysis.designs.space import space
 from bcfj_jax.analysis.designs.tolerance import robust
@@ -146,7 +146,7 @@ def evaluator(dashpot, free, **how):
     scene, params = dashpot
     wanted = objective("contact.peak", (), scene.members)
     box = space(scene, params, free)
-    return Evaluator(scene, params, TIMES, plan(scene, 1e-8, **how), box, wanted, 1.0, 4, Effort())
+    return Evaluator(scene, params, TIMES, plan(scene, 1e-8, **how), box, wanted, 1.0, 4, Spent())
 
 
 @pytest.mark.parametrize(("scale", "relative"), [("linear", False), ("linear", True), ("log", False), ("log", True)])
@@ -220,7 +220,7 @@ def test_undeflected_joint_takes_least_offset_and_steepest_flank():
         ({"kappa": -1.0}, "kappa"),
         ({"norms": (0.5,)}, "norms"),
         ({"distribution": "cauchy"}, "distribution"),
-        ({"starts": 0}, "effort"),
+        ({"starts": 0}, "search size"),
     ],
 )
 def test_bad_input_is_said(dashpot, change, where):

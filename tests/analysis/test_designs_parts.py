@@ -12,7 +12,7 @@ import pytest
 from bcfj_jax.analysis.designs.descent import descend, starts
 from bcfj_jax.analysis.designs.evaluate import Values
 from bcfj_jax.analysis.designs.minimax import minimax, stationarity
-from bcfj_jax.analysis.designs.newton import polish
+from bcfj_jax.analysis.designs.newton import refine
 from bcfj_jax.analysis.designs.objective import _norm, crest
 
 
@@ -44,9 +44,9 @@ def test_descent_through_a_region_without_values():
     ways = descend(evaluate, begin, (), 50)
     assert math.isnan(ways[0].goal) and ways[0].failed == 1
     best = min(ways[1:], key=lambda way: way.goal)
-    polished = polish(evaluate, best.end)
-    assert polished.arrived
-    np.testing.assert_allclose(polished.point, [0.3, 0.6], atol=1e-9)
+    refined = refine(evaluate, best.end)
+    assert refined.arrived
+    np.testing.assert_allclose(refined.point, [0.3, 0.6], atol=1e-9)
     assert all(np.all(np.diff(way.best) <= 0) for way in ways[1:])
 
 
@@ -72,7 +72,7 @@ def test_an_interrupt_ends_all_descents():
 
 
 def test_a_kink_is_no_optimum_of_derivatives():
-    found = polish(quadratic(lambda u: (1.0 + abs(u[0] - 0.4), np.sign(u - 0.4))), np.array([0.4 + 1e-8]))
+    found = refine(quadratic(lambda u: (1.0 + abs(u[0] - 0.4), np.sign(u - 0.4))), np.array([0.4 + 1e-8]))
     assert not found.arrived
 
 

@@ -66,8 +66,8 @@ def attempt(kind, law):
 
 def energy(kind, params, states):
     """Kinetic, of the height and of a power law [J], at T instants; and how much the body's sag is worth."""
-    books, sag = energies({name: np.array([float(value)]) for name, value in params.items()}, kind, states[None])
-    return books[0], float(np.max(sag))
+    total, sag = energies({name: np.array([float(value)]) for name, value in params.items()}, kind, states[None])
+    return total[0], float(np.max(sag))
 
 
 # Compiling each takes seconds.
@@ -98,9 +98,9 @@ def test_every_case_ends_well_or_says_why_not(kind, law, data, end):
         assert not np.all(np.isfinite(force))
         return
     assert np.all(np.isfinite(force)) and np.all(np.isfinite(slope))
-    books, sag = energy(kind, params, np.asarray(solution.states))
+    total, sag = energy(kind, params, np.asarray(solution.states))
     # A hundredth, what "balanced" promises of a force, of all energy there is.
-    assert np.max(books - books[0]) <= 1e-2 * (abs(books[0]) + sag) + 1e-300
+    assert np.max(total - total[0]) <= 1e-2 * (abs(total[0]) + sag) + 1e-300
 
 
 @pytest.mark.parametrize(
@@ -122,7 +122,7 @@ def test_what_is_outside_is_refused_with_the_limit(kind, name, value):
 # --- What was mended, one test each ---
 
 
-def test_a_body_thrown_out_of_its_onset_is_measured_by_that():
+def test_a_body_thrown_out_of_its_regularisation_is_measured_by_that():
     """1 um/s, but 100 um within the onset of a steel surface: it leaves with 300 m/s, and once took 20 000 steps."""
     scene = scenes.impact("hertz")
     params = scene.parameters(stiffness=1e13, smoothing=1e-4, approach_speed=1e-6, mass=BALL)
@@ -140,7 +140,7 @@ def test_a_body_thrown_out_of_its_onset_is_measured_by_that():
         ("bounce", {"drop_height": 0.0, "stiffness": 1e13}),
     ],
 )
-def test_a_body_at_rest_within_an_onset_has_no_approach_speed(kind, values):
+def test_a_body_at_rest_within_a_regularisation_has_no_approach_speed(kind, values):
     """Damping by an approach speed of nothing is rigid to a body that is thrown out: 20 000 steps and no end."""
     scene = scenes.make(kind, law="exact")
     params = scene.parameters(restitution=0.5, smoothing=1e-5, **values)
@@ -160,7 +160,7 @@ def test_a_body_at_rest_within_an_onset_has_no_approach_speed(kind, values):
     assert np.hypot(run.rate["contact"][-1], np.sqrt(fallen)) == within(speed, 1e-2)
 
 
-def test_a_small_onset_does_not_change_what_a_restitution_delivers():
+def test_a_small_regularisation_does_not_change_what_a_restitution_delivers():
     scene = scenes.bounce("exact")
     params = scene.parameters(restitution=0.6, stiffness=1e11, smoothing=1e-6, drop_height=1e-2)
     fall = np.sqrt(2 * 1e-2 / GRAVITY)
@@ -170,7 +170,7 @@ def test_a_small_onset_does_not_change_what_a_restitution_delivers():
     assert kept == within(0.6, 1e-3)
 
 
-def test_rest_within_a_wide_onset():
+def test_rest_within_a_wide_regularisation():
     """Its ups and downs there are no flights: to have learned a new approach speed in them made the law rigid."""
     scene = scenes.bounce("flores")
     values = {"stiffness": 779e3, "exponent": 1.0, "restitution": 0.06, "mass": 1.89e-5, "smoothing": 1.4e-9}
@@ -197,8 +197,8 @@ def test_energy_is_not_created_by_many_bounces():
     params = scene.parameters(stiffness=2.55e6, exponent=1.0, mass=8.15, drop_height=1e-3)
     run = simulate(scene, params, np.linspace(0.0, 20.0, 2001))
     assert run.status == "ok"
-    books, _ = energy("bounce", params, run.trajectory)
-    assert abs(books / books[0] - 1.0).max() < 1e-2
+    total, _ = energy("bounce", params, run.trajectory)
+    assert abs(total / total[0] - 1.0).max() < 1e-2
 
 
 @pytest.mark.slow
@@ -213,9 +213,9 @@ def test_derivatives_beyond_all_numbers_are_a_failure():
     assert 0.0 < found.failure_time < times[-1]
     # The run itself did not fail.
     assert np.isfinite(found.force["contact"]).all()
-    judged = sensitivity(scene, params, times, ("drop_height",), accuracy=0.1, max_steps=4_000_000)
-    judged = judged.certificate.parameters["drop_height"]
-    assert judged.verdict == "not differentiable here" and judged.breakdown <= found.failure_time
+    found_slopes = sensitivity(scene, params, times, ("drop_height",), accuracy=0.1, max_steps=4_000_000)
+    found_slopes = found_slopes.certificate.parameters["drop_height"]
+    assert found_slopes.verdict == "not differentiable here" and found_slopes.breakdown <= found.failure_time
 
 
 def test_far_flights_cost_nothing():

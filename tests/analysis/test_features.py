@@ -55,10 +55,10 @@ def test_dissipated_work_of_an_impact_is_the_kinetic_energy_lost():
     assert work > 0.1
 
 
-def test_onsets_are_found_between_coarse_samples():
+def test_contacts_are_found_between_coarse_samples():
     times = np.linspace(0.0, 1.0, 65)
     depth, rate = half_sines(times)
-    found = features.onsets(times, depth, rate)
+    found = features.contact_times(times, depth, rate)
     starts = [1 / (8 * np.pi) + k / 4 for k in range(4)]
     assert [start for start, _ in found] == pytest.approx(starts, abs=2e-5)
     assert [end for _, end in found] == pytest.approx([s + 1 / 8 for s in starts], abs=2e-5)
@@ -69,19 +69,19 @@ def test_onsets_are_found_between_coarse_samples():
 
 def test_open_ends():
     depth = TIMES - 0.5
-    assert features.onsets(TIMES, depth, np.ones_like(depth))[0][0] == pytest.approx(0.5)
-    assert math.isnan(features.onsets(TIMES, depth, np.ones_like(depth))[0][1])
-    assert features.onsets(TIMES, -depth, -np.ones_like(depth))[0] == pytest.approx((0.0, 0.5))
+    assert features.contact_times(TIMES, depth, np.ones_like(depth))[0][0] == pytest.approx(0.5)
+    assert math.isnan(features.contact_times(TIMES, depth, np.ones_like(depth))[0][1])
+    assert features.contact_times(TIMES, -depth, -np.ones_like(depth))[0] == pytest.approx((0.0, 0.5))
     assert math.isnan(features.contact_interval(TIMES, depth, np.ones_like(depth)))
-    assert features.onsets(TIMES, TIMES, np.ones_like(depth))[0][0] == 0.0
-    assert features.onsets(TIMES, depth - 1, np.ones_like(depth)) == []
+    assert features.contact_times(TIMES, TIMES, np.ones_like(depth))[0][0] == 0.0
+    assert features.contact_times(TIMES, depth - 1, np.ones_like(depth)) == []
 
 
-def test_a_contact_between_two_samples_is_told_by_the_rate():
+def test_a_contact_between_two_samples_is_found_by_the_rate():
     times = np.linspace(0.0, 1.0, 100)
     depth, rate = -np.abs(times - 0.4), np.where(times < 0.4, 1.0, -1.0)
     assert len(features.unseen(depth, rate)) == 1
-    assert features.onsets(times, depth, rate)[0] == pytest.approx((0.4, 0.4))
+    assert features.contact_times(times, depth, rate)[0] == pytest.approx((0.4, 0.4))
     smooth = -0.5 - (times - 0.4) ** 2
     assert len(features.unseen(smooth, -2 * (times - 0.4))) == 0
 

@@ -288,7 +288,7 @@ def test_settling_needs_two_periods_and_a_tolerance(turn, tolerance, says):
         histories.settling_time(TIMES, TIMES, turn, tolerance)
 
 
-def test_period_of_a_few_samples_without_order_is_told_or_not_but_never_fails():
+def test_period_of_a_few_samples_without_order_is_found_or_not_but_never_fails():
     for seed in range(300):
         rng = np.random.default_rng(seed)
         values = rng.standard_normal(rng.integers(8, 30))

@@ -89,7 +89,7 @@ def test_measures_by_hand():
     assert found == pytest.approx({"onset": 0.1, "loss": 0.1, "durations": 2.0}, rel=1e-6)
 
 
-def test_a_run_beyond_the_envelope_is_told(tmp_path):
+def test_a_run_beyond_the_envelope_is_reported(tmp_path):
     from bcfj_jax.io.scenefile import from_table
 
     table = {
@@ -100,43 +100,43 @@ def test_a_run_beyond_the_envelope_is_told(tmp_path):
     given = from_table(table, None)
     run = simulate(given.scene, given.params, given.times)
     _, warned = write(tmp_path, given, run, "impact")
-    told = [text for text in warned if "not guaranteed" in text]
-    assert len(told) == 1 and "share of the speed that damping takes" in told[0] and " 60," in told[0]
-    assert told[0] in json.loads((tmp_path / "summary.json").read_text())["warnings"]
+    stated = [text for text in warned if "not guaranteed" in text]
+    assert len(stated) == 1 and "share of the speed that damping takes" in stated[0] and " 60," in stated[0]
+    assert stated[0] in json.loads((tmp_path / "summary.json").read_text())["warnings"]
     usual = from_table({"scene": {"kind": "impact"}}, None)
     assert envelope.warnings(usual.scene, usual.params, usual.times) == []
 
 
-def test_a_joint_beyond_the_envelope_is_told():
-    def told(end=3.0, parameters=(), **options):
+def test_a_joint_beyond_the_envelope_is_reported():
+    def stated(end=3.0, parameters=(), **options):
         scene = scenes.joint(**options)
         return envelope.warnings(scene, scene.parameters(dict(parameters)), np.array([0.0, end]))
 
-    assert told() == [] and told(fidelity="auto") == [] and told(friction="lugre", fidelity="quasistatic") == []
-    (fast,) = told(parameters={"drive_speed": 30.0})
+    assert stated() == [] and stated(fidelity="auto") == [] and stated(friction="lugre", fidelity="quasistatic") == []
+    (fast,) = stated(parameters={"drive_speed": 30.0})
     assert "along its track over friction's transition speed is 4.16" in fast
-    (wide,) = told(parameters={"clearance_seat_ball": 60e-6})
+    (wide,) = stated(parameters={"clearance_seat_ball": 60e-6})
     assert "a ball's clearance over the width of contact regularisation is 3," in wide
-    (own,) = told(parameters={"seat_cage.exponent": 2.5})
+    (own,) = stated(parameters={"seat_cage.exponent": 2.5})
     assert "exponent is 2.5, tried from 1.5 to 1.5" in own
-    (other,) = told(spin=True)
+    (other,) = stated(spin=True)
     assert "options other than the defaults" in other
-    (short,) = told(end=0.1)
+    (short,) = stated(end=0.1)
     # The ramp's 50 ms and a sixth of a turn at 100 r/min.
     assert "before the load has risen and a ball's pitch has passed (150 ms)" in short
-    (still,) = told(parameters={"drive_speed": 0.0})
+    (still,) = stated(parameters={"drive_speed": 0.0})
     assert "pitch has passed" in still
-    assert told(friction=False) and told(contacts=("seat_ball", "head_ball"), cage="fixed")
+    assert stated(friction=False) and stated(contacts=("seat_ball", "head_ball"), cage="fixed")
 
 
-def test_peaks_of_the_start_are_told():
+def test_peaks_of_the_start_are_reported():
     scene = scenes.joint()
     params, times = scene.parameters(), np.linspace(0.0, 0.3, 301)
     force = {"seat_cage": np.zeros((301, 3)), "seat_ball": np.zeros((301, 6, 3))}
     force["seat_cage"][[4, 200], 0] = 2000.0, 1500.0
     force["seat_ball"][[4, 200], 2, 0] = 10.0, -20.0
-    (told,) = envelope.of_the_start(scene, params, times, force)
-    assert "seat_cage 2 kN at 4 ms (1.5 kN from then on)" in told and "seat_ball" not in told
+    (stated,) = envelope.of_the_start(scene, params, times, force)
+    assert "seat_cage 2 kN at 4 ms (1.5 kN from then on)" in stated and "seat_ball" not in stated
     quasistatic = scenes.joint(fidelity="quasistatic")
     assert envelope.of_the_start(quasistatic, params, times, force) == []
     force["seat_cage"][201:] = np.nan

@@ -123,7 +123,7 @@ def test_run_out_of_steps_has_no_exponent():
 
 
 @pytest.mark.slow
-def test_joint_forgets_its_start_with_the_default_onset_and_not_with_a_sharp_one():
+def test_joint_forgets_its_start_with_the_default_smoothing_and_not_with_a_small_one():
     """docs/joint.md: the default run converges to ten digits; with 1 um a start shaken by 5e-15 m parts.
 
     -68.0 +- 0.1 is what two runs of another solver found (benchmarks/analysis/nonlinear.py).
@@ -135,7 +135,7 @@ def test_joint_forgets_its_start_with_the_default_onset_and_not_with_a_sharp_one
     assert rattling.value > 15.0
 
 
-def test_what_two_trajectories_have_in_common_is_not_told_apart():
+def test_what_two_trajectories_have_in_common_is_not_distinguished():
     """A phase beside the logistic map is exactly neutral, and would hold the exponent at 0 or above on a cycle."""
 
     def step(s):

@@ -234,5 +234,5 @@ def test_derivatives_are_those_of_sensitivity(here):
 
 def test_an_estimate_writes_nothing(here):
     Path("study.toml").write_text(STUDY)
-    told = bcfj("study", "run", "study.toml", "--out", "out", "--dry-run", "--workers", 1)
-    assert told.exit_code == 0 and "14" in told.output and not Path("out").exists()
+    reported = bcfj("study", "run", "study.toml", "--out", "out", "--dry-run", "--workers", 1)
+    assert reported.exit_code == 0 and "14" in reported.output and not Path("out").exists()

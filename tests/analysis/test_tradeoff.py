@@ -101,8 +101,8 @@ def by_scipy(kind):
 def off(table, times, force):
     """rms, peak and impulse error of a scene file's run, as a user would take them."""
     given = from_table(table, None)
-    effort = {"accuracy": given.accuracy, "max_steps": given.max_steps, "solver": given.solver}
-    run = bj.simulate(given.scene, given.params, given.times, **effort)
+    spent = {"accuracy": given.accuracy, "max_steps": given.max_steps, "solver": given.solver}
+    run = bj.simulate(given.scene, given.params, given.times, **spent)
     found = run.force["contact"][:, 0]
     peak, push = force.max(), np.trapezoid(force, times)
     return (
@@ -134,8 +134,8 @@ def test_claimed_errors_are_those_against_scipy(done):
         if setting.name == "as given" or setting.error in (0.2, 0.05, 1e-2, 1e-3, 1e-4):
             found = off(setting.table, times, force)
             for name, value in zip(advice.MAIN, found, strict=True):
-                room = 0.2 * value + own[name] + slack
-                assert claimed[setting.name][name] == pytest.approx(value, rel=0, abs=room), (setting.name, name)
+                allowed = 0.2 * value + own[name] + slack
+                assert claimed[setting.name][name] == pytest.approx(value, rel=0, abs=allowed), (setting.name, name)
 
 
 def test_a_pasted_block_keeps_its_budget(done):
@@ -155,15 +155,15 @@ def test_a_pasted_block_keeps_its_budget(done):
 
 def test_front_and_compilation(done):
     place = [(number(row, "wall_s"), max(number(row, name) for name in advice.MAIN)) for row in done.rows]
-    floor = 3.0 * max(done.json["reference"]["errors"][name] for name in advice.MAIN)
-    place = [(wall, max(error, floor)) for wall, error in place]
+    least_error = 3.0 * max(done.json["reference"]["errors"][name] for name in advice.MAIN)
+    place = [(wall, max(error, least_error)) for wall, error in place]
     for row, p in zip(done.rows, place, strict=True):
         beaten = any(q[0] <= p[0] and q[1] <= p[1] and q != p for q in place)
         assert row["pareto"] == str(not beaten)
-    # Tolerances are traced: a solver's program is compiled once, for the first rung or the reference before it.
+    # Tolerances are traced: a solver's program is compiled once, for the first level or the reference before it.
     for solver in ("tsit5", "bosh3"):
-        rungs = [row for row in done.rows if row["setting"].startswith(solver)]
-        assert [number(row, "compile_s") > 0 for row in rungs[1:]] == [False] * (len(rungs) - 1)
+        levels = [row for row in done.rows if row["setting"].startswith(solver)]
+        assert [number(row, "compile_s") > 0 for row in levels[1:]] == [False] * (len(levels) - 1)
 
 
 def test_it_goes_on_where_it_was_cut_off(base, monkeypatch):
@@ -232,7 +232,7 @@ def test_no_reference_no_advice(base, monkeypatch):
 def test_references_that_disagree_say_so(done):
     certificate = {**done.json["reference"], "errors": dict.fromkeys(advice.MAIN, 1e-3), "reason": "too dear"}
     doubtful = reference.Reference(SimpleNamespace(), None, certificate)
-    assert "differ by 1.0e-03: budgets below 0.6 % cannot be judged: too dear" in advice.doubts(doubtful)[0]
+    assert "differ by 1.0e-03: budgets below 0.6 % cannot be tested: too dear" in advice.doubts(doubtful)[0]
     todo = settings(load(done.file), ("tsit5", "bosh3", "output"), False)
     found = advice.recommended(study.Study(todo, done.json["settings"], doubtful, False))
     assert [bool(one["setting"]) for one in found.values()] == [True, True, True, True, False, False]

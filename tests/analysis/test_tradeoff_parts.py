@@ -29,24 +29,24 @@ def advised(todo, errors):
     return advice.recommended(study.Study(todo, rows, truth, False))
 
 
-def test_advice_takes_no_lucky_rung():
-    """One rung right by luck between two wrong ones; a solver that was lost on another rung."""
+def test_advice_takes_no_lucky_level():
+    """One level right by luck between two wrong ones; a solver that was lost on another level."""
     todo = [s for s in settings(load("bounce")) if s.ladder in ("tsit5", "dopri8") and s.group == "tolerance"]
     lucky = {("tsit5", 0.1): 1e-6, ("dopri8", 1e-3): 30.0}
     usual = {"tsit5": 1.0, "dopri8": 0.0}
     found = advised(todo, [lucky.get((s.ladder, s.error), max(usual[s.ladder] * s.error, 1e-6)) for s in todo])
-    # Twice the error of the next looser rung has to fit, and of every tighter one: not 10 %, with its 1e-6.
+    # Twice the error of the next looser level has to fit, and of every tighter one: not 10 %, with its 1e-6.
     assert found["10 %"]["setting"] == "tsit5 at 5 %"
     assert found["1 %"]["setting"] == "tsit5 at 0.2 %"
     assert not any("dopri8" in one["setting"] for one in found.values())
 
 
 def test_advice_asks_for_no_less_than_its_budget():
-    """However right a loose rung is on the scene itself."""
+    """However right a loose level is on the scene itself."""
     todo = [s for s in settings(load("bounce")) if s.ladder == "tsit5" and s.group == "tolerance"]
     found = advised(todo, [1e-9] * len(todo))
-    told = {budget: next(s.error for s in todo if s.name == one["setting"]) for budget, one in found.items()}
-    assert told == {"10 %": 0.1, "5 %": 0.05, "2 %": 0.02, "1 %": 0.01, "0.5 %": 5e-3, "0.1 %": 1e-3}
+    by_budget = {budget: next(s.error for s in todo if s.name == one["setting"]) for budget, one in found.items()}
+    assert by_budget == {"10 %": 0.1, "5 %": 0.05, "2 %": 0.02, "1 %": 0.01, "0.5 %": 5e-3, "0.1 %": 1e-3}
 
 
 def test_errors_of_known_histories():

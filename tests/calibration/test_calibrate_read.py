@@ -55,7 +55,7 @@ def test_runs_and_lists_of_rows_become_experiments(column, entry, names, firsts,
         np.testing.assert_array_equal(experiment.channels[0].values, first + np.array([0.0, 2.0, 2.0, 0.0]))
 
 
-def test_onset_and_window(here):
+def test_first_contact_and_window(here):
     # The pulse first exceeds a tenth of its peak at 0.1 ms (sin 18 deg = 0.31): that becomes time 0.
     (one,) = loaded(TABLE, 'align = "onset"\nwindow = ["-0.05 ms", "0.45 ms"]')
     np.testing.assert_allclose(one.times, [0.0, 1e-4, 2e-4, 3e-4, 4e-4], atol=1e-18)

@@ -85,7 +85,7 @@ def test_reference_force_is_what_the_data_determine(demo, demo_fits):
     # The same optimum by (ln K, ln n, t0): a step of ln n at fixed K is one at fixed F_ref = K d_ref^n and one of
     # ln F_ref by n ln d_ref, so that column of the Jacobian changes, and J^T J gives the covariance afresh.
     built = model.build(demo, demo.experiments)
-    assert built.slots[n].log
+    assert built.coordinates[n].log
     values = np.array([found.parameters[name].value for name in found.labels])
     point = jnp.asarray(built.point(values, depth))
     jacobian = np.array(model.residuals_and_jacobian(built, point, jnp.asarray(depth))[1])

@@ -45,7 +45,7 @@ def at(free, values, times=TIMES):
     """Model and a point of it."""
     made = problem(free, times)
     built = model.build(made, made.experiments)
-    order = [s.name for s in built.slots]
+    order = [s.name for s in built.coordinates]
     return made, built, built.point(np.array([values[name] for name in order]), 0.0), tuple(order)
 
 
@@ -115,13 +115,15 @@ def test_a_clearance_must_be_seen_crossed(last, gap, passed, words):
 
 
 @pytest.mark.parametrize("gap", [0.3e-3, 1.2e-3])
-def test_how_well_a_clearance_is_told_does_not_hang_on_how_large_it_comes_out(gap):
+def test_how_well_a_clearance_is_known_does_not_depend_on_how_large_it_comes_out(gap):
     """Else the verdict would pick large estimates, and intervals of those it picked would miss the truth."""
     known = 0.5e-3
     free = (LAW[0], Free("clearance_contact", 1e-4, 3e-3))
-    assert free[1].log and not free[1].told_as_share and free[0].told_as_share
+    assert free[1].log and not free[1].as_share and free[0].as_share
     _, built, point, labels = at(free, {"stiffness": STIFFNESS, "clearance_contact": gap})
-    assert built.slots[1].drawn(np.array([0.0, 0.5, 1.0])) == pytest.approx([0.0, (3e-7**0.5 - 1e-4) / 2.9e-3, 1.0])
+    assert built.coordinates[1].drawn(np.array([0.0, 0.5, 1.0])) == pytest.approx(
+        [0.0, (3e-7**0.5 - 1e-4) / 2.9e-3, 1.0]
+    )
     width = np.array([np.log(100.0), 2.9e-3])
     jacobian = np.diag(width / [0.1, known])
     best = End(point, point, 0.0, np.zeros(2), jacobian, True)

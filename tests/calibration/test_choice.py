@@ -17,7 +17,7 @@ from calibration.diagnostics.records import Record
 from calibration.forward.model import build, residuals_and_jacobian
 from calibration.noise import noise_model
 from calibration.selection.alternatives import candidates, models
-from calibration.selection.choice import Likelihood, Rival, choose, judged, likelihood_of, table
+from calibration.selection.choice import Likelihood, Rival, choose, decided, likelihood_of, table
 
 pytestmark = pytest.mark.filterwarnings("error")
 
@@ -62,8 +62,8 @@ def test_likelihood_is_that_of_the_normal_distribution(sigma, correlation):
     if not noise_model.known(data):
         model, found = noise_model.estimate(model, data, point, 0.0)
     residuals = np.asarray(residuals_and_jacobian(model, jnp.asarray(point), jnp.asarray(0.0))[0])
-    told = likelihood_of(data, model, residuals, found)
-    assert (told.numbers, told.samples) == (2 + (sigma is None), 242)
+    reported = likelihood_of(data, model, residuals, found)
+    assert (reported.numbers, reported.samples) == (2 + (sigma is None), 242)
     gaps = np.abs(TIMES[:, None] - TIMES)
     shape = np.exp(-gaps / correlation) if correlation else np.eye(TIMES.size)
     errors = [e.channels[0].values - clean(e) for e in data]
@@ -71,10 +71,10 @@ def test_likelihood_is_that_of_the_normal_distribution(sigma, correlation):
     likeliest = np.sqrt(np.mean([e @ np.linalg.solve(shape, e) / e.size for e in errors]))
     covariance = (likeliest if sigma is None else sigma) ** 2 * shape
     expected = -2.0 * sum(multivariate_normal.logpdf(e, cov=covariance) for e in errors)
-    assert told.deviance == pytest.approx(expected, rel=1e-4)
-    n, k = 242, told.numbers
-    assert told.bic == pytest.approx(told.deviance + k * np.log(n))
-    assert told.aicc == pytest.approx(told.deviance + 2 * k * n / (n - k - 1))
+    assert reported.deviance == pytest.approx(expected, rel=1e-4)
+    n, k = 242, reported.numbers
+    assert reported.bic == pytest.approx(reported.deviance + k * np.log(n))
+    assert reported.aicc == pytest.approx(reported.deviance + 2 * k * n / (n - k - 1))
 
 
 def clean(experiment: Experiment) -> np.ndarray:
@@ -109,7 +109,7 @@ def scored(name, verdict="identified", bic=0.0, held_out=None, seconds=1.0, labe
     ],
 )
 def test_the_cheapest_adequate_model_is_chosen(rivals, chosen, said):
-    choice = judged(rivals)
+    choice = decided(rivals)
     assert choice.chosen == chosen and said in choice.reasons[0]
     assert choice.fit is next(r.fit for r in rivals if r.name == chosen)
     scores = [r.held_out if r.held_out is not None else r.likelihood.bic for r in choice.rivals]
@@ -228,7 +228,7 @@ def test_candidates_of_a_file(stated):
 
 
 @pytest.mark.parametrize(
-    ("more", "told"),
+    ("more", "reported"),
     [
         ('[[model]]\nname = "a"\nscene = { elastc = "linear" }', "elastc"),
         ('[[model]]\nname = "a"\nscene = { elastic = "liner" }', "did you mean 'linear'"),
@@ -243,20 +243,20 @@ def test_candidates_of_a_file(stated):
         ('[[candidate]]\nname = "a"\nobserve = {}\nend = 1\nsamples = 9', "observe"),
     ],
 )
-def test_what_is_not_right_is_named(stated, more, told):
+def test_what_is_not_right_is_named(stated, more, reported):
     path = stated(more)
     problem = load(path)
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=reported):
         assert not (models(path, problem), candidates(path, problem))
 
 
-def test_models_must_be_told_apart():
+def test_models_must_be_distinguishable():
     data = (record(1.0, 0.0, 0),)
     one, other = problem(SOFT, data, FREE), problem(SOFT, (record(1.0, 0.0, 1),), FREE)
-    for pairs, told in (
+    for pairs, reported in (
         ([("a", one), ("a", one)], "name of its own"),
         ([("a", one), ("b", other)], "same data"),
         ([], "none"),
     ):
-        with pytest.raises(InputError, match=told):
+        with pytest.raises(InputError, match=reported):
             choose(pairs)

@@ -35,7 +35,7 @@ def clean():
     """Forces (6, T): residuals of deviation 1 against a record of nothing."""
     empty = problem(np.zeros((6, TIMES.size)), np.ones(6))
     model = build(empty, empty.experiments)
-    point = jnp.asarray(model.point(np.array([TRUTH[slot.name] for slot in model.slots]), 0.0))
+    point = jnp.asarray(model.point(np.array([TRUTH[axis.name] for axis in model.coordinates]), 0.0))
     return np.asarray(residuals_and_jacobian(model, point, jnp.asarray(0.0))[0]).reshape(6, -1)
 
 
@@ -44,7 +44,7 @@ def noisy(clean, noise, seed) -> Problem:
     return problem(clean + sigmas[:, None] * np.random.default_rng(seed).standard_normal(clean.shape), sigmas)
 
 
-def test_equilibria_tell_stiffness_contact_angle_and_clearance(clean):
+def test_equilibria_identify_stiffness_contact_angle_and_clearance(clean):
     for seed in range(2):
         found = fit(noisy(clean, 0.003, seed), seed=seed, starts=4)
         assert found.verdict == "identified", found.reasons

@@ -95,8 +95,8 @@ def test_the_report_speaks_of_accelerations():
     assert "samples dropped as saturated" in said
     # What only a normal force must have is a sign.
     flipped = FILE.replace('"acceleration', '"-acceleration').replace("noise", 'align = "onset"\nnoise')
-    onset = prepared(written(mechanisms.clearance(0.01, 0), flipped))[0].onset
-    assert onset == pytest.approx(2.3e-4, abs=2e-5)
+    first_contact = prepared(written(mechanisms.clearance(0.01, 0), flipped))[0].first_contact
+    assert first_contact == pytest.approx(2.3e-4, abs=2e-5)
 
 
 @pytest.mark.parametrize(
@@ -149,7 +149,7 @@ def driven(observed: dict[str, float], **free: tuple[float, float]) -> Problem:
     return Problem(scene, params, (Experiment("turn", times, tuple(channels)),), bounds)
 
 
-def test_a_drives_torque_and_an_angle_tell_a_mechanism_without_contacts():
+def test_a_drives_torque_and_an_angle_identify_a_mechanism_without_contacts():
     problem = driven({"crank.torque": 0.01, "rod.angle": 0.01}, crank_length=(0.02, 0.09), **{"rod.mass": (0.05, 1.0)})
     found = fit(problem, starts=4)
     recovered(found, {"crank_length": 0.05, "rod.mass": 0.21})
@@ -171,7 +171,7 @@ def test_an_offset_is_in_the_channels_unit_and_of_one_unit():
         driven({"crank.torque": 0.01, "rod.angle": 0.01}, force_offset=(-0.1, 0.1))
 
 
-def test_a_whole_contact_is_judged_by_the_contact_where_no_force_is_read():
+def test_a_whole_contact_is_found_by_the_contact_where_no_force_is_read():
     """A body that flies off is farthest away at the record's end; the contact was over long before."""
     scene = scenes.impact(smoothing=False)
     given = {"mass": 0.1, "stiffness": 1e6, "exponent": 1.5, "approach_speed": 1.0}

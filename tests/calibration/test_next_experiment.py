@@ -99,9 +99,9 @@ def test_a_parameter_of_its_own_is_unknown_in_a_candidate_too():
     gain = Free("gain", 0.5, 2.0)
     free = (*FREE, gain)
     values = {**TRUTH, "gain": 1.0}
-    (told,) = predicted(problem(SPEED, free=free), values, [candidate(4.0)])
+    (informed,) = predicted(problem(SPEED, free=free), values, [candidate(4.0)])
     (sure,) = predicted(problem(SPEED), TRUTH, [candidate(4.0)])
-    assert told.information < 0.5 * sure.information
+    assert informed.information < 0.5 * sure.information
     width = np.log(4.0)
 
     def eliminated(speed: float) -> np.ndarray:
@@ -111,7 +111,7 @@ def test_a_parameter_of_its_own_is_unknown_in_a_candidate_too():
 
     before = np.linalg.inv(eliminated(SPEED) + 12 * np.eye(2))
     after = np.linalg.inv(eliminated(SPEED) + eliminated(4.0) + 12 * np.eye(2))
-    assert told.information == pytest.approx(0.5 * np.log(np.linalg.det(before) / np.linalg.det(after)), rel=1e-3)
+    assert informed.information == pytest.approx(0.5 * np.log(np.linalg.det(before) / np.linalg.det(after)), rel=1e-3)
 
 
 def test_what_cannot_be_ranked_is_said():

@@ -48,7 +48,7 @@ def solved(*channels: Channel, loss: str = "linear"):
     records = tuple(Experiment(f"r{k}", TIMES, (c,)) for k, c in enumerate(channels))
     problem = Problem(SCENE, PARAMS, records, SHARED if len(records) > 1 else FREE, loss=loss)
     built = model.build(problem, records)
-    start = np.full(len(built.slots), 0.5)
+    start = np.full(len(built.coordinates), 0.5)
     ends = (finish(built, start, start, 0.0),)
     settled, ends, found = settle(built, records, ends, 0.0, problem.accuracy)
     spread = fit_tests.spread(ends[0], sum(r.samples for r in records), found.moved, loss)
@@ -147,7 +147,7 @@ def test_declared_correlation_keeps_its_coverage(force):
     assert misfits <= 6
 
 
-def test_correlation_that_is_not_declared_is_told(force):
+def test_correlation_that_is_not_declared_is_reported(force):
     readings = force + 2.0 * autoregression(0.6, np.random.default_rng(5))
     for declared in (0.0, None):
         _, end, found, _ = solved(Channel("contact.normal", readings, None, correlation=declared))

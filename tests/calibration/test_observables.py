@@ -165,10 +165,10 @@ def test_features_beside_a_history_weigh_as_they_are_stated():
     free = (Free("gain", 0.5, 1.5, scale="linear"),)
     built = model.build(Problem(IMPACT, params(IMPACT, approach_speed=SPEED), (one,), free), (one,))
     end = finish(built, np.array([0.5]), np.array([0.5]), 0.0)
-    told = np.sum(half_sine(times) ** 2) / sigma**2 + PEAK**2 / peak.sigma**2
-    best = (half_sine(times) @ readings / sigma**2 + PEAK * peak.value / peak.sigma**2) / told
+    known = np.sum(half_sine(times) ** 2) / sigma**2 + PEAK**2 / peak.sigma**2
+    best = (half_sine(times) @ readings / sigma**2 + PEAK * peak.value / peak.sigma**2) / known
     assert 0.5 + end.point[0] == pytest.approx(best, abs=1e-5)
-    assert np.sum(end.jacobian**2) == pytest.approx(told, rel=1e-4)
+    assert np.sum(end.jacobian**2) == pytest.approx(known, rel=1e-4)
     seen = features_of(built, (one,), end.residuals)["a contact.peak"]
     assert seen["fitted"] == pytest.approx(best * PEAK, rel=1e-4) and seen["measured"] == peak.value
 

@@ -75,7 +75,7 @@ def test_blocks_of_another_size_change_nothing():
     both = analytic(lambda u: matrix @ (u - best), lambda u: matrix, calls)
     whole = found_by(both, box(3), best, labels=("u0", "u1", "u2"))
     calls.clear()
-    parts = found_by(both, box(3), best, labels=("u0", "u1", "u2"), lanes=4)
+    parts = found_by(both, box(3), best, labels=("u0", "u1", "u2"), batch=4)
     assert set(calls) == {4}
     assert [p.interval for p in parts] == [p.interval for p in whole]
 
@@ -232,7 +232,7 @@ def test_bent_interval_gives_way_to_its_profile(profiled_fit):
     before = [fit_tests.curvature_test("stiffness", 1.1), fit_tests.curvature_test("exponent", 5.0)]
     parameters, reference, tests, evidence = intervals.revised(
         "covariance", at.model, names, at.end.point, at.log_depth, at.spread, profiled_fit.parameters,
-        profiled_fit.reference, before, estimated=(), lanes=4, seed=0,
+        profiled_fit.reference, before, estimated=(), batch=4, seed=0,
     )  # fmt: skip
     assert evidence.profiles.keys() == {"exponent"}
     assert parameters["exponent"].ci95 == pytest.approx(profiled_fit.parameters["exponent"].ci95, rel=1e-6)

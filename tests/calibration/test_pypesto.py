@@ -28,7 +28,7 @@ def test_estimates_and_profiles_equal_pypestos():
     built = model.build(problem, problem.experiments)
     log_depth = float(np.log(2e-4))
     depth = jnp.asarray(log_depth)
-    labels = tuple(slot.label(problem.experiments) for slot in built.slots)
+    labels = tuple(axis.label(problem.experiments) for axis in built.coordinates)
 
     def both(u):
         return (np.asarray(a) for a in model.residuals_and_jacobian(built, jnp.asarray(u), depth))

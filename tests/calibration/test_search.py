@@ -18,15 +18,15 @@ from calibration.search.descent import adam, levenberg
 from calibration.search.horizon import contacts, impulses, meets, stages, until
 
 TIMES = np.linspace(0.0, 1.0, 1001)
-ONSETS = (0.1, 0.3, 0.45, 0.6, 0.72, 0.85)
+TOUCHES = (0.1, 0.3, 0.45, 0.6, 0.72, 0.85)
 
 
-def half_sines(onsets=ONSETS, width=0.02, times=TIMES) -> np.ndarray:
+def half_sines(touches=TOUCHES, width=0.02, times=TIMES) -> np.ndarray:
     """Force (T,) of contacts, peaks falling by a tenth each."""
     force = np.zeros(times.size)
-    for k, onset in enumerate(onsets):
-        inside = (times > onset) & (times < onset + width)
-        force[inside] += 0.9**k * np.sin(np.pi * (times[inside] - onset) / width)
+    for k, touch in enumerate(touches):
+        inside = (times > touch) & (times < touch + width)
+        force[inside] += 0.9**k * np.sin(np.pi * (times[inside] - touch) / width)
     return force
 
 
@@ -46,7 +46,7 @@ def test_contacts_are_found_where_they_begin_and_end(noise):
     values = 0.5 + half_sines() + noise * np.random.default_rng(1).standard_normal(TIMES.size)
     found = np.array([(TIMES[a], TIMES[b]) for a, b in contacts(values, noise)])
     # Five deviations of 0.03 are reached a twentieth of a contact after its onset: 1 ms, and a sample either way.
-    assert found == pytest.approx(np.array([(t, t + 0.02) for t in ONSETS]), abs=0.004)
+    assert found == pytest.approx(np.array([(t, t + 0.02) for t in TOUCHES]), abs=0.004)
 
 
 def test_a_dip_is_no_second_contact_and_silence_is_none():
@@ -57,7 +57,7 @@ def test_a_dip_is_no_second_contact_and_silence_is_none():
 
 
 def test_horizon_doubles_and_ends_with_all_data():
-    model = bounces([half_sines(), half_sines(ONSETS[:2])])
+    model = bounces([half_sines(), half_sines(TOUCHES[:2])])
     ends = stages(model)
     # As long again as the 1st contact after it, then at the last quiet sample after 2, 4 and all 6 contacts; the second
     # record has but two.
@@ -72,8 +72,8 @@ def test_horizon_doubles_and_ends_with_all_data():
 
 
 def test_contacts_are_met_while_they_overlap_by_most():
-    model = bounces([half_sines(ONSETS[:3])])
-    ends, data = stages(model), half_sines(ONSETS[:3])
+    model = bounces([half_sines(TOUCHES[:3])])
+    ends, data = stages(model), half_sines(TOUCHES[:3])
     # Half sines of 20 ms shifted by s differ by 2 - 2 ((1 - s) cos(pi s) + sin(pi s)/pi) of their energy, s in widths:
     # 0.07 at 0.1, 1.2 at 0.5.
     late = np.array([half_sines((0.1, 0.3 + s, 0.45)) for s in (0.0, 0.002, 0.01)])
@@ -115,20 +115,20 @@ def curves(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return residuals, jacobians
 
 
-def test_batched_descent_ends_where_scipy_does_each_lane_for_itself():
+def test_batched_descent_ends_where_scipy_does_each_point_for_itself():
     starts = np.array([[0.1, 0.9], [0.9, 0.1], [0.3, 0.2], [0.01, 0.5]])
     found = levenberg(curves, starts, 60, 1e-8)
     assert found.converged.tolist() == [True, True, True, False]
     assert not np.isfinite(found.costs[3])
     assert np.array_equal(found.points[3], starts[3])
-    for lane in range(3):
+    for member in range(3):
 
-        def alone(u, lane=lane):
-            return curves(np.tile(u, (4, 1)))[0][lane]
+        def alone(u, member=member):
+            return curves(np.tile(u, (4, 1)))[0][member]
 
-        best = least_squares(alone, starts[lane], bounds=(0.0, 1.0), xtol=1e-14, ftol=1e-14, gtol=1e-14)
-        assert found.points[lane] == pytest.approx(best.x, abs=1e-5)
-        assert found.costs[lane] == pytest.approx(2.0 * best.cost, rel=1e-9)
+        best = least_squares(alone, starts[member], bounds=(0.0, 1.0), xtol=1e-14, ftol=1e-14, gtol=1e-14)
+        assert found.points[member] == pytest.approx(best.x, abs=1e-5)
+        assert found.costs[member] == pytest.approx(2.0 * best.cost, rel=1e-9)
     assert found.points[2, 1] == 1.0
 
 
@@ -138,7 +138,7 @@ def test_descent_in_a_direction_without_data_stands_still():
     assert found.points == pytest.approx(np.array([[0.25, 0.6]]), abs=1e-8)
 
 
-def test_adam_gets_nearer_and_keeps_a_lane_that_fails():
+def test_adam_gets_nearer_and_keeps_a_point_that_fails():
     starts = np.array([[0.1, 0.9], [0.9, 0.1], [0.01, 0.5]])
     found = adam(curves, starts, 60)
     before, after = (np.sum(np.square(curves(p)[0][:2]), axis=1) for p in (starts, found))

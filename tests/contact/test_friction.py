@@ -199,15 +199,15 @@ def test_laws_by_name():
 
 
 @pytest.mark.parametrize(
-    ("name", "told"),
+    ("name", "remedy"),
     [
         ("brown-mcphee", "friction: no friction law 'brown-mcphee'; did you mean 'brown_mcphee'"),
         ("lugr", "did you mean 'lugre'"),
         ("qq", "known here: brown_mcphee, coulomb, lugre, step"),
     ],
 )
-def test_unknown_names_are_answered_with_the_nearest(name, told):
-    with pytest.raises(InputError, match=told):
+def test_unknown_names_are_answered_with_the_nearest(name, remedy):
+    with pytest.raises(InputError, match=remedy):
         laws.make_friction(name)
 
 

@@ -280,7 +280,7 @@ def test_derivatives_are_finite(part, depth, rate, exponent):
 
 
 @pytest.mark.parametrize(
-    ("law", "elastic", "told"),
+    ("law", "elastic", "remedy"),
     [
         ("memory_fre", None, "law: no law 'memory_fre'; did you mean 'memory_free'"),
         ("lankarani-nikravesh", None, "did you mean 'lankarani_nikravesh'"),
@@ -289,8 +289,8 @@ def test_derivatives_are_finite(part, depth, rate, exponent):
         ("hertz", "q", "known here: bai_zhao, "),
     ],
 )
-def test_unknown_names_are_answered_with_the_nearest(law, elastic, told):
-    with pytest.raises(InputError, match=told):
+def test_unknown_names_are_answered_with_the_nearest(law, elastic, remedy):
+    with pytest.raises(InputError, match=remedy):
         laws.make(law, elastic)
 
 

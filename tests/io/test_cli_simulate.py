@@ -80,7 +80,7 @@ def test_chung_ooi(name, peak, end, here):
     assert load(here / "out/run.toml").resolved == load(EXAMPLES / f"{name}.toml").resolved
 
 
-def test_the_force_error_is_measured_and_told(here):
+def test_the_force_error_is_measured_and_reported(here):
     done = bcfj("simulate", "impact", "--out", "out")
     accuracy = json.loads((here / "out/summary.json").read_text())["accuracy"]
     assert accuracy["asked"] == 0.01 and accuracy["agree_until"] is None
@@ -92,7 +92,7 @@ def test_the_force_error_is_measured_and_told(here):
     assert "accuracy" not in json.loads((here / "without/summary.json").read_text())
 
 
-def test_runs_that_do_not_agree_are_told():
+def test_runs_that_do_not_agree_are_reported():
     found = Accuracy(0.01, 5e-6, 0.0, {"pin": 0.003}, {"pin": 0.25}, {"pin": 0.02}, 0.41, 1.0)
     blank = np.zeros((2, 3))
     run = Run(np.zeros(2), {"pin": blank}, {}, {}, {}, "ok", "", float("nan"), {}, accuracy=found)
@@ -217,7 +217,7 @@ def test_members_of_a_contact_are_numbered():
 
 
 @pytest.mark.parametrize("variable", [None, "off", "mine"])
-def test_compile_cache_is_per_user_unless_told(variable, here, monkeypatch):
+def test_compile_cache_is_per_user_unless_set(variable, here, monkeypatch):
     kept = {}
     monkeypatch.setattr(jax.config, "update", kept.__setitem__)
     monkeypatch.setenv("XDG_CACHE_HOME", str(here / "cache"))

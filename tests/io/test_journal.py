@@ -80,7 +80,7 @@ def test_journal_of_another_job_is_refused_and_kept(tmp_path):
     assert path.read_bytes() == before
 
 
-def test_key_tells_data_apart_and_is_the_same_again():
+def test_key_distinguishes_data_and_is_the_same_again():
     key = key_of({"values": np.array([1.0, 2.0])}, 3)
     assert key == key_of({"values": np.array([1.0, 2.0])}, 3)
     assert key != key_of({"values": np.array([1.0, np.nextafter(2.0, 3.0)])}, 3)
@@ -110,17 +110,17 @@ def cut_off(out: Path, how: signal.Signals, lines: int) -> int:
 
 
 @pytest.mark.parametrize(
-    ("stop", "told"),
+    ("stop", "reported"),
     [(Interrupted("3 of 12", {"stiffness": 2.0}, 7.0, "1 of 2"), "3 of 12"), (KeyboardInterrupt(), "all")],
 )
-def test_ctrl_c_leaves_what_is_known_whenever_it_comes(tmp_path, monkeypatch, stop, told):
+def test_ctrl_c_leaves_what_is_known_whenever_it_comes(tmp_path, monkeypatch, stop, reported):
     def stopped(*_, **__):
         raise stop
 
     monkeypatch.setattr(command, "solve", stopped)
     assert command.run(EXAMPLE, tmp_path / "out", 0, 12) == 5
     so_far = json.loads((tmp_path / "out" / "interrupted.json").read_text())
-    assert so_far["finished_starts"] == told
+    assert so_far["finished_starts"] == reported
     assert so_far["best"] == getattr(stop, "values", None)
 
 

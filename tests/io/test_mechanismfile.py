@@ -452,7 +452,7 @@ def test_numpy_sees_of_a_start_what_the_compiled_program_sees(kind, law):
             np.testing.assert_allclose(mine, compiled, rtol=1e-12)
 
 
-def test_what_numpy_is_not_told_of_is_said():
+def test_a_primitive_unknown_to_numpy_is_named():
     traced = jax.make_jaxpr(lambda x: jax.lax.sort(x))(np.zeros(3))
     with pytest.raises(host.Unknown, match="sort"):
         host.evaluate(traced, [np.zeros(3)])

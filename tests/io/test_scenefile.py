@@ -53,7 +53,7 @@ def test_template_says_what_every_option_is(kind):
         assert below or "  # " in lines[name], name
 
 
-def test_options_are_told_in_the_words_of_the_docstring():
+def test_options_are_described_in_the_words_of_the_docstring():
     assert "# without clearance: rod and slider move as the crank's turn says" in template("slider_crank")
     assert "balls = 6  # 3 or more, each in a track of its own\n" in template("joint")
 

@@ -50,7 +50,7 @@ def test_forces_of_a_lossy_row_are_those_of_the_reference():
     assert np.abs(found - forces).max() < 1e-5 * forces.max()
 
 
-def test_a_law_stated_by_restitution_is_told_the_first_speed():
+def test_a_law_stated_by_restitution_has_the_first_speed():
     scene = scenes.chain(2, law="exact")
     params = scene.parameters(restitution=0.7)
     run = simulate(scene, params, np.array([0.0, float(scene.horizon(params))]), accuracy=1e-5)

@@ -14,7 +14,7 @@ import pytest
 
 from bcfj_jax import Body, Contact, InputError, Mechanism, force_history, gaps, scenes, simulate
 
-LANES = 20_000
+RUNS = 20_000
 
 
 @pytest.mark.parametrize("rows", [3, 6])
@@ -22,27 +22,27 @@ LANES = 20_000
 def test_batched_small_products(rows, reduce):
     # jax 0.10.2 compiles this shape wrongly on the CPU (jax-ml/jax#39103): a lock on the versions allowed.
     rng = np.random.default_rng(1)
-    a, x = rng.normal(size=(rows, 3)), rng.normal(size=(LANES, 3))
-    found = jax.jit(jax.vmap(lambda lane: getattr(jnp, reduce)(jnp.asarray(a) @ lane)))(x)
+    a, x = rng.normal(size=(rows, 3)), rng.normal(size=(RUNS, 3))
+    found = jax.jit(jax.vmap(lambda vector: getattr(jnp, reduce)(jnp.asarray(a) @ vector)))(x)
     expected = getattr(np, reduce)(x @ a.T, axis=1)
     assert np.abs(np.asarray(found) - expected).max() < 1e-13  # three products and at most six terms of size 1
 
 
-def test_many_lanes_of_histories():
+def test_many_histories_in_a_batch():
     # A linear undamped contact: F = v sqrt(K m) sin(sqrt(K/m) t) until it ends at pi sqrt(m/K), then 0.
     scene = scenes.impact("hertz", "linear", smoothing=False)
     mass, speed, error = 0.02, 1.5, 5e-2
-    stiffness = np.geomspace(1e7, 1e8, LANES)
+    stiffness = np.geomspace(1e7, 1e8, RUNS)
     times = np.linspace(0.1, 1.3, 5) * np.pi * np.sqrt(mass / 5e7)
     p = scene.parameters(mass=mass, approach_speed=speed)
 
     @jax.jit
     @jax.vmap
-    def lanes(k):
+    def forces(k):
         return force_history(scene, {**p, "stiffness": k}, times, accuracy="fast")["contact"]
 
-    found = np.asarray(lanes(stiffness))
-    assert found.shape == (LANES, 5, 3) and not np.any(found[..., 1:])
+    found = np.asarray(forces(stiffness))
+    assert found.shape == (RUNS, 5, 3) and not np.any(found[..., 1:])
     k = stiffness[:, None]
     expected = speed * np.sqrt(k * mass) * np.maximum(np.sin(np.minimum(np.sqrt(k / mass) * times, np.pi)), 0.0)
     peak = speed * np.sqrt(stiffness * mass)

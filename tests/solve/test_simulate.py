@@ -178,7 +178,7 @@ def test_a_spent_budget_is_a_failed_run():
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_a_failed_lane_fails_alone(bad):
+def test_a_failed_run_of_a_batch_fails_alone(bad):
     times = jnp.linspace(0.0, 40e-6, 9)
     p = HERTZ.parameters(GLASS)
 
@@ -186,12 +186,12 @@ def test_a_failed_lane_fails_alone(bad):
     def single(stiffness):
         return force_history(HERTZ, {**p, "stiffness": stiffness}, times)["contact"][:, 0]
 
-    lanes = jnp.array([1e9, bad, 3e9])
-    together = np.asarray(jax.jit(jax.vmap(single))(lanes))
+    batch = jnp.array([1e9, bad, 3e9])
+    together = np.asarray(jax.jit(jax.vmap(single))(batch))
     assert np.all(np.isnan(together[1, 1:]))
-    for lane in (0, 2):
+    for row in (0, 2):
         # The same steps, rounded otherwise by another program: 1e-9 is rounding grown over the run.
-        assert together[lane] == pytest.approx(np.asarray(single(lanes[lane])), rel=1e-9, abs=1e-6)
+        assert together[row] == pytest.approx(np.asarray(single(batch[row])), rel=1e-9, abs=1e-6)
 
 
 def test_times_before_the_start_read_the_initial_state():

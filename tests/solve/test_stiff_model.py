@@ -13,7 +13,7 @@ from bcfj_jax.analysis import energy_balance
 from bcfj_jax.core.status import OK
 from bcfj_jax.solve.integrate import plan
 from bcfj_jax.solve.measured_error import measured
-from bcfj_jax.solve.work_queue import integrate_lanes
+from bcfj_jax.solve.work_queue import integrate_queue
 
 MODEL = Damped()
 TRUE = np.asarray(exact(VALUES))
@@ -57,7 +57,7 @@ def test_many_at_once():
     params = {name: jnp.full(5, value) for name, value in zip(NAMES, VALUES, strict=True)}
     params["damping"] = params["damping"] * shares
     grid, count, how = jnp.asarray(TIMES / TIMES[-1]), jnp.asarray(5), plan(MODEL, 1e-4)
-    solve = jax.jit(lambda p, ends: integrate_lanes(MODEL, p, ends, grid, how, count, 2)[0])
+    solve = jax.jit(lambda p, ends: integrate_queue(MODEL, p, ends, grid, how, count, 2)[0])
     found = solve(params, jnp.full(5, TIMES[-1]))
     assert np.all(found.code == OK)
     for k, share in enumerate(shares):
@@ -87,9 +87,9 @@ def test_a_measured_error_is_the_error_and_compiles_nothing():
     run = bj.simulate(model, params, TIMES, accuracy=1e-2)
     traces = count[0]
     assert run.accuracy is None
-    told = bj.simulate(model, params, TIMES, accuracy=1e-2, measure_error=True)
-    assert count[0] == traces and np.array_equal(told.force["spring"], run.force["spring"])
-    found = told.accuracy
+    stated = bj.simulate(model, params, TIMES, accuracy=1e-2, measure_error=True)
+    assert count[0] == traces and np.array_equal(stated.force["spring"], run.force["spring"])
+    found = stated.accuracy
     assert found is not None and found.asked == 1e-2 and found.tolerance == run.stats["tolerance"]
     off = np.sqrt(np.mean(np.square(run.force["spring"][:, 0] - TRUE))) / TRUE.max()
     # The tighter run is no truth: it has a tenth of the tolerance, and some 5 of 10 parts of the error by order 3.

@@ -1,15 +1,15 @@
 """The certificate: what each derivative was compared with, by how much it differs, and what it is good for.
 
-Two comparisons. *Rungs*: the same derivative at a tolerance four times tighter; this puts it into the error control.
+Two comparisons. *Levels*: the same derivative at a tolerance four times tighter; this puts it into the error control.
 *Differences*: central differences of force histories that were computed without any derivative, by the solver meant
 for values; along one random direction of all parameters first, one by one where that one disagrees. Differences
-have errors of their own, told by a second step a quarter as long, and only what exceeds these counts.
+have errors of their own, which a second step a quarter as long measures, and only what exceeds these counts.
 
 | verdict | when |
 |---|---|
 | ``trusted`` | the pointwise difference is at most 3 % |
 | ``averaged only`` | that of the moving average is at most 10 % |
-| ``not differentiable here`` | else; or chaotic: tangents grow by more than 1e6 and rungs disagree |
+| ``not differentiable here`` | else; or chaotic: tangents grow by more than 1e6 and levels disagree |
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bcfj_jax.analysis.derivatives.jacobian import Rung
+from bcfj_jax.analysis.derivatives.jacobian import Level
 from bcfj_jax.analysis.derivatives.norms import (
     CHAOTIC_GROWTH,
     Difference,
@@ -32,7 +32,7 @@ from bcfj_jax.analysis.derivatives.norms import (
 
 TRUSTED, AVERAGED, NOT = "trusted", "averaged only", "not differentiable here"
 POINTWISE, BROKEN = 0.03, 0.10
-# A parameter below this share of the largest influence does not ask for another rung.
+# A parameter below this share of the largest influence does not ask for another level.
 INFLUENCE = 0.01
 
 
@@ -44,7 +44,7 @@ class Check(NamedTuple):
         remark: why, in words; "" where the figures say it.
         compared_with: in words, each comparison.
         pointwise, average: relative L2 differences over the horizon, the worst of the comparisons.
-        features: relative difference of each feature's derivative between the last rungs.
+        features: relative difference of each feature's derivative between the last levels.
         growth: of the state's tangent over the horizon [-]; exponent: of that growth [1/s].
         influence: ||p dF/dp|| over that of the strongest parameter [-].
         where: time by which half of the pointwise difference has come about [s].
@@ -72,7 +72,7 @@ class Certificate(NamedTuple):
         parameters: a ``Check`` by name.
         average: width of the moving average [s].
         target: relative difference of the averages that ended the tightening, where it was reached.
-        tolerances, steps: of every rung, loosest first; derivatives reported are the last's.
+        tolerances, steps: of every level, loosest first; derivatives reported are the last's.
         direction: pointwise and average difference from central differences along one random direction of all
             parameters, less the differences' own error; None: not taken.
     """
@@ -99,36 +99,36 @@ def flat(derivative: np.ndarray) -> np.ndarray:
     return derivative.reshape(*derivative.shape[:2], -1)
 
 
-def influences(times: np.ndarray, rung: Rung, values: np.ndarray) -> np.ndarray:
+def influences(times: np.ndarray, level: Level, values: np.ndarray) -> np.ndarray:
     """Each parameter's ||p dF/dp|| over the largest (P,); a parameter that is 0 counts by 1 unit."""
     with np.errstate(over="ignore", invalid="ignore"):
-        sizes = norm(times, flat(rung.derivative.force)) * np.where(values == 0, 1.0, np.abs(values))
+        sizes = norm(times, flat(level.derivative.force)) * np.where(values == 0, 1.0, np.abs(values))
     largest = sizes.max(initial=0.0)
     return sizes / largest if largest > 0 else sizes
 
 
-def between(times: np.ndarray, coarse: Rung, fine: Rung, values: np.ndarray, width: float) -> list[Comparison]:
-    """Comparisons of two rungs, one a parameter."""
+def between(times: np.ndarray, coarse: Level, fine: Level, values: np.ndarray, width: float) -> list[Comparison]:
+    """Comparisons of two levels, one a parameter."""
     what = f"the same derivative at a tolerance of {coarse.tolerance:.3g} against {fine.tolerance:.3g}"
-    floor = 1e-3 * float(np.sqrt(np.mean(np.sum(fine.value.force**2, axis=(1, 2)))))
+    smallest = 1e-3 * float(np.sqrt(np.mean(np.sum(fine.value.force**2, axis=(1, 2)))))
     first, second = flat(coarse.derivative.force), flat(fine.derivative.force)
     return [
-        compare(what, times, a, b, floor / max(abs(p), 1e-30), width)
+        compare(what, times, a, b, smallest / max(abs(p), 1e-30), width)
         for a, b, p in zip(first, second, values, strict=True)
     ]
 
 
-def compare(what: str, times: np.ndarray, a: np.ndarray, b: np.ndarray, floor: float, width: float) -> Comparison:
+def compare(what: str, times: np.ndarray, a: np.ndarray, b: np.ndarray, smallest: float, width: float) -> Comparison:
     """Two derivatives (T, M) of one parameter."""
     with np.errstate(over="ignore", invalid="ignore"):
         means = averaged(times, a, width), averaged(times, b, width)
-    return Comparison(what, difference(times, a, b, floor, BROKEN), difference(times, *means, floor, BROKEN))
+    return Comparison(what, difference(times, a, b, smallest, BROKEN), difference(times, *means, smallest, BROKEN))
 
 
-def growths(times: np.ndarray, rung: Rung, values: np.ndarray) -> list[Growth]:
+def growths(times: np.ndarray, level: Level, values: np.ndarray) -> list[Growth]:
     """Growth of the state's tangent, one a parameter."""
     sizes = np.where(values == 0, 1.0, np.abs(values))
-    return [growth(times, size * state) for size, state in zip(sizes, rung.derivative.state, strict=True)]
+    return [growth(times, size * state) for size, state in zip(sizes, level.derivative.state, strict=True)]
 
 
 def chaotic(grown: Growth, found: Comparison) -> bool:
@@ -157,7 +157,7 @@ def check(
     """One parameter's verdict.
 
     Args:
-        comparisons: of this parameter, that of the rungs first.
+        comparisons: of this parameter, that of the levels first.
         features, grown, influence: as ``Check``.
         end: of a run that failed [s], or NaN.
         also: a comparison of all parameters together, which they passed.

@@ -25,13 +25,13 @@ FILES = (
 def run(
     what: str, wrt: Sequence[str], features: Sequence[str], certify: bool, out: Path | None, say: Callable[[str], None]
 ) -> tuple[str, bool]:
-    """Differentiate a scene file's run, judge and write.
+    """Differentiate a scene file's run, certify and write.
 
     Args:
         what: a scene file, or a built-in scene's name.
         wrt, features, certify: as ``sensitivity``.
         out: folder for the results, None for one made up.
-        say: is told of the progress.
+        say: receives the progress.
 
     Returns:
         The results in words, and whether the simulation ended well.
@@ -50,7 +50,7 @@ def run(
     )  # fmt: skip
     stats = found.stats
     say(
-        f"{stats['rungs']} solve(s), the last of {stats['accepted']} steps, {stats['wall_s']:.2f} s, "
+        f"{stats['levels']} solve(s), the last of {stats['accepted']} steps, {stats['wall_s']:.2f} s, "
         f"compiled in {stats['compile_s']:.1f} s"
     )
     ranked = ranking(found, params)
@@ -66,7 +66,7 @@ def run(
     pictures.bands(found, params, folder / "histories.png")
     shown = [folder / "tornado.png", folder / "histories.png"]
     title, *costs = report.solver_rows(stats)
-    solver = [title, ["solves", str(stats["rungs"])], *costs]
+    solver = [title, ["solves", str(stats["levels"])], *costs]
     report.write(folder, f"Sensitivity of {stem}", said(found), [*tables, ("Solver", solver)], shown)
     parts = [said(found), *(f"{head}\n{report.text(rows)}" for head, rows in tables), f"results in {folder}"]
     return "\n\n".join(parts), found.status == "ok"

@@ -5,7 +5,7 @@ A step changes the forces by about a share h of themselves: parameter k moves by
     s_k = min(|p_k|, ||F||/||dF/dp_k||),    h = 0.3 e^(1/3),
 
 e the force error of the histories, so that their noise e/h and the truncation h^2 are alike. A second step a quarter
-as long tells the error of the first; what exceeds it and the noise is the derivative's. Where a run of the shorter
+as long gives the error of the first; what exceeds it and the noise is the derivative's. Where a run of the shorter
 step fails, the difference is infinite: nothing was checked.
 """
 
@@ -68,11 +68,11 @@ def against(
     found = compare(f"{what}, relative steps of {h:.2g} and {0.25 * h:.2g}", times, derivative, near, noise, width)
     own = compare("", times, far, near, noise, width)
     size = max(float(norm(times, derivative)), float(norm(times, near)), 1e-300)
-    told = noise * float(np.sqrt(max(times[-1] - times[0], 0.0) or 1.0)) / size
+    noisy = noise * float(np.sqrt(max(times[-1] - times[0], 0.0) or 1.0)) / size
 
     def excess(d: Difference, o: Difference) -> Difference:
         # Where the longer step's run failed nothing is known of the differences' own error, and none is taken off.
         known = o.relative if np.isfinite(o.relative) else 0.0
-        return d._replace(relative=max(0.0, d.relative - known - told) if np.isfinite(d.relative) else d.relative)
+        return d._replace(relative=max(0.0, d.relative - known - noisy) if np.isfinite(d.relative) else d.relative)
 
     return found._replace(pointwise=excess(found.pointwise, own.pointwise), average=excess(found.average, own.average))

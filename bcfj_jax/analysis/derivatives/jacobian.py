@@ -1,7 +1,7 @@
 """Histories and their derivatives by named parameters: one compiled program, all parameters together.
 
 Forward mode: the tangents of all parameters go through one solve and share its factorisations. The tolerance is
-traced, so that the same program climbs a certificate's rungs.
+traced, so that the same program climbs a certificate's levels.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Histories(NamedTuple):
     state: Any
 
 
-class Rung(NamedTuple):
+class Level(NamedTuple):
     """One solve with its derivatives: at which tolerance, what came out, what it cost, how it ended."""
 
     tolerance: float
@@ -102,7 +102,7 @@ def compiled(key: tuple, function: Callable, *arguments: Any) -> tuple[Callable,
     return _compiled[key], time.perf_counter() - begin
 
 
-def rung(scene: AbstractModel, params: Params, times: np.ndarray, wrt: tuple[str, ...], how: Plan) -> Rung:
+def level(scene: AbstractModel, params: Params, times: np.ndarray, wrt: tuple[str, ...], how: Plan) -> Level:
     """Solve once with the derivatives by all of ``wrt``, per SI unit."""
 
     def jacobian(params: dict, times: Array, how: Plan):
@@ -124,7 +124,7 @@ def rung(scene: AbstractModel, params: Params, times: np.ndarray, wrt: tuple[str
     finite = np.isfinite(derivative.force).all(axis=(0, 2, 3)) & np.isfinite(derivative.state).all(axis=(0, 2))
     if code == OK and not finite.all():
         code, end = STEEP, times[np.argmin(finite)]
-    return Rung(
+    return Level(
         float(how.tolerance), value, derivative, int(code), float(end), int(accepted), int(rejected), wall, compile_s
     )
 

@@ -53,16 +53,16 @@ def smoothing_ladder(
     knob: Literal["smoothing", "friction_speed"] = "smoothing",
     accuracy: str | float = "balanced",
     average: float = 5e-3,
-    rungs: int = 6,
+    levels: int = 6,
     max_steps: int = MAX_STEPS,
 ) -> list[Step]:
     """Derivatives and their certificates at several widths, the sharpest first.
 
-    A wider onset of contact, or of friction, makes derivatives cheaper and better behaved, and biases the force: take
+    A wider regularisation of contact, or of friction, makes derivatives cheaper and better behaved, and biases the force: take
     the sharpest width whose certificate is good enough. Certificates are those of tolerances alone.
 
     Args:
-        scene, params, times, wrt, accuracy, average, rungs, max_steps: as ``sensitivity``.
+        scene, params, times, wrt, accuracy, average, levels, max_steps: as ``sensitivity``.
         values: widths [m] or [m/s], in any order; shared by all contacts that have none of their own.
         knob: what is widened.
 
@@ -79,7 +79,7 @@ def smoothing_ladder(
     found: list[tuple[float, Sensitivity]] = []
     for value in sorted(map(float, values)):
         at = {**params, knob: jnp.asarray(value)}
-        options = {"accuracy": accuracy, "average": average, "rungs": rungs, "max_steps": max_steps}
+        options = {"accuracy": accuracy, "average": average, "levels": levels, "max_steps": max_steps}
         found.append((value, sensitivity(scene, at, times, wrt, mode="forward", differences="none", **options)))
     return [_step(value, each, found[0][1]) for value, each in found]
 

@@ -129,17 +129,17 @@ def _period(times, value: Histories, derivative: Histories, channel: int, turnin
     if turning:
         return _repeat(times, force, slope) or unknown
     depth, rate = value.penetration[:, channel], value.rate[:, channel]
-    starts = [start for start, _ in features.onsets(times, depth, rate)][int(depth[0] > 0) :]
+    starts = [start for start, _ in features.contact_times(times, depth, rate)][int(depth[0] > 0) :]
     if len(starts) < 2:
         return unknown
     ends = [
-        _onset_slope(times, depth, rate, derivative.penetration[:, :, channel], derivative.rate[:, :, channel], at)
+        _start_slope(times, depth, rate, derivative.penetration[:, :, channel], derivative.rate[:, :, channel], at)
         for at in (starts[0], starts[-1])
     ]
     return (starts[-1] - starts[0]) / (len(starts) - 1), (ends[1] - ends[0]) / (len(starts) - 1)
 
 
-def _onset_slope(times, depth, rate, depth_slope, rate_slope, at: float) -> np.ndarray:
+def _start_slope(times, depth, rate, depth_slope, rate_slope, at: float) -> np.ndarray:
     """d t*/d p of a root d(t*) = 0, -(dd/dp)/d', from the samples' Hermite cubics; NaN for one between samples."""
     k = int(np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(times) - 2))
     if not depth[k] <= 0 <= depth[k + 1]:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.analysis.derivatives import certificate as judged
+from bcfj_jax.analysis.derivatives import certificate as verdicts
 from bcfj_jax.analysis.derivatives.certificate import Certificate, Check
 from bcfj_jax.analysis.derivatives.jacobian import compiled, histories
 from bcfj_jax.analysis.derivatives.measures import vector
@@ -87,7 +87,7 @@ def reversed_certificate(
     names: Sequence[str], values: np.ndarray, wanted: Sequence[Feature], solved: Sequence[Gradient]
 ) -> Certificate:
     """How far the gradients at two tolerances are apart; the values (P,) are the parameters'."""
-    apart = judged.apart(solved[0].slopes, solved[1].slopes, solved[1].numbers, values)
+    apart = verdicts.apart(solved[0].slopes, solved[1].slopes, solved[1].numbers, values)
     loose, tight = (s.tolerance for s in solved)
     what = f"the same derivatives of features at a tolerance of {loose:.3g} against {tight:.3g}"
     nan, failed = float("nan"), solved[-1].code != OK
@@ -96,11 +96,11 @@ def reversed_certificate(
     for k, name in enumerate(names):
         found = {f.name: float(apart[i, k]) for i, f in enumerate(wanted)}
         worst = float(np.max(apart[:, k]))
-        verdict = judged.TRUSTED if worst <= judged.POINTWISE else judged.NOT
+        verdict = verdicts.TRUSTED if worst <= verdicts.POINTWISE else verdicts.NOT
         remark = "" if np.any(solved[-1].slopes[:, k]) else "no influence"
         remark = "the run failed" if failed else remark
         checks[name] = Check(verdict, remark, (what,), nan, nan, found, nan, nan, nan, nan, broken)
     return Certificate(
-        judged.worst_verdict(checks), checks, 0.0, judged.POINTWISE, tuple(s.tolerance for s in solved),
+        verdicts.worst_verdict(checks), checks, 0.0, verdicts.POINTWISE, tuple(s.tolerance for s in solved),
         tuple(int(s.stats["accepted"] + s.stats["rejected"]) for s in solved), None,
     )  # fmt: skip

@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from bcfj_jax.analysis.derivatives import certificate as judged
+from bcfj_jax.analysis.derivatives import certificate as verdicts
 from bcfj_jax.analysis.derivatives.certificate import Certificate, Check, Comparison
 from bcfj_jax.analysis.derivatives.differences import against, scales, signs
-from bcfj_jax.analysis.derivatives.jacobian import Rung, forces, rung
+from bcfj_jax.analysis.derivatives.jacobian import Level, forces, level
 from bcfj_jax.analysis.derivatives.measures import measure
 from bcfj_jax.analysis.derivatives.names import Feature, complete, default_features
 from bcfj_jax.analysis.derivatives.names import feature as named
@@ -21,7 +21,7 @@ from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.quantities import increasing
 from bcfj_jax.core.status import OK, reason
 from bcfj_jax.mechanism.model import AbstractModel, Params
-from bcfj_jax.mechanism.watched import watching
+from bcfj_jax.mechanism.observed import observing
 from bcfj_jax.solve.integrate import LEVELS, MAX_STEPS, Plan, plan
 
 MODES = ("auto", "forward", "reverse")
@@ -41,7 +41,7 @@ class Sensitivity(NamedTuple):
         feature_derivatives: per parameter and feature, per SI unit.
         certificate: how good they are; None where it was not asked for.
         status, reason, failure_time: as ``Run``.
-        stats: steps, tolerance, wall_s and compile_s of all solves with derivatives, rungs.
+        stats: steps, tolerance, wall_s and compile_s of all solves with derivatives, levels.
     """
 
     times: np.ndarray
@@ -69,7 +69,7 @@ def sensitivity(
     mode: Literal["auto", "forward", "reverse"] = "auto",
     certify: bool = True,
     differences: Literal["direction", "each", "none"] = "direction",
-    rungs: int = 6,
+    levels: int = 6,
     max_steps: int = MAX_STEPS,
 ) -> Sensitivity:
     """Derivatives of force histories and features by named parameters, with a certificate.
@@ -89,7 +89,7 @@ def sensitivity(
         certify: whether to certify.
         differences: central differences along one random direction, and of "each" parameter where that disagrees;
             of each always; or none.
-        rungs: most tightenings by 4.
+        levels: most tightenings by 4.
 
     Raises:
         InputError: for names that are not known, with the nearest, and for times and options that are not right.
@@ -98,31 +98,31 @@ def sensitivity(
     scene.check(params)
     full, names = complete(scene, params, wrt)
     asked = (features,) if isinstance(features, str) else features
-    scene = watching(scene, asked)
+    scene = observing(scene, asked)
     contacts = scene.members
     wanted = [named(name, contacts) for name in asked] or default_features(contacts)
     for what, value, known in (("mode", mode, MODES), ("differences", differences, DIFFERENCES)):
         if value not in known:
             raise InputError(what, f"no {what} '{value}'", nearest(value, known))
-    if not average > 0 or rungs < 1:
-        found = f"average = {average:g} s, rungs = {rungs}"
-        raise InputError("certificate", found, "give an average > 0 and rungs >= 1")
+    if not average > 0 or levels < 1:
+        found = f"average = {average:g} s, levels = {levels}"
+        raise InputError("certificate", found, "give an average > 0 and levels >= 1")
     how = plan(scene, accuracy, max_steps)
     if mode == "reverse" or (mode == "auto" and len(names) > _MANY):
         able = reversible(wanted)
-        # The second is a certificate's rung.
+        # The second is a certificate's level.
         plans = [how, Plan(how.tolerance * 0.25, max_steps, how.tangents)] if certify else [how]
         solved = [gradient(scene, full, t, names, each, able, contacts) for each in plans]
         return _reverse(t, names, _values(full, names), able, contacts, solved, max_steps)
     error = LEVELS[accuracy] if isinstance(accuracy, str) else accuracy
-    climbed = _climb(scene, full, t, names, how, error, average, rungs if certify else 0)
+    climbed = _climb(scene, full, t, names, how, error, average, levels if certify else 0)
     last = climbed[-1]
     turning = scene.traits.turning
     numbers, slopes = measure(t, last.value, last.derivative, wanted, contacts, turning)
     found = None
     if certify:
         before = measure(t, climbed[-2].value, climbed[-2].derivative, wanted, contacts, turning)[1]
-        agree = judged.apart(before, slopes, numbers, _values(full, names))
+        agree = verdicts.apart(before, slopes, numbers, _values(full, names))
         table = {n: {f.name: float(agree[i, k]) for i, f in enumerate(wanted)} for k, n in enumerate(names)}
         found = _certificate(scene, full, t, names, climbed, error, average, differences, table)
     failed = last.code != OK
@@ -143,7 +143,7 @@ def sensitivity(
             "tolerance": last.tolerance,
             "wall_s": sum(r.wall_s for r in climbed),
             "compile_s": sum(r.compile_s for r in climbed),
-            "rungs": len(climbed),
+            "levels": len(climbed),
         },
     )
 
@@ -161,31 +161,31 @@ def _values(params: Params, names: Sequence[str]) -> np.ndarray:
     return np.array([float(params[name]) for name in names])
 
 
-def _climb(scene, params, times, names, how: Plan, error: float, average: float, rungs: int) -> list[Rung]:
+def _climb(scene, params, times, names, how: Plan, error: float, average: float, levels: int) -> list[Level]:
     """Solves at tolerances 4 times tighter each, until two agree, the budget is spent or nothing helps.
 
     A stiff model whose first two disagree goes on at ``reference``, tangents in the step control.
     """
-    climbed = [rung(scene, params, times, names, how)]
+    climbed = [level(scene, params, times, names, how)]
     values, width = _values(params, names), _width(times, average)
-    while len(climbed) <= rungs and climbed[-1].good:
+    while len(climbed) <= levels and climbed[-1].good:
         tighter = Plan(climbed[-1].tolerance * jnp.asarray(0.25), how.max_steps, how.tangents)
         if scene.traits.stiff and len(climbed) > 1 and not how.tangents:
             # In between errors have a hump: a free ball's swing, there with a wrong phase (docs/derivatives.md).
             good = plan(scene, "reference")
             how = tighter = Plan(jnp.minimum(tighter.tolerance, good.tolerance), how.max_steps, good.tangents)
-        climbed.append(rung(scene, params, times, names, tighter))
+        climbed.append(level(scene, params, times, names, tighter))
         if not climbed[-1].good:
             break
-        found = judged.between(times, climbed[-2], climbed[-1], values, width)
-        strong = judged.influences(times, climbed[-1], values) > judged.INFLUENCE
+        found = verdicts.between(times, climbed[-2], climbed[-1], values, width)
+        strong = verdicts.influences(times, climbed[-1], values) > verdicts.INFLUENCE
         worst = max((c.average.relative for c, s in zip(found, strong, strict=True) if s), default=0.0)
-        lost = worst > 0.5 and any(map(judged.chaotic, judged.growths(times, climbed[-1], values), found))
+        lost = worst > 0.5 and any(map(verdicts.chaotic, verdicts.growths(times, climbed[-1], values), found))
         # A solve at a quarter of the tolerance takes 4^(1/2) times the steps at most.
         if worst <= target(error) or lost or 2 * climbed[-1].steps > how.max_steps:
             break
     # A certificate compares two; a run that failed is compared with itself.
-    return climbed if len(climbed) > 1 or not rungs else climbed * 2
+    return climbed if len(climbed) > 1 or not levels else climbed * 2
 
 
 def _certificate(
@@ -193,22 +193,22 @@ def _certificate(
     params: Params,
     times: np.ndarray,
     names: tuple[str, ...],
-    climbed: Sequence[Rung],
+    climbed: Sequence[Level],
     error: float,
     average: float,
     differences: str,
     features: Mapping[str, Mapping[str, float]],
 ) -> Certificate:
     values, width, last = _values(params, names), _width(times, average), climbed[-1]
-    found: list[list[Comparison]] = [[c] for c in judged.between(times, climbed[-2], last, values, width)]
-    grown, strength = judged.growths(times, last, values), judged.influences(times, last, values)
+    found: list[list[Comparison]] = [[c] for c in verdicts.between(times, climbed[-2], last, values, width)]
+    grown, strength = verdicts.growths(times, last, values), verdicts.influences(times, last, values)
     direction, also = None, [""] * len(names)
-    lost = any(judged.chaotic(g, c[0]) for g, c in zip(grown, found, strict=True))
+    lost = any(verdicts.chaotic(g, c[0]) for g, c in zip(grown, found, strict=True))
     if differences != "none" and last.good and not lost:
         # Noise of the forces is amplified by 1/h: they are computed at a tolerance of their own.
         fine = min(error * 0.25 ** (len(climbed) - 1), 1e-5 if scene.traits.stiff else 1e-7)
         how = plan(scene, max(fine, 1e-9), last_budget(climbed))
-        slopes = judged.flat(last.derivative.force)
+        slopes = verdicts.flat(last.derivative.force)
         size = last.value.force.reshape(len(times), -1)
         step = np.array([scales(times, p, size, d) for p, d in zip(values, slopes, strict=True)])
 
@@ -223,10 +223,10 @@ def _certificate(
         if not each and np.any(step):
             both = along("central differences along one random direction of all parameters", step * signs(len(names)))
             direction = {"pointwise": both.pointwise.relative, "average": both.average.relative}
-            # What the rungs know of already needs no second witness.
-            strong = strength > judged.INFLUENCE
+            # What the levels know of already needs no second witness.
+            strong = strength > verdicts.INFLUENCE
             known = max((c.pointwise.relative for (c,), s in zip(found, strong, strict=True) if s), default=0.0)
-            each = both.average.relative > target(error) or both.pointwise.relative > max(judged.POINTWISE, known)
+            each = both.average.relative > target(error) or both.pointwise.relative > max(verdicts.POINTWISE, known)
             # A parameter at 0 was not moved.
             also = [both.what if s and not each else "" for s in step]
         for k in np.flatnonzero(step) if each else ():
@@ -234,17 +234,17 @@ def _certificate(
             found[k].append(along("central differences", unit))
     end = last.end if last.code != OK else float("nan")
     checks: dict[str, Check] = {
-        name: judged.check(found[k], features[name], grown[k], float(strength[k]), end, also[k])
+        name: verdicts.check(found[k], features[name], grown[k], float(strength[k]), end, also[k])
         for k, name in enumerate(names)
     }
     return Certificate(
-        judged.worst_verdict(checks), checks, width, target(error), tuple(r.tolerance for r in climbed),
+        verdicts.worst_verdict(checks), checks, width, target(error), tuple(r.tolerance for r in climbed),
         tuple(r.steps for r in climbed), direction,
     )  # fmt: skip
 
 
-def last_budget(climbed: Sequence[Rung]) -> int:
-    """Steps allowed to the forces that differences are taken of: twenty times those of the last rung, or more."""
+def last_budget(climbed: Sequence[Level]) -> int:
+    """Steps allowed to the forces that differences are taken of: twenty times those of the last level, or more."""
     return max(100_000, 20 * climbed[-1].steps)
 
 
@@ -276,5 +276,5 @@ def _reverse(
         {f.name: float(x) for f, x in zip(wanted, last.numbers, strict=True)},
         slopes, reversed_certificate(names, values, wanted, solved) if len(solved) > 1 else None,
         "failed" if failed else "ok", reason(last.code, max_steps), last.end if failed else float("nan"),
-        {**last.stats, **spent, "rungs": len(solved)},
+        {**last.stats, **spent, "levels": len(solved)},
     )  # fmt: skip

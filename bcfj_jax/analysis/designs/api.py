@@ -1,4 +1,4 @@
-"""``design``: the verb. Free parameters, bounds and tolerances in, a judged optimum out."""
+"""``design``: the verb. Free parameters, bounds and tolerances in, a checked optimum out."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from bcfj_jax.analysis.derivatives.names import FEATURES, complete
 from bcfj_jax.analysis.derivatives.sensitivity import sensitivity
 from bcfj_jax.analysis.designs.confirm import Confirmation, confirm, independent, tighter
 from bcfj_jax.analysis.designs.descent import Path, descend, starts
-from bcfj_jax.analysis.designs.evaluate import Effort, Evaluator
+from bcfj_jax.analysis.designs.evaluate import Evaluator, Spent
 from bcfj_jax.analysis.designs.minimax import Kink, minimax
-from bcfj_jax.analysis.designs.newton import ARRIVED, Polished, polish
+from bcfj_jax.analysis.designs.newton import ARRIVED, Refined, refine
 from bcfj_jax.analysis.designs.objective import Combine, Objective, objective
 from bcfj_jax.analysis.designs.result import (
     ALONE,
@@ -33,7 +33,7 @@ from bcfj_jax.analysis.designs.tolerance import DISTRIBUTIONS, robust, robustnes
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.quantities import increasing
 from bcfj_jax.mechanism.model import AbstractModel, Params
-from bcfj_jax.mechanism.watched import watching
+from bcfj_jax.mechanism.observed import observing
 from bcfj_jax.solve.integrate import MAX_STEPS, plan
 
 SENSES = {"minimise": 1.0, "maximise": -1.0}
@@ -68,7 +68,7 @@ def design(
     """Make a feature least, or most, over free parameters within bounds, and say what the optimum is worth.
 
     Starts (the given design, and points of a scrambled Sobol design) descend by L-BFGS-B in one compiled batch; the
-    best is polished by Newton's method on the gradient to 1e-6 of every range; an independent run confirms the gain.
+    best is refined by Newton's method on the gradient to 1e-6 of every range; an independent run confirms the gain.
     Runs compile once per scene, number of times, names and starts; another objective compiles in a second.
 
     Args:
@@ -84,7 +84,7 @@ def design(
         kappa: weight of the linear worst change over the tolerances in what is made least.
         distribution: of deviations, for the scatter: "normal" (three standard deviations to a half width) or "uniform".
         samples: runs for the tolerances' effect, of each kind.
-        starts: how many, and how many lanes the batch has.
+        starts: how many, and how many batch the batch has.
         norms: increasing q > 1 of the norms that stand for peaks first; by default (40,) where contacts have members, none else.
         iterations: limit of L-BFGS-B, for each norm and start.
         accuracy, max_steps: as ``simulate``, of the optimiser's runs.
@@ -101,7 +101,7 @@ def design(
     if scene.traits.open:
         raise InputError(f"scene '{scene.kind}' fidelity", f"'{scene.title}' is no model yet", "give one by name")
     asked = features if callable(objective) else [objective] if isinstance(objective, str) else objective
-    scene = watching(scene, asked)
+    scene = observing(scene, asked)
     wanted, box = _objective(objective, features, scene.members), space(scene, params, free)
     full = complete(scene, params, box.names)[0]
     scene.check(full)
@@ -109,7 +109,7 @@ def design(
         # The largest of several members is another's from place to place.
         norms = (40.0,) if any(scene.members.values()) and wanted.peaked else ()
     how = plan(scene, accuracy, max_steps)
-    plain = Evaluator(scene, full, t, how, box, wanted, sign, starts, Effort())
+    plain = Evaluator(scene, full, t, how, box, wanted, sign, starts, Spent())
     goal = robust(plain, kappa)
     given = np.array([float(full[name]) for name in box.names])
     before = plain.at(given[None])
@@ -118,40 +118,40 @@ def design(
     best = ways[int(order[0])]
     if not np.isfinite(best.goal):
         return _failed(plain, wanted, sense, box, given, before.true[0], ways)
-    polished = polish(goal, best.end)
-    if polished.values.reasons[0] or polished.values.goal[0] > best.goal + 1e-9 * abs(best.goal):
-        polished = polished._replace(point=best.end, values=goal(best.end[None], np.inf), arrived=False)
+    refined = refine(goal, best.end)
+    if refined.values.reasons[0] or refined.values.goal[0] > best.goal + 1e-9 * abs(best.goal):
+        refined = refined._replace(point=best.end, values=goal(best.end[None], np.inf), arrived=False)
     kink = None
-    if not polished.arrived and not kappa and sense == "minimise":
-        kink = minimax(plain, polished.point, seed)
-        if kink is not None and kink.value <= plain(polished.point[None]).true[0]:
+    if not refined.arrived and not kappa and sense == "minimise":
+        kink = minimax(plain, refined.point, seed)
+        if kink is not None and kink.value <= plain(refined.point[None]).true[0]:
             values = goal(kink.point[None], np.inf)
             active = np.where(kink.point <= ARRIVED, -1, np.where(kink.point >= 1.0 - ARRIVED, 1, 0))
-            polished = Polished(kink.point, values, active, kink.step, np.nan, kink.arrived)
+            refined = Refined(kink.point, values, active, kink.step, np.nan, kink.arrived)
         else:
             kink = None
-    here = plain(polished.point[None])
-    at = box.values(polished.point)
+    here = plain(refined.point[None])
+    at = box.values(refined.point)
     after, first = float(here.true[0]), float(before.true[0])
     gain = sign * (first - after)
     agree, near = _agreement(ways, best)
     designs = full, {**full, **dict(zip(box.names, at, strict=True))}
     checked = _confirmed(scene, confirm, designs, t, wanted, sign, gain, accuracy)
     certificate = _certified(scene, designs[1], t, box, wanted, accuracy, max_steps) if certify else None
-    wide = robustness(plain, polished.point, here, distribution, samples, seed, kink is not None)
+    wide = robustness(plain, refined.point, here, distribution, samples, seed, kink is not None)
     wide_before = None
     if wide is not None and not before.reasons[0]:
         wide_before = robustness(plain, box.unit(given), before, distribution, samples, seed, False)
-    cuts = _slices(plain, polished.point) if slices else {}
-    status, reason = _judged(
-        polished, kink, checked, certificate, agree, near, ways, gain, kappa, plain, before.reasons[0]
+    cuts = _slices(plain, refined.point) if slices else {}
+    status, reason = _verdict(
+        refined, kink, checked, certificate, agree, near, ways, gain, kappa, plain, before.reasons[0]
     )
     sides = {-1: "lower", 1: "upper"}
     return Design(
         status, reason, wanted.name, sense, wanted.unit, _named(box, at), _named(box, given),
-        {n: sides[int(a)] for n, a in zip(box.names, polished.active, strict=True) if a},
-        first, after, gain, _named(box, sign * polished.values.slope[0] / box.slope(at)), polished.step,
-        polished.curvature, tuple(ways), agree, near, checked, certificate, wide, wide_before, cuts,
+        {n: sides[int(a)] for n, a in zip(box.names, refined.active, strict=True) if a},
+        first, after, gain, _named(box, sign * refined.values.slope[0] / box.slope(at)), refined.step,
+        refined.curvature, tuple(ways), agree, near, checked, certificate, wide, wide_before, cuts,
         dict(plain.spent.failures), _stats(plain), box,
     )  # fmt: skip
 
@@ -169,7 +169,7 @@ def _sign(sense: str, distribution: str, kappa: float, samples: int, starts: int
         raise InputError("kappa", f"{kappa:g}", "give a weight >= 0")
     if min(samples, starts, iterations) < 1:
         found = f"samples = {samples}, starts = {starts}, iterations = {iterations}"
-        raise InputError("effort", found, "give 1 or more of each")
+        raise InputError("search size", found, "give 1 or more of each")
     if any(not q > 1.0 for q in norms or ()):
         raise InputError("norms", f"{norms}", "give exponents above 1")
     return SENSES[sense]
@@ -183,7 +183,7 @@ def _stats(plain: Evaluator) -> dict[str, float]:
     spent = plain.spent
     return {
         "batches": spent.batches, "points": spent.points, "wall_s": spent.wall_s, "compile_s": spent.compile_s,
-        "lanes": plain.lanes,
+        "lanes": plain.batch,
     }  # fmt: skip
 
 
@@ -194,14 +194,14 @@ def _agreement(ways: Sequence[Path], best: Path) -> tuple[int, int]:
 
 
 def _confirmed(
-    scene: AbstractModel, judge: Any, designs: tuple, times: np.ndarray, wanted: Objective, sign: float, gain: float,
+    scene: AbstractModel, checker: Any, designs: tuple, times: np.ndarray, wanted: Objective, sign: float, gain: float,
     accuracy: str | float,
 ) -> Confirmation | None:  # fmt: skip
-    if judge is None:
+    if checker is None:
         return None
-    judge = independent(scene)[0] if isinstance(judge, str) else judge
-    solver = independent(judge)[1]
-    return _confirm(scene, judge, solver, designs, times, wanted, sign, gain, tighter(accuracy))
+    checker = independent(scene)[0] if isinstance(checker, str) else checker
+    solver = independent(checker)[1]
+    return _confirm(scene, checker, solver, designs, times, wanted, sign, gain, tighter(accuracy))
 
 
 def _certified(
@@ -229,14 +229,14 @@ def _slices(plain: Evaluator, point: np.ndarray) -> dict[str, Slice]:
     return {name: Slice(values[k, :, k], true[k]) for k, name in enumerate(plain.space.names)}
 
 
-def _judged(
-    polished: Polished, kink: Kink | None, checked: Confirmation | None, certificate: Certificate | None, agree: int,
+def _verdict(
+    refined: Refined, kink: Kink | None, checked: Confirmation | None, certificate: Certificate | None, agree: int,
     near: int, ways: Sequence[Path], gain: float, kappa: float, plain: Evaluator, unborn: str,
 ) -> tuple[str, str]:  # fmt: skip
     """The worst of what is wrong, and everything in words."""
     words, wrong = [], []
     if unborn:
-        words.append(f"the given design has no value ({unborn}): no gain can be told")
+        words.append(f"the given design has no value ({unborn}): the gain is unknown")
     elif not gain > 0.0 and not kappa:
         wrong.append(NO_GAIN)
         words.append("no design within the bounds is better than the given one")
@@ -250,12 +250,12 @@ def _judged(
         bad = [f"{name} ({one.remark})" for name, one in certificate.parameters.items() if one.verdict == NOT]
         wrong.append(NOT_TRUSTED)
         words.append(f"the gradient is not to be trusted by {', '.join(bad)}")
-    if not polished.arrived:
+    if not refined.arrived:
         wrong.append(ROUGH)
         words.append("no optimum in the sense of derivatives: a kink, a flat place, or too few iterations")
     if kink is not None:
         words.append(f"samples equally high there: {kink.equal}; residual of Clarke's condition {kink.residual:.1e}")
-    held = [(n, a) for n, a in zip(plain.space.names, polished.active, strict=True) if a]
+    held = [(n, a) for n, a in zip(plain.space.names, refined.active, strict=True) if a]
     bounds = [f"{name} at its {'upper' if side > 0 else 'lower'} bound" for name, side in held]
     words += [", ".join(bounds)] if bounds else []
     if agree < 2 and len(ways) > 1:

@@ -60,7 +60,7 @@ def tighter(accuracy: str | float) -> float:
 
 def confirm(
     scene: AbstractModel,
-    judge: AbstractModel,
+    checker: AbstractModel,
     solver: str | None,
     designs: tuple[Params, Params],
     times: np.ndarray,
@@ -72,7 +72,7 @@ def confirm(
     """Run both designs again.
 
     Args:
-        scene: the one that was optimised; judge: the one that checks.
+        scene: the one that was optimised; checker: the one that checks.
         solver: of the check.
         designs: parameters before and after.
         times, objective, sign: as the optimiser had them.
@@ -83,18 +83,18 @@ def confirm(
         InputError: as ``simulate``.
     """
     # Another model may not have every parameter.
-    known = judge.quantities
+    known = checker.quantities
     both = [{name: jnp.asarray(x, dtype=float) for name, x in one.items() if name in known} for one in designs]
-    runs = [simulate(judge, params, times, accuracy=accuracy, solver=solver) for params in both]
-    tables = [features(run, judge, times, objective) for run in runs]
+    runs = [simulate(checker, params, times, accuracy=accuracy, solver=solver) for params in both]
+    tables = [features(run, checker, times, objective) for run in runs]
     before, after = (float(objective.of([jnp.asarray(x) for x in table.values()])) for table in tables)
     found = sign * (before - after)
     share = found / gain if gain else np.nan
-    same = judge == scene
+    same = checker == scene
     least = SAME if same else OTHER
     return Confirmation(
         before, after, tables[0], tables[1], found, share, bool(gain > 0 and share >= least),
-        f"{judge.title} by {solver or 'its own solver'} at a force error of {accuracy:.0e}",
+        f"{checker.title} by {solver or 'its own solver'} at a force error of {accuracy:.0e}",
         "; ".join(run.reason for run in runs if run.status != "ok"),
     )  # fmt: skip
 

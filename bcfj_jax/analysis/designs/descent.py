@@ -145,7 +145,7 @@ def _together(
                         tracks[k].append((float(got.goal[i]), float(got.true[i]), asked_for[i]))
                         answers[k].put((float(got.smooth[i]), got.slope[i]))
         except BaseException:
-            # Whoever waits for an answer, or will, is told that there is none.
+            # Whoever waits for an answer, or will, learns that there is none.
             for answer in answers:
                 answer.put(None)
             raise

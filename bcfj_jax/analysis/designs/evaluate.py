@@ -1,8 +1,8 @@
 """The objective and its gradient at many points of the unit box: one compiled batch, whatever asks.
 
-Descents, polish, curvature and tolerances all go through here. One program makes the runs and their tangents, a small
+Descents, refine, curvature and tolerances all go through here. One program makes the runs and their tangents, a small
 one the objective out of them, so that another objective costs no other simulation to compile. A point that is refused
-(a joint that does not assemble) or whose run fails is NaN, and is told with its reason.
+(a joint that does not assemble) or whose run fails is NaN, with its reason.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Values(NamedTuple):
 
 
 @dataclass
-class Effort:
+class Spent:
     """What was spent: batches, points that were asked for, seconds, and failures by reason."""
 
     batches: int = 0
@@ -63,7 +63,7 @@ class Evaluator:
         scene, params, times, how: as ``force_history`` takes them.
         space, objective: what is free, what is made least.
         sign: 1 to make it least, -1 to make it most.
-        lanes: points in one batch.
+        batch: points in one batch.
         spent: the account of all calls.
     """
 
@@ -74,8 +74,8 @@ class Evaluator:
     space: Space
     objective: Objective
     sign: float
-    lanes: int
-    spent: Effort
+    batch: int
+    spent: Spent
 
     def __call__(self, unit: np.ndarray, norm: float = np.inf) -> Values:
         """Values at points (N, P), with the norm q in place of peaks; infinity takes crests."""
@@ -83,7 +83,7 @@ class Evaluator:
 
     def at(self, values: np.ndarray, norm: float = np.inf) -> Values:
         """As a call, at SI values (N, P), which may lie outside of the bounds."""
-        parts = [self._block(values[k : k + self.lanes], norm) for k in range(0, len(values), self.lanes)]
+        parts = [self._block(values[k : k + self.batch], norm) for k in range(0, len(values), self.batch)]
         joined = [np.concatenate([part[i] for part in parts]) for i in range(4)]
         reasons = [text for part in parts for text in part.reasons]
         return Values(joined[0], joined[1], joined[2], joined[3], reasons)
@@ -99,7 +99,7 @@ class Evaluator:
             return found
         *read, code = self._read(values[good])
         given = *read, jnp.asarray(float(norm))
-        key = ("design objective", self.scene, self.times.tobytes(), self.space.names, self.objective, self.lanes)
+        key = ("design objective", self.scene, self.times.tobytes(), self.space.names, self.objective, self.batch)
         program, compile_s = compiled(key, self._objectives, *given)
         begin = time.perf_counter()
         smooth, slope, goal, true, code = (np.asarray(x)[: len(good)] for x in (*program(*given), code))
@@ -132,11 +132,11 @@ class Evaluator:
         return sampled(read, self.objective, self.scene.members, self.space.slope(values))
 
     def _read(self, points: np.ndarray) -> tuple:
-        """What ``_runs`` gives of points that can be built, (n, P) SI, n up to the lanes; filled up with the first."""
-        rows = np.array([i if i < len(points) else 0 for i in range(self.lanes)])
+        """What ``_runs`` gives of points that can be built, (n, P) SI, n up to the batch; filled up with the first."""
+        rows = np.array([i if i < len(points) else 0 for i in range(self.batch)])
         fixed = {name: jnp.asarray(x) for name, x in self.params.items()}
         arguments = fixed, jnp.asarray(points[rows]), jnp.asarray(self.times), self.how, jnp.asarray(len(points))
-        key = ("design runs", self.scene, len(self.times), self.space.names, self.lanes)
+        key = ("design runs", self.scene, len(self.times), self.space.names, self.batch)
         runs, compile_s = compiled(key, self._runs, *arguments)
         begin = time.perf_counter()
         found = jax.block_until_ready(runs(*arguments))
@@ -169,7 +169,7 @@ class Evaluator:
         if self.scene.traits.large and jax.default_backend() == "cpu":
             # Side by side a large model gains nothing on a core; one by one, those beyond the count cost nothing.
             nothing = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(whole, points[0]))
-            each = (jnp.arange(self.lanes), points)
+            each = (jnp.arange(self.batch), points)
             slopes, (read, code) = jax.lax.map(
                 lambda x: jax.lax.cond(x[0] < count, whole, lambda _: nothing, x[1]), each
             )

@@ -22,7 +22,7 @@ _ITERATIONS = 12
 ARRIVED = 1e-6
 
 
-class Polished(NamedTuple):
+class Refined(NamedTuple):
     """Where Newton's method ended.
 
     Attributes:
@@ -43,12 +43,12 @@ class Polished(NamedTuple):
 
 
 def activity(point: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """(P,) -1, 0, 1 as ``Polished.active`` has it; bounds are met to within a millionth of a range."""
+    """(P,) -1, 0, 1 as ``Refined.active`` has it; bounds are met to within a millionth of a range."""
     low, high = point <= ARRIVED, point >= 1.0 - ARRIVED
     return np.where(low & (slope > 0), -1, np.where(high & (slope < 0), 1, 0))
 
 
-def polish(evaluate: Evaluate, point: np.ndarray) -> Polished:
+def refine(evaluate: Evaluate, point: np.ndarray) -> Refined:
     """Newton's method from a descent's end (P,); steps are kept only where they lessen the projected gradient."""
     u = _snapped(point)
     here = evaluate(u[None])
@@ -84,7 +84,7 @@ def polish(evaluate: Evaluate, point: np.ndarray) -> Polished:
         best = (trial, there)
     u, here = best
     active = np.zeros(len(u), dtype=int) if here.reasons[0] else activity(u, here.slope[0])
-    return Polished(u, here, active, step, curvature, bool(step < ARRIVED and curvature > 0.0))
+    return Refined(u, here, active, step, curvature, bool(step < ARRIVED and curvature > 0.0))
 
 
 def _snapped(point: np.ndarray) -> np.ndarray:

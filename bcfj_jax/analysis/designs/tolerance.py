@@ -63,7 +63,7 @@ def robustness(
         distribution: "normal" or "uniform" deviations; the worst case is that of the box either way.
         samples: runs of each kind.
         seed: of the Sobol points.
-        kinked: whether several peaks are equally high there, so that a single gradient tells nothing.
+        kinked: whether several peaks are equally high there, so that a single gradient is not enough.
     """
     space = evaluate.space
     at = space.values(unit)

@@ -22,7 +22,7 @@ from bcfj_jax.core.status import OK, reason
 from bcfj_jax.mechanism.model import AbstractModel, Params, Reading
 from bcfj_jax.solve.integrate import MAX_STEPS, Plan, Solution, plan
 from bcfj_jax.solve.simulation import readings
-from bcfj_jax.solve.work_queue import integrate_lanes
+from bcfj_jax.solve.work_queue import integrate_queue
 
 
 class Diagram(NamedTuple):
@@ -90,13 +90,13 @@ def bifurcation(
     phase: float = 0.0,
     accuracy: str | float = "balanced",
     max_steps: int = MAX_STEPS,
-    slots: int = 8,
+    places: int = 8,
 ) -> Diagram:
     """Stroboscopic sections of a driven scene against one parameter: clearance, drive speed, friction.
 
     Args:
         name, values: the parameter to change and its values (P,) in SI.
-        slots: runs under way at one time (``lanes``); one that ends makes room for the next.
+        places: runs under way at one time (``solve.work_queue``); a run that ends is replaced by the next.
         scene, params, revolutions, transients, phase, accuracy, max_steps: as ``sections.stroboscopic``. Each value has
             the revolutions of its own drive speed.
 
@@ -106,7 +106,7 @@ def bifurcation(
     batch, each = _batch(scene, params, name, values)
     turns = revolutions_to_keep(revolutions, transients, phase)
     ends = np.array([turns[-1] * drive_period(scene, one) for one in each])
-    found, seen = _solve(scene, batch, ends, np.concatenate([[0.0], turns / turns[-1]]), (accuracy, max_steps, slots))
+    found, seen = _solve(scene, batch, ends, np.concatenate([[0.0], turns / turns[-1]]), (accuracy, max_steps, places))
     reasons = _reasons(found, max_steps)
     kept = {contact: jax.tree.map(lambda x: _without(x, reasons)[:, 1:], r) for contact, r in seen.items()}
     return Diagram(
@@ -132,7 +132,7 @@ def impact_bifurcation(
     samples: int = 10_001,
     accuracy: str | float = "balanced",
     max_steps: int = MAX_STEPS,
-    slots: int = 8,
+    places: int = 8,
 ) -> tuple[np.ndarray, list[str]]:
     """Approach speeds at the last touches of a scene without a drive, against one parameter.
 
@@ -141,7 +141,7 @@ def impact_bifurcation(
         kept: N, how many of the last touches to keep.
         contact: which contact.
         samples: over the run; they must resolve a flight (``sections.impacts``).
-        scene, params, name, values, accuracy, max_steps, slots: as ``bifurcation``.
+        scene, params, name, values, accuracy, max_steps, places: as ``bifurcation``.
 
     Returns:
         Speeds (P, N) [m/s], the last at the end, NaN in front where there were fewer and wherever a run failed; and P
@@ -156,7 +156,7 @@ def impact_bifurcation(
     batch, each = _batch(scene, params, name, values)
     grid = np.linspace(0.0, 1.0, samples)
     ends = np.full(len(each), float(end))
-    found, seen = _solve(scene, batch, ends, grid, (accuracy, max_steps, slots))
+    found, seen = _solve(scene, batch, ends, grid, (accuracy, max_steps, places))
     reasons, read = _reasons(found, max_steps), seen[contact]
     speeds = np.full((len(each), kept), np.nan)
     for row, text in enumerate(reasons):
@@ -184,11 +184,11 @@ def _solve(
     batch: dict[str, Array],
     ends: np.ndarray,
     grid: np.ndarray,
-    effort: tuple[str | float, int, int],
+    budget: tuple[str | float, int, int],
 ) -> tuple[Solution, dict[str, Reading]]:
-    accuracy, max_steps, slots = effort
+    accuracy, max_steps, places = budget
     how = plan(scene, accuracy, max_steps)
-    return jax.device_get(_run(scene, batch, jnp.asarray(ends), jnp.asarray(grid), how.tolerance, max_steps, slots))
+    return jax.device_get(_run(scene, batch, jnp.asarray(ends), jnp.asarray(grid), how.tolerance, max_steps, places))
 
 
 @partial(jax.jit, static_argnums=(0, 5, 6))
@@ -199,10 +199,10 @@ def _run(
     grid: Array,
     tolerance: Array,
     max_steps: int,
-    slots: int,
+    places: int,
 ) -> tuple[Solution, dict[str, Reading]]:
     how = Plan(tolerance, max_steps)
-    found, _ = integrate_lanes(scene, batch, ends, grid, how, jnp.asarray(ends.size), min(slots, ends.size))
+    found, _ = integrate_queue(scene, batch, ends, grid, how, jnp.asarray(ends.size), min(places, ends.size))
     seen = jax.vmap(lambda p, end, states: readings(scene, p, end * grid, states))(batch, ends, found.states)
     return found, seen
 

@@ -215,17 +215,17 @@ def two_trajectories(
     def flat(y: Array) -> Array:
         return ravel_pytree(step(rebuild(y)))[0]
 
-    told = unit > 0.0
+    known = unit > 0.0
 
     def rms(w: Array) -> Array:
-        return jnp.sqrt(jnp.sum(jnp.square(jnp.where(told, w / jnp.where(told, unit, 1.0), 0.0))) / jnp.sum(told))
+        return jnp.sqrt(jnp.sum(jnp.square(jnp.where(known, w / jnp.where(known, unit, 1.0), 0.0))) / jnp.sum(known))
 
     def once(carry: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], Array]:
         y, apart = carry
         y, other = jax.lax.map(flat, jnp.stack([y, y + apart]))
         size = rms(other - y)
         # Two orbits that rounding has made one grow no more.
-        again = jnp.where(told, other - y, 0.0) * (separation / jnp.where(size > 0.0, size, 1.0))
+        again = jnp.where(known, other - y, 0.0) * (separation / jnp.where(size > 0.0, size, 1.0))
         return (y, again), jnp.log(size / separation)
 
     def whole(y: Array) -> Array:

@@ -1,6 +1,6 @@
 """What a contact with clearance is doing at large: free flight, an impact, or continuous contact.
 
-The three modes of clearance joints (Flores and Ambrósio, Computers and Structures 82, 2004), told by the surfaces'
+The three modes of clearance joints (Flores and Ambrósio, Computers and Structures 82, 2004), distinguished by the surfaces'
 overlap: free where there is none, an impact where the overlap lasts no longer than ``impact_time``, else continuous.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bcfj_jax.analysis.features import onsets
+from bcfj_jax.analysis.features import contact_times
 from bcfj_jax.core.errors import InputError
 
 UNKNOWN, FREE, IMPACT, CONTINUOUS = range(-1, 3)
@@ -39,7 +39,7 @@ def contact_modes(times: ArrayLike, penetration: ArrayLike, rate: ArrayLike, imp
     found[:stop] = FREE
     if stop < 2:
         return found
-    for start, end in onsets(t[:stop], d[:stop], v[:stop]):
+    for start, end in contact_times(t[:stop], d[:stop], v[:stop]):
         first = max(int(np.searchsorted(t[:stop], start)), 0)
         last = stop if np.isnan(end) else int(np.searchsorted(t[:stop], end))
         whole = start > t[0] and not np.isnan(end)

@@ -5,7 +5,7 @@ below the tolerance, which at a force error of 1e-4 is 1e-3 of a ball's penetrat
 play itself. The tangent takes the state's own steps and one matrix serves both (``solvers.tangents``): SDIRK2 on the
 arrowhead for the joint, bounded however stiff friction is, and Tsit5 for ``impact`` and ``bounce``. Contact
 forces are continuous, so a tangent needs no jump where a contact begins (no saltation matrix); that of a law whose
-damping begins at once, ``kelvin_voigt`` without an onset, would, and is not right here.
+damping begins at once, ``kelvin_voigt`` without smoothing, would, and is not right here.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def _growth(
     intervals: int,
     seed: int,
 ) -> tuple[Array, Array]:
-    """Logarithms of growth and endings of every interval; the first ending is the settling's where that failed."""
+    """Logarithms of growth and status codes of every interval; the first code is the settling's where that failed."""
     how, count = Plan(tolerance, max_steps), turning + intervals
     settled = integrate(scene, params, jnp.stack([0.5 * settle, settle]), how, dfx.ForwardMode())
     posed = problem(scene, params, settle + count * interval, how, True)
@@ -131,7 +131,7 @@ def _beside(scene: AbstractModel, posed: Problem) -> Problem:
             field=lambda t, rows, args: rows.at[0].set(posed.field(t, rows[0], args[0])),
             args=(posed.args, None),
             solver=SdirkTangents(cast(Sdirk, posed.solver)),
-            # The state is never at rest, and its steps resolve what moves; errors of tangents are not told.
+            # The state is never at rest, and its steps resolve what moves; errors of tangents are not controlled.
             norm=lambda errors: posed.norm(errors[0]),
         )
 
@@ -143,7 +143,7 @@ def _beside(scene: AbstractModel, posed: Problem) -> Problem:
 
 
 def advance(both: Problem, how: Plan, rows: Array, begin: Array, end: Array) -> tuple[Array, Array]:
-    """Rows, or a state alone, carried from one time to another [s]; with an ending's code (``endings``)."""
+    """Rows, or a state alone, carried from one time to another [s]; with a status code (``core.status``)."""
     solution = dfx.diffeqsolve(
         dfx.ODETerm(both.field),  # pyright: ignore[reportArgumentType]
         both.solver,

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bcfj_jax.analysis.features import onsets
+from bcfj_jax.analysis.features import contact_times
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.integrate import MAX_STEPS
@@ -105,7 +105,7 @@ def stroboscopic(
 def impacts(times: ArrayLike, penetration: ArrayLike, rate: ArrayLike) -> Impacts:
     """Approach speed at every touch of a contact, from its history in samples that resolve flights.
 
-    The touch is the onset that ``features.onsets`` finds. What comes before a touch knows nothing of it, so from the
+    The touch is the start that ``features.contact_times`` finds. What comes before a touch knows nothing of it, so from the
     last two samples apart, t_j and t_k, the flight is continued with constant acceleration a = (v_k - v_j)/(t_k - t_j):
 
         d_k + v_k s + a s^2/2 = 0,   speed = v_k + a s = sqrt(v_k^2 - 2 a d_k),
@@ -117,7 +117,7 @@ def impacts(times: ArrayLike, penetration: ArrayLike, rate: ArrayLike) -> Impact
         times, penetration, rate: (T,) [s], [m] (negative: gap), [m/s], as in a ``Run``.
     """
     t, d, v = (np.asarray(x, dtype=float) for x in (times, penetration, rate))
-    starts = [start for start, _ in onsets(t, d, v)]
+    starts = [start for start, _ in contact_times(t, d, v)]
     found: list[tuple[float, float]] = []
     for start in starts:
         k = int(np.searchsorted(t, start, side="right")) - 1

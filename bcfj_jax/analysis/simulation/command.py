@@ -18,7 +18,7 @@ def run(what: str, out: Path | None, say: Callable[[str], None], measure_error: 
     Args:
         what: a scene file, or a built-in scene's name.
         out: folder for the results, None for one made up.
-        say: is told of the progress, and of what to be warned of.
+        say: receives the progress and the warnings.
         measure_error: whether the run is made once more, ten times finer, to measure its force error.
 
     Returns:

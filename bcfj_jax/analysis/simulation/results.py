@@ -233,11 +233,11 @@ def write(folder: Path, given: SceneFile, run: Run, stem: str) -> tuple[str, lis
     whole, extra = given.scene.whole(given.params, run)
     for name, columns in extra.items():
         outputs.write_histories(folder / name, run.times, columns)
-    told = summary(run, given.scene.traits.turning) | whole
-    outputs.write_json(folder / "summary.json", told | {"warnings": warnings})
+    content = summary(run, given.scene.traits.turning) | whole
+    outputs.write_json(folder / "summary.json", content | {"warnings": warnings})
     pictures.forces(run, folder / "forces.png")
     pictures.loops(run, folder / "force_penetration.png")
-    rows = _contacts(told["contacts"])
+    rows = _contacts(content["contacts"])
     tables = [("Contacts", rows)]
     if run.accuracy:
         tables.append(("Measured force error", _accuracy_rows(run.accuracy)))

@@ -71,7 +71,7 @@ def study(
         out: the folder; one that holds the same study is gone on with.
         workers: processes on this machine; None: one a core, or one in all where there is an accelerator.
         scheduler: address of a Dask scheduler that shall do the work in place of this machine.
-        progress: is told finished and all blocks.
+        progress: receives the numbers of finished and of all blocks.
 
     Raises:
         InputError: for bad input, and a folder that holds another study.
@@ -152,7 +152,7 @@ def state(store: Store) -> dict[str, Any]:
     blocks, study = store.blocks, store.study
     finished = [k for k in range(len(blocks)) if store.finished(k)]
     points = sum(len(blocks.points(k)) for k in finished)
-    failed, reasons, steps, slots = 0, {}, 0, 0
+    failed, reasons, steps, rounds = 0, {}, 0, 0
     for k in finished:
         table, facts = store.read(k), facts_of(store.path(k))
         bad = [
@@ -164,10 +164,10 @@ def state(store: Store) -> dict[str, Any]:
         for text in bad:
             kind = text.split(" at ")[0]
             reasons[kind] = reasons.get(kind, 0) + 1
-        steps, slots = steps + sum(facts["steps"]), slots + facts["rounds"]
+        steps, rounds = steps + sum(facts["steps"]), rounds + facts["rounds"]
     return {
         "points": study.count, "finished": points, "left": study.count - points, "failed": failed,
-        "reasons": reasons, "blocks": len(blocks), "blocks_finished": len(finished), "steps": steps, "rounds": slots,
+        "reasons": reasons, "blocks": len(blocks), "blocks_finished": len(finished), "steps": steps, "rounds": rounds,
         "code": usercode.record(), "status": "finished" if points == study.count else "unfinished",
         "written": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
     }  # fmt: skip

@@ -24,7 +24,7 @@ from bcfj_jax.core.status import OK, reason
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve.integrate import Plan
 from bcfj_jax.solve.simulation import readings
-from bcfj_jax.solve.work_queue import equilibria, integrate_lanes
+from bcfj_jax.solve.work_queue import equilibria, integrate_queue
 
 # What grows with the duration where the samples' times are those of a run that takes one second.
 _PER_SECOND = ("impulse", "period", "delay")
@@ -41,7 +41,7 @@ class Batch(NamedTuple):
         features: (N, F), NaN where a run failed.
         reason: (N,) why each run failed, "" where it did not; end: (N,) when it ended [s].
         steps: (N,) attempted steps, or iterations.
-        rounds: rounds of all slots; 0 where there are none.
+        rounds: rounds of all places of the batch; 0 where there are none.
         force: (N, T, C, 3) [N] if asked for, else (N, 0, 0, 0).
     """
 
@@ -58,7 +58,7 @@ def has_history(scene: AbstractModel) -> bool:
     return scene.traits.history and not scene.traits.open
 
 
-def slots() -> int:
+def places() -> int:
     """Runs under way at one time: what keeps a core busy and its cache not full; an accelerator wants many."""
     if jax.default_backend() != "cpu":
         return 1024
@@ -89,7 +89,7 @@ def run(
     """
     count, devices = len(ends), len(jax.local_devices())
     size = -(-size // devices) * devices
-    # What fills up is the first point again, which is computed only where lanes have no queue.
+    # What fills up is the first point again, which is computed only where there is no work queue.
     fill = np.where(np.arange(size) < count, np.arange(size), 0)
     host = forces or any(feature.kind in HOST for feature in wanted)
     filled = {name: jnp.asarray(leaf[fill]) for name, leaf in params.items()}
@@ -123,15 +123,15 @@ def _program(
     if len(devices) == 1:
         return _part(scene, grid, wanted, host, params, ends, how, count)
     share = ends.size // len(devices)
-    lanes, every = PartitionSpec("lanes"), PartitionSpec()
+    runs, every = PartitionSpec("runs"), PartitionSpec()
 
     def part(params: dict, ends: Array, how: Plan, count: Array) -> tuple:
-        mine = jnp.clip(count - share * jax.lax.axis_index("lanes"), 0, share)
+        mine = jnp.clip(count - share * jax.lax.axis_index("runs"), 0, share)
         found = _part(scene, grid, wanted, host, params, ends, how, mine)
         return (*found[:4], found[4][None], *found[5:])
 
     return jax.shard_map(
-        part, mesh=Mesh(np.array(devices), ("lanes",)), in_specs=(lanes, lanes, every, every), out_specs=lanes,
+        part, mesh=Mesh(np.array(devices), ("runs",)), in_specs=(runs, runs, every, every), out_specs=runs,
         check_vma=False,
     )(params, ends, how, count)  # fmt: skip
 
@@ -151,7 +151,7 @@ def _part(
 
     rounds = jnp.asarray(0)
     if has_history(scene):
-        solution, rounds = integrate_lanes(scene, params, ends, jnp.asarray(grid), how, count, min(slots(), ends.size))
+        solution, rounds = integrate_queue(scene, params, ends, jnp.asarray(grid), how, count, min(places(), ends.size))
     else:
         solution = equilibria(scene, params, ends, jnp.asarray(grid))
     features, *read = jax.lax.map(look, (params, ends, solution.states), batch_size=min(_AT_ONCE, ends.size))

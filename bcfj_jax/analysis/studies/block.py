@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bcfj_jax.analysis.derivatives.jacobian import Histories, rung
+from bcfj_jax.analysis.derivatives.jacobian import Histories, level
 from bcfj_jax.analysis.derivatives.measures import measure
 from bcfj_jax.analysis.derivatives.names import complete
 from bcfj_jax.analysis.studies.batch import Batch, has_history, run
@@ -29,7 +29,7 @@ from bcfj_jax.io.journal import key_of
 from bcfj_jax.solve.integrate import LEVELS, Plan, plan, problem
 from bcfj_jax.solve.simulation import simulate
 
-# Points of a block: of the motion of a large model, of all else. Enough to fill the slots several times over,
+# Points of a block: of the motion of a large model, of all else. Enough to fill the places of a batch several times over,
 # few enough that little is lost with one; and numbers of state that a block may hold at once.
 _OF_MOTION, _OTHERS, _FEWEST, _NUMBERS = 64, 512, 4, 2**24
 # A run that failed is tried once more with steps of so much less error.
@@ -44,7 +44,7 @@ class Table(NamedTuple):
         values: (n, D) of the varied parameters.
         results: (n, F) of ``Study.columns``.
         status, reason: (n,) texts.
-        steps: (n,) attempted steps; rounds: of all slots (``lanes``).
+        steps: (n,) attempted steps; rounds: of all places of the batch (``solve.work_queue``).
         force: (n, T, C, 3) [N], or empty.
         ends: (n,) last times [s].
     """
@@ -159,10 +159,10 @@ def compute(study: Study, at: np.ndarray, size: int) -> Table:
         if study.histories:
             force[which] = batch.force
         for i, why, end in zip(which, batch.reason, batch.end, strict=True):
-            told = f"{why} at {end:.6g} s" if why else ""
-            status[i] = "failed" if told else "ok"
-            again = f"{told or 'ok'} with a tenth of the tolerance; before: {reasons[i]}"
-            reasons[i] = told if safety == 1.0 else again
+            failure = f"{why} at {end:.6g} s" if why else ""
+            status[i] = "failed" if failure else "ok"
+            again = f"{failure or 'ok'} with a tenth of the tolerance; before: {reasons[i]}"
+            reasons[i] = failure if safety == 1.0 else again
         return which[np.array([bool(why) for why in batch.reason])]
 
     if good.size:
@@ -193,13 +193,13 @@ def _one_by_one(study: Study, values: np.ndarray, last: np.ndarray, grid: np.nda
             full, wrt = complete(scene, one, study.derivatives)
             how = plan(scene, given.accuracy, given.max_steps, given.solver)
             how = eqx.tree_at(lambda h: h.tolerance, how, how.tolerance * safety)
-            found = rung(scene, full, times, wrt, how)
+            found = level(scene, full, times, wrt, how)
             value, slopes, stop, steps = found.value, found.derivative, found.end, found.steps
             why = reason(found.code, given.max_steps)
         else:
             accuracy = LEVELS[given.accuracy] if isinstance(given.accuracy, str) else given.accuracy
-            effort: dict[str, Any] = {"max_steps": given.max_steps, "solver": given.solver}
-            single = simulate(scene, one, times, accuracy=max(1e-9, accuracy * safety), **effort)
+            budget: dict[str, Any] = {"max_steps": given.max_steps, "solver": given.solver}
+            single = simulate(scene, one, times, accuracy=max(1e-9, accuracy * safety), **budget)
             histories = ((single.force, 1), (single.penetration, 0), (single.rate, 0))
             read = [np.stack(list(outputs.channels(x, axes).values()), 1) for x, axes in histories]
             value, slopes = (Histories(read[0], read[1], read[2], None), _no_slopes(read))

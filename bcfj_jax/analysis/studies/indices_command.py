@@ -94,12 +94,12 @@ def text(good: Sequence[Indices], refused: dict[str, str]) -> str:
             rows.append([parameter, *(_cell(one, name, k) for name in names)])
         if np.isfinite(one.dummy):
             rows.append(["(one that does nothing)", *("" for _ in names[1:]), f"{one.dummy:.3f}"])
-        told = f"{one.method} from {one.points} points; {one.failed} points failed"
-        told += f", {one.undefined} without the feature" if one.undefined else ""
-        told += f"; {one.dropped} of {one.blocks + one.dropped} blocks left out" if one.dropped else ""
+        basis = f"{one.method} from {one.points} points; {one.failed} points failed"
+        basis += f", {one.undefined} without the feature" if one.undefined else ""
+        basis += f"; {one.dropped} of {one.blocks + one.dropped} blocks left out" if one.dropped else ""
         second = [["pair", "S2"], *pairs(one)]
         tables = [rows, second] if len(second) > 1 else [rows]
-        parts.append("\n\n".join([*map(report.text, tables), told]) + "\n")
+        parts.append("\n\n".join([*map(report.text, tables), basis]) + "\n")
     parts += [f"{name}: no indices: {why}" for name, why in refused.items()]
     return "\n".join(parts)
 

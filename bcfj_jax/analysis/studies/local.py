@@ -1,4 +1,4 @@
-"""Workers on this machine: processes that are started, watched, started again when they die, and stopped."""
+"""Workers on this machine: processes that are started, supervised, started again when they die, and stopped."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def run(store: Store, workers: int, progress: Callable[[int], None]) -> None:
     Args:
         store: the folder.
         workers: how many.
-        progress: is told the number of finished blocks.
+        progress: receives the number of finished blocks.
 
     Raises:
         Stopped: if the disk is full, or workers die again and again.

@@ -49,7 +49,7 @@ class Indices(NamedTuple):
         values: by name, (D,): "S1", "S1_conf", "ST", "ST_conf"; "mu", "mu_star", "mu_star_conf", "sigma"; "S1",
             "S1_conf", "pawn". What ends in _conf is half of a 95 % interval, by bootstrap.
         pairs: by name, (D, D), NaN on and below the diagonal: "S2", "S2_conf", where the study drew for them.
-        dummy: PAWN of a parameter that does nothing; what is not above it does nothing as far as can be told.
+        dummy: PAWN of a parameter that does nothing; what is not above it has no visible effect.
             NaN with other methods.
         points, blocks: what was used; blocks are points where the design has none.
         dropped: blocks left out since a point of them failed or has no such feature.
@@ -93,8 +93,8 @@ def indices(source: Source, feature: str, seed: int = 0) -> Indices:
     called = {"saltelli": "blocks", "morris": "trajectories"}.get(study.kind, "points")
     if left < FEWEST[study.kind] or left < _SHARE_LEFT * blocks:
         need = max(FEWEST[study.kind], int(np.ceil(_SHARE_LEFT * blocks)))
-        told = f"{left} of {blocks} {called} are without a failed or undefined point, {need} are needed"
-        raise InputError(where, told, "draw more, or narrow the ranges to where runs do not fail")
+        lack = f"{left} of {blocks} {called} are without a failed or undefined point, {need} are needed"
+        raise InputError(where, lack, "draw more, or narrow the ranges to where runs do not fail")
     y, shares = y[kept], found.shares[kept]
     if np.ptp(y) <= _NOTHING * np.max(np.abs(y)):
         raise InputError(where, f"is {y[0]:.6g} at every point", "there is nothing to share out")

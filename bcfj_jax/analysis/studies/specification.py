@@ -25,7 +25,7 @@ from bcfj_jax.core.quantities import CATALOGUE, check_value
 from bcfj_jax.io import scenefile, tables
 from bcfj_jax.io.scenefile import SceneFile
 from bcfj_jax.io.units import quantity
-from bcfj_jax.mechanism.watched import watching
+from bcfj_jax.mechanism.observed import observing
 
 MOST_POINTS = 100_000_000
 
@@ -151,7 +151,7 @@ def from_table(table: Mapping[str, Any], where: str = "study", beside: Path = Pa
         raise InputError(f"{where}: [results] features", f"'{twice}' is there twice", "name it once")
     slopes = tuple(file.results.derivatives)
     try:
-        given = replace(given, scene=watching(given.scene, wanted))
+        given = replace(given, scene=observing(given.scene, wanted))
         features = tuple(feature(name, given.scene.members) for name in wanted)
         if slopes:
             complete(given.scene, given.params, slopes)

@@ -132,7 +132,7 @@ class Store:
 
 
 def print_fault(path: Path, fault: str) -> None:
-    """Tell people that a block is done again."""
+    """Report that a block is done again."""
     import sys
 
     sys.stderr.write(f"{path.name}: {fault}; it is computed again\n")

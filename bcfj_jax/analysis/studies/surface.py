@@ -27,7 +27,7 @@ from bcfj_jax.core.errors import InputError
 
 # Observations: the likelihood takes their cube in time and their square in memory.
 MOST = 2000
-# Fewer points than this for each parameter do not tell its correlation length.
+# Fewer points than this for each parameter do not determine its correlation length.
 _FEWEST_EACH = 3
 # Correlation lengths in shares of the box; noise from rounding to as large as the feature itself, and of derivatives
 # that mean nothing far larger than any that the feature can have.
@@ -129,12 +129,12 @@ def fit(source: Source, feature: str, derivatives: bool = True) -> Surface:
     variance = spread * float(fitted.variance)
     inflation = max(1.0, np.mean(error**2 / variance))
     ratio = np.abs(error) / np.sqrt(inflation * variance)
-    judged = Error(
+    assessed = Error(
         float(scale * np.sqrt(np.mean(error**2))), float(scale * np.max(np.abs(error))), float(scale),
         float(np.mean(ratio < 1.0)), float(np.mean(ratio < 2.0)), int(y.size), int(np.count_nonzero(~kept)),
     )  # fmt: skip
     numbers = (jnp.asarray(offset), jnp.asarray(scale), jnp.asarray(inflation))
-    return Surface(feature, found.study.axes, directions, fitted, *numbers, judged)
+    return Surface(feature, found.study.axes, directions, fitted, *numbers, assessed)
 
 
 def _slopes(found: Finished, feature: str) -> tuple[np.ndarray, tuple[int, ...]]:

@@ -43,8 +43,8 @@ def run(what: str, out: Path | None, features: Sequence[str], derivatives: bool)
     outputs.write_json(folder / JSON, {one.feature: content(one) for one in good})
     for one in good:
         draw(one, found, folder / f"surface-{one.feature.replace(':', '-')}.png")
-    told = [f"{name}: no surface: {error.found}; {error.remedy}" for name, error in errors.items()]
-    return "\n".join([table(good), *told, f"results in {folder}"]), DONE
+    refused = [f"{name}: no surface: {error.found}; {error.remedy}" for name, error in errors.items()]
+    return "\n".join([table(good), *refused, f"results in {folder}"]), DONE
 
 
 def content(one: Surface) -> dict[str, Any]:

@@ -26,7 +26,7 @@ _PATIENCE_S = 0.5
 
 
 def work(store: Store, progress: Callable[[int], None] = lambda _: None) -> None:
-    """Compute what is missing; return when nothing is, whoever computed it. ``progress`` is told what is there."""
+    """Compute what is missing; return when nothing is, whoever computed it. ``progress`` receives what is there."""
     left = list(range(len(store.blocks)))
     while left:
         before = len(left)
@@ -54,12 +54,12 @@ def own_core(number: int) -> None:
 def go_with(parent: int) -> None:
     """End when the process that started this one has gone, whatever it died of."""
 
-    def watch() -> None:
+    def beat() -> None:
         while os.getppid() == parent:
             time.sleep(_PATIENCE_S)
         os._exit(INTERRUPTED)
 
-    threading.Thread(target=watch, daemon=True).start()
+    threading.Thread(target=beat, daemon=True).start()
 
 
 def main() -> int:

@@ -1,8 +1,8 @@
 """The setting to take for an error budget, as TOML.
 
 A setting is within a budget if ``SAFETY`` times its expected error is: the worst of force rms, peak and impulse there,
-on the next looser rung of its ladder and on every tighter one that was run. Errors of adaptive steps scatter, so that
-one rung may be right by luck. A solver that was off by more than ``LOST`` on any rung is not recommended on another,
+on the next looser level of its ladder and on every tighter one that was run. Errors of adaptive steps scatter, so that
+one level may be right by luck. A solver that was off by more than ``LOST`` on any level is not recommended on another,
 and none at a force error that is looser than the budget: what is right here may not be so beside it, where only what
 was asked for is promised (``benchmarks/analysis/advice.py``).
 
@@ -58,8 +58,8 @@ def recommended(study: Study) -> dict[str, dict[str, Any]]:
 def _one(study: Study, known: Sequence[float], budget: float, trusted: bool) -> dict[str, Any]:
     if not trusted or study.reference is None:
         return {"setting": None, "reason": "no reference to compare with"}
-    if SAFETY * study.reference.floor > budget:
-        return {"setting": None, "reason": f"the reference is certain to {study.reference.floor:.1e} only"}
+    if SAFETY * study.reference.least_error > budget:
+        return {"setting": None, "reason": f"the reference is certain to {study.reference.least_error:.1e} only"}
     within = [
         k
         for k, (setting, error) in enumerate(zip(study.settings, known, strict=True))
@@ -130,11 +130,11 @@ def doubts(reference: Reference | None) -> list[str]:
     if reference.truth is None:
         return [f"no reference: {certificate['reason']}"]
     found, smallest = [], BUDGETS[-1]
-    if SAFETY * reference.floor > smallest:
+    if SAFETY * reference.least_error > smallest:
         why = f": {certificate['reason']}" if certificate["reason"] else ""
         found.append(
             f"the two references differ by {worst(certificate['errors']):.1e}: budgets below "
-            f"{100 * SAFETY * reference.floor:.2g} % cannot be judged{why}"
+            f"{100 * SAFETY * reference.least_error:.2g} % cannot be tested{why}"
         )
     if reference.slopes is None:
         found.append(f"no reference for derivatives: {certificate['derivatives']['reason']}")

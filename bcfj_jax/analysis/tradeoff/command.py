@@ -35,7 +35,7 @@ def run(
         only, derivatives: as ``settings.settings``.
         budget: seconds for this call.
         out: folder for the results, None for one made up.
-        say: is told of the progress.
+        say: receives the progress.
 
     Returns:
         The results in words, and the exit code of the contract.

@@ -28,9 +28,9 @@ def tradeoff(study: Study, advice: Mapping[str, Mapping[str, Any]], path: Path, 
         drawing, axes = plots.figure(1, 2 if slopes else 1, width=12.5 if slopes else 8.0, height=5.4)
         errors = {row["setting"]: worst(row) for row in study.rows if row["status"] == OK}
         walls = {row["setting"]: row["wall_s"] for row in study.rows if row["status"] == OK}
-        floor = study.reference.floor if study.reference else float("nan")
-        _panel(axes[0], study, walls, errors, floor)
-        _front(axes[0], study, errors, floor)
+        least_error = study.reference.least_error if study.reference else float("nan")
+        _panel(axes[0], study, walls, errors, least_error)
+        _front(axes[0], study, errors, least_error)
         _chosen(axes[0], advice, walls, errors)
         axes[0].set_title(f"{title}: worst of force rms, peak and impulse")
         axes[0].set_ylabel("error [-]")
@@ -38,13 +38,17 @@ def tradeoff(study: Study, advice: Mapping[str, Mapping[str, Any]], path: Path, 
         if slopes:
             errors = {r["setting"]: r["derivative_error"] for r in study.rows if np.isfinite(r["derivative_error"])}
             walls = {row["setting"]: row["derivative_wall_s"] for row in study.rows}
-            _panel(axes[1], study, walls, errors, study.reference.slopes_floor if study.reference else float("nan"))
+            _panel(
+                axes[1], study, walls, errors, study.reference.least_slope_error if study.reference else float("nan")
+            )
             axes[1].set_title("derivatives of the forces, rms")
             axes[1].set_ylabel("error of derivatives [-]")
         plots.save(drawing, path)
 
 
-def _panel(axis: Axes, study: Study, walls: Mapping[str, float], errors: Mapping[str, float], floor: float) -> None:
+def _panel(
+    axis: Axes, study: Study, walls: Mapping[str, float], errors: Mapping[str, float], least_error: float
+) -> None:
     """Ladders of solvers as lines, other settings by what they set."""
     kinds: dict[str, list[str]] = {}
     for setting in study.settings:
@@ -63,19 +67,19 @@ def _panel(axis: Axes, study: Study, walls: Mapping[str, float], errors: Mapping
     axis.set_yscale("log")
     axis.set_xlabel("wall time of a run, compiled [s]")
     low, high = axis.get_ylim()
-    if floor > 0:
-        low = min(low, floor / 3.0)
-        axis.axhspan(low, floor, color="#9a9a9a", alpha=0.18, linewidth=0)
+    if least_error > 0:
+        low = min(low, least_error / 3.0)
+        axis.axhspan(low, least_error, color="#9a9a9a", alpha=0.18, linewidth=0)
         inside = {"transform": axis.get_yaxis_transform(), "fontsize": 7.5, "color": "#555555"}
-        axis.text(0.99, floor, "below: not told apart by the reference", ha="right", va="top", **inside)
+        axis.text(0.99, least_error, "below: not distinguished by the reference", ha="right", va="top", **inside)
     axis.set_ylim(low, high)
 
 
-def _front(axis: Axes, study: Study, errors: Mapping[str, float], floor: float) -> None:
+def _front(axis: Axes, study: Study, errors: Mapping[str, float], least_error: float) -> None:
     best = sorted((row["wall_s"], errors[row["setting"]]) for row in study.rows if row["pareto"])
     if best:
         x, y = np.array(best).T
-        y = np.minimum(np.maximum(y, floor if floor > 0 else 0.0), _TOP)
+        y = np.minimum(np.maximum(y, least_error if least_error > 0 else 0.0), _TOP)
         axis.step(x, y, where="post", color="#222222", linewidth=2.2, alpha=0.35, label="Pareto front", zorder=0)
 
 

@@ -24,8 +24,8 @@ from bcfj_jax.solve.integrate import MAX_STEPS
 from bcfj_jax.solve.simulation import Run
 
 NAME = "reference.npz"
-# Below this many times its own error a reference tells settings apart no more.
-TELLS = 3.0
+# Below this many times its own error a reference does not distinguish settings.
+SEPARATES = 3.0
 # By whether the scene is stiff: solver and force error, step by step; of those in a step the first two that succeed.
 _METHODS = {
     False: tuple(tuple((solver, e) for solver in ("tsit5", "kvaerno5", "bosh3")) for e in (1e-7, 1e-9)),
@@ -57,14 +57,14 @@ class Reference(NamedTuple):
     certificate: dict[str, Any]
 
     @property
-    def floor(self) -> float:
-        """Error below which settings are not told apart."""
-        return TELLS * worst(self.certificate["errors"]) if self.truth else float("nan")
+    def least_error(self) -> float:
+        """Error below which settings are not distinguished."""
+        return SEPARATES * worst(self.certificate["errors"]) if self.truth else float("nan")
 
     @property
-    def slopes_floor(self) -> float:
+    def least_slope_error(self) -> float:
         """The same of derivatives."""
-        return TELLS * float(self.certificate["derivatives"]["error"]) if self.slopes is not None else float("nan")
+        return SEPARATES * float(self.certificate["derivatives"]["error"]) if self.slopes is not None else float("nan")
 
 
 def reference(
@@ -75,7 +75,7 @@ def reference(
     Args:
         given: the user's scene file.
         left: seconds left for the whole study, now.
-        say: is told of the progress.
+        say: receives the progress.
         derivatives: whether to certify derivatives, too.
     """
     names = parameters(given)
@@ -176,11 +176,11 @@ def _slopes(given: SceneFile, names: tuple[str, ...]) -> tuple[np.ndarray | None
         if each.value is None:
             failures.append(f"{solver}: {each.reason}")
             continue
-        told = {"solver": solver, "force_error": error, "wall_s": each.wall_s, "compile_s": each.compile_s}
+        how_dear = {"solver": solver, "force_error": error, "wall_s": each.wall_s, "compile_s": each.compile_s}
         if truth is None:
-            truth, first = each.value, told
+            truth, first = each.value, how_dear
             continue
-        witnesses.append((derivative_error(each.value, truth), told))
+        witnesses.append((derivative_error(each.value, truth), how_dear))
         if not stiff:
             break
     said = {"parameters": names, "methods": [first] if first else [], "error": float("nan")}

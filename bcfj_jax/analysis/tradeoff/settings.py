@@ -28,7 +28,7 @@ _WIDTHS_OF_DEPTH = (0.01, 0.03, 0.1, 0.3)
 _FACTORS = {"smoothing": (0.25, 0.5, 2.0, 4.0), "friction_speed": (1 / 3, 2.0, 3.0, 10.0)}
 _THINNED = (4, 16)
 _PHYSICS = {
-    "smoothing": "the onset of penetration is {:.2g} times as wide: contacts begin {}",
+    "smoothing": "the contact regularisation is {:.2g} times as wide: contacts begin {}",
     "friction_speed": "friction's transition speed is {:.2g} times the given: what sticks creeps {}",
     "output": "a sample of every {} is kept, straight lines between: peaks between samples are cut",
 }
@@ -115,8 +115,8 @@ def level(given: SceneFile) -> str:
     return given.resolved["scene"][option] if option else given.scene.title
 
 
-def rungs(scene: AbstractModel, errors: tuple[float, ...] = ERRORS) -> list[float]:
-    """Force errors that are told apart by the tolerance they give; of those alike the smallest."""
+def distinct(scene: AbstractModel, errors: tuple[float, ...] = ERRORS) -> list[float]:
+    """Force errors that give different tolerances; of those with one tolerance the smallest."""
     last: dict[float, float] = {float(plan(scene, error).tolerance): error for error in errors}
     return list(last.values())
 
@@ -182,7 +182,7 @@ def _percent(error: float) -> str:
 def _tolerances(given: SceneFile) -> Iterator[Setting]:
     stiff = given.scene.traits.stiff
     for solver in named.known(stiff):
-        for place, error in enumerate(rungs(given.scene)):
+        for place, error in enumerate(distinct(given.scene)):
             change = {"accuracy": _accuracy(given, error, solver)}
             # The tangents' own control below 5e-4 is BDF's; looser ones are SDIRK2's (integrate).
             fit = {"sdirk2": error >= 5e-4, "bdf": 1e-5 <= error < 5e-4, "rodas3": False}
@@ -236,7 +236,7 @@ def _knobs(given: SceneFile, moves: bool) -> Iterator[Setting]:
 
 
 def _knobs_at(scene: AbstractModel) -> list[float]:
-    return rungs(scene, _KNOBS_AT[scene.traits.large])
+    return distinct(scene, _KNOBS_AT[scene.traits.large])
 
 
 def _precisions(given: SceneFile, moves: bool) -> Iterator[Setting]:

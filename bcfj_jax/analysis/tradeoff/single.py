@@ -55,10 +55,10 @@ def single(table: Mapping[str, Any], seconds: float) -> Trial:
             last = [line for line in done.stderr.splitlines() if line.strip()][-1:] or [f"exit {done.returncode}"]
             raise RuntimeError(f"32-bit numbers: {last[0]}")
         with np.load(out) as kept:
-            told = json.loads(str(kept["told"]))
-            parts = {name: {c: kept[f"{name} {c}"] for c in told["contacts"][name]} for name in _READ}
-            run = Run(times=kept["times"], **parts, **told["ending"])
-    return Trial(run, told["cost"])
+            result = json.loads(str(kept["result"]))
+            parts = {name: {c: kept[f"{name} {c}"] for c in result["contacts"][name]} for name in _READ}
+            run = Run(times=kept["times"], **parts, **result["status"])
+    return Trial(run, result["cost"])
 
 
 def _child(table: Mapping[str, Any], out: Path) -> None:
@@ -71,13 +71,13 @@ def _child(table: Mapping[str, Any], out: Path) -> None:
     params = {name: jax.numpy.asarray(np.float32(value)) for name, value in given.params.items()}
     how = Plan(jax.numpy.asarray(np.float32(tolerance)), given.max_steps, solver=given.solver)
     run, cost = repeatedly(lambda: timed(given.scene, params, given.times, how))
-    told = {
+    result = {
         "contacts": {name: list(getattr(run, name)) for name in _READ},
-        "ending": {"status": run.status, "reason": run.reason, "failure_time": run.failure_time, "stats": run.stats},
+        "status": {"status": run.status, "reason": run.reason, "failure_time": run.failure_time, "stats": run.stats},
         "cost": cost,
     }
     arrays = {f"{name} {c}": np.asarray(x, float) for name in _READ for c, x in getattr(run, name).items()}
-    np.savez(out, allow_pickle=False, times=given.times, told=json.dumps(told), **arrays)
+    np.savez(out, allow_pickle=False, times=given.times, result=json.dumps(result), **arrays)
 
 
 if __name__ == "__main__":

@@ -31,7 +31,7 @@ _NOTHING = {name: float("nan") for name in COLUMNS[1:7]} | {
     "status": FAILED, "pareto": False, **UNKNOWN, "precision": "", "steps": 0, "repeats": 0,
     "derivative_wall_s": float("nan"), "derivative_compile_s": float("nan"), "at_reference": False, "reason": "",
 }  # fmt: skip
-# How much dearer the next rung of a ladder is taken to be, at least.
+# How much dearer the next level of a ladder is taken to be, at least.
 _NEXT = 1.5
 
 
@@ -82,7 +82,7 @@ def study(given: SceneFile, todo: list[Setting], journal: Journal, budget: float
         todo: the settings, ``settings.settings``.
         journal: where finished settings are kept, and taken from; the reference's arrays lie beside it.
         budget: seconds; settings that would not fit any more are not run.
-        say: is told of the progress.
+        say: receives the progress.
 
     Ctrl-C ends it with what is finished.
     """
@@ -94,13 +94,13 @@ def study(given: SceneFile, todo: list[Setting], journal: Journal, budget: float
         for number, setting in enumerate(todo):
             check()
             rows[number] |= _row(given, setting, truth, journal, clock)
-            say(f"[{number + 1}/{len(todo)}] {setting.name}: {_told(rows[number])}")
+            say(f"[{number + 1}/{len(todo)}] {setting.name}: {_line(rows[number])}")
     except KeyboardInterrupt:
         return Study(todo, _fronted(rows, truth), truth, True)
     return Study(todo, _fronted(rows, truth), truth, False)
 
 
-def _told(row: dict[str, Any]) -> str:
+def _line(row: dict[str, Any]) -> str:
     if row["status"] != OK:
         return f"{row['status']} {row['reason']}".strip()
     return f"worst error {worst(row):.1e}, {row['wall_s']:.3g} s"
@@ -150,7 +150,7 @@ def _measured(given: SceneFile, file: SceneFile, setting: Setting, truth: Refere
     if found.status != "ok":
         return row | {"status": FAILED, "reason": f"{found.reason}, at {found.failure_time:g} s"}
     row |= {"status": OK, **errors(measured(found, given.times, given.scene.traits.turning), truth.truth, given.times)}
-    row["at_reference"] = worst(row) <= truth.floor
+    row["at_reference"] = worst(row) <= truth.least_error
     if setting.derivatives and truth.slopes is not None:
         each = slopes(file, tuple(truth.certificate["derivatives"]["parameters"]))
         row |= {"derivative_wall_s": each.wall_s, "derivative_compile_s": each.compile_s}
@@ -166,9 +166,11 @@ def _fronted(rows: list[dict[str, Any]], truth: Reference | None) -> list[dict[s
 
     Numbers that the package refuses are on no front.
     """
-    floor = truth.floor if truth and truth.truth else 0.0
+    least_error = truth.least_error if truth and truth.truth else 0.0
     runs = [row["status"] == OK and row["group"] != "precision" for row in rows]
-    place = [(r["wall_s"], np.maximum(worst(r), floor)) if here else None for r, here in zip(rows, runs, strict=True)]
+    place = [
+        (r["wall_s"], np.maximum(worst(r), least_error)) if here else None for r, here in zip(rows, runs, strict=True)
+    ]
     known = [p for p in place if p is not None and np.isfinite(p[1])]
 
     def best(p: tuple[float, float] | None) -> bool:

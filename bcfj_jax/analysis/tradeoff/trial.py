@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bcfj_jax.analysis.derivatives.jacobian import rung
+from bcfj_jax.analysis.derivatives.jacobian import level
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.status import reason
 from bcfj_jax.io.scenefile import SceneFile, from_table
@@ -42,8 +42,8 @@ def trial(given: SceneFile, repeated: bool = True) -> Trial:
     """Run a scene file, several times where that is cheap; errors as ``simulate``."""
 
     def once() -> Run:
-        effort: dict[str, Any] = {"max_steps": given.max_steps, "solver": given.solver}
-        return simulate(given.scene, given.params, given.times, accuracy=given.accuracy, **effort)
+        budget: dict[str, Any] = {"max_steps": given.max_steps, "solver": given.solver}
+        return simulate(given.scene, given.params, given.times, accuracy=given.accuracy, **budget)
 
     return repeatedly(once, repeated)
 
@@ -83,10 +83,10 @@ def slopes(given: SceneFile, names: tuple[str, ...]) -> Slopes:
     """Derivatives of a scene file's forces by the logarithms of parameters, by forward tangents."""
     try:
         how = plan(given.scene, given.accuracy, given.max_steps, given.solver)
-        found = rung(given.scene, given.params, given.times, names, how)
+        found = level(given.scene, given.params, given.times, names, how)
         compile_s = found.compile_s
         if compile_s > _LOOK_UP and found.wall_s < _ONCE:
-            found = rung(given.scene, given.params, given.times, names, how)
+            found = level(given.scene, given.params, given.times, names, how)
     except InputError as error:
         return Slopes(None, float("nan"), float("nan"), str(error))
     compile_s = compile_s if compile_s > _LOOK_UP else 0.0

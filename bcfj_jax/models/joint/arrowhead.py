@@ -1,8 +1,8 @@
 """The joint's Jacobian by relative motion, and its factorisation as an arrowhead.
 
 Balls touch only seat, head and cage, so with the places eliminated (they are integrals of the velocities) the matrix
-I/s - J  is  one (twist x twist) block a ball, bordered by head, cage and seat. Blocks are eliminated ball by
-ball; what is left is one matrix of the border's size, whose inverse is kept.
+I/s - J  is  one (twist x twist) block a ball, and coupling coordinates of head, cage and seat. Blocks are eliminated ball by
+ball; what is left is one matrix of the coupling's size, whose inverse is kept.
 
 ``blocks`` has the derivatives. Bristles, local to a face, are eliminated before the balls (``bristles``).
 """
@@ -32,11 +32,11 @@ class Factors(NamedTuple):
     ball_inverse: Array
     column: Array
     row: Array
-    border_inverse: Array
+    coupling_inverse: Array
     axis: Array
     spin: Array
-    ball_lightness: Array
-    border_lightness: Array
+    ball_inverse_mass: Array
+    coupling_inverse_mass: Array
 
 
 def _cayley(vector: Array, spin: Array, scale: Array) -> Array:
@@ -72,34 +72,34 @@ class Arrowhead(AbstractStructure):
         state = system.view(scene, c, y)
         rate = jax.jvp(lambda t: system.applied(scene, c, t, state), (t,), (jnp.ones_like(t),))[1]
         unbent = [jnp.zeros(scene.states - scene.moving)] if scene.bristles else []
-        return jnp.concatenate([jnp.zeros(scene.moving - scene.border), rate * c.border_lightness, *unbent])
+        return jnp.concatenate([jnp.zeros(scene.moving - scene.coupling), rate * c.coupling_inverse_mass, *unbent])
 
     def factor(self, t: Any, y: Array, args: Any, scale: Any) -> Factors:
-        """Blocks, the balls' inverses, the border's Schur complement inverted."""
+        """Blocks, the balls' inverses, the coupling's Schur complement inverted."""
         scene, c = args
         d = _blocks(scene, c, y, scale if scene.bristles else None)
         k = scene.twist
         state = system.view(scene, c, y)
-        lift = c.ball_lightness[:, None]
+        lift = c.ball_inverse_mass[:, None]
         ball = jnp.eye(k) / scale - lift * (d.ball_rate.at[..., :3].add(scale * d.ball_place))
-        column_place, border_place = d.column_place * scale, d.border_place * scale
-        tilt = scene.slots["cage_turn"]
+        column_place, coupling_place = d.column_place * scale, d.coupling_place * scale
+        tilt = scene.slices["cage_turn"]
         if tilt is not None:
             turn = self._turn(state.cage_axis, state.cage_spin, scale)
             column_place = column_place.at[..., tilt].set(d.column_place[..., tilt] @ turn)
-            border_place = border_place.at[:, tilt].set(d.border_place[:, tilt] @ turn)
+            coupling_place = coupling_place.at[:, tilt].set(d.coupling_place[:, tilt] @ turn)
             if d.bristles is not None:
                 # The state has the axis b, whose change db is the rotation  b x db.
                 tilts = slice(3 * scene.balls + tilt.start, 3 * scene.balls + tilt.stop)
                 turning = d.bristles.back[:, tilts] @ jnp.cross(jnp.eye(3), state.cage_axis)
                 d = d._replace(bristles=d.bristles._replace(back=d.bristles.back.at[:, tilts].set(turning)))
         column = -lift * (d.column_rate + column_place)
-        weight = c.border_lightness[:, None]
+        weight = c.coupling_inverse_mass[:, None]
         row = -weight * (d.row_rate.at[..., :3].add(scale * d.row_place))
-        border = jnp.eye(scene.border) / scale - weight * (d.border_rate + border_place)
+        coupling = jnp.eye(scene.coupling) / scale - weight * (d.coupling_rate + coupling_place)
         ball_inverse = inverse3(ball) if k == 3 else inverse6(ball)
         column = ball_inverse @ column
-        schur = border - jnp.sum(row @ column, 0)
+        schur = coupling - jnp.sum(row @ column, 0)
         return Factors(
             d,
             scale,
@@ -109,8 +109,8 @@ class Arrowhead(AbstractStructure):
             inverse(schur),
             state.cage_axis,
             state.cage_spin,
-            c.ball_lightness,
-            c.border_lightness,
+            c.ball_inverse_mass,
+            c.coupling_inverse_mass,
         )
 
     @staticmethod
@@ -121,17 +121,17 @@ class Arrowhead(AbstractStructure):
         return scale * jnp.swapaxes(jnp.cross(axis, tilted), 0, 1)
 
     def solve(self, factors: Factors, right: Array) -> Array:
-        """Places and bristles eliminated, balls eliminated, border solved, and back."""
+        """Places and bristles eliminated, balls eliminated, coupling solved, and back."""
         d, s = factors.blocks, factors.scale
-        n, k, b = d.ball_rate.shape[0], d.ball_rate.shape[1], d.border_rate.shape[0]
+        n, k, b = d.ball_rate.shape[0], d.ball_rate.shape[1], d.coupling_rate.shape[0]
         place, at = right[: 3 * n].reshape(n, 3), right[3 * n : 3 * n + b]
         twist = right[3 * n + b : (3 + k) * n + b].reshape(n, k)
         rate = right[(3 + k) * n + b : (3 + k) * n + 2 * b]
         if d.bristles is not None:
             own = jnp.einsum("fij,fj->fi", d.bristles.inverse, right[(3 + k) * n + 2 * b :].reshape(-1, 3)).ravel()
             lifted = d.bristles.lift @ own
-            twist = twist + factors.ball_lightness * lifted[: n * k].reshape(n, k)
-            rate = rate + factors.border_lightness * lifted[n * k :]
+            twist = twist + factors.ball_inverse_mass * lifted[: n * k].reshape(n, k)
+            rate = rate + factors.coupling_inverse_mass * lifted[n * k :]
         # Where the cage is free its turn stands before the seat's, which is last.
         tilted = b >= 8
         shift = s * at
@@ -139,14 +139,14 @@ class Arrowhead(AbstractStructure):
             tilt = slice(b - 4, b - 1)
             known = s * _cayley(at[tilt], factors.spin, s)
             shift = shift.at[tilt].set(jnp.cross(factors.axis, known))
-        ball = twist + factors.ball_lightness * (
+        ball = twist + factors.ball_inverse_mass * (
             jnp.einsum("nkj,nj->nk", d.ball_place, s * place) + jnp.einsum("nkb,b->nk", d.column_place, shift)
         )
-        border = rate + factors.border_lightness * (
-            jnp.einsum("nbj,nj->b", d.row_place, s * place) + d.border_place @ shift
+        coupling = rate + factors.coupling_inverse_mass * (
+            jnp.einsum("nbj,nj->b", d.row_place, s * place) + d.coupling_place @ shift
         )
         ball = jnp.einsum("nkl,nl->nk", factors.ball_inverse, ball)
-        rates = factors.border_inverse @ (border - jnp.einsum("nbk,nk->b", factors.row, ball))
+        rates = factors.coupling_inverse @ (coupling - jnp.einsum("nbk,nk->b", factors.row, ball))
         twists = ball - jnp.einsum("nkb,b->nk", factors.column, rates)
         places = s * (place + twists[:, :3])
         moved = s * (at + rates)

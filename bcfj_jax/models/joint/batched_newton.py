@@ -1,6 +1,6 @@
-"""The search for equilibrium: Newton's method at many instants, on a pool of lanes.
+"""The search for equilibrium: Newton's method at many instants, on a batch of width.
 
-A line search on the slope (forces are all that is known; their energy is not). The pool works through the instants,
+A line search on the slope (forces are all that is known; their energy is not). The batch works through the instants,
 coarse ones first, so that the others start between solved neighbours; a lane that has converged takes the next
 instant, and none waits for the slowest. Neighbours under steady load are those of like phase: a turn by one ball's
 pitch with the balls renumbered changes nothing, so one of them starts where another ended. It starts there and no
@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.models.joint.equilibrium_residual import Matrix, Places, Problem, balance, slots_of, solve
+from bcfj_jax.models.joint.equilibrium_residual import Matrix, Places, Problem, balance, slices_of, solve
 from bcfj_jax.models.joint.scene import Joint
 
 # Longest step of any unknown [m], about the range over which a contact's stiffness is what it was.
@@ -27,8 +27,8 @@ _CLOSE = 1e-10
 _TURNED, _SHORTEST = 3.0, 0.01
 # Evaluations an instant may take, and how many of them from its neighbours' places; then it starts again from zero.
 _TRIALS, _PATIENCE = 240, 100
-# In the pool.
-_LANES = 16
+# In the batch.
+_SIZE = 16
 # Every so many instants one starts from the zero-clearance position; a power of two.
 _STRIDE = 64
 
@@ -48,18 +48,18 @@ def pull(scene: Joint, problem: Problem, drift: Problem, matrix: Matrix) -> Plac
     The seat's tracks turn away under the balls, the load rises, and the grounding's springs move on.
     """
     swept = problem.spring * problem.lever * drift.seat
-    border = (
-        jnp.zeros((matrix.border.shape[0], swept.size))
-        .at[slots_of(scene)["turn"]]
+    coupling = (
+        jnp.zeros((matrix.coupling.shape[0], swept.size))
+        .at[slices_of(scene)["turn"]]
         .set(drift.torque / problem.lever - swept)
     )
-    return Places(matrix.seat * drift.seat - problem.spring * drift.ball, border)
+    return Places(matrix.seat * drift.seat - problem.spring * drift.ball, coupling)
 
 
 def displaced(scene: Joint, problem: Problem, drift: Problem, back: Places) -> Places:
     """Rates of the displacements from the solution for ``pull``."""
-    border = (-back.border).at[slots_of(scene)["turn"]].add(-problem.lever * drift.seat)
-    return Places(-back.ball - drift.ball, border)
+    coupling = (-back.coupling).at[slices_of(scene)["turn"]].add(-problem.lever * drift.seat)
+    return Places(-back.ball - drift.ball, coupling)
 
 
 def _queue(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -89,8 +89,8 @@ def _neighbourhood(problem: Problem, pitch: float, times: Array) -> tuple[Array,
     return rank, place[rank]
 
 
-class _Lanes(NamedTuple):
-    """The pool: instants in work (T where idle), last accepted places, step from them, slope, fraction, evaluations."""
+class _Batch(NamedTuple):
+    """The batch: instants in work (T where idle), last accepted places, step from them, slope, fraction, evaluations."""
 
     index: Array
     base: Array
@@ -103,11 +103,11 @@ class _Lanes(NamedTuple):
 def search(scene: Joint, problem: Problem, drift: Problem, times: Array, near: Places | None = None) -> Found:
     """Newton's method at every instant; from ``near``, a solution for other parameters, where there is one."""
     count, n = times.size, scene.balls
-    size = 3 * n + sum(slot.stop - slot.start for slot in slots_of(scene).values())
-    lanes = min(_LANES, count)
+    size = 3 * n + sum(piece.stop - piece.start for piece in slices_of(scene).values())
+    width = min(_SIZE, count)
     alone = np.arange(count), np.full(count, -1), np.full(count, -1)
     order, left, right = (jnp.asarray(x) for x in (_queue(count) if near is None else alone))
-    order = jnp.concatenate([order, jnp.full(lanes, count)])
+    order = jnp.concatenate([order, jnp.full(width, count)])
     pitch = 2.0 * np.pi / n
     rank, place = _neighbourhood(problem, pitch, times)
     problem, drift = (
@@ -115,7 +115,7 @@ def search(scene: Joint, problem: Problem, drift: Problem, times: Array, near: P
     )
     seat = problem.seat
     span = place[right] - place[left]
-    # Clipped: between an instant that is told by its time and one by its phase it has no meaning.
+    # Clipped: between an instant placed by its time and one by its phase it has no meaning.
     weight = jnp.clip(jnp.where(span > 0, (place - place[left]) / jnp.where(span > 0, span, 1.0), 0.5), 0.0, 1.0)
 
     def split(x: Array) -> Places:
@@ -129,7 +129,7 @@ def search(scene: Joint, problem: Problem, drift: Problem, times: Array, near: P
         return balance(scene, instants(problem, index), split(x))
 
     def join(at: Places) -> Array:
-        return jnp.concatenate([at.ball.reshape(3 * n, -1), at.border])
+        return jnp.concatenate([at.ball.reshape(3 * n, -1), at.coupling])
 
     def renumbered(x: Array, i: Array, other: Array) -> Array:
         """Places of instant ``other`` for instant ``i``: of each ball, those of the ball that was nearest to it."""
@@ -146,38 +146,38 @@ def search(scene: Joint, problem: Problem, drift: Problem, times: Array, near: P
     def body(carry: Any) -> Any:
         # Forces come over from the round before: in one round with the solution the compiler would compute them
         # again for every reader.
-        pool, x, (out, matrix), taken, known, rates, state, spent = carry
-        here, moving = instants(problem, pool.index), instants(drift, pool.index)
+        batch, x, (out, matrix), taken, known, rates, state, spent = carry
+        here, moving = instants(problem, batch.index), instants(drift, batch.index)
         step, back = solve(matrix, out, pull(scene, here, moving, matrix))
         out, step = join(out), join(step)
-        trials = pool.trials + 1
-        slope = jnp.sum(out * pool.step, 0)
-        turned = (slope < -_TURNED * pool.slope) & (pool.slope > 0) & (pool.part > _SHORTEST)
+        trials = batch.trials + 1
+        slope = jnp.sum(out * batch.step, 0)
+        turned = (slope < -_TURNED * batch.slope) & (batch.slope > 0) & (batch.part > _SHORTEST)
         longest = jnp.max(jnp.abs(step), 0)
         good = ~turned & (longest < _CLOSE)
         ended = good | (trials >= _TRIALS) | ~jnp.isfinite(longest)
-        cut = jnp.clip(pool.slope / (pool.slope - slope), 0.1, 0.7)
-        pool = _Lanes(
-            pool.index,
-            jnp.where(turned, pool.base, x),
-            jnp.where(turned, pool.step, step),
-            jnp.where(turned, pool.slope, jnp.sum(out * step, 0)),
-            jnp.where(turned, pool.part * cut, jnp.minimum(1.0, _REACH / longest)),
+        cut = jnp.clip(batch.slope / (batch.slope - slope), 0.1, 0.7)
+        batch = _Batch(
+            batch.index,
+            jnp.where(turned, batch.base, x),
+            jnp.where(turned, batch.step, step),
+            jnp.where(turned, batch.slope, jnp.sum(out * step, 0)),
+            jnp.where(turned, batch.part * cut, jnp.minimum(1.0, _REACH / longest)),
             trials,
         )
         stuck = trials == _PATIENCE
         if near is None:
-            stuck &= left[jnp.minimum(pool.index, count - 1)] >= 0
-        nowhere = _Lanes(*(jnp.zeros_like(part) for part in pool))._replace(index=pool.index, trials=trials)
-        pool = jax.tree.map(lambda new, old: jnp.where(stuck, new, old), nowhere, pool)
-        busy = pool.index < count
-        where = jnp.where(ended & busy, pool.index, count)
+            stuck &= left[jnp.minimum(batch.index, count - 1)] >= 0
+        nowhere = _Batch(*(jnp.zeros_like(part) for part in batch))._replace(index=batch.index, trials=trials)
+        batch = jax.tree.map(lambda new, old: jnp.where(stuck, new, old), nowhere, batch)
+        busy = batch.index < count
+        where = jnp.where(ended & busy, batch.index, count)
         known = known.at[:, where].set(x - step, mode="drop")
         rates = rates.at[:, where].set(join(displaced(scene, here, moving, back)), mode="drop")
         # 1: converged, 2: given up, 0: not yet.
         state = state.at[where].set(jnp.where(good, 1, 2), mode="drop")
         spent = spent.at[where].set(trials, mode="drop")
-        # Idle lanes look at the next of the queue in turn; each waits for its own neighbours.
+        # Idle width look at the next of the queue in turn; each waits for its own neighbours.
         idle = ended | ~busy
         nth = taken + jnp.cumsum(idle) - 1
         candidate = jnp.where(idle, order[jnp.minimum(nth, count)], count)
@@ -192,19 +192,19 @@ def search(scene: Joint, problem: Problem, drift: Problem, times: Array, near: P
         share = jnp.where(first & last, weight[i], jnp.where(last, 1.0, 0.0))
         a, b = (jnp.where(k, renumbered(known[:, s[i]], i, s[i]), 0.0) for k, s in ((first, left), (last, right)))
         guess = jnp.where(left[i] < 0, origin[:, i], a + share * (b - a))
-        fresh = _Lanes(candidate, guess, jnp.zeros_like(x), jnp.zeros(lanes), jnp.ones(lanes), jnp.zeros(lanes, int))
-        pool = jax.tree.map(lambda new, old: jnp.where(idle, new, old), fresh, pool)
-        x = pool.base - pool.part * pool.step
-        return pool, x, forces(pool.index, x), taken, known, rates, state, spent
+        fresh = _Batch(candidate, guess, jnp.zeros_like(x), jnp.zeros(width), jnp.ones(width), jnp.zeros(width, int))
+        batch = jax.tree.map(lambda new, old: jnp.where(idle, new, old), fresh, batch)
+        x = batch.base - batch.part * batch.step
+        return batch, x, forces(batch.index, x), taken, known, rates, state, spent
 
     def empty(rows: int) -> Array:
-        return jnp.zeros((rows, lanes))
+        return jnp.zeros((rows, width))
 
-    nobody = _Lanes(
-        jnp.full(lanes, count), empty(size), empty(size), jnp.zeros(lanes), jnp.ones(lanes), jnp.zeros(lanes, int)
+    nobody = _Batch(
+        jnp.full(width, count), empty(size), empty(size), jnp.zeros(width), jnp.ones(width), jnp.zeros(width, int)
     )
     flat = jax.eval_shape(forces, nobody.index, nobody.base)
-    # Every lane is idle in the first round: what it solves is thrown away.
+    # Every place is idle in the first round: what it solves is thrown away.
     nothing = jax.tree.map(lambda s: jnp.ones(s.shape), flat)
     results = (jnp.zeros((size, count)), jnp.zeros((size, count)), jnp.zeros(count, int), jnp.zeros(count, int))
     start = (nobody, nobody.base, nothing, jnp.asarray(0), *results)

@@ -44,10 +44,10 @@ class Bristled(NamedTuple):
 
 
 class Blocks(NamedTuple):
-    """Derivative of contact wrenches and border forces; n balls, k twists, b border coordinates.
+    """Derivative of contact wrenches and coupling forces; n balls, k twists, b coupling coordinates.
 
-    ``place`` by displacement, ``rate`` by velocity: of ball i by itself (n, k, 3 | k), of ball i by the border
-    (n, k, b), of the border by ball i (n, b, 3 | k), of the border by itself (b, b). The cage's turn is a
+    ``place`` by displacement, ``rate`` by velocity: of ball i by itself (n, k, 3 | k), of ball i by the coupling
+    (n, k, b), of the coupling by ball i (n, b, 3 | k), of the coupling by itself (b, b). The cage's turn is a
     rotation vector here.
     """
 
@@ -57,8 +57,8 @@ class Blocks(NamedTuple):
     column_rate: Array
     row_place: Array
     row_rate: Array
-    border_place: Array
-    border_rate: Array
+    coupling_place: Array
+    coupling_rate: Array
     bristles: Bristled | None = None
 
 
@@ -72,7 +72,7 @@ def _felt(arm: Array, wrench: Array) -> Array:
 
 
 def _spread(scene: Joint, c: Constants, x: Array) -> Array:
-    """From displacements and rotations of the bodies (..., m, j, 6) to border coordinates (..., j, border)."""
+    """From displacements and rotations of the bodies (..., m, j, 6) to coupling coordinates (..., j, coupling)."""
     seat, head = x[..., 0, :, :], x[..., 1, :, :]
     cage = x[..., 2, :, :] if x.shape[-3] == 3 else jnp.zeros_like(head)
     parts = {
@@ -82,20 +82,20 @@ def _spread(scene: Joint, c: Constants, x: Array) -> Array:
         "cage_turn": cage[..., 3:],
         "seat_turn": dot(seat[..., 3:], c.axes[0])[..., None],
     }
-    return jnp.concatenate([parts[name] for name, slot in scene.slots.items() if slot is not None], -1)
+    return jnp.concatenate([parts[name] for name, piece in scene.slices.items() if piece is not None], -1)
 
 
 def _alone(scene: Joint, c: Constants, state: system.State, scale: Any) -> tuple[Array, Array, list[tuple]]:
-    """Derivatives of pilot and drive forces by border displacement and border rate, (b, b); bristles' ``_rows``.
+    """Derivatives of pilot and drive forces by coupling displacement and coupling rate, (b, b); bristles' ``_rows``.
 
     Spheres have no axes, so only the distance p of the centres and the relative twist count, and
     dv = ... - w_outer x dp; the forces' map moves with p too.
     """
-    b = scene.border
+    b = scene.coupling
     place, rate, rows = jnp.zeros((b, b)), jnp.zeros((b, b)), []
-    if c.pilot_skin is not None:
+    if c.pilot_laws is not None:
         at, motion, bent, spin = system.piloted(scene, c, state)
-        found, freed = slopes(c.pilot_skin, at, motion.velocity, motion.spin, bent), None
+        found, freed = slopes(c.pilot_laws, at, motion.velocity, motion.spin, bent), None
         if found.bond is not None:
             freed = free(found.bond, spin, scale)
             found, _, by_spin = effective(found, freed)
@@ -117,16 +117,16 @@ def _alone(scene: Joint, c: Constants, state: system.State, scale: Any) -> tuple
                         (freed.inverse[i], back[i] @ freed.pull[i, 0], by_place[i] @ c.guides.moves[i], by_rate[i])
                     )
     if scene.drive == "flexible":
-        seat = scene.slots["seat_turn"]
+        seat = scene.slices["seat_turn"]
         assert seat is not None
         place, rate = place.at[seat, seat].add(-c.drive_stiffness), rate.at[seat, seat].add(-c.drive_damping)
     return place, rate, rows
 
 
 def _rows(c: Constants, around: system.Around, freed: Freed, body: int) -> tuple[Array, ...]:
-    """A ball contact's bristles: their inverses, the balls' and the border's forces by them, they by all states.
+    """A ball contact's bristles: their inverses, the balls' and the coupling's forces by them, they by all states.
 
-    (n, f, 3, 3); (n, k, 3 f), (n, b, 3 f); (n, 3 f, 3 | k | b | b) by ball place and twist, border place and rate.
+    (n, f, 3, 3); (n, k, 3 f), (n, b, 3 f); (n, 3 f, 3 | k | b | b) by ball place and twist, coupling place and rate.
     """
     arm, velocity = around.motion.arm[:, body, None], around.motion.velocity[:, body, None]
     by_place, by_twist, turn, spin = (
@@ -147,7 +147,7 @@ def _rows(c: Constants, around: system.Around, freed: Freed, body: int) -> tuple
 
 def _bristled(scene: Joint, balls: list[tuple], pilots: list[tuple]) -> Bristled:
     """From the rows of the balls' contacts and of the pilots. Dense: one product of 100 x 60 is one kernel."""
-    n, k, b = scene.balls, scene.twist, scene.border
+    n, k, b = scene.balls, scene.twist, scene.coupling
     inverses, lifts, backs = [], [], []
     if balls:
         axes = (1, 2, 2, 1, 1, 1, 1)
@@ -156,8 +156,8 @@ def _bristled(scene: Joint, balls: list[tuple], pilots: list[tuple]) -> Bristled
         size = n * place.shape[1]
         inverses.append(inverse.reshape(-1, 3, 3))
         lifts.append(jnp.concatenate([block_diagonal(pull), jnp.swapaxes(felt, 0, 1).reshape(b, size)]))
-        border = (at.reshape(size, b), block_diagonal(twist), rate.reshape(size, b))
-        backs.append(jnp.concatenate([block_diagonal(place), *border], 1))
+        coupling = (at.reshape(size, b), block_diagonal(twist), rate.reshape(size, b))
+        backs.append(jnp.concatenate([block_diagonal(place), *coupling], 1))
     for inverse, pull, at, rate in pilots:
         inverses.append(inverse)
         lifts.append(jnp.concatenate([jnp.zeros((n * k, 3)), pull]))
@@ -183,7 +183,7 @@ def _freed(scene: Joint, c: Constants, around: system.Around, found: list[Slopes
 
 
 def blocks(scene: Joint, c: Constants, y: Array, scale: Any = None) -> Blocks:
-    """All derivatives of contact wrenches and border forces in one state.
+    """All derivatives of contact wrenches and coupling forces in one state.
 
     Args:
         scene, c, y: the joint, its constants, the flat state.
@@ -192,7 +192,7 @@ def blocks(scene: Joint, c: Constants, y: Array, scale: Any = None) -> Blocks:
     state = system.view(scene, c, y)
     k = scene.twist
     around = system.around(scene, c, state)
-    found = [slopes(skin, at, motion.velocity, motion.spin, bend) for skin, at, motion, bend in around.parts()]
+    found = [slopes(laws, at, motion.velocity, motion.spin, bend) for laws, at, motion, bend in around.parts()]
     bent, by_turn, by_spin = [], jnp.zeros(()), jnp.zeros(())
     if any(one.bond is not None for one in found):
         found, bent, by_turn, by_spin = _freed(scene, c, around, found, scale)

@@ -10,7 +10,7 @@ from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint import geometry
 from bcfj_jax.models.joint.contacts import Groove
 from bcfj_jax.models.joint.guides import Guides, body_maps, guides
-from bcfj_jax.models.joint.law_pair import Skin, SkinPair
+from bcfj_jax.models.joint.law_pair import ContactLaws, LawPair
 from bcfj_jax.models.joint.scene import GROOVES, Joint
 
 # What the balls touch, in the order of every array over bodies; the last only where there are windows.
@@ -23,16 +23,16 @@ class Constants(eqx.Module):
     Attributes:
         axes: (2, 3) unit axes of seat and head; ``radial`` and ``tangent``: where track 0 lies at turn 0.
         bisector: normal of the bisecting plane.
-        ball_skin: one for seat, head and cage (3, 1), where laws and numbers of faces agree: quicker than two.
-        ball_lightness: (twist,) and border_lightness (border,): inverse masses and inertias.
+        ball_laws: one for seat, head and cage (3, 1), where laws and numbers of faces agree: quicker than two.
+        ball_inverse_mass: (twist,) and coupling_inverse_mass (coupling,): inverse masses and inertias.
     """
 
     groove: Groove
-    groove_skin: Skin | SkinPair
-    window_skin: Skin | None
-    ball_skin: Skin | None
+    groove_laws: ContactLaws | LawPair
+    window_laws: ContactLaws | None
+    ball_laws: ContactLaws | None
     window_clearance: Array
-    pilot_skin: Skin | SkinPair | None
+    pilot_laws: ContactLaws | LawPair | None
     pilot_clearance: Array
     pilot_hollow: Array
     guides: Guides
@@ -41,8 +41,8 @@ class Constants(eqx.Module):
     radial: Array
     tangent: Array
     bisector: Array
-    ball_lightness: Array
-    border_lightness: Array
+    ball_inverse_mass: Array
+    coupling_inverse_mass: Array
     drive_speed: Array
     drive_stiffness: Array
     drive_damping: Array
@@ -51,30 +51,30 @@ class Constants(eqx.Module):
     axial_load: Array
 
 
-def skin_of(scene: Joint, params: Params, name: str) -> Skin:
+def laws_of(scene: Joint, params: Params, name: str) -> ContactLaws:
     """The laws of a contact with its coefficients: its own where given, else the shared ones."""
     contact = scene.contact(name)
     coefficients = {key: scene.coefficient(params, name, key) for key in contact.needs}
     smoothing = scene.coefficient(params, name, "smoothing") if scene.smoothing else None
-    return Skin(contact.law, contact.friction, coefficients, smoothing)
+    return ContactLaws(contact.law, contact.friction, coefficients, smoothing)
 
 
-def _side_by_side(scene: Joint, params: Params, names: tuple[str, ...]) -> Skin | SkinPair:
-    """One skin for one contact or two; coefficients of two along axis -2 of (..., contact, face)."""
-    skins = [skin_of(scene, params, name) for name in names]
-    if len(skins) == 1:
-        return skins[0]
-    return _as_one(skins) or SkinPair(*skins, axis=-2)
+def _side_by_side(scene: Joint, params: Params, names: tuple[str, ...]) -> ContactLaws | LawPair:
+    """One laws for one contact or two; coefficients of two along axis -2 of (..., contact, face)."""
+    several = [laws_of(scene, params, name) for name in names]
+    if len(several) == 1:
+        return several[0]
+    return _as_one(several) or LawPair(*several, axis=-2)
 
 
-def _as_one(skins: list[Skin]) -> Skin | None:
+def _as_one(several: list[ContactLaws]) -> ContactLaws | None:
     """Skins of one kind with their coefficients side by side (m, 1); None where they differ in law."""
-    first = skins[0]
-    if any((skin.law, skin.friction) != (first.law, first.friction) for skin in skins):
+    first = several[0]
+    if any((laws.law, laws.friction) != (first.law, first.friction) for laws in several):
         return None
-    together = {key: jnp.stack([skin.coefficients[key] for skin in skins])[:, None] for key in first.coefficients}
-    widths = [skin.smoothing for skin in skins if skin.smoothing is not None]
-    return Skin(first.law, first.friction, together, jnp.stack(widths)[:, None] if widths else None)
+    together = {key: jnp.stack([laws.coefficients[key] for laws in several])[:, None] for key in first.coefficients}
+    widths = [laws.smoothing for laws in several if laws.smoothing is not None]
+    return ContactLaws(first.law, first.friction, together, jnp.stack(widths)[:, None] if widths else None)
 
 
 def constants(scene: Joint, params: Params) -> Constants:
@@ -97,11 +97,11 @@ def constants(scene: Joint, params: Params) -> Constants:
     )
     clearance = {name: p[f"clearance_{name}"] for name in scene.pilots}
     hollow = {"seat_cage": p["seat_radius"], "head_cage": p["head_radius"] + clearance.get("head_cage", zero)}
-    lightness = {"head": 1.0 / p["head_mass"] * jnp.ones(3), "head_turn": 1.0 / p["head_inertia"][None]}
+    inverse_mass = {"head": 1.0 / p["head_mass"] * jnp.ones(3), "head_turn": 1.0 / p["head_inertia"][None]}
     if scene.cage == "free":
-        lightness |= {"cage": 1.0 / p["cage_mass"] * jnp.ones(3), "cage_turn": 1.0 / p["cage_inertia"] * jnp.ones(3)}
+        inverse_mass |= {"cage": 1.0 / p["cage_mass"] * jnp.ones(3), "cage_turn": 1.0 / p["cage_inertia"] * jnp.ones(3)}
     flexible = scene.drive == "flexible"
-    lightness["seat_turn"] = 1.0 / p["seat_inertia"][None] if flexible else jnp.zeros(1)
+    inverse_mass["seat_turn"] = 1.0 / p["seat_inertia"][None] if flexible else jnp.zeros(1)
     ball = 1.0 / p["ball_mass"] * jnp.ones(3)
     if scene.spin:
         # A solid sphere: 2/5 m r^2.
@@ -109,11 +109,11 @@ def constants(scene: Joint, params: Params) -> Constants:
     axes = jnp.stack([jnp.array([0.0, 0.0, 1.0]), geometry.head_axis(angle)])
     return Constants(
         groove=groove,
-        groove_skin=_side_by_side(scene, params, GROOVES),
-        window_skin=skin_of(scene, params, "cage_ball") if scene.has("cage_ball") else None,
-        ball_skin=_as_one([skin_of(scene, params, x) for x in BALLS]) if gothic and scene.has("cage_ball") else None,
+        groove_laws=_side_by_side(scene, params, GROOVES),
+        window_laws=laws_of(scene, params, "cage_ball") if scene.has("cage_ball") else None,
+        ball_laws=_as_one([laws_of(scene, params, x) for x in BALLS]) if gothic and scene.has("cage_ball") else None,
         window_clearance=p["clearance_cage_ball"] if scene.has("cage_ball") else zero,
-        pilot_skin=_side_by_side(scene, params, scene.pilots) if scene.pilots else None,
+        pilot_laws=_side_by_side(scene, params, scene.pilots) if scene.pilots else None,
         pilot_clearance=jnp.stack([clearance[name] for name in scene.pilots]) if scene.pilots else jnp.zeros(0),
         pilot_hollow=jnp.stack([hollow[name] for name in scene.pilots]) if scene.pilots else jnp.zeros(0),
         guides=guides(scene, axes),
@@ -122,8 +122,10 @@ def constants(scene: Joint, params: Params) -> Constants:
         radial=jnp.stack([jnp.array([1.0, 0.0, 0.0]), jnp.stack([jnp.cos(angle), zero, -jnp.sin(angle)])]),
         tangent=jnp.array([[0.0, 1.0, 0.0], [0.0, 1.0, 0.0]]),
         bisector=geometry.bisector(angle),
-        ball_lightness=ball,
-        border_lightness=jnp.concatenate([lightness[name] for name, slot in scene.slots.items() if slot is not None]),
+        ball_inverse_mass=ball,
+        coupling_inverse_mass=jnp.concatenate(
+            [inverse_mass[name] for name, piece in scene.slices.items() if piece is not None]
+        ),
         drive_speed=p["drive_speed"],
         drive_stiffness=p["drive_stiffness"] if flexible else zero,
         drive_damping=p["drive_damping"] if flexible else zero,

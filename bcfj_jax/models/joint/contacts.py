@@ -7,7 +7,7 @@ of the centres decides them; the relative twist (v, w) decides the rest:
     rate  d' = n . v        sliding  u = v + w x l n - d' n        force  f = -N n - D u,   D = N mu(|u|)/|u|
 
 with N from the normal-force law. A friction law with bristles, deflected by z, has its force by their part in the
-contact plane,  b = z - n (n . z),  and they bend (``LuGre.bond`` has k, s and m; o is ``Skin.apart``):
+contact plane,  b = z - n (n . z),  and they bend (``LuGre.bond`` has k, s and m; o is ``ContactLaws.apart``):
 
     force  -N (s b + m u)        z' = W x z + (1 - o) (u - k z) - o z/tau
 
@@ -25,7 +25,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from bcfj_jax.models.joint.law_pair import RELAX, Skin, SkinPair, sector
+from bcfj_jax.models.joint.law_pair import RELAX, ContactLaws, LawPair, sector
 
 
 class Geometry(NamedTuple):
@@ -200,7 +200,7 @@ def join(first: Geometry, second: Geometry) -> Geometry:
 
 
 def act(
-    skin: Skin | SkinPair, at: Geometry, velocity: Array, spin: Array | None, bristles: Array | None = None
+    laws: ContactLaws | LawPair, at: Geometry, velocity: Array, spin: Array | None, bristles: Array | None = None
 ) -> Touch:
     """Forces of contacts (module docstring).
 
@@ -211,7 +211,7 @@ def act(
     """
     velocity = velocity[..., None, :]
     rate = dot(at.normal, velocity)
-    normal = skin.normal(at.penetration, rate)
+    normal = laws.normal(at.penetration, rate)
     if at.gate is not None:
         normal = normal * at.gate
     slide = velocity - rate[..., None] * at.normal
@@ -221,14 +221,14 @@ def act(
     force = -jnp.sum(normal[..., None] * at.normal, -2)
     drag = moment = jnp.zeros_like(force)
     bending = rubbed = None
-    if skin.friction is not None:
+    if laws.friction is not None:
         if bristles is None:
-            drags = -(normal * skin.mobility(slip_squared))[..., None] * slide
+            drags = -(normal * laws.mobility(slip_squared))[..., None] * slide
         else:
-            forget, stick, mobility = (x[..., None] for x in skin.bond(slip_squared))
+            forget, stick, mobility = (x[..., None] for x in laws.bond(slip_squared))
             bent = bristles - dot(at.normal, bristles)[..., None] * at.normal
             drags = -normal[..., None] * (stick * bent + mobility * slide)
-            apart = skin.apart(at.penetration)[..., None]
+            apart = laws.apart(at.penetration)[..., None]
             bending = (1.0 - apart) * (slide - forget * bristles) - apart / RELAX * bristles
             rubbed = -dot(drags, slide)
         drag = jnp.sum(drags, -2)

@@ -25,7 +25,7 @@ from bcfj_jax.models.joint import system
 from bcfj_jax.models.joint.constants import Constants, constants
 from bcfj_jax.models.joint.contacts import Geometry, Touch, act, dot
 from bcfj_jax.models.joint.guides import GUIDES
-from bcfj_jax.models.joint.law_pair import Skin, SkinPair
+from bcfj_jax.models.joint.law_pair import ContactLaws, LawPair
 from bcfj_jax.models.joint.scene import Joint
 
 # Gauss-Legendre on (0, 1) in s, x = r s^2: exact for d^1.5, and to rounding for every elastic part with its
@@ -106,9 +106,9 @@ class Transmission(NamedTuple):
 
 
 class _Acting(NamedTuple):
-    """One kind of contact in one state: its skin, where it is, the relative motion, what it does."""
+    """One kind of contact in one state: its laws, where it is, the relative motion, what it does."""
 
-    skin: Skin | SkinPair
+    laws: ContactLaws | LawPair
     at: Geometry
     motion: system.Motion
     touch: Touch
@@ -118,25 +118,25 @@ def _acting(scene: Joint, c: Constants, state: system.State) -> dict[str, _Actin
     """Every group of contacts that is evaluated together."""
     parts = system.around(scene, c, state).parts()
     found: dict[str, tuple] = dict(zip(("balls", "windows"), parts, strict=False))
-    if c.pilot_skin is not None:
+    if c.pilot_laws is not None:
         at, motion, bent, _ = system.piloted(scene, c, state)
-        found["pilots"] = c.pilot_skin, at, motion, bent
+        found["pilots"] = c.pilot_laws, at, motion, bent
     return {
-        name: _Acting(skin, at, motion, act(skin, at, motion.velocity, motion.spin, bent))
-        for name, (skin, at, motion, bent) in found.items()
+        name: _Acting(laws, at, motion, act(laws, at, motion.velocity, motion.spin, bent))
+        for name, (laws, at, motion, bent) in found.items()
     }
 
 
-def _elastic(skin: Skin | SkinPair, penetration: Array) -> Array:
+def _elastic(laws: ContactLaws | LawPair, penetration: Array) -> Array:
     """Elastic energy E(d) [J] of each face: integral of the law's force at rest from 0 to r(d)."""
-    if isinstance(skin, SkinPair):
-        halves = (jnp.take(penetration, jnp.array([i]), skin.axis) for i in (0, 1))
-        parts = [_elastic(one, half) for one, half in zip((skin.first, skin.second), halves, strict=True)]
-        return jnp.concatenate(parts, skin.axis)
-    depth = positive(penetration) if skin.smoothing is None else smooth_ramp(penetration, skin.smoothing)[0]
+    if isinstance(laws, LawPair):
+        halves = (jnp.take(penetration, jnp.array([i]), laws.axis) for i in (0, 1))
+        parts = [_elastic(one, half) for one, half in zip((laws.first, laws.second), halves, strict=True)]
+        return jnp.concatenate(parts, laws.axis)
+    depth = positive(penetration) if laws.smoothing is None else smooth_ramp(penetration, laws.smoothing)[0]
     s = _NODES.reshape(-1, *[1] * penetration.ndim)
     weight = (2.0 * _NODES * _WEIGHTS).reshape(s.shape)
-    force = skin.law.force(depth * s * s, jnp.zeros_like(depth * s), skin.coefficients)
+    force = laws.law.force(depth * s * s, jnp.zeros_like(depth * s), laws.coefficients)
     return depth * jnp.sum(weight * force, 0)
 
 
@@ -144,15 +144,15 @@ def _friction(part: _Acting) -> Array:
     """Power [W] that friction takes at all faces:  N mu(|u|) |u|,  of bristles what their actual force takes."""
     if part.touch.rubbed is not None:
         return jnp.sum(part.touch.rubbed)
-    if part.skin.friction is None:
+    if part.laws.friction is None:
         return jnp.zeros(())
     squared = part.touch.slip**2
-    return jnp.sum(part.touch.normal * part.skin.mobility(squared) * squared)
+    return jnp.sum(part.touch.normal * part.laws.mobility(squared) * squared)
 
 
 def _damping(part: _Acting) -> Array:
     """Sum of  (N(d, d') - N(d, 0)) d'  [W] over all faces."""
-    still = part.skin.normal(part.at.penetration, jnp.zeros_like(part.touch.rate))
+    still = part.laws.normal(part.at.penetration, jnp.zeros_like(part.touch.rate))
     gated = still if part.at.gate is None else still * part.at.gate
     return jnp.sum((part.touch.normal - gated) * part.touch.rate)
 
@@ -162,7 +162,7 @@ def _edge(part: _Acting) -> Array:
     if part.at.gate_slope is None:
         return jnp.zeros(())
     gate_rate = dot(part.at.gate_slope, part.motion.velocity[..., None, :])
-    return -jnp.sum(_elastic(part.skin, part.at.penetration) * gate_rate)
+    return -jnp.sum(_elastic(part.laws, part.at.penetration) * gate_rate)
 
 
 def _hold(scene: Joint, c: Constants, state: system.State) -> Array:
@@ -185,9 +185,9 @@ def _hold(scene: Joint, c: Constants, state: system.State) -> Array:
 
 def _contact_torque(scene: Joint, c: Constants, state: system.State) -> Array:
     """Contacts' generalised force on the seat's turn [N m]."""
-    slot = scene.slots["seat_turn"]
-    assert slot is not None
-    return system.on_bodies(scene, c, state, system.touches(scene, c, state))[1][slot][0]
+    piece = scene.slices["seat_turn"]
+    assert piece is not None
+    return system.on_bodies(scene, c, state, system.touches(scene, c, state))[1][piece][0]
 
 
 def torque_in(scene: Joint, c: Constants, t: Array, y: Array) -> Array:
@@ -219,18 +219,18 @@ def power(scene: Joint, c: Constants, t: Array, y: Array) -> Power:
 def stored(scene: Joint, c: Constants, t: Array, y: Array) -> Stored:
     """Every store of energy in one flat state y at time t [s]."""
     state = system.view(scene, c, y)
-    twists = y[3 * scene.balls + scene.border :][: scene.twist * scene.balls].reshape(scene.balls, scene.twist)
-    rates = y[(3 + scene.twist) * scene.balls + scene.border : scene.moving]
-    # A prescribed seat has no lightness, and no energy of its own.
-    moved = c.border_lightness > 0
-    border = jnp.where(moved, rates**2 / jnp.where(moved, c.border_lightness, 1.0), 0.0)
+    twists = y[3 * scene.balls + scene.coupling :][: scene.twist * scene.balls].reshape(scene.balls, scene.twist)
+    rates = y[(3 + scene.twist) * scene.balls + scene.coupling : scene.moving]
+    # A prescribed seat has no inverse_mass, and no energy of its own.
+    moved = c.coupling_inverse_mass > 0
+    coupling = jnp.where(moved, rates**2 / jnp.where(moved, c.coupling_inverse_mass, 1.0), 0.0)
     elastic = jnp.zeros(())
     for part in _acting(scene, c, state).values():
-        energy = _elastic(part.skin, part.at.penetration)
+        energy = _elastic(part.laws, part.at.penetration)
         elastic = elastic + jnp.sum(energy if part.at.gate is None else energy * part.at.gate)
     lag = c.drive_speed * t - state.seat_turn
     return Stored(
-        kinetic=0.5 * (jnp.sum(twists**2 / c.ball_lightness) + jnp.sum(border)),
+        kinetic=0.5 * (jnp.sum(twists**2 / c.ball_inverse_mass) + jnp.sum(coupling)),
         elastic=elastic,
         spring=0.5 * c.drive_stiffness * lag**2,
     )
@@ -276,9 +276,9 @@ def cage_equilibrium(scene: Joint, c: Constants, y: Array, t: Array) -> Array:
     Raises:
         InputError: for a cage that is fixed.
     """
-    slot = scene.slots["cage"]
-    if slot is None:
+    piece = scene.slices["cage"]
+    if piece is None:
         raise InputError("cage_equilibrium", "a fixed cage", "take a scene with cage = 'free'")
-    acceleration = system.field(t, y, (scene, c))[(3 + scene.twist) * scene.balls + scene.border :][slot]
+    acceleration = system.field(t, y, (scene, c))[(3 + scene.twist) * scene.balls + scene.coupling :][piece]
     total = sum(cage_forces(scene, c, y).values(), jnp.zeros(3))
-    return total - acceleration / c.border_lightness[slot]
+    return total - acceleration / c.coupling_inverse_mass[piece]

@@ -40,6 +40,6 @@ def place(scene: Joint, params: Params) -> dict[str, float]:
 
 
 def _worst(scene: Joint, params: Params, name: str) -> float:
-    """The largest value of a coefficient over the contacts that read it; every one reads its onset."""
+    """The largest value of a coefficient over the contacts that read it; every one reads its smoothing."""
     readers = [x.name for x in scene.contacts if name in (*x.needs, "smoothing")]
     return max(float(scene.coefficient(params, contact, name)) for contact in readers)

@@ -1,9 +1,9 @@
 """Forces out of balance in the joint at rest, and their derivative: what ``quasistatic`` solves.
 
 Massless parts, no friction, no damping. Arrays have the instants along their last axis, so that the processor's
-lanes are instants. Unknown are displacements from the zero-clearance position [m]; angles are times the pitch
-radius. The derivative is an arrowhead: a 3 x 3 block a ball, bordered by head and cage. It is the exact one, not
-symmetric where a flank's sector ends (``skin.sector``). Races, flanks, faces and pilots are axes of arrays and not
+the batch is over instants. Unknown are displacements from the zero-clearance position [m]; angles are times the pitch
+radius. The derivative is an arrowhead: a 3 x 3 block a ball, and coupling coordinates of head and cage. It is the exact one, not
+symmetric where a flank's sector ends (``laws.sector``). Races, flanks, faces and pilots are axes of arrays and not
 copies of the program, which would take the compiler as many times as long.
 """
 
@@ -17,7 +17,7 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.models.joint.constants import Constants
-from bcfj_jax.models.joint.law_pair import Skin, SkinPair, sector
+from bcfj_jax.models.joint.law_pair import ContactLaws, LawPair, sector
 from bcfj_jax.models.joint.scene import Joint
 
 
@@ -40,14 +40,14 @@ class Problem(NamedTuple):
 
 
 class Places(NamedTuple):
-    """Displacements [m] from the zero-clearance position: balls (3, n, T), border (b, T)."""
+    """Displacements [m] from the zero-clearance position: balls (3, n, T), coupling (b, T)."""
 
     ball: Array
-    border: Array
+    coupling: Array
 
 
 class Matrix(NamedTuple):
-    """Derivative of the forces: ball (3, 3, n, T), column (3, b, n, T), row (b, 3, n, T), border (b, b, T).
+    """Derivative of the forces: ball (3, 3, n, T), column (3, b, n, T), row (b, 3, n, T), coupling (b, b, T).
 
     seat: (3, n, T), that of the balls' forces by the seat's angle where nothing else moves.
     """
@@ -55,12 +55,12 @@ class Matrix(NamedTuple):
     ball: Array
     column: Array
     row: Array
-    border: Array
+    coupling: Array
     seat: Array
 
 
-def slots_of(scene: Joint) -> dict[str, slice]:
-    """Where the unknowns of the border are; the cage's tilt has two, a turn about its own axis does nothing."""
+def slices_of(scene: Joint) -> dict[str, slice]:
+    """Where the unknowns of the coupling are; the cage's tilt has two, a turn about its own axis does nothing."""
     sizes = {"head": 3 * (scene.head == "free"), "turn": 1}
     sizes |= {"cage": 3, "tilt": 2} if scene.cage == "free" else {}
     ends = np.cumsum(list(sizes.values())).tolist()
@@ -71,10 +71,10 @@ def _dot(a: Any, b: Any) -> Array:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def _law(skin: Skin | SkinPair, penetration: Array) -> tuple[Array, Array]:
+def _law(laws: ContactLaws | LawPair, penetration: Array) -> tuple[Array, Array]:
     """Normal force and stiffness at rest."""
     still = jnp.zeros_like(penetration)
-    return jax.jvp(lambda d: skin.normal(d, still), (penetration,), (jnp.ones_like(penetration),))
+    return jax.jvp(lambda d: laws.normal(d, still), (penetration,), (jnp.ones_like(penetration),))
 
 
 class _Grooves(NamedTuple):
@@ -112,8 +112,8 @@ def _grooves(scene: Joint, c: Constants, place: Array, turn: Array) -> _Grooves:
     length = jnp.sqrt(y_t * y_t + y_a * y_a + 1e-24)
     n_t, n_a = y_t / length, y_a / length
     depth = length - g.flank - g.clearance[:, None, None]
-    # ``groove_skin`` has the races along the last axis but one.
-    law = _law(c.groove_skin, depth.reshape(*depth.shape[:2], -1))
+    # ``groove_laws`` has the races along the last axis but one.
+    law = _law(c.groove_laws, depth.reshape(*depth.shape[:2], -1))
     force, stiff = (part.reshape(depth.shape) for part in law)
     edge = jnp.zeros_like(force)
     if g.gothic.size == 2:
@@ -165,10 +165,10 @@ def tilted_axis(c: Constants, tilt: Array) -> tuple[Array, list[Array], list[lis
 
 def balance(scene: Joint, p: Problem, at: Places) -> tuple[Places, Matrix]:
     """Unbalanced generalised forces (those that resist, as a gradient; 0 in equilibrium) and their derivative."""
-    c, slots = p.c, slots_of(scene)
-    size, shape = at.border.shape[0], at.ball.shape[1:]
+    c, slices = p.c, slices_of(scene)
+    size, shape = at.coupling.shape[0], at.ball.shape[1:]
     ball = p.ball + at.ball
-    rest: dict[str, Array] = {name: p.spring * at.border[slot] for name, slot in slots.items()}
+    rest: dict[str, Array] = {name: p.spring * at.coupling[piece] for name, piece in slices.items()}
     eye = jnp.eye(3)[:, :, None]
     pairs: dict[tuple[str, str], Array] = {}
     column: dict[str, Array] = {}
@@ -177,10 +177,10 @@ def balance(scene: Joint, p: Problem, at: Places) -> tuple[Places, Matrix]:
     def add(one: str, other: str, block: Array) -> None:
         pairs[one, other] = pairs[one, other] + block if (one, other) in pairs else block
 
-    turn = p.seat + at.border[slots["turn"]][0] / p.lever
+    turn = p.seat + at.coupling[slices["turn"]][0] / p.lever
     still = jnp.zeros((3, shape[1]))
-    head = at.border[slots["head"]] if "head" in slots else still
-    cage = at.border[slots["cage"]] if "cage" in slots else still
+    head = at.coupling[slices["head"]] if "head" in slices else still
+    cage = at.coupling[slices["cage"]] if "cage" in slices else still
     centres = jnp.array([0.0, 1.0])[:, None, None] * head[:, None, None]
     race = _grooves(scene, c, ball[:, None] - centres, jnp.stack([p.seat, turn]))
     force = p.spring * at.ball + jnp.sum(race.ball, 1)
@@ -188,23 +188,23 @@ def balance(scene: Joint, p: Problem, at: Places) -> tuple[Places, Matrix]:
     column["turn"], row["turn"] = race.column[:, None, 1] / p.lever, race.row[None, :, 1] / p.lever
     rest["turn"] += (jnp.sum(race.turn[1], 0) + p.torque)[None] / p.lever
     add("turn", "turn", jnp.sum(race.by_turn[1], 0)[None, None] / p.lever**2)
-    if "head" in slots:
+    if "head" in slices:
         rest["head"] += c.axial_load * c.axes[1][:, None] - jnp.sum(race.ball[:, 1], 1)
         column["head"] = row["head"] = -race.by_ball[:, :, 1]
         add("head", "head", jnp.sum(race.by_ball[:, :, 1], 2))
         add("head", "turn", -jnp.sum(column["turn"], 2))
         add("turn", "head", -jnp.sum(row["turn"], 2))
-    if c.window_skin is not None:
-        tilt = at.border[slots["tilt"]] / p.lever if "tilt" in slots else jnp.zeros((2, shape[1]))
+    if c.window_laws is not None:
+        tilt = at.coupling[slices["tilt"]] / p.lever if "tilt" in slices else jnp.zeros((2, shape[1]))
         axis, first, second = tilted_axis(c, tilt)
         arm = ball - cage[:, None]
         height = _dot(arm, axis)
         faces = jnp.array([1.0, -1.0])[:, None, None]
-        pushes, stiffs = _law(c.window_skin, faces * height - c.window_clearance)
+        pushes, stiffs = _law(c.window_laws, faces * height - c.window_clearance)
         push, stiff = pushes[0] - pushes[1], stiffs[0] + stiffs[1]
         face = stiff * (axis[:, None] * axis[None])[:, :, None]
         force, block = force + push * axis[:, None], block + face
-        if "cage" in slots:
+        if "cage" in slices:
             reach = [_dot(arm, a[:, None]) for a in first]
             rest["cage"] -= jnp.sum(push, 0) * axis
             rest["tilt"] += jnp.stack([jnp.sum(push * r, 0) for r in reach]) / p.lever
@@ -220,29 +220,29 @@ def balance(scene: Joint, p: Problem, at: Places) -> tuple[Places, Matrix]:
                 for i in (0, 1)
             ]
             add("tilt", "tilt", jnp.stack([jnp.stack(b) for b in bend]) / p.lever**2)
-    if c.pilot_skin is not None:
+    if c.pilot_laws is not None:
         ways = [("cage",) if name == "seat_cage" else ("head", "cage") for name in scene.pilots]
         place = jnp.stack([cage if way == ("cage",) else head - cage for way in ways], 1)
         distance = jnp.sqrt(_dot(place, place) + 1e-24)
         normal = place / distance
-        push, stiff = _law(c.pilot_skin, distance - c.pilot_clearance[:, None])
+        push, stiff = _law(c.pilot_laws, distance - c.pilot_clearance[:, None])
         bend = push / distance
         spring = (stiff - bend) * normal[:, None] * normal[None] + bend * eye[..., None]
         for index, way in enumerate(ways):
-            signs = {part: 1.0 if part == way[0] else -1.0 for part in way if part in slots}
+            signs = {part: 1.0 if part == way[0] else -1.0 for part in way if part in slices}
             for one, sign in signs.items():
                 rest[one] += sign * (push * normal)[:, index]
                 for other, back in signs.items():
                     add(one, other, sign * back * spring[:, :, index])
-    names, sizes = list(slots), {name: slot.stop - slot.start for name, slot in slots.items()}
+    names, sizes = list(slices), {name: piece.stop - piece.start for name, piece in slices.items()}
     lines = [
         [pairs.get((one, other), jnp.zeros((sizes[one], sizes[other], shape[1]))) for other in names] for one in names
     ]
-    border = jnp.concatenate([jnp.concatenate(line, 1) for line in lines]) + p.spring * jnp.eye(size)[:, :, None]
+    coupling = jnp.concatenate([jnp.concatenate(line, 1) for line in lines]) + p.spring * jnp.eye(size)[:, :, None]
     columns = [column.get(k, jnp.zeros((3, sizes[k], *shape))) for k in names]
     rows = [row.get(k, jnp.zeros((sizes[k], 3, *shape))) for k in names]
     residual = Places(force, jnp.concatenate([rest[k] for k in names]))
-    return residual, Matrix(block, jnp.concatenate(columns, 1), jnp.concatenate(rows), border, race.column[:, 0])
+    return residual, Matrix(block, jnp.concatenate(columns, 1), jnp.concatenate(rows), coupling, race.column[:, 0])
 
 
 def _inverse3(m: Array) -> Array:
@@ -253,17 +253,17 @@ def _inverse3(m: Array) -> Array:
 
 
 def solve(m: Matrix, *rights: Places) -> list[Places]:
-    """The arrowhead's solutions, linear in ``rights``: balls eliminated, the border by Gauss-Jordan, no pivoting."""
+    """The arrowhead's solutions, linear in ``rights``: balls eliminated, the coupling by Gauss-Jordan, no pivoting."""
     inverse = _inverse3(m.ball)
     none = jnp.zeros(())
     column = sum((inverse[:, j, None] * m.column[j] for j in range(3)), none)
     balls = [sum((inverse[:, j] * right.ball[j] for j in range(3)), none) for right in rights]
-    border = m.border - jnp.sum(sum(m.row[:, j, None] * column[j] for j in range(3)), 2)
+    coupling = m.coupling - jnp.sum(sum(m.row[:, j, None] * column[j] for j in range(3)), 2)
     lines = [
-        right.border - jnp.sum(sum(m.row[:, j] * ball[j] for j in range(3)), 1)
+        right.coupling - jnp.sum(sum(m.row[:, j] * ball[j] for j in range(3)), 1)
         for right, ball in zip(rights, balls, strict=True)
     ]
-    size = m.border.shape[0]
+    size = m.coupling.shape[0]
 
     # A loop and not copies: they were half of what the compiler had to read. The right sides stand apart from the
     # matrix, in which the loop is not linear: the reverse mode transposes them.
@@ -272,5 +272,5 @@ def solve(m: Matrix, *rights: Places) -> list[Places]:
         others = (a[:, k] - (jnp.arange(size) == k)[:, None]) / a[k, k]
         return a - others[:, None] * a[k], b - others[:, None] * b[k]
 
-    _, solved = jax.lax.fori_loop(0, size, clear, (border, jnp.stack(lines, 1)))
+    _, solved = jax.lax.fori_loop(0, size, clear, (coupling, jnp.stack(lines, 1)))
     return [Places(ball - jnp.sum(column * solved[:, i][:, None], 1), solved[:, i]) for i, ball in enumerate(balls)]

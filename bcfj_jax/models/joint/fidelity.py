@@ -1,10 +1,10 @@
-"""``fidelity = "auto"``: the cheapest rung of the joint's ladder that keeps the error budget, and why.
+"""``fidelity = "auto"``: the cheapest level of the joint's ladder that keeps the error budget, and why.
 
 The budget is the force error asked for (``accuracy``): of each contact the rms over the times of the difference of
 normal forces from those of the dynamic model at the same accuracy, its worst member's, as a fraction of the contact's
-peak; the worst contact counts. The rungs, cheapest first, and what tells their error:
+peak; the worst contact counts. The levels, cheapest first, and what estimates their error:
 
-| rung | what is solved | told by |
+| level | what is solved | estimated by |
 |---|---|---|
 | ``kinematic`` | nothing | its distance from equilibrium with what that leaves out, ``joint.model_error`` |
 | ``quasistatic`` | equilibrium at each instant | what it leaves out, at some instants, to first order |
@@ -49,7 +49,7 @@ _LOOKS = 32
 
 
 def resolved(scene: Joint, fidelity: str) -> Joint:
-    """The joint at a rung, as the solvers take it: a periodic one is dynamic."""
+    """The joint at a level, as the solvers take it: a periodic one is dynamic."""
     return dataclasses.replace(scene, fidelity="dynamic" if fidelity == "periodic" else fidelity)
 
 
@@ -61,10 +61,10 @@ def _spread(times: np.ndarray) -> np.ndarray:
 
 
 def static_errors(found: Statics) -> dict[str, float]:
-    """Error of both static rungs at the instants looked at, the worst contact's; infinite without equilibrium."""
+    """Error of both static levels at the instants looked at, the worst contact's; infinite without equilibrium."""
     if not np.all(found.converged):
         return {"kinematic": np.inf, "quasistatic": np.inf}
-    true = {name: np.asarray(force + found.omitted[name]) for name, force in found.quasistatic.items()}
+    true = {name: np.asarray(force + found.left_out[name]) for name, force in found.quasistatic.items()}
     return {
         "kinematic": max(_off(found.kinematic[name], force) for name, force in true.items()),
         "quasistatic": max(_off(found.quasistatic[name], force) for name, force in true.items()),
@@ -98,7 +98,7 @@ _compiled: dict[Any, Callable[..., Statics]] = {}
 
 
 def _look(scene: Joint, params: Params, times: np.ndarray) -> tuple[dict[str, float], dict[str, float]]:
-    """Estimates of the static rungs, with the factor, and the seconds they took."""
+    """Estimates of the static levels, with the factor, and the seconds they took."""
     arguments = (resolved(scene, "quasistatic"), dict(params), jnp.asarray(_spread(times)))
     key = (arguments[0], jax.tree.structure(arguments[1]))
     begin = time.perf_counter()
@@ -113,7 +113,7 @@ def _look(scene: Joint, params: Params, times: np.ndarray) -> tuple[dict[str, fl
 def adaptive(
     scene: Joint, params: Params, times: np.ndarray, budget: float, run: Callable[[Joint, np.ndarray], Any]
 ) -> Any:
-    """Run a joint at the cheapest rung that keeps the budget.
+    """Run a joint at the cheapest level that keeps the budget.
 
     Args:
         scene: of fidelity "auto".

@@ -1,4 +1,4 @@
-"""The sphere-in-sphere contacts as constant maps from border velocities to relative twists."""
+"""The sphere-in-sphere contacts as constant maps from coupling velocities to relative twists."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ class Guides(NamedTuple):
     """Twist of an inner sphere relative to the outer one's material there:  (still + sum_i arm_i lever_i) u.
 
     Attributes:
-        still: (pilots, 6, border); lever: (pilots, 3, 6, border); u the border's velocities, arm (pilots, 3) from the
+        still: (pilots, 6, coupling); lever: (pilots, 3, 6, coupling); u the coupling's velocities, arm (pilots, 3) from the
             outer centre to the inner one.
-        moves: (pilots, 3, border) how far the inner centre moves from the outer one, by border displacements.
+        moves: (pilots, 3, coupling) how far the inner centre moves from the outer one, by coupling displacements.
     """
 
     still: Array
@@ -32,13 +32,13 @@ class Guides(NamedTuple):
 
 def guides(scene: Joint, axes: Array) -> Guides:
     """The maps of a scene whose seat and head turn about ``axes`` (2, 3)."""
-    count, size = len(scene.pilots), scene.border
+    count, size = len(scene.pilots), scene.coupling
     still, lever = jnp.zeros((count, 6, size)), jnp.zeros((count, 3, 6, size))
     moves = np.zeros((count, 3, size))
     eye = jnp.eye(3)
     for index, name in enumerate(scene.pilots):
         for sign, body in zip((-1.0, 1.0), GUIDES[name], strict=True):
-            place, turn = scene.slots.get(body), scene.slots[f"{body}_turn"]
+            place, turn = scene.slices.get(body), scene.slices[f"{body}_turn"]
             if place is not None:
                 moves[index, :, place] += sign * np.eye(3)
                 still = still.at[index, :3, place].add(sign * eye)
@@ -54,10 +54,10 @@ def guides(scene: Joint, axes: Array) -> Guides:
 
 
 def body_maps(scene: Joint, axes: Array) -> Array:
-    """Velocity and angular velocity of ``BODIES`` by the border's velocities, (3, 6, border)."""
-    maps = jnp.zeros((3, 6, scene.border))
+    """Velocity and angular velocity of ``BODIES`` by the coupling's velocities, (3, 6, coupling)."""
+    maps = jnp.zeros((3, 6, scene.coupling))
     for index, body in enumerate(BODIES):
-        place, turn = scene.slots.get(body), scene.slots[f"{body}_turn"]
+        place, turn = scene.slices.get(body), scene.slices[f"{body}_turn"]
         if place is not None:
             maps = maps.at[index, :3, place].set(jnp.eye(3))
         if turn is not None:

@@ -13,8 +13,8 @@ from jax import Array
 from bcfj_jax.core.numerics import positive, smooth_rise
 from bcfj_jax.mechanism.model import Params, Reading
 from bcfj_jax.models.joint import geometry
-from bcfj_jax.models.joint.constants import skin_of
-from bcfj_jax.models.joint.law_pair import Skin
+from bcfj_jax.models.joint.constants import laws_of
+from bcfj_jax.models.joint.law_pair import ContactLaws
 from bcfj_jax.models.joint.scene import Joint
 from bcfj_jax.models.joint.start import nominal
 
@@ -69,25 +69,25 @@ def kinematic_readings(scene: Joint, params: Params, times: Array) -> dict[str, 
     readings = {}
     for contact in scene.contacts:
         load = loads[contact.name]
-        depth = penetration(skin_of(scene, params, contact.name), jnp.abs(load))
+        depth = penetration(laws_of(scene, params, contact.name), jnp.abs(load))
         none = jnp.zeros_like(load)
         readings[contact.name] = Reading(jnp.stack([load, none, none], -1), depth, none)
     return readings
 
 
-def penetration(skin: Skin, force: Array) -> Array:
-    """Penetration [m] at which a skin at rest bears ``force`` [N]; 0 for none; NaN beyond what 10 m would give.
+def penetration(laws: ContactLaws, force: Array) -> Array:
+    """Penetration [m] at which a laws at rest bears ``force`` [N]; 0 for none; NaN beyond what 10 m would give.
 
     Bisection, then one step of Newton, which carries the derivatives of the implicit function.
     """
     loaded = force > 0
     safe = jnp.where(loaded, force, 1.0)
-    width = jnp.zeros(()) if skin.smoothing is None else skin.smoothing
+    width = jnp.zeros(()) if laws.smoothing is None else laws.smoothing
 
-    def law(skin: Skin, depth: Array) -> Array:
-        return skin.normal(depth, jnp.zeros_like(depth))
+    def law(laws: ContactLaws, depth: Array) -> Array:
+        return laws.normal(depth, jnp.zeros_like(depth))
 
-    still, target, width = jax.lax.stop_gradient((skin, safe, width))
+    still, target, width = jax.lax.stop_gradient((laws, safe, width))
 
     def halve(_, ends):
         low, high = ends
@@ -99,6 +99,6 @@ def penetration(skin: Skin, force: Array) -> Array:
     depth = jax.lax.fori_loop(0, _HALVINGS, halve, ends)[1]
     slope = jax.jvp(lambda d: law(still, d), (depth,), (jnp.ones_like(depth),))[1]
     # No slope is left of a force too small for the law's arithmetic.
-    depth = depth - jnp.where(slope > 0, (law(skin, depth) - safe) / jnp.where(slope > 0, slope, 1.0), 0.0)
+    depth = depth - jnp.where(slope > 0, (law(laws, depth) - safe) / jnp.where(slope > 0, slope, 1.0), 0.0)
     within = jnp.isfinite(force) & (jax.lax.stop_gradient(depth) < 9.9)
     return jnp.where(within, jnp.where(loaded, depth, 0.0), jnp.nan)

@@ -1,6 +1,6 @@
 """What two surfaces of the joint do to each other once geometry has said how deep and how fast.
 
-A skin is a normal-force law and a friction law with their coefficients, ready for arrays of contacts.
+A laws is a normal-force law and a friction law with their coefficients, ready for arrays of contacts.
 """
 
 from __future__ import annotations
@@ -11,20 +11,20 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
-from bcfj_jax.contact.laws import AbstractFriction, AbstractLaw, onset_force
+from bcfj_jax.contact.laws import AbstractFriction, AbstractLaw, regularised_force
 from bcfj_jax.core.numerics import smooth_step
 
 # A bristle that touches nothing springs back: over this gap [m], with this time constant [s].
 GAP, RELAX = 1e-6, 1e-5
 
 
-class Skin(eqx.Module):
+class ContactLaws(eqx.Module):
     """One law and one friction law over any broadcast shape of contacts.
 
     Attributes:
         law, friction: static; no friction law, no friction operations.
         coefficients: by the laws' names; scalars, or arrays that broadcast against the contacts.
-        smoothing: half-width of the penetration's onset [m]; None for the sharp one.
+        smoothing: half-width of the contact regularisation [m]; None for none.
     """
 
     law: AbstractLaw
@@ -34,7 +34,7 @@ class Skin(eqx.Module):
 
     def normal(self, penetration: Array, rate: Array) -> Array:
         """Normal force [N] >= 0 from penetration [m] and its rate [m/s]."""
-        return onset_force(self.law, penetration, rate, self.coefficients, self.smoothing)
+        return regularised_force(self.law, penetration, rate, self.coefficients, self.smoothing)
 
     def mobility(self, slip_squared: Array) -> Array:
         """mu(|v|)/|v| [s/m]: the traction is  -N mobility v."""
@@ -53,11 +53,11 @@ class Skin(eqx.Module):
         return smooth_step((-penetration - (0.0 if self.smoothing is None else self.smoothing)) / GAP)
 
 
-class SkinPair(eqx.Module):
-    """Two unlike skins side by side: the first along index 0 of axis ``axis``, the second along index 1."""
+class LawPair(eqx.Module):
+    """Two unlike several side by side: the first along index 0 of axis ``axis``, the second along index 1."""
 
-    first: Skin
-    second: Skin
+    first: ContactLaws
+    second: ContactLaws
     axis: int = eqx.field(static=True)
 
     @property
@@ -66,30 +66,30 @@ class SkinPair(eqx.Module):
         return self.first.friction or self.second.friction
 
     def normal(self, penetration: Array, rate: Array) -> Array:
-        """As ``Skin.normal``."""
+        """As ``ContactLaws.normal``."""
         a, b = (jnp.take(penetration, jnp.array([i]), self.axis) for i in (0, 1))
         p, q = (jnp.take(rate, jnp.array([i]), self.axis) for i in (0, 1))
         return jnp.concatenate([self.first.normal(a, p), self.second.normal(b, q)], self.axis)
 
     def mobility(self, slip_squared: Array) -> Array:
-        """As ``Skin.mobility``; 0 for the one without friction."""
+        """As ``ContactLaws.mobility``; 0 for the one without friction."""
         parts = []
-        for index, skin in enumerate((self.first, self.second)):
+        for index, laws in enumerate((self.first, self.second)):
             slip = jnp.take(slip_squared, jnp.array([index]), self.axis)
-            parts.append(skin.mobility(slip) if skin.friction is not None else jnp.zeros_like(slip))
+            parts.append(laws.mobility(slip) if laws.friction is not None else jnp.zeros_like(slip))
         return jnp.concatenate(parts, self.axis)
 
     def bond(self, slip_squared: Array) -> tuple[Array, Array, Array]:
-        """As ``Skin.bond``."""
+        """As ``ContactLaws.bond``."""
         slips = (jnp.take(slip_squared, jnp.array([i]), self.axis) for i in (0, 1))
-        parts = (skin.bond(slip) for skin, slip in zip((self.first, self.second), slips, strict=True))
+        parts = (laws.bond(slip) for laws, slip in zip((self.first, self.second), slips, strict=True))
         first, second, third = (jnp.concatenate(x, self.axis) for x in zip(*parts, strict=True))
         return first, second, third
 
     def apart(self, penetration: Array) -> Array:
-        """As ``Skin.apart``."""
+        """As ``ContactLaws.apart``."""
         depths = (jnp.take(penetration, jnp.array([i]), self.axis) for i in (0, 1))
-        parts = [skin.apart(depth) for skin, depth in zip((self.first, self.second), depths, strict=True)]
+        parts = [laws.apart(depth) for laws, depth in zip((self.first, self.second), depths, strict=True)]
         return jnp.concatenate(parts, self.axis)
 
 

@@ -174,18 +174,18 @@ class JointModel(Joint):
 
     def coordinates(self) -> dict[str, tuple[int, int]]:
         """All but cage_turn, which is an axis with a spin and no such pair."""
-        balls, places = self.balls, 3 * self.balls + self.border
+        balls, places = self.balls, 3 * self.balls + self.coupling
         found = {
             f"ball[{i + 1}].{axis}": (3 * i + k, places + self.twist * i + k)
             for i in range(balls)
             for k, axis in enumerate("xyz")
         }
-        for name, slot in self.slots.items():
-            if slot is None or name == "cage_turn":
+        for name, piece in self.slices.items():
+            if piece is None or name == "cage_turn":
                 continue
-            for k in range(slot.stop - slot.start):
-                own = f"{name}.{'xyz'[k]}" if slot.stop - slot.start > 1 else name
-                found[own] = (3 * balls + slot.start + k, places + self.twist * balls + slot.start + k)
+            for k in range(piece.stop - piece.start):
+                own = f"{name}.{'xyz'[k]}" if piece.stop - piece.start > 1 else name
+                found[own] = (3 * balls + piece.start + k, places + self.twist * balls + piece.start + k)
         return found
 
     @property
@@ -196,8 +196,8 @@ class JointModel(Joint):
     def neutral(self, state: Array, tangent: Array) -> Array:
         """Without the phase of a prescribed drive and the length of the cage's axis."""
         places = 3 * self.balls
-        rates = places + self.border + self.balls * self.twist
-        seat, cage = self.slots["seat_turn"], self.slots["cage_turn"]
+        rates = places + self.coupling + self.balls * self.twist
+        seat, cage = self.slices["seat_turn"], self.slices["cage_turn"]
         assert seat is not None
         if self.drive == "prescribed":
             tangent = tangent.at[jnp.array([places + seat.start, rates + seat.start])].set(0.0)

@@ -1,4 +1,4 @@
-"""What the joint in equilibrium leaves out, estimated from its own solution: the error indicator of the static rungs.
+"""What the joint in equilibrium leaves out, estimated from its own solution: the error indicator of the static levels.
 
 The motion without clearance says how everything slides, so that friction, damping and the balls' inertia can be
 evaluated at each equilibrium that leaves them out. What they push is not balanced there. One step of Newton's method,
@@ -6,7 +6,7 @@ with the equilibrium's own matrix, moves the parts until it is,  dx = K^-1 f,  a
 forces change by about what the dynamic model would change them. The cage turns about its own axis as fast as leaves it
 no torque.
 
-Of first order in friction: good where it is small, which is where a rung without friction can be right, and large where
+Of first order in friction: good where it is small, which is where a level without friction can be right, and large where
 friction is. Not in it: what the take-up of the load sets swinging.
 """
 
@@ -21,7 +21,7 @@ from jax import Array
 
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint import system
-from bcfj_jax.models.joint.equilibrium_residual import Places, Problem, balance, slots_of, solve, tilted_axis
+from bcfj_jax.models.joint.equilibrium_residual import Places, Problem, balance, slices_of, solve, tilted_axis
 from bcfj_jax.models.joint.kinematic import kinematic_readings
 from bcfj_jax.models.joint.observe import observe
 from bcfj_jax.models.joint.quasistatic import flat_places, posed, quasistatic_places
@@ -36,29 +36,29 @@ class Statics(NamedTuple):
     """Normal forces at T instants by contact, (T, balls) or (T,) [N].
 
     Attributes:
-        kinematic, quasistatic: of the two rungs that solve no motion.
-        omitted: what the quasistatic ones lack, to first order.
+        kinematic, quasistatic: of the two levels that solve no motion.
+        left_out: what the quasistatic ones lack, to first order.
         converged: (T,) whether there is an equilibrium.
     """
 
     kinematic: dict[str, Array]
     quasistatic: dict[str, Array]
-    omitted: dict[str, Array]
+    left_out: dict[str, Array]
     converged: Array
 
 
-def generalised(scene: Joint, problem: Problem, at: Places, ball: Array, border: Array) -> Places:
-    """Wrenches as ``system.on_bodies`` has them, (T, balls, twist) and (T, border), on the unknowns of ``balance``."""
-    slots, where, lever = slots_of(scene), scene.slots, problem.lever
-    parts = {"turn": border[:, where["head_turn"]].T / lever}
-    if "head" in slots:
-        parts["head"] = border[:, where["head"]].T
-    if "cage" in slots:
-        parts["cage"] = border[:, where["cage"]].T
-        torque = border[:, where["cage_turn"]].T
-        axis, first, _ = tilted_axis(problem.c, at.border[slots["tilt"]] / lever)
+def generalised(scene: Joint, problem: Problem, at: Places, ball: Array, coupling: Array) -> Places:
+    """Wrenches as ``system.on_bodies`` has them, (T, balls, twist) and (T, coupling), on the unknowns of ``balance``."""
+    slices, where, lever = slices_of(scene), scene.slices, problem.lever
+    parts = {"turn": coupling[:, where["head_turn"]].T / lever}
+    if "head" in slices:
+        parts["head"] = coupling[:, where["head"]].T
+    if "cage" in slices:
+        parts["cage"] = coupling[:, where["cage"]].T
+        torque = coupling[:, where["cage_turn"]].T
+        axis, first, _ = tilted_axis(problem.c, at.coupling[slices["tilt"]] / lever)
         parts["tilt"] = jnp.stack([jnp.sum(torque * jnp.cross(axis, way, axis=0), 0) for way in first]) / lever
-    return Places(jnp.transpose(ball[..., :3], (2, 1, 0)), jnp.concatenate([parts[name] for name in slots]))
+    return Places(jnp.transpose(ball[..., :3], (2, 1, 0)), jnp.concatenate([parts[name] for name in slices]))
 
 
 def _wrench(scene: Joint, c: Any, y: Array) -> tuple[Array, Array]:
@@ -68,17 +68,17 @@ def _wrench(scene: Joint, c: Any, y: Array) -> tuple[Array, Array]:
 
 def _free_turn(scene: Joint, c: Any, y: Array) -> Array:
     """The state with the cage turning about its own axis so that nothing brakes or drives it."""
-    slot = scene.slots["cage_turn"]
-    if slot is None:
+    piece = scene.slices["cage_turn"]
+    if piece is None:
         return y
-    first = (3 + scene.twist) * scene.balls + scene.border
+    first = (3 + scene.twist) * scene.balls + scene.coupling
     axis = system.view(scene, c, y).cage_axis
 
     def turned(extra: Array) -> Array:
-        return y.at[first + slot.start : first + slot.stop].add(extra * axis)
+        return y.at[first + piece.start : first + piece.stop].add(extra * axis)
 
     def torque(extra: Array) -> Array:
-        return _wrench(scene, c, turned(extra))[1][slot] @ axis
+        return _wrench(scene, c, turned(extra))[1][piece] @ axis
 
     def step(_: Any, extra: Array) -> Array:
         value, slope = jax.jvp(torque, (extra,), (jnp.ones(()),))
@@ -89,7 +89,7 @@ def _free_turn(scene: Joint, c: Any, y: Array) -> Array:
 
 @partial(jax.jit, static_argnums=0)
 def statics(scene: Joint, params: Params, times: Array) -> Statics:
-    """Both static rungs at the times [s], and what they leave out. Compiled once a scene and number of times.
+    """Both static levels at the times [s], and what they leave out. Compiled once a scene and number of times.
 
     Args:
         scene: a joint of fidelity "quasistatic" (so that it has no bristles), with the laws of the dynamic one.
@@ -111,9 +111,9 @@ def statics(scene: Joint, params: Params, times: Array) -> Statics:
 
     def lacking(y: Array, rate: Array) -> tuple[Array, Array]:
         still, moving = (_wrench(scene, c, x) for x in (jnp.where(moves, 0.0, y), _free_turn(scene, c, y)))
-        ball, border = (a - b for a, b in zip(moving, still, strict=True))
+        ball, coupling = (a - b for a, b in zip(moving, still, strict=True))
         swing = rate[size : size + scene.twist * scene.balls].reshape(scene.balls, -1)[:, :3]
-        return ball.at[:, :3].add(-swing / c.ball_lightness[:3]), border
+        return ball.at[:, :3].add(-swing / c.ball_inverse_mass[:3]), coupling
 
     pushed = generalised(scene, problem, at, *jax.vmap(lacking)(states, change))
     _, matrix = balance(scene, problem, at)

@@ -70,7 +70,7 @@ def observe(scene: Joint, c: Constants, y: Array) -> dict[str, Reading]:
 
 def observe_at_rest(scene: Joint, c: Constants, y: Array) -> dict[str, Reading]:
     """As ``observe``, with forces as if nothing moved (no damping, no friction); rates and sliding as they are."""
-    velocities = jnp.arange(y.size) >= 3 * scene.balls + scene.border
+    velocities = jnp.arange(y.size) >= 3 * scene.balls + scene.coupling
     moving, still = observe(scene, c, y), observe(scene, c, jnp.where(velocities, 0.0, y))
     return {name: still[name]._replace(rate=moving[name].rate, slip=moving[name].slip) for name in moving}
 
@@ -111,16 +111,16 @@ def motions(scene: Joint, c: Constants, t: Array, y: Array) -> dict[str, BodyMot
     """
     state, rate = view(scene, c, y), field(t, y, (scene, c))
     n, k = scene.balls, scene.twist
-    ball = rate[3 * n + scene.border :][: k * n].reshape(n, k)
-    rates = rate[(3 + k) * n + scene.border : scene.moving]
+    ball = rate[3 * n + scene.coupling :][: k * n].reshape(n, k)
+    rates = rate[(3 + k) * n + scene.coupling : scene.moving]
     zero = jnp.zeros(3)
 
     def of(name: str) -> Array:
-        slot = scene.slots[name]
-        return zero if slot is None else rates[slot]
+        piece = scene.slices[name]
+        return zero if piece is None else rates[piece]
 
     _, loads = on_bodies(scene, c, state, touches(scene, c, state))
-    seat = scene.slots["seat_turn"]
+    seat = scene.slices["seat_turn"]
     assert seat is not None
     flexible = scene.drive == "flexible"
     drive = drive_torque(scene, c, t, state) if flexible else -loads[seat][0]

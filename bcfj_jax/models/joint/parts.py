@@ -67,7 +67,7 @@ def _cage(joint: Joint) -> Body:
 
 def _balls(joint: Joint) -> Body:
     """Particles, or solid spheres that turn."""
-    first, n = 3 * joint.balls + joint.border, joint.balls
+    first, n = 3 * joint.balls + joint.coupling, joint.balls
     start: dict[str, Size] = {key: _OfBalls(joint, 0, 3, k) for k, key in enumerate("xyz")}
     rates = ("vx", "vy", "vz", "wx", "wy", "wz")[: joint.twist]
     start |= {key: _OfBalls(joint, first, joint.twist, k) for k, key in enumerate(rates)}

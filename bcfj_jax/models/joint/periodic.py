@@ -95,16 +95,16 @@ def unfolded_states(scene: Joint, params: Params, folded: Folded, states: np.nda
     """Flat states (M, n) of the long run, (T, n): balls renumbered, head and seat turned on."""
     n, k, wanted = scene.balls, scene.twist, states[folded.index].copy()
     width = 3 * sum(faces for name, faces in scene.bristles.items() if name in OF_A_BALL)
-    velocities = 3 * n + scene.border
+    velocities = 3 * n + scene.coupling
     for first, size in ((0, 3), (velocities, k), (scene.moving, width)):
         part = wanted[:, first : first + n * size]
         balls = _renumbered(scene, params, part.reshape(len(part), n, size), folded.pitches)
         wanted[:, first : first + n * size] = balls.reshape(part.shape)
     turned = 2.0 * np.pi / n * np.sign(float(params["drive_speed"])) * folded.pitches
     for name in ("head_turn", "seat_turn"):
-        slot = scene.slots[name]
-        assert slot is not None
-        wanted[:, 3 * n + slot.start] += turned
+        piece = scene.slices[name]
+        assert piece is not None
+        wanted[:, 3 * n + piece.start] += turned
     return wanted
 
 

@@ -1,11 +1,11 @@
 """The joint in equilibrium at every instant: massless parts, no friction, no damping.
 
-At time t the seat stands at drive_speed t, the head bears its load, and every contact bears  skin.normal(d, 0).
+At time t the seat stands at drive_speed t, the head bears its load, and every contact bears  laws.normal(d, 0).
 Unknown are the balls' places and, as far as the scene frees them, the head's place and turn, the cage's place and tilt.
 Clearances leave play, in which nothing decides where a part floats: weak springs to the zero-clearance position
 (``start.nominal``) do, see ``GROUND``.
 
-``pool`` searches; derivatives are those of the implicit function.
+``batched_newton`` searches; derivatives are those of the implicit function.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint import system
 from bcfj_jax.models.joint.batched_newton import Found, displaced, pull, search
 from bcfj_jax.models.joint.constants import constants
-from bcfj_jax.models.joint.equilibrium_residual import Places, Problem, balance, slots_of, solve, tilted_axis
+from bcfj_jax.models.joint.equilibrium_residual import Places, Problem, balance, slices_of, solve, tilted_axis
 from bcfj_jax.models.joint.observe import observe
 from bcfj_jax.models.joint.scene import Joint
 from bcfj_jax.models.joint.start import nominal
@@ -74,7 +74,7 @@ def quasistatic(scene: Joint, params: Params, times: Array, near: Places | None 
 
 def zero_clearance(scene: Joint, count: int) -> Places:
     """No displacements at ``count`` instants."""
-    size = sum(slot.stop - slot.start for slot in slots_of(scene).values())
+    size = sum(piece.stop - piece.start for piece in slices_of(scene).values())
     return Places(jnp.zeros((3, scene.balls, count)), jnp.zeros((size, count)))
 
 
@@ -131,17 +131,17 @@ def posed(scene: Joint, params: Params, times: Array) -> Problem:
 
 
 def flat_places(scene: Joint, problem: Problem, at: Places) -> Array:
-    """Places of the flat state (T, 3 n + border), from displacements."""
-    slots, seat = slots_of(scene), problem.seat
-    parts = {"head_turn": (seat + at.border[slots["turn"]][0] / problem.lever)[None], "seat_turn": seat[None]}
-    if "head" in slots:
-        parts["head"] = at.border[slots["head"]]
-    if "cage" in slots:
-        parts["cage"] = at.border[slots["cage"]]
-        parts["cage_turn"] = tilted_axis(problem.c, at.border[slots["tilt"]] / problem.lever)[0]
+    """Places of the flat state (T, 3 n + coupling), from displacements."""
+    slices, seat = slices_of(scene), problem.seat
+    parts = {"head_turn": (seat + at.coupling[slices["turn"]][0] / problem.lever)[None], "seat_turn": seat[None]}
+    if "head" in slices:
+        parts["head"] = at.coupling[slices["head"]]
+    if "cage" in slices:
+        parts["cage"] = at.coupling[slices["cage"]]
+        parts["cage_turn"] = tilted_axis(problem.c, at.coupling[slices["tilt"]] / problem.lever)[0]
     ball = jnp.transpose(problem.ball + at.ball, (2, 1, 0)).reshape(seat.size, -1)
-    border = [parts[name] for name, slot in scene.slots.items() if slot is not None]
-    return jnp.concatenate([ball, jnp.concatenate(border).T], 1)
+    coupling = [parts[name] for name, piece in scene.slices.items() if piece is not None]
+    return jnp.concatenate([ball, jnp.concatenate(coupling).T], 1)
 
 
 def _moving_problem(scene: Joint, params: Params, times: Array) -> tuple[Problem, Problem]:
@@ -171,7 +171,7 @@ def _rates_of(scene: Joint) -> Any:
 def _with_rates(scene: Joint, c: Any, value: Array, rate: Array) -> Array:
     """Flat states from places and their rates; the cage turns about its axis at the drive's speed."""
     n, count = scene.balls, value.shape[0]
-    tilt = scene.slots["cage_turn"]
+    tilt = scene.slices["cage_turn"]
     spin = jnp.broadcast_to(c.drive_speed * c.bisector, (count, 3))
     if tilt is not None:
         at = slice(3 * n + tilt.start, 3 * n + tilt.stop)

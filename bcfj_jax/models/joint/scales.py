@@ -9,7 +9,7 @@ from jax import Array
 from bcfj_jax.core.numerics import smooth_ramp, smooth_rise
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint.bristles import flat
-from bcfj_jax.models.joint.constants import skin_of
+from bcfj_jax.models.joint.constants import laws_of
 from bcfj_jax.models.joint.scene import PILOTS, Joint
 
 # Load of a ball that nothing loads [N].
@@ -22,7 +22,7 @@ def scales(scene: Joint, params: Params, end: Array | float = jnp.inf) -> Array:
     its deflection at break-away.
 
     The load is the greatest until ``end`` [s]: torque, axial load and centrifugal force. A run that ends while the
-    torque still rises has no other peak to be judged by. Where an onset is smoothed, the penetration r(d) over its
+    torque still rises has no other peak to compare with. Where the contact is regularised, the penetration r(d) over its
     slope dr/dd stands for it, which is how far d may move until r has changed by itself.
 
     An error of a place in these units is about that fraction (times n) of a ball's force. An error of a
@@ -33,20 +33,20 @@ def scales(scene: Joint, params: Params, end: Array | float = jnp.inf) -> Array:
     torque = jnp.abs(p["load_torque"]) * smooth_rise(end / p["load_ramp"])
     load = torque / (scene.balls * p["pitch_radius"]) + jnp.abs(p["axial_load"]) / scene.balls
     load = load + p["ball_mass"] * p["pitch_radius"] * p["drive_speed"] ** 2 + LEAST
-    skin = skin_of(scene, p, "seat_ball")
-    width = jnp.zeros(()) if skin.smoothing is None else skin.smoothing
+    laws = laws_of(scene, p, "seat_ball")
+    width = jnp.zeros(()) if laws.smoothing is None else laws.smoothing
     depth, slope = smooth_ramp(jnp.logspace(-11, -2, 91) - width, width)
-    force = skin.law.force(depth, jnp.zeros(91), {k: jnp.broadcast_to(v, (91,)) for k, v in skin.coefficients.items()})
+    force = laws.law.force(depth, jnp.zeros(91), {k: jnp.broadcast_to(v, (91,)) for k, v in laws.coefficients.items()})
     place = jnp.minimum(jnp.interp(load, force, depth / slope), 1e-3)
     speeds = [scene.coefficient(p, x.name, "friction_speed") for x in scene.contacts if x.friction is not None]
     speed = jnp.min(jnp.stack(speeds)) if speeds else 0.25 * jnp.abs(p["drive_speed"]) * p["pitch_radius"] + 1e-3
-    turning = np.zeros(scene.border, bool)
-    for name, slot in scene.slots.items():
-        if slot is not None and name.endswith("turn"):
-            turning[slot] = True
-    border = jnp.where(turning, 1.0 / p["pitch_radius"], 1.0)
+    turning = np.zeros(scene.coupling, bool)
+    for name, piece in scene.slices.items():
+        if piece is not None and name.endswith("turn"):
+            turning[piece] = True
+    coupling = jnp.where(turning, 1.0 / p["pitch_radius"], 1.0)
     ball = jnp.ones((scene.balls, scene.twist)).at[:, 3:].set(1.0 / p["ball_radius"])
-    parts = [jnp.full(3 * scene.balls, place), place * border, speed * ball.ravel(), speed * border]
+    parts = [jnp.full(3 * scene.balls, place), place * coupling, speed * ball.ravel(), speed * coupling]
     if scene.bristles:
         break_away = {
             name: jnp.full((1, count, 3), _break_away(scene, p, name)) for name, count in scene.bristles.items()

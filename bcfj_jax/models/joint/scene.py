@@ -54,7 +54,7 @@ class Joint(AbstractModel):
         cage: "free", or "fixed" at the centre, its axis on the bisector, turning at the drive's speed.
         head: "free" to shift, or "fixed" at the centre; it always turns about its own axis.
         drive: "prescribed" speed, or "flexible": a seat with inertia behind a spring and a damper.
-        smoothing: whether penetration has a smoothed onset.
+        smoothing: whether contacts are regularised.
         fidelity: "dynamic", "quasistatic" or "kinematic"; "auto" for a scene that ``simulate`` alone can run.
     """
 
@@ -128,8 +128,8 @@ class Joint(AbstractModel):
         return 6 if self.spin else 3
 
     @property
-    def slots(self) -> Mapping[str, slice | None]:
-        """Where each part of the border is, in order; None for what the scene fixes."""
+    def slices(self) -> Mapping[str, slice | None]:
+        """Where each part of the coupling is, in order; None for what the scene fixes."""
         sizes = {
             "head": 3 if self.head == "free" else 0,
             "head_turn": 1,
@@ -137,17 +137,17 @@ class Joint(AbstractModel):
             "cage_turn": 3 if self.cage == "free" else 0,
             "seat_turn": 1,
         }
-        slots: dict[str, slice | None] = {}
+        slices: dict[str, slice | None] = {}
         start = 0
         for name, size in sizes.items():
-            slots[name] = slice(start, start + size) if size else None
+            slices[name] = slice(start, start + size) if size else None
             start += size
-        return slots
+        return slices
 
     @property
-    def border(self) -> int:
-        """Number of border coordinates."""
-        return sum(slot.stop - slot.start for slot in self.slots.values() if slot is not None)
+    def coupling(self) -> int:
+        """Number of coupling coordinates."""
+        return sum(piece.stop - piece.start for piece in self.slices.values() if piece is not None)
 
     @property
     def bristles(self) -> Mapping[str, int]:
@@ -161,7 +161,7 @@ class Joint(AbstractModel):
     @property
     def moving(self) -> int:
         """Length of the flat state without bristles."""
-        return (3 + self.twist) * self.balls + 2 * self.border
+        return (3 + self.twist) * self.balls + 2 * self.coupling
 
     @property
     def states(self) -> int:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.models.joint.contacts import Geometry, dot
-from bcfj_jax.models.joint.law_pair import RELAX, Skin, SkinPair
+from bcfj_jax.models.joint.law_pair import RELAX, ContactLaws, LawPair
 
 
 class Bond(NamedTuple):
@@ -40,7 +40,7 @@ class Slopes(NamedTuple):
 
 
 def slopes(
-    skin: Skin | SkinPair, at: Geometry, velocity: Array, spin: Array | None, bristles: Array | None = None
+    laws: ContactLaws | LawPair, at: Geometry, velocity: Array, spin: Array | None, bristles: Array | None = None
 ) -> Slopes:
     """Derivatives of ``act``, whose arguments these are; k = 3 or 6.
 
@@ -54,8 +54,8 @@ def slopes(
     """
     v, n = velocity[..., None, :], at.normal
     rate = dot(n, v)
-    normal, by_depth = jax.jvp(lambda d: skin.normal(d, rate), (at.penetration,), (jnp.ones_like(at.penetration),))
-    by_rate = jax.jvp(lambda r: skin.normal(at.penetration, r), (rate,), (jnp.ones_like(rate),))[1]
+    normal, by_depth = jax.jvp(lambda d: laws.normal(d, rate), (at.penetration,), (jnp.ones_like(at.penetration),))
+    by_rate = jax.jvp(lambda r: laws.normal(at.penetration, r), (rate,), (jnp.ones_like(rate),))[1]
     hessian = sum(((e * curve[..., None])[..., :, None] * e[..., None, :] for e, curve in at.bends), jnp.zeros(()))
     curved = len(at.bends) > 0
     drift = sum(((e * (curve * dot(e, v))[..., None]) for e, curve in at.bends), jnp.zeros(3))
@@ -67,7 +67,7 @@ def slopes(
     by_place = -_dyad(n, load_place) - (normal[..., None, None] * hessian if curved else 0.0)
     by_twist = -_dyad(n, load_twist)
     force = -normal[..., None] * n
-    if skin.friction is None:
+    if laws.friction is None:
         k = 3 if spin is None else 6
         wide = [(0, 0)] * (by_place.ndim - 3)
         value, by_place, by_twist = jnp.sum(force, -2), jnp.sum(by_place, -3), jnp.sum(by_twist, -3)
@@ -90,9 +90,9 @@ def slopes(
         by_twist = jnp.concatenate([by_twist, jnp.zeros_like(by_twist)], -1)
     squared = dot(slide, slide)
     if bristles is None:
-        mobility, bend = jax.jvp(skin.mobility, (squared,), (jnp.ones_like(squared),))
+        mobility, bend = jax.jvp(laws.mobility, (squared,), (jnp.ones_like(squared),))
     else:
-        found, slants = jax.jvp(skin.bond, (squared,), (jnp.ones_like(squared),))
+        found, slants = jax.jvp(laws.bond, (squared,), (jnp.ones_like(squared),))
         (forget, stick, mobility), (forget_bend, stick_bend, bend) = found, slants
     drag, pull = normal * mobility, (2.0 * normal * bend)[..., None] * slide
     drag_place = mobility[..., None] * load_place + _row(pull, slide_place)
@@ -113,7 +113,7 @@ def slopes(
         rub_place = rub_place - hold[..., None, None] * bent_place
         rub_twist = rub_twist - _dyad(bent, stick[..., None] * load_twist + _row(grip, slide_twist))
         pull = -hold[..., None, None] * plane
-        apart, opening = jax.jvp(skin.apart, (at.penetration,), (jnp.ones_like(at.penetration),))
+        apart, opening = jax.jvp(laws.apart, (at.penetration,), (jnp.ones_like(at.penetration),))
         close, lost = (1.0 - apart)[..., None, None], slide - forget[..., None] * bristles + bristles / RELAX
         bond = Bond(
             bristles,

@@ -30,7 +30,7 @@ def nominal(scene: Joint, params: Params, seat_turn: Array) -> Array:
     at["seat_turn"] = seat_turn[None]
     rate = {"head": jnp.zeros(3), "head_turn": speed[None], "cage": jnp.zeros(3), "cage_turn": speed * axis}
     rate["seat_turn"] = speed[None]
-    names = [name for name, slot in scene.slots.items() if slot is not None]
+    names = [name for name, piece in scene.slices.items() if piece is not None]
     if scene.spin:
         velocities = jnp.concatenate([velocities, jnp.broadcast_to(speed * axis, (scene.balls, 3))], -1)
     unbent = [jnp.zeros(scene.states - scene.moving)] if scene.bristles else []

@@ -1,11 +1,11 @@
 """Newton's law for the bodies of the joint: state in, contact wrenches and accelerations out.
 
 World axes throughout: the seat's axis is z, the head's lies in the x-z plane at the joint angle. The
-border (everything that is not a ball) is, in this order and as far as the scene has it:
+coupling (everything that is not a ball) is, in this order and as far as the scene has it:
 
     head place (3)   head turn (1)   cage place (3)   cage axis or spin (3)   seat turn (1)
 
-The state is flat: ball places, border places, ball twists (velocity, and spin where balls spin), border
+The state is flat: ball places, coupling places, ball twists (velocity, and spin where balls spin), coupling
 velocities, bristles (``bristles``). The cage is a body of revolution whose window planes know nothing of its own
 turn, so a unit axis is all its attitude, and its inertia is that of a spherical shell (isotropic): no quaternion, no
 gyroscopic term.
@@ -27,7 +27,7 @@ from bcfj_jax.models.joint.bristles import beside, flat, split
 from bcfj_jax.models.joint.constants import BALLS, Constants
 from bcfj_jax.models.joint.contacts import Geometry, Touch, act, grooves, join, pilots, windows
 from bcfj_jax.models.joint.guides import GUIDES
-from bcfj_jax.models.joint.law_pair import Skin, SkinPair
+from bcfj_jax.models.joint.law_pair import ContactLaws, LawPair
 from bcfj_jax.models.joint.scene import PILOTS, Joint
 
 
@@ -61,9 +61,9 @@ class Touches(NamedTuple):
 def view(scene: Joint, c: Constants, y: Array) -> State:
     """Names for the parts of a flat state; what the scene fixes comes from the constants."""
     n, k = scene.balls, scene.twist
-    places, twists = y[: 3 * n].reshape(n, 3), y[3 * n + scene.border :][: k * n].reshape(n, k)
-    at, rates = y[3 * n : 3 * n + scene.border], y[(3 + k) * n + scene.border : scene.moving]
-    where = scene.slots
+    places, twists = y[: 3 * n].reshape(n, 3), y[3 * n + scene.coupling :][: k * n].reshape(n, k)
+    at, rates = y[3 * n : 3 * n + scene.coupling], y[(3 + k) * n + scene.coupling : scene.moving]
+    where = scene.slices
     zero = jnp.zeros(3)
     head, turn, cage, tilt, seat = (where[name] for name in ("head", "head_turn", "cage", "cage_turn", "seat_turn"))
     axis = c.bisector if tilt is None else at[tilt]
@@ -107,30 +107,30 @@ class Around(NamedTuple):
     Attributes:
         motion: of the balls relative to them, (balls, m, 3); spins: their angular velocities (m, 3).
         across: normals of the track planes (balls, 2, 3).
-        contacts: skins and geometries, of all bodies together (balls, m, f) or one after the other.
+        contacts: several and geometries, of all bodies together (balls, m, f) or one after the other.
         bristles: by contact.
     """
 
     motion: Motion
     spins: Array
     across: Array
-    contacts: tuple[tuple[Skin | SkinPair, Geometry], ...]
+    contacts: tuple[tuple[ContactLaws | LawPair, Geometry], ...]
     bristles: dict[str, Array]
 
-    def parts(self) -> list[tuple[Skin | SkinPair, Geometry, Motion, Array | None]]:
-        """Each skin and geometry with the motion and the bristles that go with it."""
+    def parts(self) -> list[tuple[ContactLaws | LawPair, Geometry, Motion, Array | None]]:
+        """Each laws and geometry with the motion and the bristles that go with it."""
         found, first = [], 0
-        for skin, at in self.contacts:
+        for laws, at in self.contacts:
             last = first + at.penetration.shape[1]
             motion = jax.tree.map(lambda x, i=first, j=last: x[:, i:j], self.motion)
-            found.append((skin, at, motion, beside(self.bristles, BALLS[first:last])))
+            found.append((laws, at, motion, beside(self.bristles, BALLS[first:last])))
             first = last
         return found
 
 
 def around(scene: Joint, c: Constants, state: State) -> Around:
     """Where the balls are, and how they move, relative to the bodies that they touch."""
-    zero, windowed = jnp.zeros(3), c.window_skin is not None
+    zero, windowed = jnp.zeros(3), c.window_laws is not None
     place = jnp.stack([zero, state.head_place, *([state.cage_place] if windowed else [])])
     velocity = jnp.stack([zero, state.head_velocity, *([state.cage_velocity] if windowed else [])])
     races = [state.seat_spin * c.axes[0], state.head_spin * c.axes[1]]
@@ -142,26 +142,26 @@ def around(scene: Joint, c: Constants, state: State) -> Around:
     angle = scene.azimuths[:, None, None]
     across = jnp.cos(angle) * tangent - jnp.sin(angle) * radial
     at = grooves(c.groove, motion.arm[:, :2] - c.groove.offset[:, None] * c.axes, across)
-    if c.window_skin is None:
-        return Around(motion, spins, across, ((c.groove_skin, at),), state.bristles)
+    if c.window_laws is None:
+        return Around(motion, spins, across, ((c.groove_laws, at),), state.bristles)
     window = windows(c.window_clearance, c.groove.ball, motion.arm[:, 2], state.cage_axis)
-    if c.ball_skin is not None:
-        return Around(motion, spins, across, ((c.ball_skin, join(at, window)),), state.bristles)
+    if c.ball_laws is not None:
+        return Around(motion, spins, across, ((c.ball_laws, join(at, window)),), state.bristles)
     alone = jax.tree.map(lambda x: x[:, None], window._replace(lever_slope=None))._replace(lever_slope=0.0)
-    return Around(motion, spins, across, ((c.groove_skin, at), (c.window_skin, alone)), state.bristles)
+    return Around(motion, spins, across, ((c.groove_laws, at), (c.window_laws, alone)), state.bristles)
 
 
 @partial(jax.jit, static_argnums=0, inline=True)  # solver and observation both trace it
 def touches(scene: Joint, c: Constants, state: State) -> Touches:
     """Every contact of the scene in one state."""
     parts = around(scene, c, state).parts()
-    acted = [act(skin, at, motion.velocity, motion.spin, bent) for skin, at, motion, bent in parts]
+    acted = [act(laws, at, motion.velocity, motion.spin, bent) for laws, at, motion, bent in parts]
     groove = jax.tree.map(lambda x: x[:, :2], acted[0])
-    window = None if c.window_skin is None else jax.tree.map(lambda x: x[:, -1], acted[-1])
+    window = None if c.window_laws is None else jax.tree.map(lambda x: x[:, -1], acted[-1])
     pilot = None
-    if c.pilot_skin is not None:
+    if c.pilot_laws is not None:
         at, motion, bent, _ = piloted(scene, c, state)
-        pilot = act(c.pilot_skin, at, motion.velocity, motion.spin, bent)
+        pilot = act(c.pilot_laws, at, motion.velocity, motion.spin, bent)
     return Touches(groove, window, pilot)
 
 
@@ -188,7 +188,7 @@ def piloted(scene: Joint, c: Constants, state: State) -> tuple[Geometry, Motion,
 
 
 def guide_maps(c: Constants, arm: Array) -> Array:
-    """Twists of the inner spheres relative to the outer ones' material, by border velocities, (pilots, 6, border)."""
+    """Twists of the inner spheres relative to the outer ones' material, by coupling velocities, (pilots, 6, coupling)."""
     return c.guides.still + jnp.einsum("pi,pikb->pkb", arm, c.guides.lever)
 
 
@@ -198,10 +198,10 @@ def load_torque(c: Constants, t: Array) -> Array:
 
 
 def applied(scene: Joint, c: Constants, t: Array, state: State) -> Array:
-    """Generalised forces of loads and drive on the border, (border,)."""
+    """Generalised forces of loads and drive on the coupling, (coupling,)."""
     parts = {"head": -c.axial_load * c.axes[1], "head_turn": -load_torque(c, t)[None]}
     parts |= {"cage": jnp.zeros(3), "cage_turn": jnp.zeros(3), "seat_turn": drive_torque(scene, c, t, state)[None]}
-    return jnp.concatenate([parts[name] for name, slot in scene.slots.items() if slot is not None])
+    return jnp.concatenate([parts[name] for name, piece in scene.slices.items() if piece is not None])
 
 
 def drive_torque(scene: Joint, c: Constants, t: Array, state: State) -> Array:
@@ -218,7 +218,7 @@ def wrench(touch: Touch) -> Array:
 
 
 def on_bodies(scene: Joint, c: Constants, state: State, found: Touches) -> tuple[Array, Array]:
-    """Contact wrenches on the balls (balls, twist) and generalised contact forces on the border (border,)."""
+    """Contact wrenches on the balls (balls, twist) and generalised contact forces on the coupling (coupling,)."""
     wrenches, places = wrench(found.grooves), [jnp.zeros(3), state.head_place]
     if found.windows is not None:
         wrenches = jnp.concatenate([wrenches, wrench(found.windows)[:, None]], 1)
@@ -231,11 +231,11 @@ def on_bodies(scene: Joint, c: Constants, state: State, found: Touches) -> tuple
     turning = jnp.sum(twist[:2] * c.axes, -1)
     cage = (push[2], twist[2]) if found.windows is not None else (jnp.zeros(3), jnp.zeros(3))
     parts = {"head": push[1], "head_turn": turning[1:], "cage": cage[0], "cage_turn": cage[1], "seat_turn": turning[:1]}
-    border = jnp.concatenate([parts[name] for name, slot in scene.slots.items() if slot is not None])
+    coupling = jnp.concatenate([parts[name] for name, piece in scene.slices.items() if piece is not None])
     if found.pilots is not None:
         maps = guide_maps(c, guided(scene, c, state)[0].arm)
-        border = border + jnp.einsum("pkb,pk->b", maps, wrench(found.pilots))
-    return jnp.sum(wrenches, 1), border
+        coupling = coupling + jnp.einsum("pkb,pk->b", maps, wrench(found.pilots))
+    return jnp.sum(wrenches, 1), coupling
 
 
 def _bending(scene: Joint, c: Constants, state: State, found: Touches) -> Array:
@@ -258,15 +258,21 @@ def field(t: Array, y: Array, args: tuple[Joint, Constants]) -> Array:
     scene, c = args
     state = view(scene, c, y)
     found = touches(scene, c, state)
-    ball, border = on_bodies(scene, c, state, found)
-    border = border + applied(scene, c, t, state)
+    ball, coupling = on_bodies(scene, c, state, found)
+    coupling = coupling + applied(scene, c, t, state)
     n = scene.balls
-    rates = y[(3 + scene.twist) * n + scene.border : scene.moving]
-    tilt = scene.slots["cage_turn"]
+    rates = y[(3 + scene.twist) * n + scene.coupling : scene.moving]
+    tilt = scene.slices["cage_turn"]
     if tilt is not None:
-        axis = y[3 * n : 3 * n + scene.border][tilt]
+        axis = y[3 * n : 3 * n + scene.coupling][tilt]
         rates = rates.at[tilt].set(jnp.cross(state.cage_spin, axis))
     bending = [_bending(scene, c, state, found)] if scene.bristles else []
     return jnp.concatenate(
-        [state.ball_velocity.ravel(), rates, (ball * c.ball_lightness).ravel(), border * c.border_lightness, *bending]
+        [
+            state.ball_velocity.ravel(),
+            rates,
+            (ball * c.ball_inverse_mass).ravel(),
+            coupling * c.coupling_inverse_mass,
+            *bending,
+        ]
     )

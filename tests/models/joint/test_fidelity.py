@@ -85,20 +85,20 @@ def test_what_equilibrium_leaves_out_is_what_friction_changes():
     params = scene.parameters(friction_static=4e-4, friction_dynamic=1e-4, damping=0.0)
     c, times = constants(scene, params), np.array([0.1, 0.13, 0.17])
     found = statics(scene, params, times)
-    n, turn = 9, 9 + scene.slots["head_turn"].start
+    n, turn = 9, 9 + scene.slices["head_turn"].start
 
     @jax.jit
     def pushes(x, t, rough):
         y = nominal(scene, params, params["drive_speed"] * t)
-        y = y.at[: n + scene.border].add(jnp.concatenate([x[:n] * 1e-5, jnp.zeros(scene.border)]))
+        y = y.at[: n + scene.coupling].add(jnp.concatenate([x[:n] * 1e-5, jnp.zeros(scene.coupling)]))
         y = y.at[turn].add(x[n] * 1e-4)
-        y = jnp.where(jnp.arange(y.size) >= n + scene.border, rough * y, y)
+        y = jnp.where(jnp.arange(y.size) >= n + scene.coupling, rough * y, y)
         state = system.view(scene, c, y)
         touches = system.touches(scene, c, state)
-        ball, border = system.on_bodies(scene, c, state, touches)
-        border = border + system.applied(scene, c, t, state)
-        at = scene.slots["head_turn"].start
-        return jnp.concatenate([ball.ravel() * 1e-3, border[at : at + 1] * 1e-2]), y
+        ball, coupling = system.on_bodies(scene, c, state, touches)
+        coupling = coupling + system.applied(scene, c, t, state)
+        at = scene.slices["head_turn"].start
+        return jnp.concatenate([ball.ravel() * 1e-3, coupling[at : at + 1] * 1e-2]), y
 
     # Balls half way between tracks that have turned by what the load takes: 0.14 mm each.
     way = np.stack([-np.sin(scene.azimuths), np.cos(scene.azimuths), np.zeros(3)], 1)
@@ -110,16 +110,16 @@ def test_what_equilibrium_leaves_out_is_what_friction_changes():
         for rough in (0.0, 1.0):
             at = scipy.optimize.root(lambda x, t=t, rough=rough: pushes(x, t, rough)[0], guess, tol=1e-11)
             assert np.abs(at.fun).max() < 1e-7
-            still = jnp.where(jnp.arange(scene.states) >= n + scene.border, 0.0, pushes(at.x, t, 0.0)[1])
+            still = jnp.where(jnp.arange(scene.states) >= n + scene.coupling, 0.0, pushes(at.x, t, 0.0)[1])
             normals.append({name: r.force[..., 0] for name, r in observe(scene, c, still).items()})
         for name, force in found.quasistatic.items():
             # A ball that carries nothing floats, and is held by the grounding's springs alone.
             np.testing.assert_allclose(force[k], normals[0][name], rtol=1e-4, atol=1.0)
             right = normals[1][name] - normals[0][name]
-            np.testing.assert_allclose(found.omitted[name][k], right, atol=0.03 * np.abs(right).max())
+            np.testing.assert_allclose(found.left_out[name][k], right, atol=0.03 * np.abs(right).max())
 
 
-def test_rungs_are_told_their_errors():
+def test_levels_state_their_errors():
     one = {"a": np.full((4, 2), 10.0)}
     found = fidelity.Statics({"a": one["a"] + 3.0}, one, {"a": np.full((4, 2), -2.0)}, np.ones(4, bool))
     assert fidelity.static_errors(found) == {"kinematic": 5.0 / 8.0, "quasistatic": 2.0 / 8.0}
@@ -148,9 +148,9 @@ def made_up(decay=0.0, failure=np.nan):
 
 def test_what_has_not_settled_is_repeated_for_no_budget():
     params = AUTO.parameters(drive_speed=10.0)
-    told = [fidelity.adaptive(AUTO, params, TIMES, budget, made_up(decay=1e5)[0]).choice for budget in (0.5, 0.01)]
-    assert 0.01 < told[0].errors["periodic"] < 0.5
-    assert told[0].fidelity == told[1].fidelity == "dynamic" and "more than 1 %" in told[0].reason
+    stated = [fidelity.adaptive(AUTO, params, TIMES, budget, made_up(decay=1e5)[0]).choice for budget in (0.5, 0.01)]
+    assert 0.01 < stated[0].errors["periodic"] < 0.5
+    assert stated[0].fidelity == stated[1].fidelity == "dynamic" and "more than 1 %" in stated[0].reason
 
 
 def test_a_motion_that_repeats_is_not_solved_to_the_end():
@@ -215,18 +215,18 @@ def simulated(folder, path):
 
 
 @pytest.mark.parametrize(("errors", "expected"), [((0.009, 0.001), "kinematic"), ((0.02, 0.009), "quasistatic")])
-def test_the_cheapest_rung_within_the_budget_is_taken(monkeypatch, errors, expected):
+def test_the_cheapest_level_within_the_budget_is_taken(monkeypatch, errors, expected):
     params = AUTO.parameters(friction_static=0.002, friction_dynamic=0.001)
-    told = dict(zip(("kinematic", "quasistatic"), errors, strict=True))
-    monkeypatch.setattr(fidelity, "_look", lambda *_: (told, {"wall_s": 0.25, "compile_s": 1.0}))
+    stated = dict(zip(("kinematic", "quasistatic"), errors, strict=True))
+    monkeypatch.setattr(fidelity, "_look", lambda *_: (stated, {"wall_s": 0.25, "compile_s": 1.0}))
     ran = []
     blank = made_up()[0](bj.scenes.joint(), TIMES)
     found = fidelity.adaptive(AUTO, params, TIMES, 0.01, lambda scene, _: ran.append(scene.fidelity) or blank)
-    assert found.choice.fidelity == expected and ran == [expected] and found.choice.errors == told
+    assert found.choice.fidelity == expected and ran == [expected] and found.choice.errors == stated
     assert found.stats["wall_s"] == 0.75 and found.stats["compile_s"] == 1.0
 
 
-def test_without_friction_a_static_rung_is_right(tmp_path):
+def test_without_friction_a_static_level_is_right(tmp_path):
     expected = "quasistatic"
     path = tmp_path / "little.toml"
     path.write_text(FILE.format(friction="false", angle=20, end=0.6, error=5))

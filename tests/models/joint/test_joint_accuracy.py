@@ -43,7 +43,7 @@ def test_the_reference_is_one():
         assert np.abs(kept.force[name][..., 0]).max() == pytest.approx(peak, rel=1e-6)
 
 
-def test_errors_are_told_apart():
+def test_errors_are_distinguished():
     """One component of one member, off by a constant: that contact's error is the constant over the contact's peak."""
     force = {"a": np.zeros((5, 6, 3)), "b": np.full((5, 3), 2.0)}
     force["a"][3, 2, 0] = -4.0

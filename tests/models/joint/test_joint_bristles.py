@@ -33,28 +33,28 @@ def touching(friction: str):
     def look(height, velocity, bristle):
         at = windows(c.window_clearance, c.groove.ball, jnp.asarray(PLACE) + height * AXIS, jnp.asarray(AXIS))
         bent = jnp.stack([bristle, jnp.zeros(3)]) if friction == "lugre" else None
-        touch = act(c.window_skin, at, velocity, None, bent)
+        touch = act(c.window_laws, at, velocity, None, bent)
         bending = jnp.zeros(3) if touch.bending is None else touch.bending[0]
         return touch.drag, touch.normal[0], bending
 
-    return look, c.window_skin
+    return look, c.window_laws
 
 
-def settled(skin, slip: np.ndarray) -> np.ndarray:
+def settled(laws, slip: np.ndarray) -> np.ndarray:
     """Deflection of steady slip."""
-    return slip / float(skin.bond(jnp.asarray(slip @ slip))[0])
+    return slip / float(laws.bond(jnp.asarray(slip @ slip))[0])
 
 
 @pytest.mark.parametrize("speed", [0.05, 0.3, 2.0])
 def test_steady_slip_has_the_force_without_bristles(speed):
-    look, skin = touching("lugre")
+    look, laws = touching("lugre")
     slip = speed * np.array([0.6, -0.8, 0.0])
-    drag, normal, bending = look(0.0, slip, settled(skin, slip))
+    drag, normal, bending = look(0.0, slip, settled(laws, slip))
     assert float(normal) > 10.0
-    assert np.allclose(drag, -normal * skin.mobility(jnp.asarray(speed**2)) * slip, rtol=3e-6, atol=1e-12)
+    assert np.allclose(drag, -normal * laws.mobility(jnp.asarray(speed**2)) * slip, rtol=3e-6, atol=1e-12)
     assert np.allclose(bending, 0.0, atol=1e-9 * speed)
     # The part of a bristle out of the plane does nothing.
-    lifted = look(0.0, slip, settled(skin, slip) + 1e-6 * AXIS)
+    lifted = look(0.0, slip, settled(laws, slip) + 1e-6 * AXIS)
     assert np.allclose(lifted[0], drag, rtol=1e-12, atol=1e-12)
 
 
@@ -128,5 +128,5 @@ def test_a_joint_runs_on_bristles():
     bent = np.abs(run.trajectory[-1, scene.moving :])
     assert 1e-8 < bent.max() < 1e-5
     # What is left is the quadrature's, of bristles that settle within some 10 us: it goes as the square of the panel.
-    books = energy_balance.balance(scene, params, times, step=5e-6)
-    assert books.closure < 1e-3
+    closed = energy_balance.balance(scene, params, times, step=5e-6)
+    assert closed.closure < 1e-3

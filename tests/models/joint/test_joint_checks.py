@@ -192,8 +192,8 @@ def test_a_deflection_is_refused_exactly_where_no_mouth_is_left(rp, ratio, beta,
     mouths = np.linspace(0.0, seat, 2001)
     behind = (mouths > height.max()) | (mouths > -height.min())
     free = np.arctan2(np.sqrt(seat**2 - mouths**2), mouths) > beta
-    room = seat * np.cos(beta) - min(height.max(), -height.min())
-    assume(abs(room) > seat / 2000)
+    left = seat * np.cos(beta) - min(height.max(), -height.min())
+    assume(abs(left) > seat / 2000)
     assert (deflection.mouth_open(seat, radius, rp, e, alpha, beta) is None) == bool(np.any(behind & free))
 
 

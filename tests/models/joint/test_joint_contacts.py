@@ -34,9 +34,9 @@ def disturbed(scene, params, seed: int, size: float = 5e-5) -> jax.Array:
     """A state some 50 um and 0.2 m/s off the nominal one, the cage's axis a unit vector, turned by 0.3 rad."""
     rng = np.random.default_rng(seed)
     y = np.array(nominal(scene, params, jnp.asarray(0.3)))
-    places = 3 * scene.balls + scene.border
+    places = 3 * scene.balls + scene.coupling
     y += np.r_[size * rng.normal(size=places), 0.2 * rng.normal(size=y.size - places)]
-    tilt = scene.slots["cage_turn"]
+    tilt = scene.slices["cage_turn"]
     if tilt is not None:
         axis = y[3 * scene.balls :][tilt]
         axis /= np.linalg.norm(axis)
@@ -185,7 +185,7 @@ def test_ball_without_clearance_touches_both_flanks_at_the_contact_angle():
     # Pressed into the groove, outwards in the seat and inwards in the head, both flanks push back alike.
     depth = 20e-6 * np.array([[1.0], [-1.0]]) * radial
     at = grooves(g, jnp.asarray(float(g.radius) * radial + depth), jnp.asarray(across))
-    touch = acted(c.groove_skin, at, jnp.zeros((2, 3)), None)
+    touch = acted(c.groove_laws, at, jnp.zeros((2, 3)), None)
     assert np.allclose(touch.normal[:, 0], touch.normal[:, 1], rtol=1e-10) and np.all(np.asarray(touch.normal) > 100)
     pressed = np.asarray(touch.force)
     assert np.allclose(np.cross(pressed, -depth), 0.0, rtol=0, atol=1e-9 * abs(pressed).max() * 2e-5)
@@ -212,7 +212,7 @@ def test_sector_gate():
     gate = np.asarray(at.gate[:, 0])
     assert np.all(gate[shares < -1, 0] == 0.0) and np.all(gate[shares > 1, 1] == 0.0)
     assert np.all(gate[abs(shares) < 0.8] == 1.0)
-    normal = np.asarray(acted(c.groove_skin, at, jnp.zeros((61, 2, 3)), None).normal[:, 0])
+    normal = np.asarray(acted(c.groove_laws, at, jnp.zeros((61, 2, 3)), None).normal[:, 0])
     assert np.all(normal[shares < -1, 0] == 0.0) and np.all(normal[shares > 0.9, 0] > 0.0)
     # Its slope, where it is between 0 and 1.
     # (Its second derivative jumps at either end: samples whose step straddles one are left out.)
@@ -234,7 +234,7 @@ def test_forces_of_a_window():
     axis, depth, v, w = np.array([0.0, 0.0, 1.0]), 20e-6, np.array([0.3, -0.1, 0.05]), np.array([30.0, 10.0, 5.0])
     place = np.array([0.03, 0.01, 1e-5 + depth])
     at = windows(c.window_clearance, c.groove.ball, jnp.asarray(place), jnp.asarray(axis))
-    touch = acted(c.window_skin, at, jnp.asarray(v), jnp.asarray(w))
+    touch = acted(c.window_laws, at, jnp.asarray(v), jnp.asarray(w))
     normal = 1.3476e10 * depth**1.5 * (1.0 + 0.111 * v[2])
     assert float(touch.normal[0]) == within(normal, 1e-12) and float(touch.normal[1]) == 0.0
     slip = v - v[2] * axis + np.cross(w, 8e-3 * axis)
@@ -246,7 +246,7 @@ def test_forces_of_a_window():
     assert np.allclose(touch.moment, np.cross(8e-3 * axis, drag), rtol=1e-12, atol=1e-15)
     assert float(touch.slip[0]) == within(np.linalg.norm(slip), 1e-12)
     # A ball that rolls does not slip; without spin it is a particle, and slides.
-    rolling = acted(c.window_skin, at, jnp.asarray(-np.cross(w, 8e-3 * axis)), jnp.asarray(w))
+    rolling = acted(c.window_laws, at, jnp.asarray(-np.cross(w, 8e-3 * axis)), jnp.asarray(w))
     assert np.allclose(rolling.drag, 0.0, atol=1e-12 * normal)
 
 
@@ -258,7 +258,7 @@ def test_contacts_take_power_and_do_not_give_any(spin):
     place, across = in_grooves(rng, float(c.groove.radius))
     velocity, twist = 0.2 * rng.normal(size=place.shape), 20.0 * rng.normal(size=place.shape) if spin else None
     at = grooves(c.groove, jnp.asarray(place), jnp.asarray(across))
-    touch = acted(c.groove_skin, at, jnp.asarray(velocity), twist if twist is None else jnp.asarray(twist))
+    touch = acted(c.groove_laws, at, jnp.asarray(velocity), twist if twist is None else jnp.asarray(twist))
     power = np.sum(np.asarray(touch.drag) * velocity, -1)
     if twist is not None:
         power = power + np.sum(np.asarray(touch.moment) * twist, -1)

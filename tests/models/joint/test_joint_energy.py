@@ -147,7 +147,7 @@ def test_stored_energy_of_motion():
 
 
 @pytest.mark.slow
-def test_books_close_over_a_revolution():
+def test_energy_balance_over_a_revolution():
     params = JOINT.parameters()
     found = energy_balance.balance(JOINT, params, np.linspace(0.0, 0.6, 61), 1e-4)
     # 0.1 % is asked; 11 kJ pass.
@@ -160,7 +160,7 @@ def test_books_close_over_a_revolution():
 
 
 @pytest.mark.slow
-def test_books_close_with_rolling_balls():
+def test_energy_balance_with_rolling_balls():
     scene = bj.scenes.joint(spin=True)
     found = energy_balance.balance(scene, scene.parameters(), np.linspace(0.0, 0.1, 11), 1e-4)
     assert found.closure < 2e-5
@@ -168,7 +168,7 @@ def test_books_close_with_rolling_balls():
 
 
 @pytest.mark.parametrize("what", ["fidelity", "times", "step"])
-def test_books_are_refused(what):
+def test_energy_balance_is_refused(what):
     scene = bj.scenes.joint(fidelity="quasistatic") if what == "fidelity" else JOINT
     times = [0.1, 0.0] if what == "times" else [0.0, 0.1]
     with pytest.raises(InputError, match="balance" if what == "fidelity" else what):

@@ -133,7 +133,7 @@ def compared(name: str) -> tuple[Any, list[Pair]]:
         parts = [part.reshape(np.shape(x)) for part, x in zip(np.split(np.asarray(rates), ends), numbers, strict=True)]
         bristles = list(zip(parts[len(keys) :], remembered(joint, own_rates), strict=True))
         # Accelerations as velocities, of a state whose places are those that were.
-        places = 3 * joint.balls + joint.border
+        places = 3 * joint.balls + joint.coupling
         own = named(joint, params, np.r_[y[:places], np.asarray(own_rates)[places:]])
         own = {key: x for key, x in own.items() if key in keys}
         found.append(

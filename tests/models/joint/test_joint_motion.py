@@ -44,8 +44,8 @@ def test_cage_is_in_dynamic_equilibrium_at_every_instant():
     assert peak > 10.0 and residual.shape == (times.size, 3)
     assert np.abs(residual).max() < 1e-9 * peak
     # The accelerations are those of the run: the cage's velocity changes by their integral.
-    n, slot = JOINT.balls, JOINT.slots["cage"]
-    velocity = np.asarray(states[:, 6 * n + JOINT.border :][:, slot])
+    n, piece = JOINT.balls, JOINT.slices["cage"]
+    velocity = np.asarray(states[:, 6 * n + JOINT.coupling :][:, piece])
     impulse = np.trapezoid(sum(np.asarray(force) for force in forces.values()), times, axis=0)
     assert float(params["cage_mass"]) * (velocity[-1] - velocity[0]) == pytest.approx(impulse, abs=1e-3 * peak * 0.075)
 
@@ -61,7 +61,7 @@ def test_transmission_of_a_constant_velocity_joint():
     scene = bj.scenes.joint(fidelity="quasistatic")
     still = quasistatic(scene, params, times[late][::60])
     place = np.asarray(still.states)[:, 3 * scene.balls :]
-    lag = place[:, scene.slots["head_turn"]] - place[:, scene.slots["seat_turn"]]
+    lag = place[:, scene.slices["head_turn"]] - place[:, scene.slices["seat_turn"]]
     assert np.all(still.converged) and np.all(lag < -5e-3)
     assert np.asarray(found.angle_error)[late][::60] == pytest.approx(np.ravel(lag), rel=0.02)
     follows = 1.0 + np.ptp(lag) / (float(params["drive_speed"]) * np.ptp(times[late][::60]))
@@ -77,7 +77,7 @@ def test_transmission_of_a_constant_velocity_joint():
 
 @functools.cache
 def wrenches(scene):
-    """All bodies' contact forces and moments about O, (k, 2, 3), and what ``on_bodies`` makes of the border."""
+    """All bodies' contact forces and moments about O, (k, 2, 3), and what ``on_bodies`` makes of the coupling."""
     params = scene.parameters()
     c = constants(scene, params)
 
@@ -85,7 +85,7 @@ def wrenches(scene):
     def read(y):
         state = system.view(scene, c, y)
         found = system.touches(scene, c, state)
-        ball, border = system.on_bodies(scene, c, state, found)
+        ball, coupling = system.on_bodies(scene, c, state, found)
         total = {body: jnp.zeros((2, 3)) for body in ("seat", "head", "cage")}
 
         def add(body, force, point, moment=0.0):
@@ -115,7 +115,7 @@ def wrenches(scene):
         if scene.spin:
             turns = turns + jnp.sum(ball[:, 3:], 0)
         total["balls"] = jnp.stack([balls, turns])
-        return total, border, state, c.axes
+        return total, coupling, state, c.axes
 
     return read, params
 
@@ -126,7 +126,7 @@ def wrenches(scene):
 def test_contact_wrenches_sum_to_nothing(spin, seed):
     scene = bj.scenes.joint(spin=spin)
     read, params = wrenches(scene)
-    total, border, state, axes = jax.device_get(read(noisy(scene, params, seed)))
+    total, coupling, state, axes = jax.device_get(read(noisy(scene, params, seed)))
     for name in scene.pilots:
         assert np.abs(total.pop(f"{name} moment")[1]).max() < 1e-9 * np.abs(total["cage"][1]).max()
     size = np.max([np.abs(x) for x in total.values()], axis=(0, 2))
@@ -143,9 +143,9 @@ def test_contact_wrenches_sum_to_nothing(spin, seed):
         "cage_turn": own["cage"],
         "seat_turn": own["seat"] @ axes[0],
     }
-    for name, slot in scene.slots.items():
+    for name, piece in scene.slices.items():
         scale = size[1] if name.endswith("turn") else size[0]
-        assert np.abs(border[slot] - expected[name]).max() < 1e-9 * scale, name
+        assert np.abs(coupling[piece] - expected[name]).max() < 1e-9 * scale, name
 
 
 def spin_about_z(scene, params, y):
@@ -206,10 +206,10 @@ def test_a_free_joint_keeps_its_spin_and_loses_energy(spin):
 
 def renumbered(scene, y, turn):
     """The state with each ball called by the number before, all tracks turned on by as much."""
-    n, b, k = scene.balls, scene.border, scene.twist
+    n, b, k = scene.balls, scene.coupling, scene.twist
     places, at, twists, rates = np.split(np.array(y), [3 * n, 3 * n + b, (3 + k) * n + b])
     for name in ("head_turn", "seat_turn"):
-        at[scene.slots[name]] += turn
+        at[scene.slices[name]] += turn
     return np.concatenate(
         [
             np.roll(x.reshape(n, -1), -1, 0).ravel() if i % 2 == 0 else x
@@ -228,7 +228,9 @@ def test_sixfold_symmetry_of_the_field(spin):
         y = noisy(scene, params, seed)
         expected = renumbered(scene, field(y), 0.0)
         found = np.asarray(field(renumbered(scene, y, np.pi / 3)))
-        for part in np.split(np.arange(y.size), np.cumsum([3 * scene.balls, scene.border, scene.twist * scene.balls])):
+        for part in np.split(
+            np.arange(y.size), np.cumsum([3 * scene.balls, scene.coupling, scene.twist * scene.balls])
+        ):
             assert np.abs(found - expected)[part].max() < 3e-12 * np.abs(expected[part]).max()
 
 

@@ -26,20 +26,20 @@ def blocks(matrix: np.ndarray) -> list[np.ndarray]:
             for part in np.split(rows, matrix.shape[-1] // 3, -1)]  # fmt: skip
 
 
-def compare(skin, geometry, place, velocity, spin):
+def compare(laws, geometry, place, velocity, spin):
     """``slopes`` against forward differentiation of ``act``."""
     parts = [place, velocity] if spin is None else [place, velocity, spin]
     x = jnp.concatenate([jnp.asarray(part) for part in parts], -1)
 
     def wrench(x):
-        return system.wrench(act(skin, geometry(x[..., :3]), x[..., 3:6], None if spin is None else x[..., 6:]))
+        return system.wrench(act(laws, geometry(x[..., :3]), x[..., 3:6], None if spin is None else x[..., 6:]))
 
     @jax.jit
     def both(x):
         value, push = jax.linearize(wrench, x)
         # Contacts are independent: one direction of all of them at once.
         wanted = jax.vmap(lambda d: push(jnp.broadcast_to(d, x.shape)), out_axes=-1)(jnp.eye(x.shape[-1]))
-        return value, wanted, slopes(skin, geometry(x[..., :3]), x[..., 3:6], None if spin is None else x[..., 6:])[:3]
+        return value, wanted, slopes(laws, geometry(x[..., :3]), x[..., 3:6], None if spin is None else x[..., 6:])[:3]
 
     value, wanted, (same, by_place, by_twist) = jax.device_get(both(x))
     assert abs(value).max() > 1.0
@@ -58,7 +58,7 @@ def test_slopes_of_grooves(track, spin, friction):
     rng = np.random.default_rng(1)
     place, across = in_grooves(rng, float(c.groove.radius))
     velocity, twist = 0.2 * rng.normal(size=place.shape), 20.0 * rng.normal(size=place.shape) if spin else None
-    compare(c.groove_skin, lambda p: contacts.grooves(c.groove, p, across), place, velocity, twist)
+    compare(c.groove_laws, lambda p: contacts.grooves(c.groove, p, across), place, velocity, twist)
 
 
 @pytest.mark.parametrize("spin", [False, True], ids=["particle", "spin"])
@@ -70,18 +70,18 @@ def test_slopes_of_windows_and_pilots(spin, friction):
     place = 0.0355 * np.cross(unit(rng, MANY), axis) + 3e-5 * rng.normal(size=(MANY, 1)) * axis
     velocity, twist = 0.2 * rng.normal(size=place.shape), 20.0 * rng.normal(size=place.shape) if spin else None
     clearance, ball = c.window_clearance, c.groove.ball
-    compare(c.window_skin, lambda p: contacts.windows(clearance, ball, p, jnp.asarray(axis)), place, velocity, twist)
+    compare(c.window_laws, lambda p: contacts.windows(clearance, ball, p, jnp.asarray(axis)), place, velocity, twist)
     # Pilots come in pairs, coefficients side by side.
     place = 6e-5 * unit(rng, MANY, 2) * rng.uniform(0.5, 1.5, (MANY, 2, 1))
     velocity, twist = 0.2 * rng.normal(size=place.shape), 20.0 * rng.normal(size=place.shape) if spin else None
     pair = jax.vmap(lambda p: contacts.pilots(c.pilot_clearance, c.pilot_hollow, p)._replace(lever_slope=None))
-    compare(c.pilot_skin, lambda p: pair(p)._replace(lever_slope=-1.0), place, velocity, twist)
+    compare(c.pilot_laws, lambda p: pair(p)._replace(lever_slope=-1.0), place, velocity, twist)
 
 
-def test_slopes_of_unlike_skins():
-    # A SkinPair: other laws on either race, friction on one of them alone.
+def test_slopes_of_unlike_laws():
+    # A LawPair: other laws on either race, friction on one of them alone.
     _, _, c = made(laws=FrozenDict(head_ball="kelvin_voigt"), frictions=FrozenDict(head_ball=False), spin=True)
     rng = np.random.default_rng(3)
     place, across = in_grooves(rng, float(c.groove.radius))
     velocity, twist = 0.2 * rng.normal(size=place.shape), 20.0 * rng.normal(size=place.shape)
-    compare(c.groove_skin, lambda p: contacts.grooves(c.groove, p, across), place, velocity, twist)
+    compare(c.groove_laws, lambda p: contacts.grooves(c.groove, p, across), place, velocity, twist)

@@ -14,7 +14,7 @@ from scipy.optimize import root
 
 from bcfj_jax import laws
 from bcfj_jax.models.joint import geometry, system
-from bcfj_jax.models.joint.constants import constants, skin_of
+from bcfj_jax.models.joint.constants import constants, laws_of
 from bcfj_jax.models.joint.kinematic import ball_loads, kinematic_readings, kinematic_states, penetration
 from bcfj_jax.models.joint.model import JointModel
 from bcfj_jax.models.joint.quasistatic import GROUND, quasistatic
@@ -55,7 +55,7 @@ def rigid(angle, deflection, stiffness=1e12, pilots=1e2):
 def touching(scene, params, states):
     """Contacts at rest."""
     c = constants(scene, params)
-    still = states.at[:, 3 * scene.balls + scene.border :].set(0.0)
+    still = states.at[:, 3 * scene.balls + scene.coupling :].set(0.0)
     return jax.vmap(lambda y: system.touches(scene, c, system.view(scene, c, y)))(still)
 
 
@@ -248,10 +248,10 @@ def test_kinematic_states_and_penetration():
         force = abs(np.asarray(reading.force[..., 0]))
         k = float(PLAY.coefficient(params, name, "stiffness"))
         assert np.asarray(reading.penetration) == pytest.approx((force / k) ** (1 / 1.5), rel=1e-9, abs=1e-18)
-    skin = skin_of(SMALL, SMALL.parameters(), "seat_ball")
+    laws = laws_of(SMALL, SMALL.parameters(), "seat_ball")
     forces = jnp.array([0.0, 1e-3, 1.0, 1e4])
-    depth, slope = jax.jvp(lambda f: penetration(skin, f), (forces,), (jnp.ones(4),))
-    assert skin.normal(depth, 0.0 * depth)[1:] == within(np.asarray(forces[1:]), 1e-9)
+    depth, slope = jax.jvp(lambda f: penetration(laws, f), (forces,), (jnp.ones(4),))
+    assert laws.normal(depth, 0.0 * depth)[1:] == within(np.asarray(forces[1:]), 1e-9)
     assert depth[0] == 0.0 and np.all(np.isfinite(slope))
     assert slope[3] == within(float(depth[3] / 1e4 / 1.5), 1e-9)
     fixed = kinematic_readings(SMALL, SMALL.parameters(), times)

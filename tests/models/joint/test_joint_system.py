@@ -15,7 +15,7 @@ from bcfj_jax import scenes
 from bcfj_jax.core.small import inverse, inverse3, inverse6
 from bcfj_jax.models.joint import geometry, system
 from bcfj_jax.models.joint.arrowhead import Arrowhead
-from bcfj_jax.models.joint.law_pair import SkinPair
+from bcfj_jax.models.joint.law_pair import LawPair
 from bcfj_jax.models.joint.scene import CONTACTS
 from bcfj_jax.models.joint.start import nominal
 
@@ -55,13 +55,13 @@ def disturbed(scene, params, seed: int = 0) -> jax.Array:
     """A state some 30 um and 0.3 m/s off the nominal one, turned by 0.3 rad; the cage's axis is a unit vector."""
     rng = np.random.default_rng(seed)
     y = np.array(nominal(scene, params, jnp.asarray(0.3)))
-    places = 3 * scene.balls + scene.border
+    places = 3 * scene.balls + scene.coupling
     bristles = y.size - scene.moving
     y += np.r_[
         3e-5 * rng.normal(size=places), 0.3 * rng.normal(size=scene.moving - places), 1e-6 * rng.normal(size=bristles)
     ]
-    if scene.slots["cage_turn"] is not None:
-        axis = y[3 * scene.balls :][scene.slots["cage_turn"]]
+    if scene.slices["cage_turn"] is not None:
+        axis = y[3 * scene.balls :][scene.slices["cage_turn"]]
         axis /= np.linalg.norm(axis)
     return jnp.asarray(y)
 
@@ -72,8 +72,8 @@ def disturbed(scene, params, seed: int = 0) -> jax.Array:
 @EACH
 def test_arrowhead_solves_with_the_exact_jacobian(options):
     scene, params, c = made(options)
-    assert isinstance(c.groove_skin, SkinPair) == ("laws" in options or "frictions" in options)
-    y, t, places = disturbed(scene, params), jnp.asarray(0.02), 3 * scene.balls + scene.border
+    assert isinstance(c.groove_laws, LawPair) == ("laws" in options or "frictions" in options)
+    y, t, places = disturbed(scene, params), jnp.asarray(0.02), 3 * scene.balls + scene.coupling
     right = np.random.default_rng(1).normal(size=y.size) * np.where(np.arange(y.size) < places, 1.0, 1e4)
     right[scene.moving :] *= 1e-5
     structure = Arrowhead()
@@ -140,7 +140,7 @@ def test_start_is_assembled_and_consistent(options):
     for touch in (x for x in found if x is not None):
         assert np.all(touch.normal == 0.0) and np.all(touch.force == 0.0)
     # Velocities are those of the nominal motion. Nothing touches and nothing is loaded: nothing is accelerated.
-    places = 3 * scene.balls + scene.border
+    places = 3 * scene.balls + scene.coupling
     assert np.allclose(moving[:places], rates[:places], rtol=0, atol=1e-7)
     assert np.all(abs(moving[places:]) <= 1e-6)
 
@@ -179,14 +179,14 @@ def test_forces_balance():
         taken = sum(jnp.sum(touch.force * move.velocity) + jnp.sum(touch.moment * move.spin) for touch, move in pairs)
         return state, found, system.on_bodies(scene, c, state, found), taken
 
-    state, found, (ball, border), taken = jax.device_get(look(disturbed(scene, params)))
+    state, found, (ball, coupling), taken = jax.device_get(look(disturbed(scene, params)))
     seat = -np.sum(np.asarray(found.grooves.force[:, 0]), 0) - np.asarray(found.pilots.force[0])
-    at = {name: np.asarray(border[slot]) for name, slot in scene.slots.items()}
+    at = {name: np.asarray(coupling[piece]) for name, piece in scene.slices.items()}
     total = np.sum(np.asarray(ball[:, :3]), 0) + at["head"] + at["cage"] + seat
     assert np.allclose(total, 0.0, rtol=0, atol=1e-9 * abs(np.asarray(ball)).max())
     # Power of all generalised forces is what contacts take on their relative twists.
     y = disturbed(scene, params)
-    rates = np.asarray(y[(3 + scene.twist) * scene.balls + scene.border :])
+    rates = np.asarray(y[(3 + scene.twist) * scene.balls + scene.coupling :])
     twists = np.concatenate([state.ball_velocity, state.ball_spin], -1)
-    power = np.sum(np.asarray(ball) * twists) + np.asarray(border) @ rates
+    power = np.sum(np.asarray(ball) * twists) + np.asarray(coupling) @ rates
     assert power == within(float(taken), 1e-10)

@@ -1,4 +1,4 @@
-"""The smooth onset of penetration: the ramp itself, and what it leaves unchanged in an impact."""
+"""The contact regularisation: the ramp itself, and what it leaves unchanged in an impact."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from oracles import impact, within
 
 from bcfj_jax import laws
-from bcfj_jax.contact.normal import onset_force
+from bcfj_jax.contact.normal import regularised_force
 from bcfj_jax.contact.restitution import (
     damped_penetration,
     delivered_restitution,
@@ -73,7 +73,7 @@ def test_smooth_ramp_is_finite_and_sharp_without_width(distance, width):
 @pytest.mark.parametrize("exponent", [1.0, 1.5, 3.0])
 @pytest.mark.parametrize("chi", [0.0, 0.634828])
 def test_smoothing_changes_neither_peak_nor_restitution(exponent, share, chi):
-    """The bound that ``onset_force`` states, for an onset of width w = share * d0: no effect at all.
+    """The bound that ``regularised_force`` states, for a regularisation of width w = share * d0: no effect at all.
 
     The elastic part keeps its potential, now along r(d), and (1 + a d') separates in the first integral; so the
     impulse m v0 (1 + e) is unchanged too. The duration grows by 2 w / v0, to first order.
@@ -85,7 +85,7 @@ def test_smoothing_changes_neither_peak_nor_restitution(exponent, share, chi):
     width = share * depth
     law = laws.make("memory_free")
 
-    run = impact(jax.jit(lambda d, rate: onset_force(law, d, rate, params, width)), mass, speed, onset=width)
+    run = impact(jax.jit(lambda d, rate: regularised_force(law, d, rate, params, width)), mass, speed, onset=width)
     assert run.restitution == pytest.approx(float(delivered_restitution(chi)), abs=1e-8)
     assert run.penetration == within(depth, 1e-8)
     if not chi:  # a damped peak comes before the deepest point, and may lie inside the blend

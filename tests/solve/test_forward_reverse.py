@@ -1,4 +1,4 @@
-"""``two_way`` by itself: every transformation of a toy function equals plain JAX on it."""
+"""``forward_and_reverse`` by itself: every transformation of a toy function equals plain JAX on it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bcfj_jax.solve.forward_reverse import two_way
+from bcfj_jax.solve.forward_reverse import forward_and_reverse
 
 
 def toy(x):
@@ -14,8 +14,8 @@ def toy(x):
     return {"sum": jnp.sin(x["a"]) * x["b"], "product": x["b"] ** 2}
 
 
-def test_two_way_on_a_toy():
-    both = two_way(toy, toy)
+def test_forward_and_reverse_on_a_toy():
+    both = forward_and_reverse(toy, toy)
     x = {"a": jnp.array([0.3, 0.4]), "b": jnp.array([2.0, -1.0])}
     dx = {"a": jnp.array([1.0, -2.0]), "b": jnp.array([0.5, 3.0])}
     batch = jax.tree.map(lambda leaf: jnp.stack([leaf, 2 * leaf, 3 * leaf]), x)

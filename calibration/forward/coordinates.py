@@ -9,7 +9,7 @@ import numpy as np
 from calibration.problem import Experiment, Problem
 
 
-class Slot(NamedTuple):
+class Coordinate(NamedTuple):
     """One coordinate: which parameter, which experiment (None: shared), its scale, and its bounds on that.
 
     ``decades``: whether starts are drawn over the logarithm of a coordinate that is linear.
@@ -32,12 +32,14 @@ class Slot(NamedTuple):
         return f"{self.name}[{experiments[self.experiment].name}]" if own and self.experiment is not None else self.name
 
 
-def make_slots(problem: Problem, experiments: int) -> tuple[Slot, ...]:
+def coordinates_of(problem: Problem, experiments: int) -> tuple[Coordinate, ...]:
     """One coordinate for each shared parameter, then one for each experiment of the others."""
-    slots = []
+    coordinates = []
     for f in sorted(problem.free, key=lambda f: f.per_experiment):
-        share = f.told_as_share
+        share = f.as_share
         low, high = (np.log(f.lower), np.log(f.upper)) if share else (f.lower, f.upper)
         owners = range(experiments) if f.per_experiment else [None]
-        slots += [Slot(f.name, owner, share, float(low), float(high), f.log and not share) for owner in owners]
-    return tuple(slots)
+        coordinates += [
+            Coordinate(f.name, owner, share, float(low), float(high), f.log and not share) for owner in owners
+        ]
+    return tuple(coordinates)

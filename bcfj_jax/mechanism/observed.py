@@ -26,7 +26,7 @@ def _of(name: str) -> Any:
     return property(lambda self: getattr(self.inner, name))
 
 
-class Watched(AbstractModel):
+class Observed(AbstractModel):
     """``inner`` with readings (``channels``) as further contacts: their values stand where a normal force does."""
 
     inner: AbstractModel
@@ -73,8 +73,8 @@ class Watched(AbstractModel):
         return {**found, **shown}
 
     def full(self) -> AbstractModel:
-        """The model's, watched likewise."""
-        return Watched(self.inner.full(), self.channels)
+        """The model's, with the same readings."""
+        return Observed(self.inner.full(), self.channels)
 
     def coarser(self) -> tuple[Coarser, ...]:
         """The model's."""
@@ -84,10 +84,10 @@ class Watched(AbstractModel):
         self, params: Params, times: np.ndarray, budget: float, run: Callable[[AbstractModel, np.ndarray], Any]
     ) -> Any:
         """The model's choice."""
-        return self.inner.choose(params, times, budget, lambda level, at: run(Watched(level, self.channels), at))
+        return self.inner.choose(params, times, budget, lambda level, at: run(Observed(level, self.channels), at))
 
 
-def watching(model: AbstractModel, features: Iterable[str]) -> AbstractModel:
+def observing(model: AbstractModel, features: Iterable[str]) -> AbstractModel:
     """A model that shows the readings which features are of: "slider.acceleration.x.peak" asks for the acceleration.
 
     Raises:
@@ -99,4 +99,4 @@ def watching(model: AbstractModel, features: Iterable[str]) -> AbstractModel:
         for place in feature.rpartition(".")[0].split(":"):
             if place not in known and is_reading(place):
                 wanted[place] = channel(place, model, where=f"feature '{feature}'")
-    return Watched(model, tuple(wanted.values())) if wanted else model
+    return Observed(model, tuple(wanted.values())) if wanted else model
