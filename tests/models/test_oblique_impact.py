@@ -13,6 +13,8 @@ import pytest
 
 from bcfj_jax import laws, scenes, simulate
 from bcfj_jax.solve.measured_error import measured
+from benchmarks.common import ROOT, load
+from benchmarks.models import oblique_impact as benchmark
 from benchmarks.references import oblique_impact as reference
 
 KHARAZ = reference.Impact()
@@ -110,3 +112,18 @@ def test_every_friction_law_runs(friction):
     # Angular momentum about a point of the plane is kept by any force there.
     assert along - 1.95 == pytest.approx(-0.4 * 2.5e-3 * turning, abs=1e-9)
     assert (turning == 0.0) == (friction is False)
+
+
+def test_measured_restitution_where_the_sphere_slides():
+    # Kharaz's three points above 32.5 degrees; nothing is fitted.
+    sliding = [row for row in reference.KHARAZ["restitution"] if row[0] > math.degrees(reference.rolling_angle(KHARAZ))]
+    assert len(sliding) == 3
+    for angle, seen in sliding:
+        for friction in (True, "coulomb", "lugre"):
+            made = dataclasses.replace(KHARAZ, angle=math.radians(angle), bristle_stiffness=1.3e5, friction_speed=0.01)
+            along = rebound(struck(friction, made, 1e-4)[2])[0]
+            assert along / (made.speed * math.sin(made.angle)) == pytest.approx(seen, abs=0.01)
+
+
+def test_the_pages_table_beside_measurements_is_that_of_the_kept_result():
+    assert benchmark.table(load("oblique_impact")) in (ROOT / "docs" / "mechanisms.md").read_text()
