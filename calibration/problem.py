@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-from bcfj_jax.mechanism.watched import watching
 
 from bcfj_jax import InputError, check_value, nearest
 from bcfj_jax.analysis.derivatives.names import feature
@@ -15,6 +14,7 @@ from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.mechanism.channels import channel as reading
 from bcfj_jax.mechanism.channels import unit_of
 from bcfj_jax.mechanism.model import AbstractModel
+from bcfj_jax.mechanism.observed import observing
 from calibration.solver_budget import budget
 
 # Nuisance parameters of the measuring chain: reading(t) = gain L[x](t - time_offset) + force_offset of a force or whatever
@@ -172,7 +172,7 @@ class Problem:
             named = (replace(e, fixed={one(n): value for n, value in e.fixed.items()}) for e in self.experiments)
             object.__setattr__(self, "experiments", tuple(named))
         names = [seen.feature for e in self.experiments for seen in e.features]
-        object.__setattr__(self, "scene", watching(self.scene, names))
+        object.__setattr__(self, "scene", observing(self.scene, names))
         if not self.accuracy:
             object.__setattr__(self, "accuracy", budget(self.scene).accuracy)
         if not self.free:

@@ -74,8 +74,8 @@ def impulse(times: ArrayLike, force: ArrayLike) -> Array:
 
 def mean(times: ArrayLike, force: ArrayLike) -> Array:
     """Time average of the force, (integral of F dt)/(t_end - t_0) [N], time apart included."""
-    times = _numpy(times).asarray(times)
-    return impulse(times, force) / (times[-1] - times[0])
+    t = _numpy(times).asarray(times)
+    return impulse(t, force) / (t[-1] - t[0])
 
 
 def dissipated_work(force: ArrayLike, penetration: ArrayLike) -> Array:
@@ -90,11 +90,11 @@ def dissipated_work(force: ArrayLike, penetration: ArrayLike) -> Array:
 def contact_fraction(times: ArrayLike, penetration: ArrayLike) -> Array:
     """Share of the time with d > 0, d linear between samples [-]."""
     xp = _numpy(times, penetration)
-    times, d = xp.asarray(times), xp.asarray(penetration)
+    t, d = xp.asarray(times), xp.asarray(penetration)
     inside = xp.maximum(d, 0.0)
     size = xp.abs(d[1:]) + xp.abs(d[:-1])
     share = (inside[1:] + inside[:-1]) / xp.where(size == 0, 1.0, size)
-    return xp.sum(share * xp.diff(times)) / (times[-1] - times[0])
+    return xp.sum(share * xp.diff(t)) / (t[-1] - t[0])
 
 
 def transfer_loss(force_in: ArrayLike, force_out: ArrayLike) -> Array:

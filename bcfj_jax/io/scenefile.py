@@ -34,6 +34,7 @@ from bcfj_jax.io.spheres import Spheres
 from bcfj_jax.io.units import quantity
 from bcfj_jax.mechanism.channels import Channel
 from bcfj_jax.mechanism.model import AbstractModel, horizon
+from bcfj_jax.mechanism.observed import Observed
 from bcfj_jax.models import scenes
 from bcfj_jax.solve import named
 from bcfj_jax.solve.integrate import LEVELS, MAX_STEPS
@@ -121,6 +122,7 @@ def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
         mechanismfile.refuse_unread(scene, params, file.parameters, where)
     readings, reads = mechanismfile.readings(table, scene, where)
     end = _end(scene, params, file.time, where)
+    scene = scene.suited(params, end)
     samples = file.time.samples or scene.samples
     accuracy, solver = _accuracy(file.accuracy, where), file.accuracy.solver
     named.check(solver, scene.traits.stiff, f"{where}: [accuracy] ")
@@ -138,6 +140,22 @@ def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
     levels = scene.choice_options()
     free = bool(levels) and not set(levels) & set(file.scene)
     return SceneFile(scene, params, times, accuracy, resolved, source, file.accuracy.max_steps, solver, free, reads)
+
+
+def shown(given: SceneFile) -> SceneFile:
+    """A scene file whose scene has contacts; where it has none, its [[read]] tables stand in their place.
+
+    Raises:
+        InputError: for a scene without either.
+    """
+    if given.scene.contacts:
+        return given
+    if not given.reads:
+        where = str(given.source) if given.source else f"scene '{given.scene.kind}'"
+        raise InputError(
+            where, "has no contact and no reading", 'say what is to be seen: [[read]] of = "<body>.place.x"'
+        )
+    return replace(given, scene=Observed(given.scene, given.reads))
 
 
 def model(table: Mapping[str, Any], where: str = "scene") -> AbstractModel:

@@ -181,11 +181,13 @@ def column(header: str) -> tuple[str, str | None]:
     return (match[1], match[2]) if match else (header.strip(), None)
 
 
-def engineering(values: Iterable[float]) -> tuple[float, str]:
+def engineering(values: Iterable[float], unit: str = "m") -> tuple[float, str]:
     """Scale and prefix that bring the largest magnitude to 1 .. 1000: multiply by the scale, show the prefix.
 
-    Example: [0.0, 4.0e-5] (seconds) -> (1e6, "u"); no finite value but 0 -> (1.0, "").
+    Example: [0.0, 4.0e-5] (seconds) -> (1e6, "u"); no finite value but 0, and a unit without prefixes -> (1.0, "").
     """
+    if unit not in _PREFIXABLE:
+        return 1.0, ""
     largest = max((abs(v) for v in map(float, values) if math.isfinite(v)), default=0.0)
     if largest == 0.0:
         return 1.0, ""
@@ -202,5 +204,5 @@ def format_si(value: float | None, unit: str, digits: int = 6) -> str:
         return f"{value:.{digits}g}"
     if unit == "kg":
         return f"{value * 1e3:.{digits}g} g" if 0 < abs(value) < 1 else f"{value:.{digits}g} kg"
-    scale, prefix = engineering([value]) if unit in _PREFIXABLE else (1.0, "")
+    scale, prefix = engineering([value], unit)
     return f"{value * scale:.{digits}g} {prefix}{unit}"

@@ -54,7 +54,7 @@ class Channel(NamedTuple):
     @property
     def unit(self) -> str:
         """SI."""
-        return {**_SCALARS, **_VECTORS, **_TURNS}.get(self.what, "N")
+        return unit_of(self.name)
 
 
 _PATTERN = re.compile(
@@ -69,7 +69,14 @@ def is_reading(name: str) -> bool:
 
 def unit_of(name: str) -> str:
     """SI unit of a reading by its name, of whatever model."""
-    return {**_SCALARS, **_VECTORS, **_TURNS}.get(name.partition(" in ")[0].split(".")[1] if "." in name else "", "N")
+    return quantity_of(name)[1]
+
+
+def quantity_of(name: str) -> tuple[str, str]:
+    """What an axis calls a reading, and its SI unit, by its name: ("spin rate", "rad/s^2")."""
+    what = name.partition(" in ")[0].split(".")[1] if "." in name else ""
+    unit = {**_SCALARS, **_VECTORS, **_TURNS}.get(what)
+    return (what.replace("_", " "), unit) if unit else ("force", "N")
 
 
 def channel(name: str, model: AbstractModel, frame: str = "", where: str = "reading") -> Channel:

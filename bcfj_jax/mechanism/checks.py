@@ -184,7 +184,7 @@ def check_values(scene: Mechanism, params: Params, where: str = "") -> None:
 
 def _check_start(scene: Mechanism, params: dict[str, Array], where: str) -> None:
     _check_regularisation(scene, params, where)
-    depths, expected, speed = _asked(_at_start, scene, params)
+    depths, expected, speed = asked(_at_start, scene, params)
     deep = []
     for name, depth in depths.items():
         deepest = float(np.max(depth))
@@ -194,7 +194,7 @@ def _check_start(scene: Mechanism, params: dict[str, Array], where: str) -> None
             )
         deep += [name] if deepest > _DEEP * float(expected) and deepest > 1e-9 else []
     # Bodies that are held in balance, such as a ball with preload, start as deep as they like.
-    thrown = _asked(_thrown, scene, params) if deep else {}
+    thrown = asked(_thrown, scene, params) if deep else {}
     for name in deep:
         if float(thrown[name]) > _DEEP * float(speed):
             a, b = scene.contact(name).between
@@ -212,7 +212,7 @@ def _check_regularisation(scene: Mechanism, params: dict[str, Array], where: str
     widths = {c.name: float(scene.coefficient(params, c.name, "smoothing")) for c in needing}
     if not any(widths.values()):
         return
-    apart, out = _asked(_stored_energy, scene, params)
+    apart, out = asked(_stored_energy, scene, params)
     for name, width in widths.items():
         if width > 0.0 and bool(out[name]):
             found = f"a smoothing of {width:g} m throws out the body, which starts {-float(apart[name]):g} m away"
@@ -230,7 +230,7 @@ def _stored_energy(scene: Mechanism, params: dict[str, Array]) -> tuple[dict[str
     return deepest, {name: found.stored[name] > found.brought[name] for name in depths}
 
 
-def _asked(what: Callable[..., Any], scene: Mechanism, params: dict[str, Array]) -> Any:
+def asked(what: Callable[..., Any], scene: Mechanism, params: dict[str, Array]) -> Any:
     """A function of mechanism and parameters, answered without compiling, so that a bad mechanism is refused at once."""
     return programs.ask(what.__name__.strip("_"), what, (scene,), (params,))
 

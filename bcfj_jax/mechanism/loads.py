@@ -90,6 +90,11 @@ class AbstractLoad(eqx.Module):
         """Names of the bodies it acts on; empty for all."""
         return ()
 
+    @property
+    def damps(self) -> bool:
+        """Whether it may oppose a velocity."""
+        return any(not _none(getattr(self, name, 0.0)) for name in ("damping", "turning_damping"))
+
 
 class Gravity(AbstractLoad):
     """Weight of every body, m g; g is the shared parameter ``gravity`` [m/s^2]."""
@@ -333,6 +338,11 @@ class Load(AbstractLoad):
         """As given."""
         return self.bodies
 
+    @property
+    def damps(self) -> bool:
+        """Nobody knows."""
+        return True
+
     def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
         """The function's."""
         return list(self.function(t, bodies, p))
@@ -359,8 +369,12 @@ def _of_point(at: Place, name: str, key: str) -> dict[str, tuple[Quantity, float
     return found
 
 
+def _none(size: Size) -> bool:
+    return isinstance(size, (int, float)) and size == 0
+
+
 def _stated(size: Size, name: str, key: str, unit: str) -> dict[str, tuple[Quantity, float | None]]:
-    if isinstance(size, (int, float)) and size == 0:
+    if _none(size):
         return {}
     return sizes.own(size, name, key, unit, f"{key.replace('_', ' ')} of {name}")
 

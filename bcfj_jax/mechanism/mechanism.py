@@ -10,6 +10,7 @@ contacts remember; a driven body has none.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -77,6 +78,7 @@ class Mechanism(AbstractModel):
         samples: output times over it.
         scale: (mechanism, params, end) -> error scale, in place of the one from the expected loads.
         more: what a scene knows beside: (params, times) -> its numbers for the envelope.
+        damped: whether its loads damp strongly (``mechanism.damping``); None: as its default values say.
     """
 
     kind: str = eqx.field(static=True)
@@ -89,6 +91,7 @@ class Mechanism(AbstractModel):
     samples: int = eqx.field(static=True, default=2001)
     scale: Callable[..., Array] | None = eqx.field(static=True, default=None)
     more: Callable[..., dict[str, float]] | None = eqx.field(static=True, default=None)
+    damped: bool | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
         from bcfj_jax.mechanism.checks import check_structure
@@ -99,10 +102,32 @@ class Mechanism(AbstractModel):
 
     @property
     def traits(self) -> ModelTraits:
-        """Implicit where there is friction; a period is the drive's where something is driven."""
-        rough = any(c.friction is not None for c in self.contacts)
+        """Implicit where there is friction or strong damping; a period is the drive's where something is driven."""
+        rough = any(c.friction is not None for c in self.contacts) or self._damped
         driven = any(b.drive is not None for b in self.bodies)
-        return ModelTraits(stiff=rough, history=bool(self._free), turning=driven, rough=driven)
+        return ModelTraits(stiff=rough, history=bool(self._free or self._memory), turning=driven, rough=driven)
+
+    @cached_property
+    def _damped(self) -> bool:
+        defaults: Any = dict(self.defaults)
+        return self._strong(defaults) if self.damped is None else self.damped
+
+    def _strong(self, params: Params, end: float | None = None) -> bool:
+        """Whether loads damp strongly; not where a value is missing, of which ``check`` tells."""
+        from bcfj_jax.mechanism.damping import strong
+
+        if not (self._free and any(load.damps for load in self.loads)):
+            return False
+        try:
+            return strong(self, params, float(self.horizon(params)) if end is None else end)
+        except (InputError, KeyError):
+            return False
+
+    def suited(self, params: Params, end: float) -> Mechanism:
+        """With ``damped`` as these values say."""
+        if self.damped is not None or not any(load.damps for load in self.loads):
+            return self
+        return replace(self, damped=self._strong(params, end))
 
     @cached_property
     def ordered(self) -> tuple[Body, ...]:
@@ -237,7 +262,7 @@ class Mechanism(AbstractModel):
         return jnp.concatenate([start, flat(memory, [k for _, k in self._memory])])
 
     def instants(self, params: Params, times: Array, near: Any = None) -> tuple[Solution, Any]:
-        """Of a mechanism whose every joint is driven: nothing is integrated."""
+        """Of a mechanism whose every joint is driven, and whose contacts remember nothing: nothing is integrated."""
         del params
         nothing = jnp.zeros((times.shape[0], 0))
         return Solution(nothing, jnp.asarray(OK), times[-1], jnp.asarray(0), jnp.asarray(0)), near
@@ -348,6 +373,13 @@ class Mechanism(AbstractModel):
         for action in actions:
             part = now.bodies.parts[action.body]
             found.act(part, turned(part.axes, action.at), action.force, action.torque)
+
+    def motion(self, t: Array, y: Array, p: Params) -> Array:
+        """Rates of coordinates and velocities without contact forces; of what contacts remember 0."""
+        now, count = self.instant(t, y, p, laws=False), len(self._free)
+        out = [*self._rates(now), *self.assembled(t, now, p, pressing=False).accelerations(count)]
+        moved = flat(out, [*(k for *_, k in self._placed), *self._members[:count]])
+        return jnp.concatenate([moved, jnp.zeros(y.size - moved.size)])
 
     def vector_field(self, t: Array, y: Array, prepared: Params) -> Array:
         """Newton's law, and what contacts remember."""
@@ -531,8 +563,12 @@ class Mechanism(AbstractModel):
 
     def first_step(self, params: Params, scales: Array) -> Array:
         """A hundredth of the time in which the expected speed crosses the expected penetration."""
+        from bcfj_jax.mechanism.scales import DEPTH, SPEED
+
         del params
         first = sum(k or 1 for *_, k in self._placed)
+        if not first:
+            return jnp.asarray(1e-2 * DEPTH / SPEED)
         return 1e-2 * scales[0] / scales[first]
 
     def tolerance(self, force_error: float) -> float:

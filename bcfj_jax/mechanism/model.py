@@ -299,6 +299,11 @@ class AbstractModel(eqx.Module):
         """The model of the same thing that leaves nothing out: this one, unless it is a coarser one."""
         return self
 
+    def suited(self, params: Params, end: float) -> AbstractModel:
+        """This model as a run of these parameters until ``end`` [s] is solved: stiff or not. Decided on the host."""
+        del params, end
+        return self
+
     def choice_options(self) -> dict[str, Any]:
         """Fields, and options of the scene file, with which ``simulate`` chooses the level; empty without levels."""
         return {}

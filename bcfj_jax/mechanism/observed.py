@@ -76,6 +76,10 @@ class Observed(AbstractModel):
         """The model's, with the same readings."""
         return Observed(self.inner.full(), self.channels)
 
+    def suited(self, params: Params, end: float) -> AbstractModel:
+        """The model's, observed likewise."""
+        return Observed(self.inner.suited(params, end), self.channels)
+
     def coarser(self) -> tuple[Coarser, ...]:
         """The model's."""
         return self.inner.coarser()

@@ -28,7 +28,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.typing import ArrayLike
 
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.status import NOT_FINITE, OK, SOLVER, STEPS, code_of
@@ -65,7 +64,7 @@ class Plan(eqx.Module):
     where the model's own is not wanted.
     """
 
-    tolerance: ArrayLike
+    tolerance: Array
     max_steps: int = eqx.field(static=True, default=MAX_STEPS)
     tangents: bool = eqx.field(static=True, default=False)
     solver: str | None = eqx.field(static=True, default=None)
@@ -95,7 +94,9 @@ def plan(
     error, stiff = force_error(accuracy), model.traits.stiff
     named.check(solver, stiff)
     tangents = solver == "bdf" or (solver is None and stiff and error < _TANGENTS_BELOW)
-    return Plan(np.asarray(model.tolerance(error), dtype=np.float64), max_steps, tangents, solver)
+    # An array of NumPy, which compiles nothing.
+    tolerance: Any = np.asarray(model.tolerance(error), dtype=np.float64)
+    return Plan(tolerance, max_steps, tangents, solver)
 
 
 def force_error(accuracy: str | float) -> float:

@@ -43,8 +43,9 @@ class Accuracy(NamedTuple):
 
     @property
     def worst(self) -> float:
-        """Largest of all measured errors; NaN where a run failed."""
-        return float(np.max([x for part in (self.rms, self.peak, self.impulse) for x in part.values()]))
+        """Largest of all measured errors; NaN where a run failed, or where nothing was measured."""
+        errors = [x for part in (self.rms, self.peak, self.impulse) for x in part.values()]
+        return float(np.max(errors)) if errors else float("nan")
 
 
 def measured(

@@ -207,7 +207,8 @@ def simulate(
         max_steps: budget of attempted steps; beyond it the run fails with that reason.
         solver: a name of ``solve.named`` in place of the model's own.
         measure_error: run the same program again at a tenth of the tolerance, and report how far the two runs are apart
-            (``Run.accuracy``). Not of a model without a history, which takes no steps.
+            (``Run.accuracy``). Not of a model without a history, which takes no steps. Of a model without contacts
+            it is the error of the readings.
         read: names of readings to keep beside the contacts' (``mechanism.channels``), such as "slider.acceleration.x".
 
     Raises:
@@ -215,8 +216,9 @@ def simulate(
             a model that its own ``check`` refuses.
     """
     values = increasing(times)
-    tolerance = plan(scene, accuracy, max_steps, solver).tolerance
     scene.check(params)
+    scene = scene.suited(params, float(values[-1]))
+    tolerance = plan(scene, accuracy, max_steps, solver).tolerance
     if scene.traits.open:
         same: dict[str, Any] = dict(
             accuracy=accuracy, max_steps=max_steps, solver=solver, measure_error=measure_error, read=read
@@ -230,10 +232,15 @@ def simulate(
         return run
     finer = timed(scene, params, values, Plan(0.1 * tolerance, max_steps, solver=solver), wanted)
     found = measured(
-        force_error(accuracy), scene.settled_from(params), values, run.force, finer.force,
+        force_error(accuracy), scene.settled_from(params), values, _compared(run), _compared(finer),
         tolerance=run.stats["tolerance"], wall_s=finer.stats["wall_s"],
     )  # fmt: skip
     return run._replace(accuracy=found)
+
+
+def _compared(run: Run) -> dict[str, np.ndarray]:
+    """What an error is measured of: contact forces; readings of a model without contacts."""
+    return run.force or {name: x[..., None] * [1.0, 0.0, 0.0] for name, x in run.readings.items()}
 
 
 def timed(scene: AbstractModel, params: Params, values: np.ndarray, how: Plan, wanted: tuple[Channel, ...] = ()) -> Run:

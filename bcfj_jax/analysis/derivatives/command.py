@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 
 from bcfj_jax.analysis.derivatives import pictures
-from bcfj_jax.analysis.derivatives.names import UNITS, complete, derivative_unit, feature_unit
+from bcfj_jax.analysis.derivatives.names import complete, derivative_unit, feature_unit
 from bcfj_jax.analysis.derivatives.ranking import certificate_rows, ranked_rows, ranking, said
 from bcfj_jax.analysis.derivatives.sensitivity import Sensitivity, sensitivity
 from bcfj_jax.io import outputs, report
-from bcfj_jax.io.scenefile import load
+from bcfj_jax.io.scenefile import load, shown
+from bcfj_jax.mechanism.channels import is_reading, unit_of
 from bcfj_jax.mechanism.model import AbstractModel
 
 FILES = (
@@ -39,7 +40,7 @@ def run(
     Raises:
         InputError: for bad input, and where something would be overwritten.
     """
-    given = load(what)
+    given = shown(load(what))
     params, names = complete(given.scene, given.params, wrt)
     stem = given.source.stem if given.source else what
     folder = outputs.open_folder(out, "sensitivity", stem, FILES)
@@ -54,7 +55,7 @@ def run(
         f"compiled in {stats['compile_s']:.1f} s"
     )
     ranked = ranking(found, params)
-    tables = [("Percent change of features per percent change of parameters", ranked_rows(found, ranked, UNITS))]
+    tables = [("Percent change of features per percent change of parameters", ranked_rows(found, ranked))]
     if found.certificate:
         tables.insert(0, ("Certificate", certificate_rows(found.certificate)))
     options: dict[str, Any] = {"wrt": list(names), "features": list(features), "certify": certify}
@@ -64,25 +65,27 @@ def run(
     outputs.write_json(folder / "certificate.json", certificate_json(found, params, given.scene))
     pictures.tornado(ranked, folder / "tornado.png")
     pictures.bands(found, params, folder / "histories.png")
-    shown = [folder / "tornado.png", folder / "histories.png"]
+    drawn = [folder / "tornado.png", folder / "histories.png"]
     title, *costs = report.solver_rows(stats)
     solver = [title, ["solves", str(stats["levels"])], *costs]
-    report.write(folder, f"Sensitivity of {stem}", said(found), [*tables, ("Solver", solver)], shown)
+    report.write(folder, f"Sensitivity of {stem}", said(found), [*tables, ("Solver", solver)], drawn)
     parts = [said(found), *(f"{head}\n{report.text(rows)}" for head, rows in tables), f"results in {folder}"]
     return "\n\n".join(parts), found.status == "ok"
 
 
 def write_histories(path: Path, scene: AbstractModel, found: Sensitivity) -> None:
-    """``sensitivity.csv``: time [s], then d(<contact>.<component>)/d(<parameter>) [N per SI unit].
+    """``sensitivity.csv``: time [s], then d(<contact>.<component>)/d(<parameter>) or d(<reading>)/d(<parameter>).
 
+    In the reading's SI unit, a force's [N], per the parameter's.
     What the certificate calls not differentiable is left out from where it breaks down.
     """
     header, columns = ["time [s]"], [found.times]
     for name in found.wrt:
-        unit = derivative_unit("N", scene.quantities[name].unit)
         for contact, slope in outputs.channels(found.derivative[name], 1).items():
-            header += [f"d({contact}.{part})/d({name}) [{unit}]" for part in outputs.COMPONENTS]
-            columns += list(np.where(found.times < _end(found, name), slope.T, np.nan))
+            parts = [contact] if is_reading(contact) else [f"{contact}.{part}" for part in outputs.COMPONENTS]
+            unit = derivative_unit(unit_of(parts[0]), scene.quantities[name].unit)
+            header += [f"d({part})/d({name}) [{unit}]" for part in parts]
+            columns += list(np.where(found.times < _end(found, name), slope.T, np.nan))[: len(parts)]
     outputs.write_csv(path, header, np.column_stack(columns).tolist())
 
 

@@ -17,6 +17,7 @@ FEATURES = (
 # By kind; ``largest`` is the greatest size of a reading of either sign, and is taken where it is named.
 UNITS: dict[str, str] = dict(zip((*FEATURES, "delay"), ("N", "N", "N s", "s", "J", "N", "1", "s"), strict=True))
 UNITS["largest"] = "N"
+READING_FEATURES = ("largest", "mean")
 
 
 def feature_unit(name: str) -> str:
@@ -41,7 +42,7 @@ def complete(scene: AbstractModel, params: Params, wrt: Sequence[str]) -> tuple[
     Raises:
         InputError: for no name, an unknown one (with the nearest) or a repeated one, and one without a value.
     """
-    names = (wrt,) if isinstance(wrt, str) else tuple(wrt)
+    names = tuple(map(scene.canonical, (wrt,) if isinstance(wrt, str) else wrt))
     if not names:
         raise InputError("wrt", "no parameter", f"name one or more of {', '.join(scene.quantities)}")
     full = dict(params)
@@ -85,8 +86,9 @@ def feature(name: str, contacts: Mapping[str, int]) -> Feature:
 
 
 def default_features(contacts: Mapping[str, int]) -> list[Feature]:
-    """Every feature of every contact, members taken together."""
-    return [Feature(f"{contact}.{kind}", kind, (contact,)) for contact in contacts for kind in FEATURES]
+    """Every feature of every contact, members taken together; of a reading in a contact's place its size and mean."""
+    kinds = {contact: READING_FEATURES if is_reading(contact) else FEATURES for contact in contacts}
+    return [Feature(f"{contact}.{kind}", kind, (contact,)) for contact in contacts for kind in kinds[contact]]
 
 
 def members(place: str, contacts: Mapping[str, int]) -> list[str]:

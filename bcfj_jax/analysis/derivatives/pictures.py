@@ -12,6 +12,7 @@ from bcfj_jax.analysis.derivatives.ranking import Ranking, meaningful
 from bcfj_jax.analysis.derivatives.sensitivity import Sensitivity
 from bcfj_jax.io.plots import figure, label, save, style
 from bcfj_jax.io.units import engineering
+from bcfj_jax.mechanism.channels import is_reading, quantity_of, unit_of
 
 _CHANGE, _MOST_PANELS, _MOST_BANDS = 0.01, 6, 3
 
@@ -47,7 +48,7 @@ def bands(found: Sensitivity, values: Mapping[str, Any], path: Path) -> None:
         for axis, (name, force) in zip(axes, found.force.items(), strict=True):
             pick = (lambda x: x[:, 0, 0]) if force.ndim == 3 else (lambda x: x[:, 0])
             line = pick(force)
-            scale, prefix = engineering(line)
+            scale, prefix = engineering(line, unit_of(name))
             moves = {p: _CHANGE * float(values[p]) * pick(found.derivative[p][name]) for p in meaningful(found)}
             sizes = {p: float(np.max(np.abs(m))) for p, m in moves.items() if np.isfinite(m).all()}
             for k, p in enumerate(sorted(sizes, key=lambda p: -sizes[p])[:_MOST_BANDS]):
@@ -56,9 +57,10 @@ def bands(found: Sensitivity, values: Mapping[str, Any], path: Path) -> None:
                 text = f"{p} ± {100 * _CHANGE:g} %"
                 axis.fill_between(found.times * scale_t, low, high, color=f"C{k + 1}", alpha=0.3, lw=0, label=text)
             axis.plot(found.times * scale_t, line * scale, color="C0")
-            axis.set_title(f"{name if force.ndim == 2 else f'{name}_1'}: normal force")
+            read = is_reading(name)
+            axis.set_title(name if read else f"{name if force.ndim == 2 else f'{name}_1'}: normal force")
             axis.set_xlabel(label("time", "s", prefix_t))
-            axis.set_ylabel(label("force", "N", prefix))
+            axis.set_ylabel(label(*quantity_of(name), prefix) if read else label("force", "N", prefix))
             if sizes:
                 axis.legend(fontsize=8, loc="best")
         save(drawing, path)

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bcfj_jax.analysis.derivatives.certificate import NOT, Certificate
+from bcfj_jax.analysis.derivatives.names import feature_unit
 from bcfj_jax.analysis.derivatives.sensitivity import Sensitivity
 from bcfj_jax.io.units import format_si
 
@@ -46,11 +47,11 @@ def ranking(found: Sensitivity, values: Mapping[str, Any]) -> Ranking:
     return Ranking([names[i] for i in rows], [parameters[k] for k in columns], table[np.ix_(rows, columns)])
 
 
-def ranked_rows(found: Sensitivity, ranked: Ranking, units: Mapping[str, str]) -> list[list[str]]:
+def ranked_rows(found: Sensitivity, ranked: Ranking) -> list[list[str]]:
     """The table: features down with their values, parameters across."""
     rows = [["% per %", "value", *ranked.parameters]]
     for name, line in zip(ranked.features, ranked.elasticity, strict=True):
-        value = format_si(found.features[name], units[name.rpartition(".")[2]], 5)
+        value = format_si(found.features[name], feature_unit(name), 5)
         rows.append([name, value, *("-" if not math.isfinite(x) else f"{x:+.3g}" for x in line)])
     return rows
 

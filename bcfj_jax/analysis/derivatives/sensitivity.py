@@ -96,10 +96,14 @@ def sensitivity(
     """
     t = increasing(times)
     scene.check(params)
+    scene = scene.suited(params, float(t[-1]))
     full, names = complete(scene, params, wrt)
     asked = (features,) if isinstance(features, str) else features
     scene = observing(scene, asked)
     contacts = scene.members
+    if not contacts:
+        remedy = "name features of readings, such as a body's: <body>.place.x.largest"
+        raise InputError("features", f"scene '{scene.kind}' has no contact to take features of", remedy)
     wanted = [named(name, contacts) for name in asked] or default_features(contacts)
     for what, value, known in (("mode", mode, MODES), ("differences", differences, DIFFERENCES)):
         if value not in known:

@@ -92,6 +92,7 @@ def space(scene: AbstractModel, params: Params, free: Mapping[str, Free | Sequen
     """
     if not free:
         raise InputError("free", "no parameter", f"name one or more of {', '.join(scene.quantities)}")
+    free = {scene.canonical(name): one for name, one in free.items()}
     given = [one if isinstance(one, Free) else Free(*one) for one in free.values()]
     rows = [_one(scene, params, name, one) for name, one in zip(free, given, strict=True)]
     lower, upper, tolerance = (np.array([row[k] for row in rows], dtype=float) for k in range(3))

@@ -103,6 +103,7 @@ def bifurcation(
     Raises:
         InputError: for a parameter the scene does not have, for values it cannot take, and as ``stroboscopic``.
     """
+    name = scene.canonical(name)
     batch, each = _batch(scene, params, name, values)
     turns = revolutions_to_keep(revolutions, transients, phase)
     ends = np.array([turns[-1] * drive_period(scene, one) for one in each])
@@ -153,7 +154,7 @@ def impact_bifurcation(
     known = [one.name for one in scene.contacts]
     if contact not in known:
         raise InputError(f"scene '{scene.kind}'", f"no contact '{contact}'", nearest(contact, known))
-    batch, each = _batch(scene, params, name, values)
+    batch, each = _batch(scene, params, scene.canonical(name), values)
     grid = np.linspace(0.0, 1.0, samples)
     ends = np.full(len(each), float(end))
     found, seen = _solve(scene, batch, ends, grid, (accuracy, max_steps, places))
@@ -167,7 +168,7 @@ def impact_bifurcation(
 
 
 def _batch(scene: AbstractModel, params: Params, name: str, values: ArrayLike) -> tuple[dict[str, Array], list[Params]]:
-    """Parameters with leaves (P,), and one by one."""
+    """Parameters with leaves (P,), and one by one; ``name`` is a canonical one."""
     if name not in params:
         raise InputError(f"scene '{scene.kind}'", f"no parameter '{name}'", nearest(name, params))
     some = np.asarray(values, dtype=float)

@@ -66,19 +66,19 @@ def scene_exponent(
             for times that are not positive, and as ``simulate``.
     """
     check_counts(intervals, 0, batches)
-    if scene.traits.turning:
+    if scene.traits.turning and (interval is None or settle is None):
         turn, pitch = scene.period(params)
         interval = pitch if interval is None else interval
         settle = 5.0 * turn if settle is None else settle
-        # A pitch more passes in the intervals that are not counted.
-        settled = scene.settled_from(params)
-        if settle + pitch < settled:
-            found = f"{settle:g} s, while the load rises for {settled - pitch:g} s"
-            raise InputError("settle", found, "settle for longer")
     if interval is None or settle is None:
         raise InputError(f"scene '{scene.kind}'", "has no period of its own", "give interval and settle")
     if not (interval > 0.0 and settle >= 0.0):
         raise InputError("interval, settle", f"{interval:g} s, {settle:g} s", "give times that are positive")
+    # One interval more, at least, passes without being counted.
+    settled = scene.settled_from(params)
+    if settle + interval < settled:
+        found = f"{settle:g} s, while the load rises for {settled - interval:g} s"
+        raise InputError("settle", found, "settle for longer")
     scene.check(params)
     tolerance = plan(scene, accuracy, max_steps).tolerance
     turning = -(-intervals // 10)

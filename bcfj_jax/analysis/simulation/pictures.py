@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ from bcfj_jax.analysis import features
 from bcfj_jax.io.outputs import channels
 from bcfj_jax.io.plots import engineering, figure, label, panels, save, style
 from bcfj_jax.io.units import format_si
+from bcfj_jax.mechanism.channels import Channel, quantity_of
 from bcfj_jax.solve.simulation import Run
 
 if TYPE_CHECKING:
@@ -55,6 +57,24 @@ def forces(run: Run, path: Path) -> None:
                 axis.set_ylim(bottom=0.0)
             if len(members) > 1:
                 axis.legend(ncols=len(members), fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.22))
+        save(drawing, path)
+
+
+def readings(run: Run, channels: Sequence[Channel], path: Path) -> None:
+    """Each reading against time, one panel a reading, members on top of each other."""
+    time_scale, time_prefix = engineering(run.times)
+    with style():
+        drawing, axes = figure(len(channels))
+        for axis, one in zip(axes, channels, strict=True):
+            values = run.readings[one.name]
+            scale, prefix = engineering(np.ravel(values), one.unit)
+            lines = axis.plot(run.times * time_scale, values * scale)
+            axis.set_title(f"{one.name}{_caption(run)}")
+            axis.set_xlabel(label("time", "s", time_prefix))
+            axis.set_ylabel(label(*quantity_of(one.name), prefix))
+            axis.set_xlim(run.times[0] * time_scale, run.times[-1] * time_scale)
+            if len(lines) > 1:
+                axis.legend(lines, [f"{one.part}_{k + 1}" for k in range(len(lines))], ncols=len(lines), fontsize=8)
         save(drawing, path)
 
 

@@ -21,19 +21,18 @@ FILES = (
     "forces.csv",
     "contacts.csv",
     "summary.json",
-    "forces.png",
-    "force_penetration.png",
     "report.html",
     "run.toml",
     "environment.json",
 )
-# What [[read]] asks for.
-READINGS = "readings.csv"
+# Of contacts, and of what [[read]] asks for.
+PICTURES, READINGS = ("forces.png", "force_penetration.png"), ("readings.csv", "readings.png")
 
 
 def files(given: SceneFile) -> tuple[str, ...]:
     """Names of the files that ``write`` may leave for a scene file."""
-    return (*FILES, *given.scene.tables, *([READINGS] if given.reads else []))
+    drawn, asked = PICTURES if given.scene.contacts else (), READINGS if given.reads else ()
+    return (*FILES, *drawn, *given.scene.tables, *asked)
 
 
 def choice_sentence(run: Run) -> str:
@@ -157,6 +156,8 @@ def resolution_warnings(run: Run) -> list[str]:
         if lengths.size and lengths.min() < pictures.FEW_SAMPLES and run.status == "ok":
             shortest[name] = int(lengths.min())
     found = []
+    if not (run.force or run.readings):
+        found.append("the scene has no contact: name what is to be seen in [[read]] tables")
     missed = {name: count for name, count in missed.items() if count}
     if missed:
         found.append(
@@ -213,6 +214,17 @@ def _readings(given: SceneFile, run: Run) -> dict[str, np.ndarray]:
     return found
 
 
+def _readings_rows(given: SceneFile, run: Run) -> list[list[str]]:
+    """What [[read]] asks for, for people: least, largest and last value."""
+    rows = [["reading", "least", "largest", "at the end"]]
+    for head, column in _readings(given, run).items():
+        name, _, unit = head.removesuffix("]").rpartition(" [")
+        known = column[np.isfinite(column)]
+        values = (known.min(), known.max(), column[-1]) if known.size else [float("nan")] * 3
+        rows.append([name, *(format_si(float(x), unit) for x in values)])
+    return rows
+
+
 def write(folder: Path, given: SceneFile, run: Run, stem: str) -> tuple[str, list[str]]:
     """Write every one of ``files``, less tables that the level chosen does not have.
 
@@ -229,21 +241,27 @@ def write(folder: Path, given: SceneFile, run: Run, stem: str) -> tuple[str, lis
     outputs.write_forces(folder / "forces.csv", run)
     outputs.write_contacts(folder / "contacts.csv", run)
     if given.reads:
-        outputs.write_histories(folder / READINGS, run.times, _readings(given, run))
+        outputs.write_histories(folder / READINGS[0], run.times, _readings(given, run))
+        pictures.readings(run, given.reads, folder / READINGS[1])
     whole, extra = given.scene.whole(given.params, run)
     for name, columns in extra.items():
         outputs.write_histories(folder / name, run.times, columns)
     content = summary(run, given.scene.traits.turning) | whole
     outputs.write_json(folder / "summary.json", content | {"warnings": warnings})
-    pictures.forces(run, folder / "forces.png")
-    pictures.loops(run, folder / "force_penetration.png")
-    rows = _contacts(content["contacts"])
-    tables = [("Contacts", rows)]
+    tables = []
+    if run.force:
+        pictures.forces(run, folder / PICTURES[0])
+        pictures.loops(run, folder / PICTURES[1])
+        tables.append(("Contacts", _contacts(content["contacts"])))
+    if given.reads:
+        tables.append(("Readings", _readings_rows(given, run)))
+    shown = list(tables)
     if run.accuracy:
         tables.append(("Measured force error", _accuracy_rows(run.accuracy)))
     tables += [("Input", _input_rows(given)), ("Solver", report.solver_rows(run.stats))]
     said = f"{verdict(run)} {choice_sentence(run)}".strip()
-    shown = [folder / "forces.png", folder / "force_penetration.png"]
-    report.write(folder, f"Simulation of {stem}", said, tables, shown, warnings)
+    drawn = [folder / name for name in files(given) if name.endswith(".png")]
+    report.write(folder, f"Simulation of {stem}", said, tables, drawn, warnings)
     accuracy = "".join(f"{line}\n" for line in accuracy_sentences(run))
-    return f"{said}\n\n{report.text(rows)}\n" + (f"\n{accuracy}" if accuracy else ""), warnings
+    text = "\n\n".join([said, *(report.text(rows) for _, rows in shown)])
+    return f"{text}\n" + (f"\n{accuracy}" if accuracy else ""), warnings

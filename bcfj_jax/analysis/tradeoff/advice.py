@@ -119,7 +119,7 @@ def file(setting: Setting, budget: str) -> str:
 
     head = f"# Recommended by bcfj tradeoff for an error of {budget}: {setting.name}.\n"
     physics = f"# Another model than the given one: {setting.physics}.\n" if setting.physics else ""
-    return head + physics + tomli_w.dumps({section: dict(values) for section, values in setting.table.items()})
+    return head + physics + tomli_w.dumps(dict(setting.table))
 
 
 def doubts(reference: Reference | None) -> list[str]:

@@ -16,7 +16,7 @@ from bcfj_jax.analysis.tradeoff.study import COLUMNS, OK, Study, study
 from bcfj_jax.io import outputs, report
 from bcfj_jax.io.journal import NAME as JOURNAL
 from bcfj_jax.io.journal import Journal, key_of
-from bcfj_jax.io.scenefile import load
+from bcfj_jax.io.scenefile import load, shown
 from bcfj_jax.io.stop import heeded
 from bcfj_jax.io.units import format_si
 
@@ -43,7 +43,7 @@ def run(
     Raises:
         InputError: for bad input, and where something would be overwritten.
     """
-    given = load(what)
+    given = shown(load(what))
     todo = settings(given, only, derivatives)
     stem = given.source.stem if given.source else what
     begun = out is not None and (out / JOURNAL).exists()

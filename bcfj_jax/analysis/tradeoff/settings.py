@@ -227,7 +227,11 @@ def _knobs(given: SceneFile, moves: bool) -> Iterator[Setting]:
             if law != now:
                 physics = f"friction by the law {law}" if law else "no friction at all"
                 changes.append(("friction law", f"friction {law or 'none'}", {"scene": {"friction": law}}, physics))
+    same = _made(given.resolved)
     for group, name, change, physics in changes:
+        # Contacts that name a friction law of their own, or a scene without contacts, do not heed the scene's.
+        if "scene" in change and _made(overlaid(given.resolved, change)) == same:
+            continue
         for error in _knobs_at(scene):
             at = {**change, "accuracy": _accuracy(given, error)} if moves else change
             title = f"{name} at {_percent(error)}" if moves else name

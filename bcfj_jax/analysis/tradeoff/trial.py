@@ -10,7 +10,7 @@ import numpy as np
 from bcfj_jax.analysis.derivatives.jacobian import level
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.status import reason
-from bcfj_jax.io.scenefile import SceneFile, from_table
+from bcfj_jax.io.scenefile import SceneFile, from_table, shown
 from bcfj_jax.solve.integrate import plan
 from bcfj_jax.solve.simulation import Run, simulate
 
@@ -35,7 +35,7 @@ class Trial(NamedTuple):
 
 def loaded(table: Mapping[str, Any]) -> SceneFile:
     """A setting's scene file; errors as ``scenefile.load``."""
-    return from_table(table, None)
+    return shown(from_table(table, None))
 
 
 def trial(given: SceneFile, repeated: bool = True) -> Trial:
