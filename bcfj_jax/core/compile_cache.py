@@ -39,7 +39,8 @@ def use_compile_cache() -> None:
 
 def _folder() -> Path | None:
     """The folder of this build of jaxlib, made private; None where nothing can be kept."""
-    import jaxlib
+    import importlib.metadata
+
     import platformdirs
 
     from bcfj_jax.core.programs import say_once
@@ -49,7 +50,7 @@ def _folder() -> Path | None:
         return None
     try:
         base = Path(given or platformdirs.user_cache_dir("bcfj-jax"))
-        folder = base / f"jaxlib-{jaxlib.__version__}"
+        folder = base / f"jaxlib-{importlib.metadata.version('jaxlib')}"
         for part in (base, folder, folder / "xla", folder / "programs"):
             part.mkdir(mode=0o700, parents=True, exist_ok=True)
             about = part.stat()

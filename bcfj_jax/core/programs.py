@@ -226,7 +226,7 @@ def _read(path: Path) -> Any:
     return found
 
 
-def _export(path: Path, jitted: Callable[..., Any], shapes: tuple[Any, ...]) -> Callable[..., Any] | None:
+def _export(path: Path, jitted: Any, shapes: tuple[Any, ...]) -> Callable[..., Any] | None:
     """Write a program; what calls it, or None where it cannot be exported (it calls back to the host)."""
     try:
         outcomes = sorted(set(_outcomes(jax.eval_shape(jitted, *shapes))))
