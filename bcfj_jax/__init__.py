@@ -6,7 +6,8 @@ motion), ``models`` (the built-in scenes, and the ball-cage joint), ``solve`` (`
 
 The import has two side effects, for the whole process. It sets JAX to 64-bit numbers, because penetrations are
 micrometres and travel is metres. It adds one option to ``XLA_FLAGS``, which compiles the loops of a solver as single
-kernels (``core.kernels``). Public names are loaded on first use, so that ``bcfj --help`` needs no solver.
+kernels. Public names are loaded on first use; JAX is too, so that ``bcfj --help`` does not wait for it
+(``core.backend``).
 """
 
 from __future__ import annotations
@@ -14,12 +15,9 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING
 
-import jax as _jax
+from bcfj_jax.core import backend as _backend
 
-from bcfj_jax.core import kernels as _kernels
-
-_kernels.compile_small_loops_whole()
-_jax.config.update("jax_enable_x64", True)
+_backend.set_up()
 
 if TYPE_CHECKING:
     from bcfj_jax.analysis import nonlinear as nonlinear

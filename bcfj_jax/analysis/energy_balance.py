@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -21,7 +20,8 @@ from jax.typing import ArrayLike
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.quantities import increasing
 from bcfj_jax.mechanism.model import AbstractModel, Flows, Params
-from bcfj_jax.solve.integrate import Plan, integrate, plan
+from bcfj_jax.solve.integrate import integrate
+from bcfj_jax.solve.plan import Plan, plan
 
 # Readings evaluated side by side.
 _CHUNK = 512
@@ -50,7 +50,7 @@ class EnergyBalance(NamedTuple):
 @eqx.filter_jit
 def _flows(model: AbstractModel, params: Params, instants: Array, how: Plan) -> Flows:
     """Powers and stores at the instants; NaN from a failure on."""
-    states = integrate(model, params, instants, how, dfx.ForwardMode()).states
+    states = integrate(model, params, instants, how, "forward").states
     prepared = model.prepare(params)
 
     def read(at: tuple[Array, Array]) -> Flows:

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import diffrax as dfx
-import jax.numpy as jnp
-from jax import Array
-
 OK, STEPS, NOT_FINITE, SOLVER, UNBALANCED, STEEP = range(6)
 _REASONS = {
     STEPS: "the step budget of {max_steps} steps was spent",
@@ -19,10 +15,3 @@ _REASONS = {
 def reason(code: int, max_steps: int) -> str:
     """A failure code in words; empty when there is none."""
     return _REASONS.get(int(code), "").format(max_steps=max_steps)
-
-
-def code_of(result: dfx.RESULTS, states: Array) -> Array:
-    """The code of a diffrax run that ended so, with these states."""
-    good = jnp.where(jnp.all(jnp.isfinite(states)), OK, NOT_FINITE)
-    stopped = jnp.where(result == dfx.RESULTS.max_steps_reached, STEPS, SOLVER)
-    return jnp.where(result == dfx.RESULTS.successful, good, stopped)

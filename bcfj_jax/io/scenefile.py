@@ -37,7 +37,7 @@ from bcfj_jax.mechanism.model import AbstractModel, horizon
 from bcfj_jax.mechanism.observed import Observed
 from bcfj_jax.models import scenes
 from bcfj_jax.solve import named
-from bcfj_jax.solve.integrate import LEVELS, MAX_STEPS
+from bcfj_jax.solve.plan import LEVELS, MAX_STEPS
 
 _DEFAULT_LEVEL = "balanced"
 

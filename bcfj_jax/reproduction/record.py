@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable
 from typing import NamedTuple
 
-import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -18,7 +17,8 @@ from bcfj_jax.models.joint.constants import constants
 from bcfj_jax.models.joint.observe import observe
 from bcfj_jax.models.joint.scene import Joint
 from bcfj_jax.models.joint.system import on_bodies, touches, view
-from bcfj_jax.solve.integrate import Plan, Solution, integrate, plan
+from bcfj_jax.solve.integrate import Solution, integrate
+from bcfj_jax.solve.plan import Plan, plan
 from bcfj_jax.solve.simulation import Run, story
 
 END, STEP, INSTANT = 3.0, 1e-3, 1.51
@@ -47,7 +47,7 @@ class Record(NamedTuple):
 @eqx.filter_jit
 def _run(scene: Joint, params: Params, times: Array, how: Plan) -> tuple[Solution, dict[str, Reading], Array, Array]:
     """Solution, readings, and per instant the contact forces on the cage and its velocity, (T, 3) each."""
-    solution = integrate(scene, params, times, how, dfx.ForwardMode())
+    solution = integrate(scene, params, times, how, "forward")
     c = constants(scene, params)
 
     def look(y: Array) -> tuple[dict[str, Reading], Array, Array]:

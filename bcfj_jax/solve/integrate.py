@@ -23,30 +23,21 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import diffrax as dfx
-import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
-from bcfj_jax.core.errors import InputError, nearest
-from bcfj_jax.core.status import NOT_FINITE, OK, SOLVER, STEPS, code_of
+from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.status import NOT_FINITE, OK, SOLVER, STEPS
 from bcfj_jax.mechanism.model import AbstractModel, Params, Solution
 from bcfj_jax.solve import bdf, named
 from bcfj_jax.solve.batched_jvp import together
+from bcfj_jax.solve.plan import Plan, Way
 from bcfj_jax.solve.rodas import Rodas
 from bcfj_jax.solve.sdirk import Sdirk
 from bcfj_jax.solve.tangents import SdirkTangents
 
-LEVELS = {"fast": 5e-2, "balanced": 1e-2, "reference": 1e-5}
-# Attempted steps that a run may take where nothing else is asked for.
-MAX_STEPS = 400_000
-
-# Force error below which a stiff model's tangents count in the step control. In the joint a ball that carries nothing
-# swings below 1 N, and tangents depend on its phase: loose steps damp the swing, and tight ones resolve it only where
-# the tangents' own error is controlled. At a tolerance of 1e-4 tangents are 34 % off without, and at 2e-4 0.9 % with
-# (benchmarks/models/joint_derivatives.py).
-_TANGENTS_BELOW = 5e-4
+_ADJOINTS = {"forward": dfx.ForwardMode(), "reverse": dfx.RecursiveCheckpointAdjoint()}
 
 # Relative tolerance at rounding level, so that large positions do not cause rejections.
 _ROUNDING = 4e-16
@@ -54,64 +45,6 @@ _ROUNDING = 4e-16
 _SHORTEST = 1e-15
 # Proportional and integral gain of the step control.
 _GAINS = {True: (0.4, 0.3), False: (0.2, 0.5)}
-
-
-class Plan(eqx.Module):
-    """How a model will be integrated.
-
-    ``tolerance`` may be traced: changing it does not compile again; changing the rest does. ``tangents``: whether a
-    stiff model's steps are chosen for the error of its forward tangents, too. ``solver``: a name of ``solve.named``,
-    where the model's own is not wanted.
-    """
-
-    tolerance: Array
-    max_steps: int = eqx.field(static=True, default=MAX_STEPS)
-    tangents: bool = eqx.field(static=True, default=False)
-    solver: str | None = eqx.field(static=True, default=None)
-
-
-def plan(
-    model: AbstractModel, accuracy: str | float = "balanced", max_steps: int = MAX_STEPS, solver: str | None = None
-) -> Plan:
-    """Tolerance for a model and an accuracy.
-
-    Args:
-        model: what will be integrated.
-        accuracy: a level (``LEVELS``) or the tolerated force error as a fraction of the peak, 1e-9 to 0.5.
-        max_steps: budget of attempted steps; beyond it a run fails with that reason.
-        solver: a name of ``solve.named`` in place of the model's own.
-
-    Raises:
-        InputError: for an unknown level or solver, an error out of range, a budget below 1, and where the host has
-            switched JAX back to 32-bit numbers (``benchmarks/solve/precision.py`` says what they would cost).
-    """
-    if jnp.result_type(float) != jnp.float64:
-        raise InputError(
-            "jax_enable_x64", "is off: numbers would have 32 bits", "leave it as importing bcfj_jax set it"
-        )
-    if max_steps < 1:
-        raise InputError("max_steps", f"{max_steps}", "give 1 or more")
-    error, stiff = force_error(accuracy), model.traits.stiff
-    named.check(solver, stiff)
-    tangents = solver == "bdf" or (solver is None and stiff and error < _TANGENTS_BELOW)
-    # An array of NumPy, which compiles nothing.
-    tolerance: Any = np.asarray(model.tolerance(error), dtype=np.float64)
-    return Plan(tolerance, max_steps, tangents, solver)
-
-
-def force_error(accuracy: str | float) -> float:
-    """Force error that a level or a number asks for, as a fraction of the peak.
-
-    Raises:
-        InputError: for an unknown level and for an error outside 1e-9 to 0.5.
-    """
-    if isinstance(accuracy, str):
-        if accuracy not in LEVELS:
-            raise InputError("accuracy", f"no level '{accuracy}'", nearest(accuracy, LEVELS))
-        return LEVELS[accuracy]
-    if not 1e-9 <= accuracy <= 0.5:
-        raise InputError("accuracy", f"force_error = {accuracy:g}", "give a fraction of the peak from 1e-9 to 0.5")
-    return accuracy
 
 
 def _safe_norm(scaled_error: Array) -> Array:
@@ -147,7 +80,7 @@ def problem(model: AbstractModel, params: Params, end: Array, how: Plan, differe
     first = jnp.asarray(model.first_step(params, scales), dtype=jnp.float64)
     gains = _GAINS[stiff]
     if not stiff:
-        solver = named.NOT_STIFF[how.solver or "tsit5"]()
+        solver = getattr(dfx, named.NOT_STIFF[how.solver or "tsit5"])()
         return Problem(_field, (model, prepared), start, scales, first, None, gains, solver)
     last = jax.lax.stop_gradient(end)
     first = jnp.where(last > 0, jnp.minimum(first, 1e-2 * last), first)
@@ -162,12 +95,12 @@ def _field(t: Any, y: Array, args: tuple[AbstractModel, Any]) -> Array:
 
 
 def integrate(
-    model: AbstractModel, params: Params, times: Array, how: Plan, adjoint: dfx.AbstractAdjoint,
+    model: AbstractModel, params: Params, times: Array, how: Plan, mode: Way = "forward",
     differentiable: bool = False,
 ) -> Solution:  # fmt: skip
     """Integrate from time 0 and return the states at ``times`` (a time before 0 reads the initial state).
 
-    Pure: jit, vmap, and the derivatives that ``adjoint`` supports go through; those of a stiff model only where
+    Pure: jit, vmap, and the derivatives of one ``mode`` go through; those of a stiff model only where
     ``differentiable`` asks for the solver that is meant for them. Never raises for a failed run: its states are NaN
     from there on and ``code`` says why.
 
@@ -184,13 +117,13 @@ def integrate(
     if differentiable and how.solver in named.VALUES_ONLY:
         raise InputError("solver", f"'{how.solver}' has no derivatives", "leave it out, or take sdirk2 or bdf")
     posed = problem(model, params, times[-1], how, differentiable)
-    if traits.stiff and differentiable and isinstance(adjoint, dfx.ForwardMode):
+    if traits.stiff and differentiable and mode == "forward":
         return _with_tangents(posed, times, how)
     if traits.stiff and how.solver == "bdf" and not differentiable:
         assert isinstance(posed.solver, Sdirk)
         found = _by_bdf(posed, posed.solver, None, posed.start[None], times, how)
         return found._replace(states=found.states[:, 0])
-    return _solved(posed, times, how, adjoint)
+    return _solved(posed, times, how, mode)
 
 
 def controller(problem: Problem, how: Plan) -> dfx.PIDController:
@@ -206,7 +139,7 @@ def controller(problem: Problem, how: Plan) -> dfx.PIDController:
     )
 
 
-def _solved(problem: Problem, times: Array, how: Plan, adjoint: dfx.AbstractAdjoint) -> Solution:
+def _solved(problem: Problem, times: Array, how: Plan, mode: Way) -> Solution:
     solution = dfx.diffeqsolve(
         dfx.ODETerm(problem.field),  # pyright: ignore[reportArgumentType]
         problem.solver,
@@ -217,7 +150,7 @@ def _solved(problem: Problem, times: Array, how: Plan, adjoint: dfx.AbstractAdjo
         args=problem.args,
         saveat=dfx.SaveAt(subs=(dfx.SubSaveAt(ts=times), dfx.SubSaveAt(t1=True))),
         stepsize_controller=controller(problem, how),
-        adjoint=adjoint,
+        adjoint=_ADJOINTS[mode],
         max_steps=how.max_steps,
         throw=False,
     )
@@ -227,6 +160,13 @@ def _solved(problem: Problem, times: Array, how: Plan, adjoint: dfx.AbstractAdjo
     states = jnp.where(jnp.isfinite(states), states, jnp.nan)
     accepted, rejected = (solution.stats[f"num_{name}_steps"] for name in ("accepted", "rejected"))
     return Solution(states, code_of(solution.result, states), solution.ts[1][0], accepted, rejected)
+
+
+def code_of(result: dfx.RESULTS, states: Array) -> Array:
+    """The code of a diffrax run that ended so, with these states."""
+    good = jnp.where(jnp.all(jnp.isfinite(states)), OK, NOT_FINITE)
+    stopped = jnp.where(result == dfx.RESULTS.max_steps_reached, STEPS, SOLVER)
+    return jnp.where(result == dfx.RESULTS.successful, good, stopped)
 
 
 def _by_bdf(problem: Problem, solver: Sdirk, changes: tuple | None, start: Array, times: Array, how: Plan) -> Solution:
@@ -255,7 +195,7 @@ def _with_tangents(problem: Problem, times: Array, how: Plan) -> Solution:
 
     def value(x: tuple) -> tuple[Array, tuple]:
         made, _, times, how = of(x)
-        states, *rest = _solved(made, times, how, dfx.ForwardMode())
+        states, *rest = _solved(made, times, how, "forward")
         return states, tuple(rest)
 
     def ahead(x: tuple, changes: tuple) -> tuple[tuple[Array, tuple], Array]:
@@ -272,7 +212,7 @@ def _with_tangents(problem: Problem, times: Array, how: Plan) -> Solution:
                 args=(made.args, (model, by_args)), start=start, solver=SdirkTangents(solver),
                 norm=lambda errors: _safe_norm(errors[0]),
             )  # fmt: skip
-            found, *rest = _solved(rows, times, how, dfx.ForwardMode())
+            found, *rest = _solved(rows, times, how, "forward")
         states, moved = found[:, 0], jnp.moveaxis(found[:, 1:], 1, 0)
         if by_times is not None:
             moved = moved + by_times[:, :, None] * jax.vmap(lambda t, y: made.field(t, y, made.args))(times, states)

@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple
 
-import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -23,11 +22,10 @@ from bcfj_jax.mechanism.channels import Channel, channel
 from bcfj_jax.mechanism.model import AbstractModel, Choice, Params, Reading, Solution
 from bcfj_jax.mechanism.readings import contact_states
 from bcfj_jax.solve.forward_reverse import forward_and_reverse
-from bcfj_jax.solve.integrate import MAX_STEPS, Plan, force_error, integrate, plan
 from bcfj_jax.solve.measured_error import Accuracy, measured
+from bcfj_jax.solve.plan import MAX_STEPS, Plan, Way, force_error, plan
 
 Mode = Literal["auto", "forward", "reverse"]
-_FORWARD, _REVERSE = dfx.ForwardMode(), dfx.RecursiveCheckpointAdjoint()
 # A stiff model's gradient is SDIRK2's, whose tangents are not in its step control: in the joint 2 % off at this
 # tolerance, and up to 34 % at tighter ones, which resolve the swing of free balls with a wrong phase
 # (docs/derivatives.md).
@@ -75,11 +73,13 @@ def outcome(
     params: Params,
     times: Array,
     how: Plan,
-    adjoint: dfx.AbstractAdjoint,
+    mode: Way,
     differentiable: bool = False,
 ) -> tuple[Solution, dict[str, Reading]]:
     """States at the times as ``integrate`` gives them, and what every contact reads in them; arguments are its own."""
-    solution = integrate(scene, params, times, how, adjoint, differentiable)
+    from bcfj_jax.solve.integrate import integrate  # With diffrax, which a kept program does not need.
+
+    solution = integrate(scene, params, times, how, mode, differentiable)
     return solution, readings(scene, params, times, solution.states)
 
 
@@ -90,9 +90,9 @@ def readings(model: AbstractModel, params: Params, times: Array, states: Array) 
 
 
 def _forces(
-    adjoint: dfx.AbstractAdjoint, scene: AbstractModel, params: Params, times: Array, how: Plan, differentiable: bool
+    mode: Way, scene: AbstractModel, params: Params, times: Array, how: Plan, differentiable: bool
 ) -> dict[str, Array]:
-    _, readings = outcome(scene, params, times, how, adjoint, differentiable)
+    _, readings = outcome(scene, params, times, how, mode, differentiable)
     return {name: reading.force for name, reading in readings.items()}
 
 
@@ -131,18 +131,18 @@ def force_history(
     how = accuracy if isinstance(accuracy, Plan) else plan(scene, accuracy)
     times = jnp.asarray(times, dtype=jnp.float64)
     if mode == "forward":
-        return _forces(_FORWARD, scene, params, times, how, True)
+        return _forces("forward", scene, params, times, how, True)
     if mode == "reverse":
-        return _forces(_REVERSE, scene, params, times, how, True)
+        return _forces("reverse", scene, params, times, how, True)
     if mode == "auto":
 
-        def way(adjoint: dfx.AbstractAdjoint, differentiable: bool) -> Callable[[tuple], dict[str, Array]]:
-            return lambda x: _forces(adjoint, scene, x[0], x[1], x[2], differentiable)
+        def way(mode: Way, differentiable: bool) -> Callable[[tuple], dict[str, Array]]:
+            return lambda x: _forces(mode, scene, x[0], x[1], x[2], differentiable)
 
         def backward(x: tuple) -> dict[str, Array]:
-            return _forces(_REVERSE, scene, x[0], x[1], _backward(scene, x[2]), True)
+            return _forces("reverse", scene, x[0], x[1], _backward(scene, x[2]), True)
 
-        ways = way(_FORWARD, True), backward, way(_FORWARD, False)
+        ways = way("forward", True), backward, way("forward", False)
         return forward_and_reverse(*ways)((dict(params), times, how))
     raise InputError("mode", f"no mode '{mode}'", "use auto, forward or reverse")
 
@@ -171,18 +171,19 @@ def reading_history(
     """
     how = accuracy if isinstance(accuracy, Plan) else plan(scene, accuracy)
     wanted = [channel(name, scene) for name in read]
-    adjoint = {"forward": _FORWARD, "reverse": _REVERSE}.get(mode)
-    if adjoint is None:
+    if mode not in ("forward", "reverse"):
         raise InputError("mode", f"no mode '{mode}'", "use forward or reverse")
     times = jnp.asarray(times, dtype=jnp.float64)
     how = how if mode == "forward" else _backward(scene, how)
-    return channels.histories(scene, params, times, integrate(scene, params, times, how, adjoint, True).states, wanted)
+    from bcfj_jax.solve.integrate import integrate
+
+    return channels.histories(scene, params, times, integrate(scene, params, times, how, mode, True).states, wanted)
 
 
 def _run(
     scene: AbstractModel, wanted: tuple[Channel, ...], params: Params, times: Array, how: Plan
 ) -> tuple[Solution, dict[str, Reading], dict[str, Array]]:
-    solution, found = outcome(scene, params, times, how, _FORWARD)
+    solution, found = outcome(scene, params, times, how, "forward")
     more = channels.histories(scene, params, times, solution.states, wanted) if wanted else {}
     return solution, found, more
 

@@ -18,7 +18,8 @@ from jax import Array
 
 from bcfj_jax.core.status import NOT_FINITE, OK, SOLVER, STEPS
 from bcfj_jax.mechanism.model import AbstractModel, Params, Solution
-from bcfj_jax.solve.integrate import Plan, controller, problem
+from bcfj_jax.solve.integrate import controller, problem
+from bcfj_jax.solve.plan import Plan
 
 # Numbers that a place reads from a step in one round, and samples at least; for more the step is taken again.
 _READ, _FEWEST = 128, 8

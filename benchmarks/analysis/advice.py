@@ -22,7 +22,7 @@ import numpy as np
 from bcfj_jax.analysis.tradeoff import advice
 from bcfj_jax.analysis.tradeoff.settings import ERRORS, Setting
 from bcfj_jax.analysis.tradeoff.study import OK, Study
-from bcfj_jax.solve.integrate import Plan, plan
+from bcfj_jax.solve.plan import Plan, plan
 from benchmarks.common import ROOT, markdown, put_in_readme, save
 from benchmarks.solve.levels import BUDGET, LOST, SAMPLES, off, runner
 from benchmarks.solve.random_scenes import LAWS, springs

@@ -24,7 +24,7 @@ import numpy as np
 from bcfj_jax import scenes
 from bcfj_jax.analysis.envelope import KEPT, MEANING
 from bcfj_jax.io.outputs import write_json
-from bcfj_jax.solve.integrate import LEVELS, plan
+from bcfj_jax.solve.plan import LEVELS, plan
 from benchmarks.common import ROOT, load, markdown, put_in_readme, save
 from benchmarks.solve.levels import CERTAIN, LADDER, PROMISES, calm, joints_down, springs_down
 from benchmarks.solve.random_scenes import LAWS

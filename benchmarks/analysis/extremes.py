@@ -24,7 +24,6 @@ from typing import Any
 
 os.environ.setdefault("EQX_ON_ERROR", "nan")
 
-import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -36,7 +35,7 @@ from bcfj_jax.models.joint.constants import constants
 from bcfj_jax.models.joint.energy import stored
 from bcfj_jax.models.joint.scales import scales as joint_scales
 from bcfj_jax.models.joint.system import view
-from bcfj_jax.solve.integrate import plan
+from bcfj_jax.solve.plan import plan
 from bcfj_jax.solve.simulation import outcome
 from benchmarks.analysis.extremes_box import VARIANTS, Variant, corners, sobol
 from benchmarks.common import RESULTS, ROOT, load, save
@@ -60,7 +59,7 @@ def attempt(scene: Any, params: Any, moves: Any, times: Any, how: Any) -> dict[s
     """Batches of runs, each with the derivative of its forces in one direction of all parameters, if there is one."""
 
     def forces(p: Any, t: Any) -> Any:
-        solution, readings = outcome(scene, p, t, how, dfx.ForwardMode(), moves is not None)
+        solution, readings = outcome(scene, p, t, how, "forward", moves is not None)
         force = jnp.concatenate([readings[c.name].force.reshape(t.size, -1) for c in scene.contacts], 1)
         return (force, solution.states), solution
 

@@ -21,7 +21,6 @@ from typing import Any
 
 os.environ.setdefault("EQX_ON_ERROR", "nan")
 
-import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -30,7 +29,7 @@ import numpy as np
 import bcfj_jax as bj
 from bcfj_jax.analysis.derivatives.certificate import INFLUENCE, POINTWISE, TRUSTED
 from bcfj_jax.core.status import OK
-from bcfj_jax.solve.integrate import plan
+from bcfj_jax.solve.plan import plan
 from bcfj_jax.solve.simulation import outcome
 from benchmarks.analysis.extremes import ACCURACY, KEPT, SAMPLES, instants
 from benchmarks.analysis.extremes_box import VARIANTS, Variant
@@ -146,7 +145,7 @@ def history(scene: Any, params: Any, move: Any, times: Any, how: Any) -> Any:
     """Normal forces by contact (T, k) with their derivative in a direction, flat states, and how it ended."""
 
     def forces(p: Any) -> Any:
-        solution, readings = outcome(scene, p, times, how, dfx.ForwardMode(), move is not None)
+        solution, readings = outcome(scene, p, times, how, "forward", move is not None)
         normal = {name: r.force[..., 0].reshape(times.size, -1) for name, r in readings.items()}
         return normal, (solution.states, solution.code)
 

@@ -22,14 +22,14 @@ from typing import Any
 
 os.environ.setdefault("EQX_ON_ERROR", "nan")
 
-import diffrax as dfx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from bcfj_jax import nonlinear, scenes, simulate
 from bcfj_jax.analysis.nonlinear.scene_exponent import advance
-from bcfj_jax.solve.integrate import Plan, integrate, problem
+from bcfj_jax.solve.integrate import integrate, problem
+from bcfj_jax.solve.plan import Plan
 from benchmarks.common import RESULTS, ROOT, load, markdown, put_in_readme, save
 
 CACHE = ROOT / "build" / "jax-cache"
@@ -118,9 +118,7 @@ def pair_of_runs(smoothing: float, interval: float, intervals: int, separation: 
     scene = scenes.joint()
     params = scene.parameters(smoothing=smoothing)
     settle, how = 1.2, Plan(jnp.asarray(tolerance), 4_000_000)
-    start = integrate(scene, params, jnp.array([0.5, 1.0]) * settle, Plan(jnp.asarray(1e-3)), dfx.ForwardMode()).states[
-        -1
-    ]
+    start = integrate(scene, params, jnp.array([0.5, 1.0]) * settle, Plan(jnp.asarray(1e-3)), "forward").states[-1]
     posed = problem(scene, params, jnp.asarray(settle + 1.0), how, False)
     seat, cage = scene.slices["seat_turn"], scene.slices["cage_turn"]
     assert seat is not None and cage is not None

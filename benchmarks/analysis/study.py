@@ -35,7 +35,7 @@ from bcfj_jax.analysis.studies.block import Blocks
 from bcfj_jax.analysis.studies.specification import from_table
 from bcfj_jax.analysis.studies.store import facts_of
 from bcfj_jax.io import plots
-from bcfj_jax.solve.integrate import plan
+from bcfj_jax.solve.plan import plan
 from benchmarks.common import ROOT, markdown, put_in_readme, save
 
 CACHE = ROOT / "build" / "jax-cache"

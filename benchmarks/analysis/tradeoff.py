@@ -30,7 +30,7 @@ from bcfj_jax.io.journal import Journal, key_of
 from bcfj_jax.io.outputs import plain
 from bcfj_jax.io.scenefile import from_table, quickest
 from bcfj_jax.io.stop import heeded
-from bcfj_jax.solve.integrate import LEVELS
+from bcfj_jax.solve.plan import LEVELS
 from benchmarks.common import RESULTS, ROOT, load, markdown, put_in_readme, save
 from benchmarks.models import joint_reference
 from benchmarks.solve.levels import off

@@ -20,7 +20,6 @@ from typing import Any
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
 os.environ.setdefault("EQX_ON_ERROR", "nan")
 
-import diffrax as dfx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -30,7 +29,8 @@ from bcfj_jax.models.joint import system
 from bcfj_jax.models.joint.arrowhead import Arrowhead, blocks
 from bcfj_jax.models.joint.constants import constants
 from bcfj_jax.models.joint.scales import scales
-from bcfj_jax.solve.integrate import Plan, integrate, plan
+from bcfj_jax.solve.integrate import integrate
+from bcfj_jax.solve.plan import Plan, plan
 from bcfj_jax.solve.rodas import Rodas
 from bcfj_jax.solve.sdirk import Sdirk
 from benchmarks.common import load, markdown, put_in_readme, save
@@ -50,7 +50,7 @@ def median(run: Callable[[], Any], repeats: int = REPEATS) -> float:
 
 def loaded_state(scene: Any, params: Any) -> jax.Array:
     """A state under full load."""
-    found = integrate(scene, params, jnp.asarray([0.0, 0.13]), plan(scene), dfx.ForwardMode())
+    found = integrate(scene, params, jnp.asarray([0.0, 0.13]), plan(scene), "forward")
     return found.states[-1]
 
 
@@ -95,7 +95,7 @@ def costs() -> dict[str, Any]:
 
 @partial(jax.jit, static_argnames=("scene", "differentiable"))
 def _run(scene: Any, params: Any, times: jax.Array, how: Plan, differentiable: bool = False) -> Any:
-    return integrate(scene, params, times, how, dfx.ForwardMode(), differentiable)
+    return integrate(scene, params, times, how, "forward", differentiable)
 
 
 def precision() -> dict[str, Any]:
@@ -168,8 +168,8 @@ def batch() -> dict[str, Any]:
     many_values = {name: jnp.broadcast_to(value, (64,)) for name, value in params.items()} | {
         "clearance_seat_cage": clearance
     }
-    many = jax.jit(jax.vmap(lambda p: integrate(scene, p, times, how, dfx.ForwardMode()).states))
-    alone = jax.jit(lambda p: integrate(scene, p, times, how, dfx.ForwardMode()).states)
+    many = jax.jit(jax.vmap(lambda p: integrate(scene, p, times, how, "forward").states))
+    alone = jax.jit(lambda p: integrate(scene, p, times, how, "forward").states)
     jax.block_until_ready((many(many_values), alone(params)))
     together, one = median(lambda: many(many_values), 3), median(lambda: alone(params))
     return {"lanes": 64, "per_lane_s": together / 64, "one_lane_s": one}

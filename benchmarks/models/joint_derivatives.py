@@ -19,13 +19,13 @@ from typing import Any
 # Before equinox is imported: JAX keeps no program with host callbacks, which diffrax's checks are.
 os.environ.setdefault("EQX_ON_ERROR", "nan")
 
-import diffrax as dfx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 import bcfj_jax as bj
-from bcfj_jax.solve.integrate import LEVELS, Plan, integrate, plan
+from bcfj_jax.solve.integrate import integrate
+from bcfj_jax.solve.plan import LEVELS, Plan, plan
 from benchmarks.analysis.derivatives import MOVED, Reference, errors, grid, influence, load, moved, normals
 from benchmarks.common import markdown, save
 
@@ -70,9 +70,7 @@ def many_forces(logs: Any, tolerance: Any, controlled: Any) -> Any:
 
 def steps(logs: Any, tolerance: Any, controlled: Any) -> Any:
     """The last states, and accepted and rejected steps: with derivatives, those that the tangents ask for."""
-    found = integrate(
-        SCENE, moved(PARAMS, logs), TIMES, Plan(tolerance, MAX_STEPS, controlled), dfx.ForwardMode(), True
-    )
+    found = integrate(SCENE, moved(PARAMS, logs), TIMES, Plan(tolerance, MAX_STEPS, controlled), "forward", True)
     return found.states[-1], (found.accepted, found.rejected)
 
 

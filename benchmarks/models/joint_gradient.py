@@ -17,7 +17,7 @@ import numpy as np
 
 import bcfj_jax as bj
 from bcfj_jax.analysis.derivatives.names import complete
-from bcfj_jax.solve.integrate import Plan, plan
+from bcfj_jax.solve.plan import Plan, plan
 from benchmarks.common import markdown, save
 
 END_S, SAMPLES, COUNT, REPEATS = 0.6, 601, 100, 5

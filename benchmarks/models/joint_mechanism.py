@@ -21,7 +21,6 @@ os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import dataclasses
 
-import diffrax as dfx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -32,7 +31,8 @@ from bcfj_jax.mechanism.mechanism import Mechanism
 from bcfj_jax.mechanism.structure import AbstractStructure, Dense
 from bcfj_jax.models.joint.arrowhead import Arrowhead
 from bcfj_jax.models.joint.parts import as_mechanism
-from bcfj_jax.solve.integrate import Plan, _field, _solved, plan, problem
+from bcfj_jax.solve.integrate import _field, _solved, problem
+from bcfj_jax.solve.plan import Plan, plan
 from bcfj_jax.solve.rodas import Rodas
 from benchmarks.common import save
 
@@ -73,7 +73,7 @@ def run(model: Any, structure: AbstractStructure, how: Plan, params: Any) -> Any
     """0.1 s by RODAS3 on a structure."""
     posed = problem(model, params, TIMES[-1], how, False)
     posed = posed._replace(field=structure.field, solver=Rodas(structure))
-    return _solved(posed, TIMES, how, dfx.ForwardMode())
+    return _solved(posed, TIMES, how, "forward")
 
 
 def field_passes(model: Any, params: Any, y: Array, count: int) -> Callable[[], Any]:

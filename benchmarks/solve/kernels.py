@@ -1,4 +1,4 @@
-"""Loops compiled as single kernels (``bcfj_jax.core.kernels``): run time, compile time and forces, with and without.
+"""Loops compiled as single kernels (``bcfj_jax.core.backend``): run time, compile time and forces, with and without.
 
 Each scene runs in fresh processes that differ in one option of XLA alone, in turn; medians over the processes.
 

@@ -18,7 +18,6 @@ from typing import Any
 
 os.environ.setdefault("EQX_ON_ERROR", "nan")
 
-import diffrax as dfx
 import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
@@ -28,7 +27,7 @@ from bcfj_jax import scenes
 from bcfj_jax.analysis.tradeoff.measures import Measured, errors, worst
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.models.joint.periodic import risen
-from bcfj_jax.solve.integrate import LEVELS, Plan, plan
+from bcfj_jax.solve.plan import LEVELS, Plan, plan
 from bcfj_jax.solve.simulation import outcome
 from benchmarks.common import RESULTS, ROOT, load, markdown, put_in_readme, save
 from benchmarks.solve.random_scenes import LAWS, joints, springs
@@ -54,7 +53,7 @@ def runner(scene: AbstractModel, batched: bool) -> Callable[..., tuple[Any, Any,
     """(params, times, plan) -> forces by contact, code, steps; over a batch of params and times, or of one scene."""
 
     def one(p: Params, t: jax.Array, how: Plan) -> tuple[dict[str, jax.Array], jax.Array, jax.Array]:
-        solution, readings = outcome(scene, p, t, how, dfx.ForwardMode())
+        solution, readings = outcome(scene, p, t, how, "forward")
         forces = {name: reading.force for name, reading in readings.items()}
         return forces, solution.code, solution.accepted + solution.rejected
 

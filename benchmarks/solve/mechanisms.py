@@ -27,7 +27,7 @@ from bcfj_jax.mechanism.loads import Gravity, Spring
 from bcfj_jax.mechanism.mechanism import Mechanism
 from bcfj_jax.models import scenes
 from bcfj_jax.solve import measured_error
-from bcfj_jax.solve.integrate import MAX_STEPS, Plan
+from bcfj_jax.solve.plan import MAX_STEPS, Plan
 from bcfj_jax.solve.simulation import Run, timed
 from benchmarks.common import RESULTS, ROOT, load, markdown, save
 

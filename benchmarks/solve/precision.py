@@ -23,14 +23,13 @@ from typing import Any
 
 os.environ.setdefault("EQX_ON_ERROR", "nan")
 
-import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from bcfj_jax import scenes
-from bcfj_jax.solve.integrate import Plan, plan
+from bcfj_jax.solve.plan import Plan, plan
 from bcfj_jax.solve.simulation import outcome
 from benchmarks.common import ROOT, markdown, put_in_readme, save
 
@@ -57,7 +56,7 @@ def measured(case: str, count: int, asks: tuple[float, ...]) -> Iterator[tuple[f
     numbers = {key: jnp.asarray(np.asarray(value)) for key, value in params.items()}
 
     def one(value: jax.Array, how: Plan) -> tuple[jax.Array, dict[str, jax.Array]]:
-        solution, readings = outcome(scene, {**numbers, varied: value}, times, how, dfx.ForwardMode())
+        solution, readings = outcome(scene, {**numbers, varied: value}, times, how, "forward")
         return solution.code, {key: reading.force for key, reading in readings.items()}
 
     run = jax.jit(jax.vmap(one, in_axes=(0, None)))

@@ -25,7 +25,7 @@ from scipy.stats import t as student
 
 from bcfj_jax import scenes, simulate
 from bcfj_jax.analysis.derivatives.jacobian import level
-from bcfj_jax.solve.integrate import plan
+from bcfj_jax.solve.plan import plan
 from bcfj_jax.solve.simulation import force_history
 from benchmarks.common import ROOT, markdown, put_in_readme, save
 

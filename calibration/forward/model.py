@@ -20,7 +20,7 @@ from bcfj_jax.analysis.derivatives.jacobian import Histories, histories
 from bcfj_jax.analysis.derivatives.names import complete
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve.batched_jvp import with_jacobian
-from bcfj_jax.solve.integrate import Plan, plan
+from bcfj_jax.solve.plan import Plan, plan
 from calibration.forward.coordinates import Coordinate, coordinates_of
 from calibration.forward.losses import loss_of, straightened
 from calibration.forward.observables import (

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from typing import NamedTuple
 
-import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -53,7 +52,7 @@ def _depths(model: Model, point: Array, log_depth: Array, times: Array) -> tuple
     table, _ = model.settings(point, log_depth)
 
     def one(params: dict, times: Array) -> tuple[Array, Array]:
-        solution, readings = outcome(model.scene, params, times, model.how, dfx.ForwardMode(), True)
+        solution, readings = outcome(model.scene, params, times, model.how, "forward", True)
         depth = by_channel(model.scene, readings)[1] if readings else jnp.zeros((times.size, 0))
         return depth, solution.code
 

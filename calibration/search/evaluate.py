@@ -9,7 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from bcfj_jax.solve.integrate import plan
+from bcfj_jax.solve.plan import plan
 from calibration.forward.losses import straightened
 from calibration.forward.model import Model, batch, residuals_and_jacobian
 from calibration.search.descent import Evaluate

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import diffrax as dfx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +11,8 @@ from scipy.integrate import solve_ivp
 
 from bcfj_jax import force_history, scenes
 from bcfj_jax.contact.restitution import delivered_restitution, undamped_duration, undamped_peak
-from bcfj_jax.solve.integrate import Plan, integrate
+from bcfj_jax.solve.integrate import integrate
+from bcfj_jax.solve.plan import Plan
 
 STRUCK = ("stiffness", "exponent", "damping", "mass")
 FRACTIONS = np.array([0.15, 0.4, 0.6, 0.85])
@@ -146,7 +146,7 @@ def test_duration_and_restitution_against_closed_forms():
         theta = jnp.array([1e10, 1.5, 0.0, 0.02, 1.5]) * jnp.exp(logs)
         theta = theta.at[2].set(damping * jnp.exp(logs[2]))
         params = scene.parameters(dict(zip(names, theta, strict=True)))
-        found = integrate(scene, params, jnp.array([later]), TIGHT, dfx.ForwardMode(), True)
+        found = integrate(scene, params, jnp.array([later]), TIGHT, "forward", True)
         place, rate = found.states[0, :2]
         return jnp.stack([jnp.log(later - place / rate), -rate / theta[4]])
 

@@ -18,7 +18,7 @@ from bcfj_jax.analysis.designs.evaluate import Evaluator, Spent
 from bcfj_jax.analysis.designs.objective import objective
 from bcfj_jax.analysis.designs.space import space
 from bcfj_jax.analysis.designs.tolerance import robust
-from bcfj_jax.solve.integrate import plan
+from bcfj_jax.solve.plan import plan
 
 # A mass m on spring k and dashpot c = 2 z sqrt(k m), approaching at v: a linear oscillator until the force vanishes.
 K, M, V = 1e6, 0.5, 2.0

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import itertools
 
-import diffrax as dfx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,7 +16,7 @@ from oracles import within
 from bcfj_jax import InputError, scenes, sensitivity, simulate
 from bcfj_jax.contact.restitution import delivered_restitution, undamped_duration
 from bcfj_jax.core.status import OK, reason
-from bcfj_jax.solve.integrate import plan
+from bcfj_jax.solve.plan import plan
 from bcfj_jax.solve.simulation import outcome
 from benchmarks.analysis.extremes import energies, ramp
 
@@ -56,7 +55,7 @@ def attempt(kind, law):
     @jax.jit
     def run(params, moves, times):
         def force(p):
-            solution, readings = outcome(scene, p, times, how, dfx.ForwardMode(), True)
+            solution, readings = outcome(scene, p, times, how, "forward", True)
             return readings["contact"].force, solution
 
         return jax.jvp(force, (params,), (moves,), has_aux=True)

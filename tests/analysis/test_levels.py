@@ -10,7 +10,7 @@ import pytest
 from bcfj_jax import scenes, simulate
 from bcfj_jax.analysis import envelope
 from bcfj_jax.analysis.simulation.results import write
-from bcfj_jax.solve.integrate import LEVELS, plan
+from bcfj_jax.solve.plan import LEVELS, plan
 from benchmarks.common import load
 from benchmarks.solve.levels import CERTAIN, KINDS, calm, compared, derived, joints_down, off, springs_down
 from benchmarks.solve.random_scenes import LAWS

@@ -16,7 +16,7 @@ from bcfj_jax.analysis.tradeoff.settings import settings
 from bcfj_jax.analysis.tradeoff.single import single
 from bcfj_jax.analysis.tradeoff.trial import loaded, trial
 from bcfj_jax.io.scenefile import from_table, load
-from bcfj_jax.solve.integrate import plan
+from bcfj_jax.solve.plan import plan
 
 
 def advised(todo, errors):

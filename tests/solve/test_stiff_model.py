@@ -11,8 +11,8 @@ from stiff import NAMES, TIMES, VALUES, Damped, counted, exact
 import bcfj_jax as bj
 from bcfj_jax.analysis import energy_balance
 from bcfj_jax.core.status import OK
-from bcfj_jax.solve.integrate import plan
 from bcfj_jax.solve.measured_error import measured
+from bcfj_jax.solve.plan import plan
 from bcfj_jax.solve.work_queue import integrate_queue
 
 MODEL = Damped()

@@ -9,7 +9,7 @@ import pytest
 
 from bcfj_jax import scenes, simulate
 from bcfj_jax.core.status import OK, STEPS
-from bcfj_jax.solve.integrate import Plan, plan
+from bcfj_jax.solve.plan import Plan, plan
 from bcfj_jax.solve.work_queue import equilibria, integrate_queue
 
 SCENE = scenes.impact()

@@ -17,7 +17,7 @@ from bcfj_jax.analysis.derivatives.names import feature as named
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.quantities import increasing
 from bcfj_jax.mechanism.model import AbstractModel, Params
-from bcfj_jax.solve.integrate import MAX_STEPS, plan
+from bcfj_jax.solve.plan import MAX_STEPS, plan
 
 
 def hessian_vector(

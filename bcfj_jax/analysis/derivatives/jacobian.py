@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-import diffrax as dfx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,12 +17,10 @@ from jax import Array
 
 from bcfj_jax.core.status import OK, STEEP
 from bcfj_jax.mechanism.model import AbstractModel, Params
-from bcfj_jax.solve.integrate import Plan
+from bcfj_jax.solve.plan import Plan, Way
 
 # The histories behind ``force_history``, with penetrations and states beside the forces.
 from bcfj_jax.solve.simulation import outcome
-
-_FORWARD = dfx.ForwardMode()
 
 
 class Histories(NamedTuple):
@@ -70,10 +67,10 @@ def channel_names(contacts: Mapping[str, int]) -> list[str]:
 
 
 def histories(
-    scene: AbstractModel, params: Params, times: Array, how: Plan, adjoint: Any = _FORWARD
+    scene: AbstractModel, params: Params, times: Array, how: Plan, mode: Way = "forward"
 ) -> tuple[Histories, tuple]:
     """Histories by the solver meant for derivatives, and (code, end, accepted, rejected). Pure."""
-    solution, readings = outcome(scene, params, times, how, adjoint, True)
+    solution, readings = outcome(scene, params, times, how, mode, True)
     force, depth, rate = by_channel(scene, readings)
     found = Histories(force, depth, rate, solution.states / jax.lax.stop_gradient(scene.error_scale(params)))
     return found, (solution.code, solution.end, solution.accepted, solution.rejected)
@@ -133,7 +130,7 @@ def forces(scene: AbstractModel, params: Params, times: np.ndarray, how: Plan) -
     """Forces (T, C, 3) without derivatives, by the solver meant for values."""
 
     def values(params: dict, times: Array, how: Plan) -> Array:
-        _, readings = outcome(scene, params, times, how, _FORWARD)
+        _, readings = outcome(scene, params, times, how, "forward")
         return by_channel(scene, readings)[0]
 
     arguments = (dict(params), jnp.asarray(times), how)

@@ -14,7 +14,7 @@ from bcfj_jax.analysis.derivatives.sensitivity import Sensitivity, sensitivity
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.quantities import check_value
 from bcfj_jax.mechanism.model import AbstractModel, Params
-from bcfj_jax.solve.integrate import MAX_STEPS
+from bcfj_jax.solve.plan import MAX_STEPS
 
 KNOBS = ("smoothing", "friction_speed")
 

@@ -6,7 +6,6 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-import diffrax as dfx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,9 +19,7 @@ from bcfj_jax.analysis.derivatives.names import Feature
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.status import OK, STEEP
 from bcfj_jax.mechanism.model import AbstractModel, Params
-from bcfj_jax.solve.integrate import Plan
-
-_REVERSE = dfx.RecursiveCheckpointAdjoint()
+from bcfj_jax.solve.plan import Plan
 
 
 class Gradient(NamedTuple):
@@ -63,7 +60,7 @@ def gradient(
 
     def jacobian(params: dict, how: Plan):
         def at(theta: dict):
-            found, end = histories(scene, {**params, **theta}, jnp.asarray(times), how, _REVERSE)
+            found, end = histories(scene, {**params, **theta}, jnp.asarray(times), how, "reverse")
             numbers = vector(times, found, wanted, contacts, {})
             return numbers, (numbers, found.force, end)
 

@@ -22,7 +22,7 @@ from bcfj_jax.core.quantities import increasing
 from bcfj_jax.core.status import OK, reason
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.mechanism.observed import observing
-from bcfj_jax.solve.integrate import LEVELS, MAX_STEPS, Plan, plan
+from bcfj_jax.solve.plan import LEVELS, MAX_STEPS, Plan, plan
 
 MODES = ("auto", "forward", "reverse")
 DIFFERENCES = ("direction", "each", "none")

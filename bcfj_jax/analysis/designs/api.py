@@ -34,7 +34,7 @@ from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.quantities import increasing
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.mechanism.observed import observing
-from bcfj_jax.solve.integrate import MAX_STEPS, plan
+from bcfj_jax.solve.plan import MAX_STEPS, plan
 
 SENSES = {"minimise": 1.0, "maximise": -1.0}
 # Values this near, over the best one, agree; and places, over the ranges.

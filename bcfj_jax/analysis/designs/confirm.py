@@ -15,7 +15,7 @@ import numpy as np
 from bcfj_jax.analysis.derivatives.jacobian import Histories
 from bcfj_jax.analysis.designs.objective import Objective, measured
 from bcfj_jax.mechanism.model import AbstractModel, Params
-from bcfj_jax.solve.integrate import LEVELS
+from bcfj_jax.solve.plan import LEVELS
 from bcfj_jax.solve.simulation import Run, simulate
 
 # Share of the gain that must be seen again: with the same model, and with one that has more in it.

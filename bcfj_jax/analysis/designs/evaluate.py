@@ -23,7 +23,7 @@ from bcfj_jax.analysis.designs.space import Space
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.status import OK, STEEP, reason
 from bcfj_jax.mechanism.model import AbstractModel, Params
-from bcfj_jax.solve.integrate import Plan
+from bcfj_jax.solve.plan import Plan
 
 
 class Values(NamedTuple):

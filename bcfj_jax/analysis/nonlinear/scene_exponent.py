@@ -21,9 +21,10 @@ from jax import Array
 
 from bcfj_jax.analysis.nonlinear.exponents import Exponent, check_counts, from_growth
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.core.status import OK, code_of, reason
+from bcfj_jax.core.status import OK, reason
 from bcfj_jax.mechanism.model import AbstractModel, Params
-from bcfj_jax.solve.integrate import MAX_STEPS, Plan, Problem, controller, integrate, plan, problem
+from bcfj_jax.solve.integrate import Problem, code_of, controller, integrate, problem
+from bcfj_jax.solve.plan import MAX_STEPS, Plan, plan
 from bcfj_jax.solve.sdirk import Sdirk
 from bcfj_jax.solve.tangents import SdirkTangents
 
@@ -103,7 +104,7 @@ def _growth(
 ) -> tuple[Array, Array]:
     """Logarithms of growth and status codes of every interval; the first code is the settling's where that failed."""
     how, count = Plan(tolerance, max_steps), turning + intervals
-    settled = integrate(scene, params, jnp.stack([0.5 * settle, settle]), how, dfx.ForwardMode())
+    settled = integrate(scene, params, jnp.stack([0.5 * settle, settle]), how, "forward")
     posed = problem(scene, params, settle + count * interval, how, True)
     both = _beside(scene, posed)
     start = jnp.where(settle > 0.0, settled.states[-1], posed.start)

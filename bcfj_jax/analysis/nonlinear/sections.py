@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from bcfj_jax.analysis.features import contact_times
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.mechanism.model import AbstractModel, Params
-from bcfj_jax.solve.integrate import MAX_STEPS
+from bcfj_jax.solve.plan import MAX_STEPS
 from bcfj_jax.solve.simulation import simulate
 
 

@@ -22,7 +22,7 @@ from bcfj_jax.analysis.features import contact_interval
 from bcfj_jax.analysis.histories import delay, settled_period
 from bcfj_jax.core.status import OK, reason
 from bcfj_jax.mechanism.model import AbstractModel
-from bcfj_jax.solve.integrate import Plan
+from bcfj_jax.solve.plan import Plan
 from bcfj_jax.solve.simulation import readings
 from bcfj_jax.solve.work_queue import equilibria, integrate_queue
 

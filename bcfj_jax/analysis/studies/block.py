@@ -26,7 +26,8 @@ from bcfj_jax.core.quantities import ORDERED, check_order, check_value
 from bcfj_jax.core.status import reason
 from bcfj_jax.io import outputs
 from bcfj_jax.io.journal import key_of
-from bcfj_jax.solve.integrate import LEVELS, Plan, plan, problem
+from bcfj_jax.solve.integrate import problem
+from bcfj_jax.solve.plan import LEVELS, Plan, plan
 from bcfj_jax.solve.simulation import simulate
 
 # Points of a block: of the motion of a large model, of all else. Enough to fill the places of a batch several times over,

@@ -20,7 +20,7 @@ from bcfj_jax.analysis.tradeoff.trial import loaded, parameters, slopes, trial
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.io.outputs import atomic
 from bcfj_jax.io.scenefile import SceneFile
-from bcfj_jax.solve.integrate import MAX_STEPS
+from bcfj_jax.solve.plan import MAX_STEPS
 from bcfj_jax.solve.simulation import Run
 
 NAME = "reference.npz"

@@ -18,7 +18,7 @@ from bcfj_jax.io.outputs import plain
 from bcfj_jax.io.scenefile import SceneFile
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve import named
-from bcfj_jax.solve.integrate import LEVELS, plan
+from bcfj_jax.solve.plan import LEVELS, plan
 
 AS_GIVEN = "as given"
 ERRORS = (0.2, 0.1, 0.05, 0.02, 0.01, 5e-3, 2e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 1e-6)

@@ -24,7 +24,7 @@ from bcfj_jax.core.compile_cache import use_compile_cache
 from bcfj_jax.io import usercode
 from bcfj_jax.io.outputs import plain
 from bcfj_jax.io.stop import check as check_stop
-from bcfj_jax.solve.integrate import Plan, plan
+from bcfj_jax.solve.plan import Plan, plan
 from bcfj_jax.solve.simulation import Run, timed
 
 # What of a run is compared, contact by contact.

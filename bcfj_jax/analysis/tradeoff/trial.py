@@ -11,7 +11,7 @@ from bcfj_jax.analysis.derivatives.jacobian import level
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.status import reason
 from bcfj_jax.io.scenefile import SceneFile, from_table, shown
-from bcfj_jax.solve.integrate import plan
+from bcfj_jax.solve.plan import plan
 from bcfj_jax.solve.simulation import Run, simulate
 
 # Parameters that derivatives are taken by, the first few that a scene has and that are not 0.

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import bcfj_jax as bj
-from bcfj_jax.solve.integrate import Plan, plan
+from bcfj_jax.solve.plan import Plan, plan
 from bcfj_jax.solve.simulation import _backward
 from benchmarks.analysis import derivatives as kept
 

@@ -1,0 +1,87 @@
+"""How a model will be integrated: the accuracy asked for, as a tolerance, with a step budget and a solver.
+
+Without diffrax, which is imported where something is traced (``solve.integrate``).
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.mechanism.model import AbstractModel
+from bcfj_jax.solve import named
+
+# Which derivatives go through a solve; values do in either.
+Way = Literal["forward", "reverse"]
+LEVELS = {"fast": 5e-2, "balanced": 1e-2, "reference": 1e-5}
+# Attempted steps that a run may take where nothing else is asked for.
+MAX_STEPS = 400_000
+
+# Force error below which a stiff model's tangents count in the step control. In the joint a ball that carries nothing
+# swings below 1 N, and tangents depend on its phase: loose steps damp the swing, and tight ones resolve it only where
+# the tangents' own error is controlled. At a tolerance of 1e-4 tangents are 34 % off without, and at 2e-4 0.9 % with
+# (benchmarks/models/joint_derivatives.py).
+_TANGENTS_BELOW = 5e-4
+
+
+class Plan(eqx.Module):
+    """How a model will be integrated.
+
+    ``tolerance`` may be traced: changing it does not compile again; changing the rest does. ``tangents``: whether a
+    stiff model's steps are chosen for the error of its forward tangents, too. ``solver``: a name of ``solve.named``,
+    where the model's own is not wanted.
+    """
+
+    tolerance: Array
+    max_steps: int = eqx.field(static=True, default=MAX_STEPS)
+    tangents: bool = eqx.field(static=True, default=False)
+    solver: str | None = eqx.field(static=True, default=None)
+
+
+def plan(
+    model: AbstractModel, accuracy: str | float = "balanced", max_steps: int = MAX_STEPS, solver: str | None = None
+) -> Plan:
+    """Tolerance for a model and an accuracy.
+
+    Args:
+        model: what will be integrated.
+        accuracy: a level (``LEVELS``) or the tolerated force error as a fraction of the peak, 1e-9 to 0.5.
+        max_steps: budget of attempted steps; beyond it a run fails with that reason.
+        solver: a name of ``solve.named`` in place of the model's own.
+
+    Raises:
+        InputError: for an unknown level or solver, an error out of range, a budget below 1, and where the host has
+            switched JAX back to 32-bit numbers (``benchmarks/solve/precision.py`` says what they would cost).
+    """
+    if jnp.result_type(float) != jnp.float64:
+        raise InputError(
+            "jax_enable_x64", "is off: numbers would have 32 bits", "leave it as importing bcfj_jax set it"
+        )
+    if max_steps < 1:
+        raise InputError("max_steps", f"{max_steps}", "give 1 or more")
+    error, stiff = force_error(accuracy), model.traits.stiff
+    named.check(solver, stiff)
+    tangents = solver == "bdf" or (solver is None and stiff and error < _TANGENTS_BELOW)
+    # An array of NumPy, which compiles nothing.
+    tolerance: Any = np.asarray(model.tolerance(error), dtype=np.float64)
+    return Plan(tolerance, max_steps, tangents, solver)
+
+
+def force_error(accuracy: str | float) -> float:
+    """Force error that a level or a number asks for, as a fraction of the peak.
+
+    Raises:
+        InputError: for an unknown level and for an error outside 1e-9 to 0.5.
+    """
+    if isinstance(accuracy, str):
+        if accuracy not in LEVELS:
+            raise InputError("accuracy", f"no level '{accuracy}'", nearest(accuracy, LEVELS))
+        return LEVELS[accuracy]
+    if not 1e-9 <= accuracy <= 0.5:
+        raise InputError("accuracy", f"force_error = {accuracy:g}", "give a fraction of the peak from 1e-9 to 0.5")
+    return accuracy
