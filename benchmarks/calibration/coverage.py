@@ -137,22 +137,25 @@ CASES = {
 }
 
 
-def bound(case: Case, noise: float, accuracy: float | None = None) -> dict[str, float]:
-    """Cramer-Rao deviation of each parameter, as a share of it, from the Jacobian at the truth and the noise.
+def at_truth(case: Case, noise: float, accuracy: float | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """White residuals (N,) of seed 0 at the truth, and their Jacobian (N, P) by each parameter as a share of it.
 
-    ``accuracy``: of the runs that it is taken from; None: the fit's own.
+    ``accuracy``: of the runs that both are taken from; None: the fit's own.
     """
     made = case.problem(noise, 0)
     model = build(dataclasses.replace(made, accuracy=accuracy or made.accuracy), made.experiments)
     # At a reference penetration of 1 m the coordinate of the stiffness is that of the stiffness itself.
     point = jnp.asarray(model.point(np.array([case.truth[s.name] for s in model.coordinates]), 0.0))
-    jacobian = np.asarray(residuals_and_jacobian(model, point, jnp.asarray(0.0))[1])
+    residuals, jacobian = (np.asarray(found) for found in residuals_and_jacobian(model, point, jnp.asarray(0.0)))
     width = np.asarray(model.box(jnp.asarray(0.0))[1])
-    deviation = np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian))) * width
-    return {
-        axis.name: float(s if axis.log else s / case.truth[axis.name])
-        for axis, s in zip(model.coordinates, deviation, strict=True)
-    }
+    return residuals, jacobian / (width / [1.0 if s.log else case.truth[s.name] for s in model.coordinates])
+
+
+def bound(case: Case, noise: float, accuracy: float | None = None) -> dict[str, float]:
+    """Cramer-Rao deviation of each parameter, as a share of it, from the Jacobian at the truth and the noise."""
+    jacobian = at_truth(case, noise, accuracy)[1]
+    deviation = np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian)))
+    return {free.name: float(s) for free, s in zip(case.problem(noise, 0).free, deviation, strict=True)}
 
 
 def replicates(task: tuple[str, Case, float, list[int], int]) -> int:
