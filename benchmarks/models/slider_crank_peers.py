@@ -1,6 +1,6 @@
 """The slider-crank with clearance beside what users would pick: SciPy's LSODA with a field by numba, and Exudyn.
 
-    python -m benchmarks.models.slider_crank_peers        some four minutes; needs the extra ``bench``
+    python -m benchmarks.models.slider_crank_peers [--only single batch]      some five minutes; needs the extra ``bench``
 
 Scene: ``slider_crank`` at 5000 r/min, 0.5 mm of clearance, 10 turns, the normal force of the journal 1000 times a turn.
 All tools solve the same equations in minimal coordinates: the rod's angle and the slider's place. Every tool gets the
@@ -9,7 +9,8 @@ coarsest tolerance at which it, and the next two of its ladder, keep the force e
 Without friction it is chaotic: the error is that of the first turn, and 10 turns are run at that tolerance.
 A batch is one turn of 256 clearances; the peers loop over them.
 
-One core, one thread, tools taking turns, medians. Exudyn's forces stay at its own steps: they are interpolated outside
+One core, one thread, tools taking turns, medians of CPU times: on a busy machine they are steady where wall times are
+not. Exudyn's forces stay at its own steps: they are interpolated outside
 the time. numbalsoda, which has its LSODA in C++, is measured where it can be imported.
 """
 
@@ -40,10 +41,11 @@ from scipy.integrate import odeint, solve_ivp
 from scipy.interpolate import BPoly
 
 import bcfj_jax as bj
+from bcfj_jax.analysis.derivatives.names import Feature
 from bcfj_jax.analysis.studies import batch
-from bcfj_jax.solve.measured_error import measured
 from bcfj_jax.solve.plan import MAX_STEPS, Plan, plan
-from benchmarks.common import load, markdown, put_in_readme, save
+from bcfj_jax.solve.measured_error import measured
+from benchmarks.common import RESULTS, load, markdown, put_in_readme, save
 from benchmarks.references import slider_crank as reference
 
 try:
@@ -51,11 +53,14 @@ try:
 except ImportError:
     numbalsoda = None
 
+# Waiting for another thread costs CPU time.
+jax.config.update("jax_cpu_enable_async_dispatch", False)
+
 ASKED, TURNS, SAMPLES = (1e-2, 1e-3), 10, 1000
 CLEARANCES = np.linspace(0.05e-3, 0.5e-3, 256)
 # Clearances of the batch whose error is measured.
 PROBED = slice(None, None, 17)
-ROUNDS, BATCH_ROUNDS, LONGEST_S = 11, 3, 4.0
+ROUNDS, BATCH_ROUNDS, LONGEST_S = 7, 3, 4.0
 BUDGET = 10 * MAX_STEPS
 # Of Exudyn's user function in one run.
 CALLS = 2_000_000
@@ -274,10 +279,9 @@ _WEIGHTS = {**_PLAIN, "by the sizes of the play": scaled}
 # By peer its variants, of which the fastest counts.
 PEERS: dict[str, dict[str, Tool]] = {
     "SciPy odeint (LSODA), numba": {name: partial(by_odeint, how) for name, how in _WEIGHTS.items()},
-    "SciPy solve_ivp (LSODA), numba": {name: partial(by_solve_ivp, how) for name, how in _WEIGHTS.items()},
+    "SciPy solve_ivp (LSODA), numba": {"by the sizes of the play": partial(by_solve_ivp, scaled)},
     "numbalsoda (LSODA), numba": {name: partial(by_numbalsoda, how) for name, how in _PLAIN.items()},
     "Exudyn, DOPRI5": {name: partial(EXUDYN, "DOPRI5", ratio) for name, ratio in _RATIOS.items()},
-    "Exudyn, generalised alpha": {"tolerance: step in 1/300 turn": partial(EXUDYN, "GeneralizedAlpha", 1.0)},
 }
 if numbalsoda is None:
     del PEERS["numbalsoda (LSODA), numba"]
@@ -288,14 +292,13 @@ BATCHED = ("SciPy odeint (LSODA), numba", "numbalsoda (LSODA), numba", "Exudyn, 
 class Package:
     """The package's program for a case and a number of turns, and the seconds it took to compile."""
 
-    def __init__(self, case: Case, turns: int, solver: str | None = None):
-        self.solver = solver
+    def __init__(self, case: Case, turns: int):
         self.scene = bj.scenes.slider_crank(friction=case.friction)
         self.times = instants(B6, turns)
-        begin = time.perf_counter()
+        begin = time.process_time()
         shapes = self.values(B6), jnp.asarray(1e-3)
         self.program = jax.jit(self.force).lower(*shapes).compile()
-        self.compile_s = time.perf_counter() - begin
+        self.compile_s = time.process_time() - begin
 
     def values(self, made: reference.SliderCrank) -> dict[str, Any]:
         """Parameters of the scene."""
@@ -303,7 +306,7 @@ class Package:
 
     def force(self, params: Any, tol: Any) -> Any:
         """Force history at a tolerance, (T, 3)."""
-        how = Plan(tol, BUDGET, solver=self.solver)
+        how = Plan(tol, BUDGET)
         return bj.force_history(self.scene, params, self.times, accuracy=how)["journal"]
 
     def __call__(self, made: reference.SliderCrank, times: np.ndarray, tol: float) -> Forces:
@@ -322,9 +325,9 @@ def error(name: str, tool: Tool, clearance: float, turns: int, tol: float) -> tu
     """Worst of rms, peak and impulse of the force over the certain turns; and the seconds of the run."""
     made, certain = of(CASES[name], clearance), min(turns, CASES[name].certain)
     times = instants(made, turns)
-    begin = time.perf_counter()
+    begin = time.process_time()
     own, force = tool(made, times, tol)
-    spent = time.perf_counter() - begin
+    spent = time.process_time() - begin
     if own is not times:
         force = tool.func.at(own, made, times)  # pyright: ignore
     exact = truth(name, clearance, certain)
@@ -358,16 +361,21 @@ def tuned(
 
 
 def turns_taken(calls: dict[str, Callable[[], Any]], rounds: int) -> dict[str, dict[str, float]]:
-    """Seconds of every call, taking turns: median, least and most."""
+    """CPU seconds of every call, taking turns: median, least and most; and the median by the clock."""
     taken: dict[str, list[float]] = {name: [] for name in calls}
+    walls: dict[str, list[float]] = {name: [] for name in calls}
     for call in calls.values():
         call()
     for _ in range(rounds):
         for name, call in calls.items():
-            begin = time.perf_counter()
+            wall, begin = time.perf_counter(), time.process_time()
             call()
-            taken[name].append(time.perf_counter() - begin)
-    return {name: {"s": float(np.median(x)), "least_s": min(x), "most_s": max(x)} for name, x in taken.items()}
+            taken[name].append(time.process_time() - begin)
+            walls[name].append(time.perf_counter() - wall)
+    return {
+        name: {"s": float(np.median(x)), "least_s": min(x), "most_s": max(x), "wall_s": float(np.median(walls[name]))}
+        for name, x in taken.items()
+    }
 
 
 def fastest(
@@ -397,20 +405,12 @@ def tuned_text(found: dict[float, dict[str, Any]], tool: str) -> str:
     return "; ".join(f"{asked:g}: {row[0]}, {row[1]['tolerance']:.1e}, {row[2]:.4f} s" for asked, row in rows)
 
 
-def own_tools(name: str, turns: int) -> dict[str, Package]:
-    """The package by its own choice of a solver; with friction, where that is RODAS3, by BDF as well."""
-    case = CASES[name]
-    other = {f'{OWN}, solver="bdf"': Package(case, turns, "bdf")} if case.friction else {}
-    return {OWN: Package(case, turns), **other}
-
-
 def single(name: str) -> dict[str, Any]:
     """Ten turns at 0.5 mm."""
-    packages, made = own_tools(name, TURNS), of(CASES[name], 0.5e-3)
-    own = packages[OWN]
-    tools = {tool: {"": run} for tool, run in packages.items()} | PEERS
+    own, made = Package(CASES[name], TURNS), of(CASES[name], 0.5e-3)
+    tools = {OWN: {"": own}} | PEERS
     best = fastest(name, np.array([0.5e-3]), TURNS, tools, ASKED)
-    content: dict[str, Any] = {"compile_s": {tool: run.compile_s for tool, run in packages.items()}}
+    content: dict[str, Any] = {"compile_s": own.compile_s}
     for asked, rows in best.items():
         calls, known = {}, {}
         for tool, (variant, kept) in rows.items():
@@ -452,15 +452,15 @@ def batched(name: str) -> dict[str, Any]:
     one, how = partial(own.force, tol=tol), Plan(tol, BUDGET)
     ways = {"lax.map": partial(jax.lax.map, one), "vmap": jax.vmap(one)}
     for way, function in ways.items():
-        begin = time.perf_counter()
+        begin = time.process_time()
         program = jax.jit(function).lower(given).compile()
-        rows[f"{OWN}, {way}"] = {"compile_s": time.perf_counter() - begin, **kept}
+        rows[f"{OWN}, {way}"] = {"compile_s": time.process_time() - begin, **kept}
         calls[f"{OWN}, {way}"] = lambda program=program: np.asarray(program(given))
-    study = f"{OWN}, a study's batch"
-    calls[study] = lambda: batch.run(own.scene, params, ends, grid, (), how, ends.size, forces=True)
-    begin = time.perf_counter()
+    study, wanted = f"{OWN}, a study's batch", [Feature("journal.peak", "peak", ("journal",))]
+    calls[study] = lambda: batch.run(own.scene, params, ends, grid, wanted, how, ends.size, forces=True)
+    begin = time.process_time()
     calls[study]()
-    rows[study] = {"first_run_s": time.perf_counter() - begin, **kept}
+    rows[study] = {"first_run_s": time.process_time() - begin, **kept}
     for tool, (variant, kept) in best.items():
         run = partial(tools[tool][variant], times=own.times, tol=kept["tolerance"])
         calls[tool] = lambda run=run: [run(made) for made in everyone]
@@ -473,6 +473,13 @@ def batched(name: str) -> dict[str, Any]:
     return {f"{asked:g}": rows}
 
 
+def tried() -> dict[str, dict[str, float]]:
+    """Error and seconds of one turn with friction by Exudyn's generalised alpha, by steps a turn: not its best."""
+    runs = {300 * k: partial(EXUDYN, "GeneralizedAlpha", 1.0) for k in (10, 30, 100)}
+    made = {steps: error("friction", run, 0.5e-3, 1, 300.0 / steps) for steps, run in runs.items()}
+    return {str(steps): {"error": worst, "s": spent} for steps, (worst, spent) in made.items()}
+
+
 def compiling() -> dict[str, float]:
     """Seconds that numba takes before its first call, of this process."""
     made, times = of(CASES["friction"], 0.5e-3), np.linspace(0.0, 1e-5, 3)
@@ -483,9 +490,9 @@ def compiling() -> dict[str, float]:
     }.items():
         if "numbalsoda" in name and numbalsoda is None:
             continue
-        begin = time.perf_counter()
+        begin = time.process_time()
         call()
-        found[name] = time.perf_counter() - begin
+        found[name] = time.process_time() - begin
     return found
 
 
@@ -509,7 +516,7 @@ def _cells(row: dict[str, Any], factor: float, unit: str) -> list[str]:
 def publish() -> None:
     """Write the tables of the kept result into the page."""
     for name, table in zip(
-        ("slider-crank peers", "slider-crank batch"), tables(load("slider_crank_peers")), strict=True
+        ("slider_crank_peers", "slider_crank_batch"), tables(load("slider_crank_peers")), strict=True
     ):
         print(table)
         put_in_readme(name, table, "docs/mechanisms.md")
@@ -517,23 +524,29 @@ def publish() -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--page", action="store_true", help="only write the tables again")
-    if not parser.parse_args().page:
-        if hasattr(os, "sched_setaffinity"):
-            # Before XLA counts the cores.
-            os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-        content: dict[str, Any] = {
-            "asked": ASKED,
-            "turns": TURNS,
-            "samples_a_turn": SAMPLES,
-            "xla_flags": os.environ.get("XLA_FLAGS", ""),
-            "versions": {name: importlib.metadata.version(name) for name in ("exudyn", "numba", "scipy", "numpy")},
-            "numbalsoda": numbalsoda is not None,
-            "compile_s": compiling(),
-            "single": {name: single(name) for name in CASES},
-        }
-        content["batch"] = {name: batched(name) for name in CASES}
-        save("slider_crank_peers", content)
+    parser.add_argument("--only", nargs="*", default=["single", "batch"], choices=["single", "batch"])
+    asked = parser.parse_args()
+    if hasattr(os, "sched_setaffinity"):
+        # Before XLA counts the cores.
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+    packages = ("exudyn", "numba", "scipy", "numpy")
+    content: dict[str, Any] = {
+        "asked": ASKED,
+        "turns": TURNS,
+        "samples_a_turn": SAMPLES,
+        "xla_flags": os.environ.get("XLA_FLAGS", ""),
+        "versions": {name: importlib.metadata.version(name) for name in packages},
+        "numbalsoda": numbalsoda is not None,
+    }
+    found: dict[str, Any] = {}
+    if "single" in asked.only:
+        found |= {"compile_s": compiling(), "exudyn_generalised_alpha_one_turn": tried()}
+        found["single"] = {name: single(name) for name in CASES}
+    if "batch" in asked.only:
+        found["batch"] = {name: batched(name) for name in CASES}
+    known = load("slider_crank_peers") if (RESULTS / "slider_crank_peers.json").exists() else {}
+    known.pop("environment", None)
+    save("slider_crank_peers", known | content | found)
     publish()
 
 
