@@ -1,6 +1,6 @@
 """Histories held against time and against each other: windows, periods, delays, start-up, settling.
 
-A history is an array of shape (T,) over times of shape (T,) [s]. ``period``, ``frequency``, ``start_up_time`` and
+A history is an array of shape (T,) over times of shape (T,) [s]. ``period``, ``start_up_time`` and
 ``settling_time`` are NumPy and give a float; ``delay`` is JAX, differentiable in the histories.
 
 A window is a pair (start, end) [s], both ends included, None for all times. What takes one needs times that are
@@ -99,15 +99,6 @@ def settled_period(times: ArrayLike, values: ArrayLike) -> float:
     t = _known(times)
     late = t >= t[-1] / 3.0
     return period(t[late], np.asarray(values)[late]) if np.count_nonzero(late) > 10 else float("nan")
-
-
-def frequency(times: ArrayLike, values: ArrayLike, window: Window = None) -> float:
-    """How often a history repeats itself, 1/``period`` [Hz]; NaN without a full period.
-
-    Raises:
-        InputError: as ``period``.
-    """
-    return 1.0 / period(times, values, window)
 
 
 def delay(

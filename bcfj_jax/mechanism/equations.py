@@ -11,7 +11,7 @@ matrix falls into blocks, one a branch of the tree; members of a body are solved
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -168,8 +168,3 @@ def apart(y: Array, members: Sequence[int]) -> list[Array]:
         found.append(y[at : at + k] if k else y[at])
         at += k or 1
     return found
-
-
-def broadcast(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Numbers as arrays."""
-    return {name: jnp.asarray(value) for name, value in values.items()}

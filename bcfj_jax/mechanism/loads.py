@@ -31,7 +31,7 @@ from bcfj_jax.core.vectors import (
     unit,
 )
 from bcfj_jax.mechanism import sizes
-from bcfj_jax.mechanism.bodies import GROUND, STILL, Drive, Part
+from bcfj_jax.mechanism.bodies import GROUND, Drive, Part
 from bcfj_jax.mechanism.sizes import ORIGIN, Params, Place, Size
 
 
@@ -377,6 +377,3 @@ def _stated(size: Size, name: str, key: str, unit: str) -> dict[str, tuple[Quant
     if _none(size):
         return {}
     return sizes.own(size, name, key, unit, f"{key.replace('_', ' ')} of {name}")
-
-
-GROUNDED: dict[str, Part] = {GROUND: STILL}

@@ -14,7 +14,7 @@ from typing import Any
 
 from jax import Array
 
-from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
 
 Params = Mapping[str, Array]
@@ -80,9 +80,3 @@ def axis(direction: Any, where: str) -> Any:
     if len(numbers) != 3 or not size > 0.0:
         raise InputError(where, f"axis {list(numbers)}", "give three numbers, not all zero")
     return tuple(x / size for x in numbers)
-
-
-def refuse_unknown(name: str, known: Any, where: str) -> None:
-    """Refuse a name that no parameter has."""
-    if name.lstrip("-") not in known:
-        raise InputError(where, f"no parameter '{name.lstrip('-')}'", nearest(name.lstrip("-"), known))

@@ -18,7 +18,7 @@ from jax.core import Tracer
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint import deflection
-from bcfj_jax.models.joint.deflection import ROUNDING, Fault, shown
+from bcfj_jax.models.joint.deflection import Fault, shown
 from bcfj_jax.models.joint.scene import Joint
 
 
@@ -38,13 +38,9 @@ class _Range(NamedTuple):
 
 _LENGTH = _Range(0.0, math.inf, False, "m", "give a length > 0")
 _PLAY = _Range(0.0, math.inf, True, "m", "give a clearance >= 0: parts that overlap do not assemble")
-_ARC = _Range(0.0, math.inf, False, "rad", "give an angle > 0")
 _RANGES = {
-    **dict.fromkeys(("seat_radius", "head_radius", "ball_radius", "pitch_radius", "track_radius"), _LENGTH),
-    **dict.fromkeys(("window_length", "bend_radius", "body_radius", "body_length", "seat_mouth"), _LENGTH),
-    **dict.fromkeys(("seat_track_angle", "head_track_angle"), _ARC),
+    **dict.fromkeys(("seat_radius", "head_radius", "ball_radius", "pitch_radius"), _LENGTH),
     "offset": _Range(-math.inf, math.inf, False, "m", "give a finite length"),
-    "hole_clearance": _PLAY,
     "clearance_cage_ball": _PLAY._replace(remedy="a window smaller than the ball does not take it: give one >= 0"),
     "contact_angle": _Range(0.0, 0.5 * math.pi, False, "rad", "give an angle between 0 and 90 deg, without the ends"),
     "conformity": _Range(0.5, math.inf, False, "", "a groove must be wider than the ball: give a ratio > 0.5"),
@@ -59,23 +55,6 @@ def _in_range(key: str, value: float) -> Fault | None:
     if limits is None or (limits.holds(value) and (key != "balls" or value == int(value))):
         return None
     return Fault(key, f"{shown(value, limits.unit)} is out of range", limits.remedy)
-
-
-def _centred(offset: float, track_radius: float) -> Fault | None:
-    """A track's circle must reach around O: with |e| >= Rc it crosses the axis and no pitch radius is left."""
-    if abs(offset) < track_radius:
-        return None
-    found = f"{shown(offset)} is not less than the track radius, track_radius = {shown(track_radius)}"
-    return Fault("offset", found, "give a smaller offset: the track circle must pass around the joint's centre")
-
-
-def _one_pitch(pitch_radius: float, offset: float, track_radius: float) -> Fault | None:
-    """Rp^2 = Rc^2 - e^2: three values given of which two are free."""
-    right = math.hypot(pitch_radius, offset)
-    if math.isclose(track_radius, right, rel_tol=1e-6):
-        return None
-    found = f"{shown(track_radius)} does not go with pitch_radius = {shown(pitch_radius)} and offset"
-    return Fault("track_radius", found, f"leave it out, or give sqrt(Rp^2 + e^2) = {shown(right)}")
 
 
 def _enclosed(seat_radius: float, head_radius: float) -> Fault | None:
@@ -104,36 +83,9 @@ def _bridges(seat_radius: float, head_radius: float, ball_radius: float) -> Faul
     return Fault("ball_radius", found, f"give more than {shown(0.5 * gap)}")
 
 
-def _cage_webs(balls: float, window_length: float, head_radius: float, inside: float) -> Fault | None:
-    """Between parallel-sided windows a web is left down to the cage's inner sphere, Rci.
-
-    The sides of two neighbours meet at the radius (L/2)/sin(pi/z), which must lie inside Rci.
-    """
-    limit = 2.0 * (head_radius + inside) * math.sin(math.pi / balls)
-    if balls < 2.0 or window_length < limit:
-        return None
-    found = f"{shown(window_length)} leaves no web of the cage between {balls:g} windows"
-    return Fault("window_length", found, f"give less than 2 Rci sin(pi/z) = {shown(limit)}, or fewer balls")
-
-
-def _body_fits(bend_radius: float, hole_clearance: float, body_radius: float, body_length: float) -> Fault | None:
-    """A straight body passes a bent hole up to the length 4 sqrt(C (R + d)), see ``geometry.flexible_length``."""
-    if bend_radius <= body_radius + hole_clearance:
-        found = f"{shown(bend_radius)} is not more than the hole's own radius"
-        return Fault("bend_radius", found, f"give more than {shown(body_radius + hole_clearance)}")
-    limit = 4.0 * math.sqrt(hole_clearance * (bend_radius + body_radius))
-    if body_length <= limit * (1.0 + ROUNDING):
-        return None
-    found = f"{shown(body_length)} does not pass the bent hole"
-    return Fault("body_length", found, f"give at most 4 sqrt(C (R + d)) = {shown(limit)}, or more hole_clearance")
-
-
 _BALL = ("ball_radius", "pitch_radius", "offset", "joint_angle")
-_TRAVEL = ("pitch_radius", "offset", "joint_angle")
 # The keys a check needs, in the order of its arguments, and the check: the plainest fault is found first.
 _CHECKS: tuple[tuple[tuple[str, ...], Callable[..., Fault | None]], ...] = (
-    (("offset", "track_radius"), _centred),
-    (("pitch_radius", "offset", "track_radius"), _one_pitch),
     (("seat_radius", "head_radius"), _enclosed),
     (("seat_radius", "head_radius", "clearance_seat_cage", "clearance_head_cage"), _cage_wall),
     (("seat_radius", "head_radius", "ball_radius"), _bridges),
@@ -141,14 +93,8 @@ _CHECKS: tuple[tuple[tuple[str, ...], Callable[..., Fault | None]], ...] = (
     (("head_radius", *_BALL), deflection.reaches_head),
     (("seat_radius", "clearance_seat_cage", *_BALL), deflection.on_window),
     (("balls", *_BALL), deflection.apart),
-    (("balls", "window_length", "head_radius", "clearance_head_cage"), _cage_webs),
-    (("window_length", "ball_radius", "pitch_radius", "joint_angle"), deflection.window_length),
-    (("seat_track_angle", *_TRAVEL), deflection.on_track("seat_track_angle")),
-    (("head_track_angle", *_TRAVEL), deflection.on_track("head_track_angle")),
-    (("seat_mouth", "ball_radius", "pitch_radius", "offset", "contact_angle", "joint_angle"), deflection.in_mouth),
     (("seat_radius", "ball_radius", "pitch_radius", "offset", "contact_angle", "joint_angle"), deflection.mouth_open),
-    (("seat_radius", *_TRAVEL), deflection.centres_in_mouth),
-    (("bend_radius", "hole_clearance", "body_radius", "body_length"), _body_fits),
+    (("seat_radius", "pitch_radius", "offset", "joint_angle"), deflection.centres_in_mouth),
 )
 
 

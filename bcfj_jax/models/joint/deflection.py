@@ -10,9 +10,6 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-# Lengths that are equal but for rounding touch; they do not interfere.
-ROUNDING = 1e-9
-
 
 class Fault(NamedTuple):
     """What a check found: the key to look at, what is wrong, what would be right."""
@@ -71,18 +68,6 @@ def apart(balls: float, ball_radius: float, pitch: float, offset: float, angle: 
     return Fault("balls", found, "give fewer or smaller balls, or a larger pitch_radius")
 
 
-def window_length(window_length: float, ball_radius: float, pitch_radius: float, joint_angle: float) -> Fault | None:
-    """A deflected joint moves a ball by -+q |P| along its window, q = tan^2(beta/4), hence 2 r + 2 q Rp.
-
-    To first order in the offset; |P| > Rp on the farther side asks for some micrometres more.
-    """
-    limit = 2.0 * (ball_radius + pitch_radius * math.tan(0.25 * joint_angle) ** 2)
-    if window_length >= limit * (1.0 - ROUNDING):
-        return None
-    found = f"{shown(window_length)} is too short for the ball and its travel of -+tan^2(beta/4) Rp"
-    return Fault("window_length", found, f"give at least {shown(limit)}")
-
-
 def on_window(
     seat_radius: float, outside: float, ball_radius: float, pitch: float, offset: float, angle: float
 ) -> Fault | None:
@@ -95,31 +80,6 @@ def on_window(
     return Fault("pitch_radius", found, f"give about {shown(pitch + cage - pole)} or less, or a larger seat_radius")
 
 
-def track_travel(pitch_radius: float, offset: float, joint_angle: float) -> float:
-    """Half the arc [rad] of a track that a ball needs, about the track's own centre, from the plane normal to its axis.
-
-    Seen from O the ball swings by -+beta/2. In the triangle O, O_o, P the angle at P is
-    eps = asin((e/Rc) cos(beta/2)), so that from O_o it swings between -beta/2 - eps and beta/2 - eps. On the head
-    it is the mirror image. eps is also half the angle of the funnel between the tracks, psi = asin(e/Rc) at home:
-    with e > 0 and beta < 180 deg it never closes.
-    """
-    ratio = abs(offset) / math.hypot(pitch_radius, offset)
-    return 0.5 * joint_angle + math.asin(ratio * math.cos(0.5 * joint_angle))
-
-
-def on_track(key: str) -> Callable[[float, float, float, float], Fault | None]:
-    """The check that the ball stays on the seat's or the head's track."""
-
-    def check(track_angle: float, pitch_radius: float, offset: float, joint_angle: float) -> Fault | None:
-        need = track_travel(pitch_radius, offset, joint_angle)
-        if track_angle >= need * (1.0 - ROUNDING):
-            return None
-        found = f"{shown(track_angle, 'rad')} ends before the ball at joint_angle = {shown(joint_angle, 'rad')}"
-        return Fault(key, found, f"give at least {shown(need, 'rad')}")
-
-    return check
-
-
 def contact_height(ball_radius: float, pitch: float, offset: float, alpha: float, angle: float) -> tuple[float, float]:
     """How far along the seat's axis contacts on it come from O, away from and towards its tracks' centre [m].
 
@@ -129,18 +89,6 @@ def contact_height(ball_radius: float, pitch: float, offset: float, alpha: float
     down, up = (distance * math.sin(0.5 * angle) for distance in distances(pitch, offset, angle))
     lever = ball_radius * math.cos(alpha) / math.hypot(pitch, offset)
     return down + lever * (down + abs(offset)), up + lever * (up - abs(offset))
-
-
-def in_mouth(mouth: float, ball_radius: float, pitch: float, offset: float, alpha: float, angle: float) -> Fault | None:
-    """The balls bear on the seat inside its mouth, a plane normal to the seat's axis at this distance from O.
-
-    On which side the mouth is, nothing here says: both must do.
-    """
-    need = max(contact_height(ball_radius, pitch, offset, alpha, angle))
-    if mouth > need:
-        return None
-    found = f"{shown(mouth)} is passed by the balls' contacts at joint_angle = {shown(angle, 'rad')}"
-    return Fault("seat_mouth", found, f"give more than {shown(need)}")
 
 
 def mouth_open(

@@ -13,16 +13,14 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.numerics import positive, smooth_ramp
-from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint import system
-from bcfj_jax.models.joint.constants import Constants, constants
+from bcfj_jax.models.joint.constants import Constants
 from bcfj_jax.models.joint.contacts import Geometry, Touch, act, dot
 from bcfj_jax.models.joint.guides import GUIDES
 from bcfj_jax.models.joint.law_pair import ContactLaws, LawPair
@@ -85,24 +83,6 @@ class Stored(NamedTuple):
     def total(self) -> Array:
         """All of it [J]."""
         return self.kinetic + self.elastic + self.spring
-
-
-class Transmission(NamedTuple):
-    """What the joint passes on, at T instants.
-
-    Attributes:
-        angle_error: (T,) head's turn less seat's [rad].
-        speed_ratio: (T,) head's speed over seat's [-]; not finite where the seat stands.
-        torque_in, torque_out: (T,) on the seat and resisted at the head [N m].
-        efficiency: energy out at the head's turn over energy in, over all the times [-]. What a free head
-            works against an axial load is not counted as passed on.
-    """
-
-    angle_error: Array
-    speed_ratio: Array
-    torque_in: Array
-    torque_out: Array
-    efficiency: Array
 
 
 class _Acting(NamedTuple):
@@ -234,25 +214,6 @@ def stored(scene: Joint, c: Constants, t: Array, y: Array) -> Stored:
         elastic=elastic,
         spring=0.5 * c.drive_stiffness * lag**2,
     )
-
-
-def transmission(scene: Joint, params: Params, states: Array, times: Array) -> Transmission:
-    """What the joint passes on.
-
-    Args:
-        scene, params: what was run.
-        states: (T, n) at the times; of a run with inertia, at rest there is no speed to have a ratio of.
-        times: (T,) increasing [s]; the efficiency's integrals are trapezoidal sums over them.
-    """
-    c = constants(scene, params)
-
-    def one(t: Array, y: Array) -> tuple[Array, ...]:
-        state, flow = system.view(scene, c, y), power(scene, c, t, y)
-        error, ratio = state.head_turn - state.seat_turn, state.head_spin / state.seat_spin
-        return error, ratio, torque_in(scene, c, t, y), system.load_torque(c, t), flow.drive + flow.hold, flow.load
-
-    error, ratio, inward, outward, given, passed = jax.vmap(one)(times, states)
-    return Transmission(error, ratio, inward, outward, jnp.trapezoid(passed, times) / jnp.trapezoid(given, times))
 
 
 def cage_forces(scene: Joint, c: Constants, y: Array) -> dict[str, Array]:

@@ -1,6 +1,6 @@
 """The joint without a solve: zero-clearance motion, and the loads that statics of first order shares out.
 
-Places are those of ``start.nominal``. Normal loads are ``geometry.load_sharing``, of first order in the deflection:
+Places are those of ``start.nominal``. Normal loads are of first order in the deflection:
 within 10 % at 6 deg and 14 % at 10 deg, and a sketch beyond kappa = 1, where balls unload. There is no friction.
 """
 
@@ -32,8 +32,7 @@ def ball_loads(scene: Joint, params: Params, times: Array) -> tuple[Array, Array
     """Normal load of each ball on either track, and its force on the cage along the cage's axis, both (T, balls) [N].
 
     N_i ~ max(0, 1 - kappa sin(phi_i)), scaled so that the balls carry the torque,  sum N_i Rp sin(alpha) = T;  F_c
-    is ``geometry.deflected_cage_load``. The head resists what the seat drives, the other direction than that of
-    ``load_sharing``: azimuths are mirrored, unless the torque is negative. A circular track has no contact angle:
+    is ``geometry.deflected_cage_load``. The head resists what the seat drives, so that azimuths are mirrored, unless the torque is negative. A circular track has no contact angle:
     90 degrees, evenly shared. NaN for gothic tracks without offset.
     """
     p = params

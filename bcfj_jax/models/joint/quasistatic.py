@@ -72,12 +72,6 @@ def quasistatic(scene: Joint, params: Params, times: Array, near: Places | None 
     return QuasistaticSolution(states, found.converged, found.iterations, found.places)
 
 
-def zero_clearance(scene: Joint, count: int) -> Places:
-    """No displacements at ``count`` instants."""
-    size = sum(piece.stop - piece.start for piece in slices_of(scene).values())
-    return Places(jnp.zeros((3, scene.balls, count)), jnp.zeros((size, count)))
-
-
 @partial(jax.jit, static_argnums=0)
 def quasistatic_places(scene: Joint, params: Params, times: Array, near: Places | None = None) -> Found:
     """The search for equilibrium and nothing else; without derivatives.

@@ -27,7 +27,6 @@ JOINT = {
     "balls": 6,
     **dict.fromkeys(CLEARANCES, 50e-6),
 }
-BODY = {"bend_radius": 1.0, "hole_clearance": 0.003, "body_radius": 0.05}
 
 
 @given(angle=st.floats(0.0, 23.0), clearance=st.floats(0.0, 200e-6))
@@ -40,14 +39,8 @@ def test_the_default_joint_passes(angle, clearance):
     [
         {"offset": 0.0},
         {"offset": -0.0045},
-        {"track_radius": math.hypot(0.0355, 0.0045)},
         {"balls": 13},
         {"balls": 1},
-        {"window_length": 0.0168},
-        {"window_length": 0.030},
-        {"seat_track_angle": math.radians(18.6), "head_track_angle": math.radians(18.6)},
-        {"seat_mouth": 0.009},
-        {**BODY, "body_length": float(geometry.flexible_length(1.0, 0.003, 0.05))},
         {"name": "not a number, not read"},
     ],
 )
@@ -66,27 +59,17 @@ REFUSED = [
     ({"offset": 0.03}, "pitch_radius", "seat's track", "or a joint_angle of at most 0.2467 rad (14.135 deg)"),
     ({"clearance_seat_cage": 0.004}, "pitch_radius", "out of its window", "or less"),
     ({"balls": 14}, "balls", "14 balls", "fewer or smaller balls"),
-    ({"window_length": 0.032}, "window_length", "0.032 m", "fewer balls"),
-    ({"window_length": 0.0165}, "window_length", "0.0165 m", "give at least 0.0167199 m"),
     ({"clearance_cage_ball": -1e-6}, "clearance_cage_ball", "-1e-06 m", "smaller than the ball"),
     *(({name: -1e-6}, name, "-1e-06 m", "give") for name in (*CLEARANCES, "clearance_of_another")),
     ({"joint_angle": math.pi / 2}, "joint_angle", "90 deg", "below 90 deg"),
     ({"joint_angle": -0.1}, "joint_angle", "-0.1 rad", "below 90 deg"),
-    ({"seat_track_angle": 0.3}, "seat_track_angle", "0.3 rad", "give at least 0.324257 rad"),
-    ({"head_track_angle": 0.3}, "head_track_angle", "0.3 rad", "give at least 0.324257 rad"),
-    ({"seat_mouth": 0.008}, "seat_mouth", "0.008 m", "give more than 0.0088"),
     ({"joint_angle": math.radians(80.0)}, "joint_angle", "80 deg", "or a joint_angle of at most"),
     ({"joint_angle": 1.3, "contact_angle": 1.57, "offset": 0.0}, "joint_angle", "1.3 rad", "of at most 1.0"),
     ({"conformity": 0.5}, "conformity", "0.5", "ratio > 0.5"),
     ({"contact_angle": 0.0}, "contact_angle", "0 rad", "between 0 and 90 deg"),
     ({"contact_angle": math.pi / 2}, "contact_angle", "90 deg", "between 0 and 90 deg"),
-    ({"offset": 0.004, "track_radius": 0.004}, "offset", "0.004 m", "smaller offset"),
-    ({"track_radius": 0.036}, "track_radius", "0.036 m", "0.0357841 m"),
     ({"balls": 6.5}, "balls", "6.5", "whole number"),
     ({"balls": 0}, "balls", "0", "whole number"),
-    ({**BODY, "body_length": 0.23}, "body_length", "0.23 m", "give at most 4 sqrt(C (R + d)) = 0.224499 m"),
-    ({**BODY, "body_length": 0.1, "bend_radius": 0.05}, "bend_radius", "0.05 m", "give more than 0.053 m"),
-    ({**BODY, "hole_clearance": -0.001}, "hole_clearance", "-0.001 m", "clearance >= 0"),
     ({"ball_radius": math.nan}, "ball_radius", "nan m", "length > 0"),
     ({"offset": math.inf}, "offset", "inf m", "finite"),
     ({"pitch_radius": 0.0}, "pitch_radius", "0 m", "length > 0"),
@@ -140,12 +123,6 @@ def test_plain_formulas_are_those_of_the_geometry(rp, ratio, beta):
     p = np.asarray(geometry.ball_centre(AROUND, beta, rc, e))
     reach = np.linalg.norm(p, axis=-1)
     assert deflection.distances(rp, e, beta) == within((reach.min(), reach.max()), 1e-12)
-    # Travel along the seat's track about its centre, and along the head's.
-    axis = np.asarray(geometry.head_axis(beta))
-    on_seat, on_head = np.arcsin((p[:, 2] - e) / rc), np.arcsin((p @ axis + e) / rc)
-    need = deflection.track_travel(rp, e, beta)
-    for swing in (on_seat, on_head):
-        assert need == pytest.approx(abs(swing).max(), abs=1e-7)
 
 
 @given(**SHAPES, balls=st.integers(2, 14), radius=st.floats(0.002, 0.02))
@@ -158,28 +135,6 @@ def test_balls_are_refused_exactly_where_they_overlap(rp, ratio, beta, balls, ra
     # The grid misses the nearest place by up to an eighth of a degree.
     assume(abs(nearest - 2.0 * radius) > 1e-4 * rp)
     assert (deflection.apart(balls, radius, rp, e, beta) is None) == (nearest > 2.0 * radius)
-
-
-@given(**SHAPES, alpha=st.floats(0.1, 1.4), radius=st.floats(0.002, 0.02))
-def test_mouth_is_asked_to_hold_every_contact(rp, ratio, beta, alpha, radius):
-    e = abs(ratio) * rp
-    rc = float(geometry.track_radius(rp, e))
-    p = np.asarray(geometry.ball_centre(AROUND, beta, rc, e))
-    height = abs(p[:, 2] + radius * np.cos(alpha) * (p[:, 2] - e) / rc).max()
-    assert deflection.in_mouth(height * (1.0 + 1e-9) + 1e-12, radius, rp, e, alpha, beta) is None
-    fault = deflection.in_mouth(height * (1.0 - 1e-9), radius, rp, e, alpha, beta)
-    assert fault is not None or height == 0.0
-
-
-def test_windows_shorter_than_the_travel_are_refused_and_none_that_the_ball_leaves_free():
-    rc, beta = math.hypot(0.0355, 0.0045), math.radians(23.0)
-    reach = np.asarray(geometry.ball_distance(AROUND, beta, rc, 0.0045))
-    travel = (reach * abs(np.sin(np.asarray(geometry.cage_azimuth(AROUND, beta)) - AROUND))).max()
-    limit = 2.0 * (0.0355 * float(geometry.window_deviation(beta)) + 0.008)
-    # Necessary: the first-order limit is below the exact one, by less than 15 um.
-    assert 0.0 < 2.0 * (travel + 0.008) - limit < 15e-6
-    assert deflection.window_length(limit, 0.008, 0.0355, beta) is None
-    assert deflection.window_length(limit - 1e-7, 0.008, 0.0355, beta) is not None
 
 
 @given(**SHAPES, alpha=st.floats(0.1, 1.5), radius=st.floats(0.002, 0.02), thick=st.floats(1.0, 1.3))
@@ -207,9 +162,3 @@ def test_the_largest_deflection_named_is_one_that_passes(alpha):
     check_geometry({**joint, "joint_angle": named})
     with pytest.raises(InputError, match="joint_angle"):
         check_geometry({**joint, "joint_angle": named + 2e-4})
-
-
-def test_body_length_is_the_one_of_the_geometry():
-    limit = float(geometry.flexible_length(1.0, 0.003, 0.05))
-    assert checks._body_fits(1.0, 0.003, 0.05, limit) is None
-    assert checks._body_fits(1.0, 0.003, 0.05, limit * 1.0001) is not None
