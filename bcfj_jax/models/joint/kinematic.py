@@ -32,8 +32,9 @@ def ball_loads(scene: Joint, params: Params, times: Array) -> tuple[Array, Array
     """Normal load of each ball on either track, and its force on the cage along the cage's axis, both (T, balls) [N].
 
     N_i ~ max(0, 1 - kappa sin(phi_i)), scaled so that the balls carry the torque,  sum N_i Rp sin(alpha) = T;  F_c
-    is ``geometry.deflected_cage_load``. The head resists what the seat drives, so that azimuths are mirrored, unless the torque is negative. A circular track has no contact angle:
-    90 degrees, evenly shared. NaN for gothic tracks without offset.
+    is ``geometry.deflected_cage_load``. The head resists what the seat drives, so that azimuths are mirrored, unless the
+    torque is negative. A circular track has no contact angle: 90 degrees, evenly shared. NaN for gothic tracks without
+    offset.
     """
     p = params
     times = jnp.asarray(times, dtype=float)
