@@ -224,7 +224,8 @@ def summary(times: ArrayLike, force: ArrayLike, penetration: ArrayLike, rate: Ar
         "mean": float(mean(times, force)),
         "period": contact_interval(times, penetration, rate),
         "impulse": float(impulse(times, force)),
-        "dissipated_work": float(dissipated_work(force, penetration)),
+        # A reading that is signed, of a contact with two sides, is negative where the other side presses.
+        "dissipated_work": float(dissipated_work(np.abs(force), penetration)),
         "contact_fraction": float(contact_fraction(times, penetration)),
         "contact_start": start,
         "contact_end": end,

@@ -460,6 +460,11 @@ class Mechanism(AbstractModel):
         """All bodies."""
         return tuple(b.name for b in self.ordered)
 
+    @property
+    def body_members(self) -> dict[str, int]:
+        """As bodies say."""
+        return {b.name: b.members for b in self.bodies}
+
     def coefficient(self, params: Params, owner: str, name: str) -> Array:
         """A contact's coefficient as it reads it; else as any model's."""
         for c in self.contacts:
@@ -591,6 +596,9 @@ class Mechanism(AbstractModel):
                 if not speed > 0.0:
                     raise InputError(f"{b.name} drive", f"{speed:g} rad/s", "give a speed other than 0")
                 return 2.0 * np.pi / speed, 2.0 * np.pi / speed
+        if self._driven:
+            found = f"no drive of it turns: {', '.join(b.name for b in self._driven)}"
+            raise InputError(f"scene '{self.kind}'", found, "give the period, or interval and settle")
         return super().period(params)
 
     def coordinates(self) -> dict[str, tuple[int, int]]:

@@ -236,6 +236,11 @@ class AbstractModel(eqx.Module):
         """Names of the bodies whose ``motions`` can be read."""
         return ()
 
+    @property
+    def body_members(self) -> dict[str, int]:
+        """By body, the number of its members; a body without need not be named."""
+        return {}
+
     def motions(self, t: Array, y: Array, prepared: Any) -> dict[str, BodyMotion]:
         """Every body's motion in one state."""
         del t, y, prepared

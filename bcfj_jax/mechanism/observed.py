@@ -41,8 +41,8 @@ class Observed(AbstractModel):
     first_step, structure, instants, motions, flows = map(
         _of, ("first_step", "structure", "instants", "motions", "flows")
     )
-    body_names, drive_coordinate, settled_when, tables = map(  # pyright: ignore[reportAssignmentType]
-        _of, ("body_names", "drive_coordinate", "settled_when", "tables")
+    body_names, body_members, drive_coordinate, settled_when, tables = map(  # pyright: ignore[reportAssignmentType]
+        _of, ("body_names", "body_members", "drive_coordinate", "settled_when", "tables")
     )
     check, period, coordinates, neutral, envelope, settled_from = map(
         _of, ("check", "period", "coordinates", "neutral", "envelope", "settled_from")
@@ -60,16 +60,19 @@ class Observed(AbstractModel):
 
     @property
     def members(self) -> dict[str, int]:
-        """The model's; a reading of a contact with members has none."""
-        return self.inner.members | {c.name: 0 for c in self.channels}
+        """The model's; a reading has those of its part, unless it is of one of them."""
+        count = self.inner.members | self.inner.body_members
+        return self.inner.members | {c.name: 0 if c.member else count.get(c.part, 0) for c in self.channels}
 
     def observe(self, t: Array, y: Array, prepared: Any) -> dict[str, Reading]:
         """The model's contacts, and each reading as a normal force without penetration."""
         found = self.inner.observe(t, y, prepared)
         moving = needs_bodies(self.channels, self.inner)
         values = read(self.channels, found, self.inner.motions(t, y, prepared) if moving else {})
-        zero = jnp.zeros(())
-        shown = {name: Reading(jnp.stack([x, zero, zero]), zero, zero) for name, x in values.items()}
+        shown = {
+            name: Reading(jnp.stack([x, zero, zero], -1), zero, zero)
+            for name, x, zero in ((name, x, jnp.zeros_like(x)) for name, x in values.items())
+        }
         return {**found, **shown}
 
     def full(self) -> AbstractModel:

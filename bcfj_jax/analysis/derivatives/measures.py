@@ -30,7 +30,7 @@ def channel_features(times: np.ndarray, force: Array, depth: Array) -> dict[str,
         "largest": features.peak(jnp.abs(force)),
         "mean": features.mean(times, force) if several else unknown,
         "impulse": features.impulse(times, force) if several else unknown,
-        "dissipated_work": features.dissipated_work(force, depth) if several else unknown,
+        "dissipated_work": features.dissipated_work(jnp.abs(force), depth) if several else unknown,
         "residual_oscillation": features.residual_oscillation(times, force) if len(times) >= _FEWEST else unknown,
         "contact_fraction": features.contact_fraction(times, depth) if several else unknown,
     }

@@ -23,7 +23,7 @@ from jax import Array
 
 from bcfj_jax.analysis.derivatives.jacobian import Histories, channel_names
 from bcfj_jax.analysis.derivatives.measures import vector
-from bcfj_jax.analysis.derivatives.names import Feature, feature, feature_unit, members
+from bcfj_jax.analysis.derivatives.names import UNITS, Feature, feature, feature_unit, members
 from bcfj_jax.core.errors import InputError
 
 # Beside the features of ``derivatives``: the deepest penetration, and the greatest |F| where a force has two signs.
@@ -81,9 +81,10 @@ def objective(
         parts = tuple(_feature(name, contacts) for name in names)
     else:
         table = {asked: 1.0} if isinstance(asked, str) else dict(asked)
-        names, weights, combine = tuple(table), tuple(float(w) for w in table.values()), None
-        if not names or not np.isfinite(weights).all():
+        plain = all(isinstance(w, (int, float, np.number)) and np.isfinite(w) for w in table.values())
+        if not table or not plain:
             raise InputError("objective", f"{asked}", "give one feature or more, each with a finite weight")
+        names, weights, combine = tuple(table), tuple(float(w) for w in table.values()), None
         alone = len(names) == 1 and weights == (1.0,)
         # Known to be a feature's name from here on.
         parts = tuple(_feature(name, contacts) for name in names)
@@ -95,7 +96,7 @@ def objective(
 def unit_of(name: str) -> str:
     """Unit of a feature by its name."""
     kind = name.rpartition(".")[2]
-    return OWN[kind] if kind in OWN else feature_unit(name)
+    return feature_unit(name) if kind in UNITS else OWN[kind]
 
 
 def _feature(name: str, contacts: Mapping[str, int]) -> Feature:

@@ -16,7 +16,7 @@ import numpy as np
 from jax import Array
 from numpy.typing import ArrayLike
 
-from bcfj_jax.analysis.nonlinear.sections import drive_period, impacts, revolutions_to_keep
+from bcfj_jax.analysis.nonlinear.sections import Period, drive_period, impacts, revolutions_to_keep
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.status import OK, reason
 from bcfj_jax.mechanism.model import AbstractModel, Params, Reading
@@ -89,6 +89,7 @@ def bifurcation(
     *,
     transients: int = 20,
     phase: float = 0.0,
+    period: Period = None,
     accuracy: str | float = "balanced",
     max_steps: int = MAX_STEPS,
     places: int = 8,
@@ -98,8 +99,8 @@ def bifurcation(
     Args:
         name, values: the parameter to change and its values (P,) in SI.
         places: runs under way at one time (``solve.work_queue``); a run that ends is replaced by the next.
-        scene, params, revolutions, transients, phase, accuracy, max_steps: as ``sections.stroboscopic``. Each value has
-            the revolutions of its own drive speed.
+        scene, params, revolutions, transients, phase, period, accuracy, max_steps: as ``sections.stroboscopic``. Each
+            value has the revolutions of its own drive speed, or period.
 
     Raises:
         InputError: for a parameter the scene does not have, for values it cannot take, and as ``stroboscopic``.
@@ -107,7 +108,7 @@ def bifurcation(
     name = scene.canonical(name)
     batch, each = _batch(scene, params, name, values)
     turns = revolutions_to_keep(revolutions, transients, phase)
-    ends = np.array([turns[-1] * drive_period(scene, one) for one in each])
+    ends = np.array([turns[-1] * drive_period(scene, one, period) for one in each])
     found, seen = _solve(scene, batch, ends, np.concatenate([[0.0], turns / turns[-1]]), (accuracy, max_steps, places))
     reasons = _reasons(found, max_steps)
     kept = {contact: jax.tree.map(lambda x: _without(x, reasons)[:, 1:], r) for contact, r in seen.items()}

@@ -9,6 +9,7 @@ section is the surface itself, crossed inwards, and what is read there is the ap
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -47,14 +48,23 @@ class Impacts(NamedTuple):
     speeds: np.ndarray
 
 
-def drive_period(scene: AbstractModel, params: Params) -> float:
-    """Duration of one revolution of the drive [s].
+# Of a drive that swings [s]: a number, or a function of the parameters.
+Period = float | Callable[[Params], ArrayLike] | None
+
+
+def drive_period(scene: AbstractModel, params: Params, period: Period = None) -> float:
+    """Duration of one revolution of the drive [s], or the period that is given.
 
     Raises:
-        InputError: for a scene without a drive, or without a history (a fidelity that is no ``dynamic`` one), and for
-            a drive that stands still.
+        InputError: for a scene without a drive, or without a history (a fidelity that is no ``dynamic`` one), for a
+            drive that stands still or swings with no period given, and for a period that is not positive.
     """
-    return scene.period(params)[0]
+    if period is None:
+        return scene.period(params)[0]
+    found = float(np.asarray(period(params) if callable(period) else period))
+    if not 0.0 < found < math.inf:
+        raise InputError("period", f"{found:g} s", "give a time that is positive")
+    return found
 
 
 def revolutions_to_keep(revolutions: int, transients: int, phase: float) -> np.ndarray:
@@ -79,6 +89,7 @@ def stroboscopic(
     *,
     transients: int = 20,
     phase: float = 0.0,
+    period: Period = None,
     accuracy: str | float = "balanced",
     max_steps: int = MAX_STEPS,
 ) -> Section:
@@ -92,11 +103,12 @@ def stroboscopic(
         revolutions: of the whole run.
         transients: of which so many are not kept.
         phase: drive angle of the section [rad], 0 to 2 pi.
+        period: of a drive that swings: [s], or a function of the parameters.
 
     Raises:
         InputError: ``drive_period``, ``revolutions_to_keep``, ``simulate``.
     """
-    times = revolutions_to_keep(revolutions, transients, phase) * drive_period(scene, params)
+    times = revolutions_to_keep(revolutions, transients, phase) * drive_period(scene, params, period)
     run = simulate(scene, params, times, accuracy=accuracy, max_steps=max_steps)
     assert run.trajectory is not None
     return Section(run.times, run.trajectory, run.force, run.penetration, run.rate, run.reason)

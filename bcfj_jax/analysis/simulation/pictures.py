@@ -108,7 +108,7 @@ def _loop(axis: Axes, members: dict[str, tuple[np.ndarray, np.ndarray]], title: 
         coarse = coarse or few
         (line,) = axis.plot(x, force * force_scale, marker="o" if few else "", label=member)
         corners = (np.append(depth[pressed], 0.0) * depth_scale, np.append(force[pressed], 0.0) * force_scale)
-        taken = float(features.dissipated_work(force, depth))
+        taken = float(features.dissipated_work(np.abs(force), depth))
         if math.isfinite(taken):
             axis.fill(*corners, color=line.get_color(), alpha=0.15 / len(members), linewidth=0)
         work += taken

@@ -145,7 +145,9 @@ def from_table(table: Mapping[str, Any], where: str = "study", beside: Path = Pa
         raise InputError(f"{where}: [vary]", f"{count} points", f"a study has at most {MOST_POINTS}")
     wanted = file.results.features
     if wanted is None:
-        wanted = [f"{contact}.peak" for contact in given.scene.members]
+        # What is read of a scene without contacts has either sign.
+        kind, given = "peak" if given.scene.contacts else "largest", scenefile.shown(given)
+        wanted = [f"{name}.{kind}" for name in given.scene.members]
     if len(set(wanted)) < len(wanted):
         twice = next(name for name in wanted if wanted.count(name) > 1)
         raise InputError(f"{where}: [results] features", f"'{twice}' is there twice", "name it once")

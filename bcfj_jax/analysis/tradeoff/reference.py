@@ -9,6 +9,7 @@ other neighbours start.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -39,8 +40,12 @@ _SLOPES = {
 }
 # Worst difference at which tightening ends.
 _GOAL = {False: 1e-8, True: 1e-5}
-# A step of tightening costs at most so many times the one before.
-_DEARER = 5.0
+# A step of tightening costs at most so many times the one before; a step of an implicit method so many of another's;
+# derivatives so many times the values, compiling included.
+_DEARER, _IMPLICIT, _TANGENTS = 5.0, 50.0, 4.0
+# Steps that a method may take whatever the time left.
+_LEAST_STEPS = 20_000
+_NO_TIME = "would take more than a third of the time left"
 
 
 class Reference(NamedTuple):
@@ -80,13 +85,16 @@ def reference(
     """
     names = parameters(given)
     without = {"parameters": names, "methods": [], "error": float("nan"), "reason": ""}
+    begin = left()
     truth, certificate = _values(given, left, say)
+    dear = _TANGENTS * (begin - left()) > left() / 3.0
     certificate |= {"derivatives": without}
     if truth is None:
         return Reference(None, None, certificate)
     found = None
-    if _still(given) or not names or not derivatives:
+    if _still(given) or not names or not derivatives or dear:
         why = "no parameter to take them by" if not names else "fidelities without inertia have no solver"
+        why = f"they {_NO_TIME}" if dear and names and not _still(given) else why
         without["reason"] = why if derivatives else "not asked for"
     else:
         say(f"reference derivatives by {', '.join(names)}")
@@ -109,10 +117,14 @@ def _values(given: SceneFile, left: Callable[[], float], say: Callable[[str], No
     truth, failures, spent = None, [], 0.0
     for candidates in _candidates(given):
         if truth is not None and spent * _DEARER > left() / 3.0:
-            best["reason"] = "a tighter one would take more than a third of the time left"
+            best["reason"] = f"a tighter one {_NO_TIME}"
             break
         pair, spent = [], 0.0
         for label, file, pick in candidates:
+            if pair and pair[0][0]["steps"]:
+                each = _IMPLICIT * pair[0][0]["wall_s"] / pair[0][0]["steps"]
+                affordable = int(max(left() / 3.0 / each, _LEAST_STEPS))
+                file = replace(file, max_steps=min(file.max_steps, affordable))
             try:
                 found = trial(file, repeated=False)
             except RuntimeError as error:  # Of JAX: no memory for it, say.

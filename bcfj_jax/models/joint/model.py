@@ -139,6 +139,11 @@ class JointModel(Joint):
         """Of a joint in motion; without inertia nothing has an acceleration."""
         return BODIES if self.in_motion else ()
 
+    @property
+    def body_members(self) -> dict[str, int]:
+        """Balls."""
+        return {"ball": self.balls}
+
     def motions(self, t: Array, y: Array, prepared: Any) -> dict[str, BodyMotion]:
         """``observe.motions``."""
         return motions(self, prepared, t, y)
