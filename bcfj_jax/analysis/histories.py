@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -234,7 +235,7 @@ def _repeat(t: np.ndarray, values: np.ndarray) -> float:
         if high > n.size or np.max(n[low:high]) < _EQUAL * n[base]:
             break
         top, multiple = low + int(np.argmax(n[low:high])), multiple + 1
-    crest = float(_crest(jnp.asarray(n), top))
+    crest = float(_crest(n, top))
     if not crest > 0.0:  # Too few samples to have one there.
         return float("nan")
     return float(even[1] - even[0]) * crest / multiple
@@ -264,26 +265,27 @@ def _best_shift(a: Array, b: Array, most: int) -> tuple[Array, Array]:
     return _crest(match, jnp.argmax(match)) - most, jnp.max(match)
 
 
-@jax.jit
-def _crest(values: Array, top: ArrayLike) -> Array:
+def _crest(values: Any, top: Any) -> Any:
     """Place of a maximum between samples, counted in samples: crest of the least-squares quartic about ``top``.
 
     Over as many samples either side, two or more, as are within 10 % of the greatest without a gap.
     """
-    k = jnp.arange(values.shape[0])
-    fixed = jax.lax.stop_gradient(values)
+    # NumPy on the host, where nothing is compiled.
+    xp, still = (jnp, jax.lax.stop_gradient) if isinstance(values, Array) else (np, np.asarray)
+    fixed = still(values)
+    k = xp.arange(values.shape[0])
     low = fixed < _EQUAL * fixed[top]
-    middle = jnp.clip(top, 2, values.shape[0] - 3)
-    left = middle - jnp.max(jnp.where(low & (k < top), k + 1, 0))
-    right = jnp.min(jnp.where(low & (k > top), k - 1, values.shape[0] - 1)) - middle
-    half = jnp.maximum(2, jnp.minimum(left, right))
+    middle = xp.clip(top, 2, values.shape[0] - 3)
+    left = middle - xp.max(xp.where(low & (k < top), k + 1, 0))
+    right = xp.min(xp.where(low & (k > top), k - 1, values.shape[0] - 1)) - middle
+    half = xp.maximum(2, xp.minimum(left, right))
     u = (k - middle) / half
-    basis = jnp.where((jnp.abs(u) <= 1)[:, None], u[:, None] ** jnp.arange(5), 0.0)
-    c = jnp.linalg.solve(basis.T @ basis, basis.T @ values)
-    start = u[jnp.argmax(jnp.where(jnp.abs(u) <= 1, jax.lax.stop_gradient(basis @ c), -jnp.inf))]
+    basis = xp.where((xp.abs(u) <= 1)[:, None], u[:, None] ** xp.arange(5), 0.0)
+    c = xp.linalg.solve(basis.T @ basis, basis.T @ values)
+    start = u[xp.argmax(xp.where(xp.abs(u) <= 1, still(basis @ c), -xp.inf))]
     place = start
     for _ in range(6):
         slope = c[1] + place * (2 * c[2] + place * (3 * c[3] + place * 4 * c[4]))
         bend = 2 * c[2] + place * (6 * c[3] + place * 12 * c[4])
-        place = jnp.clip(place - slope / jnp.where(bend < 0, bend, -1.0), start - 1.0 / half, start + 1.0 / half)
+        place = xp.clip(place - slope / xp.where(bend < 0, bend, -1.0), start - 1.0 / half, start + 1.0 / half)
     return middle + half * place

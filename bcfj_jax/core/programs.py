@@ -66,7 +66,11 @@ class Unkept(Exception):
 
 
 def program(
-    name: str, function: Callable[..., Any], static: tuple[Any, ...], arguments: tuple[Any, ...]
+    name: str,
+    function: Callable[..., Any],
+    static: tuple[Any, ...],
+    arguments: tuple[Any, ...],
+    options: Mapping[str, Any] | None = None,
 ) -> tuple[Callable[..., Any], float]:
     """A compiled program for arguments like these, and the seconds [s] that getting it took now.
 
@@ -76,12 +80,13 @@ def program(
             what ``static`` says.
         static: hashable structure: models, names, numbers, None.
         arguments: pytrees of arrays and numbers; only their shapes matter here.
+        options: of XLA's compiler; one name stands for one set of options, too.
 
     Returns:
         A function of arguments of the same shapes; it gives the result as NumPy arrays.
     """
     begin = time.perf_counter()
-    wanted = _wanted(name, function, static, arguments)
+    wanted = _wanted(name, function, static, arguments)._replace(options=dict(options or {}))
     if wanted.key not in _loaded:
         _loaded[wanted.key] = _fetched(wanted) or _made(wanted)
     return _loaded[wanted.key], time.perf_counter() - begin
@@ -136,6 +141,7 @@ class _Wanted(NamedTuple):
     static: tuple[Any, ...]
     tree: Any
     shapes: tuple[jax.ShapeDtypeStruct, ...]
+    options: Mapping[str, Any] = types.MappingProxyType({})
 
     @property
     def key(self) -> tuple[Any, ...]:
@@ -182,7 +188,7 @@ def _made(wanted: _Wanted, jitted: Any = None) -> Callable[..., Any]:
 
 
 def _compiled(call: Callable[..., Any], wanted: _Wanted) -> Callable[..., Any]:
-    compiled = jax.jit(call).lower(*wanted.shapes).compile()
+    compiled = jax.jit(call).lower(*wanted.shapes).compile(compiler_options=dict(wanted.options))
 
     def run(*arguments: Any) -> Any:
         leaves = zip(jax.tree.leaves(arguments), wanted.shapes, strict=True)

@@ -43,8 +43,8 @@ from scipy.interpolate import BPoly
 import bcfj_jax as bj
 from bcfj_jax.analysis.derivatives.names import Feature
 from bcfj_jax.analysis.studies import batch
-from bcfj_jax.solve.plan import MAX_STEPS, Plan, plan
 from bcfj_jax.solve.measured_error import measured
+from bcfj_jax.solve.plan import MAX_STEPS, Plan, plan
 from benchmarks.common import RESULTS, load, markdown, put_in_readme, save
 from benchmarks.references import slider_crank as reference
 

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from bcfj_jax.mechanism.watched import watching
 from compiled import COMPILED
 from typer.testing import CliRunner
 
@@ -30,7 +31,6 @@ from bcfj_jax.cli import app
 from bcfj_jax.contact.friction import LuGre
 from bcfj_jax.contact.restitution import exact
 from bcfj_jax.io import scenefile
-from bcfj_jax.mechanism.watched import watching
 
 PENDULUM = """\
 [scene]

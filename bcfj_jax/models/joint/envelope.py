@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from jax import Array
 
+from bcfj_jax.core.programs import ask
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint.scales import scales
 from bcfj_jax.models.joint.scene import OF_A_BALL, Joint
@@ -27,7 +29,7 @@ def place(scene: Joint, params: Params) -> dict[str, float]:
             slowest = min(float(scene.coefficient(params, name, "friction_speed")) for name in rubbing)
             found |= {"friction": _worst(scene, params, "friction_static"), "sliding": float(along / slowest)}
         if scene.smoothing:
-            place = float(scales(scene, params)[0])
+            place = float(ask("joint's place", _place, (scene,), (dict(params),)))
             found["onset_under_load"] = _worst(scene, params, "smoothing") / place
             for what, names in (("play", OF_A_BALL), ("knock", scene.pilots)):
                 ratios = [
@@ -37,6 +39,10 @@ def place(scene: Joint, params: Params) -> dict[str, float]:
                 ]
                 found |= {what: float(max(ratios))} if ratios else {}
     return found
+
+
+def _place(scene: Joint, params: Params) -> Array:
+    return scales(scene, params)[0]
 
 
 def _worst(scene: Joint, params: Params, name: str) -> float:

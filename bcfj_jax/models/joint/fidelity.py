@@ -24,10 +24,9 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
+from bcfj_jax.core.programs import program
 from bcfj_jax.mechanism.model import Choice, Params
 from bcfj_jax.models.joint import periodic
 from bcfj_jax.models.joint.model_error import Statics, statics
@@ -94,20 +93,14 @@ def _statics_apply(scene: Joint, params: Params, budget: float) -> bool:
     return held and scene.drive == "prescribed" and _FRICTION * _least_friction(scene, params) <= budget
 
 
-_compiled: dict[Any, Callable[..., Statics]] = {}
-
-
 def _look(scene: Joint, params: Params, times: np.ndarray) -> tuple[dict[str, float], dict[str, float]]:
     """Estimates of the static levels, with the factor, and the seconds they took."""
-    arguments = (resolved(scene, "quasistatic"), dict(params), jnp.asarray(_spread(times)))
-    key = (arguments[0], jax.tree.structure(arguments[1]))
+    arguments = (dict(params), _spread(times))
+    look, compile_s = program("statics", statics, (resolved(scene, "quasistatic"),), arguments)
     begin = time.perf_counter()
-    if key not in _compiled:
-        _compiled[key] = statics.lower(*arguments).compile()
-    compiled = time.perf_counter()
-    found = jax.device_get(_compiled[key](*arguments[1:]))
+    found = look(*arguments)
     errors = {name: _STATIC * error for name, error in static_errors(found).items()}
-    return errors, {"wall_s": time.perf_counter() - compiled, "compile_s": compiled - begin}
+    return errors, {"wall_s": time.perf_counter() - begin, "compile_s": compile_s}
 
 
 def adaptive(

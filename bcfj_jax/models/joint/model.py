@@ -256,7 +256,7 @@ class JointModel(Joint):
         scene = resolved(self, run.choice.fidelity) if run.choice else self
         if not scene.in_motion:
             return {}, {}
-        found = jax.device_get(whole(scene, dict(params), run.times, run.trajectory))
+        found = whole(scene, params, run.times, run.trajectory)
         columns = {
             f"{contact.name}.{axis} [N]": found.resultants[contact.name][:, k]
             for contact in self.contacts

@@ -13,13 +13,13 @@ Axial and tangential are friction alone: normal, axial and tangential directions
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
+from bcfj_jax.core.programs import program
 from bcfj_jax.mechanism.model import BodyMotion, Params, Reading
 from bcfj_jax.models.joint import energy
 from bcfj_jax.models.joint.constants import Constants, constants
@@ -167,10 +167,15 @@ class Whole(NamedTuple):
     speed_ratio: Array
 
 
-# Run once on a few thousand states: to compile quickly matters more than to run quickly.
-@partial(jax.jit, static_argnums=0, compiler_options={"xla_backend_optimization_level": 0})
 def whole(scene: Joint, params: Params, times: Array, states: Array) -> Whole:
-    """Everything in ``Whole``, of flat states (T, n) at the times [s]; NaN where a state is."""
+    """Everything in ``Whole``, of flat states (T, n) at the times [s]; NaN where a state is. On the host."""
+    arguments = (dict(params), times, states)
+    # Run once on a few thousand states: to compile quickly matters more than to run quickly.
+    quick = {"xla_backend_optimization_level": 0}
+    return program("whole", _whole, (scene,), arguments, quick)[0](*arguments)
+
+
+def _whole(scene: Joint, params: Params, times: Array, states: Array) -> Whole:
     c = constants(scene, params)
 
     def one(t: Array, y: Array) -> Whole:
