@@ -11,7 +11,7 @@ import numpy as np
 
 from bcfj_jax.analysis import features
 from bcfj_jax.io.outputs import channels
-from bcfj_jax.io.plots import engineering, figure, label, panels, save, style
+from bcfj_jax.io.plots import Margins, engineering, figure, label, panels, save, style
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import Channel, quantity_of
 from bcfj_jax.solve.simulation import Run
@@ -44,7 +44,8 @@ def forces(run: Run, path: Path) -> None:
     groups = _members(run)
     time_scale, time_prefix = engineering(run.times)
     with style():
-        drawing, axes = figure(len(groups))
+        below = 0.85 if any(len(members) > 1 for members in groups.values()) else 0.55
+        drawing, axes = figure(len(groups), margins=Margins(below=below))
         for axis, (name, members) in zip(axes, groups.items(), strict=True):
             scale, prefix = engineering(np.concatenate([force for _, force in members.values()]))
             for member, (_, force) in members.items():
@@ -56,7 +57,8 @@ def forces(run: Run, path: Path) -> None:
             if not any(np.nanmin(force, initial=0.0) < 0 for _, force in members.values()):
                 axis.set_ylim(bottom=0.0)
             if len(members) > 1:
-                axis.legend(ncols=len(members), fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.22))
+                place = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.25)}
+                axis.legend(ncols=len(members), fontsize=8, columnspacing=1.2, handlelength=1.2, **place)
         save(drawing, path)
 
 
@@ -64,7 +66,7 @@ def readings(run: Run, channels: Sequence[Channel], path: Path) -> None:
     """Each reading against time, one panel a reading, members on top of each other."""
     time_scale, time_prefix = engineering(run.times)
     with style():
-        drawing, axes = figure(len(channels))
+        drawing, axes = figure(len(channels), margins=Margins())
         for axis, one in zip(axes, channels, strict=True):
             values = run.readings[one.name]
             scale, prefix = engineering(np.ravel(values), one.unit)
@@ -81,12 +83,14 @@ def readings(run: Run, channels: Sequence[Channel], path: Path) -> None:
 def loops(run: Run, path: Path) -> None:
     """Normal force against penetration, one panel a contact; the area enclosed is the energy it took."""
     groups = _members(run)
-    with panels(len(groups), 2, path, 6.0, 4.4) as axes:
+    with panels(len(groups), 2, path, 6.0, 4.4, Margins()) as axes:
         for axis, (name, members) in zip(axes, groups.items(), strict=True):
             _loop(axis, members, f"{name}: force against penetration{_caption(run)}")
 
 
 def _loop(axis: Axes, members: dict[str, tuple[np.ndarray, np.ndarray]], title: str) -> None:
+    from matplotlib.patches import Polygon
+
     depths = np.concatenate([depth for depth, _ in members.values()])
     deepest = np.nanmax(depths, initial=0.0)
     depth_scale, depth_prefix = engineering([deepest])
@@ -110,7 +114,9 @@ def _loop(axis: Axes, members: dict[str, tuple[np.ndarray, np.ndarray]], title: 
         corners = (np.append(depth[pressed], 0.0) * depth_scale, np.append(force[pressed], 0.0) * force_scale)
         taken = float(features.dissipated_work(np.abs(force), depth))
         if math.isfinite(taken):
-            axis.fill(*corners, color=line.get_color(), alpha=0.15 / len(members), linewidth=0)
+            # An artist: the limits are set below, and matplotlib need not look for them.
+            look = {"color": line.get_color(), "alpha": 0.15 / len(members), "linewidth": 0}
+            axis.add_artist(Polygon(np.column_stack(corners), **look))
         work += taken
     axis.set_xlim(-0.04 * deepest * depth_scale, 1.05 * deepest * depth_scale)
     axis.set_ylim(bottom=0.0)
