@@ -11,6 +11,7 @@ Damping within contacts acts for the time of a contact, which has to be resolved
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import jax
@@ -18,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from bcfj_jax.core import host
 from bcfj_jax.mechanism.checks import asked
 
 if TYPE_CHECKING:
@@ -29,9 +31,28 @@ STEEP = 3e4
 
 
 def strong(scene: Mechanism, params: Params, end: float) -> bool:
-    """Whether a run of these parameters until ``end`` [s] is strongly damped by its loads. On the host."""
-    with jax.ensure_compile_time_eval():
-        jacobian = np.asarray(asked(_slope, scene, dict(params)))
+    """Whether a run of these parameters until ``end`` [s] is strongly damped by its loads. Not under a trace."""
+    return _steep(asked(_slope, scene, dict(params)), end)
+
+
+@lru_cache(maxsize=256)
+def strong_by_default(scene: Mechanism) -> bool:
+    """The same of the default values and horizon, by NumPy alone: under a trace, too."""
+    names, values = [name for name, _ in scene.defaults], [value for _, value in scene.defaults]
+    shapes = [jax.ShapeDtypeStruct((), jnp.float64)] * len(names)
+
+    def all_of(*values: Array) -> tuple[Array, ...]:
+        params = dict(zip(names, values, strict=True))
+        return _slope(scene, params), *(() if isinstance(scene.end, (int, float)) else (scene.horizon(params),))
+
+    try:
+        jacobian, *end = host.evaluate(jax.make_jaxpr(all_of)(*shapes), values)
+        return _steep(jacobian, float(end[0] if end else scene.end))
+    except host.Unknown:
+        return False
+
+
+def _steep(jacobian: np.ndarray, end: float) -> bool:
     if not np.isfinite(jacobian).all():
         return False
     found = np.linalg.eigvals(jacobian)
@@ -41,5 +62,7 @@ def strong(scene: Mechanism, params: Params, end: float) -> bool:
 
 def _slope(scene: Mechanism, params: Params) -> Array:
     """J (n, n) at the start."""
-    t = jnp.zeros(())
-    return jax.jacfwd(lambda y: scene.motion(t, y, params))(scene.initial_state(params))
+    t, y = jnp.zeros(()), scene.initial_state(params)
+    # Not ``jacfwd``, whose primitives NumPy is not told of (``core.host``).
+    along = lambda way: jax.jvp(lambda y: scene.motion(t, y, params), (y,), (way,))[1]  # noqa: E731
+    return jax.vmap(along, out_axes=1)(jnp.eye(y.size))

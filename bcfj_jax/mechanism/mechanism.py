@@ -103,31 +103,35 @@ class Mechanism(AbstractModel):
     @property
     def traits(self) -> ModelTraits:
         """Implicit where there is friction or strong damping; a period is the drive's where something is driven."""
-        rough = any(c.friction is not None for c in self.contacts) or self._damped
+        stiff = self._rubs or self._damped
         driven = any(b.drive is not None for b in self.bodies)
-        return ModelTraits(stiff=rough, history=bool(self._free or self._memory), turning=driven, rough=driven)
+        return ModelTraits(stiff=stiff, history=bool(self._free or self._memory), turning=driven, rough=driven)
+
+    @property
+    def _rubs(self) -> bool:
+        return any(c.friction is not None for c in self.contacts)
+
+    @property
+    def _may_damp(self) -> bool:
+        return bool(self._free) and any(load.damps for load in self.loads)
 
     @cached_property
     def _damped(self) -> bool:
-        defaults: Any = dict(self.defaults)
-        return self._strong(defaults) if self.damped is None else self.damped
+        """As said, else as the default values say; not where one is missing, of which ``check`` tells."""
+        from bcfj_jax.mechanism.damping import strong_by_default
 
-    def _strong(self, params: Params, end: float | None = None) -> bool:
-        """Whether loads damp strongly; not where a value is missing, of which ``check`` tells."""
-        from bcfj_jax.mechanism.damping import strong
-
-        if not (self._free and any(load.damps for load in self.loads)):
-            return False
         try:
-            return strong(self, params, float(self.horizon(params)) if end is None else end)
+            return self._may_damp and strong_by_default(self) if self.damped is None else self.damped
         except (InputError, KeyError):
             return False
 
     def suited(self, params: Params, end: float) -> Mechanism:
-        """With ``damped`` as these values say."""
-        if self.damped is not None or not any(load.damps for load in self.loads):
+        """With ``damped`` as these values say; a mechanism with friction is stiff in any case."""
+        from bcfj_jax.mechanism.damping import strong
+
+        if self._rubs or self.damped is not None or not self._may_damp:
             return self
-        return replace(self, damped=self._strong(params, end))
+        return replace(self, damped=strong(self, params, end))
 
     @cached_property
     def ordered(self) -> tuple[Body, ...]:

@@ -7,6 +7,7 @@ import json
 import math
 import re
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -135,7 +136,7 @@ def test_without_contact_and_reading_it_says_so():
     with pytest.raises(InputError, match="no contact to take features of"):
         bj.sensitivity(given.scene, given.params, given.times, ["gravity"])
     with pytest.raises(InputError, match="no contact and no reading"):
-        specification.from_table(study_of("my.toml"), Path("study.toml"))
+        specification.from_table(study_of("my.toml"), "study.toml")
     assert not COMPILED
 
 
@@ -146,7 +147,7 @@ def study_of(scene):
 
 
 def test_a_study_keeps_readings_by_default():
-    study = specification.from_table(study_of(written(PENDULUM + READS)), Path("study.toml"))
+    study = specification.from_table(study_of(written(PENDULUM + READS)), "study.toml")
     assert [f.name for f in study.features] == ["bob.angle.largest", "bob.acceleration.x.largest"]
 
 
@@ -198,10 +199,10 @@ def swinging():
 
 def test_the_exponent_of_a_drive_that_swings():
     scene = swinging()
-    found = nonlinear.scene_exponent(scene, scene.parameters(), 10, interval=0.1 * math.pi, settle=1.0, batches=2)
-    assert not found.reason
-    # Tangents of m x'' + c x' + k x fade by c/(2 m), give or take the phase of one swing.
-    assert found.value == pytest.approx(-2.0, abs=0.2)
+    # Tangents of m x'' + c x' + k x fade by c/(2 m), whole periods of theirs apart.
+    period = 2 * math.pi / math.sqrt(800.0 / 2.0 - 2.0**2)
+    found = nonlinear.scene_exponent(scene, scene.parameters(), 10, interval=period, settle=1.0, batches=2)
+    assert not found.reason and found.value == pytest.approx(-2.0, abs=1e-3)
 
 
 def test_a_section_of_a_drive_that_swings():
@@ -217,7 +218,6 @@ def test_a_section_of_a_drive_that_swings():
 def test_periods_that_are_not_there_are_asked_for():
     scene = swinging()
     params = scene.parameters()
-    COMPILED.clear()
     for ask in (
         lambda: nonlinear.stroboscopic(scene, params, 4, transients=1),
         lambda: nonlinear.bifurcation(scene, params, "rate", [20.0], 4, transients=1),
@@ -227,7 +227,6 @@ def test_periods_that_are_not_there_are_asked_for():
             ask()
     with pytest.raises(InputError, match="period: -1 s"):
         nonlinear.stroboscopic(scene, params, 4, transients=1, period=-1.0)
-    assert not COMPILED
 
 
 # Strong damping.
@@ -259,7 +258,8 @@ def test_which_damping_is_strong():
     strong = weak.suited(weak.parameters({"oil.damping": 1e6}), 1.0)
     assert strong.traits.stiff and not weak.suited(weak.parameters({"oil.damping": 1e6}), 0.01).traits.stiff
     # One program more, whatever the values are.
-    assert strong == weak.suited(weak.parameters({"oil.damping": 1e7}), 2.0)
+    other = weak.suited(weak.parameters({"oil.damping": 1e7}), 2.0)
+    assert other.traits.stiff and strong == other
     # A spring that oscillates faster asks for short steps of every solver.
     assert not mount(1e5, stiffness=1e11).traits.stiff
     # A damper across a bush, and a load of the user's own.
@@ -312,7 +312,10 @@ def test_a_design_by_a_reading_has_its_unit():
     assert objective.unit_of("bob.acceleration.x.largest") == "m/s^2"
     assert objective.unit_of("stop.peak_penetration") == "m" and objective.unit_of("stop.largest") == "N"
     with pytest.raises(InputError, match="each with a finite weight"):
-        objective.objective({"stop.peak": (0.0, 1.0)}, (), {"stop": 0})
+        objective.objective({"stop.peak": math.inf}, (), {"stop": 0})
+    free: Any = {"stop.clearance": (0.0, 1.0)}
+    with pytest.raises(InputError, match="each with a finite weight"):
+        objective.objective(free, (), {"stop": 0})
 
 
 def test_the_work_on_a_signed_contact_is_that_of_both_sides():
