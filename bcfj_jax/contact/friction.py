@@ -157,10 +157,6 @@ class LuGre(AbstractFriction):
         static, dynamic, speed, *_ = (c[name] for name in self.needs)
         return dynamic + (static - dynamic) * jnp.exp(-speed_squared / speed**2)
 
-    def _decay(self, slip: Array, c: Coefficients) -> Array:
-        """|v|/g [1/s], the rate at which a deflection is forgotten."""
-        return self.bond(jnp.sum(slip * slip, axis=-1), c)[0]
-
     def bond(self, speed_squared: Array, c: Coefficients) -> tuple[Array, Array, Array]:
         """k = |v|/g [1/s], s = sigma0 - sigma1 k [1/m], m = sigma1 [s/m]: z' = v - k z, traction = s z + m v."""
         speed = jnp.sqrt(speed_squared + (1e-9 * c["friction_speed"]) ** 2)
@@ -175,38 +171,6 @@ class LuGre(AbstractFriction):
         """
         least = 1e-3 * c["friction_speed"]
         return self._steady(speed_squared, c) / jnp.sqrt(speed_squared + least**2)
-
-    def rate(self, z: Array, slip: Array, c: Coefficients) -> Array:
-        """z' = v - |v| z/g [m/s].
-
-        Args:
-            z: deflection [m], components along the last axis.
-            slip: slip velocity v [m/s], of z's shape.
-            c: the coefficients named by ``needs``, SI; scalars or of the shape without the last axis.
-        """
-        return slip - self._decay(slip, c)[..., None] * z
-
-    def traction(self, z: Array, slip: Array, c: Coefficients) -> Array:
-        """sigma0 z + sigma1 z' [-], a vector: the friction force is -N times this. Arguments as ``rate``."""
-        stiffness, damping = (jnp.asarray(c[name])[..., None] for name in ("bristle_stiffness", "bristle_damping"))
-        return stiffness * z + damping * self.rate(z, slip, c)
-
-    def settle(self, z0: Array, slip: Array, time: Array, c: Coefficients) -> Array:
-        """z after a time at constant slip, exactly: z0 exp(-k t) + v (1 - exp(-k t))/k, k = |v|/g.
-
-        Stable for any step, where ``rate`` is stiff: k is sigma0 |v|/mu.
-
-        Args:
-            z0: deflection at the start [m], as z of ``rate``.
-            slip: slip velocity held for the time [m/s].
-            time: t >= 0 [s], scalar or of the shape without the last axis.
-            c: as ``rate``.
-        """
-        age = self._decay(slip, c) * time
-        kept = jnp.exp(-age)
-        # (1 - exp(-a))/a = (1 + exp(-a))/2 tanh(a/2)/(a/2), without the 0/0 of no slip or no time.
-        share = 0.5 * (1.0 + kept) * _tanhc(0.25 * age * age)
-        return kept[..., None] * z0 + (time * share)[..., None] * slip
 
 
 FRICTION: dict[str, AbstractFriction] = {

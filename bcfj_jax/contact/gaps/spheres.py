@@ -61,7 +61,7 @@ class PointOnPlane(AbstractGap):
         return in_plane(a.axes, self.axis)
 
 
-class SphereOnPlane(AbstractGap):
+class SphereOnPlane(PointOnPlane):
     """A sphere of b on a plane of a:  d = radius - p . e - clearance,  n = -e,  p from a's marker to b's.
 
     The sphere's centre is b's marker; the plane holds a's marker and its outer normal is e. The point of contact is the
@@ -70,17 +70,8 @@ class SphereOnPlane(AbstractGap):
 
     Directions: as ``PointOnPlane``.
     Coefficients: ``radius`` of the sphere [m]; with the option, ``clearance`` [m].
-
-    Attributes:
-        axis: e in a's axes: "x", "y", "z", "-x", "-y", "-z", or three numbers.
-        clearance: whether the plane lies the coefficient ``clearance`` below a's marker.
+    Options: as ``PointOnPlane``.
     """
-
-    axis: Any = eqx.field(static=True, default="z", converter=direction)
-    clearance: bool = eqx.field(static=True, default=False)
-
-    def __check_init__(self):
-        yes_or_no("clearance", self.clearance)
 
     @property
     def needs(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -92,11 +83,6 @@ class SphereOnPlane(AbstractGap):
         up = turned(a.axes, self.axis)
         down = negative(up)
         return (Face(c["radius"] - _above(a, b, up, c, self.clearance), down, scale(c["radius"], down)),)
-
-    def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
-        """In the plane (class docstring)."""
-        del b, c
-        return in_plane(a.axes, self.axis)
 
 
 class SphereOnSphere(AbstractGap):

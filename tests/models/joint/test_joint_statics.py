@@ -79,7 +79,8 @@ def test_undeflected_joint_against_the_sheet(angle, normal, cage, total):
     assert touch.windows.normal.sum() == within(total, 1e-3)
     assert touch.pilots.normal[0, :, 0] == within(np.full(2, total / 2), 1e-3)
     # Force of the races on the balls along the axis; the head's by the balls, seat's by balance.
-    apart = float(geometry.separating_force(1800.0, RP, math.radians(angle), E))
+    # T cot(alpha) e/(Rp Rc) (physics sheet 5.4).
+    apart = 1800.0 / math.tan(math.radians(angle)) * E / (RP * math.hypot(RP, E))
     assert abs(touch.grooves.force[0, :, :, 2].sum(0)) == within(np.full(2, apart), 1e-3)
     loads, cages = ball_loads(LINEAR, params, jnp.array([1.0]))
     assert np.asarray(loads) == within(np.full((1, 6), normal), 1e-4)
