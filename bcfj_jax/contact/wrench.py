@@ -31,7 +31,7 @@ from bcfj_jax.core.vectors import ZERO, Number, Vector, add, cross, dot, minus, 
 GAP, RELAX = 1e-6, 1e-5
 
 
-class Touch(NamedTuple):
+class ContactForce(NamedTuple):
     """What one face does; numbers are scalars, or (k,) over members.
 
     Attributes:
@@ -63,7 +63,7 @@ def press(
     velocity: Vector,
     bristle: Vector | None = None,
     spin: Vector = ZERO,
-) -> Touch:
+) -> ContactForce:
     """Force of one face (module docstring).
 
     Args:
@@ -79,18 +79,18 @@ def press(
     slide = subtract(velocity, scale(rate, face.normal))
     push = negative(scale(normal, face.normal))
     if friction is None:
-        return Touch(push, ZERO, normal, rate, slide)
+        return ContactForce(push, ZERO, normal, rate, slide)
     squared = jnp.asarray(dot(slide, slide))
     if bristle is None:
         drag = scale(-times(normal, friction.mobility(squared, c)), slide)
-        return Touch(add(push, drag), drag, normal, rate, slide)
+        return ContactForce(add(push, drag), drag, normal, rate, slide)
     forget, stick, mobility = friction.bond(squared, c)
     bent = subtract(bristle, scale(dot(face.normal, bristle), face.normal))
     drag = scale(-normal, add(scale(stick, bent), scale(mobility, slide)))
     apart = separated(face.depth, c)
     lost = scale(minus(1.0, apart), subtract(slide, scale(forget, bristle)))
     bending = add(cross(spin, bristle), lost, scale(-apart / RELAX, bristle))
-    return Touch(add(push, drag), drag, normal, rate, slide, bending)
+    return ContactForce(add(push, drag), drag, normal, rate, slide, bending)
 
 
 def separated(depth: Number, c: Coefficients) -> Array:

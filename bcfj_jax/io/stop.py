@@ -1,7 +1,7 @@
 """Ctrl-C that does not get lost.
 
 Python raises it wherever it happens to be, and within a callback of its garbage collector, of which JAX has one, it is
-told and forgotten. Whoever works in batches asks here before the next.
+reported and forgotten. Whoever works in batches asks here before the next.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ from jax.typing import ArrayLike
 
 from bcfj_jax.contact.gaps import Face, Frame
 from bcfj_jax.contact.normal import regularised_force
-from bcfj_jax.contact.wrench import Touch, press
+from bcfj_jax.contact.wrench import ContactForce, press
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
 from bcfj_jax.core.status import OK
@@ -62,7 +62,7 @@ class Instant(NamedTuple):
     q: list[Number]
     v: list[Number]
     bodies: Moving
-    faces: dict[str, list[tuple[Face, Touch]]]
+    faces: dict[str, list[tuple[Face, ContactForce]]]
     memory: dict[str, list[Any]]
 
 
@@ -314,7 +314,7 @@ class Mechanism(AbstractModel):
 
     def _touching(
         self, c: Contact, bodies: Moving, memory: list[list[Number]], p: Params, laws: bool
-    ) -> list[tuple[Face, Touch]]:
+    ) -> list[tuple[Face, ContactForce]]:
         first, second = (bodies.parts[name] for name in c.between)
         frames = []
         for which, part in enumerate((first, second)):
@@ -336,7 +336,7 @@ class Mechanism(AbstractModel):
             )
             if not laws:
                 rate = dot(face.normal, velocity)
-                found.append((face, Touch(ZERO, ZERO, 0.0, rate, subtract(velocity, scale(rate, face.normal)))))
+                found.append((face, ContactForce(ZERO, ZERO, 0.0, rate, subtract(velocity, scale(rate, face.normal)))))
                 continue
             c_values = coefficients | {"approach_speed": own[0]} if c.remembers else coefficients
             bristle = (own[-3], own[-2], own[-1]) if c.bristles else None
@@ -654,7 +654,7 @@ def _stacked(v: Vector, shape: tuple[int, ...]) -> Array:
     return jnp.stack([jnp.broadcast_to(jnp.asarray(x, dtype=jnp.float64), shape) for x in v], -1)
 
 
-def _deepest(touching: list[tuple[Face, Touch]]) -> tuple[Number, Number, Number]:
+def _deepest(touching: list[tuple[Face, ContactForce]]) -> tuple[Number, Number, Number]:
     """Penetration, rate and sliding speed of the deepest face."""
     rows = [(face.depth, touch.rate, length(touch.slide)) for face, touch in touching]
     if len(rows) == 1:

@@ -16,7 +16,7 @@ from bcfj_jax.mechanism.model import Params, Reading
 from bcfj_jax.models.joint.constants import constants
 from bcfj_jax.models.joint.observe import observe
 from bcfj_jax.models.joint.scene import Joint
-from bcfj_jax.models.joint.system import on_bodies, touches, view
+from bcfj_jax.models.joint.system import contact_forces, on_bodies, view
 from bcfj_jax.solve.integrate import Solution, integrate
 from bcfj_jax.solve.plan import Plan, plan
 from bcfj_jax.solve.simulation import Run, story
@@ -52,7 +52,7 @@ def _run(scene: Joint, params: Params, times: Array, how: Plan) -> tuple[Solutio
 
     def look(y: Array) -> tuple[dict[str, Reading], Array, Array]:
         state = view(scene, c, y)
-        _, coupling = on_bodies(scene, c, state, touches(scene, c, state))
+        _, coupling = on_bodies(scene, c, state, contact_forces(scene, c, state))
         return observe(scene, c, y), coupling[scene.slices["cage"]], state.cage_velocity
 
     readings, forces, velocity = jax.vmap(look)(solution.states)

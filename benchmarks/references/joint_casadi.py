@@ -203,7 +203,7 @@ def check(scene: Joint, params: Mapping[str, Any], count: int = 20) -> dict[str,
         view = system.view(scene, made, y)
         field = system.field(t, y, (scene, made))
         derivative = jax.jacfwd(system.field, argnums=1)(t, y, (scene, made))
-        return field, system.touches(scene, made, view).grooves.normal, derivative
+        return field, system.contact_forces(scene, made, view).grooves.normal, derivative
 
     n, half = 3 * scene.balls, scene.states // 2
     after = half + n

@@ -198,7 +198,7 @@ def groove_forces(scene: Joint, params: Mapping[str, Any], states: np.ndarray) -
     made = constants(scene, dict(params))
 
     def one(y):
-        return system.touches(scene, made, system.view(scene, made, y)).grooves.normal[..., 0]
+        return system.contact_forces(scene, made, system.view(scene, made, y)).grooves.normal[..., 0]
 
     return np.asarray(jax.jit(jax.vmap(one))(jnp.asarray(states)))
 

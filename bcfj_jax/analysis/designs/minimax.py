@@ -4,7 +4,7 @@ Least of a greatest sample, min_u max_k F_k(u), is the smooth problem
 
     min z   with   F_k(u) <= z  for all k,   0 <= u <= 1
 
-in (u, z), for SciPy's SLSQP with the slopes of all samples, which one run gives. Whether it ended at an optimum is told
+in (u, z), for SciPy's SLSQP with the slopes of all samples, which one run gives. Whether it ended at an optimum is decided
 without it: there are weights l_k >= 0 of sum 1 over the samples that are as high as the highest, with
 sum_k l_k dF_k/du = 0 but for what bounds hold (Clarke 1983); non-negative least squares finds the best ones.
 """

@@ -1,8 +1,8 @@
-"""The search for equilibrium: Newton's method at many instants, on a batch of width.
+"""The search for equilibrium: Newton's method at many instants in one batch.
 
 A line search on the slope (forces are all that is known; their energy is not). The batch works through the instants,
-coarse ones first, so that the others start between solved neighbours; a lane that has converged takes the next
-instant, and none waits for the slowest. Neighbours under steady load are those of like phase: a turn by one ball's
+coarse ones first, so that the others start between solved neighbours; one that has converged is replaced by the next,
+and none waits for the slowest. Neighbours under steady load are those of like phase: a turn by one ball's
 pitch with the balls renumbered changes nothing, so one of them starts where another ended. It starts there and no
 more: every instant is solved for itself.
 """

@@ -47,7 +47,7 @@ class Blocks(NamedTuple):
     """Derivative of contact wrenches and coupling forces; n balls, k twists, b coupling coordinates.
 
     ``place`` by displacement, ``rate`` by velocity: of ball i by itself (n, k, 3 | k), of ball i by the coupling
-    (n, k, b), of the coupling by ball i (n, b, 3 | k), of the coupling by itself (b, b). The cage's turn is a
+    (n, k, b), of the coupling coordinates by ball i (n, b, 3 | k), of the coupling by itself (b, b). The cage's turn is a
     rotation vector here.
     """
 
@@ -123,25 +123,27 @@ def _alone(scene: Joint, c: Constants, state: system.State, scale: Any) -> tuple
     return place, rate, rows
 
 
-def _rows(c: Constants, around: system.Around, freed: Freed, body: int) -> tuple[Array, ...]:
+def _rows(c: Constants, relative_motions: system.RelativeMotions, freed: Freed, body: int) -> tuple[Array, ...]:
     """A ball contact's bristles: their inverses, the balls' and the coupling's forces by them, they by all states.
 
     (n, f, 3, 3); (n, k, 3 f), (n, b, 3 f); (n, 3 f, 3 | k | b | b) by ball place and twist, coupling place and rate.
     """
-    arm, velocity = around.motion.arm[:, body, None], around.motion.velocity[:, body, None]
+    arm, velocity = relative_motions.motion.arm[:, body, None], relative_motions.motion.velocity[:, body, None]
     by_place, by_twist, turn, spin = (
         x.reshape(x.shape[0], -1, x.shape[-1]) for x in (freed.place, freed.twist, freed.turn, freed.spin)
     )
-    at_ball = by_place - jnp.cross(by_twist[..., :3], around.spins[body])
+    at_ball = by_place - jnp.cross(by_twist[..., :3], relative_motions.spins[body])
     turned = jnp.cross(by_place, arm) + jnp.cross(by_twist[..., :3], velocity) + turn
     swung = jnp.cross(by_twist[..., :3], arm) + spin
-    if around.motion.spin is not None:
-        turned = turned + jnp.cross(by_twist[..., 3:], around.motion.spin[:, body, None])
+    if relative_motions.motion.spin is not None:
+        turned = turned + jnp.cross(by_twist[..., 3:], relative_motions.motion.spin[:, body, None])
         swung = swung - by_twist[..., 3:]
     place = jnp.concatenate([-at_ball, turned], -1) @ c.body_maps[body]
     rate = jnp.concatenate([-by_twist[..., :3], swung], -1) @ c.body_maps[body]
     pull = jnp.swapaxes(freed.pull, 1, 2).reshape(at_ball.shape[0], -1, at_ball.shape[1])
-    felt = -jnp.swapaxes(c.body_maps[body], 0, 1) @ _felt(around.motion.arm[:, body, None], pull[:, None])[:, 0]
+    felt = (
+        -jnp.swapaxes(c.body_maps[body], 0, 1) @ _felt(relative_motions.motion.arm[:, body, None], pull[:, None])[:, 0]
+    )
     return freed.inverse, pull, felt, at_ball, by_twist, place, rate
 
 
@@ -165,17 +167,19 @@ def _bristled(scene: Joint, balls: list[tuple], pilots: list[tuple]) -> Bristled
     return Bristled(jnp.concatenate(inverses), jnp.concatenate(lifts, 1), jnp.concatenate(backs))
 
 
-def _freed(scene: Joint, c: Constants, around: system.Around, found: list[Slopes], scale: Any) -> tuple:
+def _freed(
+    scene: Joint, c: Constants, relative_motions: system.RelativeMotions, found: list[Slopes], scale: Any
+) -> tuple:
     """Slopes with the bristles eliminated, their ``_rows``, and ``effective``'s turn and spin of all bodies."""
     slants, rows, turns, spins, first = [], [], [], [], 0
     for one in found:
         count, turn, spin = one.value.shape[1], *[jnp.zeros(one.by_place.shape)] * 2
         if one.bond is not None:
-            freed = free(one.bond, around.spins[first : first + count], scale)
+            freed = free(one.bond, relative_motions.spins[first : first + count], scale)
             one, turn, spin = effective(one, freed)
             for i, name in enumerate(BALLS[first : first + count]):
                 if name in scene.bristles:
-                    rows.append(_rows(c, around, Freed(*(x[:, i] for x in freed)), first + i))
+                    rows.append(_rows(c, relative_motions, Freed(*(x[:, i] for x in freed)), first + i))
         for held, x in zip((slants, turns, spins), (one, turn, spin), strict=True):
             held.append(x)
         first += count
@@ -191,17 +195,19 @@ def blocks(scene: Joint, c: Constants, y: Array, scale: Any = None) -> Blocks:
     """
     state = system.view(scene, c, y)
     k = scene.twist
-    around = system.around(scene, c, state)
-    found = [slopes(laws, at, motion.velocity, motion.spin, bend) for laws, at, motion, bend in around.parts()]
+    relative_motions = system.relative_motions(scene, c, state)
+    found = [
+        slopes(laws, at, motion.velocity, motion.spin, bend) for laws, at, motion, bend in relative_motions.parts()
+    ]
     bent, by_turn, by_spin = [], jnp.zeros(()), jnp.zeros(())
     if any(one.bond is not None for one in found):
-        found, bent, by_turn, by_spin = _freed(scene, c, around, found, scale)
+        found, bent, by_turn, by_spin = _freed(scene, c, relative_motions, found, scale)
     value, by_place, by_twist = (jnp.concatenate(x, 1) for x in zip(*(one[:3] for one in found), strict=True))
-    motion, eye = around.motion, jnp.eye(3)
+    motion, eye = relative_motions.motion, jnp.eye(3)
     arm, velocity = motion.arm[..., None, :], motion.velocity[..., None, :]
 
     # By displacement and by rotation of the body, (n, m, k, 3) each: A, G by place, C_v and C B by rate.
-    at_ball = by_place - jnp.cross(by_twist[..., :3], around.spins[:, None, :])
+    at_ball = by_place - jnp.cross(by_twist[..., :3], relative_motions.spins[:, None, :])
     turned = jnp.cross(by_place, arm) + jnp.cross(by_twist[..., :3], velocity)
     carried = jnp.cross(value[..., None, :3], eye)
     swung = jnp.cross(by_twist[..., :3], arm)

@@ -60,7 +60,7 @@ def laws_of(scene: Joint, params: Params, name: str) -> ContactLaws:
 
 
 def _side_by_side(scene: Joint, params: Params, names: tuple[str, ...]) -> ContactLaws | LawPair:
-    """One laws for one contact or two; coefficients of two along axis -2 of (..., contact, face)."""
+    """The laws of one contact or two; coefficients of two along axis -2 of (..., contact, face)."""
     several = [laws_of(scene, params, name) for name in names]
     if len(several) == 1:
         return several[0]
@@ -68,7 +68,7 @@ def _side_by_side(scene: Joint, params: Params, names: tuple[str, ...]) -> Conta
 
 
 def _as_one(several: list[ContactLaws]) -> ContactLaws | None:
-    """Skins of one kind with their coefficients side by side (m, 1); None where they differ in law."""
+    """Laws of one kind with their coefficients side by side (m, 1); None where they differ in law."""
     first = several[0]
     if any((laws.law, laws.friction) != (first.law, first.friction) for laws in several):
         return None

@@ -50,7 +50,7 @@ class Geometry(NamedTuple):
     lever_slope: float = 0.0
 
 
-class Touch(NamedTuple):
+class ContactForce(NamedTuple):
     """What contacts do.
 
     Attributes:
@@ -201,7 +201,7 @@ def join(first: Geometry, second: Geometry) -> Geometry:
 
 def act(
     laws: ContactLaws | LawPair, at: Geometry, velocity: Array, spin: Array | None, bristles: Array | None = None
-) -> Touch:
+) -> ContactForce:
     """Forces of contacts (module docstring).
 
     Args:
@@ -235,4 +235,6 @@ def act(
         force = force + drag
         moment = jnp.sum(jnp.cross(at.lever[..., None] * at.normal, drags), -2)
     slip = jnp.sqrt(slip_squared)
-    return Touch(force, None if spin is None else moment, drag, normal, at.penetration, rate, slip, bending, rubbed)
+    return ContactForce(
+        force, None if spin is None else moment, drag, normal, at.penetration, rate, slip, bending, rubbed
+    )

@@ -21,7 +21,7 @@ from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.numerics import positive, smooth_ramp
 from bcfj_jax.models.joint import system
 from bcfj_jax.models.joint.constants import Constants
-from bcfj_jax.models.joint.contacts import Geometry, Touch, act, dot
+from bcfj_jax.models.joint.contacts import ContactForce, Geometry, act, dot
 from bcfj_jax.models.joint.guides import GUIDES
 from bcfj_jax.models.joint.law_pair import ContactLaws, LawPair
 from bcfj_jax.models.joint.scene import Joint
@@ -91,12 +91,12 @@ class _Acting(NamedTuple):
     laws: ContactLaws | LawPair
     at: Geometry
     motion: system.Motion
-    touch: Touch
+    touch: ContactForce
 
 
 def _acting(scene: Joint, c: Constants, state: system.State) -> dict[str, _Acting]:
     """Every group of contacts that is evaluated together."""
-    parts = system.around(scene, c, state).parts()
+    parts = system.relative_motions(scene, c, state).parts()
     found: dict[str, tuple] = dict(zip(("balls", "windows"), parts, strict=False))
     if c.pilot_laws is not None:
         at, motion, bent, _ = system.piloted(scene, c, state)
@@ -150,7 +150,7 @@ def _hold(scene: Joint, c: Constants, state: system.State) -> Array:
     hold = jnp.zeros(())
     if scene.cage != "fixed":
         return hold
-    found = system.touches(scene, c, state)
+    found = system.contact_forces(scene, c, state)
     arms = {"windows": state.ball_place - state.cage_place}
     if found.pilots is not None:
         arms["pilots"] = system.guided(scene, c, state)[0].arm
@@ -167,7 +167,7 @@ def _contact_torque(scene: Joint, c: Constants, state: system.State) -> Array:
     """Contacts' generalised force on the seat's turn [N m]."""
     piece = scene.slices["seat_turn"]
     assert piece is not None
-    return system.on_bodies(scene, c, state, system.touches(scene, c, state))[1][piece][0]
+    return system.on_bodies(scene, c, state, system.contact_forces(scene, c, state))[1][piece][0]
 
 
 def torque_in(scene: Joint, c: Constants, t: Array, y: Array) -> Array:
@@ -218,7 +218,7 @@ def stored(scene: Joint, c: Constants, t: Array, y: Array) -> Stored:
 
 def cage_forces(scene: Joint, c: Constants, y: Array) -> dict[str, Array]:
     """Resultants on the cage of each kind of contact it has, (3,) [N] in world axes, by the contacts' names."""
-    found = system.touches(scene, c, system.view(scene, c, y))
+    found = system.contact_forces(scene, c, system.view(scene, c, y))
     forces: dict[str, Array] = {}
     if found.pilots is not None:
         # A force is that on the inner sphere.

@@ -60,7 +60,7 @@ class Matrix(NamedTuple):
 
 
 def slices_of(scene: Joint) -> dict[str, slice]:
-    """Where the unknowns of the coupling are; the cage's tilt has two, a turn about its own axis does nothing."""
+    """Where the unknowns of the coupling coordinates are; the cage's tilt has two, a turn about its own axis does nothing."""
     sizes = {"head": 3 * (scene.head == "free"), "turn": 1}
     sizes |= {"cage": 3, "tilt": 2} if scene.cage == "free" else {}
     ends = np.cumsum(list(sizes.values())).tolist()
@@ -253,7 +253,7 @@ def _inverse3(m: Array) -> Array:
 
 
 def solve(m: Matrix, *rights: Places) -> list[Places]:
-    """The arrowhead's solutions, linear in ``rights``: balls eliminated, the coupling by Gauss-Jordan, no pivoting."""
+    """The arrowhead's solutions, linear in ``rights``: balls eliminated, the rest by Gauss-Jordan, no pivoting."""
     inverse = _inverse3(m.ball)
     none = jnp.zeros(())
     column = sum((inverse[:, j, None] * m.column[j] for j in range(3)), none)

@@ -76,7 +76,7 @@ def kinematic_readings(scene: Joint, params: Params, times: Array) -> dict[str, 
 
 
 def penetration(laws: ContactLaws, force: Array) -> Array:
-    """Penetration [m] at which a laws at rest bears ``force`` [N]; 0 for none; NaN beyond what 10 m would give.
+    """Penetration [m] at which a contact at rest bears ``force`` [N]; 0 for none; NaN beyond what 10 m would give.
 
     Bisection, then one step of Newton, which carries the derivatives of the implicit function.
     """

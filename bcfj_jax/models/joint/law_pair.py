@@ -1,6 +1,6 @@
-"""What two surfaces of the joint do to each other once geometry has said how deep and how fast.
+"""Contact laws of the joint: forces from penetration, its rate and slip.
 
-A laws is a normal-force law and a friction law with their coefficients, ready for arrays of contacts.
+``ContactLaws`` are a normal-force law and a friction law with their coefficients, for arrays of contacts.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class ContactLaws(eqx.Module):
 
 
 class LawPair(eqx.Module):
-    """Two unlike several side by side: the first along index 0 of axis ``axis``, the second along index 1."""
+    """Two unlike ``ContactLaws`` side by side: the first along index 0 of axis ``axis``, the second along index 1."""
 
     first: ContactLaws
     second: ContactLaws

@@ -63,7 +63,7 @@ def generalised(scene: Joint, problem: Problem, at: Places, ball: Array, couplin
 
 def _wrench(scene: Joint, c: Any, y: Array) -> tuple[Array, Array]:
     state = system.view(scene, c, y)
-    return system.on_bodies(scene, c, state, system.touches(scene, c, state))
+    return system.on_bodies(scene, c, state, system.contact_forces(scene, c, state))
 
 
 def _free_turn(scene: Joint, c: Any, y: Array) -> Array:

@@ -23,9 +23,9 @@ from bcfj_jax.core.programs import program
 from bcfj_jax.mechanism.model import BodyMotion, Params, Reading
 from bcfj_jax.models.joint import energy
 from bcfj_jax.models.joint.constants import Constants, constants
-from bcfj_jax.models.joint.contacts import Touch, dot
+from bcfj_jax.models.joint.contacts import ContactForce, dot
 from bcfj_jax.models.joint.scene import GROOVES, Joint
-from bcfj_jax.models.joint.system import State, around, drive_torque, field, on_bodies, touches, view
+from bcfj_jax.models.joint.system import State, contact_forces, drive_torque, field, on_bodies, relative_motions, view
 
 
 def _unit(vector: Array) -> Array:
@@ -35,7 +35,7 @@ def _unit(vector: Array) -> Array:
     return jnp.where(squared > 0, vector / jnp.sqrt(safe), 0.0)
 
 
-def _read(touch: Touch, normal: Array, axial: Array) -> Reading:
+def _read(touch: ContactForce, normal: Array, axial: Array) -> Reading:
     """Components from a touch, its signed normal and a reference that is not along the normal."""
     way = _unit(touch.drag - touch.force)
     first = _unit(axial - dot(axial, way)[..., None] * way)
@@ -53,7 +53,7 @@ def _read(touch: Touch, normal: Array, axial: Array) -> Reading:
 def observe(scene: Joint, c: Constants, y: Array) -> dict[str, Reading]:
     """Every contact's reading in one flat state; of a contact a ball (balls, 3) and (balls,), else (3,) and ()."""
     state = view(scene, c, y)
-    found = touches(scene, c, state)
+    found = contact_forces(scene, c, state)
     readings: dict[str, Reading] = {}
     if found.pilots is not None:
         reading = _read(found.pilots, jnp.sum(found.pilots.normal, -1), state.cage_axis)
@@ -81,7 +81,7 @@ def resultants(scene: Joint, c: Constants, y: Array) -> dict[str, Array]:
     World axes: z the seat's axis, x in the plane of both axes, the head's axis leaning to +x. Forces are those on the
     second body: on the balls of seat_ball, head_ball and cage_ball, on the cage of seat_cage, on the head of head_cage.
     """
-    found = touches(scene, c, view(scene, c, y))
+    found = contact_forces(scene, c, view(scene, c, y))
     sums = {name: jnp.sum(found.grooves.force[:, i], 0) for i, name in enumerate(GROOVES)}
     if found.windows is not None:
         sums["cage_ball"] = jnp.sum(found.windows.force, 0)
@@ -96,7 +96,7 @@ def _member(reading: Reading, index: Any) -> Reading:
 
 def _along(scene: Joint, c: Constants, state: State) -> Array:
     """Direction of either track at each ball, (balls, 2, 3)."""
-    found = around(scene, c, state)
+    found = relative_motions(scene, c, state)
     place = found.motion.arm[:, :2] - c.groove.offset[:, None] * c.axes
     return _unit(jnp.cross(place, found.across))
 
@@ -119,7 +119,7 @@ def motions(scene: Joint, c: Constants, t: Array, y: Array) -> dict[str, BodyMot
         piece = scene.slices[name]
         return zero if piece is None else rates[piece]
 
-    _, loads = on_bodies(scene, c, state, touches(scene, c, state))
+    _, loads = on_bodies(scene, c, state, contact_forces(scene, c, state))
     seat = scene.slices["seat_turn"]
     assert seat is not None
     flexible = scene.drive == "flexible"

@@ -129,7 +129,7 @@ class Joint(AbstractModel):
 
     @property
     def slices(self) -> Mapping[str, slice | None]:
-        """Where each part of the coupling is, in order; None for what the scene fixes."""
+        """Where each part of the coupling coordinates is, in order; None for what the scene fixes."""
         sizes = {
             "head": 3 if self.head == "free" else 0,
             "head_turn": 1,

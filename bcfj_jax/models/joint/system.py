@@ -25,7 +25,7 @@ from jax import Array
 from bcfj_jax.core.numerics import smooth_rise
 from bcfj_jax.models.joint.bristles import beside, flat, split
 from bcfj_jax.models.joint.constants import BALLS, Constants
-from bcfj_jax.models.joint.contacts import Geometry, Touch, act, grooves, join, pilots, windows
+from bcfj_jax.models.joint.contacts import ContactForce, Geometry, act, grooves, join, pilots, windows
 from bcfj_jax.models.joint.guides import GUIDES
 from bcfj_jax.models.joint.law_pair import ContactLaws, LawPair
 from bcfj_jax.models.joint.scene import PILOTS, Joint
@@ -50,12 +50,12 @@ class State(NamedTuple):
     bristles: dict[str, Array]
 
 
-class Touches(NamedTuple):
+class ContactForces(NamedTuple):
     """All contacts: grooves (balls, 2 races), windows (balls,), pilots (k,), as far as the scene has them."""
 
-    grooves: Touch
-    windows: Touch | None
-    pilots: Touch | None
+    grooves: ContactForce
+    windows: ContactForce | None
+    pilots: ContactForce | None
 
 
 def view(scene: Joint, c: Constants, y: Array) -> State:
@@ -101,13 +101,13 @@ def relative(state: State, place: Array, velocity: Array, spin: Array) -> Motion
     return Motion(arm, rate, None if state.ball_spin is None else state.ball_spin[shape] - spin)
 
 
-class Around(NamedTuple):
+class RelativeMotions(NamedTuple):
     """The bodies around the balls, m of them: seat, head and, where there are windows, cage.
 
     Attributes:
         motion: of the balls relative to them, (balls, m, 3); spins: their angular velocities (m, 3).
         across: normals of the track planes (balls, 2, 3).
-        contacts: several and geometries, of all bodies together (balls, m, f) or one after the other.
+        contacts: laws and geometries, of all bodies together (balls, m, f) or one after the other.
         bristles: by contact.
     """
 
@@ -118,7 +118,7 @@ class Around(NamedTuple):
     bristles: dict[str, Array]
 
     def parts(self) -> list[tuple[ContactLaws | LawPair, Geometry, Motion, Array | None]]:
-        """Each laws and geometry with the motion and the bristles that go with it."""
+        """Laws and geometry of each contact with the motion and the bristles that go with it."""
         found, first = [], 0
         for laws, at in self.contacts:
             last = first + at.penetration.shape[1]
@@ -128,7 +128,7 @@ class Around(NamedTuple):
         return found
 
 
-def around(scene: Joint, c: Constants, state: State) -> Around:
+def relative_motions(scene: Joint, c: Constants, state: State) -> RelativeMotions:
     """Where the balls are, and how they move, relative to the bodies that they touch."""
     zero, windowed = jnp.zeros(3), c.window_laws is not None
     place = jnp.stack([zero, state.head_place, *([state.cage_place] if windowed else [])])
@@ -143,18 +143,18 @@ def around(scene: Joint, c: Constants, state: State) -> Around:
     across = jnp.cos(angle) * tangent - jnp.sin(angle) * radial
     at = grooves(c.groove, motion.arm[:, :2] - c.groove.offset[:, None] * c.axes, across)
     if c.window_laws is None:
-        return Around(motion, spins, across, ((c.groove_laws, at),), state.bristles)
+        return RelativeMotions(motion, spins, across, ((c.groove_laws, at),), state.bristles)
     window = windows(c.window_clearance, c.groove.ball, motion.arm[:, 2], state.cage_axis)
     if c.ball_laws is not None:
-        return Around(motion, spins, across, ((c.ball_laws, join(at, window)),), state.bristles)
+        return RelativeMotions(motion, spins, across, ((c.ball_laws, join(at, window)),), state.bristles)
     alone = jax.tree.map(lambda x: x[:, None], window._replace(lever_slope=None))._replace(lever_slope=0.0)
-    return Around(motion, spins, across, ((c.groove_laws, at), (c.window_laws, alone)), state.bristles)
+    return RelativeMotions(motion, spins, across, ((c.groove_laws, at), (c.window_laws, alone)), state.bristles)
 
 
 @partial(jax.jit, static_argnums=0, inline=True)  # solver and observation both trace it
-def touches(scene: Joint, c: Constants, state: State) -> Touches:
+def contact_forces(scene: Joint, c: Constants, state: State) -> ContactForces:
     """Every contact of the scene in one state."""
-    parts = around(scene, c, state).parts()
+    parts = relative_motions(scene, c, state).parts()
     acted = [act(laws, at, motion.velocity, motion.spin, bent) for laws, at, motion, bent in parts]
     groove = jax.tree.map(lambda x: x[:, :2], acted[0])
     window = None if c.window_laws is None else jax.tree.map(lambda x: x[:, -1], acted[-1])
@@ -162,7 +162,7 @@ def touches(scene: Joint, c: Constants, state: State) -> Touches:
     if c.pilot_laws is not None:
         at, motion, bent, _ = piloted(scene, c, state)
         pilot = act(c.pilot_laws, at, motion.velocity, motion.spin, bent)
-    return Touches(groove, window, pilot)
+    return ContactForces(groove, window, pilot)
 
 
 def guided(scene: Joint, c: Constants, state: State) -> tuple[Motion, Array]:
@@ -198,7 +198,7 @@ def load_torque(c: Constants, t: Array) -> Array:
 
 
 def applied(scene: Joint, c: Constants, t: Array, state: State) -> Array:
-    """Generalised forces of loads and drive on the coupling, (coupling,)."""
+    """Generalised forces of loads and drive on the coupling coordinates, (coupling,)."""
     parts = {"head": -c.axial_load * c.axes[1], "head_turn": -load_torque(c, t)[None]}
     parts |= {"cage": jnp.zeros(3), "cage_turn": jnp.zeros(3), "seat_turn": drive_torque(scene, c, t, state)[None]}
     return jnp.concatenate([parts[name] for name, piece in scene.slices.items() if piece is not None])
@@ -212,13 +212,13 @@ def drive_torque(scene: Joint, c: Constants, t: Array, state: State) -> Array:
     return c.drive_stiffness * lag + c.drive_damping * (c.drive_speed - state.seat_spin)
 
 
-def wrench(touch: Touch) -> Array:
+def wrench(touch: ContactForce) -> Array:
     """Force, and moment of a spinning ball, side by side."""
     return touch.force if touch.moment is None else jnp.concatenate([touch.force, touch.moment], -1)
 
 
-def on_bodies(scene: Joint, c: Constants, state: State, found: Touches) -> tuple[Array, Array]:
-    """Contact wrenches on the balls (balls, twist) and generalised contact forces on the coupling (coupling,)."""
+def on_bodies(scene: Joint, c: Constants, state: State, found: ContactForces) -> tuple[Array, Array]:
+    """Contact wrenches on the balls (balls, twist) and generalised forces on the coupling coordinates (coupling,)."""
     wrenches, places = wrench(found.grooves), [jnp.zeros(3), state.head_place]
     if found.windows is not None:
         wrenches = jnp.concatenate([wrenches, wrench(found.windows)[:, None]], 1)
@@ -238,7 +238,7 @@ def on_bodies(scene: Joint, c: Constants, state: State, found: Touches) -> tuple
     return jnp.sum(wrenches, 1), coupling
 
 
-def _bending(scene: Joint, c: Constants, state: State, found: Touches) -> Array:
+def _bending(scene: Joint, c: Constants, state: State, found: ContactForces) -> Array:
     """Rates of all bristles, which turn with the outer body of their contact; flat [m/s]."""
     spins = {"seat": state.seat_spin * c.axes[0], "head": state.head_spin * c.axes[1], "cage": state.cage_spin}
     rates = {}
@@ -257,7 +257,7 @@ def field(t: Array, y: Array, args: tuple[Joint, Constants]) -> Array:
     """Time derivative of the flat state."""
     scene, c = args
     state = view(scene, c, y)
-    found = touches(scene, c, state)
+    found = contact_forces(scene, c, state)
     ball, coupling = on_bodies(scene, c, state, found)
     coupling = coupling + applied(scene, c, t, state)
     n = scene.balls

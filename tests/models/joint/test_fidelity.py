@@ -94,8 +94,8 @@ def test_what_equilibrium_leaves_out_is_what_friction_changes():
         y = y.at[turn].add(x[n] * 1e-4)
         y = jnp.where(jnp.arange(y.size) >= n + scene.coupling, rough * y, y)
         state = system.view(scene, c, y)
-        touches = system.touches(scene, c, state)
-        ball, coupling = system.on_bodies(scene, c, state, touches)
+        contact_forces = system.contact_forces(scene, c, state)
+        ball, coupling = system.on_bodies(scene, c, state, contact_forces)
         coupling = coupling + system.applied(scene, c, t, state)
         at = scene.slices["head_turn"].start
         return jnp.concatenate([ball.ravel() * 1e-3, coupling[at : at + 1] * 1e-2]), y

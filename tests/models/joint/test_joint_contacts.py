@@ -51,7 +51,7 @@ def test_gaps_of_the_sheet(track):
     params = scene.parameters(values)
     c, y = constants(scene, params), disturbed(scene, params, 4)
     state = system.view(scene, c, y)
-    found = jax.jit(lambda y: system.touches(scene, c, system.view(scene, c, y)))(y)
+    found = jax.jit(lambda y: system.contact_forces(scene, c, system.view(scene, c, y)))(y)
 
     ball, cage, head = (np.asarray(x) for x in (state.ball_place, state.cage_place, state.head_place))
     beta, e, r = values["joint_angle"], values["offset"], values["ball_radius"]

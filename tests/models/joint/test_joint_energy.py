@@ -82,7 +82,7 @@ def test_flank_ends_are_accounted_for():
     read, scene, params = flows("default")
     c = constants(scene, params)
     y = noisy(scene, params, 5)
-    across = system.around(scene, c, system.view(scene, c, y)).across
+    across = system.relative_motions(scene, c, system.view(scene, c, y)).across
     side = np.asarray(across[0, 0])
     outward = y[:3] - (y[:3] @ side) * side
     outward /= np.linalg.norm(outward)
@@ -105,7 +105,7 @@ def sharp():
     @functools.partial(jax.jit, compiler_options=QUICK)
     def look(params, y):
         c = constants(scene, params)
-        found = system.touches(scene, c, system.view(scene, c, y))
+        found = system.contact_forces(scene, c, system.view(scene, c, y))
         depths = [x.penetration for x in (found.grooves, found.windows, found.pilots)]
         return depths, energy.stored(scene, c, 0.0, y).elastic
 

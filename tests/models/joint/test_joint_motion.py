@@ -97,7 +97,7 @@ def wrenches(scene):
     @functools.partial(jax.jit, compiler_options=QUICK)
     def read(y):
         state = system.view(scene, c, y)
-        found = system.touches(scene, c, state)
+        found = system.contact_forces(scene, c, state)
         ball, coupling = system.on_bodies(scene, c, state, found)
         total = {body: jnp.zeros((2, 3)) for body in ("seat", "head", "cage")}
 

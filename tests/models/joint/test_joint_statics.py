@@ -56,7 +56,7 @@ def touching(scene, params, states):
     """Contacts at rest."""
     c = constants(scene, params)
     still = states.at[:, 3 * scene.balls + scene.coupling :].set(0.0)
-    return jax.vmap(lambda y: system.touches(scene, c, system.view(scene, c, y)))(still)
+    return jax.vmap(lambda y: system.contact_forces(scene, c, system.view(scene, c, y)))(still)
 
 
 def solved(scene, params, times):
@@ -148,9 +148,9 @@ def energy_of(params, time):
             ("head_ball", balls - head, head_axes, seat + turned / p["pitch_radius"], -e, -1),
         ):
             local = place @ axes.T - np.array([0, 0, offset])
-            around = angle + np.arange(6) * np.pi / 3
-            t = -local[:, 0] * np.sin(around) + local[:, 1] * np.cos(around)
-            mid = local[:, 0] * np.cos(around) + local[:, 1] * np.sin(around)
+            azimuths = angle + np.arange(6) * np.pi / 3
+            t = -local[:, 0] * np.sin(azimuths) + local[:, 1] * np.cos(azimuths)
+            mid = local[:, 0] * np.cos(azimuths) + local[:, 1] * np.sin(azimuths)
             a = np.sqrt(mid**2 + local[:, 2] ** 2) - rc + side * flank * math.cos(p["contact_angle"])
             for sign in (1, -1):
                 y = t + sign * flank * math.sin(p["contact_angle"])

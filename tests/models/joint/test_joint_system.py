@@ -127,7 +127,7 @@ def test_start_is_assembled_and_consistent(options):
         c, now = constants(scene, params), turn / params["drive_speed"]
         before, y, after = (nominal(scene, params, jnp.asarray(turn + s * h)) for s in (-1.0, 0.0, 1.0))
         rates = params["drive_speed"] * (after - before) / (2 * h)
-        return y, rates, system.touches(scene, c, system.view(scene, c, y)), system.field(now, y, (scene, c))
+        return y, rates, system.contact_forces(scene, c, system.view(scene, c, y)), system.field(now, y, (scene, c))
 
     y, rates, found, moving = jax.device_get(look(params))
     assert y.shape == (scene.states,)
@@ -152,7 +152,7 @@ def test_start_without_any_clearance():
     @functools.partial(jax.jit, compiler_options=QUICK)
     def look(params, turn):
         c, y = constants(scene, params), nominal(scene, params, turn)
-        return y, system.touches(scene, c, system.view(scene, c, y))
+        return y, system.contact_forces(scene, c, system.view(scene, c, y))
 
     for turn in (0.0, 1.0):
         y, found = look(params, turn)
@@ -172,8 +172,8 @@ def test_forces_balance():
     @functools.partial(jax.jit, compiler_options=QUICK)
     def look(y):
         state = system.view(scene, c, y)
-        found = system.touches(scene, c, state)
-        motion = jax.tree.map(lambda x: x[:, :2], system.around(scene, c, state).motion)
+        found = system.contact_forces(scene, c, state)
+        motion = jax.tree.map(lambda x: x[:, :2], system.relative_motions(scene, c, state).motion)
         window = system.relative(state, state.cage_place, state.cage_velocity, state.cage_spin)
         pairs = ((found.grooves, motion), (found.windows, window), (found.pilots, system.guided(scene, c, state)[0]))
         taken = sum(jnp.sum(touch.force * move.velocity) + jnp.sum(touch.moment * move.spin) for touch, move in pairs)
