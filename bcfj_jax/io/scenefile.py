@@ -122,9 +122,9 @@ def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
         mechanismfile.refuse_unread(scene, params, file.parameters, where)
     readings, reads = mechanismfile.readings(table, scene, where)
     end = _end(scene, params, file.time, where)
-    scene = scene.suited(params, end)
     samples = file.time.samples or scene.samples
     accuracy, solver = _accuracy(file.accuracy, where), file.accuracy.solver
+    scene = scene.suited(params, end, solver)
     named.check(solver, scene.traits.stiff, f"{where}: [accuracy] ")
     resolved = {
         **made_of,

@@ -47,7 +47,16 @@ from bcfj_jax.mechanism.bodies import GROUND, STILL, Body, Part, carried, quater
 from bcfj_jax.mechanism.contacts import Contact, raised
 from bcfj_jax.mechanism.equations import Equations, flat
 from bcfj_jax.mechanism.loads import AbstractLoad, JointSpring, Moving
-from bcfj_jax.mechanism.model import AbstractModel, BodyMotion, Flows, ModelTraits, Params, Reading, Solution
+from bcfj_jax.mechanism.model import (
+    IMPLICIT_SOLVERS,
+    AbstractModel,
+    BodyMotion,
+    Flows,
+    ModelTraits,
+    Params,
+    Reading,
+    Solution,
+)
 
 # Local error a step, in units of ``error_scale``, per unit of force error asked for: of explicit methods, derived by
 # benchmarks/solve/levels.py on random impacts and bounces; of implicit ones, by benchmarks/solve/mechanisms.py.
@@ -78,7 +87,7 @@ class Mechanism(AbstractModel):
         samples: output times over it.
         scale: (mechanism, params, end) -> error scale, in place of the one from the expected loads.
         more: what a scene knows beside: (params, times) -> its numbers for the envelope.
-        damped: whether its loads damp strongly (``mechanism.damping``); None: as its default values say.
+        implicit: whether an implicit solver takes it (``mechanism.stiff``); None: as its default values say.
     """
 
     kind: str = eqx.field(static=True)
@@ -91,7 +100,7 @@ class Mechanism(AbstractModel):
     samples: int = eqx.field(static=True, default=2001)
     scale: Callable[..., Array] | None = eqx.field(static=True, default=None)
     more: Callable[..., dict[str, float]] | None = eqx.field(static=True, default=None)
-    damped: bool | None = eqx.field(static=True, default=None)
+    implicit: bool | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
         from bcfj_jax.mechanism.checks import check_structure
@@ -102,36 +111,20 @@ class Mechanism(AbstractModel):
 
     @property
     def traits(self) -> ModelTraits:
-        """Implicit where there is friction or strong damping; a period is the drive's where something is driven."""
-        stiff = self._rubs or self._damped
+        """Implicit as ``implicit`` says, else as default values do; a period is the drive's where something is driven."""
+        from bcfj_jax.mechanism.stiff import implicit_by_default
+
+        stiff = implicit_by_default(self) if self.implicit is None else self.implicit
         driven = any(b.drive is not None for b in self.bodies)
         return ModelTraits(stiff=stiff, history=bool(self._free or self._memory), turning=driven, rough=driven)
 
-    @property
-    def _rubs(self) -> bool:
-        return any(c.friction is not None for c in self.contacts)
+    def suited(self, params: Params, end: float, solver: str | None = None) -> Mechanism:
+        """With ``implicit`` as the solver that is named is, or as these values say."""
+        from bcfj_jax.mechanism.stiff import implicit
 
-    @property
-    def _may_damp(self) -> bool:
-        return bool(self._free) and any(load.damps for load in self.loads)
-
-    @cached_property
-    def _damped(self) -> bool:
-        """As said, else as the default values say; not where one is missing, of which ``check`` tells."""
-        from bcfj_jax.mechanism.damping import strong_by_default
-
-        try:
-            return self._may_damp and strong_by_default(self) if self.damped is None else self.damped
-        except (InputError, KeyError):
-            return False
-
-    def suited(self, params: Params, end: float) -> Mechanism:
-        """With ``damped`` as these values say; a mechanism with friction is stiff in any case."""
-        from bcfj_jax.mechanism.damping import strong
-
-        if self._rubs or self.damped is not None or not self._may_damp:
-            return self
-        return replace(self, damped=strong(self, params, end))
+        if solver is not None:
+            return replace(self, implicit=solver in IMPLICIT_SOLVERS)
+        return self if self.implicit is not None else replace(self, implicit=implicit(self, params, end))
 
     @cached_property
     def ordered(self) -> tuple[Body, ...]:

@@ -24,6 +24,8 @@ from bcfj_jax.core.quantities import Quantity, check_order, check_value
 from bcfj_jax.mechanism.structure import AbstractStructure, Dense
 
 Params = Mapping[str, Array]
+# Names of the implicit solvers of ``solve``, which ask a model for its structure.
+IMPLICIT_SOLVERS = ("rodas3", "sdirk2", "bdf")
 
 
 class Reading(NamedTuple):
@@ -83,7 +85,7 @@ class ModelTraits(NamedTuple):
     """What solvers, budgets and features follow from.
 
     Attributes:
-        stiff: whether it needs an implicit solver (friction, strong damping); springs alone are oscillatory.
+        stiff: whether it needs an implicit solver (stiff friction, strong damping); springs alone are oscillatory.
         history: whether it is integrated; without, each instant is solved for itself (``AbstractModel.instants``).
         turning: whether a period is that of the force history (a drive turns), and not the interval between contacts.
         large: whether one run fills a core (tens of states): batches are small and gain little.
@@ -304,9 +306,13 @@ class AbstractModel(eqx.Module):
         """The model of the same thing that leaves nothing out: this one, unless it is a coarser one."""
         return self
 
-    def suited(self, params: Params, end: float) -> AbstractModel:
-        """This model as a run of these parameters until ``end`` [s] is solved: stiff or not. Decided on the host."""
-        del params, end
+    def suited(self, params: Params, end: float, solver: str | None = None) -> AbstractModel:
+        """This model as a run of these parameters until ``end`` [s] is solved: stiff or not. Decided on the host.
+
+        ``solver`` is one that the user names (``solve.named``): a model that explicit and implicit ones can solve
+        takes it.
+        """
+        del params, end, solver
         return self
 
     def choice_options(self) -> dict[str, Any]:

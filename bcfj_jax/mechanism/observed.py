@@ -79,9 +79,9 @@ class Observed(AbstractModel):
         """The model's, with the same readings."""
         return Observed(self.inner.full(), self.channels)
 
-    def suited(self, params: Params, end: float) -> AbstractModel:
+    def suited(self, params: Params, end: float, solver: str | None = None) -> AbstractModel:
         """The model's, observed likewise."""
-        return Observed(self.inner.suited(params, end), self.channels)
+        return Observed(self.inner.suited(params, end, solver), self.channels)
 
     def coarser(self) -> tuple[Coarser, ...]:
         """The model's."""

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.mechanism.model import IMPLICIT_SOLVERS
 
 # For models that are not stiff, with diffrax's names: explicit ones by their order, and one implicit.
 NOT_STIFF = {"tsit5": "Tsit5", "bosh3": "Bosh3", "dopri5": "Dopri5", "dopri8": "Dopri8", "kvaerno5": "Kvaerno5"}
 # For stiff models, all on the model's own structure: a Rosenbrock method, an SDIRK one and a multistep one.
-STIFF = ("rodas3", "sdirk2", "bdf")
+STIFF = IMPLICIT_SOLVERS
 # Those whose own derivatives are unbounded.
 VALUES_ONLY = ("rodas3",)
 

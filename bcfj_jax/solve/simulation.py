@@ -218,7 +218,7 @@ def simulate(
     """
     values = increasing(times)
     scene.check(params)
-    scene = scene.suited(params, float(values[-1]))
+    scene = scene.suited(params, float(values[-1]), solver)
     tolerance = plan(scene, accuracy, max_steps, solver).tolerance
     if scene.traits.open:
         same: dict[str, Any] = dict(

@@ -1,0 +1,106 @@
+"""Whether only an implicit solver takes long steps: strong damping by loads, friction that is stiff.
+
+An explicit method takes steps below 3/r, r the fastest relaxation of the mechanism, however slowly anything moves; springs
+of frequency w ask for steps below 1/w of every method. With T the length of the run, an implicit solver pays where
+
+- a load damps strongly: r is the largest real eigenvalue of -df/dy at the start, without contact forces (a spring's are
+  -a +- i w), and r T > STEEP, r > w;
+- friction is stiff: N m(0) v resists a slip v, with the law's mobility m(0) [s/m] at rest. For a contact of the expected
+  depth d and speed v_n (``mechanism.scales``) the normal force is about m v_n^2/d and the contact's frequency
+  w = v_n/d, so r = m(0) v_n w. Friction is stiff where r T > STEEP, and r > STIFF w or r T > LONG.
+
+A step of an implicit method costs some 20 explicit ones (benchmarks/solve/mechanisms.py), and a contact slides or is apart
+most of the time, when friction relaxes more slowly. Therefore STIFF is far above 1. Bristles (LuGre) are stiff always.
+Damping within contacts acts for the time of a contact, which has to be resolved anyway, and does not count.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from bcfj_jax.core import host
+from bcfj_jax.core.errors import InputError
+from bcfj_jax.mechanism.checks import asked
+from bcfj_jax.mechanism.scales import expected
+
+if TYPE_CHECKING:
+    from bcfj_jax.mechanism.mechanism import Mechanism
+    from bcfj_jax.mechanism.sizes import Params
+
+# Relaxations in a run that an explicit solver may follow, in some 10 000 steps.
+STEEP = 3e4
+# Relaxations of friction in a period of the contact, and in a run: the latter some 300 000 steps.
+STIFF, LONG = 50.0, 1e6
+
+
+def implicit(scene: Mechanism, params: Params, end: float) -> bool:
+    """Whether a run of these parameters until ``end`` [s] needs an implicit solver. Not under a trace."""
+    if (known := _known(scene)) is not None:
+        return known
+    return _slow(*asked(_rates, scene, dict(params)), end)
+
+
+@lru_cache(maxsize=256)
+def implicit_by_default(scene: Mechanism) -> bool:
+    """The same of the default values and horizon, by NumPy alone: under a trace, too.
+
+    Where a value is missing, of which ``check`` tells, or NumPy is not enough, friction is stiff.
+    """
+    if (known := _known(scene)) is not None:
+        return known
+    names, values = [name for name, _ in scene.defaults], [value for _, value in scene.defaults]
+    shapes = [jax.ShapeDtypeStruct((), jnp.float64)] * len(names)
+
+    def all_of(*values: Array) -> tuple[Array, ...]:
+        params = dict(zip(names, values, strict=True))
+        return *_rates(scene, params), *(() if isinstance(scene.end, (int, float)) else (scene.horizon(params),))
+
+    try:
+        jacobian, rate, frequency, *end = host.evaluate(jax.make_jaxpr(all_of)(*shapes), values)
+    except (host.Unknown, InputError, KeyError):
+        return any(c.friction is not None for c in scene.contacts)
+    return _slow(jacobian, rate, frequency, float(end[0] if end else scene.end))
+
+
+def _known(scene: Mechanism) -> bool | None:
+    """What needs no numbers: bristles are stiff; without friction and dampers nothing is."""
+    frictions = [c.friction for c in scene.contacts if c.friction is not None]
+    if any(friction.bristles for friction in frictions):
+        return True
+    damps = bool(scene._free) and any(load.damps for load in scene.loads)
+    return None if frictions or damps else False
+
+
+def _slow(jacobian: np.ndarray, rate: np.ndarray, frequency: np.ndarray, end: float) -> bool:
+    r, w = float(rate), float(frequency)
+    # A rate that is not known is taken as stiff.
+    if not r * end <= STEEP and not (r <= STIFF * w and r * end <= LONG):
+        return True
+    if not (jacobian.size and np.isfinite(jacobian).all()):
+        return False
+    found = np.linalg.eigvals(jacobian)
+    fastest = float(np.max(-found.real, initial=0.0))
+    return fastest * end > STEEP and fastest > float(np.max(np.abs(found.imag), initial=0.0))
+
+
+def _rates(scene: Mechanism, params: Params) -> tuple[Array, Array, Array]:
+    """J (n, n) at the start, of loads that damp; the fastest relaxation by friction and its contact's frequency [1/s]."""
+    t, y = jnp.zeros(()), scene.initial_state(params)
+    jacobian = jnp.zeros((0, 0))
+    if scene._free and any(load.damps for load in scene.loads):
+        # Not ``jacfwd``, whose primitives NumPy is not told of (``core.host``).
+        along = lambda way: jax.jvp(lambda y: scene.motion(t, y, params), (y,), (way,))[1]  # noqa: E731
+        jacobian = jax.vmap(along, out_axes=1)(jnp.eye(y.size))
+    frictions = [(c.friction, c.coefficients(params)) for c in scene.contacts if c.friction is not None]
+    if not frictions:
+        return jacobian, jnp.zeros(()), jnp.ones(())
+    found = expected(scene, params)
+    steepest = jnp.max(jnp.stack([law.mobility(jnp.zeros(()), told) for law, told in frictions]))
+    frequency = found.speed / found.depth
+    return jacobian, steepest * found.speed * frequency, frequency
