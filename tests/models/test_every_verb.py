@@ -404,8 +404,8 @@ def test_a_bifurcation_of_a_ball_on_a_shaker():
     own = [(Quantity("rate", "rad/s", "of the table"), 200.0), (Quantity("size", "m", "of the swing"), 1e-4)]
     way = Drive("function", function=lambda t, p: p["size"] * jnp.sin(p["rate"] * t))
     bodies = [Body("table", "slide", axis="z", mass=1.0, drive=way), Body("ball", "slide", axis="z", mass=0.1)]
-    hit = Contact("hit", ("table", "ball"), gaps.PointOnPlane("z"), law="memory_free")
-    numbers = {"stiffness": 1e6, "exponent": 1.0, "damping": 0.5}
+    hit = Contact("hit", ("table", "ball"), gaps.PointOnPlane("z"), law="kelvin_voigt")
+    numbers = {"stiffness": 1e6, "dashpot": 300.0}
     scene = Mechanism("shaker", bodies, [hit], [loads.Gravity("-z")], own=own, given=numbers)
     # Below a w^2 = g the ball stays on the table, and presses with m g where the table passes its middle.
     found = nonlinear.bifurcation(

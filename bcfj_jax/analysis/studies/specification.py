@@ -146,8 +146,8 @@ def from_table(table: Mapping[str, Any], where: str = "study", beside: Path = Pa
     wanted = file.results.features
     if wanted is None:
         # What is read of a scene without contacts has either sign.
-        kind, given = "peak" if given.scene.contacts else "largest", scenefile.shown(given)
-        wanted = [f"{name}.{kind}" for name in given.scene.members]
+        what, given = "peak" if given.scene.contacts else "largest", scenefile.shown(given)
+        wanted = [f"{name}.{what}" for name in given.scene.members]
     if len(set(wanted)) < len(wanted):
         twice = next(name for name in wanted if wanted.count(name) > 1)
         raise InputError(f"{where}: [results] features", f"'{twice}' is there twice", "name it once")
