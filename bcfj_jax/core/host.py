@@ -7,6 +7,7 @@ know it says (``Unknown``), and the caller compiles instead.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -61,6 +62,7 @@ _ELEMENTWISE: dict[str, Callable[..., Any]] = {
     "rem": np.fmod, "pow": np.power, "sqrt": np.sqrt, "rsqrt": lambda x: 1.0 / np.sqrt(x), "cbrt": np.cbrt, "square": np.square,
     "exp": np.exp, "exp2": np.exp2, "expm1": np.expm1, "log": np.log, "log1p": np.log1p,
     "cos": np.cos, "sin": np.sin, "tan": np.tan, "acos": np.arccos, "asin": np.arcsin, "atan": np.arctan, "atan2": np.arctan2,
+    "lgamma": np.vectorize(math.lgamma, otypes=[float]),
     "cosh": np.cosh, "sinh": np.sinh, "tanh": np.tanh, "logistic": lambda x: 1.0 / (1.0 + np.exp(-x)),
     "abs": np.abs, "sign": np.sign, "floor": np.floor, "ceil": np.ceil, "is_finite": np.isfinite,
     "max": np.maximum, "min": np.minimum, "clamp": lambda low, x, high: np.minimum(np.maximum(x, low), high),
