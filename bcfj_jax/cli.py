@@ -46,8 +46,16 @@ def _log(text: str) -> None:
     typer.echo(text, err=True)
 
 
-def _use(files: list[Path] | None) -> None:
-    """Execute the user's own files. Before it: JAX decides at its first compilation whether there is a cache."""
+def _use(files: list[Path] | None, what: str | Path = "") -> None:
+    """Get ready for a file of the user's, or a scene's name, and execute the user's own code.
+
+    A file that cannot be read is refused before JAX is imported. The cache comes before all code: JAX decides at its
+    first compilation whether there is one.
+    """
+    if Path(what).suffix == ".toml":
+        from bcfj_jax.io import tables
+
+        tables.read(Path(what))
     use_compile_cache()
     if files:
         from bcfj_jax.io.usercode import use_code
@@ -100,11 +108,10 @@ def simulate(
     out: Out = None,
 ) -> int:
     """Run a scene: forces.csv, summary.json with the measured force error, pictures and report.html."""
-    _use(code)
+    _use(code, scene)
     from bcfj_jax.analysis.simulation import command
 
-    text, good = command.run(scene, out, _log, measure_error)
-    typer.echo(text)
+    good = command.run(scene, out, _log, typer.echo, measure_error)
     return DONE if good else SIMULATION_FAILED
 
 
@@ -124,7 +131,7 @@ def calibrate(
     Finished starts are kept in DIR/journal.jsonl. After Ctrl-C (exit code 5), or a crash, the same command with the
     same --out goes on from there and finds the same fit; the journal is removed when the fit is written.
     """
-    _use(code)
+    _use(code, problem)
     progress = logging.getLogger("calibration")
     progress.setLevel(logging.INFO)
     progress.addHandler(logging.StreamHandler(sys.stderr))
@@ -146,7 +153,7 @@ def sensitivity(
     out: Out = None,
 ) -> int:
     """Differentiate a run: sensitivity.csv, certificate.json, a ranked table, pictures and report.html."""
-    _use(code)
+    _use(code, scene)
     from bcfj_jax.analysis.derivatives import command
 
     names, wanted = ([n.strip() for n in text.split(",") if n.strip()] for text in (wrt, features))
@@ -170,7 +177,7 @@ def tradeoff(
     Finished settings are kept in DIR/journal.jsonl: the same command with the same --out goes on after Ctrl-C (exit
     code 5), after a crash, and with what the budget left out.
     """
-    _use(code)
+    _use(code, scene)
     from bcfj_jax.analysis.tradeoff import command
 
     wanted = [name.strip() for name in only.split(",") if name.strip()]
@@ -197,7 +204,7 @@ def validate(
     file: Annotated[Path, typer.Argument(help="A scene file, a calibration file or a study file.")], code: Code = None
 ) -> int:
     """Check a file and say what it holds; nothing is run, and nothing is written."""
-    _use(code)
+    _use(code, file)
     from bcfj_jax.io import scenefile, tables
 
     content = tables.read(file)
@@ -252,7 +259,7 @@ def _study(
     study: str, files: list[Path] | None, out: Path | None, workers: int | None, scheduler: str | None, dry: bool,
     resuming: bool,
 ) -> int:  # fmt: skip
-    _use(files)
+    _use(files, study)
     from bcfj_jax.analysis.studies import command
 
     text, found = command.run(study, out, workers, scheduler, dry, _log, resuming)
@@ -283,7 +290,7 @@ def study_resume(
 @_guarded
 def study_status(study: StudyFile, out: StudyOut = None, code: Code = None) -> int:
     """Say what is finished, what failed and what is left (then the exit code is 5)."""
-    _use(code)
+    _use(code, study)
     from bcfj_jax.analysis.studies import command
 
     text, found = command.status(study, out)
@@ -295,7 +302,7 @@ def study_status(study: StudyFile, out: StudyOut = None, code: Code = None) -> i
 @_guarded
 def study_merge(study: StudyFile, out: StudyOut = None, other: Others = None, code: Code = None) -> int:
     """Take in blocks that were computed elsewhere, and write results.parquet when none is missing."""
-    _use(code)
+    _use(code, study)
     from bcfj_jax.analysis.studies import command
 
     text, found = command.merge(study, out, other or [])
@@ -314,7 +321,7 @@ def study_indices(
     study: StudyFile, out: StudyOut = None, feature: Features = None, seed: Seed = 0, code: Code = None
 ) -> int:
     """Say how much of each feature's variation each parameter brings: a table, indices.json and bars."""
-    _use(code)
+    _use(code, study)
     from bcfj_jax.analysis.studies import indices_command
 
     text, found = indices_command.run(study, out, feature or [], seed)
@@ -328,7 +335,7 @@ def study_surface(
     study: StudyFile, out: StudyOut = None, feature: Features = None, derivatives: Slopes = True, code: Code = None
 ) -> int:
     """Lay a response surface through each feature: its errors, surface.json and a picture a feature."""
-    _use(code)
+    _use(code, study)
     from bcfj_jax.analysis.studies import surface_command
 
     text, found = surface_command.run(study, out, feature or [], derivatives)

@@ -99,7 +99,7 @@ def test_a_run_beyond_the_envelope_is_reported(tmp_path):
     }
     given = from_table(table, None)
     run = simulate(given.scene, given.params, given.times)
-    _, warned = write(tmp_path, given, run, "impact")
+    warned = write(tmp_path, given, run, "impact").warnings
     stated = [text for text in warned if "not guaranteed" in text]
     assert len(stated) == 1 and "share of the speed that damping takes" in stated[0] and " 60," in stated[0]
     assert stated[0] in json.loads((tmp_path / "summary.json").read_text())["warnings"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import runpy
 import tomllib
+from functools import partial
 from pathlib import Path
 
 import jax
@@ -17,7 +18,7 @@ from typer.testing import CliRunner
 
 import bcfj_jax as bj
 from bcfj_jax.cli import app
-from bcfj_jax.core import host
+from bcfj_jax.core import host, programs
 from bcfj_jax.io import scenefile
 from bcfj_jax.io.scenefile import load, template
 from bcfj_jax.mechanism import checks
@@ -416,12 +417,14 @@ BAD = {
 
 
 @pytest.mark.parametrize("which", BAD)
-def test_a_bad_mechanism_is_refused_by_place_before_anything_is_compiled(which):
+def test_a_bad_mechanism_is_refused_by_place_before_anything_is_compiled(which, monkeypatch):
     old, new, said = BAD[which]
     assert old in TOML
     written(TOML.replace(old, new, 1))
-    # A mechanism that was looked at often is checked by a compiled program.
-    checks._LOOKS.clear()
+    # A mechanism that was looked at often, or by an earlier process, is checked by a compiled program.
+    monkeypatch.setenv("BCFJ_CACHE", "off")
+    monkeypatch.setattr(programs.Settings, "folder", None)
+    programs.forget()
     COMPILED.clear()
     done = bcfj("simulate", "my.toml", "--out", "out")
     assert done.exit_code == 2, done.output
@@ -431,8 +434,10 @@ def test_a_bad_mechanism_is_refused_by_place_before_anything_is_compiled(which):
     assert not COMPILED and not Path("out").exists()
 
 
-def test_a_good_mechanism_is_checked_without_compiling_and_then_compiled():
+def test_a_good_mechanism_is_checked_without_compiling_and_then_compiled(monkeypatch):
     written(TOML)
+    monkeypatch.setattr(programs.Settings, "folder", None)
+    programs.forget()
     COMPILED.clear()
     given = load("my.toml")
     assert not COMPILED
@@ -446,9 +451,8 @@ def test_numpy_sees_of_a_start_what_the_compiled_program_sees(kind, law):
     scene = bj.scenes.make(kind, law=law)
     params = scene.parameters()
     for what in (checks._at_start, checks._thrown):
-        traced, _ = checks._traced(what, scene, tuple(params))
-        found = host.evaluate(traced, [params[name] for name in sorted(params)])
-        for mine, compiled in zip(found, jax.tree.leaves(checks._compiled(what, scene, params)), strict=True):
+        mine_all = host.evaluate(jax.make_jaxpr(partial(what, scene))(params), jax.tree.leaves(params))
+        for mine, compiled in zip(mine_all, jax.tree.leaves(jax.jit(partial(what, scene))(params)), strict=True):
             np.testing.assert_allclose(mine, compiled, rtol=1e-12)
 
 

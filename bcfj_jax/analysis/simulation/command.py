@@ -12,8 +12,10 @@ from bcfj_jax.io.scenefile import load, quickest
 from bcfj_jax.solve.simulation import simulate
 
 
-def run(what: str, out: Path | None, say: Callable[[str], None], measure_error: bool = True) -> tuple[str, bool]:
-    """Simulate a scene file and write what ``results.files`` names.
+def run(
+    what: str, out: Path | None, say: Callable[[str], None], show: Callable[[str], None], measure_error: bool = True
+) -> bool:
+    """Simulate a scene file and write what ``results.files`` names: the numbers first, then the pictures.
 
     Args:
         what: a scene file, or a built-in scene's name.
@@ -22,7 +24,7 @@ def run(what: str, out: Path | None, say: Callable[[str], None], measure_error: 
         measure_error: whether the run is made once more, ten times finer, to measure its force error.
 
     Returns:
-        The results in words, and whether the run reached its end.
+        Whether the run reached its end.
 
     Raises:
         InputError: for bad input, and where something would be overwritten.
@@ -35,10 +37,12 @@ def run(what: str, out: Path | None, say: Callable[[str], None], measure_error: 
         given.scene, given.params, given.times, accuracy=given.accuracy, max_steps=given.max_steps,
         solver=given.solver, measure_error=measure_error, read=[channel.name for channel in given.reads],
     )  # fmt: skip
-    text, warnings = results.write(folder, given, found, stem)
-    for warning in warnings:
+    written = results.write(folder, given, found, stem)
+    show(f"{written.text}\nresults in {folder}")
+    for warning in written.warnings:
         say(f"warning: {warning}")
     if found.status != "ok":
         say(f"error: {results.verdict(found)}")
+    results.draw(folder, given, found, stem, written)
     keep_asked()
-    return f"{text}\nresults in {folder}", found.status == "ok"
+    return found.status == "ok"

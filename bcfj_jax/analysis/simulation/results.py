@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -225,12 +225,17 @@ def _readings_rows(given: SceneFile, run: Run) -> list[list[str]]:
     return rows
 
 
-def write(folder: Path, given: SceneFile, run: Run, stem: str) -> tuple[str, list[str]]:
-    """Write every one of ``files``, less tables that the level chosen does not have.
+class Written(NamedTuple):
+    """What ``write`` has written, in words: the results, a sentence on the run, what to warn of, the report's tables."""
 
-    Returns:
-        The results as a text table, and what to warn of.
-    """
+    text: str
+    said: str
+    warnings: list[str]
+    tables: list[tuple[str, list[list[str]]]]
+
+
+def write(folder: Path, given: SceneFile, run: Run, stem: str) -> Written:
+    """Write the numbers of a run: of ``files`` all but pictures and report, less tables that the level does not have."""
     warnings = resolution_warnings(run)
     warnings += envelope.warnings(given.scene, given.params, run.times)
     warnings += envelope.of_the_start(given.scene, given.params, run.times, run.force)
@@ -242,26 +247,29 @@ def write(folder: Path, given: SceneFile, run: Run, stem: str) -> tuple[str, lis
     outputs.write_contacts(folder / "contacts.csv", run)
     if given.reads:
         outputs.write_histories(folder / READINGS[0], run.times, _readings(given, run))
-        pictures.readings(run, given.reads, folder / READINGS[1])
     whole, extra = given.scene.whole(given.params, run)
     for name, columns in extra.items():
         outputs.write_histories(folder / name, run.times, columns)
     content = summary(run, given.scene.traits.turning) | whole
     outputs.write_json(folder / "summary.json", content | {"warnings": warnings})
-    tables = []
-    if run.force:
-        pictures.forces(run, folder / PICTURES[0])
-        pictures.loops(run, folder / PICTURES[1])
-        tables.append(("Contacts", _contacts(content["contacts"])))
+    tables = [("Contacts", _contacts(content["contacts"]))] if run.force else []
     if given.reads:
         tables.append(("Readings", _readings_rows(given, run)))
-    shown = list(tables)
+    said = f"{verdict(run)} {choice_sentence(run)}".strip()
+    accuracy = "".join(f"{line}\n" for line in accuracy_sentences(run))
+    text = "\n\n".join([said, *(report.text(rows) for _, rows in tables)])
     if run.accuracy:
         tables.append(("Measured force error", _accuracy_rows(run.accuracy)))
     tables += [("Input", _input_rows(given)), ("Solver", report.solver_rows(run.stats))]
-    said = f"{verdict(run)} {choice_sentence(run)}".strip()
+    return Written(f"{text}\n" + (f"\n{accuracy}" if accuracy else ""), said, warnings, tables)
+
+
+def draw(folder: Path, given: SceneFile, run: Run, stem: str, written: Written) -> None:
+    """The pictures of a run, and its report."""
+    if run.force:
+        pictures.forces(run, folder / PICTURES[0])
+        pictures.loops(run, folder / PICTURES[1])
+    if given.reads:
+        pictures.readings(run, given.reads, folder / READINGS[1])
     drawn = [folder / name for name in files(given) if name.endswith(".png")]
-    report.write(folder, f"Simulation of {stem}", said, tables, drawn, warnings)
-    accuracy = "".join(f"{line}\n" for line in accuracy_sentences(run))
-    text = "\n\n".join([said, *(report.text(rows) for _, rows in shown)])
-    return f"{text}\n" + (f"\n{accuracy}" if accuracy else ""), warnings
+    report.write(folder, f"Simulation of {stem}", written.said, written.tables, drawn, written.warnings)
