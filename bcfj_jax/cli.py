@@ -149,6 +149,7 @@ def sensitivity(
     wrt: Annotated[str, typer.Option(help="Parameters to differentiate by, names separated by commas.")],
     features: Annotated[str, typer.Option(help="Features such as seat_ball.peak; by default every one.")] = "",
     certify: Annotated[bool, typer.Option(help="Whether to say how good the derivatives are.")] = True,
+    budget: Annotated[float, typer.Option(min=0.0, help="Seconds for runs to compare the derivatives with.")] = 60.0,
     code: Code = None,
     out: Out = None,
 ) -> int:
@@ -157,7 +158,7 @@ def sensitivity(
     from bcfj_jax.analysis.derivatives import command
 
     names, wanted = ([n.strip() for n in text.split(",") if n.strip()] for text in (wrt, features))
-    text, good = command.run(scene, names, wanted, certify, out, _log)
+    text, good = command.run(scene, names, wanted, certify, budget, out, _log, typer.echo)
     typer.echo(text)
     return DONE if good else SIMULATION_FAILED
 

@@ -54,7 +54,7 @@ def within(times: ArrayLike, window: Window) -> slice:
 def samples(times: ArrayLike, window: Window, *values: ArrayLike) -> tuple[np.ndarray, list[Array]]:
     """Times and histories of a window, checked: see the top of the file."""
     t = _known(times)
-    arrays = [jnp.asarray(x, dtype=float) for x in values]
+    arrays: list[Any] = [x if isinstance(x, Array) else np.asarray(x, dtype=float) for x in values]
     for x in arrays:
         if x.shape != t.shape:
             raise InputError("history", f"shape {x.shape} over times of shape {t.shape}", "give one sample a time")
@@ -128,8 +128,9 @@ def delay(
     most = int(np.floor(0.5 * period / step + 1e-9))
     if most < 2:
         raise InputError("period", f"{period:g} s in steps of {step:g} s", "give one of at least 4 steps")
-    place, best = _best_shift(*(jnp.interp(even, t, x) for x in (a, b)), most)
-    return jnp.where(best > 0, jnp.clip(step * place, -0.5 * period, 0.5 * period), jnp.nan)
+    xp: Any = jnp if isinstance(a, Array) or isinstance(b, Array) else np
+    place, best = shifts(xp.interp(even, t, a), xp.interp(even, t, b), most)
+    return xp.where(best > 0, xp.clip(step * place, -0.5 * period, 0.5 * period), np.nan)
 
 
 def start_up_time(times: ArrayLike, force: ArrayLike, level: float = 0.5, period: float | None = None) -> float:
@@ -241,28 +242,54 @@ def _repeat(t: np.ndarray, values: np.ndarray) -> float:
     return float(even[1] - even[0]) * crest / multiple
 
 
+def shifts(a: ArrayLike, b: ArrayLike, most: int) -> tuple[Array, Array]:
+    """Lag [samples], up to ``most`` either way, of the greatest correlation coefficient, and that of the samples."""
+    if isinstance(a, Array) or isinstance(b, Array):
+        return _best_shift(jnp.asarray(a), jnp.asarray(b), most)
+    match = correlations(a, b, most)
+    return _crest(match, int(np.argmax(match))) - most, np.max(match)
+
+
 @partial(jax.jit, static_argnames="most")
 def _best_shift(a: Array, b: Array, most: int) -> tuple[Array, Array]:
-    """Lag [samples], up to ``most`` either way, of the greatest correlation coefficient, and that of the samples."""
+    """``shifts`` in JAX."""
+    match = correlations(a, b, most)
+    return _crest(match, jnp.argmax(match)) - most, jnp.max(match)
+
+
+def correlations(a: ArrayLike, b: ArrayLike, most: int) -> Any:
+    """Pearson's coefficient of a(t) and b(t + k) over the times both have, k = -most .. most; -1 where one is flat."""
+    xp = jnp if isinstance(a, Array) or isinstance(b, Array) else np
+    a, b = xp.asarray(a), xp.asarray(b)
     lags = np.arange(-most, most + 1)
     count, from_a, from_b = a.size - np.abs(lags), np.maximum(0, -lags), np.maximum(0, lags)
 
-    def sums(values: Array, start: np.ndarray) -> Array:
-        total = jnp.concatenate([jnp.zeros(1), jnp.cumsum(values)])
+    def sums(values: Any, start: np.ndarray) -> Any:
+        total = xp.concatenate([xp.zeros(1), xp.cumsum(values)])
         return total[start + count] - total[start]
 
-    raw_a, raw_b = jnp.mean(a * a), jnp.mean(b * b)
-    a, b = a - jnp.mean(a), b - jnp.mean(b)
+    raw_a, raw_b = xp.mean(a * a), xp.mean(b * b)
+    a, b = a - xp.mean(a), b - xp.mean(b)
     size = 2 * a.size
-    cross = jnp.fft.irfft(jnp.conj(jnp.fft.rfft(a, size)) * jnp.fft.rfft(b, size), size)[lags]
+    cross = xp.fft.irfft(xp.conj(xp.fft.rfft(a, size)) * xp.fft.rfft(b, size), size)[lags]
     sum_a, sum_b = sums(a, from_a), sums(b, from_b)
     spread_a, spread_b = sums(a * a, from_a) - sum_a**2 / count, sums(b * b, from_b) - sum_b**2 / count
     # Where one is all but flat, over the shared times or at all, the coefficient is rounding.
-    varied_a = spread_a > count * jnp.maximum(0.01 * jnp.mean(a * a), 1e-24 * raw_a)
-    varied = varied_a & (spread_b > count * jnp.maximum(0.01 * jnp.mean(b * b), 1e-24 * raw_b))
-    scale = power(jnp.where(varied, spread_a * spread_b, 1.0), 0.5)
-    match = jnp.where(varied, (cross - sum_a * sum_b / count) / scale, -1.0)
-    return _crest(match, jnp.argmax(match)) - most, jnp.max(match)
+    varied_a = spread_a > count * xp.maximum(0.01 * xp.mean(a * a), 1e-24 * raw_a)
+    varied = varied_a & (spread_b > count * xp.maximum(0.01 * xp.mean(b * b), 1e-24 * raw_b))
+    square = xp.where(varied, spread_a * spread_b, 1.0)
+    scale = power(square, 0.5) if xp is jnp else np.sqrt(square)
+    return xp.where(varied, (cross - sum_a * sum_b / count) / scale, -1.0)
+
+
+def crest_lags(values: np.ndarray, top: int) -> np.ndarray:
+    """Samples over which a crest's quartic is fitted: two or more either side, within 10 % of the greatest."""
+    low = np.flatnonzero(values < _EQUAL * values[top])
+    middle = int(np.clip(top, 2, values.size - 3))
+    left = middle - int(np.max(low[low < top] + 1, initial=0))
+    right = int(np.min(low[low > top] - 1, initial=values.size - 1)) - middle
+    half = max(2, min(left, right))
+    return np.arange(max(0, middle - half), min(values.size, middle + half + 1))
 
 
 def _crest(values: Any, top: Any) -> Any:
@@ -270,22 +297,38 @@ def _crest(values: Any, top: Any) -> Any:
 
     Over as many samples either side, two or more, as are within 10 % of the greatest without a gap.
     """
-    # NumPy on the host, where nothing is compiled.
-    xp, still = (jnp, jax.lax.stop_gradient) if isinstance(values, Array) else (np, np.asarray)
-    fixed = still(values)
-    k = xp.arange(values.shape[0])
-    low = fixed < _EQUAL * fixed[top]
-    middle = xp.clip(top, 2, values.shape[0] - 3)
-    left = middle - xp.max(xp.where(low & (k < top), k + 1, 0))
-    right = xp.min(xp.where(low & (k > top), k - 1, values.shape[0] - 1)) - middle
-    half = xp.maximum(2, xp.minimum(left, right))
+    if isinstance(values, Array):
+        return _jax_crest(values, top)
+    k = crest_lags(values, int(top))
+    middle, half = 0.5 * (k[0] + k[-1]), 0.5 * (k[-1] - k[0])
     u = (k - middle) / half
-    basis = xp.where((xp.abs(u) <= 1)[:, None], u[:, None] ** xp.arange(5), 0.0)
-    c = xp.linalg.solve(basis.T @ basis, basis.T @ values)
-    start = u[xp.argmax(xp.where(xp.abs(u) <= 1, still(basis @ c), -xp.inf))]
+    basis = u[:, None] ** np.arange(5)
+    c = np.linalg.lstsq(basis, values[k], rcond=None)[0]
+    start = place = u[int(np.argmax(basis @ c))]
+    for _ in range(6):
+        slope = c[1] + place * (2 * c[2] + place * (3 * c[3] + place * 4 * c[4]))
+        bend = 2 * c[2] + place * (6 * c[3] + place * 12 * c[4])
+        place = np.clip(place - slope / (bend if bend < 0 else -1.0), start - 1.0 / half, start + 1.0 / half)
+    return float(middle + half * place)
+
+
+@jax.jit
+def _jax_crest(values: Array, top: ArrayLike) -> Array:
+    """``_crest`` in JAX."""
+    k = jnp.arange(values.shape[0])
+    fixed = jax.lax.stop_gradient(values)
+    low = fixed < _EQUAL * fixed[top]
+    middle = jnp.clip(top, 2, values.shape[0] - 3)
+    left = middle - jnp.max(jnp.where(low & (k < top), k + 1, 0))
+    right = jnp.min(jnp.where(low & (k > top), k - 1, values.shape[0] - 1)) - middle
+    half = jnp.maximum(2, jnp.minimum(left, right))
+    u = (k - middle) / half
+    basis = jnp.where((jnp.abs(u) <= 1)[:, None], u[:, None] ** jnp.arange(5), 0.0)
+    c = jnp.linalg.solve(basis.T @ basis, basis.T @ values)
+    start = u[jnp.argmax(jnp.where(jnp.abs(u) <= 1, jax.lax.stop_gradient(basis @ c), -jnp.inf))]
     place = start
     for _ in range(6):
         slope = c[1] + place * (2 * c[2] + place * (3 * c[3] + place * 4 * c[4]))
         bend = 2 * c[2] + place * (6 * c[3] + place * 12 * c[4])
-        place = xp.clip(place - slope / xp.where(bend < 0, bend, -1.0), start - 1.0 / half, start + 1.0 / half)
+        place = jnp.clip(place - slope / jnp.where(bend < 0, bend, -1.0), start - 1.0 / half, start + 1.0 / half)
     return middle + half * place

@@ -279,6 +279,20 @@ class AbstractModel(eqx.Module):
         """Name in ``coordinates`` of the drive's turn; "" for a model without a drive that turns."""
         return ""
 
+    def pitch(self, params: Params) -> Array | None:
+        """Time [s] in which steady motion repeats itself with its members renumbered. Pure; None: nothing says so."""
+        del params
+        return None
+
+    def pitch_before(self, params: Params, state: Array) -> Array:
+        """State of steady motion a ``pitch`` before this one. Pure."""
+        raise InputError(f"scene '{self.kind}'", "has no pitch", "this is a defect: report it")
+
+    def turned(self, params: Params) -> int:
+        """Which member is a pitch ago where the first is now, counted from it: what it does is done a pitch later."""
+        del params
+        return 0
+
     def neutral(self, state: Array, tangent: Array) -> Array:
         """A tangent without what neither grows nor fades: the phase of a drive, a length that is kept."""
         del state

@@ -10,6 +10,10 @@ have errors of their own, which a second step a quarter as long measures, and on
 | ``trusted`` | the pointwise difference is at most 3 % |
 | ``averaged only`` | that of the moving average is at most 10 % |
 | ``not differentiable here`` | else; or chaotic: tangents grow by more than 1e6 and levels disagree |
+
+A feature's derivative has its own verdict, by the difference of that number between the levels: at most 3 %, at most
+10 %, more. It may be good where the history's is not. Where a run beside fails, or the budget ends, the verdict is that
+of the comparisons that were made, and ``unchecked`` says what was not.
 """
 
 from __future__ import annotations
@@ -34,6 +38,8 @@ TRUSTED, AVERAGED, NOT = "trusted", "averaged only", "not differentiable here"
 POINTWISE, BROKEN = 0.03, 0.10
 # A parameter below this share of the largest influence does not ask for another level.
 INFLUENCE = 0.01
+# Of a history whose levels disagree; a feature's number may still agree.
+_LOOSE = "it depends on the tolerance"
 
 
 class Check(NamedTuple):
@@ -49,6 +55,8 @@ class Check(NamedTuple):
         influence: ||p dF/dp|| over that of the strongest parameter [-].
         where: time by which half of the pointwise difference has come about [s].
         breakdown: time from which on the averages' running difference exceeds 10 % [s]; NaN: it does not at the end.
+        feature_verdicts: of each feature's derivative.
+        unchecked: what central differences did not check, and why, in a sentence; "" where they checked all.
     """
 
     verdict: str
@@ -62,6 +70,13 @@ class Check(NamedTuple):
     influence: float
     where: float
     breakdown: float
+    feature_verdicts: dict[str, str] = {}
+    unchecked: str = ""
+
+    @property
+    def lost(self) -> bool:
+        """Whether no number of this parameter means anything: a run that failed, chaos, a kink or a jump."""
+        return self.verdict == NOT and not self.remark.startswith(_LOOSE)
 
 
 class Certificate(NamedTuple):
@@ -87,11 +102,12 @@ class Certificate(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """What was found for one parameter in one comparison."""
+    """What was found for one parameter in one comparison; until when [s] it could be made, NaN for the whole horizon."""
 
     what: str
     pointwise: Difference
     average: Difference
+    until: float = float("nan")
 
 
 def flat(derivative: np.ndarray) -> np.ndarray:
@@ -146,6 +162,11 @@ def apart(first: np.ndarray, second: np.ndarray, numbers: np.ndarray, values: np
     return np.where(size > 0, np.abs(first - second) / np.where(size > 0, size, 1.0), size)
 
 
+def of_feature(apart: float) -> str:
+    """Verdict of one feature's derivative, from its relative difference between two levels."""
+    return TRUSTED if apart <= POINTWISE else AVERAGED if apart <= BROKEN else NOT
+
+
 def check(
     comparisons: Sequence[Comparison],
     features: Mapping[str, float],
@@ -153,6 +174,7 @@ def check(
     influence: float,
     end: float,
     also: str = "",
+    unchecked: str = "",
 ) -> Check:
     """One parameter's verdict.
 
@@ -161,13 +183,22 @@ def check(
         features, grown, influence: as ``Check``.
         end: of a run that failed [s], or NaN.
         also: a comparison of all parameters together, which they passed.
+        unchecked: what was not compared, and why.
     """
+    # A run beside that failed says nothing of this one.
+    failed = [c for c in comparisons[1:] if not np.isfinite(c.average.relative)]
+    if failed:
+        unchecked = "central differences check nothing: a run beside this one failed"
+    comparisons = [c for c in comparisons if c not in failed]
+    early = [c.until for c in comparisons if np.isfinite(c.until)]
+    if early and not unchecked:
+        unchecked = f"central differences check nothing after {min(early):.4g} s: a run beside this one failed there"
     worst = max(comparisons, key=lambda c: c.average.relative)
     # Before two tolerances agree, differences can only tell that the derivative is not solved yet.
     solved = comparisons[0].average.relative <= POINTWISE
     pointwise = max(c.pointwise.relative for c in comparisons)
     nothing = influence == 0.0
-    remark, breakdown = "", float("nan")
+    remark, breakdown, numbers = "", float("nan"), {name: of_feature(x) for name, x in features.items()}
     if np.isfinite(end):
         verdict, remark, breakdown = NOT, "the run failed", end
     elif chaotic(grown, comparisons[0]):
@@ -180,19 +211,20 @@ def check(
         verdict = AVERAGED
     else:
         verdict, breakdown = NOT, worst.average.broken
-        if worst is not comparisons[0] and not np.isfinite(worst.average.relative):
-            remark = "a run beside this one failed: central differences check nothing"
-        elif worst is not comparisons[0] and solved:
+        if worst is not comparisons[0] and solved:
             remark = "central differences find another derivative: the force has a kink or a jump here"
         elif grown.factor > CHAOTIC_GROWTH:
             remark = "tangents grow by more than a million"
         else:
-            remark = "it depends on the tolerance: give a tighter accuracy or a larger smoothing"
+            remark = f"{_LOOSE}: give a tighter accuracy or a larger smoothing"
             remark += "; its influence is weak" if influence < INFLUENCE else ""
+    if verdict == NOT and not remark.startswith(_LOOSE):
+        numbers = dict.fromkeys(numbers, NOT)
     return Check(
         verdict, remark, (*(c.what for c in comparisons), *([also] if also else [])), pointwise,
         worst.average.relative, dict(features),
         grown.factor, grown.exponent, float(influence), worst.pointwise.where, breakdown,
+        numbers, unchecked,
     )  # fmt: skip
 
 

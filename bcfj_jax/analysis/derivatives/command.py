@@ -10,10 +10,19 @@ import numpy as np
 
 from bcfj_jax.analysis.derivatives import pictures
 from bcfj_jax.analysis.derivatives.names import complete, derivative_unit, feature_unit
-from bcfj_jax.analysis.derivatives.ranking import certificate_rows, ranked_rows, ranking, said
+from bcfj_jax.analysis.derivatives.ranking import (
+    LEGEND,
+    certificate_rows,
+    ranked_rows,
+    ranking,
+    said,
+    steady_ranking,
+)  # fmt: skip
 from bcfj_jax.analysis.derivatives.sensitivity import Sensitivity, sensitivity
+from bcfj_jax.core.programs import keep_asked
 from bcfj_jax.io import outputs, report
 from bcfj_jax.io.scenefile import load, shown
+from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import is_reading, unit_of
 from bcfj_jax.mechanism.model import AbstractModel
 
@@ -24,15 +33,22 @@ FILES = (
 
 
 def run(
-    what: str, wrt: Sequence[str], features: Sequence[str], certify: bool, out: Path | None, say: Callable[[str], None]
+    what: str,
+    wrt: Sequence[str],
+    features: Sequence[str],
+    certify: bool,
+    budget: float,
+    out: Path | None,
+    say: Callable[[str], None],
+    show: Callable[[str], None],
 ) -> tuple[str, bool]:
-    """Differentiate a scene file's run, certify and write.
+    """Differentiate a scene file's run, write and show the table, then certify.
 
     Args:
         what: a scene file, or a built-in scene's name.
-        wrt, features, certify: as ``sensitivity``.
+        wrt, features, certify: as ``sensitivity``; budget: seconds for the runs that derivatives are compared with.
         out: folder for the results, None for one made up.
-        say: receives the progress.
+        say: receives the progress; show: the table before those runs.
 
     Returns:
         The results in words, and whether the simulation ended well.
@@ -44,33 +60,59 @@ def run(
     params, names = complete(given.scene, given.params, wrt)
     stem = given.source.stem if given.source else what
     folder = outputs.open_folder(out, "sensitivity", stem, FILES)
+    options: dict[str, Any] = {"wrt": list(names), "features": list(features), "certify": certify, "budget": budget}
+    outputs.write_toml(folder / "run.toml", {**given.resolved, "sensitivity": options}, f"{what}, every default, SI")
+    outputs.write_json(folder / "environment.json", outputs.environment(data=[given.source] if given.source else []))
+    seen: list[list[Any]] = []
+
+    def write(found: Sensitivity) -> list[Any]:
+        write_histories(folder / "sensitivity.csv", given.scene, found)
+        outputs.write_json(folder / "certificate.json", certificate_json(found, params, given.scene))
+        return _tables(found, params)
+
+    def first(found: Sensitivity) -> None:
+        seen.append(write(found))
+        show("\n\n".join([*_texts(seen[0]), "By two tolerances alone: " + said(found)]) + "\n")
+        say(f"comparing with central differences, for {budget:g} s at most")
+
     say(f"differentiating {what} by {', '.join(names)}: {len(given.times)} samples to {given.times[-1]:.6g} s")
     found = sensitivity(
         given.scene, params, given.times, names, accuracy=given.accuracy, features=features, mode="forward",
-        certify=certify, max_steps=given.max_steps,
+        certify=certify, max_steps=given.max_steps, steady=True, budget=budget, tell=first,
     )  # fmt: skip
     stats = found.stats
     say(
         f"{stats['levels']} solve(s), the last of {stats['accepted']} steps, {stats['wall_s']:.2f} s, "
         f"compiled in {stats['compile_s']:.1f} s"
     )
-    ranked = ranking(found, params)
-    tables = [("Percent change of features per percent change of parameters", ranked_rows(found, ranked))]
-    if found.certificate:
-        tables.insert(0, ("Certificate", certificate_rows(found.certificate)))
-    options: dict[str, Any] = {"wrt": list(names), "features": list(features), "certify": certify}
-    outputs.write_toml(folder / "run.toml", {**given.resolved, "sensitivity": options}, f"{what}, every default, SI")
-    outputs.write_json(folder / "environment.json", outputs.environment(data=[given.source] if given.source else []))
-    write_histories(folder / "sensitivity.csv", given.scene, found)
-    outputs.write_json(folder / "certificate.json", certificate_json(found, params, given.scene))
-    pictures.tornado(ranked, folder / "tornado.png")
+    tables = write(found)
+    certificate = [("Certificate", certificate_rows(found.certificate))] if found.certificate else []
+    # Shown already, unless the comparison has changed it.
+    again = [] if seen == [tables] else tables
+    parts = [said(found), *_texts([*certificate, *again]), f"results in {folder}"]
+    pictures.tornado(ranking(found, params), folder / "tornado.png")
     pictures.bands(found, params, folder / "histories.png")
     drawn = [folder / "tornado.png", folder / "histories.png"]
     title, *costs = report.solver_rows(stats)
     solver = [title, ["solves", str(stats["levels"])], *costs]
-    report.write(folder, f"Sensitivity of {stem}", said(found), [*tables, ("Solver", solver)], drawn)
-    parts = [said(found), *(f"{head}\n{report.text(rows)}" for head, rows in tables), f"results in {folder}"]
+    report.write(folder, f"Sensitivity of {stem}", said(found), [*certificate, *tables, ("Solver", solver)], drawn)
+    keep_asked()
     return "\n\n".join(parts), found.status == "ok"
+
+
+def _tables(found: Sensitivity, params: Any) -> list[tuple[str, list[list[str]]]]:
+    """Of the run's features, and of those of steady motion."""
+    head = f"Percent change of features per percent change of parameters. {LEGEND if found.certificate else ''}".strip()
+    tables = [(head, ranked_rows(found.features, ranking(found, params)))]
+    if found.steady is not None and not found.steady.reason:
+        turn = format_si(found.steady.turn, "s", 4)
+        head = f"The same of steady motion, over one turn of {turn}, whatever the start"
+        tables.append((head, ranked_rows(found.steady.features, steady_ranking(found, params))))
+    return tables
+
+
+def _texts(tables: Sequence[tuple[str, list[list[str]]]]) -> list[str]:
+    return [f"{head}\n{report.text(rows)}" for head, rows in tables]
 
 
 def write_histories(path: Path, scene: AbstractModel, found: Sensitivity) -> None:
@@ -114,7 +156,11 @@ def certificate_json(found: Sensitivity, params: Any, scene: AbstractModel) -> d
         "parameters": {},
         "features": features,
         "solver": found.stats,
+        "steady": None,
     }
+    if found.steady is not None:
+        # Histories of the orbit are long, and for Python.
+        content["steady"] = {k: v for k, v in found.steady._asdict().items() if k not in ("force", "derivative")}
     for name in found.wrt:
         content["parameters"][name] = {"value": float(params[name]), "unit": scene.quantities[name].unit}
         if certificate:

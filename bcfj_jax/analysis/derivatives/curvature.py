@@ -10,14 +10,15 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from bcfj_jax.analysis.derivatives.jacobian import channel_names, compiled, histories
+from bcfj_jax.analysis.derivatives.jacobian import channel_names, histories
 from bcfj_jax.analysis.derivatives.measures import vector as feature_vector
-from bcfj_jax.analysis.derivatives.names import complete
+from bcfj_jax.analysis.derivatives.names import Feature, complete
 from bcfj_jax.analysis.derivatives.names import feature as named
 from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.programs import program
 from bcfj_jax.core.quantities import increasing
 from bcfj_jax.mechanism.model import AbstractModel, Params
-from bcfj_jax.solve.plan import MAX_STEPS, plan
+from bcfj_jax.solve.plan import MAX_STEPS, Plan, plan
 
 
 def hessian_vector(
@@ -57,22 +58,27 @@ def hessian_vector(
     v = np.asarray(vector, dtype=float)
     if v.shape != (len(names),) or not np.isfinite(v).all():
         raise InputError("vector", f"shape {v.shape}", f"give {len(names)} finite number(s), one a parameter")
-    place = channel_names(contacts).index(wanted.contacts[0])
+    arguments = (dict(full), t, plan(scene, accuracy, max_steps), v)
+    static = (scene, t.tobytes(), names, wanted, tuple(contacts.items()))
+    return np.asarray(program("hessian", _product, static, arguments)[0](*arguments))
 
-    def product(params: dict, times: Array, how, v: Array):
-        def scalar(theta: Array) -> Array:
-            values = {**params, **{name: theta[k] for k, name in enumerate(names)}}
-            found, _ = histories(scene, values, times, how)
-            if wanted.kind == "peak":
-                return _smooth_peak(found.force[:, place, 0])
-            return feature_vector(t, found, [wanted], contacts, {})[0]
 
-        theta = jnp.stack([params[name] for name in names])
-        return jax.jacfwd(lambda x: jax.jvp(scalar, (x,), (v,))[1])(theta)
+def _product(
+    scene: AbstractModel, samples: bytes, names: tuple[str, ...], wanted: Feature, contacts: tuple, params: dict,
+    times: Array, how: Plan, v: Array,
+) -> Array:  # fmt: skip
+    """The Hessian of a feature times ``v``."""
+    place = channel_names(dict(contacts)).index(wanted.contacts[0])
 
-    arguments = (dict(full), jnp.asarray(t), plan(scene, accuracy, max_steps), jnp.asarray(v))
-    key = ("hessian", scene, t.tobytes(), names, wanted)
-    return np.asarray(compiled(key, product, *arguments)[0](*arguments))
+    def scalar(theta: Array) -> Array:
+        values = {**params, **{name: theta[k] for k, name in enumerate(names)}}
+        found, _ = histories(scene, values, times, how)
+        if wanted.kind == "peak":
+            return _smooth_peak(found.force[:, place, 0])
+        return feature_vector(np.frombuffer(samples), found, [wanted], dict(contacts), {})[0]
+
+    theta = jnp.stack([params[name] for name in names])
+    return jax.jacfwd(lambda x: jax.jvp(scalar, (x,), (v,))[1])(theta)
 
 
 def _smooth_peak(force: Array) -> Array:

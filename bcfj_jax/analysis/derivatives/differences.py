@@ -5,8 +5,9 @@ A step changes the forces by about a share h of themselves: parameter k moves by
     s_k = min(|p_k|, ||F||/||dF/dp_k||),    h = 0.3 e^(1/3),
 
 e the force error of the histories, so that their noise e/h and the truncation h^2 are alike. A second step a quarter
-as long gives the error of the first; what exceeds it and the noise is the derivative's. Where a run of the shorter
-step fails, the difference is infinite: nothing was checked.
+as long is the one compared; where it does not agree at once, the longer one is run too and gives the error of the
+differences, and what exceeds it and the noise is the derivative's. Where a run of the shorter step fails, the
+comparison ends there; where it fails early, the difference is infinite: nothing was checked.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ from bcfj_jax.analysis.derivatives.norms import Difference, norm
 
 Forces = Callable[[np.ndarray], np.ndarray]
 _SEED = 4
+# Share of the samples that a comparison needs.
+_LEAST = 0.1
 
 
 def scales(times: np.ndarray, values: np.ndarray, force: np.ndarray, derivative: np.ndarray) -> np.ndarray:
@@ -45,6 +48,7 @@ def against(
     derivative: np.ndarray,
     error: float,
     width: float,
+    enough: float = 0.0,
 ) -> Comparison:
     """The derivative along ``step`` (P,) held against central differences of ``forces``.
 
@@ -57,15 +61,28 @@ def against(
         derivative: (T, M) along it.
         error: e of the forces.
         width: of the moving average [s].
+        enough: pointwise difference of the shorter step at which the longer one is not run.
     """
     h = 0.3 * error ** (1.0 / 3.0)
 
-    def slope(h: float) -> np.ndarray:
-        return (forces(values + h * step) - forces(values - h * step)) / (2.0 * h)
+    def pair(h: float) -> tuple[np.ndarray, np.ndarray]:
+        return forces(values + h * step), forces(values - h * step)
 
-    far, near = slope(h), slope(0.25 * h)
-    noise = error * float(np.sqrt(np.mean(np.sum(forces(values) ** 2, axis=-1)))) / (0.25 * h)
-    found = compare(f"{what}, relative steps of {h:.2g} and {0.25 * h:.2g}", times, derivative, near, noise, width)
+    above, below = pair(0.25 * h)
+    whole = len(times)
+    sound = np.isfinite(above).all(axis=-1) & np.isfinite(below).all(axis=-1)
+    count = whole if sound.all() else int(np.argmin(sound))
+    if _LEAST * whole <= count < whole:
+        # One of the two failed: what came before is compared.
+        times, derivative, above, below = times[:count], derivative[:count], above[:count], below[:count]
+    near = (above - below) / (0.5 * h)
+    noise = error * float(np.sqrt(np.mean(np.sum(above * above, axis=-1)))) / (0.25 * h)
+    found = compare(f"{what}, relative steps of {0.25 * h:.2g}", times, derivative, near, noise, width)
+    found = found._replace(until=float(times[-1]) if count < whole else float("nan"))
+    if found.pointwise.relative <= enough:
+        return found
+    far = np.subtract(*pair(h))[: len(times)] / (2.0 * h)
+    found = found._replace(what=f"{what}, relative steps of {h:.2g} and {0.25 * h:.2g}")
     own = compare("", times, far, near, noise, width)
     size = max(float(norm(times, derivative)), float(norm(times, near)), 1e-300)
     noisy = noise * float(np.sqrt(max(times[-1] - times[0], 0.0) or 1.0)) / size

@@ -15,12 +15,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from bcfj_jax.core.programs import program
 from bcfj_jax.core.status import OK, STEEP
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.plan import Plan, Way
 
 # The histories behind ``force_history``, with penetrations and states beside the forces.
-from bcfj_jax.solve.simulation import outcome
+from bcfj_jax.solve.simulation import outcome, timed
 
 
 class Histories(NamedTuple):
@@ -38,7 +39,10 @@ class Histories(NamedTuple):
 
 
 class Level(NamedTuple):
-    """One solve with its derivatives: at which tolerance, what came out, what it cost, how it ended."""
+    """One solve with its derivatives: at which tolerance, what came out, what it cost, how it ended.
+
+    ``scale`` (n,): the states' natural sizes.
+    """
 
     tolerance: float
     value: Histories
@@ -49,6 +53,7 @@ class Level(NamedTuple):
     rejected: int
     wall_s: float
     compile_s: float
+    scale: Any
 
     @property
     def steps(self) -> int:
@@ -101,19 +106,10 @@ def compiled(key: tuple, function: Callable, *arguments: Any) -> tuple[Callable,
 
 def level(scene: AbstractModel, params: Params, times: np.ndarray, wrt: tuple[str, ...], how: Plan) -> Level:
     """Solve once with the derivatives by all of ``wrt``, per SI unit."""
-
-    def jacobian(params: dict, times: Array, how: Plan):
-        def at(theta: dict):
-            found, end = histories(scene, {**params, **theta}, times, how)
-            return found, (found, end)
-
-        return jax.jacfwd(at, has_aux=True)({name: params[name] for name in wrt})
-
-    arguments = (dict(params), jnp.asarray(times), how)
-    key = ("jacobian", scene, len(times), wrt)
-    program, compile_s = compiled(key, jacobian, *arguments)
+    arguments = (dict(params), np.asarray(times), how)
+    solve, compile_s = program("jacobian", _jacobian, (scene, wrt), arguments)
     begin = time.perf_counter()
-    slopes, (value, (code, end, accepted, rejected)) = jax.device_get(program(*arguments))
+    slopes, (value, (code, end, accepted, rejected)), scale = solve(*arguments)
     wall = time.perf_counter() - begin
     # One dictionary by name in every field of the histories.
     derivative = Histories(*(np.stack([part[name] for name in wrt]) for part in slopes))
@@ -122,17 +118,33 @@ def level(scene: AbstractModel, params: Params, times: np.ndarray, wrt: tuple[st
     if code == OK and not finite.all():
         code, end = STEEP, times[np.argmin(finite)]
     return Level(
-        float(how.tolerance), value, derivative, int(code), float(end), int(accepted), int(rejected), wall, compile_s
+        float(how.tolerance), value, derivative, int(code), float(end), int(accepted), int(rejected), wall, compile_s,
+        scale,
+    )  # fmt: skip
+
+
+def _jacobian(scene: AbstractModel, wrt: tuple[str, ...], params: dict, times: Array, how: Plan) -> Any:
+    """Derivatives of the histories by name, (histories, how the run ended), and the states' natural sizes.
+
+    By shares of the parameters: where the tangents' error is controlled, what is small is an effect of 100 %.
+    """
+    sizes = {name: jnp.where(params[name] == 0.0, 1.0, jnp.abs(params[name])) for name in wrt}
+
+    def at(shares: dict):
+        moved = {name: params[name] + sizes[name] * shares[name] for name in wrt}
+        found, end = histories(scene, {**params, **moved}, times, how)
+        return found, (found, end)
+
+    slopes, rest = jax.jacfwd(at, has_aux=True)(dict.fromkeys(wrt, jnp.zeros(())))
+    return (
+        Histories(*({name: part[name] / sizes[name] for name in wrt} for part in slopes)),
+        rest,
+        scene.error_scale(params),
     )
 
 
 def forces(scene: AbstractModel, params: Params, times: np.ndarray, how: Plan) -> np.ndarray:
-    """Forces (T, C, 3) without derivatives, by the solver meant for values."""
-
-    def values(params: dict, times: Array, how: Plan) -> Array:
-        _, readings = outcome(scene, params, times, how, "forward")
-        return by_channel(scene, readings)[0]
-
-    arguments = (dict(params), jnp.asarray(times), how)
-    key = ("forces", scene, len(times))
-    return np.asarray(compiled(key, values, *arguments)[0](*arguments))
+    """Forces (T, C, 3) without derivatives, by the solver meant for values: the program of ``simulate``."""
+    run = timed(scene, params, times, how)
+    ordered = [run.force[contact.name] for contact in scene.contacts]
+    return np.concatenate([np.asarray(f).reshape(len(times), -1, 3) for f in ordered], axis=1)

@@ -1,7 +1,8 @@
 """Features of histories and their derivatives along the histories' tangents.
 
-What ``features`` has in JAX is differentiated by JAX. A period is found on the host; its derivative comes from what
-defines it: a root of the penetration, or the best correlation of a history with itself.
+``vector`` is in JAX, for whatever differentiates through it. ``measure`` is the same in NumPy with derivatives by hand,
+so that a finished run's features compile nothing. A period's derivative comes from what defines it: a root of the
+penetration, or the best correlation of a history with itself.
 """
 
 from __future__ import annotations
@@ -12,11 +13,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from numpy.polynomial.chebyshev import chebvander
 
 from bcfj_jax.analysis import features
 from bcfj_jax.analysis import histories as comparison
-from bcfj_jax.analysis.derivatives.jacobian import Histories, channel_names, compiled
+from bcfj_jax.analysis.derivatives.jacobian import Histories, channel_names
 from bcfj_jax.analysis.derivatives.names import Feature, members
+from bcfj_jax.analysis.histories import correlations, crest_lags, shifts
 
 _FEWEST = 11  # samples: a residual of order 9 over fewer is rounding
 
@@ -85,7 +88,7 @@ def measure(
     contacts: Mapping[str, int],
     turning: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Features (F,) and their derivatives (F, P) from histories and theirs.
+    """Features (F,) and their derivatives (F, P) from histories and theirs. NumPy: nothing is compiled.
 
     Args:
         times: (T,) [s].
@@ -95,30 +98,135 @@ def measure(
             interval between contacts.
     """
     names = channel_names(contacts)
+    place = {name: i for i, name in enumerate(names)}
     needed = {m for f in wanted if f.kind in ("period", "delay") for c in f.contacts for m in members(c, contacts)}
     periods = {n: _period(times, value, derivative, i, turning) for i, n in enumerate(names) if n in needed}
+    even = _Even(times)
 
-    cycles = {name: found[0] for name, found in periods.items()}
-
-    def along(force: Array, depth: Array, force_slope: Array, depth_slope: Array) -> tuple[Array, Array]:
-        def function(force: Array, depth: Array) -> Array:
-            return vector(times, Histories(force, depth, None, None), wanted, contacts, cycles)
-
-        push = lambda *tangents: jax.jvp(function, (force, depth), tangents)[1]  # noqa: E731
-        return function(force, depth), jax.vmap(push, out_axes=1)(force_slope, depth_slope)
-
-    arguments = (value.force, value.penetration, derivative.force, derivative.penetration)
-    paired = {c for f in wanted if f.kind == "delay" for part in f.contacts for c in members(part, contacts)}
-    # No NaN in the key: it equals no other, and would be compiled anew each time.
-    fixed = tuple((name, cycle if np.isfinite(cycle) else None) for name, cycle in cycles.items() if name in paired)
-    key = ("measure", times.tobytes(), tuple(wanted), tuple(contacts.items()), derivative.force.shape, fixed)
-    numbers, slopes = (np.array(x) for x in compiled(key, along, *arguments)[0](*arguments))
-    for i, feature in enumerate(wanted):
+    def one(feature: Feature) -> tuple[float, np.ndarray]:
+        if feature.kind == "delay":
+            first, second = (members(c, contacts) for c in feature.contacts)
+            pairs = list(zip(first, second, strict=True)) if len(first) == len(second) else [(first[0], second[0])]
+            found = [_delay(even, value, derivative, place[a], place[b], periods[a][0]) for a, b in pairs]
+            return _mean(found)
+        own = members(feature.contacts[0], contacts)
         if feature.kind == "period":
-            found = [periods[m] for m in members(feature.contacts[0], contacts)]
-            numbers[i] = np.mean([p for p, _ in found])
-            slopes[i] = np.mean([d for _, d in found], axis=0)
-    return numbers, slopes
+            return _mean([periods[m] for m in own])
+        found = [_along(feature.kind, times, value, derivative, place[m]) for m in own]
+        if feature.kind in ("peak", "largest"):
+            return found[int(np.argmax([x for x, _ in found]))]
+        return _mean(found)
+
+    with np.errstate(invalid="ignore", over="ignore"):
+        found = [one(feature) for feature in wanted]
+    return np.array([x for x, _ in found]), np.stack([d for _, d in found])
+
+
+def _mean(found: Sequence[tuple[float, np.ndarray]]) -> tuple[float, np.ndarray]:
+    return float(np.mean([x for x, _ in found])), np.mean([d for _, d in found], axis=0)
+
+
+def _along(
+    kind: str, times: np.ndarray, value: Histories, derivative: Histories, channel: int
+) -> tuple[float, np.ndarray]:
+    """A feature of one channel, as ``channel_features``, and its derivative (P,)."""
+    force, depth = value.force[:, channel, 0], value.penetration[:, channel]
+    slope, change = derivative.force[:, :, channel, 0], derivative.penetration[:, :, channel]
+    if kind in ("peak", "largest"):
+        top = int(np.argmax(force if kind == "peak" else np.abs(force)))
+        sign = np.sign(force[top]) if kind == "largest" else 1.0
+        return float(sign * force[top]), sign * slope[:, top]
+    if len(times) < (_FEWEST if kind == "residual_oscillation" else 2):
+        return float("nan"), np.full(len(slope), np.nan)
+    if kind in ("mean", "impulse"):
+        over = times[-1] - times[0] if kind == "mean" else 1.0
+        return float(np.trapezoid(force, times) / over), np.trapezoid(slope, times, axis=1) / over
+    if kind == "dissipated_work":
+        work = np.trapezoid(slope, depth, axis=1)
+        # By parts of the trapezoidal rule: the mean force of an interval times the change of its step.
+        work += 0.5 * (force[1:] + force[:-1]) @ np.diff(change, axis=1).T
+        return float(np.trapezoid(force, depth)), work
+    if kind == "residual_oscillation":
+        rest = _residual(times, np.vstack([force, slope]))
+        high, low = int(np.argmax(rest[0])), int(np.argmin(rest[0]))
+        swing = 0.5 * (rest[:, high] - rest[:, low])
+        return float(swing[0]), swing[1:]
+    assert kind == "contact_fraction"
+    inside, pressed = np.maximum(depth, 0.0), (depth > 0.0) * change
+    size = np.abs(depth[1:]) + np.abs(depth[:-1])
+    safe, grown = np.where(size == 0.0, 1.0, size), np.sign(depth) * change
+    share = (inside[1:] + inside[:-1]) / safe
+    moved = (pressed[:, 1:] + pressed[:, :-1] - share * (grown[:, 1:] + grown[:, :-1])) / safe
+    steps = np.diff(times) / (times[-1] - times[0])
+    return float(share @ steps), moved @ steps
+
+
+def _residual(times: np.ndarray, rows: np.ndarray, order: int = 9) -> np.ndarray:
+    """What is left of rows (k, T) by ``features.no_clearance_fit`` over all times, a linear map."""
+    tau = 2.0 * (times - times[0]) / (times[-1] - times[0]) - 1.0
+    basis = np.linalg.qr(chebvander(tau, order))[0]
+    return rows - (rows @ basis) @ basis.T
+
+
+class _Even:
+    """Even steps over the span of some times."""
+
+    def __init__(self, times: np.ndarray):
+        self.times, self.even = times, np.linspace(times[0], times[-1], len(times))
+        self.span = float(times[-1] - times[0])
+        self.step = self.span / max(len(times) - 1, 1)
+
+    def __call__(self, values: np.ndarray) -> np.ndarray:
+        """Values (..., T) at the even steps, linear between samples."""
+        if np.allclose(self.times, self.even, rtol=0.0, atol=1e-9 * self.step):
+            return values
+        rows = values.reshape(-1, values.shape[-1])
+        return np.stack([np.interp(self.even, self.times, row) for row in rows]).reshape(values.shape)
+
+
+def _delay(even: _Even, value: Histories, derivative: Histories, first: int, second: int, period: float) -> tuple:
+    """``histories.delay`` of two channels and its derivative (P,)."""
+    period = period if np.isfinite(period) else even.span
+    pair = [(even(value.force[:, k, 0]), even(derivative.force[:, :, k, 0])) for k in (first, second)]
+    shift, slope = best_shift(*pair[0], *pair[1], int(np.floor(0.5 * period / even.step + 1e-9)))
+    limit = 0.5 * period
+    inside = abs(even.step * shift) <= limit
+    return float(np.clip(even.step * shift, -limit, limit)), even.step * slope * inside
+
+
+def best_shift(a: np.ndarray, da: np.ndarray, b: np.ndarray, db: np.ndarray, most: int) -> tuple[float, np.ndarray]:
+    """Lag [samples] of the greatest correlation of b (T,) against a, and its derivative along da, db (P, T).
+
+    The lag s is where the least-squares quartic c of the correlation coefficient r(k) over its crest has its top,
+    c'(s) = 0, so that ds = -dc'(s)/c''(s); dr comes from the overlapping samples of both, x of a and y of b less their
+    means: dr = (dx.y + x.dy)/(|x||y|) - r (x.dx/|x|^2 + y.dy/|y|^2).
+    """
+    unknown = float("nan"), np.full(len(da), np.nan)
+    place, best = (float(x) for x in shifts(a, b, most))
+    if not best > 0:
+        return unknown
+    match = correlations(a, b, most)
+    lags = crest_lags(match, int(np.argmax(match)))
+    middle, half = 0.5 * (lags[0] + lags[-1]), 0.5 * (lags[-1] - lags[0])
+    u = (lags - middle) / half
+    change = np.stack([_matched(a, da, b, db, int(lag) - most) for lag in lags], axis=1)
+    basis = u[:, None] ** np.arange(5)
+    weights = np.linalg.pinv(basis)
+    c, dc = weights @ match[lags], change @ weights.T
+    at = (place + most - middle) / half
+    rise = dc @ np.array([0.0, 1.0, 2.0 * at, 3.0 * at**2, 4.0 * at**3])
+    bend = c @ np.array([0.0, 0.0, 2.0, 6.0 * at, 12.0 * at**2])
+    return place, -rise / bend * half
+
+
+def _matched(a: np.ndarray, da: np.ndarray, b: np.ndarray, db: np.ndarray, lag: int) -> np.ndarray:
+    """Derivative (P,) of the correlation coefficient at a lag."""
+    first, second = slice(max(0, -lag), a.size - max(0, lag)), slice(max(0, lag), a.size - max(0, -lag))
+    x, dx, y, dy = (z - z.mean(-1, keepdims=True) for z in (a[first], da[:, first], b[second], db[:, second]))
+    square_x, square_y = x @ x, y @ y
+    size = np.sqrt(square_x * square_y)
+    match = x @ y / size
+    return (dx @ y + dy @ x) / size - match * (dx @ x / square_x + dy @ y / square_y)
 
 
 def _period(times, value: Histories, derivative: Histories, channel: int, turning: bool) -> tuple[float, np.ndarray]:
@@ -166,17 +274,13 @@ def _repeat(times: np.ndarray, force: np.ndarray, slope: np.ndarray) -> tuple[fl
     period = comparison.period(t, force[window])
     if not np.isfinite(period):
         return None
-    even = np.linspace(t[0], t[-1], t.size)
-    step = even[1] - even[0]
-    many = max(1, int(0.75 * (t[-1] - t[0]) / period))
-    later = round(many * period / step)
-    if t.size - later < 8 or period < 8 * step:
+    even = _Even(t)
+    many = max(1, int(0.75 * even.span / period))
+    later = round(many * period / even.step)
+    if t.size - later < 8 or period < 8 * even.step:
         return period, np.full(len(slope), np.nan)
-    width = min(period, 0.9 * float(even[-1 - later] - even[0]))
-
-    def shift(values: Array) -> Array:
-        x = jnp.interp(even, t, values)
-        return comparison.delay(even[: t.size - later], x[: t.size - later], x[later:], width) / many
-
-    push = lambda tangent: jax.jvp(shift, (jnp.asarray(force[window]),), (tangent,))[1]  # noqa: E731
-    return period, np.asarray(jax.vmap(push)(jnp.asarray(slope[:, window])))
+    width = min(period, 0.9 * float(even.even[-1 - later] - even.even[0]))
+    x, dx = even(force[window]), even(slope[:, window])
+    most = int(np.floor(0.5 * width / even.step + 1e-9))
+    kept = t.size - later
+    return period, best_shift(x[:kept], dx[:, :kept], x[later:], dx[:, later:], most)[1] * even.step / many

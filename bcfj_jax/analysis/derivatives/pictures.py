@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from bcfj_jax.analysis.derivatives.certificate import BROKEN
 from bcfj_jax.analysis.derivatives.ranking import Ranking, meaningful
 from bcfj_jax.analysis.derivatives.sensitivity import Sensitivity
 from bcfj_jax.io.plots import figure, label, save, style
@@ -18,7 +19,11 @@ _CHANGE, _MOST_PANELS, _MOST_BANDS = 0.01, 6, 3
 
 
 def tornado(ranked: Ranking, path: Path) -> None:
-    """Bars of % per %, one panel for each of the strongest features, the strongest parameter on top."""
+    """Bars of % per %, one panel for each of the strongest features, the strongest parameter on top.
+
+    What two tolerances do not agree about within 10 % has no bar.
+    """
+    ranked = ranked._replace(elasticity=np.where(ranked.apart > BROKEN, np.nan, ranked.elasticity))
     known = np.isfinite(ranked.elasticity).any(axis=1) if len(ranked.features) else np.zeros(0, bool)
     rows = np.flatnonzero(known)[:_MOST_PANELS]
     with style():

@@ -8,18 +8,22 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bcfj_jax.analysis.derivatives.certificate import NOT, Certificate
+from bcfj_jax.analysis.derivatives.certificate import AVERAGED, NOT, TRUSTED, Certificate, of_feature
 from bcfj_jax.analysis.derivatives.names import feature_unit
 from bcfj_jax.analysis.derivatives.sensitivity import Sensitivity
 from bcfj_jax.io.units import format_si
 
 
 class Ranking(NamedTuple):
-    """Elasticities (F, P), d ln f/d ln p [-], features and parameters strongest first; NaN where there is none."""
+    """Elasticities (F, P), d ln f/d ln p [-], features and parameters strongest first; NaN where there is none.
+
+    ``apart`` (F, P): relative difference of each between the last two tolerances; NaN without a certificate.
+    """
 
     features: list[str]
     parameters: list[str]
     elasticity: np.ndarray
+    apart: np.ndarray
 
 
 def meaningful(found: Sensitivity) -> list[str]:
@@ -29,31 +33,63 @@ def meaningful(found: Sensitivity) -> list[str]:
 
 
 def ranking(found: Sensitivity, values: Mapping[str, Any]) -> Ranking:
-    """Elasticities p/f df/dp, sorted; features without a value, or with 0, come last.
+    """Elasticities p/f df/dp of the run's features, sorted; features without a value, or with 0, come last.
 
-    A parameter whose verdict is ``not differentiable here`` has none: its figures would mean nothing.
+    A parameter of which nothing means anything (``Check.lost``) has none.
     """
-    names, parameters = list(found.features), list(found.wrt)
-    table = np.full((len(names), len(parameters)), np.nan)
-    known = meaningful(found)
+    checks = found.certificate.parameters if found.certificate else {}
+    known = {p for p in found.wrt if p not in checks or not checks[p].lost}
+    distance = {p: checks[p].features if p in checks else {} for p in found.wrt}
+    return _ranked(found.features, found.feature_derivatives, distance, found.wrt, known, values)
+
+
+def steady_ranking(found: Sensitivity, values: Mapping[str, Any]) -> Ranking:
+    """Elasticities of the features of steady motion."""
+    steady = found.steady
+    assert steady is not None
+    return _ranked(steady.features, steady.feature_derivatives, steady.apart, found.wrt, set(found.wrt), values)
+
+
+def _ranked(features, derivatives, distance, wrt, known, values) -> Ranking:
+    names, parameters = list(features), list(wrt)
+    table, apart = (np.full((len(names), len(parameters)), np.nan) for _ in range(2))
     for i, name in enumerate(names):
-        f = found.features[name]
+        f = features[name]
         for k, p in enumerate(parameters):
+            apart[i, k] = distance[p].get(name, np.nan)
             if f and p in known and math.isfinite(f) and float(values[p]) != 0.0:
-                table[i, k] = float(values[p]) / f * found.feature_derivatives[p][name]
+                table[i, k] = float(values[p]) / f * derivatives[p][name]
     size = np.nan_to_num(np.abs(table), nan=-1.0, posinf=1e300)
     rows = np.argsort(-size.max(axis=1, initial=-1.0), kind="stable")
     columns = np.argsort(-size.max(axis=0, initial=-1.0), kind="stable")
-    return Ranking([names[i] for i in rows], [parameters[k] for k in columns], table[np.ix_(rows, columns)])
+    at = np.ix_(rows, columns)
+    return Ranking([names[i] for i in rows], [parameters[k] for k in columns], table[at], apart[at])
 
 
-def ranked_rows(found: Sensitivity, ranked: Ranking) -> list[list[str]]:
+def ranked_rows(features: Mapping[str, float], ranked: Ranking) -> list[list[str]]:
     """The table: features down with their values, parameters across."""
     rows = [["% per %", "value", *ranked.parameters]]
-    for name, line in zip(ranked.features, ranked.elasticity, strict=True):
-        value = format_si(found.features[name], feature_unit(name), 5)
-        rows.append([name, value, *("-" if not math.isfinite(x) else f"{x:+.3g}" for x in line)])
+    for name, *lines in zip(ranked.features, ranked.elasticity, ranked.apart, strict=True):
+        value = format_si(features[name], feature_unit(name), 5)
+        rows.append([name, value, *(_cell(x, apart) for x, apart in zip(*lines, strict=True))])
     return rows
+
+
+LEGEND = (
+    "Numbers without ± are trusted: two tolerances agree within 3 %. ±: how far two tolerances are apart. "
+    "In brackets: by more than 10 %, a size only. -: none."
+)
+
+
+def _cell(elasticity: float, apart: float) -> str:
+    """A number no better than it is."""
+    if not math.isfinite(elasticity):
+        return "-"
+    if math.isnan(apart) or of_feature(apart) == TRUSTED:
+        return f"{elasticity:+.3g}"
+    if of_feature(apart) == AVERAGED:
+        return f"{elasticity:+.2g} ±{100 * apart:.0f} %"
+    return f"({elasticity:+.1g} ±{100 * apart:.0f} %)"
 
 
 def certificate_rows(certificate: Certificate) -> list[list[str]]:
@@ -74,12 +110,40 @@ def _plain(x: float) -> str:
 
 
 def said(found: Sensitivity) -> str:
-    """The outcome in a sentence or two, failures first."""
+    """The outcome in sentences, failures first."""
     if found.status != "ok":
         return f"The simulation failed at {format_si(found.failure_time, 's')}: {found.reason}."
     if found.certificate is None:
-        return "Derivatives were not certified: nothing says how good they are."
+        return " ".join(["Derivatives were not certified: nothing says how good they are.", *_of_steady(found)])
+    checks = found.certificate.parameters
     groups: dict[str, list[str]] = {}
-    for name, check in found.certificate.parameters.items():
-        groups.setdefault(check.verdict, []).append(name)
-    return " ".join(f"{verdict[0].upper()}{verdict[1:]}: {', '.join(names)}." for verdict, names in groups.items())
+    for name, check in checks.items():
+        until = check.breakdown
+        good = f" (until {format_si(until, 's')})" if math.isfinite(until) and until > found.times[0] else ""
+        groups.setdefault(check.verdict, []).append(name + good)
+    parts = [f"{verdict[0].upper()}{verdict[1:]}: {', '.join(names)}." for verdict, names in groups.items()]
+    told = [v for c in checks.values() for v in c.feature_verdicts.values()]
+    if set(groups) != {TRUSTED}:
+        parts[0] = f"Histories. {parts[0]}"
+        parts.append(f"Derivatives of features: {_counted(told)}.")
+    unchecked: dict[str, list[str]] = {}
+    for name, check in checks.items():
+        if check.unchecked:
+            unchecked.setdefault(check.unchecked, []).append(name)
+    parts += [f"Of {', '.join(names)} {text}." for text, names in unchecked.items()]
+    return " ".join([*parts, *_of_steady(found)])
+
+
+def _counted(told: list[str]) -> str:
+    words = {TRUSTED: "trusted", AVERAGED: "good to 10 %", NOT: "not known within 10 %"}
+    return ", ".join(f"{told.count(v)} {words[v]}" for v in words if v in told)
+
+
+def _of_steady(found: Sensitivity) -> list[str]:
+    steady = found.steady
+    if steady is None:
+        return []
+    if steady.reason:
+        return [f"Steady motion has no derivative of its own: {steady.reason}."]
+    told = [v for row in steady.verdicts.values() for v in row.values()]
+    return [f"Derivatives of features of steady motion: {_counted(told)}."]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,10 +13,11 @@ from jax import Array
 
 from bcfj_jax.analysis.derivatives import certificate as verdicts
 from bcfj_jax.analysis.derivatives.certificate import Certificate, Check
-from bcfj_jax.analysis.derivatives.jacobian import compiled, histories
+from bcfj_jax.analysis.derivatives.jacobian import histories
 from bcfj_jax.analysis.derivatives.measures import vector
 from bcfj_jax.analysis.derivatives.names import Feature
 from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.programs import program
 from bcfj_jax.core.status import OK, STEEP
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.plan import Plan
@@ -57,20 +58,11 @@ def gradient(
     contacts: Mapping[str, int],
 ) -> Gradient:
     """Features and their derivatives by all of ``wrt``, per SI unit. Times are compiled in."""
-
-    def jacobian(params: dict, how: Plan):
-        def at(theta: dict):
-            found, end = histories(scene, {**params, **theta}, jnp.asarray(times), how, "reverse")
-            numbers = vector(times, found, wanted, contacts, {})
-            return numbers, (numbers, found.force, end)
-
-        return jax.jacrev(at, has_aux=True)({name: params[name] for name in wrt})
-
     arguments: tuple[dict[str, Array], Plan] = (dict(params), how)
-    key = ("gradient", scene, times.tobytes(), wrt, tuple(wanted))
-    program, compile_s = compiled(key, jacobian, *arguments)
+    static = (scene, times.tobytes(), wrt, tuple(wanted), tuple(contacts.items()))
+    solve, compile_s = program("gradient", _gradient, static, arguments)
     begin = time.perf_counter()
-    slopes, (numbers, force, (code, end, accepted, rejected)) = jax.device_get(program(*arguments))
+    slopes, (numbers, force, (code, end, accepted, rejected)) = solve(*arguments)
     tolerance, wall = float(how.tolerance), time.perf_counter() - begin
     stats = {"accepted": int(accepted), "rejected": int(rejected), "tolerance": tolerance}
     stats |= {"wall_s": wall, "compile_s": compile_s}
@@ -78,6 +70,21 @@ def gradient(
     if code == OK and not np.isfinite(matrix[np.isfinite(numbers)]).all():
         code, end = STEEP, times[-1]
     return Gradient(tolerance, numbers, matrix, force, int(code), float(end), stats)
+
+
+def _gradient(
+    scene: AbstractModel, times: bytes, wrt: tuple[str, ...], wanted: tuple[Feature, ...], contacts: tuple,
+    params: dict, how: Plan,
+) -> Any:  # fmt: skip
+    """Derivatives of the features by name, and (features, forces, how the run ended)."""
+    t = np.frombuffer(times)
+
+    def at(theta: dict):
+        found, end = histories(scene, {**params, **theta}, jnp.asarray(t), how, "reverse")
+        numbers = vector(t, found, wanted, dict(contacts), {})
+        return numbers, (numbers, found.force, end)
+
+    return jax.jacrev(at, has_aux=True)({name: params[name] for name in wrt})
 
 
 def reversed_certificate(

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Literal, NamedTuple
+import time
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any, Literal, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
@@ -17,6 +18,8 @@ from bcfj_jax.analysis.derivatives.measures import measure
 from bcfj_jax.analysis.derivatives.names import Feature, complete, default_features
 from bcfj_jax.analysis.derivatives.names import feature as named
 from bcfj_jax.analysis.derivatives.reverse import Gradient, gradient, reversed_certificate, reversible
+from bcfj_jax.analysis.derivatives.steady import Steady
+from bcfj_jax.analysis.derivatives.steady import steady as of_steady
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.quantities import increasing
 from bcfj_jax.core.status import OK, reason
@@ -27,6 +30,8 @@ from bcfj_jax.solve.plan import LEVELS, MAX_STEPS, Plan, plan
 MODES = ("auto", "forward", "reverse")
 DIFFERENCES = ("direction", "each", "none")
 _MANY = 50
+# Pitches of steady motion over which central differences are taken.
+_PITCHES = 4
 
 
 class Sensitivity(NamedTuple):
@@ -42,6 +47,7 @@ class Sensitivity(NamedTuple):
         certificate: how good they are; None where it was not asked for.
         status, reason, failure_time: as ``Run``.
         stats: steps, tolerance, wall_s and compile_s of all solves with derivatives, levels.
+        steady: of the motion that the run settles to, where that was asked for and the model knows its pitch.
     """
 
     times: np.ndarray
@@ -55,6 +61,7 @@ class Sensitivity(NamedTuple):
     reason: str
     failure_time: float
     stats: dict[str, float]
+    steady: Steady | None = None
 
 
 def sensitivity(
@@ -71,6 +78,9 @@ def sensitivity(
     differences: Literal["direction", "each", "none"] = "direction",
     levels: int = 6,
     max_steps: int = MAX_STEPS,
+    steady: bool = False,
+    budget: float | None = None,
+    tell: Callable[[Sensitivity], None] | None = None,
 ) -> Sensitivity:
     """Derivatives of force histories and features by named parameters, with a certificate.
 
@@ -90,6 +100,9 @@ def sensitivity(
         differences: central differences along one random direction, and of "each" parameter where that disagrees;
             of each always; or none.
         levels: most tightenings by 4.
+        steady: whether to differentiate the steady motion too (``derivatives.steady``), of a model that knows a pitch.
+        budget: seconds for central differences: none is begun that is not expected to end within; None: no end.
+        tell: receives the result before central differences are taken.
 
     Raises:
         InputError: for names that are not known, with the nearest, and for times and options that are not right.
@@ -123,21 +136,15 @@ def sensitivity(
     last = climbed[-1]
     turning = scene.traits.turning
     numbers, slopes = measure(t, last.value, last.derivative, wanted, contacts, turning)
-    found = None
-    if certify:
-        before = measure(t, climbed[-2].value, climbed[-2].derivative, wanted, contacts, turning)[1]
-        agree = verdicts.apart(before, slopes, numbers, _values(full, names))
-        table = {n: {f.name: float(agree[i, k]) for i, f in enumerate(wanted)} for k, n in enumerate(names)}
-        found = _certificate(scene, full, t, names, climbed, error, average, differences, table)
     failed = last.code != OK
-    return Sensitivity(
+    found = Sensitivity(
         t,
         names,
         _by_contact(last.value.force, contacts),
         {name: _by_contact(last.derivative.force[k], contacts) for k, name in enumerate(names)},
         {f.name: float(x) for f, x in zip(wanted, numbers, strict=True)},
         {name: {f.name: float(slopes[i, k]) for i, f in enumerate(wanted)} for k, name in enumerate(names)},
-        found,
+        None,
         "failed" if failed else "ok",
         reason(last.code, max_steps),
         last.end if failed else float("nan"),
@@ -150,6 +157,18 @@ def sensitivity(
             "levels": len(climbed),
         },
     )
+    if steady and not failed:
+        end = last.value.state[-1] * np.asarray(last.scale)
+        found = found._replace(steady=of_steady(scene, full, end, float(t[-1]), names, wanted, max_steps))
+    if not certify:
+        return found
+    before = measure(t, climbed[-2].value, climbed[-2].derivative, wanted, contacts, turning)[1]
+    agree = verdicts.apart(before, slopes, numbers, _values(full, names))
+    table = {n: {f.name: float(agree[i, k]) for i, f in enumerate(wanted)} for k, n in enumerate(names)}
+    judge = partial(_certificate, scene, full, t, names, climbed, error, average, table)
+    if tell is not None and differences != "none" and not failed:
+        tell(found._replace(certificate=judge("none", None)))
+    return found._replace(certificate=judge(differences, budget))
 
 
 def target(error: float) -> float:
@@ -173,11 +192,13 @@ def _climb(scene, params, times, names, how: Plan, error: float, average: float,
     climbed = [level(scene, params, times, names, how)]
     values, width = _values(params, names), _width(times, average)
     while len(climbed) <= levels and climbed[-1].good:
-        tighter = Plan(climbed[-1].tolerance * jnp.asarray(0.25), how.max_steps, how.tangents)
+        tolerance: Any = np.asarray(0.25 * climbed[-1].tolerance)
+        tighter = Plan(tolerance, how.max_steps, how.tangents)
         if scene.traits.stiff and len(climbed) > 1 and not how.tangents:
             # In between errors have a hump: a free ball's swing, there with a wrong phase (docs/derivatives.md).
             good = plan(scene, "reference")
-            how = tighter = Plan(jnp.minimum(tighter.tolerance, good.tolerance), how.max_steps, good.tangents)
+            tolerance = np.minimum(tolerance, good.tolerance)
+            how = tighter = Plan(tolerance, how.max_steps, good.tangents)
         climbed.append(level(scene, params, times, names, tighter))
         if not climbed[-1].good:
             break
@@ -200,51 +221,101 @@ def _certificate(
     climbed: Sequence[Level],
     error: float,
     average: float,
-    differences: str,
     features: Mapping[str, Mapping[str, float]],
+    differences: str,
+    budget: float | None,
 ) -> Certificate:
     values, width, last = _values(params, names), _width(times, average), climbed[-1]
     found: list[list[Comparison]] = [[c] for c in verdicts.between(times, climbed[-2], last, values, width)]
     grown, strength = verdicts.growths(times, last, values), verdicts.influences(times, last, values)
-    direction, also = None, [""] * len(names)
+    direction, also, unchecked = None, [""] * len(names), [""] * len(names)
     lost = any(verdicts.chaotic(g, c[0]) for g, c in zip(grown, found, strict=True))
     if differences != "none" and last.good and not lost:
+        spend = _Budget(budget)
         # Noise of the forces is amplified by 1/h: they are computed at a tolerance of their own.
-        fine = min(error * 0.25 ** (len(climbed) - 1), 1e-5 if scene.traits.stiff else 1e-7)
-        how = plan(scene, max(fine, 1e-9), last_budget(climbed))
-        slopes = verdicts.flat(last.derivative.force)
-        size = last.value.force.reshape(len(times), -1)
-        step = np.array([scales(times, p, size, d) for p, d in zip(values, slopes, strict=True)])
+        fine = max(min(error * 0.25 ** (len(climbed) - 1), 1e-5 if scene.traits.stiff else 1e-7), 1e-9)
+        how = plan(scene, fine, last_budget(climbed))
+        short, every = _shortened(scene, params, times)
+        count = len(short)
+        slopes = verdicts.flat(last.derivative.force)[:, :count]
+        size = last.value.force.reshape(len(times), -1)[:count]
+        step = np.array([scales(short, p, size, d) for p, d in zip(values, slopes, strict=True)])
 
         def run(at: np.ndarray) -> np.ndarray:
-            new = {**params, **{n: jnp.asarray(x) for n, x in zip(names, at, strict=True)}}
-            return forces(scene, new, times, how).reshape(len(times), -1)
+            new = {**params, **{n: np.asarray(x) for n, x in zip(names, at, strict=True)}}
+            with spend:
+                return forces(scene, new, every, how).reshape(len(times), -1)[:count]
 
-        def along(what: str, way: np.ndarray) -> Comparison:
-            return against(what, times, run, values, way, np.tensordot(way, slopes, 1), max(fine, 1e-9), width)
+        def along(what: str, way: np.ndarray, enough: float) -> Comparison:
+            compared = against(what, short, run, values, way, np.tensordot(way, slopes, 1), fine, width, enough)
+            early = count < len(times) and not np.isfinite(compared.until)
+            return compared._replace(what=f"{compared.what}, until {short[-1]:.4g} s") if early else compared
 
         each = differences == "each"
+        # What the levels know of already needs no second witness.
+        strong = strength > verdicts.INFLUENCE
+        known = max((c.pointwise.relative for (c,), s in zip(found, strong, strict=True) if s), default=0.0)
+        known = max(verdicts.POINTWISE, known)
         if not each and np.any(step):
-            both = along("central differences along one random direction of all parameters", step * signs(len(names)))
+            what = "central differences along one random direction of all parameters"
+            both = along(what, step * signs(len(names)), min(known, target(error)))
             direction = {"pointwise": both.pointwise.relative, "average": both.average.relative}
-            # What the levels know of already needs no second witness.
-            strong = strength > verdicts.INFLUENCE
-            known = max((c.pointwise.relative for (c,), s in zip(found, strong, strict=True) if s), default=0.0)
-            each = both.average.relative > target(error) or both.pointwise.relative > max(verdicts.POINTWISE, known)
+            each = both.average.relative > target(error) or both.pointwise.relative > known
+            if np.isfinite(both.until) and not each:
+                late = f"central differences check nothing after {both.until:.4g} s: a run beside this one failed there"
+                unchecked = [late] * len(names)
             # A parameter at 0 was not moved.
             also = [both.what if s and not each else "" for s in step]
-        for k in np.flatnonzero(step) if each else ():
+        # The strongest first: the budget may end.
+        for k in sorted(np.flatnonzero(step) if each else (), key=lambda k: -strength[k]):
+            if not spend.allows(2):
+                unchecked[k] = f"central differences do not check it alone: the budget of {budget:g} s was spent"
+                continue
             unit = np.where(np.arange(len(names)) == k, step, 0.0)
-            found[k].append(along("central differences", unit))
+            alone = found[k][0].pointwise.relative
+            found[k].append(along("central differences", unit, max(verdicts.POINTWISE, alone) if budget else 0.0))
     end = last.end if last.code != OK else float("nan")
     checks: dict[str, Check] = {
-        name: verdicts.check(found[k], features[name], grown[k], float(strength[k]), end, also[k])
+        name: verdicts.check(found[k], features[name], grown[k], float(strength[k]), end, also[k], unchecked[k])
         for k, name in enumerate(names)
     }
     return Certificate(
         verdicts.worst_verdict(checks), checks, width, target(error), tuple(r.tolerance for r in climbed),
         tuple(r.steps for r in climbed), direction,
     )  # fmt: skip
+
+
+class _Budget:
+    """Seconds for runs: ``allows`` says whether so many more are expected to end within, by the quickest until now."""
+
+    def __init__(self, seconds: float | None):
+        self.left, self.quickest = float("inf") if seconds is None else seconds, 0.0
+
+    def __enter__(self) -> None:
+        self.begin = time.perf_counter()
+
+    def __exit__(self, *_: object) -> None:
+        took = time.perf_counter() - self.begin
+        self.left -= took
+        self.quickest = min(self.quickest or took, took)
+
+    def allows(self, runs: int) -> bool:
+        return runs * self.quickest <= self.left
+
+
+def _shortened(scene: AbstractModel, params: Params, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Times that differences are taken over, and as many times as there were, so that one program serves both.
+
+    What repeats itself after a pitch is compared until a few pitches after the start is forgotten.
+    """
+    if scene.pitch(params) is None:
+        return times, times
+    end = scene.settled_from(params) + _PITCHES * scene.period(params)[1]
+    count = int(np.searchsorted(times, end, side="right"))
+    if not 2 <= count < len(times):
+        return times, times
+    apart = 1e-9 * (times[count] - times[count - 1]) * np.arange(1, len(times) - count + 1) / len(times)
+    return times[:count], np.concatenate([times[:count], times[count - 1] + apart])
 
 
 def last_budget(climbed: Sequence[Level]) -> int:

@@ -38,7 +38,7 @@ from bcfj_jax.models.joint.energy import power, stored
 from bcfj_jax.models.joint.fidelity import adaptive, resolved
 from bcfj_jax.models.joint.kinematic import kinematic_readings, kinematic_states
 from bcfj_jax.models.joint.observe import BODIES, motions, observe, observe_at_rest, whole
-from bcfj_jax.models.joint.periodic import risen
+from bcfj_jax.models.joint.periodic import pitch_before, risen
 from bcfj_jax.models.joint.quasistatic import quasistatic
 from bcfj_jax.models.joint.scales import scales, tolerance
 from bcfj_jax.models.joint.scene import (
@@ -197,6 +197,20 @@ class JointModel(Joint):
     def drive_coordinate(self) -> str:
         """The seat's turn."""
         return "seat_turn"
+
+    def pitch(self, params: Params) -> Array | None:
+        """The time in which the seat turns by one ball's pitch."""
+        if self.fidelity != "dynamic":
+            return None
+        return 2.0 * jnp.pi / (self.balls * jnp.abs(params["drive_speed"]))
+
+    def pitch_before(self, params: Params, state: Array) -> Array:
+        """``periodic.pitch_before``."""
+        return pitch_before(self, params, state)
+
+    def turned(self, params: Params) -> int:
+        """Ball j does what ball j + 1 did, or j - 1 where the seat turns the other way."""
+        return int(np.sign(float(params["drive_speed"])))
 
     def neutral(self, state: Array, tangent: Array) -> Array:
         """Without the phase of a prescribed drive and the length of the cage's axis."""

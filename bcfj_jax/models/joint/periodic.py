@@ -3,7 +3,7 @@
 A turn of the seat by 2 pi/n takes every track to where the next one was, so nothing that acts has changed, and under
 steady load a motion that has forgotten its start is that of a pitch ago: ball j does what ball j + 1 did. ``fold``
 turns a long run into a short one, its load's rise and some pitches; ``mismatch`` says how far the last of these was
-from repeating the one before; ``unfolded`` gives the long run's arrays. NumPy, on the host.
+from repeating the one before; ``unfolded`` gives the long run's arrays. NumPy, on the host, but for ``pitch_before``.
 """
 
 from __future__ import annotations
@@ -11,7 +11,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint.scene import OF_A_BALL, Joint
@@ -106,6 +108,19 @@ def unfolded_states(scene: Joint, params: Params, folded: Folded, states: np.nda
         assert piece is not None
         wanted[:, 3 * n + piece.start] += turned
     return wanted
+
+
+def pitch_before(scene: Joint, params: Params, state: Array) -> Array:
+    """Flat state (n,) that a joint in steady motion had a pitch ago. JAX, pure."""
+    n, k = scene.balls, scene.twist
+    width = 3 * sum(faces for name, faces in scene.bristles.items() if name in OF_A_BALL)
+    forward = jnp.asarray(params["drive_speed"]) > 0.0
+    for first, size in ((0, 3), (3 * n + scene.coupling, k), (scene.moving, width)):
+        balls = state[first : first + n * size].reshape(n, size)
+        balls = jnp.where(forward, jnp.roll(balls, 1, 0), jnp.roll(balls, -1, 0))
+        state = state.at[first : first + n * size].set(balls.ravel())
+    turns = [piece.start for name in ("head_turn", "seat_turn") if (piece := scene.slices[name]) is not None]
+    return state.at[3 * n + np.array(turns)].add(-2.0 * jnp.pi / n * jnp.sign(params["drive_speed"]))
 
 
 def mismatch(scene: Joint, params: Params, folded: Folded, force: Mapping[str, Any]) -> dict[str, float]:
