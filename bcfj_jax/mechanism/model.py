@@ -279,10 +279,14 @@ class AbstractModel(eqx.Module):
         """Name in ``coordinates`` of the drive's turn; "" for a model without a drive that turns."""
         return ""
 
-    def pitch(self, params: Params) -> Array | None:
-        """Time [s] in which steady motion repeats itself with its members renumbered. Pure; None: nothing says so."""
+    def recurs(self, params: Params) -> bool:
+        """Whether steady motion repeats itself after a ``pitch``. Decided on the host."""
         del params
-        return None
+        return False
+
+    def pitch(self, params: Params) -> Array:
+        """Time [s] in which steady motion repeats itself, its members renumbered: the second of ``period``. Pure."""
+        raise InputError(f"scene '{self.kind}'", "has no pitch", "this is a defect: report it")
 
     def pitch_before(self, params: Params, state: Array) -> Array:
         """State of steady motion a ``pitch`` before this one. Pure."""

@@ -47,7 +47,7 @@ class Observed(AbstractModel):
     check, period, coordinates, neutral, envelope, settled_from = map(
         _of, ("check", "period", "coordinates", "neutral", "envelope", "settled_from")
     )
-    pitch, pitch_before, turned = map(_of, ("pitch", "pitch_before", "turned"))
+    recurs, pitch, pitch_before, turned = map(_of, ("recurs", "pitch", "pitch_before", "turned"))
     choice_options, whole, coefficient, canonical = map(_of, ("choice_options", "whole", "coefficient", "canonical"))
 
     def __getattr__(self, name: str) -> Any:

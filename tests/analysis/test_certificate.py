@@ -8,8 +8,10 @@ import pytest
 from bumps import bumps
 
 import bcfj_jax as bj
+from bcfj_jax.analysis.derivatives import certificate
+from bcfj_jax.analysis.derivatives.certificate import compare
 from bcfj_jax.analysis.derivatives.differences import against
-from bcfj_jax.analysis.derivatives.norms import averaged, difference, growth, norm
+from bcfj_jax.analysis.derivatives.norms import Growth, averaged, difference, growth, norm
 
 TRUSTED, AVERAGED, NOT = "trusted", "averaged only", "not differentiable here"
 BOUNCE = bj.scenes.bounce(smoothing=False)
@@ -41,6 +43,53 @@ def test_a_comparison_with_what_failed_is_infinitely_apart():
     h = 0.3 * 1e-9 ** (1.0 / 3.0)
     found = against("", TIMES, failing(0.5 * h), np.array([1.0]), step, 1.5 * line, 1e-9, 0.05)
     assert 0.2 < found.pointwise.relative < 0.5
+
+
+def test_a_run_that_fails_late_is_compared_until_then():
+    line = np.stack([TIMES, 2.0 * TIMES], 1)
+
+    def forces(values):
+        """Forces of runs that fail at 0.6 s above the parameter's value."""
+        whole = values[0] * line
+        return np.where(TIMES[:, None] < 0.6, whole, np.nan) if values[0] > 1.0 else whole
+
+    good, wrong = (against("", TIMES, forces, np.ones(1), np.ones(1), k * line, 1e-9, 0.05) for k in (1.0, 1.5))
+    assert good.until == wrong.until == pytest.approx(0.5995)
+    assert good.pointwise.relative < 1e-6 and 0.2 < wrong.pointwise.relative < 0.5
+    calm, levels = Growth(1.0, 0.0), compare("levels", TIMES, line, 1.01 * line, 0.0, 0.05)
+    features = {"contact.peak": 0.01, "contact.mean": 0.05, "contact.impulse": 0.5}
+    found = certificate.check([levels, good], features, calm, 1.0, np.nan)
+    assert found.verdict == TRUSTED and "after 0.5995 s" in found.unchecked
+    assert list(found.feature_verdicts.values()) == [TRUSTED, AVERAGED, NOT]
+    assert certificate.check([levels, wrong], features, calm, 1.0, np.nan).verdict == NOT
+    # A run that fails at once checks nothing: the derivative stays what the levels say it is.
+    nothing = against("", TIMES, lambda values: np.nan * line, np.ones(1), np.ones(1), line, 1e-9, 0.05)
+    found = certificate.check([levels, nothing], features, calm, 1.0, np.nan)
+    assert found.verdict == TRUSTED and found.pointwise == levels.pointwise.relative and not found.lost
+    assert found.unchecked == "central differences check nothing: a run beside this one failed"
+
+
+def test_a_longer_step_is_taken_only_where_the_shorter_disagrees():
+    line, runs = np.stack([TIMES, 2.0 * TIMES], 1), []
+
+    def forces(values):
+        runs.append(values[0])
+        return values[0] * line
+
+    for slope, count in ((1.0, 2), (1.2, 4)):
+        runs.clear()
+        against("", TIMES, forces, np.ones(1), np.ones(1), slope * line, 1e-6, 0.05, enough=0.03)
+        assert len(runs) == count
+
+
+def test_the_budget_ends_the_comparison_and_says_so():
+    # At 1e-6 the direction of all is bad at this loose tolerance, so that each parameter is asked for.
+    told = []
+    found = bounced(0.5, levels=1, budget=0.0, tell=told.append)
+    assert [set(c.feature_verdicts) for c in told[0].certificate.parameters.values()] == [set(found.features)] * 3
+    for check in found.certificate.parameters.values():
+        assert "the budget of 0 s was spent" in check.unchecked
+        assert len(check.compared_with) == 1
 
 
 @pytest.mark.slow

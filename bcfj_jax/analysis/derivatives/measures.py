@@ -119,7 +119,8 @@ def measure(
 
     with np.errstate(invalid="ignore", over="ignore"):
         found = [one(feature) for feature in wanted]
-    return np.array([x for x, _ in found]), np.stack([d for _, d in found])
+    slopes = np.array([d for _, d in found]).reshape(len(found), len(derivative.force))
+    return np.array([x for x, _ in found]), slopes
 
 
 def _mean(found: Sequence[tuple[float, np.ndarray]]) -> tuple[float, np.ndarray]:

@@ -273,7 +273,7 @@ def _certificate(
                 continue
             unit = np.where(np.arange(len(names)) == k, step, 0.0)
             alone = found[k][0].pointwise.relative
-            found[k].append(along("central differences", unit, max(verdicts.POINTWISE, alone) if budget else 0.0))
+            found[k].append(along("central differences", unit, max(verdicts.POINTWISE, alone)))
     end = last.end if last.code != OK else float("nan")
     checks: dict[str, Check] = {
         name: verdicts.check(found[k], features[name], grown[k], float(strength[k]), end, also[k], unchecked[k])
@@ -308,7 +308,7 @@ def _shortened(scene: AbstractModel, params: Params, times: np.ndarray) -> tuple
 
     What repeats itself after a pitch is compared until a few pitches after the start is forgotten.
     """
-    if scene.pitch(params) is None:
+    if not scene.recurs(params):
         return times, times
     end = scene.settled_from(params) + _PITCHES * scene.period(params)[1]
     count = int(np.searchsorted(times, end, side="right"))

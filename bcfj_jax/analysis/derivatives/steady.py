@@ -34,13 +34,13 @@ from bcfj_jax.solve.plan import Plan, plan
 from bcfj_jax.solve.simulation import readings
 
 # Samples of a pitch, both ends included.
-SAMPLES = 121
+SAMPLES = 101
 # The second tolerance, which says how good the first's derivatives are, over that of ``reference``.
 _LOOSER = 10.0
 # A motion repeats itself where Newton's last correction is less, in units of the states' natural sizes.
 _SETTLED = 0.1
-# What a turn of steady motion has; impulse and work are those of one turn.
-_KINDS = ("peak", "largest", "mean", "impulse", "period", "dissipated_work", "contact_fraction")
+# What a turn of steady motion has; its impulse is that of one turn. Its work is a small rest of what samples resolve.
+_KINDS = ("peak", "largest", "mean", "impulse", "period", "contact_fraction")
 
 
 class _Pitch(NamedTuple):
@@ -81,7 +81,6 @@ def _pitch(
     def at(theta: Array, start: Array) -> Any:
         p = moved(theta)
         pitch = scene.pitch(p)
-        assert pitch is not None
         onward, given = Onward(scene), {**p, START: state + scale * start, BEGIN: pitches * pitch}
         times = shares * pitch
         found = integrate(onward, given, times, how, "forward", True)
@@ -153,12 +152,15 @@ def steady(
         scene, params, wrt, wanted, max_steps: as ``sensitivity``.
         state: (n,) of the run at ``time`` [s], its last.
     """
-    if scene.pitch(params) is None:
+    if not scene.recurs(params):
         return None
     begin = clock()
     settled = scene.settled_from(params)
     if time < settled:
         return _none(f"the run ends before {settled:.4g} s, when {scene.settled_when}")
+    kinds = [f for f in wanted if f.kind in _KINDS]
+    if not kinds:
+        return _none("it has none of these features")
     turn, pitch = scene.period(params)
     sizes = _sizes(params, wrt)
     tight = plan(scene, "reference", max_steps)
@@ -178,7 +180,6 @@ def steady(
     # Newton's correction at the tighter tolerance says how far the first was from repeating itself.
     if not last.off <= _SETTLED or not last.memory < 1.0:
         return _none(f"the motion does not repeat itself: a disturbance keeps {last.memory:.2g} of itself in a pitch")
-    kinds = [f for f in wanted if f.kind in _KINDS]
     count = round(turn / pitch)
     numbers, slopes = _features(scene, params, last, kinds, count)
     loose_slopes = _features(scene, params, first, kinds, count)[1]

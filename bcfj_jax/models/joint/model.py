@@ -198,10 +198,12 @@ class JointModel(Joint):
         """The seat's turn."""
         return "seat_turn"
 
-    def pitch(self, params: Params) -> Array | None:
+    def recurs(self, params: Params) -> bool:
+        """A joint in motion whose seat turns."""
+        return self.fidelity == "dynamic" and float(params["drive_speed"]) != 0.0
+
+    def pitch(self, params: Params) -> Array:
         """The time in which the seat turns by one ball's pitch."""
-        if self.fidelity != "dynamic":
-            return None
         return 2.0 * jnp.pi / (self.balls * jnp.abs(params["drive_speed"]))
 
     def pitch_before(self, params: Params, state: Array) -> Array:

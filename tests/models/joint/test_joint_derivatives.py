@@ -13,6 +13,7 @@ import bcfj_jax as bj
 from bcfj_jax.solve.plan import Plan, plan
 from bcfj_jax.solve.simulation import _backward
 from benchmarks.analysis import derivatives as kept
+from benchmarks.models import joint_steady
 
 pytestmark = pytest.mark.slow
 SCENE = bj.scenes.joint()
@@ -103,3 +104,17 @@ def test_reverse_is_forward_through_rejected_steps():
     found = np.asarray(jax.jit(jax.grad(weighed))(jnp.zeros(len(kept.MOVED))))
     parts = weights[..., None] * jacobian(float(how.tolerance))
     assert np.all(np.abs(found - parts.sum((0, 1))) <= 1e-9 * np.abs(parts).sum((0, 1)))
+
+
+def test_steady_motion_has_the_derivatives_of_another_solver():
+    # Those of the periodic orbit, beside CVODES' of a run's last pitch, by which it has forgotten its start.
+    found = joint_steady.orbit()
+    assert not found.reason and found.memory < 0.01
+    assert found.features["seat_cage.period"] == pytest.approx(0.1)
+    assert found.features["seat_ball.period"] == pytest.approx(0.6)
+    beside = joint_steady.beside_cvodes(found)
+    assert beside["force"] < 1e-4
+    for (name, row), strong in zip(beside["parameters"].items(), influential(), strict=True):
+        assert row["5 ms"] < 0.01 or not strong, (name, row)
+        # By the clearance of the windows the reference itself is known to 4 %.
+        assert row["mean"] < max(0.01, row["reference's own"]), (name, row)

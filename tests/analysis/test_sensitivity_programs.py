@@ -1,0 +1,54 @@
+"""``bcfj sensitivity`` in a second process: every program is fetched, none traced, none compiled anew."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+_SCRIPT = """
+import json, sys
+from bcfj_jax.core.compile_cache import use_compile_cache
+use_compile_cache()
+import jax.monitoring
+from pathlib import Path
+missed = []
+jax.monitoring.register_event_listener(lambda name, **_: missed.append(name) if name.endswith("cache_misses") else None)
+from bcfj_jax.analysis.derivatives import command
+from bcfj_jax.core import programs
+text, good = command.run(sys.argv[1], sys.argv[2].split(","), [], True, 60.0, Path(sys.argv[3]), lambda _: None, print)
+csv = (Path(sys.argv[3]) / "sensitivity.csv").read_text()
+found = {"good": good, "csv": csv, "traced": programs.traced, "fetched": programs.fetched, "missed": len(missed)}
+print(json.dumps(found))
+"""
+
+
+def run(scene, wrt, folder, out):
+    environment = {**os.environ, "BCFJ_CACHE": str(folder)}
+    environment.pop("JAX_COMPILATION_CACHE_DIR", None)
+    done = subprocess.run(
+        [sys.executable, "-c", _SCRIPT, scene, wrt, str(out)], env=environment, capture_output=True, text=True,
+        check=True,
+    )  # fmt: skip
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+@pytest.mark.parametrize(
+    ("scene", "wrt", "solves"),
+    [
+        ("impact", "stiffness,damping", {"jacobian", "simulate"}),
+        pytest.param("joint", "stiffness,friction_static", {"jacobian", "pitch", "simulate"}, marks=pytest.mark.slow),
+    ],
+)
+def test_a_second_process_traces_nothing(tmp_path, scene, wrt, solves):
+    first, second = (run(scene, wrt, tmp_path / "cache", tmp_path / out) for out in ("one", "two"))
+    assert first["good"] and second["good"]
+    assert solves <= set(first["traced"])
+    # Two programs at most for the derivatives; the third is that of ``bcfj simulate``.
+    assert len(set(first["traced"]) & {"jacobian", "pitch", "gradient"}) == len(solves) - 1 <= 2
+    assert second["traced"] == [] and second["missed"] == 0
+    assert sorted(second["fetched"]) == sorted(first["traced"])
+    assert second["csv"] == first["csv"]
