@@ -15,7 +15,7 @@ from calibration.diagnostics.clearance import clearance_tests, whole_contact_tes
 from calibration.diagnostics.records import Record, features_of, hold_out, records_of, rms, rms_of_peak, series_of
 from calibration.diagnostics.residual_tests import residual_tests
 from calibration.forward import integration
-from calibration.forward.model import Model, build, values_at
+from calibration.forward.model import Model, build
 from calibration.forward.runs import Contact, commonest_failure, contacts, failure
 from calibration.noise.averaging import averaged, stepped
 from calibration.noise.estimation import settle
@@ -154,7 +154,7 @@ def _checked(
     point, depth = screened.design[int(np.nanargmin(screened.costs))], 0.0
     if model.referenced:
         depth = reference_depth(model, by_cost(screened.design, screened.costs), 0.0)
-        point = model.point(values_at(model, point, 0.0), depth)
+        point = model.point(model.values(point, 0.0), depth)
     if given:
         point = model.point(given[0], depth)
     return influence.at_start(problem, model, labels, point, depth, screened.reach, influence.noise_floor(fitted))
@@ -286,9 +286,7 @@ def _by_channel(noise: Estimate) -> dict[str, dict[str, float]]:
 
 
 def _start_rows(model: Model, labels: tuple[str, ...], ends: tuple[End, ...], log_depth: float) -> list[dict[str, Any]]:
-    begin, finish = (
-        values_at(model, np.array(u), log_depth) for u in ([e.start for e in ends], [e.point for e in ends])
-    )
+    begin, finish = (model.values(np.array(u), log_depth) for u in ([e.start for e in ends], [e.point for e in ends]))
     return [
         {
             "chi2": end.cost if not end.failure else float("nan"),

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from bcfj_jax import InputError
@@ -127,12 +126,11 @@ def at_start(
     Raises:
         InputError: as ``refuse_idle``.
     """
-    at, depth = jnp.asarray(point), jnp.asarray(log_depth)
-    jacobian = np.asarray(residuals_and_jacobian(model, at, depth)[1])
+    jacobian = residuals_and_jacobian(model, point, log_depth)[1]
     jacobian = np.where(np.isfinite(jacobian), jacobian, 0.0)
     refuse_idle(problem, labels, reach, jacobian, factor)
     _, singular, directions = np.linalg.svd(jacobian, full_matrices=False)
-    values = [float(v) for v in model.values(at, depth)]
+    values = model.values(point, log_depth).tolist()
     names = list(labels)
     if model.referenced:
         names[model.pair()[0]] = "reference_force"

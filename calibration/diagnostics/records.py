@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import least_squares
 
@@ -61,9 +60,7 @@ def hold_out(
                 "max_error_of_peak": float(np.nanmax(np.abs(error)) / peak),
                 "rms_error_of_peak": float(np.sqrt(np.nanmean(error**2)) / peak),
             }
-    residuals, jacobian = (
-        np.asarray(a) for a in residuals_and_jacobian(other, jnp.asarray(point), jnp.asarray(log_depth))
-    )
+    residuals, jacobian = residuals_and_jacobian(other, point, log_depth)
     if other.loss != "linear":  # outliers were allowed for
         residuals, jacobian = (np.where(np.abs(residuals) < OUTLYING, a.T, 0.0).T for a in (residuals, jacobian))
     basis = np.linalg.qr(jacobian[:, shared:])[0]
@@ -97,8 +94,7 @@ def _own_fitted(model: Model, point: np.ndarray, shared: int, log_depth: float) 
         return point
 
     def evaluate(own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        at = jnp.asarray(np.concatenate([point[:shared], own]))
-        residuals, jacobian = (np.asarray(a) for a in residuals_and_jacobian(model, at, jnp.asarray(log_depth)))
+        residuals, jacobian = residuals_and_jacobian(model, np.concatenate([point[:shared], own]), log_depth)
         jacobian = jacobian[:, shared:]
         if np.isfinite(residuals).all() and np.isfinite(jacobian).all():
             return residuals, jacobian
@@ -119,8 +115,7 @@ def records_of(
     model: Model, experiments: tuple[Experiment, ...], point: np.ndarray, log_depth: float, held_out: bool
 ) -> list[Record]:
     """Every experiment beside the prediction made at a point."""
-    predicted = np.asarray(predictions(model, jnp.asarray(point), jnp.asarray(log_depth)))
-    values = [float(v) for v in model.values(jnp.asarray(point), jnp.asarray(log_depth))]
+    predicted, values = predictions(model, point, log_depth), model.values(point, log_depth).tolist()
     weights = np.asarray(model.data.weights)
     records = []
     for i, experiment in enumerate(experiments):

@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from calibration.forward.model import Model, predictions, residuals_and_jacobian
@@ -36,9 +35,8 @@ class Limit(NamedTuple):
 
 def limits(model: Model, point: np.ndarray, log_depth: float, accuracy: float) -> dict[str, Limit]:
     """Limits of all channels at a point, no less than ``accuracy`` as a share of the peak, or than 1e-5 of it."""
-    at, depth = jnp.asarray(point), jnp.asarray(log_depth)
-    read, weights = np.asarray(predictions(model, at, depth)), np.asarray(model.data.weights)
-    error = _scale(model) * (read - np.asarray(predictions(tighter(model), at, depth)))
+    read, weights = predictions(model, point, log_depth), np.asarray(model.data.weights)
+    error = _scale(model) * (read - predictions(tighter(model), point, log_depth))
     found = {}
     for j, name in enumerate(model.channels):
         seen = weights[:, j] > 0
@@ -52,7 +50,7 @@ def limits(model: Model, point: np.ndarray, log_depth: float, accuracy: float) -
 
 def errors(model: Model, point: np.ndarray, log_depth: float, residuals: np.ndarray) -> np.ndarray:
     """Error (N,) of white residuals at a point; NaN where the tighter run fails."""
-    finer = np.asarray(residuals_and_jacobian(tighter(model), jnp.asarray(point), jnp.asarray(log_depth))[0])
+    finer, _ = residuals_and_jacobian(tighter(model), point, log_depth)
     return _scale(model) * (residuals - finer)
 
 

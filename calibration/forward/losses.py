@@ -32,11 +32,11 @@ def influence(loss: str, residuals: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return weight * residuals, bend
 
 
-def straightened(loss: str, residuals: jax.Array, jacobians: jax.Array) -> tuple[jax.Array, jax.Array]:
+def straightened(loss: str, residuals: np.ndarray, jacobians: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Residuals (..., N) whose squares sum to the cost, and their Jacobians (..., N, P)."""
     if loss == "linear":
         return residuals, jacobians
-    squares = jnp.square(residuals)
+    squares = np.square(residuals)
     cost, slope = loss_of(loss, squares)
-    share = jnp.sqrt(jnp.where(squares > 1e-12, cost / jnp.where(squares > 1e-12, squares, 1.0), 1.0))
+    share = np.sqrt(np.where(squares > 1e-12, cost / np.where(squares > 1e-12, squares, 1.0), 1.0))
     return residuals * share, (slope / share)[..., None] * jacobians

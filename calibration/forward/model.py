@@ -7,7 +7,9 @@ F_ref = K d_ref^n at a penetration d_ref inside the data, which the data determi
 
 from __future__ import annotations
 
-from functools import partial
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -18,11 +20,11 @@ from jax import Array
 from bcfj_jax import reading_history
 from bcfj_jax.analysis.derivatives.jacobian import Histories, histories
 from bcfj_jax.analysis.derivatives.names import complete
+from bcfj_jax.core.programs import program
 from bcfj_jax.mechanism.model import AbstractModel
-from bcfj_jax.solve.batched_jvp import with_jacobian
 from bcfj_jax.solve.plan import Plan, plan
 from calibration.forward.coordinates import Coordinate, coordinates_of
-from calibration.forward.losses import loss_of, straightened
+from calibration.forward.losses import loss_of
 from calibration.forward.observables import (
     ObservedFeatures,
     fine,
@@ -38,6 +40,9 @@ from calibration.solver_budget import budget
 # Steps over a record that its force is sampled in where a sensor's low-pass is to be applied.
 _FINE_STEPS = 2000
 _NO_LOW_PASS = 1e12  # [Hz]
+# Points that one call of the compiled program takes, one after the other: on a CPU a batch of them would cost several
+# times as much, and all would wait for the slowest.
+_ROWS = 12
 
 
 class Data(eqx.Module):
@@ -65,7 +70,8 @@ class Data(eqx.Module):
 class Model(eqx.Module):
     """The residual function of a problem's experiments, ready to be compiled once.
 
-    Problems that differ in numbers only share the compiled program: static is what the program is made of.
+    Its arrays are NumPy's, and of NumPy arrays its methods are NumPy; inside the compiled program both are traced.
+    Problems that differ in numbers only share that program. ``bounds`` (2, P) are the coordinates' own.
     """
 
     scene: AbstractModel
@@ -73,6 +79,7 @@ class Model(eqx.Module):
     channels: tuple[str, ...] = eqx.field(static=True)
     data: Data
     how: Plan
+    bounds: Array
     observed_features: tuple[ObservedFeatures, ...] = eqx.field(static=True, default=())
     parts: int = eqx.field(static=True, default=0)
     loss: str = eqx.field(static=True, default="linear")
@@ -83,15 +90,16 @@ class Model(eqx.Module):
         shared = {axis.name for axis in self.coordinates if axis.experiment is None}
         return {"stiffness", "exponent"} <= shared and all(s.log for s in self.coordinates if s.name == "stiffness")
 
-    def values(self, point: Array, log_depth: Array) -> list[Array]:
-        """Parameter values, SI, one a coordinate, at a unit-box point; ``log_depth`` is ln d_ref."""
+    def values(self, points: Any, log_depth: Any) -> Any:
+        """Parameter values (..., P), SI, at unit-box points (..., P); ``log_depth`` is ln d_ref."""
+        xp = _numpy(points, log_depth, self.bounds)
         lower, width = self.box(log_depth)
-        z = lower + point * width
-        values = [jnp.exp(z[i]) if axis.log else z[i] for i, axis in enumerate(self.coordinates)]
+        z = lower + points * width
+        values = [xp.exp(z[..., i]) if axis.log else z[..., i] for i, axis in enumerate(self.coordinates)]
         if self.referenced:
             k, n = self.pair()
-            values[k] = jnp.exp(z[k] - values[n] * log_depth)
-        return values
+            values[k] = xp.exp(z[..., k] - values[n] * log_depth)
+        return xp.stack(values, axis=-1)
 
     def point(self, values: np.ndarray, log_depth: float) -> np.ndarray:
         """The inverse of ``values``, for NumPy vectors (..., P)."""
@@ -101,36 +109,36 @@ class Model(eqx.Module):
         if self.referenced:
             k, n = self.pair()
             z[..., k] += np.asarray(values)[..., n] * log_depth
-        lower, width = self.box(jnp.asarray(log_depth))
-        return (z - np.asarray(lower)) / np.asarray(width)
+        lower, width = self.box(log_depth)
+        return (z - lower) / width
 
     def pair(self) -> tuple[int, int]:
         """Coordinates of the shared stiffness and exponent."""
         names = [axis.name if axis.experiment is None else "" for axis in self.coordinates]
         return names.index("stiffness"), names.index("exponent")
 
-    def box(self, log_depth: Array) -> tuple[Array, Array]:
+    def box(self, log_depth: Any) -> tuple[Any, Any]:
         """Lower bounds and widths of the coordinates on the search scale."""
-        lower = jnp.array([axis.lower for axis in self.coordinates])
-        upper = jnp.array([axis.upper for axis in self.coordinates])
+        xp = _numpy(log_depth, self.bounds)
+        lower, upper = self.bounds
         if self.referenced:
             k, n = self.pair()
-            exponents = [jnp.exp(b[n]) if self.coordinates[n].log else b[n] for b in (lower, upper)]
-            shifts = jnp.stack([e * log_depth for e in exponents])
-            lower, upper = lower.at[k].add(shifts.min()), upper.at[k].add(shifts.max())
+            shifts = (xp.exp(self.bounds[:, n]) if self.coordinates[n].log else self.bounds[:, n]) * log_depth
+            stiffness = np.arange(len(self.coordinates)) == k
+            lower, upper = lower + stiffness * shifts.min(), upper + stiffness * shifts.max()
         return lower, upper - lower
 
-    def settings(self, point: Array, log_depth: Array) -> tuple[dict[str, Array], dict[str, Array]]:
+    def settings(self, point: Any, log_depth: Any) -> tuple[dict[str, Any], dict[str, Any]]:
         """Scene parameters and nuisances (E,) by name at a point."""
-        count = self.data.times.shape[0]
+        xp, count = _numpy(point, log_depth, self.bounds), self.data.times.shape[0]
         table, chain = (
-            {name: jnp.broadcast_to(v, (count,)) for name, v in known.items()}
+            {name: xp.broadcast_to(v, (count,)) for name, v in known.items()}
             for known in (self.data.fixed, self.data.chain)
         )
         for axis, value in zip(self.coordinates, self.values(point, log_depth), strict=True):
             target = chain if axis.name in NUISANCES else table
-            where = slice(None) if axis.experiment is None else axis.experiment
-            target[axis.name] = target[axis.name].at[where].set(value)
+            own = axis.experiment is None or np.arange(count) == axis.experiment
+            target[axis.name] = xp.where(own, value, target[axis.name])
         return table, chain
 
     def predictions(self, point: Array, log_depth: Array) -> Array:
@@ -172,53 +180,94 @@ class Model(eqx.Module):
 
         0 where there is no sample.
         """
-        d, seen = self.data, self.data.weights > 0
-        weighted = jnp.where(seen, self.predictions(point, log_depth) - d.values, 0.0) * d.weights
+        return self.compared(point, log_depth)[0]
+
+    def compared(self, point: Array, log_depth: Array) -> tuple[Array, Array]:
+        """``residuals``, and the ``predictions`` that they are of."""
+        d, seen, read = self.data, self.data.weights > 0, self.predictions(point, log_depth)
+        weighted = jnp.where(seen, read - d.values, 0.0) * d.weights
         before = jnp.take_along_axis(weighted, d.previous, axis=-1)
         white = jnp.where(seen, (weighted - d.memory * before) / jnp.sqrt(1.0 - jnp.square(d.memory)), 0.0)
         fitted = d.feature_weights > 0
         features = jnp.where(fitted, self.features(point, log_depth) - d.features, 0.0) * d.feature_weights
-        return jnp.concatenate([white.ravel(), features.ravel()])
+        return jnp.concatenate([white.ravel(), features.ravel()]), read
 
     def cost(self, residuals: np.ndarray) -> np.ndarray:
         """Sum of what each of the residuals (..., N) costs."""
         return np.sum(loss_of(self.loss, np.square(residuals))[0], axis=-1)
 
 
-def values_at(model: Model, points: np.ndarray, log_depth: float) -> np.ndarray:
-    """``Model.values`` of unit-box points (..., P), in NumPy."""
-    lower, width = (np.asarray(a) for a in model.box(jnp.asarray(log_depth)))
-    values, log = lower + points * width, [axis.log for axis in model.coordinates]
-    if model.referenced:
-        k, n = model.pair()
-        values[..., k] -= log_depth * (np.exp(values[..., n]) if log[n] else values[..., n])
-    values[..., log] = np.exp(values[..., log])
-    return values
+def _numpy(*values: Any) -> Any:
+    """NumPy for arrays of the host, on which nothing is compiled; ``jax.numpy`` for traced ones."""
+    return jnp if any(isinstance(x, Array) for x in values) else np
 
 
-@eqx.filter_jit
-def residuals_and_jacobian(model: Model, point: Array, log_depth: Array) -> tuple[Array, Array]:
+class Evaluated(NamedTuple):
+    """At B points: residuals (B, N), their Jacobians (B, N, P), and what each channel would have read (B, E, C, T), SI."""
+
+    residuals: Any
+    jacobians: Any
+    readings: Any
+
+
+def evaluation(model: Model) -> Callable[[np.ndarray, float], Evaluated]:
+    """The model at unit-box points (B, P), B as many as may be: always the same compiled program."""
+    rows, width = 1 if budget(model.scene).apart else _ROWS, len(model.coordinates)
+    frame, numbers = divided(model)
+    run, _ = program("calibration", _evaluated, (frame,), (numbers, np.zeros((rows, width)), 0, 0.0))
+
+    def at(points: np.ndarray, log_depth: float) -> Evaluated:
+        found = []
+        for block in (points[first : first + rows] for first in range(0, len(points), rows)):
+            filled = np.zeros((rows, width))
+            filled[: len(block)] = block
+            found.append(tuple(part[: len(block)] for part in run(numbers, filled, len(block), float(log_depth))))
+        return Evaluated(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+
+    return at
+
+
+def residuals_and_jacobian(model: Model, point: Any, log_depth: Any) -> tuple[np.ndarray, np.ndarray]:
     """Residuals (N,) and their forward-mode Jacobian (N, P) at one point."""
-    return _both(model, log_depth, point)
+    found = evaluation(model)(np.asarray(point)[None], log_depth)
+    return found.residuals[0], found.jacobians[0]
 
 
-@eqx.filter_jit
-def batch(model: Model, points: Array, log_depth: Array) -> tuple[Array, Array]:
-    """Residuals (B, N) and Jacobians (B, N, P) at several points, in one program.
-
-    Of a robust loss they are such that the sum of their squares is the cost.
-    """
-    return straightened(model.loss, *jax.vmap(partial(_both, model, log_depth))(points))
-
-
-@eqx.filter_jit
-def predictions(model: Model, point: Array, log_depth: Array) -> Array:
+def predictions(model: Model, point: Any, log_depth: Any) -> np.ndarray:
     """What each channel would have read, (E, C, T), SI."""
-    return model.predictions(point, log_depth)
+    return evaluation(model)(np.asarray(point)[None], log_depth).readings[0]
 
 
-def _both(model: Model, log_depth: Array, point: Array) -> tuple[Array, Array]:
-    return with_jacobian(lambda u: model.residuals(u, log_depth), point)
+def divided(model: Model) -> tuple[Model, tuple[Any, ...]]:
+    """A model without its numbers, which is what a program is made of, and these."""
+    bare = tuple(axis._replace(lower=0.0, upper=1.0, decades=False) for axis in model.coordinates)
+    frame = replace(model, data=None, how=replace(model.how, tolerance=None), bounds=None, coordinates=bare, loss="")
+    return frame, (model.data, model.how.tolerance, model.bounds)
+
+
+def whole(frame: Model, numbers: tuple[Any, ...]) -> Model:
+    """The model of ``divided``'s two parts."""
+    data, tolerance, bounds = numbers
+    return replace(frame, data=data, how=replace(frame.how, tolerance=tolerance), bounds=bounds)
+
+
+def _evaluated(frame: Model, numbers: tuple[Any, ...], points: Array, count: Array, log_depth: Array) -> Evaluated:
+    """The first ``count`` points, one after the other; zeros for the others."""
+    model = whole(frame, numbers)
+
+    def both(u: Array) -> tuple[Array, tuple[Array, Array]]:
+        residuals, read = model.compared(u, log_depth)
+        return residuals, (residuals, read)
+
+    def one(k: Array, found: Evaluated) -> Evaluated:
+        # Not by ``jax.linearize``, which wants a tangent for every point and not all directions at once.
+        jacobian, (residuals, read) = jax.jacfwd(both, has_aux=True)(points[k])
+        return Evaluated(*(a.at[k].set(b) for a, b in zip(found, (residuals, jacobian, read), strict=True)))
+
+    data = model.data
+    shape = (len(points), data.values.size + data.features.size)
+    parts = shape, (*shape, points.shape[1]), (len(points), *data.values.shape)
+    return jax.lax.fori_loop(0, count, one, Evaluated(*map(jnp.zeros, parts)))
 
 
 def build(
@@ -248,22 +297,24 @@ def build(
     # A contact's own coefficient that is searched, or known of a run, needs a place of its own.
     known = {name for e in experiments for name in e.fixed}
     own = [f.name for f in problem.free if f.name not in NUISANCES] + sorted(known - NUISANCES.keys())
-    given = {name: jnp.asarray(value) for name, value in problem.params.items()}
+    given: dict[str, Any] = dict(problem.params)
     params = complete(problem.scene, given, tuple(dict.fromkeys(own)))[0] if own else given
     filtered = "bandwidth" in {*known, *(f.name for f in problem.free)}
     chain = {"time_offset": 0.0, "force_offset": 0.0, "gain": 1.0}
     chain |= {"bandwidth": _NO_LOW_PASS} if filtered else {}
     fixed, chain = (
-        {name: jnp.array([e.fixed.get(name, float(value)) for e in experiments]) for name, value in table.items()}
+        {name: np.array([e.fixed.get(name, float(value)) for e in experiments]) for name, value in table.items()}
         for table in (params, chain)
     )
     features, feature_weights = tabulated(experiments)
     arrays = (times, values, weights, memory, previous, features, feature_weights)
+    axes = coordinates or coordinates_of(problem, len(experiments))
     return Model(
         scene=problem.scene,
-        coordinates=coordinates or coordinates_of(problem, len(experiments)),
+        coordinates=axes,
         channels=channels,
-        data=Data(*(jnp.asarray(a) for a in arrays), fixed=fixed, chain=chain),
+        data=Data(*arrays, fixed=fixed, chain=chain),  # pyright: ignore[reportArgumentType]
+        bounds=np.array([[axis.lower for axis in axes], [axis.upper for axis in axes]]),  # pyright: ignore[reportArgumentType]
         how=plan(problem.scene, problem.accuracy, max_steps=_steps(problem)),
         observed_features=observed_features(problem.scene, experiments),
         parts=max(4, -(-_FINE_STEPS // longest)) if filtered else 0,

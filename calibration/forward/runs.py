@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import time
 from collections import Counter
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.analysis.derivatives.jacobian import by_channel, channel_names
+from bcfj_jax.analysis.derivatives.jacobian import channel_names
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.core.status import OK, reason
-from bcfj_jax.solve.simulation import outcome
+from bcfj_jax.core.programs import program
+from bcfj_jax.mechanism.channels import Channel, channel, histories
+from bcfj_jax.mechanism.model import AbstractModel, Params, Reading, Solution
+from bcfj_jax.solve.plan import Plan
+from bcfj_jax.solve.simulation import Run, outcome, story
 from calibration.forward.model import Model
 
-_SAMPLES = 2001
+# Times of a run that is looked at by itself; as many always, so that all share one program.
+SAMPLES = 2001
 _NOT_DIFFERENTIABLE = "the simulation ends well, but its derivative is not finite"
 
 
@@ -46,17 +49,41 @@ def together(contacts: list[Contact]) -> Contact:
     return contacts[0]._replace(touching=np.any([c.touching for c in contacts], axis=0))
 
 
-@eqx.filter_jit
-def _depths(model: Model, point: Array, log_depth: Array, times: Array) -> tuple[Array, Array]:
-    """Penetrations (E, T, C) of all contacts at times (E, T), and how each run ended (E,)."""
-    table, _ = model.settings(point, log_depth)
+def ran(model: Model, params: Mapping[str, float], times: np.ndarray, more: Iterable[str] = ()) -> Run:
+    """One run as the model integrates it, with what its channels read, and ``more`` of them; nothing is checked.
 
-    def one(params: dict, times: Array) -> tuple[Array, Array]:
-        solution, readings = outcome(model.scene, params, times, model.how, "forward", True)
-        depth = by_channel(model.scene, readings)[1] if readings else jnp.zeros((times.size, 0))
-        return depth, solution.code
+    Args:
+        model: whose scene runs.
+        params: parameters [SI] by name; what is none of the scene's is passed over.
+        times: (T,) [s] of the scene's clock. Runs of as many share one compiled program.
+        more: readings beside the model's channels.
+    """
+    names = tuple(dict.fromkeys((*model.channels, *more)))
+    wanted = tuple(channel(name, model.scene) for name in names)
+    arguments = ({name: float(params[name]) for name in model.data.fixed}, times, model.how)
+    run, compile_s = program("calibration run", _run, (model.scene, wanted), arguments)
+    begin = time.perf_counter()
+    solution, found, read = run(*arguments)
+    walls = {"wall_s": time.perf_counter() - begin, "compile_s": compile_s}
+    return story(model.scene, times, solution, found, model.how, walls)._replace(readings=read)
 
-    return jax.vmap(one)(table, times)
+
+def _run(
+    scene: AbstractModel, wanted: tuple[Channel, ...], params: Params, times: Array, how: Plan
+) -> tuple[Solution, dict[str, Reading], dict[str, Array]]:
+    """By the solver that is meant for derivatives, as the residuals are."""
+    solution, found = outcome(scene, params, times, how, "forward", True)
+    read = histories(scene, params, times, solution.states, wanted) if wanted else {}
+    return solution, found, read
+
+
+def params_at(model: Model, point: np.ndarray, log_depth: float) -> list[dict[str, float]]:
+    """Parameters and nuisances of each experiment, by name, at a point."""
+    table, chain = model.settings(np.asarray(point), log_depth)
+    return [
+        {name: float(values[i]) for known in (chain, table) for name, values in known.items()}
+        for i in range(len(model.data.times))
+    ]
 
 
 def _spans(model: Model) -> np.ndarray:
@@ -71,28 +98,31 @@ def _spans(model: Model) -> np.ndarray:
 
 def contacts(model: Model, point: np.ndarray, log_depth: float) -> list[Contact]:
     """When each channel of contact touches within each record, as the model has it at a point."""
-    at, depth = jnp.asarray(point), jnp.asarray(log_depth)
-    offsets = np.asarray(model.settings(at, depth)[1]["time_offset"])
-    spans = np.maximum(_spans(model) - offsets[:, None], 0.0)
-    times = np.linspace(spans[:, 0], np.maximum(spans[:, 1], spans[:, 0] + 1e-9), _SAMPLES, axis=1)
-    found, _ = _depths(model, at, depth, jnp.asarray(times))
-    names = channel_names(model.scene.members)
-    # Not by the force: the regularisation bears a little across a gap.
-    inside = np.asarray(found)
-    turned = (inside.max(axis=1) > 0) & (inside.argmax(axis=1) < _SAMPLES - 1)
-    return [
-        Contact(i, name, float(offsets[i]), times[i], inside[i, :, k] > 0, bool(turned[i, k]))
-        for i in range(len(times))
-        for k, name in enumerate(names)
-    ]
+    names, found = channel_names(model.scene.members), []
+    for i, (params, span) in enumerate(zip(params_at(model, point, log_depth), _spans(model), strict=True)):
+        first, last = np.maximum(span - params["time_offset"], 0.0)
+        times = np.linspace(first, max(last, first + 1e-9), SAMPLES)
+        # Not by the force: the regularisation bears a little across a gap.
+        inside = depths(ran(model, params, times))
+        turned = (inside.max(axis=0) > 0) & (inside.argmax(axis=0) < SAMPLES - 1)
+        found += [
+            Contact(i, name, params["time_offset"], times, inside[:, k] > 0, bool(turned[k]))
+            for k, name in enumerate(names)
+        ]
+    return found
+
+
+def depths(run: Run) -> np.ndarray:
+    """Penetrations (T, C) of all channels of contact [m]."""
+    empty = np.zeros((len(run.times), 0))
+    return np.concatenate([empty, *(d.reshape(len(run.times), -1) for d in run.penetration.values())], axis=1)
 
 
 def refusal(model: Model, point: np.ndarray, log_depth: float) -> str:
     """Why the values at a point are no parameters of the scene, as one that contradicts another; "" if they are."""
-    table, _ = model.settings(jnp.asarray(point), jnp.asarray(log_depth))
-    for i in range(len(model.data.times)):
+    for params in params_at(model, point, log_depth):
         try:
-            model.scene.check(model.scene.parameters({name: float(values[i]) for name, values in table.items()}))
+            model.scene.check(model.scene.parameters({name: params[name] for name in model.data.fixed}))
         except InputError as error:
             return str(error)
     return ""
@@ -102,11 +132,11 @@ def failure(model: Model, point: np.ndarray, log_depth: float) -> str:
     """Why the simulations at a point do not count, in words."""
     if refused := refusal(model, point, log_depth):
         return refused
-    spans = _spans(model)
-    times = np.linspace(np.minimum(spans[:, 0], 0.0), np.maximum(spans[:, 1], 1e-9), _SAMPLES, axis=1)
-    _, codes = _depths(model, jnp.asarray(point), jnp.asarray(log_depth), jnp.asarray(times))
-    bad = [int(code) for code in np.asarray(codes) if int(code) != OK]
-    return reason(bad[0], model.how.max_steps) if bad else _NOT_DIFFERENTIABLE
+    for params, (first, last) in zip(params_at(model, point, log_depth), _spans(model), strict=True):
+        run = ran(model, params, np.linspace(min(first, 0.0), max(last, 1e-9), SAMPLES))
+        if run.status != "ok":
+            return run.reason
+    return _NOT_DIFFERENTIABLE
 
 
 def commonest_failure(model: Model, points: np.ndarray, log_depth: float) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
 
 from calibration.forward.integration import Limit, limits
@@ -117,4 +116,4 @@ def _moved(model: Model, end: End, log_depth: float, factor: float | None) -> En
 
 
 def _residuals(model: Model, point: np.ndarray, log_depth: float) -> np.ndarray:
-    return np.asarray(residuals_and_jacobian(model, jnp.asarray(point), jnp.asarray(log_depth))[0])
+    return residuals_and_jacobian(model, point, log_depth)[0]

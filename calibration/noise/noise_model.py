@@ -13,12 +13,11 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from calibration.forward.integration import Limit
-from calibration.forward.model import Model, predictions, residuals_and_jacobian
+from calibration.forward.model import Model, evaluation
 from calibration.problem import Channel, Experiment
 
 # Beyond so many deviations a sample is no noise to a robust loss.
@@ -118,11 +117,9 @@ def _series(
     plain = eqx.tree_at(
         lambda m: (m.data.weights, m.data.memory),
         model,
-        (jnp.where(d.weights > 0, 1.0, 0.0), jnp.zeros_like(d.memory)),
+        (np.where(d.weights > 0, 1.0, 0.0), np.zeros_like(d.memory)),
     )
-    at, depth = jnp.asarray(point), jnp.asarray(log_depth)
-    errors, jacobian = (np.asarray(a) for a in residuals_and_jacobian(plain, at, depth))
-    read = np.asarray(predictions(model, at, depth))
+    errors, jacobian, read = (part[0] for part in evaluation(plain)(np.asarray(point)[None], log_depth))
     shape = read.shape
     shaped, slopes = errors[: read.size].reshape(shape), jacobian[: read.size].reshape(*shape, -1)
     found = []
@@ -252,4 +249,4 @@ def _reweighed(model: Model, series: list[_Series], sigma: dict[str, float], tim
     for s in series:
         weights[(*s.place, s.samples)] = 1.0 / _deviation(s, sigma)
         memory[(*s.place, s.samples)] = _memory(s, times)
-    return eqx.tree_at(lambda m: (m.data.weights, m.data.memory), model, (jnp.asarray(weights), jnp.asarray(memory)))
+    return eqx.tree_at(lambda m: (m.data.weights, m.data.memory), model, (weights, memory))

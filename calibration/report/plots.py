@@ -7,18 +7,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bcfj_jax import Run, simulate
+from bcfj_jax import Run
 from bcfj_jax.analysis.simulation.pictures import loops
 from bcfj_jax.io.plots import COLOURS, engineering, figure, label, save, style
 from calibration.data.plot import reading_label
 from calibration.diagnostics.records import Record
 from calibration.fit import Fit
+from calibration.forward.runs import SAMPLES, ran
 from calibration.problem import Problem
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-_CURVE_SAMPLES = 2001
 
 
 def records(fit: Fit, problem: Problem, path: Path) -> None:
@@ -31,6 +30,7 @@ def records(fit: Fit, problem: Problem, path: Path) -> None:
         return
     columns = min(len(panels), 2)
     rows = -(-len(panels) // columns)
+    runs = {record.name: _run(fit, problem, record) for record, _ in panels}
     with style():
         drawing, axes = figure(2 * rows, columns, width=6.0 * columns + 1.0, height=2.4)
         grid = np.array(axes).reshape(2 * rows, columns)
@@ -38,29 +38,27 @@ def records(fit: Fit, problem: Problem, path: Path) -> None:
             axis.set_visible(False)
         for k, (record, channel) in enumerate(panels):
             row, column = divmod(k, columns)
-            _panel(grid[2 * row, column], grid[2 * row + 1, column], record, channel, fit, problem)
+            _panel(grid[2 * row, column], grid[2 * row + 1, column], record, channel, runs[record.name])
         save(drawing, path)
 
 
 def _run(fit: Fit, problem: Problem, record: Record) -> Run:
     """The model alone, densely sampled, with a record's own parameters; the clock is the model's."""
-    params = {name: record.params[name] for name in problem.scene.quantities if name in record.params}
     span = record.times - record.params["time_offset"]
     if not span.size:  # features alone, of a run that starts with the model's clock
         span = next(np.array([0.0, e.span or 0.0]) for e in problem.experiments if e.name == record.name)
-    times = np.linspace(min(0.0, span[0]), max(span[-1], span[0] + 1e-9), _CURVE_SAMPLES)
-    read = dict.fromkeys(c.observes for e in problem.experiments for c in e.channels)
-    return simulate(problem.scene, problem.scene.parameters(params), times, accuracy=1e-4, read=tuple(read))
+    times = np.linspace(min(0.0, span[0]), max(span[-1], span[0] + 1e-9), SAMPLES)
+    return ran(fit.optimum.model, record.params, times, record.data)
 
 
-def _panel(upper: Axes, lower: Axes, record: Record, channel: str, fit: Fit, problem: Problem) -> None:
+def _panel(upper: Axes, lower: Axes, record: Record, channel: str, run: Run) -> None:
     time_scale, time_prefix = engineering(record.times)
     data = record.data[channel]
     scale, prefix = engineering(data)
     upper.set_visible(True)
     lower.set_visible(True)
     name, colour = ("prediction", COLOURS[1]) if record.held_out else ("fit", COLOURS[0])
-    run, own = _run(fit, problem, record), record.params
+    own = record.params
     curve = own["gain"] * run.readings[channel] + own["force_offset"]
     upper.plot((run.times + own["time_offset"]) * time_scale, curve * scale, color=colour, label=name)
     upper.plot(record.times * time_scale, data * scale, "o", ms=3.5, color=COLOURS[5], label="data")

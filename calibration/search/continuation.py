@@ -14,7 +14,7 @@ import numpy as np
 
 from bcfj_jax.io.journal import Journal
 from bcfj_jax.io.stop import check
-from calibration.forward.model import Model, values_at
+from calibration.forward.model import Model
 from calibration.search.descent import Descents, adam, cost_of, levenberg
 from calibration.search.evaluate import evaluator, loosened
 from calibration.search.horizon import impulses, meets, stages, until
@@ -145,7 +145,7 @@ def named(model: Model, point: np.ndarray, log_depth: float) -> dict[str, float]
     names = [
         f"{s.name}[{s.experiment + 1}]" if several and s.experiment is not None else s.name for s in model.coordinates
     ]
-    return dict(zip(names, values_at(model, point, log_depth).tolist(), strict=True))
+    return dict(zip(names, model.values(point, log_depth).tolist(), strict=True))
 
 
 def _once(

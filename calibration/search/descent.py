@@ -10,12 +10,12 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-import optax
 
 Evaluate = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 _EDGE = 1e-6
-_RATE = 0.03
+# Adam's rate, and the decay of its means of slopes and of their squares (Kingma and Ba 2015).
+_RATE, _DECAY = 0.03, (0.9, 0.999)
 # Damping of the first step, and what a rejected and an accepted step make of it.
 _DAMPING, _WORSE, _BETTER = 1e-2, 4.0, 0.2
 # No step moves a coordinate further than this share of its range: a contact found must not be jumped over.
@@ -42,18 +42,22 @@ def cost_of(residuals: np.ndarray) -> np.ndarray:
 
 
 def adam(evaluate: Evaluate, points: np.ndarray, steps: int) -> np.ndarray:
-    """Adam on the logarithm of the cost; the best point of each descent."""
-    optimiser = optax.adam(optax.cosine_decay_schedule(_RATE, steps))
-    state = optimiser.init(points)
+    """Adam on the logarithm of the cost, its rate falling as a cosine to 0; the best point of each descent."""
+    mean, square = np.zeros((2, *points.shape))
     at, best, least = points, points, np.full(len(points), np.inf)
-    for _ in range(steps):
+    for k in range(steps):
         residuals, jacobians = evaluate(at)
         costs = cost_of(residuals)
         slope = 2.0 * np.einsum("bn,bnp->bp", residuals, jacobians) / (costs[:, None] + 1.0)
         better = costs < least
         best, least = np.where(better[:, None], at, best), np.where(better, costs, least)
-        change, state = optimiser.update(np.where(np.isfinite(slope), slope, 0.0), state)
-        at = np.clip(at + np.asarray(change), _EDGE, 1.0 - _EDGE)
+        slope = np.where(np.isfinite(slope), slope, 0.0)
+        mean, square = (
+            b * m + (1.0 - b) * g for b, m, g in zip(_DECAY, (mean, square), (slope, slope**2), strict=True)
+        )
+        first, second = (m / (1.0 - b ** (k + 1)) for b, m in zip(_DECAY, (mean, square), strict=True))
+        rate = 0.5 * _RATE * (1.0 + np.cos(np.pi * k / steps))
+        at = np.clip(at - rate * first / (np.sqrt(second) + 1e-8), _EDGE, 1.0 - _EDGE)
     return best
 
 
@@ -93,7 +97,7 @@ def levenberg(
         active &= ~small & (idle < patience)
         if not active.any():
             break
-        # Points that are done copy one that is not: they cost nothing more than it does.
+        # Points that are done copy one that is not: equal points are evaluated once.
         trial = np.where(active[:, None], at + step, (at + step)[np.argmax(active)])
         residuals, jacobians = evaluate(trial)
         new_costs, new_slope, new_bend = _model(residuals, jacobians)

@@ -1,4 +1,4 @@
-"""A model at many points: all in one batch, or point by point over the cores where a run is dear."""
+"""A model at many points: one after the other, or over the cores where a run is dear."""
 
 from __future__ import annotations
 
@@ -6,19 +6,18 @@ import os
 from concurrent.futures import ThreadPoolExecutor
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from bcfj_jax.solve.plan import plan
 from calibration.forward.losses import straightened
-from calibration.forward.model import Model, batch, residuals_and_jacobian
+from calibration.forward.model import Evaluated, Model, evaluation
 from calibration.search.descent import Evaluate
 from calibration.solver_budget import budget
 
 
 def loosened(model: Model) -> Model:
     """A model integrated as loosely as will do on the way to an optimum."""
-    loose = jnp.maximum(model.how.tolerance, plan(model.scene, budget(model.scene).loose).tolerance)
+    loose = np.maximum(model.how.tolerance, plan(model.scene, budget(model.scene).loose).tolerance)
     return eqx.tree_at(lambda m: m.how.tolerance, model, loose)
 
 
@@ -28,33 +27,22 @@ def cores() -> int:
 
 
 def evaluator(model: Model, log_depth: float) -> Evaluate:
-    """Residuals and Jacobians of several points, as NumPy arrays.
+    """Residuals (B, N) and Jacobians (B, N, P) of points (B, P), equal points once.
 
-    A batch goes through one program, where all points wait for the one with most steps. Of a joint's motion, steps cost
-    in proportion to the points: points are then taken one by one, as many at a time as there are cores, and equal ones
-    once.
+    Of a robust loss they are such that the sum of their squares is the cost. Points of a large scene are taken as many
+    at a time as there are cores.
     """
-    depth = jnp.asarray(log_depth)
+    at = evaluation(model)
 
-    def together(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        residuals, jacobians = batch(model, jnp.asarray(points), depth)
-        return np.asarray(residuals), np.asarray(jacobians)
-
-    def alone(point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        found = straightened(model.loss, *residuals_and_jacobian(model, jnp.asarray(point), depth))
-        return np.asarray(found[0]), np.asarray(found[1])
-
-    compiled = False
-
-    def apart(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        nonlocal compiled
-        different, places = np.unique(points, axis=0, return_inverse=True)
-        # The very first point alone: were there a program to compile, every thread would.
-        found = [] if compiled else [alone(different[0])]
-        compiled = True
+    def over_the_cores(points: np.ndarray) -> Evaluated:
         with ThreadPoolExecutor(cores()) as pool:
-            found += pool.map(alone, different[len(found) :])
-        residuals, jacobians = (np.stack(part)[places.ravel()] for part in zip(*found, strict=True))
-        return residuals, jacobians
+            found = pool.map(lambda point: at(point[None], log_depth), points)
+            return Evaluated(*(np.concatenate(part) for part in zip(*found, strict=True)))
 
-    return apart if budget(model.scene).apart else together
+    def evaluate(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        different, places = np.unique(points, axis=0, return_inverse=True)
+        found = over_the_cores(different) if budget(model.scene).apart else at(different, log_depth)
+        residuals, jacobians = straightened(model.loss, found.residuals, found.jacobians)
+        return residuals[places.ravel()], jacobians[places.ravel()]
+
+    return evaluate

@@ -7,7 +7,6 @@ parameter improves the residual. Fitted contact by contact, each stage predicts 
 from __future__ import annotations
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from calibration.forward.model import Model
@@ -87,10 +86,10 @@ def until(model: Model, ends: np.ndarray) -> Model:
     Shapes stay, so no program is compiled again. What is left out reads the beginning; of a filtered record, whose
     times must grow, the end.
     """
-    times, last = model.data.times, jnp.asarray(ends)[:, None]
+    times, last = model.data.times, ends[:, None]
     inside = times <= last
-    weights = jnp.where(inside[:, None, :], model.data.weights, 0.0)
-    read = jnp.where(inside, times, last if model.parts else 0.0)
+    weights = np.where(inside[:, None, :], model.data.weights, 0.0)
+    read = np.where(inside, times, last if model.parts else 0.0)
     return eqx.tree_at(lambda m: (m.data.times, m.data.weights), model, (read, weights))
 
 

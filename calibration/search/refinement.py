@@ -6,11 +6,10 @@ import logging
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import least_squares
 
-from calibration.forward.model import Model, residuals_and_jacobian
+from calibration.forward.model import Model, evaluation
 from calibration.forward.runs import refusal
 from calibration.search.descent import Descents
 from calibration.solver_budget import budget
@@ -76,14 +75,14 @@ def refined(model: Model, starts: np.ndarray, found: Descents, log_depth: float)
 
 def finish(model: Model, start: np.ndarray, point: np.ndarray, log_depth: float) -> End:
     """Bounded trust region (SciPy TRF) on residuals and forward-mode Jacobian from one point."""
-    depth = jnp.asarray(log_depth)
+    at = evaluation(model)
     seen: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
 
     def evaluate(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         key = u.tobytes()
         if key not in seen:
             seen.clear()
-            residuals, jacobian = (np.asarray(a) for a in residuals_and_jacobian(model, jnp.asarray(u), depth))
+            residuals, jacobian = (part[0] for part in at(u[None], log_depth)[:2])
             if not (np.isfinite(residuals).all() and np.isfinite(jacobian).all()):
                 residuals, jacobian = np.full_like(residuals, FAILED_RESIDUAL), np.zeros_like(jacobian)
             seen[key] = residuals, jacobian

@@ -15,11 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import qmc
 
-from bcfj_jax import simulate
 from bcfj_jax.io.journal import Journal
 from bcfj_jax.io.stop import check
-from calibration.forward.model import Model, values_at
-from calibration.forward.runs import refusal
+from calibration.forward.model import Model
+from calibration.forward.runs import SAMPLES, params_at, ran, refusal
 from calibration.search.continuation import Interrupted as Interrupted
 from calibration.search.continuation import blocks, continued, named
 from calibration.search.evaluate import evaluator as evaluator
@@ -116,7 +115,7 @@ def search(
         Interrupted: on Ctrl-C.
     """
     design, costs = screened.design, screened.costs
-    chosen = np.array([*starts, *values_at(model, _spread(design, costs, count), 0.0)])[: max(count, len(starts))]
+    chosen = np.array([*starts, *model.values(_spread(design, costs, count), 0.0)])[: max(count, len(starts))]
     log_depth = 0.0
     if model.referenced and np.isfinite(costs).any():
         log_depth = reference_depth(model, by_cost(design, costs), log_depth)
@@ -124,7 +123,7 @@ def search(
     found = continued(model, points, log_depth, batch_size(len(points)), journal)
     if model.referenced and np.isfinite(found.costs).any():
         old, log_depth = log_depth, reference_depth(model, by_cost(found.points, found.costs), log_depth)
-        points, moved = (model.point(values_at(model, u, old), log_depth) for u in (points, found.points))
+        points, moved = (model.point(model.values(u, old), log_depth) for u in (points, found.points))
         found = found._replace(points=np.clip(moved, 0.0, 1.0))
     try:
         return Search(refined(model, points, found, log_depth), log_depth)
@@ -153,12 +152,8 @@ def reference_depth(model: Model, points: Iterable[np.ndarray], log_depth: float
     point = next((p for p in points if not refusal(model, p, log_depth)), None)
     if point is None:
         return log_depth
-    params = {name: float(v[0]) for name, v in model.data.fixed.items()}
-    for axis, value in zip(model.coordinates, values_at(model, point, log_depth), strict=True):
-        if axis.name in params and axis.experiment in (None, 0):
-            params[axis.name] = float(value)
-    times = np.linspace(0.0, float(model.data.times[0].max()), 2001)
-    run = simulate(model.scene, model.scene.parameters(params), times)
+    times = np.linspace(0.0, float(model.data.times[0].max()), SAMPLES)
+    run = ran(loosened(model), params_at(model, point, log_depth)[0], times)
     force = np.concatenate([f[..., 0].ravel() for f in run.force.values()])
     depth = np.concatenate([d.ravel() for d in run.penetration.values()])
     inside = (depth > 0) & (force > 0)

@@ -14,7 +14,6 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from bcfj_jax import InputError, check_value, nearest
@@ -149,7 +148,7 @@ def _gain(
     point = other.point(np.array([nominal[axis.name] for axis in other.coordinates]), 0.0)
     if candidate.share:
         other = _absolute(other, planned, point)
-    residuals, jacobian = (np.asarray(a) for a in residuals_and_jacobian(other, jnp.asarray(point), jnp.asarray(0.0)))
+    residuals, jacobian = residuals_and_jacobian(other, point, 0.0)
     if not (np.isfinite(residuals).all() and np.isfinite(jacobian).all()):
         return Gain(candidate.name, float("nan"), float("nan"), {}, "its simulation fails")
     mine = [k for k, axis in enumerate(other.coordinates) if axis.experiment is None]
@@ -170,8 +169,7 @@ def _gain(
 
 def _information(model: Model, point: np.ndarray) -> np.ndarray:
     """Fisher information of all coordinates, that of their bounds included."""
-    _, jacobian = residuals_and_jacobian(model, jnp.asarray(point), jnp.asarray(0.0))
-    slopes = np.asarray(jacobian)
+    _, slopes = residuals_and_jacobian(model, point, 0.0)
     return slopes.T @ slopes + _UNIFORM * np.eye(point.size)
 
 
@@ -200,8 +198,8 @@ def _planned(problem: Problem, candidate: Candidate, known: dict[str, float]) ->
 
 def _absolute(model: Model, planned: Experiment, point: np.ndarray) -> Model:
     """The model with noise that is a share of each channel's predicted peak."""
-    read = np.asarray(predictions(model, jnp.asarray(point), jnp.asarray(0.0)))[0]
+    read = predictions(model, point, 0.0)[0]
     shares = np.array([channel.sigma for channel in planned.channels], dtype=float)
     sigma = shares * np.maximum(np.max(np.abs(read), axis=1), 1e-300)
-    weights = jnp.broadcast_to(1.0 / jnp.asarray(sigma)[None, :, None], model.data.weights.shape)
+    weights = np.broadcast_to(1.0 / sigma[None, :, None], model.data.weights.shape)
     return eqx.tree_at(lambda m: m.data.weights, model, weights)

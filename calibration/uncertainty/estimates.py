@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 
 from calibration.diagnostics import fit_tests
 from calibration.diagnostics.influence import separation
 from calibration.forward.losses import straightened
-from calibration.forward.model import Model, residuals_and_jacobian
+from calibration.forward.model import Model
 from calibration.problem import nuisances
 from calibration.search.evaluate import evaluator
 from calibration.search.refinement import End
@@ -59,9 +58,8 @@ def estimates(
 
     ``rough``: whether the integrator's error is what the cost is made of; a joint's always counts.
     """
-    depth = jnp.asarray(log_depth)
-    values = [float(v) for v in model.values(jnp.asarray(best.point), depth)]
-    lower, width = (np.asarray(a) for a in model.box(depth))
+    values = model.values(best.point, log_depth).tolist()
+    lower, width = model.box(log_depth)
     slopes = np.diag(width)
     z, pair, reference = lower + best.point * width, model.pair() if model.referenced else None, None
     if pair:
@@ -95,7 +93,7 @@ def estimates(
         )
     if all(t.passed for t in tests):  # Else no interval is given, and the ends of most lie where nothing simulates.
         for slope, label, reach in zip(slopes, labels, reaches, strict=True):
-            ratio = _curvature(model, best, depth, spread, slope, (-reach, 1.0), rough)
+            ratio = _curvature(model, best, log_depth, spread, slope, (-reach, 1.0), rough)
             tests.append(fit_tests.curvature_test(label, ratio))
     tests.append(fit_tests.rank_test(spread))
     if not all(t.passed for t in tests if t.name.endswith("determined")):
@@ -116,7 +114,7 @@ def _reference(spread: fit_tests.Spread, log_depth: float, centre: float, slope:
 def _curvature(
     model: Model,
     best: End,
-    depth,
+    log_depth: float,
     spread: fit_tests.Spread,
     slope: np.ndarray,
     reaches: tuple[float, float],
@@ -132,18 +130,14 @@ def _curvature(
     expected = quantile**2 * spread.rise * shares**2
     steps = shares[:, None] * quantile * along / np.sqrt(slope @ along)
     ends = best.point + steps
-    if budget(model.scene).apart:
-        residuals, jacobians = evaluator(model, float(depth))(ends)
-    else:
-        each = [straightened(model.loss, *residuals_and_jacobian(model, jnp.asarray(end), depth)) for end in ends]
-        residuals, jacobians = ([np.asarray(a) for a in part] for part in zip(*each, strict=True))
+    residuals, jacobians = evaluator(model, log_depth)(ends)
     if rough or budget(model.scene).rough:
         # From slopes, for the integration's own error makes the cost rough: that at the optimum, which is expected, and
         # the end's, of a cost of third order. Of what the predictions change by: the residuals at the optimum are all
         # noise, and times the Jacobian's own error as large as the rise.
-        base, _ = straightened(model.loss, jnp.asarray(best.residuals), jnp.asarray(best.jacobian))
+        base, _ = straightened(model.loss, best.residuals, best.jacobian)
         parts = zip(residuals, jacobians, steps, expected, strict=True)
-        rises = [(rise + 2.0 * float((r - np.asarray(base)) @ (j @ s))) / 3.0 for r, j, s, rise in parts]
+        rises = [(rise + 2.0 * float((r - base) @ (j @ s))) / 3.0 for r, j, s, rise in parts]
     else:
         rises = [float(np.sum(np.square(r))) - best.cost for r in residuals]
     ratios = np.array(rises) / expected

@@ -83,12 +83,11 @@ def of_model(
         estimated: names of the channels whose noise has an estimated deviation.
         chains: what the sampler does.
     """
-    depth = jnp.asarray(log_depth)
     found = sample(
-        lambda u: model.residuals(u, depth), place, covariance, labels,
+        lambda u: model.residuals(u, jnp.asarray(log_depth)), place, covariance, labels,
         owners=_owners(model, estimated), loss=model.loss, chains=chains,
     )  # fmt: skip
-    values = np.stack([np.asarray(v) for v in jax.vmap(jax.vmap(lambda u: model.values(u, depth)))(found.draws)], -1)
+    values = model.values(found.draws, log_depth)
     names = tuple(labels)
     if model.referenced:
         k, n = model.pair()

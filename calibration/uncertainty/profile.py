@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 
 from calibration.diagnostics.fit_tests import Spread
@@ -96,7 +95,7 @@ def rise_allowed(quality: Spread) -> Callable[[np.ndarray], float]:
 
 
 def _targets(model: Model, log_depth: float, labels: Sequence[str]) -> list[Target]:
-    lower, width = (np.asarray(a) for a in model.box(jnp.asarray(log_depth)))
+    lower, width = model.box(log_depth)
     pair = model.pair() if model.referenced else None
     targets = []
     for i, (axis, label) in enumerate(zip(model.coordinates, labels, strict=True)):

@@ -19,8 +19,7 @@ from numpy.typing import ArrayLike
 from bcfj_jax.analysis.nonlinear.sections import Period, drive_period, impacts, revolutions_to_keep
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.status import OK, reason
-from bcfj_jax.mechanism.model import AbstractModel, Params, Reading
-from bcfj_jax.solve.integrate import Solution
+from bcfj_jax.mechanism.model import AbstractModel, Params, Reading, Solution
 from bcfj_jax.solve.plan import MAX_STEPS, Plan, plan
 from bcfj_jax.solve.simulation import readings
 from bcfj_jax.solve.work_queue import integrate_queue
