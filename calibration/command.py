@@ -9,15 +9,16 @@ from pathlib import Path
 from typing import Any
 
 from bcfj_jax import InputError
+from bcfj_jax.core.programs import keep_asked
 from bcfj_jax.io import outputs, report, scenefile, tables
 from bcfj_jax.io.journal import NAME, Journal, key_of
 from bcfj_jax.io.stop import heeded
 from bcfj_jax.io.units import format_si
-from calibration.data import plot as dataplot
+from calibration.data.preparation import Prepared
 from calibration.fit import AllStartsFailed, Fit, Parameter
 from calibration.problem import Problem
 from calibration.problemfile import load, prepared, sources
-from calibration.report import plots, plots_uncertainty
+from calibration.report import plots_uncertainty
 from calibration.search.starts import Interrupted
 from calibration.selection import choice
 from calibration.selection.alternatives import Outcome, solve
@@ -55,7 +56,6 @@ def run(path: Path, out: Path | None, seed: int, starts: int, intervals: str = "
         if journal.resumed:
             print(f"going on in {folder}: {len(journal)} batches are finished", file=sys.stderr)
         understood = prepared(path)
-        dataplot.data(understood, folder / "data.png")
         for record in understood:
             print(f"{record.name}: {'; '.join(record.notes)}", file=sys.stderr)
         try:
@@ -71,12 +71,14 @@ def run(path: Path, out: Path | None, seed: int, starts: int, intervals: str = "
             return _interrupted(folder, path, stop)
         result = outcome.fit
         _write(folder, path, outcome, starts, time.perf_counter() - begin)
+        print(text(result))
+        for heading, rows in _comparisons(outcome):
+            print(f"\n{heading}\n{report.text(rows)}")
+        print(f"\nresults and pictures, all in report.html: {folder}", flush=True)
+        _draw(folder, path, outcome, understood)
         (folder / _SO_FAR).unlink(missing_ok=True)
         journal.remove()
-    print(text(result))
-    for heading, rows in _comparisons(outcome):
-        print(f"\n{heading}\n{report.text(rows)}")
-    print(f"\nresults and pictures, all in report.html: {folder}")
+    keep_asked()
     return DONE if result.verdict == "identified" else NOT_IDENTIFIED
 
 
@@ -96,8 +98,7 @@ def export_petab(path: Path, folder: Path) -> int:
 def _take_back(folder: Path, journal: Journal) -> None:
     """Leave nothing of a fit that came to nothing: what is there would be in the way of the next."""
     journal.remove()
-    for name in ("data.png", _SO_FAR):
-        (folder / name).unlink(missing_ok=True)
+    (folder / _SO_FAR).unlink(missing_ok=True)
     if not any(folder.iterdir()):
         folder.rmdir()
 
@@ -216,12 +217,8 @@ def _comparisons(outcome: Outcome) -> list[tuple[str, list[list[str]]]]:
 
 
 def _write(folder: Path, path: Path, outcome: Outcome, starts: int, seconds: float) -> None:
-    """All files; ``fit.json`` last, so that where it is nothing is missing."""
+    """The result. The journal is there until ``_draw`` is done: cut off before, the same command completes the folder."""
     problem, result = outcome.problem, outcome.fit
-    plots.records(result, problem, folder / "fit.png")
-    plots.force_penetration(result, problem, folder / "force_penetration.png")
-    plots.starts(result, folder / "starts.png")
-    plots_uncertainty.draw(result, folder)
     _write_scene(folder / "fitted_scene.toml", path, outcome.base, result)
     outputs.write_toml(
         folder / "run.toml",
@@ -230,23 +227,36 @@ def _write(folder: Path, path: Path, outcome: Outcome, starts: int, seconds: flo
     )
     data = sources(path)
     outputs.write_json(folder / "environment.json", outputs.environment(seed=result.seed, data=data))
+    if outcome.choice:
+        outputs.write_json(folder / "models.json", choice.as_json(outcome.choice))
+    outputs.write_json(folder / "fit.json", {**as_json(result), **_compared(outcome), "wall_s": seconds})
+
+
+def _draw(folder: Path, path: Path, outcome: Outcome, understood: list[Prepared]) -> None:
+    """Pictures, and the report that holds them."""
+    from calibration.data import plot as dataplot
+    from calibration.report import plots
+
+    problem, result = outcome.problem, outcome.fit
+    dataplot.data(understood, folder / "data.png")
+    plots.records(result, problem, folder / "fit.png")
+    plots.force_penetration(result, problem, folder / "force_penetration.png")
+    plots.starts(result, folder / "starts.png")
+    plots_uncertainty.draw(result, folder)
     tables = [
         ("Parameters", [["parameter", "value", "95 % interval", "remark"], *_rows(result)]),
         ("Tests", [["test", "value", "limit", "passed"], *[_test_row(t) for t in result.tests]]),
     ]
-    understood = [[record.name, note] for record in prepared(path) for note in record.notes]
-    tables.append(("Data", [["record", "what was understood"], *understood]))
+    notes = [[record.name, note] for record in understood for note in record.notes]
+    tables.append(("Data", [["record", "what was understood"], *notes]))
     if result.held_out:
         rows = [
             [n, f"{e['max_error_of_peak']:.2%}", f"{e['rms_error_of_peak']:.2%}"] for n, e in result.held_out.items()
         ]
         tables.append(("Held out", [["record", "largest error of the peak", "rms of the peak"], *rows]))
     tables += _comparisons(outcome)
-    if outcome.choice:
-        outputs.write_json(folder / "models.json", choice.as_json(outcome.choice))
     pictures = [folder / name for name in FILES if name.endswith(".png") and (folder / name).exists()]
     report.write(folder, f"Calibration of {path.name}", result.verdict, tables, pictures, result.reasons)
-    outputs.write_json(folder / "fit.json", {**as_json(result), **_compared(outcome), "wall_s": seconds})
 
 
 def _compared(outcome: Outcome) -> dict[str, Any]:

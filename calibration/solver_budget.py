@@ -1,7 +1,7 @@
 """What a scene's runs are worth on the way to an optimum, by its traits: small or large, smooth or rough.
 
-A small scene costs in proportion to the size of a batch, and the cost of its fit is smooth. A run of a large one takes a
-good part of a second and its program minutes to compile. Where contacts begin and end all the time, integration makes the
+The cost of a small scene's fit is smooth. A run of a large one takes a good part of a second and its program minutes to
+compile. Where contacts begin and end all the time, integration makes the
 cost rough.
 """
 
@@ -22,7 +22,7 @@ class SolverBudget(NamedTuple):
         tighter: so many times as tight is the run that gives the integrator's error.
         rough: whether that error is what the cost's last digits are made of, so that its slopes must decide, and no
             profile is drawn unless it is asked for.
-        apart: whether points are run one by one, as many at a time as there are cores; else a batch in one program.
+        apart: whether as many points are run at a time as there are cores; else one after the other.
         asked: points of the design at which the influence of a coordinate on all data is computed.
         kept: starts that are not given up, however far off.
         descend: steps of a batched descent on one leg.

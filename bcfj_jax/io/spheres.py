@@ -5,12 +5,19 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from jax import Array
+
 from bcfj_jax.contact import stiffness
 from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.programs import ask
 from bcfj_jax.io.tables import Table
 from bcfj_jax.io.units import quantity
 
 Pair = tuple[Any, Any]
+
+
+def _stiffness(modulus: Pair, poisson: Pair, radius: Pair) -> Array:
+    return stiffness.sphere_sphere(stiffness.effective_modulus(modulus[0], poisson[0], modulus[1], poisson[1]), *radius)
 
 
 class Spheres(Table):
@@ -48,9 +55,8 @@ class Spheres(Table):
         heavy = [m for m in masses if math.isfinite(m)]
         if not heavy:
             raise InputError(f"{where} density", "no body has a finite mass", "give at least one a finite density")
-        star = stiffness.effective_modulus(modulus[0], poisson[0], modulus[1], poisson[1])
         return {
-            "stiffness": float(stiffness.sphere_sphere(star, *radius)),
+            "stiffness": float(ask("two spheres", _stiffness, (), (modulus, poisson, radius))),
             "exponent": 1.5,
             "mass": 1.0 / sum(1.0 / m for m in heavy),
         }

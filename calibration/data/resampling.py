@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.signal import butter, sosfiltfilt
 
 from bcfj_jax import InputError
 from bcfj_jax.io.units import format_si
@@ -32,6 +30,9 @@ def resampled(
     Raises:
         InputError: for a rate above the record's, or where no stretch is long enough to filter.
     """
+    from scipy.interpolate import CubicSpline
+    from scipy.signal import butter, sosfiltfilt
+
     step = float(np.median(np.diff(clock)))
     if rate * step > 1.0:
         found = f"{format_si(rate, 'Hz')} is above the {format_si(1.0 / step, 'Hz')} of the record"

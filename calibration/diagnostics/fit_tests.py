@@ -12,7 +12,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from calibration.forward.coordinates import Coordinate
 from calibration.forward.losses import influence
@@ -77,7 +77,7 @@ class Spread(NamedTuple):
         assert self.covariance is not None
         variance = slope @ self.covariance @ slope
         doubt = sum((slope @ change @ slope) ** 2 * own for change, own in self.moved)
-        return float(stats.t.ppf(0.975, 2.0 * variance**2 / doubt) if doubt > 0 else stats.norm.ppf(0.975))
+        return float(special.stdtrit(2.0 * variance**2 / doubt, 0.975) if doubt > 0 else special.ndtri(0.975))
 
     def half_width(self, slope: np.ndarray) -> float:
         """Half of the 95 % interval of a combination of coordinates; infinite where the data leave it free."""
@@ -103,7 +103,7 @@ def spread(end: End, samples: int, moved: list[tuple[np.ndarray, float]], loss: 
     _, singular, directions = np.linalg.svd(end.jacobian, full_matrices=False)
     condition = float(singular[0] / singular[-1]) if singular[-1] > 0 else np.inf
     if condition >= WORST_CONDITION:
-        return Spread(None, float(stats.norm.ppf(0.975)), freedom, directions[-1], condition)
+        return Spread(None, float(special.ndtri(0.975)), freedom, directions[-1], condition)
     factor, mean = 1.0, 1.0
     if loss != "linear":
         informed = np.abs(end.jacobian).max(axis=1) > 0
@@ -193,8 +193,9 @@ def held_out_test(square: float, freedom: int, quality: Spread) -> Test:
         freedom: their number less the nuisances fitted to them.
         quality: of the fit; its noise was estimated where ``moved`` says so.
     """
+    square = max(square, 0.0)
     ratio = square / max(freedom, 1)
-    p = float(stats.f.sf(ratio, freedom, quality.freedom) if quality.moved else stats.chi2.sf(square, freedom))
+    p = float(special.fdtrc(freedom, quality.freedom, ratio) if quality.moved else special.chdtrc(freedom, square))
     reason = f"held-out residuals are {np.sqrt(ratio):.3g} times the noise"
     return Test("held-out prediction", p, LEVEL, p > LEVEL, reason)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
+from scipy import special
 from scipy.integrate import quad
 from scipy.sparse import csr_array
 
@@ -80,7 +80,7 @@ def residual_tests(series: list[Series], residuals: np.ndarray, jacobian: np.nda
         reason = f"{share:.0%} of the samples are outliers: not a few accidents, but something that the model misses"
         tests.append(Test("few outliers", share, MOST_OUTLIERS, share <= MOST_OUTLIERS, reason))
         return tests
-    worst, limit = float(np.max(np.abs(residuals[tested]))), float(stats.norm.isf(LEVEL / (2 * tested.size)))
+    worst, limit = float(np.max(np.abs(residuals[tested]))), -float(special.ndtri(LEVEL / (2 * tested.size)))
     reason = f"a residual is {worst:.3g} sigma: the model misses an event, or a sample is wrong"
     return [*tests, Test("no outlier", worst, limit, worst < limit, reason)]
 
@@ -90,7 +90,7 @@ def _size_test(residuals: np.ndarray, basis: np.ndarray, rows: np.ndarray, insid
     rows = rows[inside[rows]]
     freedom = max(rows.size - float(np.sum(basis[rows] ** 2)), 1.0)
     square = float(np.sum(residuals[rows] ** 2))
-    p = float(stats.chi2.sf(square, freedom))
+    p = float(special.chdtrc(freedom, square))
     return Test(
         "residual size", p, LEVEL, p > LEVEL, f"residuals are {np.sqrt(square / freedom):.3g} times the stated noise"
     )
@@ -113,7 +113,7 @@ def _runs_test(place: str, parts: list[np.ndarray], series: list[Series], residu
         signs = own[own != 0] > 0
         changes += int(np.count_nonzero(np.diff(signs)))
         chances += max(signs.size - 1, 0)
-    p = float(stats.binom.cdf(changes, chances, 0.5)) if chances else 1.0
+    p = float(special.bdtr(changes, chances, 0.5)) if chances else 1.0
     reason = (
         f"{place}, residuals of one sign follow each other: the model misses a shape ({share:.2g} of the peak, rms)"
     )
@@ -216,10 +216,10 @@ def _matched(first: float, second: float, third: float) -> float:
     deviation = np.sqrt(2.0 * second)
     skew, away = 8.0 * third / deviation**3, -first / deviation
     if abs(skew) < 1e-3:
-        return float(stats.norm.sf(away))
+        return float(special.ndtr(-away))
     freedom = 8.0 / skew**2
     shifted = freedom + np.sign(skew) * away * np.sqrt(2.0 * freedom)
-    return float(stats.chi2.sf(shifted, freedom) if skew > 0 else stats.chi2.cdf(shifted, freedom))
+    return float((special.chdtrc if skew > 0 else special.chdtr)(freedom, max(shifted, 0.0)))
 
 
 def _memory_test(series: list[Series]) -> Test:

@@ -1,4 +1,4 @@
-"""Descents of a batch of points in the unit box, all in one program: Adam, and Levenberg-Marquardt.
+"""Descents of a batch of points in the unit box: Adam, and Levenberg-Marquardt.
 
 Both ask only for residuals (B, N) and Jacobians (B, N, P) at points (B, P). A point whose simulation fails stays
 where it was.

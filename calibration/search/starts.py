@@ -1,8 +1,8 @@
 """Finding optima: scrambled Sobol starts, descents in batches over a growing horizon, a bounded trust region.
 
 Every start goes its own way: none is moved to where another did well, so that their agreement means something.
-Starts descend in batches of one size, one compiled program for all. After each stage they are ordered by cost, so that
-those that have arrived go on together and wait for none that has not; of many, those that are far off are given up.
+Starts descend in batches of one size. After each stage they are ordered by cost, so that those that have arrived go on
+together and wait for none that has not; of many, those that are far off are given up.
 Nothing here assesses: every start is reported with where it ended, failures included.
 """
 
@@ -13,7 +13,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import qmc
 
 from bcfj_jax.io.journal import Journal
 from bcfj_jax.io.stop import check
@@ -31,7 +30,7 @@ from calibration.solver_budget import budget
 
 log = logging.getLogger("calibration")
 
-# Descents of a batch. On a CPU a bounce costs in proportion to them, the joint hardly more; all wait for the slowest.
+# Descents of a batch: what is kept in the journal at once, and done before a stop is heeded.
 BATCH = 12
 
 
@@ -77,6 +76,8 @@ def screen(model: Model, count: int, seed: int) -> Screen:
 
 
 def _screened(model: Model, count: int, seed: int) -> Screen:
+    from scipy.stats import qmc
+
     even = qmc.Sobol(len(model.coordinates), rng=seed).random_base2(3 + int(np.ceil(np.log2(count))))
     design = np.stack([axis.drawn(u) for axis, u in zip(model.coordinates, even.T, strict=True)], axis=1)
     ends, depth, reach = stages(model), 0.0, np.zeros(design.shape[1])

@@ -89,7 +89,7 @@ def revised(
         model, labels, place, log_depth, quality: of the optimum.
         parameters, reference, tests: as the covariance has them, from ``estimates``.
         estimated: channels whose noise has an estimated deviation.
-        batch: size of compiled batches.
+        batch: points evaluated together.
         seed: of the sampler.
     """
     if kind == "posterior":

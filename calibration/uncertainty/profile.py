@@ -71,7 +71,7 @@ def of_model(
         allowed: rise of the cost at the ends of the interval of a combination of coordinates (P,); ``rise_allowed``.
         labels: of the model's coordinates.
         only: labels wanted; by default all.
-        batch: points a compiled call evaluates; by default one a walk. Another batch's size saves a compilation.
+        batch: points evaluated together; by default one a walk.
     """
     targets = [t for t in _targets(model, log_depth, labels) if only is None or t.name in only]
     at = np.asarray(place, float)
