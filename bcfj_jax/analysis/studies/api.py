@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from bcfj_jax.analysis.studies import local, specification, worker
+from bcfj_jax.analysis.studies.batch import has_history
 from bcfj_jax.analysis.studies.block import Blocks
 from bcfj_jax.analysis.studies.extra import library
 from bcfj_jax.analysis.studies.specification import Study
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 RESULTS, STATE = "results.parquet", "study.json"
+# Computing [s] that is done in this process: two others would take as long, each of them starts for 2 to 3 s.
+_ALONE_S = 6.0
 
 
 class Result(NamedTuple):
@@ -69,7 +72,8 @@ def study(
     Args:
         what: a study file, or its content.
         out: the folder; one that holds the same study is gone on with.
-        workers: processes on this machine; None: one a core, or one in all where there is an accelerator.
+        workers: processes on this machine; None: one a core, or one in all where there is an accelerator; short
+            studies are computed in this process.
         scheduler: address of a Dask scheduler that shall do the work in place of this machine.
         progress: receives the numbers of finished and of all blocks.
 
@@ -124,11 +128,13 @@ def compute(store: Store, workers: int | None, scheduler: str | None, progress: 
         cluster.run(store, scheduler, lambda done: progress(done, total))
         return
     count = min(workers or default_workers(), total)
-    if count == 1:
+    # What is small is computed here sooner than other processes have started; what is not, is known after a block.
+    long = store.study.given.scene.traits.large and has_history(store.study.given.scene)
+    if count == 1 or (workers is None and not long):
         with local.written():
-            worker.work(store, lambda done: progress(done, total))
-        return
-    local.run(store, count, lambda done: progress(done, total))
+            worker.work(store, lambda done: progress(done, total), np.inf if count == 1 else _ALONE_S)
+    if store.there() < total:
+        local.run(store, count, lambda done: progress(done, total))
 
 
 def default_workers() -> int:

@@ -15,16 +15,16 @@ import numpy as np
 from jax import Array
 from jax.sharding import Mesh, PartitionSpec
 
-from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel, channel_names, compiled
+from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel, channel_names
 from bcfj_jax.analysis.derivatives.measures import vector
 from bcfj_jax.analysis.derivatives.names import Feature, members
 from bcfj_jax.analysis.features import contact_interval
 from bcfj_jax.analysis.histories import delay, settled_period
+from bcfj_jax.core.programs import program
 from bcfj_jax.core.status import OK, reason
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve.plan import Plan
 from bcfj_jax.solve.simulation import readings
-from bcfj_jax.solve.work_queue import equilibria, integrate_queue
 
 # What grows with the duration where the samples' times are those of a run that takes one second.
 _PER_SECOND = ("impulse", "period", "delay")
@@ -43,6 +43,7 @@ class Batch(NamedTuple):
         steps: (N,) attempted steps, or iterations.
         rounds: rounds of all places of the batch; 0 where there are none.
         force: (N, T, C, 3) [N] if asked for, else (N, 0, 0, 0).
+        compile_s: seconds that it took to get the program.
     """
 
     features: np.ndarray
@@ -51,6 +52,7 @@ class Batch(NamedTuple):
     steps: np.ndarray
     rounds: int
     force: np.ndarray
+    compile_s: float = 0.0
 
 
 def has_history(scene: AbstractModel) -> bool:
@@ -87,16 +89,17 @@ def run(
         size: of the program; fewer points need no other one.
         forces: whether forces are given back.
     """
-    count, devices = len(ends), len(jax.local_devices())
-    size = -(-size // devices) * devices
+    count, devices = len(ends), jax.local_devices()
+    size = -(-size // len(devices)) * len(devices)
     # What fills up is the first point again, which is computed only where there is no work queue.
     fill = np.where(np.arange(size) < count, np.arange(size), 0)
     host = forces or any(feature.kind in HOST for feature in wanted)
-    filled = {name: jnp.asarray(leaf[fill]) for name, leaf in params.items()}
-    arguments = filled, jnp.asarray(ends[fill]), how, jnp.asarray(count)
-    key = ("batch", scene, size, grid.tobytes(), tuple(wanted), host, how.max_steps, devices)
-    program = compiled(key, lambda *x: _program(scene, grid, tuple(wanted), host, *x), *arguments)[0]
-    found = jax.device_get(program(*arguments))
+    arguments = {name: leaf[fill] for name, leaf in params.items()}, ends[fill], how, np.asarray(count)
+    mesh = Mesh(np.array(devices), ("runs",)) if len(devices) > 1 else None
+    # The grid as bytes, which are hashable.
+    static = scene, grid.tobytes(), tuple(wanted), host, mesh
+    batch, compile_s = program("batch", _program, static, arguments)
+    found = batch(*arguments)
     values, code, end, steps, rounds = (np.asarray(x) if not np.ndim(x) else x[:count] for x in found[:5])
     # Histories only where they are asked for.
     nothing = np.zeros((count, 0, 0, 0))
@@ -112,27 +115,26 @@ def run(
             values[:, k] *= ends
     values[code != OK] = np.nan
     reasons = [reason(one, how.max_steps) for one in code]
-    return Batch(values, reasons, end, steps, int(np.max(rounds)), force if forces else nothing)
+    return Batch(values, reasons, end, steps, int(np.max(rounds)), force if forces else nothing, compile_s)
 
 
 def _program(
-    scene: AbstractModel, grid: np.ndarray, wanted: tuple[Feature, ...], host: bool, params: dict, ends: Array,
-    how: Plan, count: Array,
+    scene: AbstractModel, grid: bytes, wanted: tuple[Feature, ...], host: bool, mesh: Mesh | None, params: dict,
+    ends: Array, how: Plan, count: Array,
 ) -> tuple:  # fmt: skip
-    devices = jax.local_devices()
-    if len(devices) == 1:
-        return _part(scene, grid, wanted, host, params, ends, how, count)
-    share = ends.size // len(devices)
+    shares = np.frombuffer(grid)
+    if mesh is None:
+        return _part(scene, shares, wanted, host, params, ends, how, count)
+    share = ends.size // mesh.size
     runs, every = PartitionSpec("runs"), PartitionSpec()
 
     def part(params: dict, ends: Array, how: Plan, count: Array) -> tuple:
         mine = jnp.clip(count - share * jax.lax.axis_index("runs"), 0, share)
-        found = _part(scene, grid, wanted, host, params, ends, how, mine)
+        found = _part(scene, shares, wanted, host, params, ends, how, mine)
         return (*found[:4], found[4][None], *found[5:])
 
     return jax.shard_map(
-        part, mesh=Mesh(np.array(devices), ("runs",)), in_specs=(runs, runs, every, every), out_specs=runs,
-        check_vma=False,
+        part, mesh=mesh, in_specs=(runs, runs, every, every), out_specs=runs, check_vma=False
     )(params, ends, how, count)  # fmt: skip
 
 
@@ -141,6 +143,8 @@ def _part(
     how: Plan, count: Array,
 ) -> tuple:  # fmt: skip
     """What one device does."""
+    from bcfj_jax.solve.work_queue import equilibria, integrate_queue  # With diffrax, which a kept program needs not.
+
     contacts = scene.members
 
     def look(one: tuple) -> tuple:

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import hashlib
 import json
+import time
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from bcfj_jax.analysis.derivatives.jacobian import Histories, level
 from bcfj_jax.analysis.derivatives.measures import measure
@@ -22,11 +23,12 @@ from bcfj_jax.analysis.derivatives.names import complete
 from bcfj_jax.analysis.studies.batch import Batch, has_history, run
 from bcfj_jax.analysis.studies.specification import Study
 from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.programs import program
 from bcfj_jax.core.quantities import ORDERED, check_order, check_value
 from bcfj_jax.core.status import reason
 from bcfj_jax.io import outputs
 from bcfj_jax.io.journal import key_of
-from bcfj_jax.solve.integrate import problem
+from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve.plan import LEVELS, Plan, plan
 from bcfj_jax.solve.simulation import simulate
 
@@ -48,6 +50,7 @@ class Table(NamedTuple):
         steps: (n,) attempted steps; rounds: of all places of the batch (``solve.work_queue``).
         force: (n, T, C, 3) [N], or empty.
         ends: (n,) last times [s].
+        wall_s: seconds that computing them took, without compiling.
     """
 
     point: np.ndarray
@@ -59,6 +62,7 @@ class Table(NamedTuple):
     rounds: int
     force: np.ndarray
     ends: np.ndarray
+    wall_s: float = 0.0
 
 
 class Blocks:
@@ -114,20 +118,16 @@ def predicted_cost(study: Study) -> np.ndarray:
         turns = has_history(scene) and "drive_speed" in study.names
         return np.abs(study.points[:, study.names.index("drive_speed")]) if turns else np.ones(study.count)
     how = plan(scene, study.given.accuracy)
-    params = {name: jnp.asarray(leaf) for name, leaf in study.params(study.points).items()}
-    steps = jax.jit(jax.vmap(lambda p, end: end / problem(scene, p, end, how, False).first_step))
-    found = steps(params, jnp.asarray(ends(study, study.points)))
+    arguments = study.params(study.points), study.ends, how
+    steps = program("study steps", _steps, (scene,), arguments)[0](*arguments)
     # Not to the last bit: what rounds differently elsewhere must not change the order.
-    return np.asarray([float(f"{x:.3g}") for x in np.asarray(found)])
+    return np.asarray([float(f"{x:.3g}") for x in steps])
 
 
-def ends(study: Study, values: np.ndarray) -> np.ndarray:
-    """(n,) last time of each point's run [s]."""
-    if not study.own_end:
-        return np.full(len(values), study.given.times[-1])
-    scene: Any = study.given.scene
-    params = {name: jnp.asarray(leaf) for name, leaf in study.params(values).items()}
-    return np.broadcast_to(np.asarray(jax.vmap(scene.horizon)(params), dtype=float), len(values))
+def _steps(scene: AbstractModel, params: dict, ends: Array, how: Plan) -> Array:
+    from bcfj_jax.solve.integrate import problem  # With diffrax, which a kept program needs not.
+
+    return jax.vmap(lambda p, end: end / problem(scene, p, end, how, False).first_step)(params, ends)
 
 
 def compute(study: Study, at: np.ndarray, size: int) -> Table:
@@ -138,13 +138,13 @@ def compute(study: Study, at: np.ndarray, size: int) -> Table:
         at: their numbers, at most ``size``.
         size: of the program.
     """
-    values, given = study.points[at], study.given
+    begin, values, given = time.perf_counter(), study.points[at], study.given
     refused = _refusals(study, values)
     good = np.flatnonzero([not text for text in refused])
-    last = np.asarray(ends(study, values))
+    last = study.ends[at]
     results = np.full((len(at), len(study.columns)), np.nan)
     status, reasons = ["failed"] * len(at), list(refused)
-    steps, rounds = np.zeros(len(at), int), 0
+    steps, rounds, compile_s = np.zeros(len(at), int), 0, 0.0
     force = np.zeros((len(at), 0, 0, 0))
     if study.histories:
         force = np.full((len(at), len(given.times), sum(max(1, k) for k in given.scene.members.values()), 3), np.nan)
@@ -152,9 +152,9 @@ def compute(study: Study, at: np.ndarray, size: int) -> Table:
 
     def attempt(which: np.ndarray, safety: float) -> np.ndarray:
         """Run some of the points; which of them failed."""
-        nonlocal rounds
+        nonlocal rounds, compile_s
         batch = _run(study, values[which], last[which], grid, size, safety)
-        rounds += batch.rounds
+        rounds, compile_s = rounds + batch.rounds, compile_s + batch.compile_s
         steps[which] += batch.steps
         results[which] = batch.features
         if study.histories:
@@ -170,7 +170,8 @@ def compute(study: Study, at: np.ndarray, size: int) -> Table:
         failed = attempt(good, 1.0)
         if failed.size and has_history(given.scene):
             attempt(failed, SAFER)
-    return Table(at, values, results, status, reasons, steps, rounds, force, last)
+    wall_s = time.perf_counter() - begin - compile_s
+    return Table(at, values, results, status, reasons, steps, rounds, force, last, wall_s)
 
 
 def _run(study: Study, values: np.ndarray, last: np.ndarray, grid: np.ndarray, size: int, safety: float) -> Batch:
@@ -188,7 +189,7 @@ def _one_by_one(study: Study, values: np.ndarray, last: np.ndarray, grid: np.nda
     scene, contacts, params = given.scene, given.scene.members, study.params(values)
     rows: list[tuple] = []
     for i, end in enumerate(last):
-        one = {name: jnp.asarray(leaf[i]) for name, leaf in params.items()}
+        one = {name: leaf[i] for name, leaf in params.items()}
         times = end * grid
         if study.derivatives:
             full, wrt = complete(scene, one, study.derivatives)

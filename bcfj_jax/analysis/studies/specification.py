@@ -15,16 +15,21 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pydantic
+from jax import Array
 
 from bcfj_jax.analysis.derivatives.names import Feature, complete, feature
 from bcfj_jax.analysis.studies.design import DEFAULTS, DRAWN, KINDS, SCALES, Axis, Options, block_length, number, points
 from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.programs import program
 from bcfj_jax.core.quantities import CATALOGUE, check_value
 from bcfj_jax.io import scenefile, tables
 from bcfj_jax.io.scenefile import SceneFile
 from bcfj_jax.io.units import quantity
+from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.mechanism.observed import observing
 
 MOST_POINTS = 100_000_000
@@ -61,6 +66,14 @@ class Study:
         """(N, D) values of the varied parameters."""
         return points(self.kind, self.axes, self.count, self.seed, self.options)
 
+    @cached_property
+    def ends(self) -> np.ndarray:
+        """(N,) last time of each point's run [s]."""
+        if not self.own_end:
+            return np.full(self.count, self.given.times[-1])
+        arguments = (self.params(self.points),)
+        return program("study ends", _ends, (self.given.scene,), arguments)[0](*arguments)
+
     @property
     def names(self) -> tuple[str, ...]:
         """The varied parameters."""
@@ -76,6 +89,10 @@ class Study:
         """Parameters of points (n, D): leaves (n,), those that do not vary too."""
         fixed = {name: np.full(len(values), float(value)) for name, value in self.given.params.items()}
         return fixed | {name: values[:, k].astype(float) for k, name in enumerate(self.names)}
+
+
+def _ends(scene: AbstractModel, params: dict) -> Array:
+    return jax.vmap(lambda p: jnp.asarray(scene.horizon(p), float))(params)
 
 
 class _Design(tables.Table):

@@ -13,6 +13,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
 from bcfj_jax.analysis.studies.block import Blocks, compute
 from bcfj_jax.analysis.studies.specification import load
 from bcfj_jax.analysis.studies.store import Store
@@ -25,8 +27,14 @@ DONE, BAD_INPUT, INTERRUPTED = 0, 2, 5
 _PATIENCE_S = 0.5
 
 
-def work(store: Store, progress: Callable[[int], None] = lambda _: None) -> None:
-    """Compute what is missing; return when nothing is, whoever computed it. ``progress`` receives what is there."""
+def work(store: Store, progress: Callable[[int], None] = lambda _: None, most_s: float = np.inf) -> None:
+    """Compute what is missing; return when nothing is, whoever computed it.
+
+    Args:
+        store: the folder.
+        progress: receives the number of blocks that are there.
+        most_s: return before, when what is left would take longer [s] by the block just computed.
+    """
     left = list(range(len(store.blocks)))
     while left:
         before = len(left)
@@ -37,8 +45,11 @@ def work(store: Store, progress: Callable[[int], None] = lambda _: None) -> None
             with store.claimed(block) as mine:
                 # Another may have finished it between the look and the claim.
                 if mine and not store.finished(block):
-                    store.write(block, compute(store.study, store.blocks.points(block), store.blocks.size))
+                    table = compute(store.study, store.blocks.points(block), store.blocks.size)
+                    store.write(block, table)
                     progress(store.there())
+                    if (len(store.blocks) - store.there()) * table.wall_s > most_s:
+                        return
         left = [block for block in left if not store.finished(block)]
         if left and len(left) == before:
             time.sleep(_PATIENCE_S)
