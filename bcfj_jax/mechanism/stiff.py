@@ -43,7 +43,8 @@ def implicit(scene: Mechanism, params: Params, end: float) -> bool:
     """Whether a run of these parameters until ``end`` [s] needs an implicit solver. Not under a trace."""
     if (known := _known(scene)) is not None:
         return known
-    return _slow(*asked(_rates, scene, dict(params)), end)
+    jacobian, rate, frequency = asked(_rates, scene, dict(params))
+    return _slow(jacobian, rate, frequency, end)
 
 
 @lru_cache(maxsize=256)

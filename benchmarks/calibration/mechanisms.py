@@ -128,7 +128,7 @@ def beside_linear(name: str, rows: list[dict[str, Any]]) -> dict[str, Any]:
     mine = errors[[row["seed"] for row in rows]]
     for i, (parameter, told) in enumerate(found["parameters"].items()):
         share = np.array([row["parameters"][parameter][0] for row in rows]) / case.truth[parameter]
-        fitted = np.log(share) if case.problem(NOISE, 0).free[i].told_as_share else share - 1.0
+        fitted = np.log(share) if case.problem(NOISE, 0).free[i].as_share else share - 1.0
         least = told["cramer_rao"]
         told["linear_variance_over_bound"] = float(np.var(mine[:, i])) / least**2
         told["linear_variance_over_bound_of_draws"] = float(np.var(errors[:, i])) / least**2

@@ -16,7 +16,7 @@ import bcfj_jax as bj
 from bcfj_jax.analysis.derivatives.jacobian import level
 from bcfj_jax.analysis.derivatives.names import feature
 from bcfj_jax.analysis.derivatives.steady import SAMPLES, Steady, steady
-from bcfj_jax.solve.integrate import Plan, plan
+from bcfj_jax.solve.plan import Plan, plan
 from benchmarks.analysis.derivatives import CONTACTS, MOVED, errors, load
 from benchmarks.common import markdown, save
 

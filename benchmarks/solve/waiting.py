@@ -61,7 +61,8 @@ _EVENTS = {
 
 def worker(words: list[str]) -> None:
     """The command in this process; where its time went, as JSON, to stderr."""
-    begin, spent, depth = time.perf_counter(), dict.fromkeys(STAGES, 0.0), [0]
+    begin, depth = time.perf_counter(), [0]
+    spent: dict[str, float] = dict.fromkeys(STAGES, 0.0)
     plain = builtins.__import__
 
     def importing(*arguments: Any, **options: Any) -> Any:
@@ -94,10 +95,11 @@ def worker(words: list[str]) -> None:
 
         plots.save, report.write = drawn(plots.save), drawn(report.write)
 
-        def heard(event: str, seconds: float, **_: Any) -> None:
+        def heard(event: str, duration: float, **kwargs: str | int) -> None:
+            del kwargs
             stage = _EVENTS.get(event.rpartition("/")[2])
             if stage:
-                spent[stage] += seconds
+                spent[stage] += duration
 
         jax.monitoring.register_event_duration_secs_listener(heard)
     sys.argv = ["bcfj", *words]

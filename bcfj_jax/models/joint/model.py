@@ -274,7 +274,7 @@ class JointModel(Joint):
             return {}, {}
         found = whole(scene, params, run.times, run.trajectory)
         columns = {
-            f"{contact.name}.{axis} [N]": found.resultants[contact.name][:, k]
+            f"{contact.name}.{axis} [N]": np.asarray(found.resultants[contact.name])[:, k]
             for contact in self.contacts
             for k, axis in enumerate("xyz")
         }
