@@ -95,11 +95,11 @@ def worker(words: list[str]) -> None:
 
         plots.save, report.write = drawn(plots.save), drawn(report.write)
 
-        def heard(event: str, duration: float, **kwargs: str | int) -> None:
+        def heard(event: str, duration_secs: float, **kwargs: str | int) -> None:
             del kwargs
             stage = _EVENTS.get(event.rpartition("/")[2])
             if stage:
-                spent[stage] += duration
+                spent[stage] += duration_secs
 
         jax.monitoring.register_event_duration_secs_listener(heard)
     sys.argv = ["bcfj", *words]
