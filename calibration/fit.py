@@ -177,7 +177,8 @@ def _assess(
     spread = fit_tests.spread(best, samples, noise.moved, model.loss)
     if budget(model.scene).rough and spread.covariance is not None:
         # Loosely: a mean needs no more digits, and tight steps follow swings that the mean is to smooth.
-        best = averaged(evaluator(loosened(model), log_depth), best, spread.covariance)
+        rotations = budget(model.scene).rotations
+        best = averaged(evaluator(loosened(model), log_depth), best, spread.covariance, rotations)
         best = stepped(evaluator(model, log_depth), best) if model.loss == "linear" else best
         spread = fit_tests.spread(best, samples, noise.moved, model.loss)
     records = records_of(model, fitted, best.point, log_depth, False)

@@ -30,6 +30,7 @@ class SolverBudget(NamedTuple):
             tests distinguish 0.1; of a rough cost no more can be had, and the trust region goes on anyway.
         step, gain: of the trust region, the shortest step and the least gain as a share of the cost.
         elsewhere: unit-box distance of ends that are not one.
+        rotations: cubature rules over which a rough scene's Jacobian is averaged.
     """
 
     accuracy: float
@@ -46,17 +47,18 @@ class SolverBudget(NamedTuple):
     step: float
     gain: float
     elsewhere: float
+    rotations: int
 
 
 # Simulate ten times finer than the assumed noise of a record (``forward.integration``); use that itself during the search.
 _SMOOTH = SolverBudget(
     accuracy=1e-6, loose=1e-5, steps=20_000, tighter=100.0, rough=False, apart=False, asked=64, kept=6,
-    descend=40, roughly=1.0, tolerance=1e-2, step=1e-8, gain=1e-9, elsewhere=1e-3,
+    descend=40, roughly=1.0, tolerance=1e-2, step=1e-8, gain=1e-9, elsewhere=1e-3, rotations=16,
 )  # fmt: skip
 # A joint takes some thousand steps a revolution, and its error goes with the tolerance as their number does.
 _LARGE = SolverBudget(
     accuracy=1e-3, loose="balanced", steps=8_000, tighter=4.0, rough=True, apart=True, asked=4, kept=4,
-    descend=12, roughly=10.0, tolerance=1.0, step=1e-4, gain=1e-6, elsewhere=1e-2,
+    descend=12, roughly=10.0, tolerance=1.0, step=1e-4, gain=1e-6, elsewhere=1e-2, rotations=1,
 )  # fmt: skip
 
 
@@ -71,5 +73,10 @@ def budget(scene: AbstractModel) -> SolverBudget:
         return found
     small = _SMOOTH
     return found._replace(
-        steps=small.steps, apart=small.apart, asked=small.asked, kept=small.kept, descend=small.descend
+        steps=small.steps,
+        apart=small.apart,
+        asked=small.asked,
+        kept=small.kept,
+        descend=small.descend,
+        rotations=small.rotations,
     )

@@ -20,19 +20,23 @@ from calibration.search.descent import Evaluate
 from calibration.search.refinement import End
 
 
-def averaged(evaluate: Evaluate, best: End, covariance: np.ndarray) -> End:
+def averaged(evaluate: Evaluate, best: End, covariance: np.ndarray, rotations: int = 1) -> End:
     """An optimum with the mean of its Jacobian over N(point, covariance).
 
     By the cubature rule of degree 3 (Arasaratnam and Haykin 2009): 2 P points, sqrt(P) deviations off along the
-    principal axes. Points beyond the box are taken at its wall; pairs that fail are left out.
+    principal axes. The rule holds along any other orthonormal axes of the whitened coordinates; the mean of several such
+    rules follows the spikes less. Points beyond the box are taken at its wall; pairs that fail are left out.
 
     Args:
         evaluate: residuals and Jacobians of points (B, P).
         best: the optimum.
         covariance: (P, P) of its coordinates.
+        rotations: rules that are averaged, the principal axes' and such of random axes.
     """
     sizes, axes = np.linalg.eigh(covariance)
-    steps = np.sqrt(best.point.size * np.maximum(sizes, 0.0))[:, None] * axes.T
+    count, random = best.point.size, np.random.default_rng(0)
+    turned = [np.linalg.qr(random.standard_normal((count, count)))[0] for _ in range(rotations - 1)]
+    steps = np.concatenate([np.eye(count), *turned]) @ (np.sqrt(count * np.maximum(sizes, 0.0))[:, None] * axes.T)
     points = np.clip(np.concatenate([best.point + steps, best.point - steps]), 0.0, 1.0)
     _, jacobians = evaluate(points)
     pairs = jacobians.reshape(2, len(steps), *jacobians.shape[1:]).mean(axis=0)

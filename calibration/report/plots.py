@@ -30,7 +30,7 @@ def records(fit: Fit, problem: Problem, path: Path) -> None:
         return
     columns = min(len(panels), 2)
     rows = -(-len(panels) // columns)
-    runs = {record.name: _run(fit, problem, record) for record, _ in panels}
+    runs = {record.name: _run(fit, problem, record) for record in fit.records if record.data}
     with style():
         drawing, axes = figure(2 * rows, columns, width=6.0 * columns + 1.0, height=2.4)
         grid = np.array(axes).reshape(2 * rows, columns)

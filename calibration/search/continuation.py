@@ -135,7 +135,7 @@ def _next(model: Model, leg: _Leg, ends: list[np.ndarray], points: np.ndarray, l
 
 
 def blocks(points: np.ndarray, size: int) -> list[np.ndarray]:
-    """Blocks of one size, so that they share one program; the last one is filled up with the first points."""
+    """Blocks of one size; the last one is filled up with the first points."""
     return [points[np.arange(first, first + size) % len(points)] for first in range(0, len(points), size)]
 
 

@@ -14,15 +14,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from bcfj_jax import InputError
+from bcfj_jax.core.programs import program
 from bcfj_jax.io.journal import Chapter, Journal
 from bcfj_jax.io.units import format_si
 from calibration.fit import Fit, fit
-from calibration.forward.model import Model, predictions
+from calibration.forward.model import Model, divided, whole
 from calibration.noise import noise_model
 from calibration.problem import Experiment, Problem
 
@@ -271,11 +271,17 @@ def _differences(best: Rival, ranked: Sequence[Rival]) -> list[str]:
 
 def _seconds(model: Model, point: np.ndarray, log_depth: float) -> float:
     """Shortest of three predictions of all records, compiled before."""
-    at, depth = jnp.asarray(point), jnp.asarray(log_depth)
-    jax.block_until_ready(predictions(model, at, depth))
+    frame, numbers = divided(model)
+    arguments = numbers, np.asarray(point), float(log_depth)
+    predict, _ = program("calibration prediction", _predicted, (frame,), arguments)
+    predict(*arguments)
     taken = []
     for _ in range(3):
         begin = time.perf_counter()
-        jax.block_until_ready(predictions(model, at, depth))
+        predict(*arguments)
         taken.append(time.perf_counter() - begin)
     return min(taken)
+
+
+def _predicted(frame: Model, numbers: tuple[Any, ...], point: Array, log_depth: Array) -> Array:
+    return whole(frame, numbers).predictions(point, log_depth)

@@ -78,7 +78,7 @@ Asks = Generator[np.ndarray, tuple[np.ndarray, np.ndarray], T]
 
 
 def together(walks: list[Asks[Side]], residuals: Residuals, batch: int) -> list[Side]:
-    """Step all walks; every call has the same number of points, so that one compiled program serves."""
+    """Step all walks; every call has the same number of points, so that a compiled function serves them all."""
     asked = {k: next(walk) for k, walk in enumerate(walks)}
     sides: dict[int, Side] = {}
     while asked:
