@@ -34,7 +34,7 @@ from pathlib import Path
 from bcfj_jax.core import programs
 from calibration import command
 code = command.run(Path(sys.argv[1]), Path(sys.argv[2]), 0, 4)
-unused = sorted({"numpyro", "petab", "pypesto", "matplotlib.pyplot", "scipy.signal", "optax"} & sys.modules.keys())
+unused = sorted({"numpyro", "petab", "pypesto", "matplotlib.pyplot", "scipy.signal"} & sys.modules.keys())
 print(json.dumps([code, programs.traced, programs.fetched, seen["backend_compile_duration"], seen["cache_misses"], unused]))
 """
 
