@@ -52,3 +52,17 @@ def test_a_second_process_traces_nothing(tmp_path, scene, wrt, solves):
     assert second["traced"] == [] and second["missed"] == 0
     assert sorted(second["fetched"]) == sorted(first["traced"])
     assert second["csv"] == first["csv"]
+    certificate = json.loads((tmp_path / "one/certificate.json").read_text())
+    for name in wrt.split(","):
+        found = certificate["parameters"][name]
+        # Of every feature a number and a verdict, whether or not the history's derivative is trusted.
+        assert set(found["feature_verdicts"]) == set(certificate["features"])
+        assert found["verdict"] != "not differentiable here" and not found["unchecked"]
+    if scene == "joint":
+        steady = certificate["steady"]
+        assert steady["reason"] == "" and steady["memory"] < 0.01
+        told = {verdict for row in steady["verdicts"].values() for verdict in row.values()}
+        assert told <= {"trusted", "averaged only"}
+        # Independent of the start, and near to the run's own, which has the start in it.
+        slope = certificate["features"]["seat_cage.mean"]["derivatives"]["friction_static"]
+        assert abs(steady["feature_derivatives"]["friction_static"]["seat_cage.mean"] / slope - 1.0) < 0.03

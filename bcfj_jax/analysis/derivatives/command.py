@@ -64,9 +64,12 @@ def run(
     outputs.write_toml(folder / "run.toml", {**given.resolved, "sensitivity": options}, f"{what}, every default, SI")
     outputs.write_json(folder / "environment.json", outputs.environment(data=[given.source] if given.source else []))
     seen: list[list[Any]] = []
+    ends: list[list[float]] = []
 
     def write(found: Sensitivity) -> list[Any]:
-        write_histories(folder / "sensitivity.csv", given.scene, found)
+        ends.append([_end(found, name) for name in found.wrt])
+        if ends[-1:] != ends[-2:-1]:
+            write_histories(folder / "sensitivity.csv", given.scene, found)
         outputs.write_json(folder / "certificate.json", certificate_json(found, params, given.scene))
         return _tables(found, params)
 

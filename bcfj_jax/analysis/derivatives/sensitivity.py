@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 from bcfj_jax.analysis.derivatives import certificate as verdicts
 from bcfj_jax.analysis.derivatives.certificate import Certificate, Check, Comparison
 from bcfj_jax.analysis.derivatives.differences import against, scales, signs
-from bcfj_jax.analysis.derivatives.jacobian import Level, forces, level
+from bcfj_jax.analysis.derivatives.jacobian import Histories, Level, forces, level
 from bcfj_jax.analysis.derivatives.measures import measure
 from bcfj_jax.analysis.derivatives.names import Feature, complete, default_features
 from bcfj_jax.analysis.derivatives.names import feature as named
@@ -32,6 +32,8 @@ DIFFERENCES = ("direction", "each", "none")
 _MANY = 50
 # Pitches of steady motion over which central differences are taken.
 _PITCHES = 4
+# Features that do not hang on where samples are, and samples in a turn that they need.
+_INTEGRATED, _TURN = ("mean", "impulse", "contact_fraction"), 100
 
 
 class Sensitivity(NamedTuple):
@@ -164,11 +166,32 @@ def sensitivity(
         return found
     before = measure(t, climbed[-2].value, climbed[-2].derivative, wanted, contacts, turning)[1]
     agree = verdicts.apart(before, slopes, numbers, _values(full, names))
+    if found.steady is not None:
+        agree = np.maximum(agree, _off_steady(scene, full, t, last, found.steady, wanted, names))
     table = {n: {f.name: float(agree[i, k]) for i, f in enumerate(wanted)} for k, n in enumerate(names)}
     judge = partial(_certificate, scene, full, t, names, climbed, error, average, table)
     if tell is not None and differences != "none" and not failed:
         tell(found._replace(certificate=judge("none", None)))
     return found._replace(certificate=judge(differences, budget))
+
+
+def _off_steady(scene, params, times, last: Level, steady: Steady, wanted, names: tuple[str, ...]) -> np.ndarray:
+    """How far the last turn's derivatives of what is integrated are from those of steady motion (F, P); 0 for others.
+
+    Two tolerances can agree about a number that both miss: loose steps damp the swing of a free ball.
+    """
+    found = np.zeros((len(wanted), len(names)))
+    late = times >= times[-1] - steady.turn * (1.0 + 1e-9)
+    known = [i for i, f in enumerate(wanted) if f.kind in _INTEGRATED and f.name in steady.features]
+    if steady.reason or not known or times[-1] - steady.turn < scene.settled_from(params) or np.sum(late) < _TURN:
+        return found
+    kept = [wanted[i] for i in known]
+    value = Histories(*(x[late] for x in last.value[:3]), state=None)
+    derivative = Histories(*(x[:, late] for x in last.derivative[:3]), state=None)
+    numbers, slopes = measure(times[late], value, derivative, kept, scene.members, True)
+    own = np.array([[steady.feature_derivatives[n][f.name] for n in names] for f in kept])
+    found[known] = verdicts.apart(slopes, own, numbers, _values(params, names))
+    return found
 
 
 def target(error: float) -> float:
