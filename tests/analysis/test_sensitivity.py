@@ -17,6 +17,7 @@ from bcfj_jax.analysis.derivatives.command import FILES
 from bcfj_jax.analysis.derivatives.jacobian import Histories
 from bcfj_jax.analysis.derivatives.measures import measure
 from bcfj_jax.analysis.derivatives.names import complete, default_features, derivative_unit, feature
+from bcfj_jax.analysis.derivatives.ranking import Ranking, ranked_rows
 from bcfj_jax.cli import app
 from bcfj_jax.contact.restitution import delivered_restitution, undamped_duration
 
@@ -190,6 +191,19 @@ def test_second_derivatives_refuse():
         bj.hessian_vector(joint, joint.parameters(), [0.0, 1.0], "seat_ball.peak", ("damping",), [1.0])
     with pytest.raises(bj.InputError, match=r"vector: shape \(2,\)"):
         bj.hessian_vector(HERTZ, HERTZ.parameters(), [0.0, 1.0], "contact.peak", ("mass",), [1.0, 2.0])
+
+
+@pytest.mark.parametrize(
+    ("elasticity", "apart", "text"),
+    [
+        (0.41234, 0.02, "+0.412"), (-0.41234, 0.061, "-0.41 ±6 %"), (0.41234, 0.48, "(+0.4 ±48 %)"),
+        (0.41234, np.nan, "+0.412"), (np.nan, 0.02, "-"), (4.7e-6, 0.001, "0"), (0.00123456, 0.01, "+0.0012"),
+        (0.00123456, 0.06, "+0.0012 ±0.0006"), (-0.00123456, 0.5, "(-0.001 ±0.0050)"),
+    ],
+)  # fmt: skip
+def test_a_table_prints_no_number_better_than_it_is(elasticity, apart, text):
+    one = Ranking(["contact.peak"], ["mass"], np.array([[elasticity]]), np.array([[apart]]))
+    assert ranked_rows({"contact.peak": 1.0}, one)[1][2] == text
 
 
 def test_units():

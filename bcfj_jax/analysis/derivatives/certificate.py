@@ -38,6 +38,8 @@ TRUSTED, AVERAGED, NOT = "trusted", "averaged only", "not differentiable here"
 POINTWISE, BROKEN = 0.03, 0.10
 # A parameter below this share of the largest influence does not ask for another level.
 INFLUENCE = 0.01
+# Elasticity below which a feature's derivative counts as that much: 0.01 % per 1 %.
+LEAST = 0.01
 # Of a history whose levels disagree; a feature's number may still agree.
 _LOOSE = "it depends on the tolerance"
 
@@ -157,7 +159,7 @@ def apart(first: np.ndarray, second: np.ndarray, numbers: np.ndarray, values: np
 
     A derivative below 0.01 % of the feature (F,) per 1 % of the parameter's value (P,) counts as that much.
     """
-    least = 1e-2 * np.abs(numbers)[:, None] / np.maximum(np.abs(values), 1e-30) * (values != 0)
+    least = LEAST * np.abs(numbers)[:, None] / np.maximum(np.abs(values), 1e-30) * (values != 0)
     size = np.maximum(np.maximum(np.abs(first), np.abs(second)), least)
     return np.where(size > 0, np.abs(first - second) / np.where(size > 0, size, 1.0), size)
 

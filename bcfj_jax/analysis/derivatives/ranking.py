@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bcfj_jax.analysis.derivatives.certificate import AVERAGED, NOT, TRUSTED, Certificate, of_feature
+from bcfj_jax.analysis.derivatives.certificate import AVERAGED, LEAST, NOT, TRUSTED, Certificate, of_feature
 from bcfj_jax.analysis.derivatives.names import feature_unit
 from bcfj_jax.analysis.derivatives.sensitivity import Sensitivity
 from bcfj_jax.io.units import format_si
@@ -76,20 +76,24 @@ def ranked_rows(features: Mapping[str, float], ranked: Ranking) -> list[list[str
 
 
 LEGEND = (
-    "Numbers without ± are trusted: two tolerances agree within 3 %. ±: how far two tolerances are apart. "
-    "In brackets: by more than 10 %, a size only. -: none."
+    "A number alone is trusted: two tolerances agree within 3 %, or 0.0003. ±: how far they are apart. "
+    "In brackets: by more than 10 %, or 0.001: a size only. 0: less than 0.0001. -: none."
 )
 
 
 def _cell(elasticity: float, apart: float) -> str:
-    """A number no better than it is."""
+    """A number no better than it is; a small one's error is a share of ``LEAST``."""
     if not math.isfinite(elasticity):
         return "-"
-    if math.isnan(apart) or of_feature(apart) == TRUSTED:
+    if math.isnan(apart):
         return f"{elasticity:+.3g}"
-    if of_feature(apart) == AVERAGED:
-        return f"{elasticity:+.2g} ±{100 * apart:.0f} %"
-    return f"({elasticity:+.1g} ±{100 * apart:.0f} %)"
+    verdict, small = of_feature(apart), abs(elasticity) < LEAST
+    if verdict == TRUSTED:
+        return f"{elasticity:+.3g}" if not small else "0" if abs(elasticity) < 1e-4 else f"{elasticity:+.4f}"
+    error = f"±{apart * LEAST:.4f}" if small else f"±{100 * apart:.0f} %"
+    if verdict == AVERAGED:
+        return f"{elasticity:+.4f} {error}" if small else f"{elasticity:+.2g} {error}"
+    return f"({elasticity:+.3f} {error})" if small else f"({elasticity:+.1g} {error})"
 
 
 def certificate_rows(certificate: Certificate) -> list[list[str]]:
