@@ -258,7 +258,7 @@ class Mechanism(AbstractModel):
                 memory += [0.0, 0.0, 0.0] if c.bristles else []
         return jnp.concatenate([start, flat(memory, [k for _, k in self._memory])])
 
-    def instants(self, params: Params, times: Array, near: Any = None) -> tuple[Solution, Any]:
+    def instants(self, params: Params, times: Array, near: Any = None, rates: bool = True) -> tuple[Solution, Any]:
         """Of a mechanism whose every joint is driven, and whose contacts remember nothing: nothing is integrated."""
         del params
         nothing = jnp.zeros((times.shape[0], 0))

@@ -220,10 +220,18 @@ class AbstractModel(eqx.Module):
         """Linear algebra of ``I/s - J`` for implicit solvers; its ``args`` are (model, prepared)."""
         return Dense(_field)
 
-    def instants(self, params: Params, times: Array, near: Any = None) -> tuple[Solution, Any]:
+    def origin(self, count: int) -> Any:
+        """Where ``instants`` begins its search at so many times if it knows nothing, as NumPy arrays; () for none."""
+        del count
+        return ()
+
+    def instants(self, params: Params, times: Array, near: Any = None, rates: bool = True) -> tuple[Solution, Any]:
         """States of a model without a history at times (T,), and from where to search those of similar parameters.
 
-        ``near`` is the second of these of an earlier call for the same number of times, or zeros of its shape.
+        Args:
+            params, times: as ever.
+            near: the second of these of an earlier call for the same number of times, or ``origin``'s.
+            rates: whether velocities are wanted; those of a search cost a second derivative where it is differentiated.
         """
         raise InputError(f"scene '{self.kind}'", "has a history: it is integrated", "this is a defect: report it")
 

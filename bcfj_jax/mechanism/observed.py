@@ -38,8 +38,8 @@ class Observed(AbstractModel):
     prepare, initial_state, vector_field, error_scale, tolerance = map(
         _of, ("prepare", "initial_state", "vector_field", "error_scale", "tolerance")
     )
-    first_step, structure, instants, motions, flows = map(
-        _of, ("first_step", "structure", "instants", "motions", "flows")
+    first_step, structure, origin, instants, motions, flows = map(
+        _of, ("first_step", "structure", "origin", "instants", "motions", "flows")
     )
     body_names, body_members, drive_coordinate, settled_when, tables = map(  # pyright: ignore[reportAssignmentType]
         _of, ("body_names", "body_members", "drive_coordinate", "settled_when", "tables")

@@ -183,9 +183,7 @@ def equilibria(model: AbstractModel, params: Params, ends: Array, grid: Array) -
         solution, near = model.instants(values, end * grid, near)
         return near, solution
 
-    first = {name: leaf[0] for name, leaf in params.items()}
-    shapes = eqx.filter_eval_shape(lambda p, end: model.instants(p, end * grid)[1], first, ends[0])
-    near = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+    near = jax.tree.map(jnp.asarray, model.origin(grid.size))
     if not jax.tree.leaves(near):
         # Closed forms: nothing to search for.
         return jax.vmap(lambda values, end: model.instants(values, end * grid)[0])(dict(params), ends)

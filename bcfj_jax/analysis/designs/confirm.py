@@ -9,11 +9,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from bcfj_jax.analysis.derivatives.jacobian import Histories
 from bcfj_jax.analysis.designs.objective import Objective, measured
+from bcfj_jax.core.programs import program
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.plan import LEVELS
 from bcfj_jax.solve.simulation import Run, simulate
@@ -84,23 +85,22 @@ def confirm(
     """
     # Another model may not have every parameter.
     known = checker.quantities
-    both = [{name: jnp.asarray(x, dtype=float) for name, x in one.items() if name in known} for one in designs]
+    both = [{name: np.asarray(x, dtype=float) for name, x in one.items() if name in known} for one in designs]
     runs = [simulate(checker, params, times, accuracy=accuracy, solver=solver) for params in both]
-    tables = [features(run, checker, times, objective) for run in runs]
-    before, after = (float(objective.of([jnp.asarray(x) for x in table.values()])) for table in tables)
+    (before, first), (after, second) = (features(run, checker, times, objective) for run in runs)
     found = sign * (before - after)
     share = found / gain if gain else np.nan
     same = checker == scene
     least = SAME if same else OTHER
     return Confirmation(
-        before, after, tables[0], tables[1], found, share, bool(gain > 0 and share >= least),
+        before, after, first, second, found, share, bool(gain > 0 and share >= least),
         f"{checker.title} by {solver or 'its own solver'} at a force error of {accuracy:.0e}",
         "; ".join(run.reason for run in runs if run.status != "ok"),
     )  # fmt: skip
 
 
-def features(run: Run, scene: AbstractModel, times: np.ndarray, objective: Objective) -> dict[str, float]:
-    """The objective's true features of a run, by name; NaN where it failed."""
+def features(run: Run, scene: AbstractModel, times: np.ndarray, objective: Objective) -> tuple[float, dict[str, float]]:
+    """The true objective of a run, and the features it is made of by name; NaN where it failed."""
     contacts = scene.members
 
     def stacked(table: Mapping[str, np.ndarray], axes: int) -> np.ndarray:
@@ -108,7 +108,17 @@ def features(run: Run, scene: AbstractModel, times: np.ndarray, objective: Objec
         assert all(part.ndim == axes for part in parts)
         return np.concatenate(parts, axis=1)
 
-    force, depth = jnp.asarray(stacked(run.force, 3)), jnp.asarray(stacked(run.penetration, 2))
-    values = measured(times, Histories(force, depth, None, None), objective, contacts, None)
+    arguments = stacked(run.force, 3), stacked(run.penetration, 2)
+    static = times.tobytes(), objective, tuple(contacts.items())
+    whole, values = program("design features", _features, static, arguments)[0](*arguments)
+    unknown = float("nan")
     bad = run.status != "ok"
-    return {f.name: float("nan") if bad else float(x) for f, x in zip(objective.features, values, strict=True)}
+    found = {f.name: unknown if bad else float(x) for f, x in zip(objective.features, values, strict=True)}
+    return unknown if bad else float(whole), found
+
+
+def _features(
+    grid: bytes, objective: Objective, contacts: tuple[tuple[str, int], ...], force: Array, depth: Array
+) -> tuple[Array, list[Array]]:
+    values = measured(np.frombuffer(grid), Histories(force, depth, None, None), objective, dict(contacts), None)
+    return objective.of(values), values

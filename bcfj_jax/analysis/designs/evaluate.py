@@ -1,8 +1,9 @@
 """The objective and its gradient at many points of the unit box: one compiled batch, whatever asks.
 
 Descents, refine, curvature and tolerances all go through here. One program makes the runs and their tangents, a small
-one the objective out of them, so that another objective costs no other simulation to compile. A point that is refused
-(a joint that does not assemble) or whose run fails is NaN, with its reason.
+one the objective out of them, so that another objective costs no other simulation to compile. Equilibria are all
+searched for from those of the given design. A point that is refused (a joint that does not assemble) or whose run fails
+is NaN, with its reason.
 """
 
 from __future__ import annotations
@@ -10,20 +11,23 @@ from __future__ import annotations
 import time
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.analysis.derivatives.jacobian import Histories, compiled, histories
+from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel, histories
 from bcfj_jax.analysis.designs.objective import Objective, measured, sampled
 from bcfj_jax.analysis.designs.space import Space
 from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.programs import program
 from bcfj_jax.core.status import OK, STEEP, reason
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.plan import Plan
+from bcfj_jax.solve.simulation import readings
 
 
 class Values(NamedTuple):
@@ -98,11 +102,11 @@ class Evaluator:
         if not good:
             return found
         *read, code = self._read(values[good])
-        given = *read, jnp.asarray(float(norm))
-        key = ("design objective", self.scene, self.times.tobytes(), self.space.names, self.objective, self.batch)
-        program, compile_s = compiled(key, self._objectives, *given)
+        given = *read, np.asarray(float(norm))
+        static = self.times.tobytes(), self.objective, tuple(self.scene.members.items())
+        objectives, compile_s = program("design objective", _objectives, static, given)
         begin = time.perf_counter()
-        smooth, slope, goal, true, code = (np.asarray(x)[: len(good)] for x in (*program(*given), code))
+        smooth, slope, goal, true, code = (np.asarray(x)[: len(good)] for x in (*objectives(*given), code))
         self.spent.wall_s += time.perf_counter() - begin
         self.spent.compile_s += compile_s
         slope = self.sign * slope * self.space.slope(values[good])
@@ -131,15 +135,26 @@ class Evaluator:
             return None
         return sampled(read, self.objective, self.scene.members, self.space.slope(values))
 
+    @cached_property
+    def near(self) -> Any:
+        """Equilibria of the given design, from which every search begins; () for a model that searches for none."""
+        origin = self.scene.origin(len(self.times))
+        if not jax.tree.leaves(origin):
+            return origin
+        found = self._batch(np.array([[float(self.params[name]) for name in self.space.names]]), origin)
+        return jax.tree.map(lambda x: x[0], found[-1])
+
     def _read(self, points: np.ndarray) -> tuple:
-        """What ``_runs`` gives of points that can be built, (n, P) SI, n up to the batch; filled up with the first."""
+        """What ``_runs`` gives of points that can be built, (n, P) SI, n up to the batch, but for the last."""
+        return self._batch(points, self.near)[:-1]
+
+    def _batch(self, points: np.ndarray, near: Any) -> tuple:
+        """``_runs``, filled up with the first point."""
         rows = np.array([i if i < len(points) else 0 for i in range(self.batch)])
-        fixed = {name: jnp.asarray(x) for name, x in self.params.items()}
-        arguments = fixed, jnp.asarray(points[rows]), jnp.asarray(self.times), self.how, jnp.asarray(len(points))
-        key = ("design runs", self.scene, len(self.times), self.space.names, self.batch)
-        runs, compile_s = compiled(key, self._runs, *arguments)
+        arguments = dict(self.params), points[rows], self.times, self.how, np.asarray(len(points)), near
+        runs, compile_s = program("design runs", _runs, (self.scene, self.space.names), arguments)
         begin = time.perf_counter()
-        found = jax.block_until_ready(runs(*arguments))
+        found = runs(*arguments)
         self.spent.wall_s += time.perf_counter() - begin
         self.spent.compile_s += compile_s
         self.spent.batches += 1
@@ -156,40 +171,53 @@ class Evaluator:
             return str(error)
         return ""
 
-    def _runs(self, fixed: dict, points: Array, times: Array, how: Plan, count: Array) -> tuple:
-        """Normal forces and penetrations (N, T, C), their tangents (N, T, C, P), and codes: whatever the objective."""
 
-        def one(theta: Array) -> tuple[tuple, tuple]:
-            params = {**fixed, **{name: theta[k] for k, name in enumerate(self.space.names)}}
-            found, (code, *_) = histories(self.scene, params, times, how)
-            read = found.force[:, :, 0], found.penetration
-            return read, (read, code)
+def _runs(
+    scene: AbstractModel, names: tuple[str, ...], fixed: dict, points: Array, times: Array, how: Plan, count: Array,
+    near: Any,
+) -> tuple:  # fmt: skip
+    """Normal forces and penetrations (N, T, C), their tangents (N, T, C, P), codes and equilibria, for any objective."""
 
-        whole = jax.jacfwd(one, has_aux=True)
-        if self.scene.traits.large and jax.default_backend() == "cpu":
-            # Side by side a large model gains nothing on a core; one by one, those beyond the count cost nothing.
-            nothing = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(whole, points[0]))
-            each = (jnp.arange(self.batch), points)
-            slopes, (read, code) = jax.lax.map(
-                lambda x: jax.lax.cond(x[0] < count, whole, lambda _: nothing, x[1]), each
-            )
+    def one(theta: Array) -> tuple[tuple, tuple]:
+        params = {**fixed, **{name: theta[k] for k, name in enumerate(names)}}
+        if scene.traits.history:
+            found, (code, *_) = histories(scene, params, times, how)
+            read, places = (found.force[:, :, 0], found.penetration), near
         else:
-            slopes, (read, code) = jax.vmap(whole)(points)
-        return *read, *slopes, code
+            solution, places = scene.instants(params, times, near, rates=False)
+            force, depth, _ = by_channel(scene, readings(scene, params, times, solution.states))
+            read, code = (force[:, :, 0], depth), solution.code
+        return read, (read, code, places)
 
-    def _objectives(self, force: Array, depth: Array, force_slope: Array, depth_slope: Array, norm: Array) -> tuple:
-        """The objective on norms with its gradient, on crests, and on greatest samples, of N runs."""
-        contacts = self.scene.members
+    whole = jax.jacfwd(one, has_aux=True)
+    if scene.traits.large and jax.default_backend() == "cpu":
+        # Side by side a large model gains nothing on a core; one by one, those beyond the count cost nothing.
+        nothing = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(whole, points[0]))
+        each = (jnp.arange(len(points)), points)
+        slopes, (read, code, places) = jax.lax.map(
+            lambda x: jax.lax.cond(x[0] < count, whole, lambda _: nothing, x[1]), each
+        )
+    else:
+        slopes, (read, code, places) = jax.vmap(whole)(points)
+    return *read, *slopes, code, places
 
-        def of(force: Array, depth: Array, norm: Array | None) -> Array:
-            found = Histories(force[:, :, None], depth, None, None)
-            return self.objective.of(measured(self.times, found, self.objective, contacts, norm))
 
-        def one(force: Array, depth: Array, force_slope: Array, depth_slope: Array) -> tuple:
-            def push(*along: Array) -> Array:
-                return jax.jvp(lambda f, d: of(f, d, norm), (force, depth), along)[1]
+def _objectives(
+    grid: bytes, objective: Objective, contacts: tuple[tuple[str, int], ...], force: Array, depth: Array,
+    force_slope: Array, depth_slope: Array, norm: Array,
+) -> tuple:  # fmt: skip
+    """The objective on norms with its gradient, on crests, and on greatest samples, of N runs."""
+    times = np.frombuffer(grid)
 
-            slope = jax.vmap(push, in_axes=-1)(force_slope, depth_slope)
-            return of(force, depth, norm), slope, of(force, depth, jnp.asarray(jnp.inf)), of(force, depth, None)
+    def of(force: Array, depth: Array, norm: Array | None) -> Array:
+        found = Histories(force[:, :, None], depth, None, None)
+        return objective.of(measured(times, found, objective, dict(contacts), norm))
 
-        return jax.vmap(one)(force, depth, force_slope, depth_slope)
+    def one(force: Array, depth: Array, force_slope: Array, depth_slope: Array) -> tuple:
+        def push(*along: Array) -> Array:
+            return jax.jvp(lambda f, d: of(f, d, norm), (force, depth), along)[1]
+
+        slope = jax.vmap(push, in_axes=-1)(force_slope, depth_slope)
+        return of(force, depth, norm), slope, of(force, depth, jnp.asarray(jnp.inf)), of(force, depth, None)
+
+    return jax.vmap(one)(force, depth, force_slope, depth_slope)

@@ -62,6 +62,12 @@ def displaced(scene: Joint, problem: Problem, drift: Problem, back: Places) -> P
     return Places(-back.ball - drift.ball, coupling)
 
 
+def origin(scene: Joint, count: int) -> Places:
+    """The zero-clearance position at so many instants: displacements of 0."""
+    size = sum(piece.stop - piece.start for piece in slices_of(scene).values())
+    return Places(np.zeros((3, scene.balls, count)), np.zeros((size, count)))  # pyright: ignore[reportArgumentType]
+
+
 def _queue(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Order of the instants, coarse ones first, and of each the solved neighbours to start from; -1 for none."""
     order = list(range(0, count, _STRIDE))

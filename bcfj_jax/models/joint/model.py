@@ -32,6 +32,7 @@ from bcfj_jax.mechanism.model import (
 from bcfj_jax.mechanism.structure import AbstractStructure
 from bcfj_jax.models.joint import envelope, summary, system
 from bcfj_jax.models.joint.arrowhead import Arrowhead
+from bcfj_jax.models.joint.batched_newton import origin
 from bcfj_jax.models.joint.checks import check_joint
 from bcfj_jax.models.joint.constants import constants
 from bcfj_jax.models.joint.energy import power, stored
@@ -116,13 +117,17 @@ class JointModel(Joint):
         """``scales.tolerance``."""
         return tolerance(force_error)
 
-    def instants(self, params: Params, times: Array, near: Any = None) -> tuple[Solution, Any]:
+    def origin(self, count: int) -> Any:
+        """``batched_newton.origin``."""
+        return origin(self, count) if self.fidelity == "quasistatic" else ()
+
+    def instants(self, params: Params, times: Array, near: Any = None, rates: bool = True) -> tuple[Solution, Any]:
         """Closed form, or equilibria, which a run ends at where the first was not found."""
         none = jnp.asarray(0)
         if self.fidelity == "kinematic":
             states = kinematic_states(self, params, times)
             return Solution(states, jnp.asarray(OK), times[-1], none, none), ()
-        found = quasistatic(self, params, times, near)
+        found = quasistatic(self, params, times, near, rates)
         good = jnp.all(found.converged)
         code, end = jnp.where(good, OK, UNBALANCED), jnp.where(good, times[-1], times[jnp.argmin(found.converged)])
         return Solution(found.states, code, end, jnp.sum(found.iterations), none), found.places

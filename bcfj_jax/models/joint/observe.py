@@ -71,7 +71,9 @@ def observe(scene: Joint, c: Constants, y: Array) -> dict[str, Reading]:
 def observe_at_rest(scene: Joint, c: Constants, y: Array) -> dict[str, Reading]:
     """As ``observe``, with forces as if nothing moved (no damping, no friction); rates and sliding as they are."""
     velocities = jnp.arange(y.size) >= 3 * scene.balls + scene.coupling
-    moving, still = observe(scene, c, y), observe(scene, c, jnp.where(velocities, 0.0, y))
+    # Side by side, so that the compiler reads the contacts once.
+    both = jax.vmap(lambda y: observe(scene, c, y))(jnp.stack([y, jnp.where(velocities, 0.0, y)]))
+    moving, still = ({name: _member(reading, k) for name, reading in both.items()} for k in (0, 1))
     return {name: still[name]._replace(rate=moving[name].rate, slip=moving[name].slip) for name in moving}
 
 

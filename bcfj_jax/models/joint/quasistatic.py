@@ -48,8 +48,10 @@ class QuasistaticSolution(NamedTuple):
     places: Places
 
 
-@partial(jax.jit, static_argnums=0)
-def quasistatic(scene: Joint, params: Params, times: Array, near: Places | None = None) -> QuasistaticSolution:
+@partial(jax.jit, static_argnums=(0, 4))
+def quasistatic(
+    scene: Joint, params: Params, times: Array, near: Places | None = None, rates: bool = True
+) -> QuasistaticSolution:
     """Equilibrium at each time. Compiled once a scene and number of times.
 
     Differentiable in ``params`` and ``times``, forward and reverse, to any order, by the implicit function theorem;
@@ -60,14 +62,20 @@ def quasistatic(scene: Joint, params: Params, times: Array, near: Places | None 
         params: its parameters [SI].
         times: (T,) [s], in any order; the load ramp is read at them.
         near: as ``quasistatic_places``.
+        rates: whether velocities are wanted; without, they are 0, and the program is half as large where it is
+            differentiated.
     """
     times = jnp.asarray(times, dtype=float)
     found = quasistatic_places(scene, params, times, near)
-    problem, drift = _moving_problem(scene, params, times)
-    at = _equilibrium(scene)(problem, found.places)
-    rates = _rates_of(scene)(problem, drift, at, found.rates)
-    value, rate = jax.jvp(partial(flat_places, scene), (problem, at), (drift, rates))
-    states = _with_rates(scene, problem.c, value, rate)
+    if rates:
+        problem, drift = _moving_problem(scene, params, times)
+        at = _equilibrium(scene)(problem, found.places)
+        moved = _rates_of(scene)(problem, drift, at, found.rates)
+        value, rate = jax.jvp(partial(flat_places, scene), (problem, at), (drift, moved))
+        states = _with_rates(scene, problem.c, value, rate)
+    else:
+        problem = posed(scene, params, times)
+        states = _at_rest(scene, problem, _equilibrium(scene)(problem, found.places))
     states = jnp.where(found.converged[:, None], states, jnp.nan)
     return QuasistaticSolution(states, found.converged, found.iterations, found.places)
 
@@ -100,9 +108,7 @@ def quasistatic_forces(scene: Joint, params: Params, times: Array, found: Found 
     times = jnp.asarray(times, dtype=float)
     found = quasistatic_places(scene, params, times) if found is None else found
     problem = posed(scene, params, times)
-    value = flat_places(scene, problem, _equilibrium(scene)(problem, jax.lax.stop_gradient(found.places)))
-    states = _with_rates(scene, problem.c, value, jnp.zeros_like(value))
-    still = jnp.where(jnp.arange(scene.states) < value.shape[1], states, 0.0)
+    still = _at_rest(scene, problem, _equilibrium(scene)(problem, jax.lax.stop_gradient(found.places)))
     readings = jax.vmap(lambda y: observe(scene, problem.c, y))(still)
     force = {name: reading.force[..., 0].T for name, reading in readings.items()}
     return {name: jnp.where(found.converged, x, jnp.nan).T for name, x in force.items()}
@@ -136,6 +142,12 @@ def flat_places(scene: Joint, problem: Problem, at: Places) -> Array:
     ball = jnp.transpose(problem.ball + at.ball, (2, 1, 0)).reshape(seat.size, -1)
     coupling = [parts[name] for name, piece in scene.slices.items() if piece is not None]
     return jnp.concatenate([ball, jnp.concatenate(coupling).T], 1)
+
+
+def _at_rest(scene: Joint, problem: Problem, at: Places) -> Array:
+    """Flat states (T, scene.states) of places, nothing moving."""
+    value = flat_places(scene, problem, at)
+    return jnp.pad(value, ((0, 0), (0, scene.states - value.shape[1])))
 
 
 def _moving_problem(scene: Joint, params: Params, times: Array) -> tuple[Problem, Problem]:
