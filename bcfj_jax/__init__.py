@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from bcfj_jax.contact import laws as laws
     from bcfj_jax.contact import restitution as restitution
     from bcfj_jax.contact import stiffness as stiffness
+    from bcfj_jax.core.compile_cache import use_cache as use_cache
     from bcfj_jax.core.errors import InputError as InputError
     from bcfj_jax.core.errors import nearest as nearest
     from bcfj_jax.core.quantities import Quantity as Quantity
@@ -57,6 +58,7 @@ _PUBLIC = {
     "stiffness": "contact.stiffness",
     "scenes": "models.scenes",
     "nonlinear": "analysis.nonlinear",
+    "use_cache": "core.compile_cache",
     **{name: "core.errors" for name in ("InputError", "nearest")},
     **{name: "core.quantities" for name in ("Quantity", "check_value")},
     "gaps": "contact.gaps",

@@ -10,11 +10,14 @@ from pathlib import Path
 _LIMIT = 2 << 30
 
 
-def use_compile_cache() -> None:
-    """Keep compiled programs between processes: in ``BCFJ_CACHE``, or in the user's cache folder (``off``: nowhere).
+def use_cache(folder: str | os.PathLike[str] | None = None) -> None:
+    """Keep compiled programs between processes, as the command ``bcfj`` does; to be called before anything is simulated.
 
     The folder belongs to the user alone (mode 0700) and has a part for every build of jaxlib: JAX trusts what it finds
     there. A folder that is another user's, or cannot be written, is not used, which is said once.
+
+    Args:
+        folder: where; None for ``BCFJ_CACHE``, else the user's cache folder; "off" for nowhere.
     """
     # JAX keeps no program that calls back to the host, as diffrax's checks do to raise. Here they give NaN instead,
     # which a run reports as its failure. Read when equinox is first imported, so it must be set before.
@@ -25,19 +28,20 @@ def use_compile_cache() -> None:
 
     from bcfj_jax.core import programs
 
-    folder = _folder()
-    if folder is None:
+    given = os.environ.get("BCFJ_CACHE") if folder is None else os.fspath(folder)
+    kept = _folder(given)
+    if kept is None:
         return
     own = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
-    if own is None or os.environ.get("BCFJ_CACHE"):
-        jax.config.update("jax_compilation_cache_dir", str(folder / "xla"))
-        programs.prune(folder / "xla", _LIMIT)
+    if own is None or given:
+        jax.config.update("jax_compilation_cache_dir", str(kept / "xla"))
+        programs.prune(kept / "xla", _LIMIT)
     # JAX's own threshold of a second would leave out most of these programs.
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-    programs.Settings.folder = folder / "programs"
+    programs.Settings.folder = kept / "programs"
 
 
-def _folder() -> Path | None:
+def _folder(given: str | None) -> Path | None:
     """The folder of this build of jaxlib, made private; None where nothing can be kept."""
     import importlib.metadata
 
@@ -45,7 +49,6 @@ def _folder() -> Path | None:
 
     from bcfj_jax.core.programs import say_once
 
-    given = os.environ.get("BCFJ_CACHE")
     if given == "off":
         return None
     try:

@@ -7,7 +7,7 @@ where it was.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -45,7 +45,7 @@ def cost_of(residuals: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(costs), costs, np.inf)
 
 
-def _adam_step(steps: int, slope: Array, state: tuple[Array, ...]) -> tuple[Array, tuple[Array, ...]]:
+def _adam_step(steps: int, slope: Array, state: tuple[Array, ...]) -> tuple[Any, tuple[Any, ...]]:
     """One step of optax's Adam, its rate falling as a cosine to 0: the change of the points, and the state, flat."""
     import optax  # Not needed where the program is kept.
 

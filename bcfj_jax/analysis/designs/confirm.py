@@ -7,7 +7,7 @@ the equations of motion, which have what equilibrium leaves out: inertia, fricti
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jax import Array
@@ -85,7 +85,9 @@ def confirm(
     """
     # Another model may not have every parameter.
     known = checker.quantities
-    both = [{name: np.asarray(x, dtype=float) for name, x in one.items() if name in known} for one in designs]
+    both: list[Any] = [
+        {name: np.asarray(x, dtype=float) for name, x in one.items() if name in known} for one in designs
+    ]
     runs = [simulate(checker, params, times, accuracy=accuracy, solver=solver) for params in both]
     (before, first), (after, second) = (features(run, checker, times, objective) for run in runs)
     found = sign * (before - after)
