@@ -16,7 +16,7 @@ import typer
 
 from bcfj_jax.core.compile_cache import use_cache
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.io.stop import heeded
+from bcfj_jax.io.stop import heeded, leave
 
 DONE, BAD_INPUT, SIMULATION_FAILED, INTERRUPTED = 0, 2, 3, 5
 
@@ -351,3 +351,6 @@ def main() -> None:
             app()
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
+    except SystemExit as end:
+        leave(end.code if isinstance(end.code, int) else DONE)
+        raise

@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import json
 import math
+import threading
+import time
 import tomllib
 from types import SimpleNamespace
 
@@ -199,6 +201,36 @@ def test_it_goes_on_where_it_was_cut_off(base, monkeypatch):
     assert last["reference"] == kept["reference"]
     # Another scene has no business there.
     assert bcfj("impact", "--out", out).exit_code == 2
+
+
+@pytest.mark.parametrize("late", ["reference", "study"])
+def test_a_stage_that_takes_too_long_is_left_behind(base, monkeypatch, late):
+    """Whatever cannot be stopped: the call ends within its budget, with a table that says what was left out."""
+    out, over, module = base / f"late-{late}", threading.Event(), {"reference": reference, "study": study}[late]
+    real = module.trial
+
+    def slow(given, **more):
+        return real(given, **more) if late == "study" and given.accuracy == 0.2 else over.wait(120.0)
+
+    arguments = (base / "impact.toml", "--only", "tsit5", "--out", out)
+    if late == "study":
+        # The reference and the programs are there; time goes to the settings.
+        assert bcfj(*arguments, "--budget", 0).exit_code == 3
+        assert bcfj(*arguments, "--only", "output").exit_code == 0
+    monkeypatch.setattr(module, "trial", slow)
+    begin = time.monotonic()
+    found = bcfj(*arguments, "--budget", 6)
+    assert time.monotonic() - begin < 1.1 * 6
+    over.set()
+    rows = json.loads((out / "tradeoff.json").read_text())["settings"]
+    if late == "reference":
+        assert found.exit_code == 3 and {row["status"] for row in rows} == {"not run: no reference"}
+        assert "tsit5 took longer than was left" in rows[0]["reason"]
+        return
+    assert found.exit_code == 0
+    assert rows[0]["status"] == "ok" or rows[0]["status"] == "not run: budget"
+    assert "not run: budget" in {row["status"] for row in rows}
+    assert "took longer than was left" in next(row["reason"] for row in rows if row["status"] == "not run: budget")
 
 
 def test_failures_are_rows(base):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,8 @@ from bcfj_jax.io.units import format_si
 
 DONE, FAILED, INTERRUPTED = 0, 3, 5
 FILES = ("tradeoff.csv", "tradeoff.json", "tradeoff.png", "report.html", "run.toml", "environment.json")
+# What tables, pictures and report take of the budget [s], at most a quarter of it.
+_REPORT_S = 4.0
 Rows = Sequence[Sequence[str]]
 
 
@@ -43,6 +46,7 @@ def run(
     Raises:
         InputError: for bad input, and where something would be overwritten.
     """
+    begin_s = time.monotonic()
     given = shown(load(what))
     todo = settings(given, only, derivatives)
     stem = given.source.stem if given.source else what
@@ -53,7 +57,8 @@ def run(
     with heeded(), Journal(folder, key) as journal:
         if journal.resumed:
             say(f"going on in {folder}: {len(journal)} pieces are finished")
-        found = study(given, todo, journal, budget, say)
+        spent = time.monotonic() - begin_s + min(_REPORT_S, 0.25 * budget)
+        found = study(given, todo, journal, max(budget - spent, 0.0), say)
     options = {"only": list(only), "derivatives": derivatives, "budget": budget}
     outputs.write_toml(folder / "run.toml", {**given.resolved, "tradeoff": options}, f"{what}, every default, SI")
     outputs.write_json(folder / "environment.json", known)

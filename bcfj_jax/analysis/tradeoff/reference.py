@@ -21,6 +21,7 @@ from bcfj_jax.analysis.tradeoff.trial import loaded, parameters, slopes, trial
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.io.outputs import atomic
 from bcfj_jax.io.scenefile import SceneFile
+from bcfj_jax.io.stop import OutOfTime, within
 from bcfj_jax.solve.plan import MAX_STEPS
 from bcfj_jax.solve.simulation import Run
 
@@ -30,7 +31,7 @@ SEPARATES = 3.0
 # By whether the scene is stiff: solver and force error, step by step; of those in a step the first two that succeed.
 _METHODS = {
     False: tuple(tuple((solver, e) for solver in ("tsit5", "kvaerno5", "bosh3")) for e in (1e-7, 1e-9)),
-    True: tuple((("bdf", e), ("rodas3", 100 * e), ("sdirk2", 100 * e)) for e in (1e-7, 1e-8, 1e-9)),
+    True: tuple((("bdf", e), ("rodas3", 100 * e), ("sdirk2", 100 * e)) for e in (1e-5, 1e-7, 1e-8, 1e-9)),
 }
 # The same of derivatives. SDIRK2's are not in its step control, so that a tighter tolerance is not a better one: both
 # are run, and the nearer witnesses (docs/derivatives.md has tighter ones, which are worse).
@@ -42,10 +43,11 @@ _SLOPES = {
 _GOAL = {False: 1e-8, True: 1e-5}
 # A step of tightening costs at most so many times the one before; a step of an implicit method so many of another's;
 # derivatives so many times the values, compiling included.
-_DEARER, _IMPLICIT, _TANGENTS = 5.0, 50.0, 4.0
+_DEARER, _IMPLICIT, TANGENTS = 5.0, 50.0, 4.0
 # Steps that a method may take whatever the time left.
 _LEAST_STEPS = 20_000
 _NO_TIME = "would take more than a third of the time left"
+_LATE = "took longer than was left"
 
 
 class Reference(NamedTuple):
@@ -55,11 +57,13 @@ class Reference(NamedTuple):
         truth: forces and what is compared of them; None where two methods could not be had.
         slopes: d(force)/d ln(parameter) (P, T, C, 3) [N], or None.
         certificate: methods, their differences, why there is no more; as ``tradeoff.json`` has it.
+        late: whether the time was over before all was done: then something still computes.
     """
 
     truth: Measured | None
     slopes: np.ndarray | None
     certificate: dict[str, Any]
+    late: bool = False
 
     @property
     def least_error(self) -> float:
@@ -86,20 +90,20 @@ def reference(
     names = parameters(given)
     without = {"parameters": names, "methods": [], "error": float("nan"), "reason": ""}
     begin = left()
-    truth, certificate = _values(given, left, say)
-    dear = _TANGENTS * (begin - left()) > left() / 3.0
+    truth, certificate, late = _values(given, left, say)
+    dear = TANGENTS * (begin - left()) > left() / 3.0
     certificate |= {"derivatives": without}
     if truth is None:
-        return Reference(None, None, certificate)
+        return Reference(None, None, certificate, late)
     found = None
-    if _still(given) or not names or not derivatives or dear:
+    if late or _still(given) or not names or not derivatives or dear:
         why = "no parameter to take them by" if not names else "fidelities without inertia have no solver"
-        why = f"they {_NO_TIME}" if dear and names and not _still(given) else why
+        why = f"they {_NO_TIME}" if (late or dear) and names and not _still(given) else why
         without["reason"] = why if derivatives else "not asked for"
     else:
         say(f"reference derivatives by {', '.join(names)}")
-        found, certificate["derivatives"] = _slopes(given, names)
-    return Reference(truth, found, certificate)
+        found, certificate["derivatives"], late = _slopes(given, names, left)
+    return Reference(truth, found, certificate, late)
 
 
 def _still(given: SceneFile) -> bool:
@@ -112,9 +116,12 @@ def _method(given: SceneFile, solver: str, error: float) -> SceneFile:
     return loaded(overlaid(given.resolved, {"accuracy": accuracy}))
 
 
-def _values(given: SceneFile, left: Callable[[], float], say: Callable[[str], None]) -> tuple[Any, dict[str, Any]]:
+def _values(
+    given: SceneFile, left: Callable[[], float], say: Callable[[str], None]
+) -> tuple[Any, dict[str, Any], bool]:
+    """The truth, its certificate, and whether the time was over before."""
     best: dict[str, Any] = {"status": "failed", "reason": "", "methods": [], "errors": {}}
-    truth, failures, spent = None, [], 0.0
+    truth, failures, spent, late = None, [], 0.0, False
     for candidates in _candidates(given):
         if truth is not None and spent * _DEARER > left() / 3.0:
             best["reason"] = f"a tighter one {_NO_TIME}"
@@ -126,7 +133,11 @@ def _values(given: SceneFile, left: Callable[[], float], say: Callable[[str], No
                 affordable = int(max(left() / 3.0 / each, _LEAST_STEPS))
                 file = replace(file, max_steps=min(file.max_steps, affordable))
             try:
-                found = trial(file, repeated=False)
+                found = within(left(), lambda file=file: trial(file, repeated=False))
+            except OutOfTime:
+                failures.append(f"{label['solver']} {_LATE}")
+                best["reason"], late = f"a tighter one {_LATE}", True
+                break
             except RuntimeError as error:  # Of JAX: no memory for it, say.
                 failures.append(f"{label['solver']}: {error}")
                 continue
@@ -150,7 +161,7 @@ def _values(given: SceneFile, left: Callable[[], float], say: Callable[[str], No
             break
     if truth is None:
         best["reason"] = f"no two methods reached the end: {'; '.join(failures)}"
-    return truth, best
+    return truth, best, late
 
 
 def _candidates(given: SceneFile) -> Iterator[list[tuple[dict[str, Any], SceneFile, Callable[[Run], Run]]]]:
@@ -177,14 +188,27 @@ def _half(run: Run) -> Run:
     return run._replace(times=run.times[::2], **parts)
 
 
-def _slopes(given: SceneFile, names: tuple[str, ...]) -> tuple[np.ndarray | None, dict[str, Any]]:
-    truth, first, failures = None, {}, []
+def _slopes(
+    given: SceneFile, names: tuple[str, ...], left: Callable[[], float]
+) -> tuple[np.ndarray | None, dict[str, Any], bool]:
+    """Derivatives, their certificate, and whether the time was over before."""
+    truth, first, failures, late, spent = None, {}, [], False, 0.0
     witnesses: list[tuple[float, dict[str, Any]]] = []
     stiff = given.scene.traits.stiff
     for solver, error in _SLOPES[stiff]:
         if solver == first.get("solver"):
             continue
-        each = slopes(_method(given, solver, error), names)
+        if spent > left() / 3.0:
+            failures.append(f"{solver}: {_NO_TIME}")
+            break
+        file, begin = _method(given, solver, error), left()
+        try:
+            each = within(begin, lambda file=file: slopes(file, names))
+        except OutOfTime:
+            failures.append(f"{solver}: {_LATE}")
+            late = True
+            break
+        spent = begin - left()
         if each.value is None:
             failures.append(f"{solver}: {each.reason}")
             continue
@@ -198,9 +222,9 @@ def _slopes(given: SceneFile, names: tuple[str, ...]) -> tuple[np.ndarray | None
     said = {"parameters": names, "methods": [first] if first else [], "error": float("nan")}
     said["reason"] = "; ".join(failures)
     if not witnesses:
-        return None, said
+        return None, said, late
     error, nearest = min(witnesses, key=lambda witness: witness[0])
-    return truth, said | {"methods": [first, nearest], "error": error}
+    return truth, said | {"methods": [first, nearest], "error": error}, late
 
 
 def save(found: Reference, folder: Path) -> None:

@@ -11,8 +11,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from jax import Array
+
 from bcfj_jax.contact.laws import FRICTION
 from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.programs import ask
 from bcfj_jax.io import scenefile
 from bcfj_jax.io.outputs import plain
 from bcfj_jax.io.scenefile import SceneFile
@@ -253,7 +256,11 @@ def _precisions(given: SceneFile, moves: bool) -> Iterator[Setting]:
 
 def _depth(given: SceneFile) -> float:
     """A typical penetration [m]."""
-    return float(given.scene.error_scale(given.params)[0])
+    return float(ask("depth", _first_scale, (given.scene,), (dict(given.params),)))
+
+
+def _first_scale(scene: AbstractModel, params: dict) -> Array:
+    return scene.error_scale(params)[0]
 
 
 def _outputs(given: SceneFile) -> Iterator[Setting]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from bcfj_jax.analysis.tradeoff.trial import loaded, slopes, trial
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.io.journal import Journal
 from bcfj_jax.io.scenefile import SceneFile
-from bcfj_jax.io.stop import check
+from bcfj_jax.io.stop import OutOfTime, check, within
 
 OK, FAILED = "ok", "failed"
 NO_TIME, CUT_OFF, NO_REFERENCE = "not run: budget", "not run: interrupted", "not run: no reference"
@@ -31,6 +32,8 @@ _NOTHING = {name: float("nan") for name in COLUMNS[1:7]} | {
     "status": FAILED, "pareto": False, **UNKNOWN, "precision": "", "steps": 0, "repeats": 0,
     "derivative_wall_s": float("nan"), "derivative_compile_s": float("nan"), "at_reference": False, "reason": "",
 }  # fmt: skip
+# A row that lacks them is not kept: another call may have the time.
+_NO_SLOPES = "no derivatives: too little time was left"
 # How much dearer the next level of a ladder is taken to be, at least.
 _NEXT = 1.5
 
@@ -52,26 +55,41 @@ class Study(NamedTuple):
 
 
 class _Clock:
-    """Seconds left, and what the next piece of work will take by those before it."""
+    """Seconds left, and what the next piece of work will take by those before it, compiling included."""
 
     def __init__(self, budget: float) -> None:
         self._end = time.monotonic() + budget
         self._compiles: list[float] = []
+        self._tangents: list[float] = []
         self._programs: set[Any] = set()
         self._ladders: dict[str, float] = {}
 
     def left(self) -> float:
         return self._end - time.monotonic()
 
+    def stop(self) -> None:
+        """No more time: something that was left behind still computes, and would disturb what is measured."""
+        self._end = -math.inf
+
     def takes(self, setting: Setting, program: Any) -> float:
         compile_s = statistics.median(self._compiles) if self._compiles and program not in self._programs else 0.0
         return compile_s + _NEXT * self._ladders.get(setting.ladder, 0.0)
 
-    def took(self, setting: Setting, program: Any, compile_s: float, seconds: float) -> None:
-        if compile_s:
-            self._compiles.append(compile_s)
+    def took(self, setting: Setting, program: Any, row: Mapping[str, Any]) -> None:
+        self.compiled([row.get("compile_s", 0.0)], [row.get("derivative_compile_s", 0.0)])
         self._programs.add(program)
-        self._ladders[setting.ladder] = seconds - compile_s
+        runs = row.get("repeats", 0) * row.get("wall_s", 0.0), row.get("derivative_wall_s", 0.0)
+        self._ladders[setting.ladder] = float(np.nansum(runs))
+
+    def compiled(self, values: Sequence[float], tangents: Sequence[float]) -> None:
+        """Seconds that compiling took, of values and of derivatives; 0 and NaN where nothing was."""
+        self._compiles += [s for s in values if s > 0.0]
+        self._tangents += [s for s in tangents if s > 0.0]
+
+    def derivatives(self, program: Any, wall_s: float) -> float:
+        """What derivatives will take beside a run of so many seconds."""
+        known = self._tangents and program not in self._programs
+        return (statistics.median(self._tangents) if known else 0.0) + references.TANGENTS * wall_s
 
 
 def study(given: SceneFile, todo: list[Setting], journal: Journal, budget: float, say: Callable[[str], None]) -> Study:
@@ -81,7 +99,7 @@ def study(given: SceneFile, todo: list[Setting], journal: Journal, budget: float
         given: the user's scene file: as it stands, it defines the truth.
         todo: the settings, ``settings.settings``.
         journal: where finished settings are kept, and taken from; the reference's arrays lie beside it.
-        budget: seconds; settings that would not fit any more are not run.
+        budget: seconds; what would not fit any more is not run, and what was begun and did not fit is left behind.
         say: receives the progress.
 
     Ctrl-C ends it with what is finished.
@@ -113,6 +131,10 @@ def _certified(
     if kept is not None:
         return restore(kept, folder)
     found = reference(given, clock.left, say, derivatives)
+    parts = found.certificate["methods"], found.certificate["derivatives"]["methods"]
+    clock.compiled(*([one.get("compile_s", 0.0) for one in part] for part in parts))
+    if found.late:
+        clock.stop()
     if found.truth is not None:
         references.save(found, folder)
         journal.add("reference", found.certificate)
@@ -132,33 +154,49 @@ def _row(given: SceneFile, setting: Setting, truth: Reference, journal: Journal,
         program = (file.scene, len(file.times), file.solver, file.max_steps, setting.bits)
         if clock.takes(setting, program) > clock.left():
             return {"status": NO_TIME, "reason": f"{max(clock.left(), 0.0):.0f} s are left"}
-        begin = time.monotonic()
-        row = _measured(given, file, setting, truth, clock.left())
-        seconds = time.monotonic() - begin
-        spent = [row[key] for key in ("compile_s", "derivative_compile_s") if np.isfinite(row.get(key, np.nan))]
-        clock.took(setting, program, sum(spent), seconds)
+        row = _measured(given, file, setting, program, truth, clock)
+        clock.took(setting, program, row)
+    except OutOfTime:
+        clock.stop()
+        return {"status": NO_TIME, "reason": "it was begun, and took longer than was left"}
     except (InputError, RuntimeError) as error:  # The latter JAX's: no memory for it, say.
         row = {"status": FAILED, "reason": str(error)}
-    journal.add(name, row)
+    if row.get("reason") != _NO_SLOPES:
+        journal.add(name, row)
     return row
 
 
-def _measured(given: SceneFile, file: SceneFile, setting: Setting, truth: Reference, left: float) -> dict[str, Any]:
+def _measured(
+    given: SceneFile, file: SceneFile, setting: Setting, program: Any, truth: Reference, clock: _Clock
+) -> dict[str, Any]:
     assert truth.truth is not None
-    found, cost = trial(file) if setting.bits == 64 else single(setting.table, left)
+    left = clock.left()
+    found, cost = within(left, lambda: trial(file)) if setting.bits == 64 else single(setting.table, left)
     row: dict[str, Any] = {**cost, "precision": f"float{setting.bits}"}
     if found.status != "ok":
         return row | {"status": FAILED, "reason": f"{found.reason}, at {found.failure_time:g} s"}
     row |= {"status": OK, **errors(measured(found, given.times, given.scene.traits.turning), truth.truth, given.times)}
     row["at_reference"] = worst(row) <= truth.least_error
     if setting.derivatives and truth.slopes is not None:
-        each = slopes(file, tuple(truth.certificate["derivatives"]["parameters"]))
-        row |= {"derivative_wall_s": each.wall_s, "derivative_compile_s": each.compile_s}
-        if each.value is None:
-            row["reason"] = f"no derivatives: {each.reason}"
-        else:
-            row["derivative_error"] = derivative_error(each.value, truth.slopes)
+        row |= _differentiated(file, program, truth, row["wall_s"], clock)
     return row
+
+
+def _differentiated(file: SceneFile, program: Any, truth: Reference, wall_s: float, clock: _Clock) -> dict[str, Any]:
+    """What a setting's derivatives are worth and cost, or why there are none."""
+    assert truth.slopes is not None
+    if clock.derivatives(program, wall_s) > clock.left():
+        return {"reason": _NO_SLOPES}
+    names = tuple(truth.certificate["derivatives"]["parameters"])
+    try:
+        each = within(clock.left(), lambda: slopes(file, names))
+    except OutOfTime:
+        clock.stop()
+        return {"reason": _NO_SLOPES}
+    costs = {"derivative_wall_s": each.wall_s, "derivative_compile_s": each.compile_s}
+    if each.value is None:
+        return costs | {"reason": f"no derivatives: {each.reason}"}
+    return costs | {"derivative_error": derivative_error(each.value, truth.slopes)}
 
 
 def _fronted(rows: list[dict[str, Any]], truth: Reference | None) -> list[dict[str, Any]]:
