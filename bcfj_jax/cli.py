@@ -14,7 +14,7 @@ from typing import Annotated
 
 import typer
 
-from bcfj_jax.core.compile_cache import use_cache
+from bcfj_jax.core.compile_cache import open_cache
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.io.stop import heeded, leave
 
@@ -56,7 +56,7 @@ def _use(files: list[Path] | None, what: str | Path = "") -> None:
         from bcfj_jax.io import tables
 
         tables.read(Path(what))
-    use_cache()
+    open_cache()
     if files:
         from bcfj_jax.io.usercode import use_code
 
@@ -191,7 +191,7 @@ def tradeoff(
 @_guarded
 def reproduce(out: Out = None) -> int:
     """Run the paper's case: its claims beside the model's values, as given and calibrated, with pictures."""
-    use_cache()
+    open_cache()
     from bcfj_jax.reproduction import command
 
     text, good = command.run(out, _log)

@@ -11,13 +11,29 @@ _LIMIT = 2 << 30
 
 
 def use_cache(folder: str | os.PathLike[str] | None = None) -> None:
-    """Keep compiled programs between processes, as the command ``bcfj`` does; to be called before anything is simulated.
+    """Keep this process's compiled programs for the next one, as the command ``bcfj`` does. Nothing is kept without.
+
+    Call it right after the import, before anything is simulated.
+
+    Args:
+        folder: where; None for ``BCFJ_CACHE``, else the user's cache folder; "off" for nowhere. Workers of a study take
+            it over.
+    """
+    import atexit
+
+    if folder is not None:
+        os.environ["BCFJ_CACHE"] = os.fspath(folder)
+    open_cache()
+    from bcfj_jax.core.programs import keep_asked
+
+    atexit.register(keep_asked)
+
+
+def open_cache() -> None:
+    """Keep compiled programs between processes: in ``BCFJ_CACHE``, else in the user's cache folder (``off``: nowhere).
 
     The folder belongs to the user alone (mode 0700) and has a part for every build of jaxlib: JAX trusts what it finds
     there. A folder that is another user's, or cannot be written, is not used, which is said once.
-
-    Args:
-        folder: where; None for ``BCFJ_CACHE``, else the user's cache folder; "off" for nowhere.
     """
     # JAX keeps no program that calls back to the host, as diffrax's checks do to raise. Here they give NaN instead,
     # which a run reports as its failure. Read when equinox is first imported, so it must be set before.
@@ -28,7 +44,7 @@ def use_cache(folder: str | os.PathLike[str] | None = None) -> None:
 
     from bcfj_jax.core import programs
 
-    given = os.environ.get("BCFJ_CACHE") if folder is None else os.fspath(folder)
+    given = os.environ.get("BCFJ_CACHE")
     kept = _folder(given)
     if kept is None:
         return

@@ -11,8 +11,8 @@ import pytest
 
 _SCRIPT = """
 import json, sys
-from bcfj_jax.core.compile_cache import use_cache
-use_cache()
+from bcfj_jax.core.compile_cache import open_cache
+open_cache()
 import jax.monitoring
 from pathlib import Path
 missed = []

@@ -20,8 +20,8 @@ pytest.importorskip("pyarrow", reason="the extra study is not installed")
 
 PROGRAM = """
 import sys
-from bcfj_jax.core.compile_cache import use_cache
-use_cache()
+from bcfj_jax.core.compile_cache import open_cache
+open_cache()
 from bcfj_jax.analysis.studies.api import study
 study("study.toml", sys.argv[1], workers=1)
 """

@@ -24,8 +24,8 @@ NAMES = {"two spheres", "at_start", "calibration", "calibration run"}
 # The command in a process of its own, and what that traced, read, compiled and missed in XLA's cache.
 COMMAND = """
 import collections, json, sys
-from bcfj_jax.core.compile_cache import use_cache
-use_cache()
+from bcfj_jax.core.compile_cache import open_cache
+open_cache()
 import jax
 seen = collections.Counter()
 jax.monitoring.register_event_listener(lambda event, **_: seen.update([event.rpartition("/")[2]]))

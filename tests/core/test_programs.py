@@ -192,7 +192,7 @@ def test_the_folder_is_private_and_of_one_build(tmp_path, monkeypatch, settings)
     monkeypatch.setenv("BCFJ_CACHE", str(tmp_path / "cache"))
     before = os.umask(0)
     try:
-        compile_cache.use_cache()
+        compile_cache.open_cache()
     finally:
         os.umask(before)
     assert programs.Settings.folder is not None
@@ -204,8 +204,8 @@ def test_the_folder_is_private_and_of_one_build(tmp_path, monkeypatch, settings)
 def test_a_folder_of_another_user_is_not_used(tmp_path, monkeypatch, settings, caplog):
     monkeypatch.setenv("BCFJ_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(os, "getuid", lambda: 12345)
-    compile_cache.use_cache()
-    compile_cache.use_cache()
+    compile_cache.open_cache()
+    compile_cache.open_cache()
     assert programs.Settings.folder is None
     assert len(caplog.records) == 1 and "belongs to another user" in caplog.text
 
@@ -222,8 +222,8 @@ def test_a_folder_that_cannot_be_used_is_said_once(case, tmp_path, monkeypatch, 
     monkeypatch.setenv("BCFJ_CACHE", str(places[case]))
     if case == "read-only":
         monkeypatch.setattr(os, "access", lambda *_: False)
-    compile_cache.use_cache()
-    compile_cache.use_cache()
+    compile_cache.open_cache()
+    compile_cache.open_cache()
     assert programs.Settings.folder is None
     assert len(caplog.records) == (0 if case == "off" else 1)
     assert case == "off" or "BCFJ_CACHE" in caplog.text

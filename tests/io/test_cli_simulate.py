@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 
 from bcfj_jax.analysis.simulation import pictures, results
 from bcfj_jax.analysis.simulation.results import accuracy_sentences
-from bcfj_jax.cli import app, use_cache
+from bcfj_jax.cli import app, open_cache
 from bcfj_jax.core import programs
 from bcfj_jax.io.scenefile import load
 from bcfj_jax.solve.measured_error import Accuracy
@@ -228,7 +228,7 @@ def test_compile_cache_is_per_user_unless_set(variable, here, monkeypatch):
     monkeypatch.delenv("BCFJ_CACHE") if variable is None else monkeypatch.setenv("BCFJ_CACHE", variable)
     with monkeypatch.context() as patch:
         patch.setattr(type(jax.config), "jax_compilation_cache_dir", None)
-        use_cache()
+        open_cache()
     wanted = {None: platformdirs.user_cache_dir("bcfj-jax"), "off": None, "mine": "mine"}[variable]
     found = kept.get("jax_compilation_cache_dir")
     assert found is None if wanted is None else Path(found).parents[1] == Path(wanted)

@@ -30,9 +30,9 @@ _PAUSE_S = 1.0
 def _blocks(study: str, code: Files) -> Any:
     import tomllib
 
-    from bcfj_jax.core.compile_cache import use_cache
+    from bcfj_jax.core.compile_cache import open_cache
 
-    use_cache()
+    open_cache()
     from bcfj_jax.io import usercode
 
     usercode.use_only(code)

@@ -75,13 +75,13 @@ def go_with(parent: int) -> None:
 
 def main() -> int:
     """Entry point."""
-    from bcfj_jax.core.compile_cache import use_cache
+    from bcfj_jax.core.compile_cache import open_cache
 
     given = sys.argv[: sys.argv.index("--code")] if "--code" in sys.argv else sys.argv
     folder, number = Path(given[1]), int(given[2])
     own_core(number)
     go_with(int(given[3]))
-    use_cache()
+    open_cache()
     try:
         usercode.from_arguments(sys.argv)
         with heeded():

@@ -20,7 +20,7 @@ import jax
 import numpy as np
 
 from bcfj_jax.analysis.tradeoff.trial import Trial, loaded, repeatedly
-from bcfj_jax.core.compile_cache import use_cache
+from bcfj_jax.core.compile_cache import open_cache
 from bcfj_jax.io import usercode
 from bcfj_jax.io.outputs import plain
 from bcfj_jax.io.stop import check as check_stop
@@ -81,6 +81,6 @@ def _child(table: Mapping[str, Any], out: Path) -> None:
 
 
 if __name__ == "__main__":
-    use_cache()
+    open_cache()
     usercode.from_arguments(sys.argv)
     _child(json.loads(Path(sys.argv[1]).read_text()), Path(sys.argv[2]))
