@@ -8,7 +8,6 @@ that neither a kernel that does not fit nor points that happen to be easy make i
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -17,13 +16,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
-from scipy.optimize import minimize
 
 from bcfj_jax.analysis.studies import kriging
 from bcfj_jax.analysis.studies.design import Axis
 from bcfj_jax.analysis.studies.finished import Finished, Source, read
 from bcfj_jax.analysis.studies.kriging import Fitted, Hyper
 from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.programs import program
 
 # Observations: the likelihood takes their cube in time and their square in memory.
 MOST = 2000
@@ -87,6 +86,15 @@ class Surface(eqx.Module):
         return self.offset + self.scale * mean, self.scale * jnp.sqrt(self.inflation * self.fitted.variance * variance)
 
 
+def predicted(surface: Surface, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """``Surface.predict`` by a compiled program, NumPy arrays."""
+    return program("surface", _predict, (), (surface, values))[0](surface, values)
+
+
+def _predict(surface: Surface, values: Array) -> tuple[Array, Array]:
+    return surface.predict(values)
+
+
 def _share(axis: Axis, value: Array) -> Array:
     """``Axis.share``, in JAX."""
     if axis.upper == axis.lower:
@@ -122,10 +130,9 @@ def fit(source: Source, feature: str, derivatives: bool = True) -> Surface:
     offset, scale = np.mean(y), np.std(y)
     if scale <= 1e-12 * np.max(np.abs(y)):
         raise InputError(where, f"is {y[0]:.6g} at every point", "there is nothing to interpolate")
-    observed = jnp.asarray(np.concatenate([(y - offset)[:, None], slopes], axis=1).ravel() / scale)
-    hyper = likeliest(jnp.asarray(x), observed, directions)
-    fitted = kriging.solve(jnp.asarray(x), observed, hyper, directions)
-    error, spread = (np.asarray(part) for part in kriging.left_out(fitted, observed, directions))
+    observed = np.concatenate([(y - offset)[:, None], slopes], axis=1).ravel() / scale
+    arguments = likeliest(x, observed, directions), x, observed
+    fitted, (error, spread) = program("kriging", _krige, (directions,), arguments)[0](*arguments)
     variance = spread * float(fitted.variance)
     inflation = max(1.0, np.mean(error**2 / variance))
     ratio = np.abs(error) / np.sqrt(inflation * variance)
@@ -133,7 +140,7 @@ def fit(source: Source, feature: str, derivatives: bool = True) -> Surface:
         float(scale * np.sqrt(np.mean(error**2))), float(scale * np.max(np.abs(error))), float(scale),
         float(np.mean(ratio < 1.0)), float(np.mean(ratio < 2.0)), int(y.size), int(np.count_nonzero(~kept)),
     )  # fmt: skip
-    numbers = (jnp.asarray(offset), jnp.asarray(scale), jnp.asarray(inflation))
+    numbers: tuple[Any, Any, Any] = (np.asarray(offset), np.asarray(scale), np.asarray(inflation))
     return Surface(feature, found.study.axes, directions, fitted, *numbers, assessed)
 
 
@@ -151,15 +158,19 @@ def _slopes(found: Finished, feature: str) -> tuple[np.ndarray, tuple[int, ...]]
     return np.stack(columns, axis=1) if columns else np.zeros((len(found.values), 0)), tuple(directions)
 
 
-def likeliest(x: Array, y: Array, directions: tuple[int, ...]) -> Hyper:
-    """Hyperparameters of the largest likelihood of observations y (M,) at points x (N, D), from a few starts."""
+def likeliest(x: np.ndarray, y: np.ndarray, directions: tuple[int, ...]) -> np.ndarray:
+    """Logarithms of the hyperparameters of the largest likelihood of observations y (M,) at points x (N, D), from a
+    few starts.
+    """
+    from scipy.optimize import minimize
+
     count = x.shape[1]
-    value = partial(_value, directions=directions)
     noises = [_NOISES, _ROUGH] if directions else [_NOISES]
     bounds = [tuple(np.log(ends)) for ends in [_LENGTHS] * count + noises]
+    value = program("likelihood", _value, (directions,), (np.zeros(len(bounds)), x, y))[0]
 
     def cost(logs: np.ndarray) -> tuple[float, np.ndarray]:
-        found, slope = jax.device_get(value(jnp.asarray(logs), x, y))
+        found, slope = value(logs, x, y)
         # Where rounding leaves no Cholesky factor: a wall, off which the line search steps back.
         return (float(found), np.asarray(slope)) if np.isfinite(found) else (1e10, np.zeros_like(logs))
 
@@ -168,11 +179,15 @@ def likeliest(x: Array, y: Array, directions: tuple[int, ...]) -> Hyper:
         start = np.log([length] * count + [1e-6, rough])[: len(bounds)]
         found = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 100})
         best = found if best is None or found.fun < best.fun else best
-    return _hyper(jnp.asarray(best.x), count)
+    return best.x
 
 
-@partial(jax.jit, static_argnames="directions")
-def _value(logs: Array, x: Array, y: Array, directions: tuple[int, ...]) -> tuple[Array, Array]:
+def _krige(directions: tuple[int, ...], logs: Array, x: Array, y: Array) -> tuple[Fitted, tuple[Array, Array]]:
+    fitted = kriging.solve(x, y, _hyper(logs, x.shape[1]), directions)
+    return fitted, kriging.left_out(fitted, y, directions)
+
+
+def _value(directions: tuple[int, ...], logs: Array, x: Array, y: Array) -> tuple[Array, Array]:
     return jax.value_and_grad(lambda p: kriging.misfit(x, y, _hyper(p, x.shape[1]), directions))(logs)
 
 

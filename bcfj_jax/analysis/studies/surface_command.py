@@ -106,7 +106,7 @@ def _curves(one: Surface, found: Finished, path: Path) -> None:
     for k, axis in enumerate(one.axes):
         values = np.tile(middle, (_CURVE, 1))
         values[:, k] = axis.at(np.linspace(0.0, 1.0, _CURVE))
-        lines.append((values[:, k], *(np.asarray(x) for x in one.predict(values))))
+        lines.append((values[:, k], *surface.predicted(one, values)))
     scale, prefix = plots.engineering(np.concatenate([mean for _, mean, _ in lines]))
     with plots.panels(len(lines), 2 if len(lines) == 4 else 3, path, 4.6 if len(lines) > 1 else 6.5, 3.6) as axes:
         ends = [(mean + side * deviation) * scale for _, mean, deviation in lines for side in (-2, 2)]
@@ -131,7 +131,7 @@ def _curves(one: Surface, found: Finished, path: Path) -> None:
 def _maps(one: Surface, found: Finished, path: Path) -> None:
     ends = [axis.at(np.linspace(0.0, 1.0, _MAP)) for axis in one.axes]
     mesh = np.meshgrid(*ends, indexing="ij")
-    mean, deviation = (np.asarray(x).reshape(_MAP, _MAP) for x in one.predict(np.stack([m.ravel() for m in mesh], 1)))
+    mean, deviation = (x.reshape(_MAP, _MAP) for x in surface.predicted(one, np.stack([m.ravel() for m in mesh], 1)))
     good = np.isfinite(found.feature(one.feature))
     kind, unit = _unit(one)
     with plots.panels(2, 2, path, 5.2, 4.2) as axes:

@@ -128,7 +128,9 @@ def _values(
             break
         pair, spent = [], 0.0
         for label, file, pick in candidates:
-            if pair and pair[0][0]["steps"]:
+            # Beside an explicit method. Of two implicit ones a step costs about as much, and another budget of steps
+            # would be another program to compile.
+            if pair and pair[0][0]["steps"] and not given.scene.traits.stiff:
                 each = _IMPLICIT * pair[0][0]["wall_s"] / pair[0][0]["steps"]
                 affordable = int(max(left() / 3.0 / each, _LEAST_STEPS))
                 file = replace(file, max_steps=min(file.max_steps, affordable))
