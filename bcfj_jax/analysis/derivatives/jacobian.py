@@ -7,7 +7,7 @@ traced, so that the same program climbs a certificate's levels.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -90,18 +90,6 @@ def by_channel(scene: AbstractModel, readings: Mapping[str, Any]) -> tuple[Array
         jnp.concatenate([getattr(r, k).reshape(count, -1) for r in ordered], 1) for k in ("penetration", "rate")
     )
     return force, depth, rate
-
-
-_compiled: dict[object, Callable] = {}
-
-
-def compiled(key: tuple, function: Callable, *arguments: Any) -> tuple[Callable, float]:
-    """A function compiled for arguments like these, kept under its key and theirs, and the seconds that took now."""
-    begin = time.perf_counter()
-    key = (*key, jax.tree.structure(arguments))
-    if key not in _compiled:
-        _compiled[key] = jax.jit(function).lower(*arguments).compile()
-    return _compiled[key], time.perf_counter() - begin
 
 
 def level(scene: AbstractModel, params: Params, times: np.ndarray, wrt: tuple[str, ...], how: Plan) -> Level:
