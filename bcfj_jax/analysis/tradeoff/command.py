@@ -13,7 +13,7 @@ from bcfj_jax.analysis.tradeoff import advice as advise
 from bcfj_jax.analysis.tradeoff.measures import NAMES, worst
 from bcfj_jax.analysis.tradeoff.picture import tradeoff
 from bcfj_jax.analysis.tradeoff.settings import settings
-from bcfj_jax.analysis.tradeoff.study import COLUMNS, OK, Study, study
+from bcfj_jax.analysis.tradeoff.study import COLUMNS, NO_TIME, OK, Study, study
 from bcfj_jax.io import outputs, report
 from bcfj_jax.io.journal import NAME as JOURNAL
 from bcfj_jax.io.journal import Journal, key_of
@@ -118,7 +118,8 @@ def verdict(advice: dict[str, Any], doubts: list[str], found: Study) -> str:
     """The result in a sentence."""
     walls = {one["setting"]: one["wall_s"] for one in advice.values() if one["setting"]}
     ran = sum(row["status"] == OK for row in found.rows)
-    head = f"{ran} of {len(found.rows)} settings ran."
+    out = sum(row["status"] == NO_TIME for row in found.rows)
+    head = f"{ran} of {len(found.rows)} settings ran{f'; the budget left out {out}' if out else ''}."
     if not walls:
         return f"{head} No setting is recommended: {doubts[0] if doubts else 'none keeps a budget'}."
     parts = [f"for {b}: {name}, {format_si(walls[name], 's', 3)}" for name, b in advise.shared(advice).items()]

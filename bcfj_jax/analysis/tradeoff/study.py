@@ -112,7 +112,8 @@ def study(given: SceneFile, todo: list[Setting], journal: Journal, budget: float
         for number, setting in enumerate(todo):
             check()
             rows[number] |= _row(given, setting, truth, journal, clock)
-            say(f"[{number + 1}/{len(todo)}] {setting.name}: {_line(rows[number])}")
+            if not rows[number]["status"].startswith("not run"):
+                say(f"[{number + 1}/{len(todo)}] {setting.name}: {_line(rows[number])}")
     except KeyboardInterrupt:
         return Study(todo, _fronted(rows, truth), truth, True)
     return Study(todo, _fronted(rows, truth), truth, False)
