@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 RESULTS, STATE = "results.parquet", "study.json"
 # Computing [s] that is done in this process: two others would take as long, each of them starts for 2 to 3 s.
 _ALONE_S = 6.0
+# Computing over simulated time of a large model's points in a batch.
+_LARGE = 0.1
 
 
 class Result(NamedTuple):
@@ -128,8 +130,11 @@ def compute(store: Store, workers: int | None, scheduler: str | None, progress: 
         cluster.run(store, scheduler, lambda done: progress(done, total))
         return
     count = min(workers or default_workers(), total)
-    # What is small is computed here sooner than other processes have started; what is not, is known after a block.
-    long = store.study.given.scene.traits.large and has_history(store.study.given.scene)
+    # What is short is computed here sooner than other processes have started; whether it is, is known of a small
+    # model after its first block, and estimated of a large one in motion, whose blocks are long.
+    study = store.study
+    moves = study.given.scene.traits.large and has_history(study.given.scene)
+    long = moves and _LARGE * float(study.ends.sum()) > _ALONE_S
     if count == 1 or (workers is None and not long):
         with local.written():
             worker.work(store, lambda done: progress(done, total), np.inf if count == 1 else _ALONE_S)

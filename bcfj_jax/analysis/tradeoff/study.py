@@ -112,7 +112,7 @@ def study(given: SceneFile, todo: list[Setting], journal: Journal, budget: float
         for number, setting in enumerate(todo):
             check()
             rows[number] |= _row(given, setting, truth, journal, clock)
-            if not rows[number]["status"].startswith("not run"):
+            if rows[number]["status"] not in (NO_TIME, NO_REFERENCE):
                 say(f"[{number + 1}/{len(todo)}] {setting.name}: {_line(rows[number])}")
     except KeyboardInterrupt:
         return Study(todo, _fronted(rows, truth), truth, True)
