@@ -16,7 +16,7 @@ demo: $(RUNTIME)
 test: lint types fast
 
 fast: $(TOOLS)
-	$(PYTEST) -m "not slow" --durations 25
+	$(PYTEST) -m "not slow" --hypothesis-profile fast --durations 25
 
 all-tests: $(TOOLS)
 	$(PYTEST)

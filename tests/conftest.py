@@ -23,8 +23,10 @@ jax.config.update("jax_compilation_cache_dir", str(BUILD / "jax-cache"))
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 # Deterministic on CI and here; compiling inside an example is slow, which is no failure.
-settings.register_profile("ci", deadline=None, derandomize=True, max_examples=100, database=None)
-settings.load_profile("ci")
+# All tests take a hundred examples; the fast tier takes 25 (--hypothesis-profile fast).
+for name, count in (("all", 100), ("fast", 25)):
+    settings.register_profile(name, deadline=None, derandomize=True, max_examples=count, database=None)
+settings.load_profile("all")
 
 
 @pytest.hookimpl(tryfirst=True)

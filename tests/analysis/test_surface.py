@@ -110,6 +110,7 @@ def test_deviations_on_the_closed_form_are_not_too_small(derivatives):
     assert np.mean(ratio < 1) > 0.6 and np.mean(ratio < 2) > 0.9 and ratio.max() < 15
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("derivatives", [False, True])
 def test_deviations_cover_draws_of_the_process_as_often_as_they_say(derivatives):
     rng, ratios = np.random.default_rng(0), []

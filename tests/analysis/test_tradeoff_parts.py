@@ -114,8 +114,15 @@ def test_solvers_by_name():
     scene = bj.scenes.impact()
     with pytest.raises(bj.InputError, match="did you mean 'bosh3'"):
         bj.simulate(scene, scene.parameters(), [0.0, 1e-5], solver="bosh")
-    with pytest.raises(bj.InputError, match=r"\[accuracy\] solver: no solver 'bdf'"):
-        from_table({"scene": {"kind": "impact"}, "accuracy": {"solver": "bdf"}}, Path("s.toml"))
+    with pytest.raises(bj.InputError, match=r"\[accuracy\] solver: no solver 'tsit5'"):
+        from_table({"scene": {"kind": "joint"}, "accuracy": {"solver": "tsit5"}}, Path("s.toml"))
+    # A mechanism is solved by the one that is named, explicit or implicit, each at its own tolerance.
+    named = from_table({"scene": {"kind": "impact"}, "accuracy": {"solver": "bdf"}}, Path("s.toml"))
+    times = named.times[::100]
+    implicit, own = (bj.simulate(scene, scene.parameters(), times, solver=name) for name in ("bdf", None))
+    assert named.scene.traits.stiff and implicit.stats["tolerance"] != own.stats["tolerance"]
+    peak = own.force["contact"].max()
+    np.testing.assert_allclose(implicit.force["contact"], own.force["contact"], atol=0.01 * peak)
     joint = bj.scenes.joint()
     how = plan(joint, "balanced", solver="rodas3")
     with pytest.raises(bj.InputError, match="'rodas3' has no derivatives"):

@@ -13,7 +13,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bcfj_jax.mechanism.watched import watching
 from compiled import COMPILED
 from typer.testing import CliRunner
 
@@ -32,6 +31,7 @@ from bcfj_jax.cli import app
 from bcfj_jax.contact.friction import LuGre
 from bcfj_jax.contact.restitution import exact
 from bcfj_jax.io import scenefile
+from bcfj_jax.mechanism.observed import observing
 
 PENDULUM = """\
 [scene]
@@ -330,7 +330,7 @@ def test_the_work_on_a_signed_contact_is_that_of_both_sides():
 
 def test_a_feature_of_a_reading_of_members():
     scene = bj.scenes.slider_guide()
-    watched = watching(scene, ["guide.penetration.largest", "guide_2.penetration.largest"])
+    watched = observing(scene, ["guide.penetration.largest", "guide_2.penetration.largest"])
     assert watched.members == {"guide": 4, "guide.penetration": 4, "guide_2.penetration": 0}
     params = scene.parameters()
     y = jax.eval_shape(scene.initial_state, params)
