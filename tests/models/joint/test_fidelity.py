@@ -146,6 +146,7 @@ def made_up(decay=0.0, failure=np.nan):
     return run, calls
 
 
+@pytest.mark.slow
 def test_what_has_not_settled_is_repeated_for_no_budget():
     params = AUTO.parameters(drive_speed=10.0)
     stated = [fidelity.adaptive(AUTO, params, TIMES, budget, made_up(decay=1e5)[0]).choice for budget in (0.5, 0.01)]
@@ -226,6 +227,7 @@ def test_the_cheapest_level_within_the_budget_is_taken(monkeypatch, errors, expe
     assert found.stats["wall_s"] == 0.75 and found.stats["compile_s"] == 1.0
 
 
+@pytest.mark.slow
 def test_without_friction_a_static_level_is_right(tmp_path):
     expected = "quasistatic"
     path = tmp_path / "little.toml"
