@@ -9,8 +9,9 @@ of frequency w ask for steps below 1/w of every method. With T the length of the
   depth d and speed v_n (``mechanism.scales``) the normal force is about m v_n^2/d and the contact's frequency
   w = v_n/d, so r = m(0) v_n w. Friction is stiff where r T > STEEP, and r > STIFF w or r T > LONG.
 
-A step of an implicit method costs several explicit ones, and it takes no fewer (benchmarks/solve/friction.py), and a contact slides or is apart
-most of the time, when friction relaxes more slowly. Therefore STIFF is far above 1. Bristles (LuGre) are stiff always.
+A step of an implicit method costs several explicit ones, and in the mechanisms measured it takes no fewer
+(benchmarks/solve/friction.py): a contact slides or is apart most of the time, when friction relaxes more slowly. Therefore
+STIFF is far above 1. Bristles (LuGre) are stiff always.
 Damping within contacts acts for the time of a contact, which has to be resolved anyway, and does not count.
 """
 
