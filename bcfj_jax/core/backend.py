@@ -1,4 +1,4 @@
-"""What JAX and XLA must be told before they are first used: 64-bit numbers, and loops as single kernels."""
+"""What JAX and XLA must be told before they are first used: 64-bit numbers, and how XLA makes kernels on a CPU."""
 
 from __future__ import annotations
 
@@ -6,24 +6,28 @@ import os
 import sys
 
 _EXTRA = "--xla_backend_extra_options="
-_OPTION = "xla_cpu_small_while_loop_byte_threshold"
 # XLA's CPU backend makes one kernel of a loop only where a round touches less than a kilobyte, and calls a loop's
 # operations one by one otherwise. The steps of a mechanism's solver touch some tens of kilobytes. A loop that calls
-# LAPACK stays as it was. benchmarks/solve/kernels.py measures what this changes.
+# LAPACK stays as it was.
+_LOOPS = "xla_cpu_small_while_loop_byte_threshold"
 _BYTES = 1 << 20
+# XLA writes a fused kernel in MLIR and lowers it in many passes, which is half of all compiling here. Its older writer
+# goes to LLVM at once. benchmarks/solve/kernels.py measures what both options change.
+_OLDER_WRITER = "xla_cpu_disable_new_fusion_emitters"
 
 
 def set_up() -> None:
-    """Switch JAX to 64 bits, and raise XLA's limit for loops of one kernel; a limit that is set already is kept.
+    """Switch JAX to 64 bits, raise XLA's limit for loops of one kernel, and choose XLA's older writer of kernels.
 
-    Where JAX is not imported yet, its own variable ``JAX_ENABLE_X64`` says so, and JAX is not imported here. XLA reads
-    ``XLA_FLAGS`` when the first device is asked for; afterwards a change has no effect.
+    Where one of the two options is set already, XLA's options stay as they are. Where JAX is not imported yet, its own
+    variable ``JAX_ENABLE_X64`` says so, and JAX is not imported here. XLA reads ``XLA_FLAGS`` when the first device is
+    asked for; afterwards a change has no effect.
     """
     if "jax" in sys.modules:
         sys.modules["jax"].config.update("jax_enable_x64", True)
     else:
         os.environ["JAX_ENABLE_X64"] = "1"
-    flags, option = os.environ.get("XLA_FLAGS", ""), f"{_OPTION}={_BYTES}"
-    if _OPTION not in flags:
-        with_extra = flags.replace(_EXTRA, f"{_EXTRA}{option},", 1)
-        os.environ["XLA_FLAGS"] = with_extra if _EXTRA in flags else f"{flags} {_EXTRA}{option}".strip()
+    flags, options = os.environ.get("XLA_FLAGS", ""), f"{_LOOPS}={_BYTES},{_OLDER_WRITER}"
+    if _LOOPS not in flags and _OLDER_WRITER not in flags:
+        with_extra = flags.replace(_EXTRA, f"{_EXTRA}{options},", 1)
+        os.environ["XLA_FLAGS"] = with_extra if _EXTRA in flags else f"{flags} {_EXTRA}{options}".strip()

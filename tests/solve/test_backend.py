@@ -109,19 +109,20 @@ print([name for name in ("matplotlib", "pint", "pydantic", "typer", "calibration
 print(bcfj_jax.scenes.impact().parameters()["mass"].dtype)
 print(os.environ["XLA_FLAGS"])
 """
-_WHOLE = "xla_cpu_small_while_loop_byte_threshold"
+_LOOPS = "xla_cpu_small_while_loop_byte_threshold"
+_OURS = f"{_LOOPS}=1048576,xla_cpu_disable_new_fusion_emitters"
 
 
 @pytest.mark.parametrize(
     ("before", "after"),
     [
-        ("", f"--xla_backend_extra_options={_WHOLE}=1048576"),
-        ("--xla_cpu_use_thunk_runtime=true", f"--xla_cpu_use_thunk_runtime=true --xla_backend_extra_options={_WHOLE}=1048576"),
-        ("--xla_backend_extra_options=a=1", f"--xla_backend_extra_options={_WHOLE}=1048576,a=1"),
-        (f"--xla_backend_extra_options={_WHOLE}=2", f"--xla_backend_extra_options={_WHOLE}=2"),
+        ("", f"--xla_backend_extra_options={_OURS}"),
+        ("--xla_cpu_use_thunk_runtime=true", f"--xla_cpu_use_thunk_runtime=true --xla_backend_extra_options={_OURS}"),
+        ("--xla_backend_extra_options=a=1", f"--xla_backend_extra_options={_OURS},a=1"),
+        (f"--xla_backend_extra_options={_LOOPS}=2", f"--xla_backend_extra_options={_LOOPS}=2"),
     ],
 )  # fmt: skip
-def test_importing_switches_on_64_bits_and_whole_loops_and_loads_no_tools(before, after):
+def test_importing_sets_64_bits_and_options_of_xla_and_loads_no_tools(before, after):
     # A process of its own: this one has imported everything.
     surroundings = {**os.environ, "XLA_FLAGS": before}
     done = subprocess.run([sys.executable, "-c", _PROBE], capture_output=True, text=True, check=False, env=surroundings)
