@@ -21,6 +21,7 @@ import json
 import logging
 import os
 import tempfile
+import threading
 import time
 import types
 from collections.abc import Callable, Iterable, Mapping
@@ -54,6 +55,7 @@ class Settings:
 traced: list[str] = []
 fetched: list[str] = []
 _loaded: dict[Any, Callable[..., Any]] = {}
+_locks: dict[Any, threading.Lock] = {}
 # What NumPy has answered: the program, its trace, how often.
 _asked: dict[Any, list[Any]] = {}
 # So many times NumPy answers a question.
@@ -87,8 +89,10 @@ def program(
     """
     begin = time.perf_counter()
     wanted = _wanted(name, function, static, arguments)._replace(options=dict(options or {}))
-    if wanted.key not in _loaded:
-        _loaded[wanted.key] = _fetched(wanted) or _made(wanted)
+    # Another thread may be making it.
+    with _locks.setdefault(wanted.key, threading.Lock()):
+        if wanted.key not in _loaded:
+            _loaded[wanted.key] = _fetched(wanted) or _made(wanted)
     return _loaded[wanted.key], time.perf_counter() - begin
 
 

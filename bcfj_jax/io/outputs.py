@@ -133,17 +133,18 @@ def channels(history: Mapping[str, np.ndarray], components: int = 0) -> dict[str
     return apart
 
 
+def write_table(path: Path, header: Sequence[str], table: np.ndarray) -> None:
+    """A CSV file of numbers (T, k): the same text as ``write_csv``'s, several times as fast."""
+    buffer = io.StringIO()
+    csv.writer(buffer, lineterminator="\n").writerow(header)
+    text = "".join(f"{','.join(map(repr, row))}\n" for row in table.tolist())
+    buffer.write(text.replace("nan", "") if np.isnan(table).any() else text)
+    write_text(path, buffer.getvalue())
+
+
 def write_histories(path: Path, times: np.ndarray, columns: Mapping[str, np.ndarray]) -> None:
     """A CSV file of histories: time [s], then (T,) columns by their heads."""
-    table = np.column_stack([times, *columns.values()])
-    if np.isnan(table).any():
-        write_csv(path, ["time [s]", *columns], table.tolist())
-        return
-    # The same text as ``write_csv``'s, several times as fast.
-    buffer = io.StringIO()
-    csv.writer(buffer, lineterminator="\n").writerow(["time [s]", *columns])
-    buffer.writelines(f"{','.join(map(repr, row))}\n" for row in table.tolist())
-    write_text(path, buffer.getvalue())
+    write_table(path, ["time [s]", *columns], np.column_stack([times, *columns.values()]))
 
 
 def write_forces(path: Path, run: Run) -> None:

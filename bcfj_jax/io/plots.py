@@ -22,6 +22,12 @@ if TYPE_CHECKING:
 COLOURS = ("#1f5fa8", "#c4501b", "#2d7d46", "#8a4fa3", "#a8891f", "#4a4a4a")
 
 
+def get_ready() -> None:
+    """Import what drawing needs, beside other work (``core.threads.ahead``)."""
+    import matplotlib.backends.backend_agg
+    import matplotlib.figure  # noqa: F401
+
+
 @contextmanager
 def style() -> Iterator[None]:
     """The look of every picture, for the block's duration."""
@@ -108,4 +114,4 @@ def label(name: str, unit: str, prefix: str = "") -> str:
 def save(drawing: Figure, path: Path) -> None:
     """Write a PNG, atomically."""
     with atomic(path) as temporary:
-        drawing.savefig(temporary, format="png")
+        drawing.savefig(temporary, format="png", pil_kwargs={"compress_level": 2})

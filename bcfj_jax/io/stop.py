@@ -15,6 +15,8 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import TypeVar
 
+from bcfj_jax.core import threads
+
 T = TypeVar("T")
 
 _asked = threading.Event()
@@ -106,7 +108,7 @@ def within(seconds: float, what: Callable[[], T]) -> T:
 
 def leave(code: int) -> None:
     """End the process with this exit code, at once, if something still computes that nobody waits for."""
-    if _abandoned.is_set():
+    if _abandoned.is_set() or threads.busy():
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(code)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
@@ -17,6 +18,7 @@ from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.programs import program
 from bcfj_jax.core.quantities import increasing
 from bcfj_jax.core.status import OK, reason
+from bcfj_jax.core.threads import together
 from bcfj_jax.mechanism import channels
 from bcfj_jax.mechanism.channels import Channel, channel
 from bcfj_jax.mechanism.model import AbstractModel, Choice, Params, Reading, Solution
@@ -228,10 +230,10 @@ def simulate(
         return scene.choose(params, values, force_error(accuracy), run)
     # Values alone: one program, whether or not derivatives would need their own error controlled.
     wanted = tuple(channel(name, scene) for name in read)
-    run = timed(scene, params, values, Plan(tolerance, max_steps, solver=solver), wanted)
+    as_asked, tenth = (Plan(t, max_steps, solver=solver) for t in (tolerance, 0.1 * tolerance))
     if not (measure_error and scene.traits.history):
-        return run
-    finer = timed(scene, params, values, Plan(0.1 * tolerance, max_steps, solver=solver), wanted)
+        return timed(scene, params, values, as_asked, wanted)
+    run, finer = together(*(partial(timed, scene, params, values, how, wanted) for how in (as_asked, tenth)))
     found = measured(
         force_error(accuracy), scene.settled_from(params), values, _compared(run), _compared(finer),
         tolerance=run.stats["tolerance"], wall_s=finer.stats["wall_s"],
@@ -244,12 +246,18 @@ def _compared(run: Run) -> dict[str, np.ndarray]:
     return run.force or {name: x[..., None] * [1.0, 0.0, 0.0] for name, x in run.readings.items()}
 
 
+def compiled(
+    scene: AbstractModel, params: Params, values: np.ndarray, how: Plan, wanted: tuple[Channel, ...] = ()
+) -> tuple[Callable[..., Any], float]:
+    """The program of a run, and the seconds [s] that getting it took."""
+    return program("simulate", _run, (scene, wanted), (dict(params), np.asarray(values), how))
+
+
 def timed(scene: AbstractModel, params: Params, values: np.ndarray, how: Plan, wanted: tuple[Channel, ...] = ()) -> Run:
     """A run as planned, at times (T,) [s], with the seconds it took; nothing is checked."""
-    arguments = (dict(params), np.asarray(values), how)
-    run_it, compile_s = program("simulate", _run, (scene, wanted), arguments)
+    run_it, compile_s = compiled(scene, params, values, how, wanted)
     begin = time.perf_counter()
-    solution, readings, more = run_it(*arguments)
+    solution, readings, more = run_it(dict(params), np.asarray(values), how)
     walls = {"wall_s": time.perf_counter() - begin, "compile_s": compile_s}
     run = story(scene, values, solution, readings, how, walls)
     found = {name: np.asarray(more[name]) for name in (c.name for c in wanted)}

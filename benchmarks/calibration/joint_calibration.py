@@ -24,10 +24,10 @@ import jax
 import numpy as np
 
 from bcfj_jax import InputError, scenes
+from bcfj_jax.core.threads import cores
 from benchmarks.analysis.derivatives import CONTACTS, load
 from benchmarks.common import ROOT, markdown, put_in_readme, save
 from calibration import Channel, Experiment, Fit, Free, Problem, fit
-from calibration.search.evaluate import cores
 
 SCENE = scenes.joint()
 TRUTH = {name: float(value) for name, value in SCENE.parameters().items()}

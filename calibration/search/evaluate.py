@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 
 import equinox as eqx
 import numpy as np
 
+from bcfj_jax.core.threads import cores
 from bcfj_jax.solve.plan import plan
 from calibration.forward.losses import straightened
 from calibration.forward.model import Evaluated, Model, evaluation
@@ -19,11 +19,6 @@ def loosened(model: Model) -> Model:
     """A model integrated as loosely as will do on the way to an optimum."""
     loose = np.maximum(model.how.tolerance, plan(model.scene, budget(model.scene).loose).tolerance)
     return eqx.tree_at(lambda m: m.how.tolerance, model, loose)
-
-
-def cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def evaluator(model: Model, log_depth: float) -> Evaluate:

@@ -20,7 +20,8 @@ from bcfj_jax.analysis.derivatives.ranking import (
 )  # fmt: skip
 from bcfj_jax.analysis.derivatives.sensitivity import Sensitivity, sensitivity
 from bcfj_jax.core.programs import keep_asked
-from bcfj_jax.io import outputs, report
+from bcfj_jax.core.threads import ahead
+from bcfj_jax.io import outputs, plots, report
 from bcfj_jax.io.scenefile import load, shown
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import is_reading, unit_of
@@ -79,6 +80,7 @@ def run(
         say(f"comparing with central differences, for {budget:g} s at most")
 
     say(f"differentiating {what} by {', '.join(names)}: {len(given.times)} samples to {given.times[-1]:.6g} s")
+    ahead(plots.get_ready)
     found = sensitivity(
         given.scene, params, given.times, names, accuracy=given.accuracy, features=features, mode="forward",
         certify=certify, max_steps=given.max_steps, steady=True, budget=budget, tell=first,
@@ -131,7 +133,7 @@ def write_histories(path: Path, scene: AbstractModel, found: Sensitivity) -> Non
             unit = derivative_unit(unit_of(parts[0]), scene.quantities[name].unit)
             header += [f"d({part})/d({name}) [{unit}]" for part in parts]
             columns += list(np.where(found.times < _end(found, name), slope.T, np.nan))[: len(parts)]
-    outputs.write_csv(path, header, np.column_stack(columns).tolist())
+    outputs.write_table(path, header, np.column_stack(columns))
 
 
 def _end(found: Sensitivity, name: str) -> float:

@@ -18,6 +18,7 @@ import numpy as np
 
 from bcfj_jax.analysis.derivatives.certificate import Comparison, compare
 from bcfj_jax.analysis.derivatives.norms import Difference, norm
+from bcfj_jax.core.threads import together
 
 Forces = Callable[[np.ndarray], np.ndarray]
 _SEED = 4
@@ -66,7 +67,8 @@ def against(
     h = 0.3 * error ** (1.0 / 3.0)
 
     def pair(h: float) -> tuple[np.ndarray, np.ndarray]:
-        return forces(values + h * step), forces(values - h * step)
+        above, below = together(lambda: forces(values + h * step), lambda: forces(values - h * step))
+        return above, below
 
     above, below = pair(0.25 * h)
     whole = len(times)

@@ -7,6 +7,7 @@ penetration, or the best correlation of a history with itself.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 
 import jax
@@ -164,9 +165,16 @@ def _along(
 
 def _residual(times: np.ndarray, rows: np.ndarray, order: int = 9) -> np.ndarray:
     """What is left of rows (k, T) by ``features.no_clearance_fit`` over all times, a linear map."""
-    tau = 2.0 * (times - times[0]) / (times[-1] - times[0]) - 1.0
-    basis = np.linalg.qr(chebvander(tau, order))[0]
+    basis = _smooth(times.tobytes(), order)
     return rows - (rows @ basis) @ basis.T
+
+
+@functools.lru_cache(maxsize=8)
+def _smooth(times: bytes, order: int) -> np.ndarray:
+    """An orthonormal basis (T, order + 1) of polynomials at times; every feature of a run asks for the same."""
+    t = np.frombuffer(times)
+    tau = 2.0 * (t - t[0]) / (t[-1] - t[0]) - 1.0
+    return np.linalg.qr(chebvander(tau, order))[0]
 
 
 class _Even:

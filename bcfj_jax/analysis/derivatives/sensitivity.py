@@ -18,14 +18,16 @@ from bcfj_jax.analysis.derivatives.measures import measure
 from bcfj_jax.analysis.derivatives.names import Feature, complete, default_features
 from bcfj_jax.analysis.derivatives.names import feature as named
 from bcfj_jax.analysis.derivatives.reverse import Gradient, gradient, reversed_certificate, reversible
-from bcfj_jax.analysis.derivatives.steady import Steady
+from bcfj_jax.analysis.derivatives.steady import Steady, prepared
 from bcfj_jax.analysis.derivatives.steady import steady as of_steady
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.quantities import increasing
 from bcfj_jax.core.status import OK, reason
+from bcfj_jax.core.threads import ahead, together
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.mechanism.observed import observing
 from bcfj_jax.solve.plan import LEVELS, MAX_STEPS, Plan, plan
+from bcfj_jax.solve.simulation import compiled
 
 MODES = ("auto", "forward", "reverse")
 DIFFERENCES = ("direction", "each", "none")
@@ -134,6 +136,11 @@ def sensitivity(
         solved = [gradient(scene, full, t, names, each, able, contacts) for each in plans]
         return _reverse(t, names, _values(full, names), able, contacts, solved, max_steps)
     error = LEVELS[accuracy] if isinstance(accuracy, str) else accuracy
+    # Compiled beside the first solves.
+    if steady and scene.recurs(full) and t[-1] >= scene.settled_from(full):
+        ahead(partial(prepared, scene, full, names, max_steps))
+    if certify and differences != "none":
+        ahead(partial(compiled, scene, full, t, plan(scene, _fine(scene, error, 1), MAX_STEPS)))
     climbed = _climb(scene, full, t, names, how, error, average, levels if certify else 0)
     last = climbed[-1]
     turning = scene.traits.turning
@@ -212,7 +219,10 @@ def _climb(scene, params, times, names, how: Plan, error: float, average: float,
 
     A stiff model whose first two disagree goes on at ``reference``, tangents in the step control.
     """
-    climbed = [level(scene, params, times, names, how)]
+    # The first two are always compared.
+    starts = [how, Plan(np.asarray(0.25 * how.tolerance), how.max_steps, how.tangents)][: 1 + min(levels, 1)]  # pyright: ignore[reportArgumentType]
+    first, *second = together(*(partial(level, scene, params, times, names, each) for each in starts))
+    climbed = [first]
     values, width = _values(params, names), _width(times, average)
     while len(climbed) <= levels and climbed[-1].good:
         tolerance: Any = np.asarray(0.25 * climbed[-1].tolerance)
@@ -222,7 +232,7 @@ def _climb(scene, params, times, names, how: Plan, error: float, average: float,
             good = plan(scene, "reference")
             tolerance = np.minimum(tolerance, good.tolerance)
             how = tighter = Plan(tolerance, how.max_steps, good.tangents)
-        climbed.append(level(scene, params, times, names, tighter))
+        climbed.append(second.pop() if second else level(scene, params, times, names, tighter))
         if not climbed[-1].good:
             break
         found = verdicts.between(times, climbed[-2], climbed[-1], values, width)
@@ -255,8 +265,7 @@ def _certificate(
     lost = any(verdicts.chaotic(g, c[0]) for g, c in zip(grown, found, strict=True))
     if differences != "none" and last.good and not lost:
         spend = _Budget(budget)
-        # Noise of the forces is amplified by 1/h: they are computed at a tolerance of their own.
-        fine = max(min(error * 0.25 ** (len(climbed) - 1), 1e-5 if scene.traits.stiff else 1e-7), 1e-9)
+        fine = _fine(scene, error, len(climbed))
         how = plan(scene, fine, last_budget(climbed))
         short, every = _shortened(scene, params, times)
         count = len(short)
@@ -266,11 +275,11 @@ def _certificate(
 
         def run(at: np.ndarray) -> np.ndarray:
             new = {**params, **{n: np.asarray(x) for n, x in zip(names, at, strict=True)}}
-            with spend:
-                return forces(scene, new, every, how).reshape(len(times), -1)[:count]
+            return forces(scene, new, every, how).reshape(len(times), -1)[:count]
 
         def along(what: str, way: np.ndarray, enough: float) -> Comparison:
-            compared = against(what, short, run, values, way, np.tensordot(way, slopes, 1), fine, width, enough)
+            with spend:
+                compared = against(what, short, run, values, way, np.tensordot(way, slopes, 1), fine, width, enough)
             early = count < len(times) and not np.isfinite(compared.until)
             return compared._replace(what=f"{compared.what}, until {short[-1]:.4g} s") if early else compared
 
@@ -291,7 +300,7 @@ def _certificate(
             also = [both.what if s and not each else "" for s in step]
         # The strongest first: the budget may end.
         for k in sorted(np.flatnonzero(step) if each else (), key=lambda k: -strength[k]):
-            if not spend.allows(2):
+            if not spend.allows:
                 unchecked[k] = f"central differences do not check it alone: the budget of {budget:g} s was spent"
                 continue
             unit = np.where(np.arange(len(names)) == k, step, 0.0)
@@ -309,7 +318,7 @@ def _certificate(
 
 
 class _Budget:
-    """Seconds for runs: ``allows`` says whether so many more are expected to end within, by the quickest until now."""
+    """Seconds for comparisons: ``allows`` says whether one more is expected to end within, by the quickest until now."""
 
     def __init__(self, seconds: float | None):
         self.left, self.quickest = float("inf") if seconds is None else seconds, 0.0
@@ -322,8 +331,9 @@ class _Budget:
         self.left -= took
         self.quickest = min(self.quickest or took, took)
 
-    def allows(self, runs: int) -> bool:
-        return runs * self.quickest <= self.left
+    @property
+    def allows(self) -> bool:
+        return self.quickest <= self.left
 
 
 def _shortened(scene: AbstractModel, params: Params, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -341,9 +351,20 @@ def _shortened(scene: AbstractModel, params: Params, times: np.ndarray) -> tuple
     return times[:count], np.concatenate([times[:count], times[count - 1] + apart])
 
 
+def _fine(scene: AbstractModel, error: float, levels: int) -> float:
+    """Error of the forces that differences are taken of: their noise is amplified by 1/h."""
+    return max(min(error * 0.25 ** (levels - 1), 1e-5 if scene.traits.stiff else 1e-7), 1e-9)
+
+
 def last_budget(climbed: Sequence[Level]) -> int:
-    """Steps allowed to the forces that differences are taken of: twenty times those of the last level, or more."""
-    return max(100_000, 20 * climbed[-1].steps)
+    """Steps allowed to the forces that differences are taken of: ten times those of the last level, or more.
+
+    Few different numbers, since each is a program of its own.
+    """
+    allowed = MAX_STEPS
+    while allowed < 10 * climbed[-1].steps:
+        allowed *= 10
+    return allowed
 
 
 def _by_contact(force: np.ndarray, contacts: Mapping[str, int]) -> dict[str, np.ndarray]:

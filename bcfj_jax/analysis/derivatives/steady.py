@@ -12,7 +12,7 @@ Times are shares of the pitch. One program: a solve of one pitch with all tangen
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from time import perf_counter as clock
 from typing import Any, NamedTuple
 
@@ -33,8 +33,9 @@ from bcfj_jax.solve.integrate import integrate
 from bcfj_jax.solve.plan import Plan, plan
 from bcfj_jax.solve.simulation import readings
 
-# Samples of a pitch, both ends included.
+# Samples of a pitch, both ends included, and where in it they lie.
 SAMPLES = 101
+_SHARES = np.linspace(0.0, 1.0, SAMPLES)
 # The second tolerance, which says how good the first's derivatives are, over that of ``reference``.
 _LOOSER = 10.0
 # A motion repeats itself where Newton's last correction is less, in units of the states' natural sizes.
@@ -163,15 +164,13 @@ def steady(
         return _none("it has none of these features")
     turn, pitch = scene.period(params)
     sizes = _sizes(params, wrt)
-    tight = plan(scene, "reference", max_steps)
+    start = clock()
+    solve, tight = prepared(scene, params, wrt, max_steps)
+    compile_s = clock() - start
     loose = Plan(_LOOSER * tight.tolerance, max_steps, tight.tangents)
-    shares = np.linspace(0.0, 1.0, SAMPLES)
-    solve, compile_s = program(
-        "pitch", _pitch, (scene, wrt), (dict(params), sizes, state, np.asarray(1.0), shares, tight)
-    )
     orbits = []
     for how in (loose, tight):
-        found = solve(dict(params), sizes, state, np.asarray(time / pitch), shares, how)
+        found = solve(dict(params), sizes, state, np.asarray(time / pitch), _SHARES, how)
         orbits.append(_orbit(params, wrt, found, state, scene))
         state = orbits[-1].state
         if not orbits[-1].good:
@@ -192,6 +191,16 @@ def steady(
         last.value.force, last.derivative.force / sizes[:, None, None, None], last.off, last.memory, "",
         first.steps + last.steps, clock() - begin - compile_s, compile_s,
     )  # fmt: skip
+
+
+def prepared(
+    scene: AbstractModel, params: Params, wrt: tuple[str, ...], max_steps: int
+) -> tuple[Callable[..., _Pitch], Plan]:
+    """The compiled map over a pitch of a model that knows one, and how it is solved at the tighter tolerance."""
+    tight = plan(scene, "reference", max_steps)
+    state = np.zeros(jax.eval_shape(scene.initial_state, params).shape)
+    arguments = (dict(params), _sizes(params, wrt), state, np.asarray(1.0), _SHARES, tight)
+    return program("pitch", _pitch, (scene, wrt), arguments)[0], tight
 
 
 def _none(why: str) -> Steady:

@@ -7,7 +7,9 @@ from pathlib import Path
 
 from bcfj_jax.analysis.simulation import results
 from bcfj_jax.core.programs import keep_asked
+from bcfj_jax.core.threads import ahead
 from bcfj_jax.io.outputs import open_folder
+from bcfj_jax.io.plots import get_ready
 from bcfj_jax.io.scenefile import load, quickest
 from bcfj_jax.solve.simulation import simulate
 
@@ -33,6 +35,7 @@ def run(
     stem = given.source.stem if given.source else what
     folder = open_folder(out, "simulate", stem, results.files(given))
     say(f"simulating {what}: {len(given.times)} samples to {given.times[-1]:.6g} s")
+    ahead(get_ready)
     found = simulate(
         given.scene, given.params, given.times, accuracy=given.accuracy, max_steps=given.max_steps,
         solver=given.solver, measure_error=measure_error, read=[channel.name for channel in given.reads],

@@ -17,6 +17,7 @@ from bcfj_jax.analysis.studies.extra import library
 from bcfj_jax.analysis.studies.specification import Study
 from bcfj_jax.analysis.studies.store import Store, facts_of, merge, write_parquet
 from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.threads import cores
 from bcfj_jax.io import outputs, usercode
 from bcfj_jax.io.stop import heeded
 
@@ -146,7 +147,7 @@ def default_workers() -> int:
     """One a core; one in all where an accelerator does the work."""
     import jax
 
-    return local.cores() if jax.default_backend() == "cpu" else 1
+    return cores() if jax.default_backend() == "cpu" else 1
 
 
 def finish(store: Store) -> Result:

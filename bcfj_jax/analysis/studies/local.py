@@ -40,11 +40,6 @@ def written() -> Iterator[None]:
         raise Stopped(said + ("free some space and resume" if full else "mend that and resume")) from None
 
 
-def cores() -> int:
-    """Cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def run(store: Store, workers: int, progress: Callable[[int], None]) -> None:
     """Have all blocks computed by processes of their own; they end with this one.
 
