@@ -16,6 +16,7 @@ import typer
 
 from bcfj_jax.core.compile_cache import open_cache
 from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.progress import Waiting, stage
 from bcfj_jax.io.stop import heeded, leave
 
 DONE, BAD_INPUT, SIMULATION_FAILED, INTERRUPTED = 0, 2, 3, 5
@@ -56,7 +57,8 @@ def _use(files: list[Path] | None, what: str | Path = "") -> None:
         from bcfj_jax.io import tables
 
         tables.read(Path(what))
-    open_cache()
+    with stage("importing JAX"):
+        open_cache()
     if files:
         from bcfj_jax.io.usercode import use_code
 
@@ -97,6 +99,7 @@ def _common(
     ] = False,
 ) -> None:
     del version
+    Waiting.say = _log
 
 
 @app.command(epilog=_EPILOG)

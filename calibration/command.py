@@ -10,6 +10,7 @@ from typing import Any
 
 from bcfj_jax import InputError
 from bcfj_jax.core.programs import keep_asked
+from bcfj_jax.core.progress import stage
 from bcfj_jax.io import outputs, report, scenefile, tables
 from bcfj_jax.io.journal import NAME, Journal, key_of
 from bcfj_jax.io.stop import heeded
@@ -75,7 +76,8 @@ def run(path: Path, out: Path | None, seed: int, starts: int, intervals: str = "
         for heading, rows in _comparisons(outcome):
             print(f"\n{heading}\n{report.text(rows)}")
         print(f"\nresults and pictures, all in report.html: {folder}", flush=True)
-        _draw(folder, path, outcome, understood)
+        with stage("drawing"):
+            _draw(folder, path, outcome, understood)
         (folder / _SO_FAR).unlink(missing_ok=True)
         journal.remove()
     keep_asked()

@@ -33,6 +33,7 @@ import jax.export
 import numpy as np
 
 from bcfj_jax.core import host
+from bcfj_jax.core.progress import stage
 
 _LOG = logging.getLogger("bcfj_jax.programs")
 _ROOT = Path(__file__).resolve().parent.parent
@@ -41,6 +42,8 @@ _OURS = ("bcfj_jax", "calibration")
 _KNOWN = (*_OURS, "jax", "jaxlib", "diffrax", "equinox", "lineax", "optimistix", "numpy", "builtins", "functools")
 _VERSIONS = ("jax", "jaxlib", "diffrax", "equinox", "lineax", "optimistix", "numpy")
 _SUFFIX = ".stablehlo"
+# Where compile times are kept, and from which on [s].
+_SECONDS, _LONG = "seconds.json", 1.0
 _MAGIC = b"bcfj-jax program 1\n"
 
 
@@ -186,9 +189,14 @@ def _fetched(wanted: _Wanted) -> Callable[..., Any] | None:
 
 def _made(wanted: _Wanted, jitted: Any = None) -> Callable[..., Any]:
     """A program traced, kept and compiled."""
-    jitted = jitted or _traced(wanted)[0]
-    path = _path(wanted)
-    return _compiled((_export(path, jitted, wanted.shapes) if path else None) or jitted, wanted)
+    path, begin = _path(wanted), time.perf_counter()
+    of = type(wanted.static[0]).__name__ if wanted.static else ""
+    known = _seconds().get(f"{wanted.name} {of}")
+    with stage(f"compiling '{wanted.name}'" + (f": {known:.0f} s the last time" if known else "")):
+        jitted = jitted or _traced(wanted)[0]
+        made = _compiled((_export(path, jitted, wanted.shapes) if path else None) or jitted, wanted)
+    _remember(f"{wanted.name} {of}", time.perf_counter() - begin)
+    return made
 
 
 def _compiled(call: Callable[..., Any], wanted: _Wanted) -> Callable[..., Any]:
@@ -199,6 +207,23 @@ def _compiled(call: Callable[..., Any], wanted: _Wanted) -> Callable[..., Any]:
         return jax.device_get(compiled(*(np.asarray(x, s.dtype) if np.isscalar(x) else x for x, s in leaves)))
 
     return run
+
+
+# How long programs took to compile, by name and kind of model; sources and values may have changed since.
+
+
+def _seconds() -> dict[str, float]:
+    with contextlib.suppress(OSError, ValueError):
+        found = json.loads((Settings.folder / _SECONDS).read_text()) if Settings.folder else {}
+        if isinstance(found, dict):
+            return {name: took for name, took in found.items() if isinstance(took, float)}
+    return {}
+
+
+def _remember(name: str, took: float) -> None:
+    if Settings.folder is not None and took > _LONG:
+        with contextlib.suppress(OSError):
+            _write(Settings.folder / _SECONDS, json.dumps({**_seconds(), name: round(took, 1)}).encode())
 
 
 # Files.

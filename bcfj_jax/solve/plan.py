@@ -58,10 +58,7 @@ def plan(
         InputError: for an unknown level or solver, an error out of range, a budget below 1, and where the host has
             switched JAX back to 32-bit numbers (``benchmarks/solve/precision.py`` says what they would cost).
     """
-    if jnp.result_type(float) != jnp.float64:
-        raise InputError(
-            "jax_enable_x64", "is off: numbers would have 32 bits", "leave it as importing bcfj_jax set it"
-        )
+    check_bits()
     if max_steps < 1:
         raise InputError("max_steps", f"{max_steps}", "give 1 or more")
     error, stiff = force_error(accuracy), model.traits.stiff
@@ -70,6 +67,18 @@ def plan(
     # An array of NumPy, which compiles nothing.
     tolerance: Any = np.asarray(model.tolerance(error), dtype=np.float64)
     return Plan(tolerance, max_steps, tangents, solver)
+
+
+def check_bits() -> None:
+    """Refuse 32-bit numbers, to which the host may have switched JAX back.
+
+    Raises:
+        InputError: where it has.
+    """
+    if jnp.result_type(float) != jnp.float64:
+        raise InputError(
+            "jax_enable_x64", "is off: numbers would have 32 bits", "leave it as importing bcfj_jax set it"
+        )
 
 
 def force_error(accuracy: str | float) -> float:

@@ -25,7 +25,7 @@ from bcfj_jax.mechanism.model import AbstractModel, Choice, Params, Reading, Sol
 from bcfj_jax.mechanism.readings import contact_states
 from bcfj_jax.solve.forward_reverse import forward_and_reverse
 from bcfj_jax.solve.measured_error import Accuracy, measured
-from bcfj_jax.solve.plan import MAX_STEPS, Plan, Way, force_error, plan
+from bcfj_jax.solve.plan import MAX_STEPS, Plan, Way, check_bits, force_error, plan
 
 Mode = Literal["auto", "forward", "reverse"]
 # A stiff model's gradient is SDIRK2's, whose tangents are not in its step control: in the joint 2 % off at this
@@ -218,6 +218,7 @@ def simulate(
         InputError: for times that are not finite and increasing, an unknown accuracy or solver, a budget below 1, and
             a model that its own ``check`` refuses.
     """
+    check_bits()
     values = increasing(times)
     scene.check(params)
     scene = scene.suited(params, float(values[-1]), solver)

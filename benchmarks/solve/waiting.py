@@ -1,8 +1,10 @@
-"""What a user waits for: whole processes of the command, cold and warm, and where their seconds go.
+"""What a user waits for: whole processes of the command or of a script, cold and warm, and where their seconds go.
 
 Cold: no program is kept. Warm: the same command before has filled the cache. Medians of whole processes, beside an import of
 jax, diffrax and pyplot in the same run, since machines differ. Stages are those of one more process of each kind: import
-(outermost import statements), trace, lower, compile or fetch (XLA and its cache), run and the rest, pictures.
+(outermost import statements), trace, lower, compile or fetch (XLA and its cache), run and the rest, pictures. Programs
+that compile side by side count in full, so stages may add up to more than the whole. Computing: the same search or study
+once more in one process.
 
     python -m benchmarks.solve.waiting [--processes 5] [--only NAME,...]    keeps benchmarks/results/waiting.json
     python -m benchmarks.solve.waiting --worker WORDS                       (internal) one process, its stages to stderr
@@ -23,6 +25,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from benchmarks.common import RESULTS, ROOT, load, markdown, put_in_readme, save
 
 IMPORT = [sys.executable, "-c", "import jax, diffrax, matplotlib.pyplot"]
@@ -40,8 +44,59 @@ steps = 256
 features = ["contact.peak"]
 histories = false
 """
-# Name: words of the command, and what issue 20 asks for, cold and warm [s].
-COMMANDS: dict[str, tuple[list[str], float | None, float | None]] = {
+# Of a fit of the joint's seven coefficients (benchmarks/calibration/joint_calibration.py): damping is held wrong.
+_JOINT_SCENE = """[scene]
+kind = "joint"
+[parameters]
+damping = 0.1998
+[time]
+end = "0.6 s"
+samples = 601
+"""
+_DESIGN = """import numpy as np
+import bcfj_jax as bj
+
+bj.use_cache()
+scene = bj.scenes.joint(fidelity="quasistatic")
+free = {"offset": ("2.84 mm", "4.97 mm", "20 um"), "clearance_cage_ball": ("0 um", "40 um", "5 um")}
+print(bj.design(scene, scene.parameters(), np.linspace(0.15, 0.25, 13), "cage_ball.largest", free, starts=8).status)
+"""
+_QUASISTATIC = """import numpy as np
+import bcfj_jax as bj
+
+bj.use_cache()
+scene = bj.scenes.joint(fidelity="quasistatic")
+names = ["seat_cage", "head_cage", "cage_ball", "seat_ball", "head_ball"]
+wrt = [f"clearance_{name}" for name in names]
+print(bj.sensitivity(scene, scene.parameters(), np.linspace(0.0, 0.6, 121), wrt).certificate.verdict)
+"""
+_COMPUTING = {
+    "fit": """import time
+import bcfj_jax as bj
+
+bj.use_cache()
+import calibration
+
+problem = calibration.load("joint.toml")
+for _ in range(2):
+    begin = time.perf_counter()
+    calibration.fit(problem, starts=6)
+print(time.perf_counter() - begin)
+""",
+    "study": """import time
+import numpy as np
+import bcfj_jax as bj
+
+bj.use_cache()
+scene = bj.scenes.impact()
+for _ in range(2):
+    begin = time.perf_counter()
+    bj.study(scene, clearance_contact=np.linspace(1e-6, 1e-4, 256), features=["contact.peak"])
+print(time.perf_counter() - begin)
+""",
+}
+# Name: words of the command or a script, and what issue 20 asks for, cold and warm [s].
+COMMANDS: dict[str, tuple[list[str] | str, float | None, float | None]] = {
     "--help": (["--help"], 0.3, 0.3),
     "simulate missing.toml": (["simulate", "missing.toml"], 0.3, 0.3),
     "simulate impact": (["simulate", "impact"], 4.0, 2.5),
@@ -49,8 +104,15 @@ COMMANDS: dict[str, tuple[list[str], float | None, float | None]] = {
     "calibrate the demo": (["calibrate", str(ROOT / "examples" / "chung_ooi_fit.toml")], 15.0, 5.0),
     "sensitivity impact": (["sensitivity", "impact", "--wrt", "stiffness,damping"], 8.0, 4.0),
     "sensitivity joint": (["sensitivity", "joint", "--wrt", _EIGHT], 60.0, 15.0),
+    "calibrate the joint's seven": (["calibrate", "joint.toml", "--starts", "6"], None, None),
     "study of 256 clearances": (["study", "run", "study.toml"], None, None),
+    "design": (_DESIGN, 35.0, 12.0),
+    "quasistatic sensitivity": (_QUASISTATIC, 25.0, 8.0),
+    "tradeoff impact --budget 30": (["tradeoff", "impact", "--budget", "30"], 33.0, 33.0),
+    "tradeoff joint --budget 60": (["tradeoff", "joint", "--budget", "60"], 66.0, 66.0),
 }
+# What the warm command may take beyond its computing [s], and what computes.
+BEYOND = {"calibrate the joint's seven": ("fit", 10.0), "study of 256 clearances": ("study", 5.0)}
 STAGES = ("import", "trace", "lower", "compile", "pictures", "rest")
 _EVENTS = {
     "jaxpr_trace_duration": "trace",
@@ -60,7 +122,7 @@ _EVENTS = {
 
 
 def worker(words: list[str]) -> None:
-    """The command in this process; where its time went, as JSON, to stderr."""
+    """The command or script in this process; where its time went, as JSON, to stderr."""
     begin, depth = time.perf_counter(), [0]
     spent: dict[str, float] = dict.fromkeys(STAGES, 0.0)
     plain = builtins.__import__
@@ -104,26 +166,48 @@ def worker(words: list[str]) -> None:
         jax.monitoring.register_event_duration_secs_listener(heard)
     sys.argv = ["bcfj", *words]
     with contextlib.suppress(SystemExit):
-        main()
+        if words[0] == "-c":
+            exec(words[1], {})
+        else:
+            main()
     whole = time.perf_counter() - begin
     spent["rest"] = whole - sum(spent.values())
     print(json.dumps(spent), file=sys.stderr)
 
 
-def process(words: list[str], cache: Path, module: str = "bcfj_jax") -> tuple[float, str]:
-    """Seconds of one whole process, and what it said on stderr."""
+def process(words: list[str] | str, cache: Path, worker: bool = False) -> tuple[float, str]:
+    """Seconds of one whole process, and what it printed: a script on stdout, a worker its stages on stderr."""
+    given = ["-c", words] if isinstance(words, str) else words
+    inner = ["-m", "benchmarks.solve.waiting", "--worker"] if worker else ["-m", "bcfj_jax"] if given == words else []
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "study.toml").write_text(_STUDY)
-        surroundings = {**os.environ, "BCFJ_CACHE": str(cache), "PYTHONPATH": str(ROOT)}
+        if "joint.toml" in given or words == _COMPUTING["fit"]:
+            joint_problem(Path(folder))
+        surroundings = {**os.environ, "BCFJ_CACHE": str(cache), "PYTHONPATH": str(ROOT), "EQX_ON_ERROR": "nan"}
+        command = [sys.executable, *inner, *given]
         begin = time.perf_counter()
-        done = subprocess.run(
-            [sys.executable, "-m", *module.split(), *words],
-            env=surroundings,
-            cwd=folder,
-            capture_output=True,
-            text=True,
-        )
-        return time.perf_counter() - begin, done.stderr
+        done = subprocess.run(command, env=surroundings, cwd=folder, capture_output=True, text=True)
+        return time.perf_counter() - begin, done.stderr if worker else done.stdout
+
+
+def joint_problem(folder: Path) -> None:
+    """A problem file of the joint's seven coefficients, its record with 2 % noise, and its scene."""
+    from benchmarks.calibration import joint_calibration as joint
+
+    experiment = joint.problem(0.02, 0, {}).experiments[0]
+    names = [channel.observes for channel in experiment.channels]
+    columns = [experiment.times, *(channel.values for channel in experiment.channels)]
+    rows = [",".join(["time [s]", *(f"{name} [N]" for name in names)])]
+    rows += [",".join(map(repr, row)) for row in np.column_stack(columns).tolist()]
+    (folder / "record.csv").write_text("\n".join(rows) + "\n")
+    (folder / "scene.toml").write_text(_JOINT_SCENE)
+    text = 'scene = "scene.toml"\n\n[[experiment]]\nfile = "record.csv"\ntime = "time [s]"\n'
+    for name, channel in zip(names, experiment.channels, strict=True):
+        text += f'observe."{name}" = "{name} [N]"\nnoise."{name}" = {channel.sigma!r}\n'
+    for name, (low, high) in joint.BOUNDS.items():
+        if name != "damping":
+            text += f"\n[free.{name}]\nlower = {low * joint.TRUTH[name]!r}\nupper = {high * joint.TRUTH[name]!r}\n"
+    (folder / "joint.toml").write_text(text)
 
 
 def importing() -> float:
@@ -132,11 +216,10 @@ def importing() -> float:
     return time.perf_counter() - begin
 
 
-def measured(words: list[str], count: int) -> dict[str, Any]:
+def measured(words: list[str] | str, count: int) -> dict[str, Any]:
     """Seconds cold and warm, the import beside them, and the stages of one process of each kind."""
     row: dict[str, list[float]] = {"cold": [], "warm": [], "import": []}
     stages = {}
-    inner = "benchmarks.solve.waiting --worker"
     for k in range(count):
         with tempfile.TemporaryDirectory() as folder:
             cache = Path(folder)
@@ -144,17 +227,19 @@ def measured(words: list[str], count: int) -> dict[str, Any]:
             row["import"].append(importing())
             row["warm"].append(process(words, cache)[0])
             if k == count - 1:
-                stages["warm"] = json.loads(process(words, cache, inner)[1].splitlines()[-1])
+                stages["warm"] = json.loads(process(words, cache, True)[1].splitlines()[-1])
                 with tempfile.TemporaryDirectory() as other:
-                    stages["cold"] = json.loads(process(words, Path(other), inner)[1].splitlines()[-1])
+                    stages["cold"] = json.loads(process(words, Path(other), True)[1].splitlines()[-1])
     return {name: statistics.median(values) for name, values in row.items()} | {"all": row, "stages": stages}
 
 
 def table(result: dict[str, Any]) -> str:
     """Seconds, goals, and the ratio of the warm process to the import."""
-    rows = [["`bcfj ...`", "cold", "goal", "warm", "goal", "warm over import"]]
+    rows = [["`bcfj ...`, or a script", "cold", "goal", "warm", "goal", "warm over import"]]
     for name, row in result["commands"].items():
         goals = [f"{goal:g} s" if goal else "" for goal in COMMANDS[name][1:]]
+        if name in BEYOND:
+            goals[1] = f"{row['computing'] + BEYOND[name][1]:.1f} s"
         rows.append(
             [
                 f"`{name}`",
@@ -186,6 +271,10 @@ def main() -> None:
     kept = load("waiting")["commands"] if (RESULTS / "waiting.json").exists() else {}
     for name in wanted:
         kept[name] = measured(COMMANDS[name][0], given.processes)
+        if name in BEYOND:
+            with tempfile.TemporaryDirectory() as folder:
+                text = process(_COMPUTING[BEYOND[name][0]], Path(folder))[1]
+            kept[name]["computing"] = float(text.splitlines()[-1])
         print(name, {k: round(kept[name][k], 2) for k in ("cold", "warm", "import")}, flush=True)
     result = {"processes": given.processes, "commands": {name: kept[name] for name in COMMANDS if name in kept}}
     save("waiting", result)

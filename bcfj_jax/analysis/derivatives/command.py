@@ -20,6 +20,7 @@ from bcfj_jax.analysis.derivatives.ranking import (
 )  # fmt: skip
 from bcfj_jax.analysis.derivatives.sensitivity import Sensitivity, sensitivity
 from bcfj_jax.core.programs import keep_asked
+from bcfj_jax.core.progress import stage
 from bcfj_jax.core.threads import ahead
 from bcfj_jax.io import outputs, plots, report
 from bcfj_jax.io.scenefile import load, shown
@@ -95,8 +96,9 @@ def run(
     # Shown already, unless the comparison has changed it.
     again = [] if seen == [tables] else tables
     parts = [said(found), *_texts([*certificate, *again]), f"results in {folder}"]
-    pictures.tornado(ranking(found, params), folder / "tornado.png")
-    pictures.bands(found, params, folder / "histories.png")
+    with stage("drawing"):
+        pictures.tornado(ranking(found, params), folder / "tornado.png")
+        pictures.bands(found, params, folder / "histories.png")
     drawn = [folder / "tornado.png", folder / "histories.png"]
     title, *costs = report.solver_rows(stats)
     solver = [title, ["solves", str(stats["levels"])], *costs]

@@ -26,7 +26,7 @@ from bcfj_jax.core.status import OK, reason
 from bcfj_jax.core.threads import ahead, together
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.mechanism.observed import observing
-from bcfj_jax.solve.plan import LEVELS, MAX_STEPS, Plan, plan
+from bcfj_jax.solve.plan import LEVELS, MAX_STEPS, Plan, check_bits, plan
 from bcfj_jax.solve.simulation import compiled
 
 MODES = ("auto", "forward", "reverse")
@@ -111,6 +111,7 @@ def sensitivity(
     Raises:
         InputError: for names that are not known, with the nearest, and for times and options that are not right.
     """
+    check_bits()
     t = increasing(times)
     scene.check(params)
     scene = scene.suited(params, float(t[-1]))

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from bcfj_jax.analysis.simulation import results
 from bcfj_jax.core.programs import keep_asked
+from bcfj_jax.core.progress import stage
 from bcfj_jax.core.threads import ahead
 from bcfj_jax.io.outputs import open_folder
 from bcfj_jax.io.plots import get_ready
@@ -46,6 +47,7 @@ def run(
         say(f"warning: {warning}")
     if found.status != "ok":
         say(f"error: {results.verdict(found)}")
-    results.draw(folder, given, found, stem, written)
+    with stage("drawing"):
+        results.draw(folder, given, found, stem, written)
     keep_asked()
     return found.status == "ok"

@@ -17,6 +17,7 @@ from bcfj_jax.analysis.studies.block import Blocks, compute
 from bcfj_jax.analysis.studies.specification import Study
 from bcfj_jax.analysis.studies.store import Store, fault_of
 from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.progress import stage
 from bcfj_jax.io import outputs, report
 from bcfj_jax.io.stop import heeded
 from bcfj_jax.io.units import format_si
@@ -202,7 +203,8 @@ def write(result: api.Result, study: Study, stem: str) -> str:
         rows.append([name, *cells])
     failures = [["reason", "points"], *([text, str(count)] for text, count in found["reasons"].items())]
     tables = [("Results", rows)] + ([("Failures", failures)] if found["failed"] else [])
-    drawn = pictures.overview(study, result, result.folder)
+    with stage("drawing"):
+        drawn = pictures.overview(study, result, result.folder)
     report.write(result.folder, f"Study {stem}", said, tables, drawn)
     more = [f"  {text}: {count}" for text, count in found["reasons"].items()]
     return "\n".join([said, *more, "", report.text(rows)])

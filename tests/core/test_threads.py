@@ -1,0 +1,95 @@
+"""Work side by side, what is begun ahead, and the line that says what is waited for."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from bcfj_jax.core import programs, threads
+from bcfj_jax.core.progress import Waiting, stage
+
+
+@pytest.mark.parametrize("cores", [1, 2])
+def test_results_come_in_order_whichever_ends_first(monkeypatch, cores):
+    monkeypatch.setattr(threads, "cores", lambda: cores)
+    assert threads.together(lambda: (time.sleep(0.02), 1)[1], lambda: 2, lambda: 3) == [1, 2, 3]
+
+
+def test_on_two_cores_both_run_at_once(monkeypatch):
+    monkeypatch.setattr(threads, "cores", lambda: 2)
+    met = threading.Barrier(2, timeout=10.0)
+    assert len(threads.together(met.wait, met.wait)) == 2
+
+
+@pytest.mark.parametrize("cores", [1, 2])
+def test_an_error_is_raised(monkeypatch, cores):
+    monkeypatch.setattr(threads, "cores", lambda: cores)
+    with pytest.raises(ZeroDivisionError):
+        threads.together(lambda: 1, lambda: 1 // 0)
+
+
+def test_what_is_begun_ahead_is_busy_until_it_ends_and_its_error_is_dropped():
+    go = threading.Event()
+
+    def wait() -> None:
+        go.wait(10.0)
+        raise ValueError
+
+    threads.ahead(wait)
+    assert threads.busy()
+    go.set()
+    for thread in threads._ahead:
+        thread.join(10.0)
+    assert not threads.busy()
+
+
+def test_a_program_asked_for_twice_at_once_is_made_once():
+    def slow(x):
+        time.sleep(0.05)
+        return 2.0 * x
+
+    def once():
+        return programs.program("test: made once", slow, (), (np.ones(3),))[0]
+
+    before = programs.traced.count("test: made once")
+    first, second = threads.together(once, once)
+    assert first is second
+    assert programs.traced.count("test: made once") == before + 1
+
+
+def test_a_line_is_said_only_of_what_takes_long(monkeypatch):
+    said: list[str] = []
+    monkeypatch.setattr(Waiting, "say", said.append)
+    monkeypatch.setattr(Waiting, "after", 0.05)
+    with stage("short"):
+        pass
+    with stage("long"):
+        time.sleep(0.3)
+    assert said == ["long"]
+    monkeypatch.setattr(Waiting, "say", None)
+    with stage("nobody listens"):
+        time.sleep(0.1)
+    assert said == ["long"]
+
+
+@pytest.mark.parametrize("kept", ["", "[1]", '{"x": "long"}', "\x00", '{"test: said ": 12.3}'])
+def test_compiling_is_said_with_the_last_time_if_that_is_known(tmp_path, monkeypatch, kept):
+    said: list[str] = []
+    monkeypatch.setattr(Waiting, "say", said.append)
+    monkeypatch.setattr(Waiting, "after", 0.0)
+    monkeypatch.setattr(programs.Settings, "folder", tmp_path)
+    monkeypatch.setattr(programs, "_LONG", 0.0)
+    (tmp_path / "seconds.json").write_text(kept)
+
+    def slow(x):
+        time.sleep(0.1)
+        return x + 1.0
+
+    programs.program("test: said", slow, (), (np.ones(len(kept) + 1),))
+    known = ": 12 s the last time" if "12.3" in kept else ""
+    assert said == [f"compiling 'test: said'{known}"]
+    assert json.loads((tmp_path / "seconds.json").read_text())["test: said "] > 0.0
