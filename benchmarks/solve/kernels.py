@@ -2,7 +2,7 @@
 
 Each scene runs in fresh processes that differ in these options alone, in turn; medians over the processes.
 
-    python -m benchmarks.solve.kernels            measures, keeps benchmarks/results/kernels.json
+    python -m benchmarks.solve.kernels            measures, keeps benchmarks/results/kernels.json and docs/waiting.md
     python -m benchmarks.solve.kernels --worker   (internal) one process: all scenes
 """
 
@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common import ROOT, markdown, save
+from benchmarks.common import ROOT, markdown, put_in_readme, save
 
 LOOPS, WRITER = "xla_cpu_small_while_loop_byte_threshold", "xla_cpu_disable_new_fusion_emitters"
 # As XLA comes; loops as single kernels; and kernels by the older writer, which is what the package sets.
@@ -73,6 +73,7 @@ def main() -> None:
                 row[f"{key}_{side}"] = statistics.median(r[side][scene][key] for r in rounds)
         result[scene] = {**row, "status": rounds[0]["with"][scene]["status"]}
     save("kernels", {"processes": PROCESSES, "scenes": result})
+    put_in_readme("kernels", table(result), "docs/waiting.md")
     print(table(result))
 
 

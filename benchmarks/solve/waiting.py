@@ -7,7 +7,8 @@ that compile side by side count in full, so stages may add up to more than the w
 once more in one process.
 
     python -m benchmarks.solve.waiting [--processes 5] [--only NAME,...]    keeps benchmarks/results/waiting.json
-    python -m benchmarks.solve.waiting --worker WORDS                       (internal) one process, its stages to stderr
+    python -m benchmarks.solve.waiting --before OTHER [--only ...]          one process each of an older checkout, beside it
+    python benchmarks/solve/waiting.py --worker WORDS                       (internal) one process, its stages to stderr
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common import RESULTS, ROOT, load, markdown, put_in_readme, save
+ROOT = Path(__file__).resolve().parent.parent.parent
 
 IMPORT = [sys.executable, "-c", "import jax, diffrax, matplotlib.pyplot"]
 _EIGHT = (
@@ -171,19 +172,19 @@ def worker(words: list[str]) -> None:
         else:
             main()
     whole = time.perf_counter() - begin
-    spent["rest"] = whole - sum(spent.values())
+    spent["rest"] = max(whole - sum(spent.values()), 0.0)
     print(json.dumps(spent), file=sys.stderr)
 
 
-def process(words: list[str] | str, cache: Path, worker: bool = False) -> tuple[float, str]:
+def process(words: list[str] | str, cache: Path, worker: bool = False, checkout: Path = ROOT) -> tuple[float, str]:
     """Seconds of one whole process, and what it printed: a script on stdout, a worker its stages on stderr."""
     given = ["-c", words] if isinstance(words, str) else words
-    inner = ["-m", "benchmarks.solve.waiting", "--worker"] if worker else ["-m", "bcfj_jax"] if given == words else []
+    inner = [str(Path(__file__).resolve()), "--worker"] if worker else ["-m", "bcfj_jax"] if given == words else []
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "study.toml").write_text(_STUDY)
         if "joint.toml" in given or words == _COMPUTING["fit"]:
             joint_problem(Path(folder))
-        surroundings = {**os.environ, "BCFJ_CACHE": str(cache), "PYTHONPATH": str(ROOT), "EQX_ON_ERROR": "nan"}
+        surroundings = {**os.environ, "BCFJ_CACHE": str(cache), "PYTHONPATH": str(checkout), "EQX_ON_ERROR": "nan"}
         command = [sys.executable, *inner, *given]
         begin = time.perf_counter()
         done = subprocess.run(command, env=surroundings, cwd=folder, capture_output=True, text=True)
@@ -233,9 +234,22 @@ def measured(words: list[str] | str, count: int) -> dict[str, Any]:
     return {name: statistics.median(values) for name, values in row.items()} | {"all": row, "stages": stages}
 
 
+def before(words: list[str] | str, checkout: Path) -> dict[str, Any]:
+    """Seconds of one process, cold and warm, of an older checkout, and where they went."""
+    row: dict[str, Any] = {"stages": {}}
+    with tempfile.TemporaryDirectory() as folder:
+        for kind in ("cold", "warm"):
+            row[kind] = process(words, Path(folder), False, checkout)[0]
+    with tempfile.TemporaryDirectory() as folder:
+        for kind in ("cold", "warm"):
+            text = process(words, Path(folder), True, checkout)[1]
+            row["stages"][kind] = json.loads(text.splitlines()[-1])
+    return row
+
+
 def table(result: dict[str, Any]) -> str:
     """Seconds, goals, and the ratio of the warm process to the import."""
-    rows = [["`bcfj ...`, or a script", "cold", "goal", "warm", "goal", "warm over import"]]
+    rows = [["`bcfj ...`, or a script", "before: cold", "warm", "cold", "goal", "warm", "goal", "warm over import"]]
     for name, row in result["commands"].items():
         goals = [f"{goal:g} s" if goal else "" for goal in COMMANDS[name][1:]]
         if name in BEYOND:
@@ -243,6 +257,7 @@ def table(result: dict[str, Any]) -> str:
         rows.append(
             [
                 f"`{name}`",
+                *(f"{row['before'][kind]:.1f} s" if "before" in row else "" for kind in ("cold", "warm")),
                 f"{row['cold']:.2f} s",
                 goals[0],
                 f"{row['warm']:.2f} s",
@@ -250,33 +265,47 @@ def table(result: dict[str, Any]) -> str:
                 f"{row['warm'] / row['import']:.2f}",
             ]
         )
+    from benchmarks.common import markdown
+
     return markdown(rows)
 
 
 def where(result: dict[str, Any]) -> str:
     """Where the seconds go."""
-    rows = [["`bcfj ...`", "", *STAGES]]
+    rows = [["`bcfj ...`, or a script", "", *STAGES]]
     for name, row in result["commands"].items():
         for kind in ("cold", "warm"):
+            if "before" in row:
+                old = row["before"]["stages"][kind]
+                rows.append([f"`{name}`", f"before, {kind}", *(f"{old[stage]:.2f}" for stage in STAGES)])
             rows.append([f"`{name}`", kind, *(f"{row['stages'][kind][stage]:.2f}" for stage in STAGES)])
+    from benchmarks.common import markdown
+
     return markdown(rows)
 
 
 def main() -> None:
+    from benchmarks.common import RESULTS, load, put_in_readme, save
+
     parser = argparse.ArgumentParser()
     parser.add_argument("--processes", type=int, default=5)
     parser.add_argument("--only", default="")
+    parser.add_argument("--before", type=Path)
     given = parser.parse_args()
     wanted = [name for name in given.only.split(",") if name] or list(COMMANDS)
     kept = load("waiting")["commands"] if (RESULTS / "waiting.json").exists() else {}
     for name in wanted:
-        kept[name] = measured(COMMANDS[name][0], given.processes)
+        if given.before:
+            kept.setdefault(name, {})["before"] = before(COMMANDS[name][0], given.before.resolve())
+            continue
+        kept[name] = {k: v for k, v in kept.get(name, {}).items() if k == "before"}
+        kept[name] |= measured(COMMANDS[name][0], given.processes)
         if name in BEYOND:
             with tempfile.TemporaryDirectory() as folder:
                 text = process(_COMPUTING[BEYOND[name][0]], Path(folder))[1]
             kept[name]["computing"] = float(text.splitlines()[-1])
         print(name, {k: round(kept[name][k], 2) for k in ("cold", "warm", "import")}, flush=True)
-    result = {"processes": given.processes, "commands": {name: kept[name] for name in COMMANDS if name in kept}}
+    result = {"processes": given.processes, "commands": {name: kept[name] for name in COMMANDS if "cold" in kept.get(name, {})}}
     save("waiting", result)
     put_in_readme("waiting", table(result), "docs/waiting.md")
     put_in_readme("stages", where(result), "docs/waiting.md")

@@ -1,0 +1,95 @@
+"""Run times of compiled programs in two checkouts, in turn: the joint, its Jacobian, batches, and three mechanisms.
+
+A change of how programs are made must not make them slower. Each round is a fresh process in either checkout; a figure is
+the least of some runs in a process, then the median over the rounds.
+
+    python -m benchmarks.solve.run_times OTHER    OTHER: folder of an older checkout; keeps run_times.json, docs/waiting.md
+    python benchmarks/solve/run_times.py --worker (internal) one process, with the package of PYTHONPATH
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import statistics
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+RUNS, ROUNDS, LANES = 5, 3, 64
+_EIGHT = (
+    "stiffness", "exponent", "damping", "friction_static", "friction_dynamic", "clearance_seat_cage",
+    "clearance_seat_ball", "contact_angle",
+)  # fmt: skip
+
+
+def worker() -> None:
+    import numpy as np
+
+    import bcfj_jax as bj
+
+    import jax  # isort: skip
+
+    def quickest(run: Any) -> float:
+        run()
+        walls = []
+        for _ in range(RUNS):
+            begin = time.perf_counter()
+            run()
+            walls.append(time.perf_counter() - begin)
+        return min(walls)
+
+    found = {}
+    scene, t = bj.scenes.joint(), np.linspace(0.0, 0.1, 101)
+    params = scene.parameters()
+    forces = jax.jit(lambda p: bj.force_history(scene, p, t))
+    found["joint, 0.1 s"] = quickest(lambda: jax.block_until_ready(forces(params)))
+    slopes = [bj.sensitivity(scene, params, t, _EIGHT, certify=False) for _ in range(1 + RUNS)]
+    found["joint, 0.1 s, Jacobian of 8"] = min(s.stats["wall_s"] for s in slopes[1:])
+    short = np.linspace(0.0, 0.02, 21)
+    for name, times in (("joint", short), ("slider_crank", np.linspace(0.0, 0.012, 101))):
+        one = getattr(bj.scenes, name)()
+        at = one.parameters()
+        moved = {k: np.repeat(np.asarray(v), LANES) for k, v in at.items()}
+        moved["stiffness"] = moved["stiffness"] * np.linspace(0.9, 1.1, LANES)
+        batch = jax.jit(jax.vmap(lambda p, one=one, times=times: bj.force_history(one, p, times)))
+        found[f"{name}, batch of {LANES}"] = quickest(
+            lambda batch=batch, moved=moved: jax.block_until_ready(batch(moved))
+        )
+    for name, end in (("impact", 5e-5), ("slider_crank", 0.012), ("four_bar", 0.1)):
+        one = getattr(bj.scenes, name)()
+        at, times = one.parameters(), np.linspace(0.0, end, 400)
+        run = jax.jit(lambda p, one=one, times=times: bj.force_history(one, p, times))
+        found[name] = quickest(lambda run=run, at=at: jax.block_until_ready(run(at)))
+    print(json.dumps(found))
+
+
+def one_process(checkout: Path) -> dict[str, float]:
+    surroundings = {**os.environ, "PYTHONPATH": str(checkout), "EQX_ON_ERROR": "nan", "BCFJ_CACHE": "off"}
+    command = [sys.executable, os.path.abspath(__file__), "--worker"]
+    done = subprocess.run(command, env=surroundings, capture_output=True, text=True, check=True, cwd=checkout)
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def main(other: Path) -> None:
+    from benchmarks.common import ROOT, markdown, put_in_readme, save
+
+    rounds = [{side: one_process(path) for side, path in (("before", other), ("after", ROOT))} for _ in range(ROUNDS)]
+    commit = subprocess.run(["git", "rev-parse", "HEAD"], cwd=other, capture_output=True, text=True).stdout.strip()
+    names = rounds[0]["after"]
+    table = {
+        name: {side: statistics.median(r[side][name] for r in rounds) for side in ("before", "after")} for name in names
+    }
+    save("run_times", {"before": commit, "rounds": ROUNDS, "runs": table})
+    rows = [["", "before", "after", "before over after"]]
+    for name, row in table.items():
+        times = [f"{1e3 * row[side]:.3g} ms" for side in ("before", "after")]
+        rows.append([name, *times, f"{row['before'] / row['after']:.2f}"])
+    put_in_readme("run-times", markdown(rows), "docs/waiting.md")
+    print(markdown(rows))
+
+
+if __name__ == "__main__":
+    worker() if "--worker" in sys.argv else main(Path(sys.argv[1]).resolve())
