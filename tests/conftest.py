@@ -1,6 +1,16 @@
-"""Shared test set-up: float64, a compilation cache inside the build tree, and the two tiers.
+"""Shared test set-up: float64, a compilation cache inside the build tree, and the three tiers.
 
-The second tier, tests marked ``slow``, runs after everything else; ``make test`` runs the first alone.
+==============  ====================================================  ==========================
+``make``        runs                                                  what is marked so
+==============  ====================================================  ==========================
+``fast``        tests without a mark: what the README promises, and   nothing
+                every test that is cheap; three minutes
+``test``        also ``full``; CI runs it                             costly programs of physics
+``all-tests``   also ``slow``, and more examples of each property     long runs, many repetitions
+==============  ====================================================  ==========================
+
+Marks stand in the test files, so that a tier is the same on every machine. What is slow compiles: most of a test's time
+is XLA's. A worker therefore runs whole files (``--dist loadfile``), whose tests share programs and fixtures.
 """
 
 from __future__ import annotations
@@ -29,13 +39,14 @@ for name, count in (("all", 100), ("fast", 25)):
 settings.load_profile("all")
 
 
+# The files that take longest go first, so that no worker is left alone with one at the end.
+LONG: tuple[str, ...] = ()
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Slow tests last; a worker gets a file's tests of one tier together, for they share compiled programs."""
-    items.sort(key=lambda item: item.get_closest_marker("slow") is not None)
-    for item in items:
-        tier = "slow" if item.get_closest_marker("slow") else "fast"
-        item.add_marker(pytest.mark.xdist_group(f"{item.path.name}-{tier}"))
+    """Long files first."""
+    items.sort(key=lambda item: LONG.index(item.path.name) if item.path.name in LONG else len(LONG))
 
 
 @pytest.fixture
