@@ -1,4 +1,5 @@
-"""The code of the pages runs: Python blocks in order in one namespace, TOML blocks as the files that they name.
+"""The code of the pages runs: Python blocks in order in one namespace, TOML blocks as the files that they name, and the
+README's commands.
 
 A Python block that begins with a comment like ``# my_parts.py`` is added to that file. A TOML block that begins with
 ``# cam.toml --code my_parts.py`` is written to cam.toml, with the user's code in use: a scene is then simulated, a
@@ -143,8 +144,9 @@ def test_a_mechanism_is_short():
     assert all(code_lines(b.text) <= 15 for b in own)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("page", [MECHANISMS, ROOT / "README.md"], ids=lambda page: page.name)
+@pytest.mark.parametrize(
+    "page", [ROOT / "README.md", pytest.param(MECHANISMS, marks=pytest.mark.full)], ids=lambda page: page.name
+)
 def test_blocks_run(page, folder):
     names: dict[str, object] = {}
     for block in blocks(page, "python", "toml"):
@@ -152,3 +154,38 @@ def test_blocks_run(page, folder):
             run_python(block, names)
         elif block.file:
             run_toml(block)
+
+
+# The README's commands, and what they write beside run.toml and environment.json.
+WRITES = {
+    "init impact": (),
+    "simulate examples/chung_ooi_test1.toml": ("forces.csv", "contacts.csv", "summary.json"),
+    "simulate joint": ("forces.csv", "contacts.csv", "summary.json"),
+    "calibrate examples/chung_ooi_fit.toml": ("fit.json", "fitted_scene.toml"),
+    "sensitivity impact --wrt stiffness,damping": ("sensitivity.csv", "certificate.json"),
+    "study run clearance": ("results.parquet", "study.json"),
+    "study indices STUDY.toml": (),
+    "reproduce": (),
+}
+# Run elsewhere: tests/analysis/test_sensitivity_indices.py and tests/analysis/test_reproduce.py.
+ELSEWHERE = ("study indices STUDY.toml", "reproduce")
+
+
+def test_every_command_of_the_readme_is_known():
+    found = re.findall(r"^bcfj (.*?) *(?:#.*)?$", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert found == list(WRITES)
+
+
+@pytest.mark.parametrize("command", [name for name in WRITES if name not in ELSEWHERE])
+def test_commands_run(command, folder, monkeypatch):
+    from conftest import BUILD
+    from typer.testing import CliRunner
+
+    from bcfj_jax.cli import app
+
+    monkeypatch.setenv("BCFJ_CACHE", str(BUILD / "jax-cache"))
+    done = CliRunner().invoke(app, [*command.split(), "--out", "out"])
+    assert done.exit_code == 0, done.stderr
+    written = {path.name for path in (folder / "out").iterdir()}
+    common = {"run.toml", "environment.json", "report.html"} if WRITES[command] else {"impact.toml"}
+    assert {*common, *WRITES[command]} <= written

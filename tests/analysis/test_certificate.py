@@ -82,6 +82,7 @@ def test_a_longer_step_is_taken_only_where_the_shorter_disagrees():
         assert len(runs) == count
 
 
+@pytest.mark.full
 def test_the_budget_ends_the_comparison_and_says_so():
     # At 1e-6 the direction of all is bad at this loose tolerance, so that each parameter is asked for.
     told = []
@@ -137,6 +138,7 @@ def test_the_figure_stated_is_the_size_of_the_error():
     assert np.median(ratios) < 1.0, ratios
 
 
+@pytest.mark.full
 def test_a_jump_exactly_at_an_output_time_is_caught():
     # Kelvin and Voigt's force jumps at the touch, by dashpot times speed, at 10 us.
     scene = bj.scenes.impact("kelvin_voigt", smoothing=False)
@@ -165,6 +167,7 @@ def test_a_kink_at_the_only_output_time_is_caught():
     assert smooth.certificate.verdict == TRUSTED
 
 
+@pytest.mark.full
 def test_a_chaotic_bounce_is_called_chaotic():
     scene = bumps()
     found = bj.sensitivity(scene, scene.parameters(), np.linspace(0.0, 8.0, 2001), ("stiffness", "drop_height"))
@@ -188,6 +191,7 @@ def test_no_influence_is_trusted():
     assert not np.any(far.derivative["stiffness"]["contact"])
 
 
+@pytest.mark.full
 def test_a_failed_run_is_not_differentiable():
     found = bounced("balanced", max_steps=60)
     assert found.status == "failed"
@@ -196,6 +200,7 @@ def test_a_failed_run_is_not_differentiable():
         assert (check.verdict, check.remark, check.breakdown) == (NOT, "the run failed", found.failure_time)
 
 
+@pytest.mark.full
 def test_each_parameter_by_differences_on_request():
     found = bounced("reference", differences="each")
     assert found.certificate.direction is None

@@ -35,6 +35,7 @@ def histories(t, changes):
     return Histories(force, depth, np.gradient(depth, t, axis=0), None), Histories(slope, moved, 0.0 * moved, None)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("even", [True, False])
 def test_the_same_as_jax(even):
     t = np.linspace(0.0, 2.0, 1201) ** (1.0 if even else 1.1)

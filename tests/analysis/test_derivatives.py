@@ -91,6 +91,7 @@ def test_all_directions_agree(impact):
         close(way(POINT) * POINT, expected, 1e-9)
 
 
+@pytest.mark.full
 def test_impact_against_differences(impact):
     # Noise: a force error of 1e-9 over a step of 1e-3. Truncation: (1e-3)^4. Both are well below 1e-5.
     close(impact.forward(POINT) * POINT, differences(impact.force, POINT, 1e-3), 1e-5)
@@ -144,6 +145,7 @@ CASES = {
 }
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("n", [1.0, 1.5, 2.0, 3.0])
 @pytest.mark.parametrize("case", CASES)
 def test_finite(impact, case, n):
@@ -174,6 +176,7 @@ CORNERS = {
 }
 
 
+@pytest.mark.full
 @given(**CORNERS)
 @settings(max_examples=40)
 @example(stiffness=1e10, exponent=1.0, damping=0.0, speed=0.0, clearance=0.0, smoothing=0.0)

@@ -75,6 +75,7 @@ def test_least_peak_of_a_damped_impact(dashpot, tmp_path):
     assert (folder / "starts.png").stat().st_size > 1e4 and (folder / "slices.png").stat().st_size > 1e4
 
 
+@pytest.mark.full
 def test_least_product_of_peak_and_depth(dashpot):
     def product(features):
         return jnp.log(features["contact.peak"]) + jnp.log(features["contact.peak_penetration"])
@@ -113,6 +114,7 @@ def test_most_instead_of_least(dashpot):
     assert found.after == pytest.approx(peak(0.02) * M * V * RATE, rel=SAMPLED)
 
 
+@pytest.mark.full
 def test_a_gain_that_another_model_does_not_see(dashpot):
     # A spring without the dashpot knows nothing of it.
     other = bj.scenes.impact("hertz", "linear", smoothing=False)
@@ -190,6 +192,7 @@ def test_peak_against_depth_of_a_hertzian_impact():
     assert found.after == pytest.approx(2.0 * math.sqrt(2.0), rel=1e-6)
 
 
+@pytest.mark.full
 def test_undeflected_joint_takes_least_offset_and_steepest_flank():
     """Physics sheet 5.4: F_c = 2 T/(z Rp) cot(alpha) e/R_c a ball; both parameters go to their bounds."""
     scene = bj.scenes.joint(fidelity="kinematic")

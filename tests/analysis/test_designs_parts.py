@@ -76,6 +76,7 @@ def test_a_kink_is_no_optimum_of_derivatives():
     assert not found.arrived
 
 
+@pytest.mark.full
 def test_crest_and_norm():
     t = np.linspace(0.0, 1.0, 101)
 

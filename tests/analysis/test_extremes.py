@@ -73,6 +73,7 @@ def energy(kind, params, states):
 SLOW = {("impact", "adams_impact"), ("impact", "memory_free"), ("bounce", "adams_impact")}
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("kind", "law"),
     [pytest.param(*x, marks=pytest.mark.slow if x in SLOW else ()) for x in itertools.product(START, LOSS)],
@@ -121,6 +122,7 @@ def test_what_is_outside_is_refused_with_the_limit(kind, name, value):
 # --- What was mended, one test each ---
 
 
+@pytest.mark.full
 def test_a_body_thrown_out_of_its_regularisation_is_measured_by_that():
     """1 um/s, but 100 um within the onset of a steel surface: it leaves with 300 m/s, and once took 20 000 steps."""
     scene = scenes.impact("hertz")
@@ -131,6 +133,7 @@ def test_a_body_thrown_out_of_its_regularisation_is_measured_by_that():
     assert -run.rate["contact"][-1] == within(thrown, 1e-2)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("kind", "values"),
     [
@@ -159,6 +162,7 @@ def test_a_body_at_rest_within_a_regularisation_has_no_approach_speed(kind, valu
     assert np.hypot(run.rate["contact"][-1], np.sqrt(fallen)) == within(speed, 1e-2)
 
 
+@pytest.mark.full
 def test_a_small_regularisation_does_not_change_what_a_restitution_delivers():
     scene = scenes.bounce("exact")
     params = scene.parameters(restitution=0.6, stiffness=1e11, smoothing=1e-6, drop_height=1e-2)
@@ -169,6 +173,7 @@ def test_a_small_regularisation_does_not_change_what_a_restitution_delivers():
     assert kept == within(0.6, 1e-3)
 
 
+@pytest.mark.full
 def test_rest_within_a_wide_regularisation():
     """Its ups and downs there are no flights: to have learned a new approach speed in them made the law rigid."""
     scene = scenes.bounce("flores")
@@ -179,6 +184,7 @@ def test_rest_within_a_wide_regularisation():
     assert run.force["contact"][-1, 0] == within(1.89e-5 * GRAVITY, 1e-2)
 
 
+@pytest.mark.full
 def test_a_short_run_ends_where_it_was_asked_to():
     """Let go on a soft surface, the natural first step is some seconds: a run of 0.1 us once went on for that long."""
     scene = scenes.bounce("memory_free")
@@ -190,6 +196,7 @@ def test_a_short_run_ends_where_it_was_asked_to():
     assert alone.status == "ok" and alone.penetration["contact"][0] == 0.0
 
 
+@pytest.mark.full
 def test_energy_is_not_created_by_many_bounces():
     """Seven hundred without loss gained 13 % at "balanced": what one may add is now shared among them."""
     scene = scenes.bounce("hertz")
@@ -217,6 +224,7 @@ def test_derivatives_beyond_all_numbers_are_a_failure():
     assert found_slopes.verdict == "not differentiable here" and found_slopes.breakdown <= found.failure_time
 
 
+@pytest.mark.full
 def test_far_flights_cost_nothing():
     """Rounding of a place that is far away once counted as a step's error, and no step was short enough for it."""
     scene = scenes.impact("memory_free")

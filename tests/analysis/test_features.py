@@ -245,6 +245,7 @@ def test_noise_adds_to_the_oscillation_no_more_than_itself(seed, noise):
     assert float(noisy.rms) == pytest.approx(math.hypot(float(clean.rms), noise), rel=0.05, abs=1e-9)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", features.Oscillation._fields)
 def test_derivative_of_the_oscillation_is_that_of_differences(name):
     def value(x):

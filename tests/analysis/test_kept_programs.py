@@ -49,6 +49,7 @@ def told(code, *arguments, cache):
     return json.loads(job.stdout.splitlines()[-1])
 
 
+@pytest.mark.slow
 def test_a_second_study_traces_nothing_and_misses_nothing_and_finds_the_same_bits(tmp_path):
     file, cache = tmp_path / "study.toml", tmp_path / "cache"
     file.write_text(STUDY)

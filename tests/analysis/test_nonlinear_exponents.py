@@ -55,6 +55,7 @@ def test_state_of_a_map_may_be_a_tree():
     assert as_tree.value == pytest.approx(as_array.value, rel=1e-9)
 
 
+@pytest.mark.full
 def test_lorenz_system():
     """0.9056: Sprott, Chaos and time-series analysis, 2003; Viswanath 1998 has 0.90566."""
     found = nonlinear.flow_exponent(lorenz, [1.0, 1.0, 20.0], 1500, interval=0.5, transients=40)
@@ -89,6 +90,7 @@ def test_standard_error_is_that_of_independent_batches():
     assert abs(found.value) < 4 * found.standard_error
 
 
+@pytest.mark.full
 def test_body_at_rest_on_its_surface_has_its_dampings_exponent():
     """m z'' = m g - K d^n (1 + a d'), K d0^n = m g: linearised z'' + a g z' + w^2 z = 0, exponent -a g/2."""
     scene = scenes.bounce(smoothing=False)
@@ -116,6 +118,7 @@ def test_what_is_wrong_with_an_exponent_is_said():
         nonlinear.two_trajectories(lambda x: x, 0.3, 30, separation=0.0)
 
 
+@pytest.mark.full
 def test_run_out_of_steps_has_no_exponent():
     scene = scenes.bounce(smoothing=False)
     found = nonlinear.scene_exponent(scene, scene.parameters(), 4, interval=0.1, settle=0.3, max_steps=30, batches=2)

@@ -87,6 +87,7 @@ def test_bounces_decay_by_newtons_restitution_and_accumulate_at_zenos_time(e):
     assert found.times + 2.0 * found.speeds * e / GRAVITY / (1.0 - e) == pytest.approx(zeno, rel=5e-3)
 
 
+@pytest.mark.full
 def test_bouncing_has_one_fixed_point_whatever_the_restitution():
     """Period 1 and no bifurcation: an unforced bouncing ball comes to rest (Guckenheimer and Holmes 1983, 2.4)."""
     scene = scenes.bounce("exact", smoothing=False)
@@ -101,6 +102,7 @@ def test_bouncing_has_one_fixed_point_whatever_the_restitution():
     assert all(nonlinear.period_number(row[-4:], 0.1 * first) == 1 for row in settled)
 
 
+@pytest.mark.full
 def test_an_impact_run_that_fails_is_nan_and_says_why():
     scene = scenes.bounce("exact", smoothing=False)
     params = scene.parameters(drop_height=HEIGHT, stiffness=1e9)

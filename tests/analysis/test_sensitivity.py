@@ -30,6 +30,7 @@ def elasticity(found, values, name):
     return {p: float(values[p]) * found.feature_derivatives[p][name] / found.features[name] for p in found.wrt}
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("n", [1.5, 2.2])
 def test_undamped_scaling_laws(n):
     values = {**AT, "stiffness": 1e10 * 1e-5 ** (1.5 - n), "exponent": n}
@@ -223,6 +224,7 @@ def bcfj(*arguments):
     return CliRunner().invoke(app, ["sensitivity", *map(str, arguments)])
 
 
+@pytest.mark.full
 def test_command_line(here):
     done = bcfj("impact", "--wrt", "stiffness, exponent,mass", "--out", "out")
     assert done.exit_code == 0, done.stderr
@@ -245,6 +247,7 @@ def test_command_line(here):
     assert bcfj("impact", "--wrt", "mass", "--out", "out").exit_code == 2
 
 
+@pytest.mark.full
 def test_command_line_without_a_certificate(here):
     done = bcfj("impact", "--wrt", "mass", "--features", "contact.peak", "--no-certify", "--out", "out")
     assert done.exit_code == 0, done.stderr

@@ -36,11 +36,12 @@ def run(scene, wrt, folder, out):
     return json.loads(done.stdout.splitlines()[-1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scene", "wrt", "solves"),
     [
         ("impact", "stiffness,damping", {"jacobian", "simulate"}),
-        pytest.param("joint", "stiffness,friction_static", {"jacobian", "pitch", "simulate"}, marks=pytest.mark.slow),
+        ("joint", "stiffness,friction_static", {"jacobian", "pitch", "simulate"}),
     ],
 )
 def test_a_second_process_traces_nothing(tmp_path, scene, wrt, solves):

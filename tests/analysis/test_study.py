@@ -83,7 +83,9 @@ def test_the_stiffest_undamped_impact_is_that_of_energy(done):
         assert row["contact.peak"] == pytest.approx(k * depth**n, rel=2e-3)
 
 
-@pytest.mark.parametrize("harm", ["cut", "gone", "flipped", "another"])
+@pytest.mark.parametrize(
+    "harm", ["cut", *(pytest.param(name, marks=pytest.mark.full) for name in ("gone", "flipped", "another"))]
+)
 def test_a_block_that_is_broken_is_done_again_and_the_table_is_the_same(done, harm):
     before = digest(Path("out/results.parquet"))
     files = sorted(Path("out/blocks").glob("*.parquet"))
@@ -116,6 +118,7 @@ def test_another_study_is_refused_in_the_same_folder(done):
     assert digest(Path("out/results.parquet")) == before
 
 
+@pytest.mark.full
 def test_blocks_from_elsewhere_are_merged(done):
     files = sorted(Path("out/blocks").glob("*.parquet"))
     before = digest(Path("out/results.parquet"))
@@ -130,6 +133,7 @@ def test_blocks_from_elsewhere_are_merged(done):
     assert digest(Path("two/results.parquet")) == before
 
 
+@pytest.mark.full
 def test_a_full_disk_stops_clearly_and_can_be_resumed(done, monkeypatch):
     before = digest(Path("out/results.parquet"))
     from bcfj_jax.analysis.studies import store
@@ -160,6 +164,7 @@ def test_a_block_that_another_has_is_left_alone(here):
         assert free
 
 
+@pytest.mark.full
 def test_points_that_fail_are_rows_with_reasons(here):
     table = {
         "scene": {
@@ -192,6 +197,7 @@ def test_a_point_that_no_joint_has_is_a_row_with_its_reason(here):
     assert "takes a ball out of its window" in result.column("reason")[1]
 
 
+@pytest.mark.full
 def test_histories_are_kept_and_guarded(here):
     zarr = pytest.importorskip("zarr")
     table = {
@@ -212,6 +218,7 @@ def test_histories_are_kept_and_guarded(here):
     assert again.forces(1)[1][:, 0, 0].max() == result.column("contact.peak")[1]
 
 
+@pytest.mark.full
 def test_derivatives_are_those_of_sensitivity(here):
     table = {
         "scene": "impact", "vary": {"stiffness": {"values": [2e6, 3e7]}},

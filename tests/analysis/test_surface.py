@@ -90,6 +90,7 @@ def test_the_surface_goes_through_the_points_and_knows_it():
     assert float(jnp.max(deviation)) < 1e-2 * found.error.spread
 
 
+@pytest.mark.full
 def test_errors_are_far_below_the_spread_and_derivatives_help():
     plain, enhanced = fitted(32, False), fitted(32, True)
     assert plain.directions == () and enhanced.directions == ALL
@@ -101,6 +102,7 @@ def test_errors_are_far_below_the_spread_and_derivatives_help():
         assert 0.3 < found.error.rms / misses(found) < 3.0
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("derivatives", [False, True])
 def test_deviations_on_the_closed_form_are_not_too_small(derivatives):
     test, found = closed(1000, 9), fitted(32, derivatives)
@@ -131,6 +133,7 @@ def test_deviations_cover_draws_of_the_process_as_often_as_they_say(derivatives)
     assert np.mean(ratio < 2) == pytest.approx(0.95, abs=0.04)
 
 
+@pytest.mark.full
 def test_noise_is_found_and_counted():
     whole = closed(128)
     noisy = whole.columns[PEAK] + 20.0 * np.random.default_rng(3).standard_normal(128)
@@ -140,6 +143,7 @@ def test_noise_is_found_and_counted():
     assert found.error.rms == pytest.approx(20.0, rel=0.25)
 
 
+@pytest.mark.full
 def test_failed_points_are_left_out_and_counted():
     whole = closed(32)
     ok, y = whole.ok.copy(), whole.columns[PEAK].copy()
@@ -151,6 +155,7 @@ def test_failed_points_are_left_out_and_counted():
         surface.fit(whole._replace(ok=np.arange(32) < 8), PEAK)
 
 
+@pytest.mark.full
 def test_a_surface_is_a_pytree_that_is_differentiated():
     found, at = fitted(32, True), jnp.array([3e7, 0.7, 1.0])
     slope = jax.jit(jax.grad(lambda p, s: s.predict(p)[0][0]))(at, found)
@@ -189,6 +194,7 @@ def test_of_a_study_with_derivatives(here):
     assert misses(enhanced) < 0.4 * misses(plain)
 
 
+@pytest.mark.full
 def test_derivatives_that_mean_nothing_do_little_harm():
     whole, rng = closed(32), np.random.default_rng(4)
     wild = {name: x * 10 ** rng.standard_normal(32) * rng.choice([-1, 1], 32) for name, x in whole.columns.items()}

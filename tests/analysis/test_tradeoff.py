@@ -56,7 +56,7 @@ def bcfj(*arguments):
     return CliRunner().invoke(app, ["tradeoff", *map(str, arguments)], env=environment)
 
 
-@pytest.fixture(scope="module", params=list(SCENES))
+@pytest.fixture(scope="module", params=["impact", pytest.param("bounce", marks=pytest.mark.slow)])
 def done(request, base):
     """A finished study by two solvers, without derivatives."""
     out = base / f"out-{request.param}"
@@ -203,7 +203,9 @@ def test_it_goes_on_where_it_was_cut_off(base, monkeypatch):
     assert bcfj("impact", "--out", out).exit_code == 2
 
 
-@pytest.mark.parametrize("late", ["reference", "study"])
+@pytest.mark.parametrize(
+    "late", [pytest.param("reference", marks=pytest.mark.full), pytest.param("study", marks=pytest.mark.slow)]
+)
 def test_a_stage_that_takes_too_long_is_left_behind(base, monkeypatch, late):
     """Whatever cannot be stopped: the call ends within its budget, with a table that says what was left out."""
     out, over, module = base / f"late-{late}", threading.Event(), {"reference": reference, "study": study}[late]
@@ -233,6 +235,7 @@ def test_a_stage_that_takes_too_long_is_left_behind(base, monkeypatch, late):
     assert "took longer than was left" in next(row["reason"] for row in rows if row["status"] == "not run: budget")
 
 
+@pytest.mark.full
 def test_failures_are_rows(base):
     file = base / "short.toml"
     file.write_text((base / "impact.toml").read_text() + "[accuracy]\nmax_steps = 60\n")

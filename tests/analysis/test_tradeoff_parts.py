@@ -93,6 +93,7 @@ def test_settings_of_a_joint():
         settings(given, ("sdirk",))
 
 
+@pytest.mark.slow
 def test_32_bit_numbers_are_measured_in_a_process_of_their_own():
     table = load("impact").resolved
     tight = {**table, "accuracy": {"force_error": 1e-6, "max_steps": 20_000}}
@@ -110,6 +111,7 @@ def test_32_bit_numbers_are_measured_in_a_process_of_their_own():
         single(table, 1.0)
 
 
+@pytest.mark.full
 def test_solvers_by_name():
     scene = bj.scenes.impact()
     with pytest.raises(bj.InputError, match="did you mean 'bosh3'"):

@@ -60,6 +60,7 @@ def test_friction_from_impacts_that_stick_and_that_slide():
     recovered(fit(replace(whole, experiments=tangential), starts=6), mechanisms.FRICTION)
 
 
+@pytest.mark.full
 def test_the_bound_is_that_of_scipys_own_derivatives():
     """Cramer-Rao by central differences of the independent code; the estimate that attains it has its variance."""
 
@@ -182,6 +183,7 @@ def driven(observed: dict[str, float], **free: tuple[float, float]) -> Problem:
     return Problem(scene, params, (Experiment("turn", times, tuple(channels)),), bounds)
 
 
+@pytest.mark.full
 def test_a_drives_torque_and_an_angle_identify_a_mechanism_without_contacts():
     problem = driven({"crank.torque": 0.01, "rod.angle": 0.01}, crank_length=(0.02, 0.09), **{"rod.mass": (0.05, 1.0)})
     found = fit(problem, starts=4)
@@ -204,6 +206,7 @@ def test_an_offset_is_in_the_channels_unit_and_of_one_unit():
         driven({"crank.torque": 0.01, "rod.angle": 0.01}, force_offset=(-0.1, 0.1))
 
 
+@pytest.mark.full
 def test_a_whole_contact_is_found_by_the_contact_where_no_force_is_read():
     """A body that flies off is farthest away at the record's end; the contact was over long before."""
     scene = scenes.impact(smoothing=False)

@@ -59,6 +59,7 @@ def solved(*channels: Channel, loss: str = "linear"):
 SHARED = (Free("mass", 0.05, 0.2),)
 
 
+@pytest.mark.full
 def test_one_estimated_deviation_is_cost_over_degrees_of_freedom(force):
     readings = force + 3.0 * np.random.default_rng(0).standard_normal(COUNT)
     _, end, found, spread = solved(Channel("contact.normal", readings, None))
@@ -72,6 +73,7 @@ def test_one_estimated_deviation_is_cost_over_degrees_of_freedom(force):
     assert spread.half_width(np.array([1.0, 0.0])) == pytest.approx(half, rel=1e-6)
 
 
+@pytest.mark.full
 def test_stated_and_estimated_noise_mix(force):
     """Two records of one parameter, one ten times as noisy and not told so: each deviation is its own record's."""
     rng = np.random.default_rng(1)
@@ -257,6 +259,7 @@ def test_noise_is_known_where_all_is_stated(force):
     assert noise_model.known(records[:1]) and not noise_model.known(records[1:])
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("accuracy", [4e-4, 1e-7])
 def test_noise_below_the_integrators_error_is_the_integrators(accuracy):
     """A clean record of a linear contact, in closed form: what is left is no noise, and no interval rests on it."""

@@ -37,6 +37,7 @@ def half_sine(times: np.ndarray) -> np.ndarray:
     return np.where((times > 0) & (times < CONTACT), PEAK * np.sin(OMEGA * times), 0.0)
 
 
+@pytest.mark.full
 def test_low_pass_is_scipys():
     rng = np.random.default_rng(0)
     times, values = np.linspace(0.0, 0.02, 400), rng.standard_normal((400, 2))
@@ -47,6 +48,7 @@ def test_low_pass_is_scipys():
         np.testing.assert_allclose(ours, out + values[0, column], atol=1e-10)
 
 
+@pytest.mark.full
 def test_low_pass_of_nothing_and_of_no_time():
     times, values = jnp.array([0.0, 0.0, 1e-3, 3e-3]), jnp.array([[1.0], [5.0], [2.0], [2.0]])
     # So fast a sensor reads what is there; over no time it moves by nothing, and its derivative stays finite.
@@ -64,6 +66,7 @@ def test_fine_times_hold_the_given_ones():
         assert float(sampled[0]) == min(first, 0.0) and np.all(np.diff(sampled) >= -1e-18)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("bandwidth", [60.0, 1000.0])
 def test_a_slow_sensor_reads_the_filtered_force(bandwidth):
     """Forty readings of a contact by a sensor of first order, beside SciPy's at a hundred times the resolution."""
@@ -86,6 +89,7 @@ def seen(**features: float) -> tuple[Observation, ...]:
     return tuple(Observation(f"contact.{name}", value, 0.01 * value) for name, value in features.items())
 
 
+@pytest.mark.full
 def test_features_are_those_of_the_closed_form():
     """A ball that bounces without loss: speed sqrt(2 g h), period of flight and contact, impulse 2 m v a contact."""
     speed = np.sqrt(2 * GRAVITY * DROP)
@@ -156,6 +160,7 @@ def test_period_and_delay_of_a_joint_are_those_of_its_rotation():
     np.testing.assert_allclose(jacobian[:, 0], -1000 * np.log(4) * np.array([1, -1 / 6, -1 / 3]), rtol=0.02)
 
 
+@pytest.mark.full
 def test_features_beside_a_history_weigh_as_they_are_stated():
     """Readings g F and a peak g P of one gain g: the least squares of both, by hand."""
     times, rng = np.linspace(0.0, CONTACT, 30), np.random.default_rng(0)

@@ -91,6 +91,7 @@ def test_brown_mcphee():
     assert grid[peak.argmax()] == pytest.approx(0.1, rel=0.01) and peak.max() == pytest.approx(0.12, rel=1e-3)
 
 
+@pytest.mark.full
 def test_brown_mcphee_derivatives_in_the_square():
     """Value and two derivatives of the mobility in v.v, on both sides of its guard (4 v/v_t = sqrt 0.1)."""
     law, joint = FRICTION["brown_mcphee"], 0.025 * 0.1**0.5
@@ -136,6 +137,7 @@ def derivatives(name):
     return jax.jit(all_of)
 
 
+@pytest.mark.full
 @given(
     st.tuples(COMPONENT, COMPONENT, COMPONENT),
     st.floats(0.01, 2.0),

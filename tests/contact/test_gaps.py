@@ -430,6 +430,7 @@ COINCIDENT = {
 }
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("key", COINCIDENT)
 def test_derivatives_are_finite_where_centres_coincide(key):
     case, c = CASES[key], numbers(CASES[key].sizes)

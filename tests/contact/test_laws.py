@@ -261,6 +261,7 @@ def derivatives(part):
 depths = st.floats(-1e-3, -1e-30) | st.just(0.0) | st.floats(1e-30, 1e-3)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("part", ELASTIC)
 @given(depths, st.floats(-50.0, 50.0), st.floats(1.0, 3.0))
 @example(0.0, 0.0, 1.0)

@@ -148,6 +148,7 @@ def lugre_derivatives():
     return jax.jit(lambda *x: (total(*x), jax.grad(total, everything)(*x), jax.hessian(total, everything)(*x)))
 
 
+@pytest.mark.full
 @given(st.tuples(COMPONENT, COMPONENT), st.sampled_from([0.0, 1e-300, 1e-6, 1.0]), st.floats(-1e-5, 1e-5))
 @example((0.0, 0.0), 0.0, 0.0)
 @example((0.0, 0.0), 1e-3, 1e-6)

@@ -196,6 +196,7 @@ def test_elliptic_contact_at_equal_radii():
     assert area == within(0.008 * float(found.penetration(1e-3)), 1e-14)  # a^2 = R d
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("ratio", [0.3, 1.0 - 1e-9, 1.0, 1.0 + 1e-6, 1.3, 40.0])
 def test_elliptic_contact_derivatives(ratio):
     at, unit = np.array([1.0, ratio]), np.eye(2)

@@ -62,6 +62,7 @@ def test_a_program_is_traced_once_and_fetched_by_the_next_process(folder):
     assert run(2.0, (5.0, 7.0))[0]["twice"].tolist() == [10.0, 14.0]
 
 
+@pytest.mark.full
 def test_a_run_has_the_same_bits_with_and_without_kept_programs(folder, monkeypatch):
     scene = bj.scenes.oblique_impact()
     runs = [bj.simulate(scene, scene.parameters(), TIMES)]
@@ -263,6 +264,7 @@ def told(process):
     return out.splitlines()[-1]
 
 
+@pytest.mark.full
 def test_two_processes_at_once_and_a_third_that_traces_nothing(tmp_path):
     words = [["simulate", "impact", "--out", str(tmp_path / str(k))] for k in range(3)]
     both = [counted(*words[k], cache=tmp_path / "cache") for k in (0, 1)]

@@ -234,6 +234,7 @@ def test_compile_cache_is_per_user_unless_set(variable, here, monkeypatch):
     assert found is None if wanted is None else Path(found).parents[1] == Path(wanted)
 
 
+@pytest.mark.full
 def test_as_a_process(here):
     root = str(Path(__file__).parents[2])
     command = [sys.executable, "-W", "error", "-m", "bcfj_jax"]

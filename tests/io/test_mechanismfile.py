@@ -135,6 +135,7 @@ def test_what_was_run_loads_back_to_the_same_model():
     assert parameters["rod.center_x"] == 0.06 and parameters["rod_length"] == 0.12 and parameters["gas.ramp"] == 1e-3
 
 
+@pytest.mark.full
 def test_the_command_line_keeps_what_is_read():
     done = bcfj("simulate", written(TOML + '[[read]]\nof = "crank.torque"\n'), "--out", "out", "--no-measure-error")
     assert done.exit_code == 0, done.stderr
@@ -434,6 +435,7 @@ def test_a_bad_mechanism_is_refused_by_place_before_anything_is_compiled(which, 
     assert not COMPILED and not Path("out").exists()
 
 
+@pytest.mark.full
 def test_a_good_mechanism_is_checked_without_compiling_and_then_compiled(monkeypatch):
     written(TOML)
     monkeypatch.setattr(programs.Settings, "folder", None)

@@ -179,6 +179,7 @@ def test_a_part_of_ones_own_has_15_lines_at_most(part):
     assert sum(1 for line in part.splitlines() if line.strip()) <= 15
 
 
+@pytest.mark.full
 def test_simulate_uses_own_gap_law_and_friction_and_keeps_what_code_it_was():
     done = bcfj("simulate", "s.toml", "--code", "my.py", "--out", "out", "--no-measure-error")
     assert done.exit_code == 0, done.stderr
@@ -201,6 +202,7 @@ def test_simulate_uses_own_gap_law_and_friction_and_keeps_what_code_it_was():
     assert expected.max() > 100.0 and np.abs(run.force["wall"][:, 2]).max() > 10.0
 
 
+@pytest.mark.slow
 def test_sensitivity_differentiates_by_coefficients_of_ones_own():
     wrt = "hardening,fade,bulge,stiffness"
     done = bcfj("sensitivity", "s.toml", "--wrt", wrt, "--code", "my.py", "--no-certify", "--out", "out")
@@ -210,6 +212,7 @@ def test_sensitivity_differentiates_by_coefficients_of_ones_own():
     assert (Path("out") / "sensitivity.csv").exists()
 
 
+@pytest.mark.slow
 def test_calibrate_finds_the_coefficients_of_a_law_of_ones_own():
     bj.use_code("my.py")
     given = load("impact.toml")
@@ -235,6 +238,7 @@ def test_the_key_of_a_job_is_another_for_another_content():
     assert len({without, first, key_of("job")}) == 3
 
 
+@pytest.mark.slow
 def test_a_study_keeps_its_code_and_is_not_resumed_with_another():
     pytest.importorskip("pyarrow", reason="the extra study is not installed")
     done = bcfj("study", "run", "study.toml", "--code", "my.py", "--out", "out", "--workers", "1")

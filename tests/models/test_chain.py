@@ -21,7 +21,10 @@ def struck(count, exponent, accuracy=1e-6):
     return scene, params, simulate(scene, params, times, accuracy=accuracy)
 
 
-@pytest.mark.parametrize(("count", "exponent"), LADDER)
+@pytest.mark.parametrize(
+    ("count", "exponent"),
+    [pytest.param(*x, marks=pytest.mark.full if x[0] in (3, 5) else pytest.mark.slow) for x in LADDER],
+)
 def test_published_velocities(count, exponent):
     # Physics sheet, B3 and B3': to nine digits, or seven.
     _, _, run = struck(count, exponent)
@@ -32,6 +35,7 @@ def test_published_velocities(count, exponent):
     assert all(force[-1, 0] == 0.0 for force in run.force.values())
 
 
+@pytest.mark.full
 def test_energy_is_kept():
     scene, params, run = struck(5, 1.5)
     flows = jax.vmap(lambda t, y: scene.flows(t, y, params))(run.times, run.trajectory)
@@ -40,6 +44,7 @@ def test_energy_is_kept():
     assert not np.any(flows.taken["damping"]) and not np.any(flows.taken["friction"])
 
 
+@pytest.mark.full
 def test_forces_of_a_lossy_row_are_those_of_the_reference():
     scene = scenes.chain(5, law="memory_free")
     params = scene.parameters(damping=0.3)
@@ -50,6 +55,7 @@ def test_forces_of_a_lossy_row_are_those_of_the_reference():
     assert np.abs(found - forces).max() < 1e-5 * forces.max()
 
 
+@pytest.mark.full
 def test_a_law_stated_by_restitution_has_the_first_speed():
     scene = scenes.chain(2, law="exact")
     params = scene.parameters(restitution=0.7)

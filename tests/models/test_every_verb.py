@@ -90,6 +90,7 @@ def written(text, name="my.toml"):
 # A mechanism without contacts: its readings stand in their place.
 
 
+@pytest.mark.full
 def test_a_pendulum_is_simulated_and_its_readings_are_drawn():
     done = bcfj("simulate", written(PENDULUM + READS), "--out", "out")
     assert done.exit_code == 0, done.stderr
@@ -106,6 +107,7 @@ def test_a_pendulum_is_simulated_and_its_readings_are_drawn():
     np.testing.assert_allclose(table[:, 1], expected, atol=5e-4)
 
 
+@pytest.mark.full
 def test_a_pendulum_is_differentiated():
     done = bcfj("sensitivity", written(PENDULUM + READS), "--wrt", "bob.center_x", "--out", "out")
     assert done.exit_code == 0, done.stderr
@@ -157,6 +159,7 @@ RUBBING = {"friction_static": 0.2, "friction_dynamic": 0.1, "friction_speed": 0.
 RUBBING |= {"bristle_damping": 0.1, "stiffness": 1e8, "exponent": 1.5, "damping": 0.0}
 
 
+@pytest.mark.full
 def test_bristles_between_two_driven_bodies():
     slide = Body("slide", "slide", axis="x", mass=1.0, drive=Drive("constant", speed=SPEED))
     held = Body("held", "slide", axis="y", mass=1.0, drive=Drive("constant", speed=0.0, start=-NORMAL))
@@ -175,6 +178,7 @@ def test_bristles_between_two_driven_bodies():
     np.testing.assert_allclose(run.readings["slide.drive"], drag, rtol=0, atol=2e-3 * drag.max())
 
 
+@pytest.mark.full
 def test_an_approach_is_remembered_between_two_driven_bodies():
     own = {"stiffness": 1e8, "exponent": 1.5, "restitution": 0.6}
     fall = Body("fall", "slide", axis="y", mass=1.0, drive=Drive("constant", speed=-SPEED, start=1e-4))
@@ -198,6 +202,7 @@ def swinging():
     return Mechanism("swing", bodies, loads=[loads.JointSpring("mount", "load", stiffness=800.0, damping=8.0)], own=own)
 
 
+@pytest.mark.full
 def test_the_exponent_of_a_drive_that_swings():
     scene = swinging()
     # Tangents of m x'' + c x' + k x fade by c/(2 m), whole periods of theirs apart.
@@ -206,6 +211,7 @@ def test_the_exponent_of_a_drive_that_swings():
     assert not found.reason and found.value == pytest.approx(-2.0, abs=1e-3)
 
 
+@pytest.mark.full
 def test_a_section_of_a_drive_that_swings():
     scene, rate = swinging(), 20.0
     params = scene.parameters()

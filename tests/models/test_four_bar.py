@@ -34,6 +34,7 @@ def follows(run, angle, speed):
     assert np.all(off[:, 3:] < speed * np.abs(reference.PUBLISHED[:, 4:7]).max(axis=0))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("controller", ["siconos", "corrected"])
 def test_control_torque(controller):
     scene = scenes.four_bar(friction=False, controller=controller)
@@ -61,6 +62,7 @@ def test_closed_at_the_start():
     assert all(abs(float(r.penetration) + 5e-3) < 1e-11 for r in reading.values())
 
 
+@pytest.mark.full
 def test_the_reference_and_the_published_rows():
     # Rms within 8e-6 of the peak over 0.1 s, asked for 1 %: the two do not part here.
     run = simulate(SCENE, PARAMS, np.linspace(0.0, 0.1, COUNT), accuracy=1e-2)
@@ -85,6 +87,7 @@ def test_all_published_rows():
     follows(run, 1e-4, 0.01)
 
 
+@pytest.mark.slow
 def test_without_a_controller_energy_is_lost_to_the_pins_alone():
     scene = scenes.four_bar(friction=False, controller="none")
     params = scene.parameters(damping=0.5)

@@ -105,7 +105,8 @@ def pushes(scene, params, t, now, rates, spin):
     return found, single
 
 
-@settings(max_examples=5)
+@pytest.mark.full
+@settings(max_examples=2)
 @given(joints=TREES, seed=SEEDS)
 @example(joints=["free", "hinge", "spherical", "sphere"], seed=1)
 @example(joints=["slide", "planar", "bearing", "particle"], seed=2)
@@ -136,7 +137,8 @@ def check_accelerations(joints, seed):
 # --- balances at one instant
 
 
-@settings(max_examples=5)
+@pytest.mark.full
+@settings(max_examples=2)
 @given(joints=TREES, touching=TOUCHING, seed=SEEDS)
 @example(joints=["free", "free"], touching=sorted(GAPS)[:5], seed=4)
 @example(joints=["hinge", "planar", "sphere"], touching=sorted(GAPS)[5:], seed=5)

@@ -48,6 +48,7 @@ def rebound(run):
     return along, away, -turning
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("friction", [True, "coulomb", "step"])
 @pytest.mark.parametrize("spin", [0.0, 500.0, -500.0])
 def test_gross_sliding(spin, friction):
@@ -61,6 +62,7 @@ def test_gross_sliding(spin, friction):
     assert away / made.approach == pytest.approx(0.98, abs=1e-6)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("friction", [True, "coulomb", "lugre"])
 def test_sticking(friction):
     made = dataclasses.replace(
@@ -94,6 +96,7 @@ def test_forces_are_those_of_the_reference(name, friction, asked):
         assert turning == pytest.approx(ends[3], abs=asked * made.speed / made.radius)
 
 
+@pytest.mark.full
 def test_friction_takes_what_the_reference_loses():
     made = dataclasses.replace(KHARAZ, friction="brown_mcphee", friction_speed=0.01)
     scene, params, run = struck(True, made, 1e-4)
@@ -102,6 +105,7 @@ def test_friction_takes_what_the_reference_loses():
     assert kinetic[0] - kinetic[-1] == pytest.approx(reference.rebound(made, 1e-11).loss, rel=1e-4)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("friction", [False, *laws.FRICTION])
 def test_every_friction_law_runs(friction):
     scene = of(friction)

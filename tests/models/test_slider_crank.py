@@ -73,6 +73,7 @@ def test_ideal_kinematics():
     assert np.abs(tip - np.asarray(slider.place)).max() < 1e-12
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("asked", [1e-2, 1e-3])
 @pytest.mark.parametrize("clearance", UNTIL)
 def test_forces_and_motion_are_those_of_the_reference(clearance, asked):
@@ -97,6 +98,7 @@ def test_forces_and_motion_are_those_of_the_reference(clearance, asked):
         assert off(np.asarray(value)[early], expected[early]) < allowed
 
 
+@pytest.mark.full
 def test_a_latched_approach_speed():
     # The reference latches the speed at the instant of touch; the memory lags by a third of 0.1 um.
     made, motion, read = of(2e-4, "lankarani_nikravesh")
@@ -108,6 +110,7 @@ def test_a_latched_approach_speed():
     assert off(run.force["journal"][:, 0], read.normal) < 5e-3
 
 
+@pytest.mark.full
 def test_rubbing_takes_what_the_reference_says():
     made = dataclasses.replace(
         B6, friction="brown_mcphee", friction_static=0.1, friction_dynamic=0.05, friction_speed=0.1

@@ -23,6 +23,7 @@ def absolute(run):
     return np.cumsum(run.trajectory[:, :3], axis=1), np.cumsum(run.trajectory[:, 3:], axis=1)
 
 
+@pytest.mark.full
 def test_free_motion_to_the_printed_digits():
     # Physics sheet, B4: crank [rev], rod [rad], their speeds [rad/s] at 1 and 2 ms.
     run = simulate(SCENE, PARAMS, np.array([0.0, 1e-3, 2e-3]), accuracy=1e-9)
@@ -33,6 +34,7 @@ def test_free_motion_to_the_printed_digits():
     assert np.abs(angles[:, 2]).max() < 1e-12 and not np.any(run.force["guide"])
 
 
+@pytest.mark.full
 def test_first_touch():
     def depth(time):
         return simulate(SCENE, PARAMS, np.array([0.0, time]), accuracy=1e-9).penetration["guide"][-1]
@@ -53,6 +55,7 @@ def truth(made):
     return times, motion.states, np.stack([read.normal, read.friction, 0.0 * read.normal], axis=-1)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("asked", [1e-2, 1e-3])
 @pytest.mark.parametrize("damping", [2.47, 0.0])
 def test_soft_walls_are_those_of_the_reference(damping, asked):
@@ -65,6 +68,7 @@ def test_soft_walls_are_those_of_the_reference(damping, asked):
     assert np.sqrt(np.mean(np.square(rates - states[:, 3:]))) < 100.0 * asked
 
 
+@pytest.mark.slow
 def test_rubbing_walls_are_those_of_the_reference():
     times, states, forces = truth(reference.SliderGuide(damping=2.47, friction="brown_mcphee"))
     scene, asked = scenes.slider_guide(friction=True), 1e-3

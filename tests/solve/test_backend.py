@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from bcfj_jax import Body, Contact, InputError, Mechanism, force_history, gaps, scenes, simulate
+from bcfj_jax.core import programs
 
 RUNS = 20_000
 
@@ -28,6 +29,7 @@ def test_batched_small_products(rows, reduce):
     assert np.abs(np.asarray(found) - expected).max() < 1e-13  # three products and at most six terms of size 1
 
 
+@pytest.mark.full
 def test_many_histories_in_a_batch():
     # A linear undamped contact: F = v sqrt(K m) sin(sqrt(K/m) t) until it ends at pi sqrt(m/K), then 0.
     scene = scenes.impact("hertz", "linear", smoothing=False)
@@ -66,6 +68,7 @@ def counted_scene():
     return scene, count
 
 
+@pytest.mark.full
 def test_new_numbers_do_not_compile_again():
     scene, count = counted_scene()
     times = np.linspace(0.0, 5e-5, 7)
@@ -130,7 +133,9 @@ def test_importing_sets_64_bits_and_options_of_xla_and_loads_no_tools(before, af
     assert done.stdout.splitlines() == ["['jax_enable_x64']", "[]", "float64", after]
 
 
-def test_32_bit_numbers_are_refused():
+def test_32_bit_numbers_are_refused(monkeypatch):
+    # A kept program is of 64-bit numbers, and asking it with others is another error.
+    monkeypatch.setattr(programs.Settings, "folder", None)
     scene = scenes.impact()
     params = scene.parameters()
     with jax.enable_x64(False), pytest.raises(InputError, match=r"jax_enable_x64.*32 bits"):

@@ -48,6 +48,7 @@ def variational(mu):
     return found.y.T.reshape(-1, 4, 2)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("mu", [0.5, 50.0])
 def test_state_and_tangents_converge_together(mu):
     exact, start = variational(mu), jnp.array([2.0, 0.3])
@@ -76,6 +77,7 @@ def test_tangents_are_bounded_however_stiff():
     assert int(found.accepted) < 300
 
 
+@pytest.mark.full
 def test_a_spent_budget_and_a_blow_up_end_where_they_are():
     short = solved(pol, jnp.array([2.0, 0.3]), 2.0, 1e-8, TIMES, max_steps=50)
     rows = np.asarray(short.rows)

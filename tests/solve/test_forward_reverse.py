@@ -5,6 +5,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from bcfj_jax.solve.forward_reverse import forward_and_reverse
 
@@ -14,6 +15,7 @@ def toy(x):
     return {"sum": jnp.sin(x["a"]) * x["b"], "product": x["b"] ** 2}
 
 
+@pytest.mark.full
 def test_forward_and_reverse_on_a_toy():
     both = forward_and_reverse(toy, toy)
     x = {"a": jnp.array([0.3, 0.4]), "b": jnp.array([2.0, -1.0])}

@@ -34,6 +34,7 @@ def rigid(times, e):
     return height
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("n", [1.0, 1.5, 3.0])
 def test_stiffness_to_infinity_is_the_rigid_impact(n):
     """The way of a body differs by its contacts' duration, which goes as K^(-1/(n+1))."""
@@ -66,6 +67,7 @@ def test_restitution_1_keeps_the_energy_over_a_thousand_bounces():
     assert np.max(np.abs(energy / (GRAVITY * drop) - 1.0)) < 1e-6
 
 
+@pytest.mark.full
 def test_restitution_0_comes_to_rest():
     scene = scenes.bounce("exact")
     params = scene.parameters(restitution=0.0, stiffness=1e5, exponent=1.0, mass=MASS, drop_height=1e-3)
@@ -79,6 +81,7 @@ def test_restitution_0_comes_to_rest():
     assert np.all(run.penetration["contact"][after] > -1e-9)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("n", [1.0, 1.5, 3.0])
 @pytest.mark.parametrize("law", ["hertz", "memory_free"])
 def test_what_rests_presses_by_its_weight(law, n):
@@ -99,6 +102,7 @@ def test_what_rests_presses_by_its_weight(law, n):
     assert mean == pytest.approx(MASS * GRAVITY, abs=2 * swing / run.times[-1] + 1e-3 * MASS * GRAVITY)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("clearance", [0.0, 1e-9])
 @pytest.mark.parametrize("speed", [1e-6, 1e-9])
 def test_a_grazing_touch_is_an_impact_like_any_other(speed, clearance):
@@ -109,20 +113,21 @@ def test_a_grazing_touch_is_an_impact_like_any_other(speed, clearance):
         stiffness=stiffness, exponent=n, restitution=e, mass=MASS, approach_speed=speed, clearance_contact=clearance
     )
     duration = float(undamped_duration(stiffness, n, MASS, speed))
-    times = clearance / speed + duration * np.linspace(-0.2, 3.0, 1601)
-    run = simulate(scene, params, times[times >= 0.0], accuracy=1e-3)
+    times = clearance / speed + duration * np.linspace(-0.2 if clearance else 0.0, 3.0, 1601)
+    run = simulate(scene, params, times, accuracy=1e-3)
     assert run.status == "ok"
     force = run.force["contact"][:, 0]
     assert np.trapezoid(force, run.times) == within(MASS * speed * (1 + e), 1e-3)
     elastic = scenes.impact("hertz")
     bare = {name: value for name, value in params.items() if name != "restitution"}
-    bounced = simulate(elastic, bare, times[times >= 0.0], accuracy=1e-3)
+    bounced = simulate(elastic, bare, times, accuracy=1e-3)
     pressed = bounced.force["contact"][:, 0]
     assert pressed.max() == within(float(undamped_peak(stiffness, n, MASS, speed)), 1e-3)
     lasted = np.ptp(bounced.times[pressed > 0])
     assert lasted == pytest.approx(duration, abs=2.1 * np.diff(times).max())
 
 
+@pytest.mark.full
 def test_restitution_to_1_is_no_damping():
     """What 1 - e leaves of the exact law is  chi = 3 (1 - e)/2:  the force tends to the elastic one in first order."""
     times = np.linspace(0.0, 5e-5, 201)

@@ -40,6 +40,7 @@ def strike(scene, accuracy="reference", until=2.0, **values):
     return times, run.force["contact"][:, 0]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("elastic", "restitution"), [(None, 0.0), (None, 0.5), ("reference", 0.0), ("reference", 0.5), ("liu", 0.5)]
 )
@@ -177,6 +178,7 @@ def test_a_spent_budget_is_a_failed_run():
     assert np.array_equal(good, times <= run.failure_time)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_a_failed_run_of_a_batch_fails_alone(bad):
     times = jnp.linspace(0.0, 40e-6, 9)

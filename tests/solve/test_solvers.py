@@ -50,6 +50,7 @@ def reference():
     return solve_ivp(right, (0, 2), [2.0, 0.0], rtol=1e-12, atol=1e-13, method="DOP853", dense_output=True)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("solver", "order"), [(Rodas(Dense(pol)), 3), (sdirk(pol), 2)], ids=["rodas", "sdirk"])
 def test_orders_of_convergence(solver, order):
     ends, insides = [], []
@@ -93,6 +94,7 @@ def test_a_stability_on_the_imaginary_axis(solver):
     assert sizes[-1] < 1e-3
 
 
+@pytest.mark.full
 def test_tangents_of_sdirk_are_those_of_its_values():
     solver = sdirk(pol)
 

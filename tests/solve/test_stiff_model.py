@@ -38,6 +38,7 @@ def test_a_solver_that_is_explicit_is_refused():
         bj.simulate(MODEL, MODEL.parameters(), TIMES, solver="tsit5")
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("accuracy", "within"), [(1e-3, 5e-3), (1e-5, 1e-4)])
 def test_forward_derivatives(accuracy, within):
     # Below 5e-4 tangents are in the step control, and BDF solves them.
@@ -46,12 +47,15 @@ def test_forward_derivatives(accuracy, within):
     assert np.abs(found - SLOPES).max() < within * np.abs(SLOPES).max()
 
 
-@pytest.mark.parametrize("mode", ["reverse", "auto"])
+@pytest.mark.parametrize(
+    "mode", [pytest.param("reverse", marks=pytest.mark.slow), pytest.param("auto", marks=pytest.mark.full)]
+)
 def test_reverse_derivatives(mode):
     found = jax.jit(jax.grad(lambda shares: jnp.sum(force(shares, 1e-4, mode))))(jnp.ones(4))
     assert np.asarray(found) == pytest.approx(SLOPES.sum(0), abs=5e-3 * np.abs(SLOPES.sum(0)).max())
 
 
+@pytest.mark.full
 def test_many_at_once():
     shares = jnp.array([0.5, 1.0, 2.0, 4.0, 8.0])
     params = {name: jnp.full(5, value) for name, value in zip(NAMES, VALUES, strict=True)}
@@ -65,12 +69,14 @@ def test_many_at_once():
         assert np.abs(found.states[k, :, 0] - true).max() < 1e-3 * VALUES[3]
 
 
+@pytest.mark.slow
 def test_a_certificate():
     found = bj.sensitivity(MODEL, MODEL.parameters(), TIMES, ["damping", "stiffness"], accuracy=1e-3)
     assert found.status == "ok" and found.certificate is not None and found.certificate.verdict == "trusted"
     assert found.derivative["damping"]["spring"][:, 0] * VALUES[1] == pytest.approx(SLOPES[:, 1], abs=5e-3 * 20.0)
 
 
+@pytest.mark.full
 def test_its_energy_is_balanced():
     # From 5 ms on: the speed settles within 5 us, which the quadrature does not resolve.
     found = energy_balance.balance(MODEL, MODEL.parameters(), TIMES[1:], 1e-5, step=1e-4)

@@ -29,6 +29,7 @@ def solve():
     )
 
 
+@pytest.mark.full
 def test_each_run_is_the_run_it_is_alone(solve):
     params, ends = queue()
     how = plan(SCENE, "balanced")
@@ -40,6 +41,7 @@ def test_each_run_is_the_run_it_is_alone(solve):
         np.testing.assert_allclose(together.states[i] / size, alone.trajectory / size, atol=1e-10)
 
 
+@pytest.mark.full
 def test_a_run_is_the_same_to_the_last_bit_wherever_it_stands_in_the_queue(solve):
     params, ends = queue()
     how = plan(SCENE, "balanced")
@@ -49,6 +51,7 @@ def test_a_run_is_the_same_to_the_last_bit_wherever_it_stands_in_the_queue(solve
     np.testing.assert_array_equal(np.asarray(first.states)[order], second.states)
 
 
+@pytest.mark.full
 def test_a_shorter_queue_needs_no_other_program(solve):
     params, ends = queue()
     found, _ = solve(params, ends, plan(SCENE, "balanced"), COUNT - 3)
@@ -56,6 +59,7 @@ def test_a_shorter_queue_needs_no_other_program(solve):
     assert np.all(found.code[COUNT - 3 :] != OK) and np.all(np.isnan(found.states[COUNT - 3 :]))
 
 
+@pytest.mark.full
 def test_a_run_that_fails_harms_no_other(solve):
     params, ends = queue()
     whole, _ = solve(params, ends, plan(SCENE, "balanced"), COUNT)
@@ -68,6 +72,7 @@ def test_a_run_that_fails_harms_no_other(solve):
     assert found.code[9] != OK and np.isnan(found.states[9]).any()
 
 
+@pytest.mark.full
 def test_places_are_busy_when_runs_cost_up_to_ten_times_as_much_as_others():
     scene = scenes.bounce()
     params = {name: jnp.full(64, value) for name, value in scene.parameters().items()}
@@ -79,6 +84,7 @@ def test_places_are_busy_when_runs_cost_up_to_ten_times_as_much_as_others():
     assert steps.sum() / (int(rounds) * 8) > 0.7
 
 
+@pytest.mark.full
 def test_a_run_that_spends_its_steps_says_when():
     how = Plan(plan(SCENE, "reference").tolerance, 12)
     params, ends = queue()
@@ -89,6 +95,7 @@ def test_a_run_that_spends_its_steps_says_when():
     assert np.all(seen == (np.asarray(ends)[:, None] * np.asarray(GRID) <= np.asarray(found.end)[:, None]))
 
 
+@pytest.mark.slow
 def test_equilibria_are_those_that_are_sought_alone():
     scene = scenes.joint(fidelity="quasistatic")
     clearances = jnp.array([2e-5, 2.2e-5, 5e-5, 1e-5])

@@ -79,6 +79,7 @@ def test_states_are_unfolded_as_the_closed_form_motion_goes_on():
     np.testing.assert_allclose(periodic.unfolded_states(scene, params, folded, short), right, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_what_equilibrium_leaves_out_is_what_friction_changes():
     """Against SciPy's root of the forces of ``system``, friction at the speeds of the motion without clearance."""
     scene = bj.scenes.joint(**LITTLE | {"friction": True}, fidelity="quasistatic")

@@ -101,6 +101,7 @@ def test_layout_and_what_has_no_bristles():
     assert not bj.scenes.joint(friction="lugre", fidelity="quasistatic").bristles
 
 
+@pytest.mark.full
 def test_power_is_the_rate_of_what_is_stored():
     params = ROUGH.parameters()
     c = constants(ROUGH, params)

@@ -43,6 +43,7 @@ def disturbed(scene, params, seed: int, size: float = 5e-5) -> jax.Array:
     return jnp.asarray(y)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("track", ["gothic", "circular"])
 def test_gaps_of_the_sheet(track):
     scene, params, _ = made(track=track)

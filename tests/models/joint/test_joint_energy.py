@@ -33,6 +33,10 @@ VARIANTS = {
         {},
     ),
 }
+FULL = ("default", "unlike", "bare")
+EACH = pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.full if name in FULL else pytest.mark.slow) for name in VARIANTS]
+)
 
 
 @functools.cache
@@ -53,7 +57,7 @@ def flows(name):
     return read, scene, params
 
 
-@pytest.mark.parametrize("name", VARIANTS)
+@EACH
 @given(seed=SEEDS, t=st.floats(0.0, 0.1))
 @settings(max_examples=25)
 def test_power_is_the_rate_of_what_is_stored(name, seed, t):
@@ -66,7 +70,7 @@ def test_power_is_the_rate_of_what_is_stored(name, seed, t):
     assert float(flow.edge) == 0.0
 
 
-@pytest.mark.parametrize("name", VARIANTS)
+@EACH
 @given(seed=SEEDS, places=st.floats(3e-5, 1e-4), speeds=st.floats(0.0, 3.0))
 @settings(max_examples=25)
 def test_contacts_never_create_energy(name, seed, places, speeds):
@@ -77,6 +81,7 @@ def test_contacts_never_create_energy(name, seed, places, speeds):
     assert min(store) >= 0.0 and float(store.elastic) > 0.0
 
 
+@pytest.mark.full
 def test_flank_ends_are_accounted_for():
     # A ball far to the side and pressed outwards by more than a service load: one flank's gate is half open.
     read, scene, params = flows("default")

@@ -35,9 +35,8 @@ OPTIONS = {
     },
     "no pilots, fixed": {"contacts": ("cage_ball", *GROOVES), "cage": "fixed", "head": "fixed", "spin": True},
 }  # fmt: skip
-FAST = ("default", "bristles, spin, flexible", "fixed cage")
 EACH = pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[] if name in FAST else [pytest.mark.slow]) for name in OPTIONS]
+    "name", [pytest.param(name, marks=pytest.mark.full if name == "default" else pytest.mark.slow) for name in OPTIONS]
 )
 SEEDS = (1, 2, 3)
 # Of the largest: two ways of adding up differ by rounding, some 1e-13 where flanks push against each other.

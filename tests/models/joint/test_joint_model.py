@@ -23,6 +23,7 @@ def jolted(scene=JOINT):
     return prepared, y + 0.3 * scene.error_scale(PARAMS) * rng.standard_normal(y.size)
 
 
+@pytest.mark.full
 def test_bodies_move_as_their_states_say():
     prepared, y = jolted()
     t, step = jnp.asarray(0.03), 1e-9
@@ -49,6 +50,7 @@ def test_bodies_move_as_their_states_say():
             )
 
 
+@pytest.mark.full
 def test_forces_in_world_axes_are_the_whole_forces():
     prepared, y = jolted()
     read, summed = JOINT.observe(jnp.zeros(()), y, prepared), resultants(JOINT, prepared, y)
@@ -63,6 +65,7 @@ def test_forces_in_world_axes_are_the_whole_forces():
             assert size == pytest.approx(np.linalg.norm(np.asarray(reading.force), axis=-1), rel=1e-9)
 
 
+@pytest.mark.full
 def test_the_drive_torque_is_that_of_the_energy_balance():
     prepared, y = jolted()
     t = jnp.asarray(0.03)

@@ -28,6 +28,7 @@ def simulated(params, times=SHORT):
     return simulation.simulate(little()[0], params, times, max_steps=BUDGET)
 
 
+@pytest.mark.full
 def test_failures_say_why_and_when():
     _, params = little()
     good = simulated(params)
@@ -73,6 +74,7 @@ def test_a_batch_equals_its_members_and_is_traced_once():
     assert len(traces) == 1
 
 
+@pytest.mark.full
 def test_a_batch_of_durations_has_derivatives():
     """Traced only: what a run's end decides must not be closed over where directions are gathered."""
     scene, params = little()

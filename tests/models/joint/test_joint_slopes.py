@@ -50,7 +50,10 @@ def compare(laws, geometry, place, velocity, spin):
         assert abs(got - right).max() <= 1e-12 * abs(right).max()
 
 
-@pytest.mark.parametrize("track", ["gothic", "circular"])
+# The default track in make test, the other one in make all-tests.
+@pytest.mark.parametrize(
+    "track", [pytest.param("gothic", marks=pytest.mark.full), pytest.param("circular", marks=pytest.mark.slow)]
+)
 @pytest.mark.parametrize("spin", [False, True], ids=["particle", "spin"])
 @pytest.mark.parametrize("friction", [False, True], ids=["smooth", "rough"])
 def test_slopes_of_grooves(track, spin, friction):
@@ -61,6 +64,7 @@ def test_slopes_of_grooves(track, spin, friction):
     compare(c.groove_laws, lambda p: contacts.grooves(c.groove, p, across), place, velocity, twist)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("spin", [False, True], ids=["particle", "spin"])
 @pytest.mark.parametrize("friction", [False, True], ids=["smooth", "rough"])
 def test_slopes_of_windows_and_pilots(spin, friction):
@@ -78,6 +82,7 @@ def test_slopes_of_windows_and_pilots(spin, friction):
     compare(c.pilot_laws, lambda p: pair(p)._replace(lever_slope=-1.0), place, velocity, twist)
 
 
+@pytest.mark.full
 def test_slopes_of_unlike_laws():
     # A LawPair: other laws on either race, friction on one of them alone.
     _, _, c = made(laws=FrozenDict(head_ball="kelvin_voigt"), frictions=FrozenDict(head_ball=False), spin=True)

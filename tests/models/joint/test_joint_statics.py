@@ -69,6 +69,7 @@ def turn(params):
     return 2.0 * np.pi / float(params["drive_speed"])
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("angle", "normal", "cage", "total"), UNDEFLECTED)
 def test_undeflected_joint_against_the_sheet(angle, normal, cage, total):
     params = rigid(angle, 0.0)
@@ -227,6 +228,7 @@ def test_derivatives_against_differences_and_batches():
     assert np.max(abs(reverse - forward[some]) / abs(forward).max(0)) < 1e-9
 
 
+@pytest.mark.full
 def test_rates_are_derivatives_by_time_and_what_does_not_converge_is_nan_alone():
     step = 1e-6
     found = quasistatic(SMALL, SMALL.parameters(), jnp.array([1.01, 1.01 + step, 1.01 - step, jnp.nan]))
