@@ -61,6 +61,7 @@ def test_the_same_as_jax(even):
         assert slopes[:, k] == pytest.approx(np.asarray(slope), rel=1e-6, abs=1e-9)
 
 
+@pytest.mark.full
 def test_shifts_of_the_host_are_those_of_jax():
     t = np.linspace(0.0, 1.0, 401)
     a, b = np.sin(11.0 * t) + t, np.sin(11.0 * (t - 0.03))

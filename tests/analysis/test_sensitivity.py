@@ -257,6 +257,7 @@ def test_command_line_without_a_certificate(here):
     assert list(content["features"]) == ["contact.peak"]
 
 
+@pytest.mark.full
 def test_command_line_refuses_and_fails(here):
     done = bcfj("impact", "--wrt", "stifness", "--out", "out")
     assert done.exit_code == 2

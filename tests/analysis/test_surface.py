@@ -67,6 +67,7 @@ def test_covariances_with_derivatives_are_derivatives_of_the_covariance():
     np.testing.assert_allclose(own, np.diag([1.0, *(5 / 3 / np.asarray(length) ** 2)]), atol=1e-12)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("directions", [(), (0, 2)])
 def test_leaving_a_point_out_is_solving_without_it(directions):
     rng = np.random.default_rng(2)
@@ -83,6 +84,7 @@ def test_leaving_a_point_out_is_solving_without_it(directions):
         assert spread[i] == pytest.approx(float(variance[0]), rel=1e-8)
 
 
+@pytest.mark.full
 def test_the_surface_goes_through_the_points_and_knows_it():
     found = fitted(32, False)
     mean, deviation = found.predict(closed(32).values)

@@ -168,6 +168,7 @@ def test_front_and_compilation(done):
         assert [number(row, "compile_s") > 0 for row in levels[1:]] == [False] * (len(levels) - 1)
 
 
+@pytest.mark.full
 def test_it_goes_on_where_it_was_cut_off(base, monkeypatch):
     out, ran = base / "cut", []
     real = study.trial

@@ -120,6 +120,7 @@ def test_clearance_and_stiffness_from_an_acceleration_by_python_and_by_file():
         assert Path(f"out/{picture}.png").stat().st_size > 10_000
 
 
+@pytest.mark.full
 def test_the_report_speaks_of_accelerations():
     read = prepared(written(mechanisms.clearance(0.01, 0)))[0]
     assert list(read.readings) == [ACCELERATION] and "N" not in "".join(read.notes).split()
@@ -194,6 +195,7 @@ def test_a_drives_torque_and_an_angle_identify_a_mechanism_without_contacts():
     assert found.parameters["crank_length"].unit == "m"
 
 
+@pytest.mark.full
 def test_an_offset_is_in_the_channels_unit_and_of_one_unit():
     problem = driven({"rod.angle": 0.002}, rod_length=(0.06, 0.3), force_offset=(-0.1, 0.1))
     seen = problem.experiments[0]

@@ -93,6 +93,7 @@ def test_stated_and_estimated_noise_mix(force):
     assert np.sum(residual**2) == pytest.approx(freedom, rel=1e-3)
 
 
+@pytest.mark.full
 def test_noise_that_grows_with_the_reading_weighs_the_model_not_the_data(force):
     """With weights from the data a gain is biased by -2 times the relative variance; from the model it is not."""
     rng = np.random.default_rng(2)

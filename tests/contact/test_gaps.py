@@ -393,6 +393,7 @@ def test_axial_direction_is_not_the_normal(key):
 # --- members, zeros, derivatives
 
 
+@pytest.mark.full
 @every
 def test_members_side_by_side(key):
     """A body of members gives each what it has alone, each with a coefficient of its own."""

@@ -69,6 +69,7 @@ def test_smooth_ramp_is_finite_and_sharp_without_width(distance, width):
         assert (value[0, 0], value[0, 1]) == (max(distance, 0.0), float(distance > 0.0))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
 @pytest.mark.parametrize("exponent", [1.0, 1.5, 3.0])
 @pytest.mark.parametrize("chi", [0.0, 0.634828])

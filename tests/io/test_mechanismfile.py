@@ -447,6 +447,7 @@ def test_a_good_mechanism_is_checked_without_compiling_and_then_compiled(monkeyp
     assert COMPILED
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("kind", ["slider_crank", "bounce", "impact"])
 @pytest.mark.parametrize("law", ["memory_free", "exact", "zhang"])
 def test_numpy_sees_of_a_start_what_the_compiled_program_sees(kind, law):

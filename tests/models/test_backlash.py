@@ -54,6 +54,7 @@ def test_elasto_gap(scene, exponent):
         assert (forces[:, 1] < 0).any() and ((forces[:, 0] > 0).any() or dashpot == 20.0)
 
 
+@pytest.mark.full
 def test_what_is_lost_is_what_the_reference_loses():
     params, made = case(DRIVEN, 1.5, 1.5)
     run = simulate(DRIVEN, params, TIMES, accuracy=1e-6)
@@ -62,6 +63,7 @@ def test_what_is_lost_is_what_the_reference_loses():
     assert lost == pytest.approx(reference.simulate(made, TIMES, 1e-12, max_step=5e-3).loss[-1], rel=3e-3)
 
 
+@pytest.mark.full
 def test_momentum_of_free_bodies():
     run = simulate(FREE, FREE.parameters(), TIMES)
     assert np.abs(run.trajectory[:, 2:].sum(axis=1) - 1.0).max() < 1e-12

@@ -29,6 +29,7 @@ from bcfj_jax.analysis.tradeoff import advice
 from bcfj_jax.analysis.tradeoff.settings import settings
 from bcfj_jax.cli import app
 from bcfj_jax.contact.restitution import exact
+from bcfj_jax.core import programs
 from bcfj_jax.io import scenefile
 from bcfj_jax.mechanism.observed import observing
 
@@ -133,6 +134,8 @@ def test_without_contact_and_reading_it_says_so():
     for verb in (("sensitivity", "my.toml", "--wrt", "gravity"), ("tradeoff", "my.toml")):
         done = bcfj(*verb)
         assert done.exit_code == 2 and "has no contact and no reading" in done.stderr
+    # Asked often, what NumPy answers is compiled; this process shall not have asked yet.
+    programs.forget()
     given = scenefile.load("my.toml")
     with pytest.raises(InputError, match="no contact to take features of"):
         bj.sensitivity(given.scene, given.params, given.times, ["gravity"])

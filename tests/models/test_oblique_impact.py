@@ -77,6 +77,7 @@ def test_sticking(friction):
     assert turning == pytest.approx(closed.spin, rel=3e-4)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("asked", [1e-2, 1e-4])
 @pytest.mark.parametrize(("name", "friction"), [("brown_mcphee", True), ("step", "step"), ("lugre", "lugre")])
 def test_forces_are_those_of_the_reference(name, friction, asked):

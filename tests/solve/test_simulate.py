@@ -99,6 +99,7 @@ def test_bounces_with_a_restitution():
     assert (speed[1:7] / speed[:6]) ** 2 == pytest.approx(0.64, abs=1e-3)
 
 
+@pytest.mark.full
 def test_bounces_without_memory_lose_by_their_own_speed():
     _, speed = touches(scenes.bounce("memory_free"), damping=0.1)
     e = speed[1:7] / speed[:6]

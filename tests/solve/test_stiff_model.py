@@ -26,6 +26,7 @@ def force(shares, accuracy, mode):
     return bj.force_history(MODEL, params, TIMES, accuracy=accuracy, mode=mode)["spring"][:, 0]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("solver", [None, "rodas3", "sdirk2", "bdf"])
 def test_values(solver):
     run = bj.simulate(MODEL, MODEL.parameters(), TIMES, accuracy=1e-4, solver=solver)

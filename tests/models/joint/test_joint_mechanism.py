@@ -167,6 +167,7 @@ def test_bodies_and_bristles_move_as_in_the_joints_own_equations(name):
         assert not pair.bristles or apart(pair.bristles) < TOLERANCE
 
 
+@pytest.mark.full
 def test_the_cages_attitude_turns_with_its_spin():
     _, found = compared("default")
     for pair in found:

@@ -68,6 +68,7 @@ def test_the_four_states_and_the_unknown():
 
 
 # The face is 10 um away; the smoothed onset bears a little before, which is no contact.
+@pytest.mark.full
 @pytest.mark.parametrize(("height", "wanted"), [(4e-6, APART), (9e-6, APART), (1.1e-5, STICKING), (2e-5, STICKING)])
 def test_a_ball_in_its_window(height, wanted):
     params, y = state(up=(2, height))

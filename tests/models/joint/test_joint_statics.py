@@ -90,6 +90,7 @@ def test_undeflected_joint_against_the_sheet(angle, normal, cage, total):
     assert readings["seat_cage"].force[0, 0] == within(total / 2, 1e-3)
 
 
+@pytest.mark.full
 def test_deflected_joint_against_the_sheet():
     params = rigid(40.0, 10.0)
     _, touch = solved(LINEAR, params, [turn(params)])
