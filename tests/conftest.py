@@ -27,6 +27,8 @@ from hypothesis import settings
 from problems import PROBLEM, SCENE, TABLE
 
 BUILD = Path(__file__).resolve().parent.parent / "build"
+# Where the command and its child processes keep programs: not in the user's own folder.
+os.environ["BCFJ_CACHE"] = str(BUILD / "jax-cache")
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_compilation_cache_dir", str(BUILD / "jax-cache"))
