@@ -9,6 +9,7 @@ calibration fitted, a study run.
 from __future__ import annotations
 
 import ast
+import json
 import re
 import shutil
 import tomllib
@@ -176,16 +177,29 @@ def test_every_command_of_the_readme_is_known():
     assert found == list(WRITES)
 
 
-@pytest.mark.parametrize("command", [name for name in WRITES if name not in ELSEWHERE])
-def test_commands_run(command, folder, monkeypatch):
-    from conftest import BUILD
+def bcfj(*arguments: str):
     from typer.testing import CliRunner
 
     from bcfj_jax.cli import app
 
-    monkeypatch.setenv("BCFJ_CACHE", str(BUILD / "jax-cache"))
-    done = CliRunner().invoke(app, [*command.split(), "--out", "out"])
+    return CliRunner().invoke(app, [*arguments, "--out", "out"])
+
+
+@pytest.mark.parametrize("command", [name for name in WRITES if name not in ELSEWHERE])
+def test_commands_run(command, folder):
+    done = bcfj(*command.split())
     assert done.exit_code == 0, done.stderr
     written = {path.name for path in (folder / "out").iterdir()}
     common = {"run.toml", "environment.json", "report.html"} if WRITES[command] else {"impact.toml"}
     assert {*common, *WRITES[command]} <= written
+
+
+def test_a_verdict_that_is_not_identified_exits_4(folder):
+    """README: "its correlation is estimated, too; without it the verdict is `misfit`"."""
+    file = folder / "examples/chung_ooi_fit.toml"
+    text, count = re.subn(r"^correlation = .*\n", "", file.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    assert count == 1
+    file.write_text(text, encoding="utf-8")
+    done = bcfj("calibrate", "examples/chung_ooi_fit.toml", "--starts", "4")
+    assert done.exit_code == 4, done.stderr
+    assert json.loads((folder / "out/fit.json").read_text(encoding="utf-8"))["verdict"] == "misfit"
