@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -16,20 +17,24 @@ JOINT = bj.scenes.joint()
 PARAMS = JOINT.parameters(joint_angle=0.1)
 
 
-def jolted(scene=JOINT):
-    """A state near the start in which everything moves and touches."""
+# An operation at a time, each of these compiles a hundred little programs.
+motions = jax.jit(JOINT.motions)
+
+
+@functools.cache
+def jolted():
+    """What is computed once a run, and a state near the start in which everything moves and touches."""
     rng = np.random.default_rng(3)
-    prepared, y = scene.prepare(PARAMS), scene.initial_state(PARAMS)
-    return prepared, y + 0.3 * scene.error_scale(PARAMS) * rng.standard_normal(y.size)
+    prepared, y = jax.jit(JOINT.prepare)(PARAMS), jax.jit(JOINT.initial_state)(PARAMS)
+    return prepared, y + 0.3 * JOINT.error_scale(PARAMS) * rng.standard_normal(y.size)
 
 
 @pytest.mark.full
 def test_bodies_move_as_their_states_say():
     prepared, y = jolted()
     t, step = jnp.asarray(0.03), 1e-9
-    change = JOINT.vector_field(t, y, prepared)
-    read = jax.jit(JOINT.motions)
-    here, ahead = read(t, y, prepared), read(t, y + step * change, prepared)
+    change = jax.jit(JOINT.vector_field)(t, y, prepared)
+    here, ahead = motions(t, y, prepared), motions(t, y + step * change, prepared)
     assert set(here) == set(JOINT.body_names)
     for name, body in here.items():
         after = ahead[name]
@@ -53,7 +58,7 @@ def test_bodies_move_as_their_states_say():
 @pytest.mark.full
 def test_forces_in_world_axes_are_the_whole_forces():
     prepared, y = jolted()
-    read, summed = JOINT.observe(jnp.zeros(()), y, prepared), resultants(JOINT, prepared, y)
+    read, summed = jax.jit(JOINT.observe)(jnp.zeros(()), y, prepared), resultants(JOINT, prepared, y)
     for name, reading in read.items():
         assert reading.world is not None
         size = np.linalg.norm(np.asarray(reading.world), axis=-1)
@@ -69,7 +74,7 @@ def test_forces_in_world_axes_are_the_whole_forces():
 def test_the_drive_torque_is_that_of_the_energy_balance():
     prepared, y = jolted()
     t = jnp.asarray(0.03)
-    seat, flows = JOINT.motions(t, y, prepared)["seat"], JOINT.flows(t, y, prepared)
+    seat, flows = motions(t, y, prepared)["seat"], jax.jit(JOINT.flows)(t, y, prepared)
     assert float(seat.drive * (seat.spin @ seat.axes[:, 2])) == pytest.approx(float(flows.given["drive"]), rel=1e-12)
 
 
