@@ -82,7 +82,7 @@ def test_a_longer_step_is_taken_only_where_the_shorter_disagrees():
         assert len(runs) == count
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_the_budget_ends_the_comparison_and_says_so():
     # At 1e-6 the direction of all is bad at this loose tolerance, so that each parameter is asked for.
     told = []

@@ -35,8 +35,9 @@ def histories(t, changes):
     return Histories(force, depth, np.gradient(depth, t, axis=0), None), Histories(slope, moved, 0.0 * moved, None)
 
 
-@pytest.mark.full
-@pytest.mark.parametrize("even", [True, False])
+@pytest.mark.parametrize(
+    "even", [pytest.param(True, marks=pytest.mark.slow), pytest.param(False, marks=pytest.mark.full)]
+)
 def test_the_same_as_jax(even):
     t = np.linspace(0.0, 2.0, 1201) ** (1.0 if even else 1.1)
     value, derivative = histories(t, 3)

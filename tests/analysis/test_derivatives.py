@@ -176,7 +176,7 @@ CORNERS = {
 }
 
 
-@pytest.mark.full
+@pytest.mark.slow
 @given(**CORNERS)
 @settings(max_examples=40)
 @example(stiffness=1e10, exponent=1.0, damping=0.0, speed=0.0, clearance=0.0, smoothing=0.0)

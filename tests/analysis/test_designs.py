@@ -192,7 +192,7 @@ def test_peak_against_depth_of_a_hertzian_impact():
     assert found.after == pytest.approx(2.0 * math.sqrt(2.0), rel=1e-6)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_undeflected_joint_takes_least_offset_and_steepest_flank():
     """Physics sheet 5.4: F_c = 2 T/(z Rp) cot(alpha) e/R_c a ball; both parameters go to their bounds."""
     scene = bj.scenes.joint(fidelity="kinematic")

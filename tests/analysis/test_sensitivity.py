@@ -247,7 +247,7 @@ def test_command_line(here):
     assert bcfj("impact", "--wrt", "mass", "--out", "out").exit_code == 2
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_command_line_without_a_certificate(here):
     done = bcfj("impact", "--wrt", "mass", "--features", "contact.peak", "--no-certify", "--out", "out")
     assert done.exit_code == 0, done.stderr

@@ -133,7 +133,7 @@ def test_blocks_from_elsewhere_are_merged(done):
     assert digest(Path("two/results.parquet")) == before
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_full_disk_stops_clearly_and_can_be_resumed(done, monkeypatch):
     before = digest(Path("out/results.parquet"))
     from bcfj_jax.analysis.studies import store

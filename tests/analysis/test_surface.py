@@ -135,7 +135,7 @@ def test_deviations_cover_draws_of_the_process_as_often_as_they_say(derivatives)
     assert np.mean(ratio < 2) == pytest.approx(0.95, abs=0.04)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_noise_is_found_and_counted():
     whole = closed(128)
     noisy = whole.columns[PEAK] + 20.0 * np.random.default_rng(3).standard_normal(128)

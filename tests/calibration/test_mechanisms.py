@@ -60,7 +60,7 @@ def test_friction_from_impacts_that_stick_and_that_slide():
     recovered(fit(replace(whole, experiments=tangential), starts=6), mechanisms.FRICTION)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_the_bound_is_that_of_scipys_own_derivatives():
     """Cramer-Rao by central differences of the independent code; the estimate that attains it has its variance."""
 

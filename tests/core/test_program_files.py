@@ -62,7 +62,7 @@ def test_a_program_is_traced_once_and_fetched_by_the_next_process(folder):
     assert run(2.0, (5.0, 7.0))[0]["twice"].tolist() == [10.0, 14.0]
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_run_has_the_same_bits_with_and_without_kept_programs(folder, monkeypatch):
     scene = bj.scenes.oblique_impact()
     runs = [bj.simulate(scene, scene.parameters(), TIMES)]

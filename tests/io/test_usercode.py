@@ -179,7 +179,7 @@ def test_a_part_of_ones_own_has_15_lines_at_most(part):
     assert sum(1 for line in part.splitlines() if line.strip()) <= 15
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_simulate_uses_own_gap_law_and_friction_and_keeps_what_code_it_was():
     done = bcfj("simulate", "s.toml", "--code", "my.py", "--out", "out", "--no-measure-error")
     assert done.exit_code == 0, done.stderr

@@ -130,7 +130,7 @@ def test_what_cannot_be_read_is_refused_with_the_nearest(name, hint):
     assert bj.InputError is InputError
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_readings_feature_is_taken_and_differentiated_like_a_contacts():
     """Largest acceleration before the second touch, by the slider's mass: the wrapped model against the reading itself."""
     scene = scenes.slider_crank()

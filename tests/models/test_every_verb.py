@@ -108,7 +108,7 @@ def test_a_pendulum_is_simulated_and_its_readings_are_drawn():
     np.testing.assert_allclose(table[:, 1], expected, atol=5e-4)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_pendulum_is_differentiated():
     done = bcfj("sensitivity", written(PENDULUM + READS), "--wrt", "bob.center_x", "--out", "out")
     assert done.exit_code == 0, done.stderr

@@ -62,7 +62,7 @@ def test_closed_at_the_start():
     assert all(abs(float(r.penetration) + 5e-3) < 1e-11 for r in reading.values())
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_the_reference_and_the_published_rows():
     # Rms within 8e-6 of the peak over 0.1 s, asked for 1 %: the two do not part here.
     run = simulate(SCENE, PARAMS, np.linspace(0.0, 0.1, COUNT), accuracy=1e-2)

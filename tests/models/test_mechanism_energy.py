@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from mechanisms import GAPS, JOINTS, mechanism, poses
 
@@ -106,11 +106,14 @@ def pushes(scene, params, t, now, rates, spin):
 
 
 @pytest.mark.full
-@settings(max_examples=2)
-@given(joints=TREES, seed=SEEDS)
-@example(joints=["free", "hinge", "spherical", "sphere"], seed=1)
-@example(joints=["slide", "planar", "bearing", "particle"], seed=2)
-@example(joints=["hinge"] * 5, seed=3)
+@pytest.mark.parametrize(
+    ("joints", "seed"),
+    [
+        (["free", "hinge", "spherical", "sphere"], 1),
+        (["slide", "planar", "bearing", "particle"], 2),
+        (["hinge"] * 5, 3),
+    ],
+)
 def test_accelerations_are_lagranges(joints, seed):
     check_accelerations(joints, seed)
 
@@ -138,10 +141,10 @@ def check_accelerations(joints, seed):
 
 
 @pytest.mark.full
-@settings(max_examples=2)
-@given(joints=TREES, touching=TOUCHING, seed=SEEDS)
-@example(joints=["free", "free"], touching=sorted(GAPS)[:5], seed=4)
-@example(joints=["hinge", "planar", "sphere"], touching=sorted(GAPS)[5:], seed=5)
+@pytest.mark.parametrize(
+    ("joints", "touching", "seed"),
+    [(["free", "free"], sorted(GAPS)[:5], 4), (["hinge", "planar", "sphere"], sorted(GAPS)[5:], 5)],
+)
 def test_power_is_balanced(joints, touching, seed):
     check_power(joints, touching, seed)
 

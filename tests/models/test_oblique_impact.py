@@ -49,7 +49,7 @@ def rebound(run):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("friction", [True, "coulomb", "step"])
+@pytest.mark.parametrize("friction", [True, "coulomb", pytest.param("step", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("spin", [0.0, 500.0, -500.0])
 def test_gross_sliding(spin, friction):
     made = dataclasses.replace(KHARAZ, angle=math.radians(60.0), spin=spin, friction_speed=1e-3)

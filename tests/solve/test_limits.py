@@ -127,7 +127,7 @@ def test_a_grazing_touch_is_an_impact_like_any_other(speed, clearance):
     assert lasted == pytest.approx(duration, abs=2.1 * np.diff(times).max())
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_restitution_to_1_is_no_damping():
     """What 1 - e leaves of the exact law is  chi = 3 (1 - e)/2:  the force tends to the elastic one in first order."""
     times = np.linspace(0.0, 5e-5, 201)

@@ -72,7 +72,7 @@ def test_a_run_that_fails_harms_no_other(solve):
     assert found.code[9] != OK and np.isnan(found.states[9]).any()
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_places_are_busy_when_runs_cost_up_to_ten_times_as_much_as_others():
     scene = scenes.bounce()
     params = {name: jnp.full(64, value) for name, value in scene.parameters().items()}

@@ -50,12 +50,12 @@ def compare(laws, geometry, place, velocity, spin):
         assert abs(got - right).max() <= 1e-12 * abs(right).max()
 
 
-# The default track in make test, the other one in make all-tests.
+# In make test with friction on the default track, in make all-tests without and on the other track.
 @pytest.mark.parametrize(
     "track", [pytest.param("gothic", marks=pytest.mark.full), pytest.param("circular", marks=pytest.mark.slow)]
 )
 @pytest.mark.parametrize("spin", [False, True], ids=["particle", "spin"])
-@pytest.mark.parametrize("friction", [False, True], ids=["smooth", "rough"])
+@pytest.mark.parametrize("friction", [pytest.param(False, marks=pytest.mark.slow), True], ids=["smooth", "rough"])
 def test_slopes_of_grooves(track, spin, friction):
     _, _, c = made(track=track, spin=spin, friction=friction)
     rng = np.random.default_rng(1)
