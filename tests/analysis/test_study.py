@@ -84,7 +84,7 @@ def test_the_stiffest_undamped_impact_is_that_of_energy(done):
 
 
 @pytest.mark.parametrize(
-    "harm", ["cut", *(pytest.param(name, marks=pytest.mark.full) for name in ("gone", "flipped", "another"))]
+    "harm", ["cut", *(pytest.param(name, marks=pytest.mark.slow) for name in ("gone", "flipped", "another"))]
 )
 def test_a_block_that_is_broken_is_done_again_and_the_table_is_the_same(done, harm):
     before = digest(Path("out/results.parquet"))

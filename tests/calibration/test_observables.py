@@ -160,7 +160,7 @@ def test_period_and_delay_of_a_joint_are_those_of_its_rotation():
     np.testing.assert_allclose(jacobian[:, 0], -1000 * np.log(4) * np.array([1, -1 / 6, -1 / 3]), rtol=0.02)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_features_beside_a_history_weigh_as_they_are_stated():
     """Readings g F and a peak g P of one gain g: the least squares of both, by hand."""
     times, rng = np.linspace(0.0, CONTACT, 30), np.random.default_rng(0)

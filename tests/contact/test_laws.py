@@ -258,11 +258,14 @@ def derivatives(part):
 
 
 # Below 1e-30 m the curvature d^(n - 2) of the laws themselves runs out of floating point.
+# The rest in make all-tests.
+FULL = ("power", "two_stage", "liu", "bai_zhao_secant")
 depths = st.floats(-1e-3, -1e-30) | st.just(0.0) | st.floats(1e-30, 1e-3)
 
 
-@pytest.mark.full
-@pytest.mark.parametrize("part", ELASTIC)
+@pytest.mark.parametrize(
+    "part", [pytest.param(x, marks=pytest.mark.full if x in FULL else pytest.mark.slow) for x in ELASTIC]
+)
 @given(depths, st.floats(-50.0, 50.0), st.floats(1.0, 3.0))
 @example(0.0, 0.0, 1.0)
 @example(0.0, 0.0, 1.5)

@@ -38,9 +38,12 @@ def seen(scene, params, run):
     return np.stack([second.place[:, 0] - first.place[:, 0], second.velocity[:, 0] - first.velocity[:, 0]], axis=1)
 
 
-@pytest.mark.full
 @pytest.mark.parametrize("exponent", [1.0, 1.5])
-@pytest.mark.parametrize("scene", [DRIVEN, FREE], ids=["driven", "free"])
+@pytest.mark.parametrize(
+    "scene",
+    [pytest.param(DRIVEN, marks=pytest.mark.slow), pytest.param(FREE, marks=pytest.mark.full)],
+    ids=["driven", "free"],
+)
 def test_elasto_gap(scene, exponent):
     for dashpot in (0.0, 1.5, 20.0):
         params, made = case(scene, exponent, dashpot)

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from bcfj_jax import Body, Contact, InputError, Mechanism, force_history, gaps, scenes, simulate
-from bcfj_jax.core import programs
 
 RUNS = 20_000
 
@@ -133,10 +132,10 @@ def test_importing_sets_64_bits_and_options_of_xla_and_loads_no_tools(before, af
     assert done.stdout.splitlines() == ["['jax_enable_x64']", "[]", "float64", after]
 
 
-def test_32_bit_numbers_are_refused(monkeypatch):
-    # A kept program is of 64-bit numbers, and asking it with others is another error.
-    monkeypatch.setattr(programs.Settings, "folder", None)
+def test_32_bit_numbers_are_refused():
     scene = scenes.impact()
     params = scene.parameters()
+    # The check of values comes before the refusal, and its program is made with 64 bits here.
+    scene.check(params)
     with jax.enable_x64(False), pytest.raises(InputError, match=r"jax_enable_x64.*32 bits"):
         simulate(scene, params, [0.0, 1e-4])
