@@ -191,7 +191,7 @@ def test_no_influence_is_trusted():
     assert not np.any(far.derivative["stiffness"]["contact"])
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_failed_run_is_not_differentiable():
     found = bounced("balanced", max_steps=60)
     assert found.status == "failed"

@@ -70,7 +70,7 @@ def energy(kind, params, states):
 
 
 # Compiling each takes seconds.
-SLOW = {("impact", "adams_impact"), ("impact", "memory_free"), ("bounce", "adams_impact")}
+SLOW = {(kind, law) for kind in START for law in ("memory_free", "adams_impact")}
 
 
 @pytest.mark.full

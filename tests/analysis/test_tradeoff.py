@@ -236,7 +236,7 @@ def test_a_stage_that_takes_too_long_is_left_behind(base, monkeypatch, late):
     assert "took longer than was left" in next(row["reason"] for row in rows if row["status"] == "not run: budget")
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_failures_are_rows(base):
     file = base / "short.toml"
     file.write_text((base / "impact.toml").read_text() + "[accuracy]\nmax_steps = 60\n")

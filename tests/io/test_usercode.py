@@ -268,7 +268,7 @@ def test_a_study_without_code_is_not_resumed_with_some():
         api.prepare(specification.load(Path("study.toml")), Path("out"))
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_block_computed_on_another_machine_has_the_code_sent_to_it():
     pytest.importorskip("pyarrow", reason="the extra study is not installed")
     from bcfj_jax.analysis.studies import api, specification

@@ -111,7 +111,7 @@ def pushes(scene, params, t, now, rates, spin):
     [
         (["free", "hinge", "spherical", "sphere"], 1),
         (["slide", "planar", "bearing", "particle"], 2),
-        (["hinge"] * 5, 3),
+        pytest.param(["hinge"] * 5, 3, marks=pytest.mark.slow),
     ],
 )
 def test_accelerations_are_lagranges(joints, seed):

@@ -106,7 +106,7 @@ def test_friction_takes_what_the_reference_loses():
     assert kinetic[0] - kinetic[-1] == pytest.approx(reference.rebound(made, 1e-11).loss, rel=1e-4)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", [False, *laws.FRICTION])
 def test_every_friction_law_runs(friction):
     scene = of(friction)

@@ -98,7 +98,7 @@ def test_forces_and_motion_are_those_of_the_reference(clearance, asked):
         assert off(np.asarray(value)[early], expected[early]) < allowed
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_latched_approach_speed():
     # The reference latches the speed at the instant of touch; the memory lags by a third of 0.1 um.
     made, motion, read = of(2e-4, "lankarani_nikravesh")

@@ -56,7 +56,7 @@ def test_reverse_derivatives(mode):
     assert np.asarray(found) == pytest.approx(SLOPES.sum(0), abs=5e-3 * np.abs(SLOPES.sum(0)).max())
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_many_at_once():
     shares = jnp.array([0.5, 1.0, 2.0, 4.0, 8.0])
     params = {name: jnp.full(5, value) for name, value in zip(NAMES, VALUES, strict=True)}

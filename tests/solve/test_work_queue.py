@@ -84,7 +84,7 @@ def test_places_are_busy_when_runs_cost_up_to_ten_times_as_much_as_others():
     assert steps.sum() / (int(rounds) * 8) > 0.7
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_run_that_spends_its_steps_says_when():
     how = Plan(plan(SCENE, "reference").tolerance, 12)
     params, ends = queue()
