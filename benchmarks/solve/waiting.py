@@ -305,7 +305,10 @@ def main() -> None:
                 text = process(_COMPUTING[BEYOND[name][0]], Path(folder))[1]
             kept[name]["computing"] = float(text.splitlines()[-1])
         print(name, {k: round(kept[name][k], 2) for k in ("cold", "warm", "import")}, flush=True)
-    result = {"processes": given.processes, "commands": {name: kept[name] for name in COMMANDS if "cold" in kept.get(name, {})}}
+    result = {
+        "processes": given.processes,
+        "commands": {name: kept[name] for name in COMMANDS if "cold" in kept.get(name, {})},
+    }
     save("waiting", result)
     put_in_readme("waiting", table(result), "docs/waiting.md")
     put_in_readme("stages", where(result), "docs/waiting.md")
