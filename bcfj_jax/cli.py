@@ -22,7 +22,8 @@ from bcfj_jax.io.stop import heeded, leave
 DONE, BAD_INPUT, SIMULATION_FAILED, INTERRUPTED = 0, 2, 3, 5
 
 _EPILOG = (
-    "Exit codes: 0 done, 2 bad input, 3 a simulation failed, 4 the calibration's verdict is not 'identified', "
+    "Exit codes: 0 done, 2 bad input, 3 a simulation failed, 4 the calibration's verdict is neither 'identified' nor "
+    "'adequate', "
     "5 interrupted and resumable. Compiled programs are kept per user between runs, in the folder that BCFJ_CACHE "
     "names (BCFJ_CACHE=off keeps none), by default the system's cache folder for bcfj-jax."
 )
@@ -124,7 +125,7 @@ def calibrate(
     problem: Annotated[Path, typer.Argument(help="A calibration file.")],
     out: Out = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the starting points.")] = 0,
-    starts: Annotated[int, typer.Option(min=1, help="Number of starting points.")] = 12,
+    starts: Annotated[int, typer.Option(min=4, help="Number of starting points.")] = 12,
     intervals: Annotated[str, typer.Option(help="covariance, profile or posterior.")] = "covariance",
     export_petab: Annotated[Path | None, typer.Option(help="Write PEtab 2 tables there instead of fitting.")] = None,
     code: Code = None,

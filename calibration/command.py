@@ -16,6 +16,8 @@ from bcfj_jax.io.journal import NAME, Journal, key_of
 from bcfj_jax.io.stop import heeded
 from bcfj_jax.io.units import format_si
 from calibration.data.preparation import Prepared
+from calibration.diagnostics.answers import Answer
+from calibration.diagnostics.systematic import total
 from calibration.fit import AllStartsFailed, Fit, Parameter
 from calibration.problem import Problem
 from calibration.problemfile import load, prepared, sources
@@ -33,6 +35,15 @@ FILES = (
     "run.toml", "models.json", "environment.json", *plots_uncertainty.FILES,
 )  # fmt: skip
 _SO_FAR = "interrupted.json"
+# What an interval allows for, by its kind.
+MEANING = {
+    "noise": "if the law and the sensor are exact",
+    "runs": "runs differ",
+    "robust": "runs differ, weighed by their data",
+    "discrepancy": "the law misses a shape of the contact",
+}
+_BUDGET = "Beside every interval: what residuals cannot show, or let pass, moves the estimates by"
+_HEAD = ["parameter", "value", "95 % interval", "which allows for", "remark"]
 
 
 def run(path: Path, out: Path | None, seed: int, starts: int, intervals: str = "covariance") -> int:
@@ -81,7 +92,7 @@ def run(path: Path, out: Path | None, seed: int, starts: int, intervals: str = "
         (folder / _SO_FAR).unlink(missing_ok=True)
         journal.remove()
     keep_asked()
-    return DONE if result.verdict == "identified" else NOT_IDENTIFIED
+    return DONE if result.verdict in ("identified", "adequate") else NOT_IDENTIFIED
 
 
 def export_petab(path: Path, folder: Path) -> int:
@@ -119,15 +130,21 @@ def _interrupted(folder: Path, path: Path, stop: KeyboardInterrupt) -> int:
 
 
 def text(result: Fit) -> str:
-    """The fit in words: verdict, reasons, then a line a parameter."""
-    lines = [f"verdict: {result.verdict}", *(f"  - {reason}" for reason in result.reasons)]
-    lines += ["", report.text([["parameter", "value", "95 % interval", "remark"], *_rows(result)])]
+    """The fit in words: verdict, the three answers, then a line a parameter."""
+    lines = [f"verdict: {result.verdict}"]
+    for question, found in _answers(result):
+        lines += [f"{question}: {found.answer}", *(f"  - {reason}" for reason in found.because)]
+    lines += ["", report.text([_HEAD, *_rows(result)])]
+    if any(len(p.intervals) > 1 and p.headline for p in result.parameters.values()):
+        lines += ["", "every kind of interval:", report.text(_kinds(result))]
     if result.reference:
         lines += [
             "",
             f"force at {format_si(result.reference.penetration, 'm')}: {_interval(result.reference, 'N')}"
             " (the power law where the data are; the stiffness is derived from it)",
         ]
+    if result.systematic:
+        lines += ["", f"{_BUDGET}:", report.text(_budget_rows(result))]
     lines += [
         "",
         f"residual: {_sizes(result.residual['rms'])} rms over {result.residual['samples']} samples",
@@ -140,6 +157,47 @@ def text(result: Fit) -> str:
         worst, rms = errors["max_error_of_peak"], errors["rms_error_of_peak"]
         lines.append(f"held out, {name}: at most {worst:.2%} of the peak, {rms:.2%} rms")
     return "\n".join([*lines, *(f"note: {note}" for note in result.notes)])
+
+
+def _answers(result: Fit) -> list[tuple[str, Answer]]:
+    return [("search", result.search), ("data", result.data), ("law", result.law)]
+
+
+def _kinds(result: Fit) -> list[list[str]]:
+    """Every interval by its kind, the headline marked."""
+    kinds = [k for k in MEANING if any(k in p.intervals for p in result.parameters.values())]
+    rows = [["parameter", *kinds]]
+    for name in _shared(result):
+        p = result.parameters[name]
+        shown = {k: _ends(ends, p.unit) + (" *" if k == p.headline else "") for k, ends in p.intervals.items()}
+        rows.append([name, *(shown.get(k, "") for k in kinds)])
+    return rows
+
+
+def _budget_rows(result: Fit) -> list[list[str]]:
+    """What each estimate moves by for every error: a share of itself."""
+    lines = result.systematic
+    rows = [["parameter", *(f"{x.error}, {100 * x.amplitude:.2g} % {x.unit}" for x in lines), "sensor's together"]]
+    for name in _shared(result):
+        moves = [_moved(line.moves[name], result, name) for line in lines]
+        rows.append([name, *moves, _moved(total(lines, name), result, name)])
+    return rows
+
+
+def _shared(result: Fit) -> list[str]:
+    """Parameters that all records share; where there are none, all."""
+    axes = result.optimum.model.coordinates
+    own = [label for label, axis in zip(result.labels, axes, strict=True) if axis.experiment is None]
+    return own or list(result.labels)
+
+
+def _moved(move: float, result: Fit, name: str) -> str:
+    axis = result.optimum.model.coordinates[result.labels.index(name)]
+    return f"{100 * move:.2g} %" if axis.log else format_si(move, result.parameters[name].unit, 2)
+
+
+def _ends(ends: tuple[float, float] | None, unit: str) -> str:
+    return f"{format_si(ends[0], unit)} to {format_si(ends[1], unit)}" if ends else "none"
 
 
 def _sizes(by_unit: dict[str, float]) -> str:
@@ -155,14 +213,13 @@ def _interval(thing: Any, unit: str) -> str:
 def _rows(result: Fit) -> list[list[str]]:
     rows = []
     for name, p in result.parameters.items():
-        ends = f"{format_si(p.ci95[0], p.unit)} to {format_si(p.ci95[1], p.unit)}" if p.ci95 else "none"
-        rows.append([name, format_si(p.value, p.unit), ends, _remark(p)])
+        rows.append([name, format_si(p.value, p.unit), _ends(p.ci95, p.unit), MEANING.get(p.headline, ""), _remark(p)])
     return rows
 
 
 def _remark(p: Parameter) -> str:
     remarks = [p.kind] if p.kind != "fitted" else []
-    remarks += [f"interval by {p.interval_kind}"] if p.ci95 and p.interval_kind != "covariance" else []
+    remarks += [f"interval by {p.interval_kind}"] if p.headline == "noise" and p.interval_kind != "covariance" else []
     remarks += [f"at its {p.at_bound} bound"] if p.at_bound else []
     remarks += [] if p.identifiable else ["not determined by the data"]
     return ", ".join(remarks)
@@ -174,16 +231,19 @@ def as_json(result: Fit) -> dict[str, Any]:
     return {
         "verdict": result.verdict,
         "reasons": result.reasons,
+        **{question: found._asdict() for question, found in _answers(result)},
         "notes": result.notes,
         "parameters": {
             name: {
                 "value": p.value,
                 "unit": p.unit,
                 "ci95": p.ci95,
+                "headline": p.headline or None,
+                "intervals": p.intervals,
                 "identifiable": p.identifiable,
                 "at_bound": p.at_bound or None,
                 "kind": p.kind,
-                "interval": p.interval_kind if p.ci95 else None,
+                "interval": p.interval_kind if p.headline == "noise" else None,
             }
             for name, p in result.parameters.items()
         },
@@ -199,6 +259,7 @@ def as_json(result: Fit) -> dict[str, Any]:
         "noise": result.noise,
         "check": result.check,
         "held_out": result.held_out,
+        "systematic": [line._asdict() for line in result.systematic],
         "correlation": None
         if result.correlation is None
         else {"labels": list(result.labels), "matrix": result.correlation},
@@ -246,7 +307,10 @@ def _draw(folder: Path, path: Path, outcome: Outcome, understood: list[Prepared]
     plots.starts(result, folder / "starts.png")
     plots_uncertainty.draw(result, folder)
     tables = [
-        ("Parameters", [["parameter", "value", "95 % interval", "remark"], *_rows(result)]),
+        ("Answers", [["question", "answer", "because"], *_answer_rows(result)]),
+        ("Parameters", [_HEAD, *_rows(result)]),
+        *([(_BUDGET, _budget_rows(result))] if result.systematic else []),
+        ("Intervals by what they allow for (* the headline)", _kinds(result)),
         ("Tests", [["test", "value", "limit", "passed"], *[_test_row(t) for t in result.tests]]),
     ]
     notes = [[record.name, note] for record in understood for note in record.notes]
@@ -265,6 +329,10 @@ def _compared(outcome: Outcome) -> dict[str, Any]:
     """What ``fit.json`` says of other models and candidates."""
     found: dict[str, Any] = {"model": outcome.choice.chosen} if outcome.choice else {}
     return found | ({"next_experiment": candidates_json(outcome.gains)} if outcome.gains else {})
+
+
+def _answer_rows(result: Fit) -> list[list[str]]:
+    return [[question, found.answer, "; ".join(found.because)] for question, found in _answers(result)]
 
 
 def _test_row(t: Any) -> list[str]:
@@ -292,6 +360,7 @@ def _resolved(path: Path, base: scenefile.SceneFile, problem: Problem, seed: int
         "starts": starts,
         "loss": problem.loss,
         "accuracy": problem.accuracy,
+        "adequate": problem.adequate,
         "scene": base.resolved,
         "experiment": [
             {

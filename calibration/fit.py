@@ -1,7 +1,8 @@
-"""From a problem to a fit: check, search, noise, tests, verdict. No interval is given that is not stood behind."""
+"""From a problem to a fit: check, search, noise, tests, three answers, intervals by what they allow for, verdict."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -10,10 +11,12 @@ import numpy as np
 from bcfj_jax import InputError
 from bcfj_jax.io.journal import Journal
 from bcfj_jax.mechanism.channels import unit_of
-from calibration.diagnostics import fit_tests, influence, misfit_location
+from calibration.diagnostics import answers, fit_tests, influence, misfit_location
+from calibration.diagnostics.answers import Answer, contacts_met
 from calibration.diagnostics.clearance import clearance_tests, whole_contact_test
 from calibration.diagnostics.records import Record, features_of, hold_out, records_of, rms, rms_of_peak, series_of
-from calibration.diagnostics.residual_tests import residual_tests
+from calibration.diagnostics.residual_tests import Series, overstated, residual_tests
+from calibration.diagnostics.systematic import Budget, budget_of
 from calibration.forward import integration
 from calibration.forward.model import Model, build
 from calibration.forward.runs import Contact, commonest_failure, contacts, failure
@@ -27,8 +30,9 @@ from calibration.search.starts import Screen, batch_size, by_cost, reference_dep
 from calibration.solver_budget import budget
 from calibration.uncertainty.estimates import Parameter as Parameter
 from calibration.uncertainty.estimates import Reference as Reference
-from calibration.uncertainty.estimates import estimates
-from calibration.uncertainty.intervals import Evidence, check_kind, revised
+from calibration.uncertainty.estimates import ends_of, estimates, placed
+from calibration.uncertainty.intervals import Evidence, check_kind, half, revised
+from calibration.uncertainty.law_miss import clustered, discrepancy
 
 # Failed points of a design that are asked why.
 _ASKED = 16
@@ -59,14 +63,18 @@ class Optimum:
 
 @dataclass(frozen=True)
 class Fit:
-    """Outcome of a calibration; ``verdict`` first.
+    """Outcome of a calibration; ``verdict`` first, then the answers behind it (``diagnostics.answers``).
 
     ``noise`` is what was estimated of it: by channel its "sigma" (SI) and "correlation" [s]. ``check`` is what could be
     said before the solve (``influence.at_start``). ``notes`` say what a reader must know though nothing failed.
+    ``systematic``: errors that no residual shows, and what the estimates move by (``diagnostics.systematic``).
     """
 
     verdict: str
     reasons: list[str]
+    search: Answer
+    data: Answer
+    law: Answer
     parameters: dict[str, Parameter]
     reference: Reference | None
     tests: list[fit_tests.Test]
@@ -82,6 +90,7 @@ class Fit:
     check: dict[str, Any]
     notes: list[str]
     optimum: Optimum = field(repr=False)
+    systematic: list[Budget] = field(default_factory=list)
     evidence: Evidence = field(default_factory=Evidence, repr=False)
 
     def force_at(self, penetration: float) -> float:
@@ -184,37 +193,47 @@ def _assess(
     records = records_of(model, fitted, best.point, log_depth, False)
     seen = contacts(model, best.point, log_depth)
     errors = integration.errors(model, best.point, log_depth, best.residuals)
-    tests = [
-        *fit_tests.agreement((best, *ends[1:]), spread.covariance, errors, budget(model.scene).rough),
-        fit_tests.integration_test(errors, best.jacobian),
-    ]
-    # A rival that fits as well is another answer, not a failed search.
-    kinds = ("not_converged", "not_identified", "not_converged")
-    verdicts = {kind for t, kind in zip(tests, kinds, strict=True) if not t.passed}
+    agreement, rivals = fit_tests.agreement((best, *ends[1:]), spread.covariance, errors, budget(model.scene).rough)
+    converged = [agreement, fit_tests.integration_test(errors, best.jacobian), contacts_met(records)]
     series = series_of(model, fitted, seen, noise, best.residuals, errors, problem.accuracy)
     quality = residual_tests(series, best.residuals, best.jacobian, model.loss != "linear")
     held_out, held_records = None, []
     if any(e.hold_out for e in problem.experiments):
         held_out, held_records, test = hold_out(problem, model, best, log_depth, spread, noise)
         quality.append(test)
-    verdicts |= {"misfit" for t in quality if not t.passed}
+    if series and all(overstated(s, best.residuals) for s in series) and not model.data.features.size:
+        spread = fit_tests.shown(spread, best)
+    of_search = answers.search(converged)
+    of_law = answers.law(quality, answers.missed(series, best.residuals), held_out, problem.adequate)
     parameters, reference, identification = estimates(model, labels, best, log_depth, spread, bool(noise.integrator))
     evidence = Evidence()
     others = clearance_tests(model, seen) + whole_contact_test(model, seen, _turns(records, seen))
-    # Where the verdict stands already no profile can mend it, and no interval is given.
-    if intervals != "covariance" or (not verdicts and all(t.passed for t in others)):
+    sound = of_search.answer == "converged" and of_law.answer != "inadequate" and rivals.passed
+    # Where the verdict stands already no profile can mend it.
+    if intervals != "covariance" or (sound and all(t.passed for t in others)):
         parameters, reference, identification, evidence = revised(
             intervals, model, labels, best.point, log_depth, spread, parameters, reference, identification,
             estimated=list(noise.sigma), batch=batch_size(len(ends)), seed=seed,
         )  # fmt: skip
-    identification += others
-    verdicts |= {"not_identified" for t in identification if not t.passed}
-    tests += quality + identification
-    verdict = fit_tests.order(verdicts)
-    if verdict != "identified":
-        parameters = {name: replace(p, ci95=None) for name, p in parameters.items()}
-        reference = reference and replace(reference, ci95=None)
-        evidence = evidence.withheld(f"no interval is given: {verdict}")
+    # A rival that fits as well is another answer, not a failed search.
+    identification = [rivals, *identification, *others]
+    tests = converged + quality + identification
+    of_data = answers.data(identification, {name: p.identifiable for name, p in parameters.items()})
+    verdict = answers.verdict(of_search, of_data, of_law)
+    exact = of_law.answer == "consistent" and not any(s.declared or overstated(s, best.residuals) for s in series)
+    misses = {} if exact else _misses(model, series, best, spread)
+    # At a bound least squares says nothing of the spread, and where the law misses the noise alone says too little.
+    given = of_search.answer == "converged" and rivals.passed and all(t.passed for t in others)
+    given = (
+        given and not any(p.at_bound for p in parameters.values()) and (of_law.answer == "consistent" or bool(misses))
+    )
+    parameters, reference = _headlined(model, labels, best, log_depth, misses, parameters, reference, given)
+    systematic = []
+    if not budget(model.scene).rough and model.loss == "linear":
+        slopes = placed(model, best, log_depth)[1]
+        systematic = budget_of(model, labels, best, log_depth, spread, series, slopes)
+    if verdict not in ("identified", "adequate"):
+        evidence = evidence.withheld(f"no profile is given: {verdict}")
     values = {name: float(v[0]) for name, v in model.data.fixed.items()}
     values |= {
         s.name: parameters[name].value
@@ -224,8 +243,11 @@ def _assess(
     sigma = np.sqrt(np.diag(spread.covariance)) if spread.covariance is not None else None
     return Fit(
         verdict=verdict,
-        reasons=[t.reason for t in tests if not t.passed]
-        + (misfit_location.reasons(records) if "misfit" in verdicts else []),
+        reasons=[*of_search.because, *of_law.because, *of_data.because]
+        + (misfit_location.reasons(records) if of_law.answer != "consistent" else []),
+        search=of_search,
+        data=of_data,
+        law=of_law,
         parameters=parameters,
         reference=reference,
         tests=tests,
@@ -250,9 +272,60 @@ def _assess(
         noise=_by_channel(noise),
         check=checked,
         optimum=Optimum(model, best, log_depth, spread, noise),
-        notes=_notes(noise),
+        notes=_notes(noise) + _wide_notes(parameters) + _overstated_notes(series, best.residuals),
+        systematic=systematic,
         evidence=evidence,
     )
+
+
+def _misses(model: Model, series: list[Series], best: End, spread: fit_tests.Spread) -> dict[str, fit_tests.Spread]:
+    """Spreads by kind that allow for a law that misses, and for runs that differ; none of a robust loss or a rough cost."""
+    if spread.covariance is None or model.loss != "linear" or budget(model.scene).rough:
+        return {}
+    shape = model.data.weights.shape
+    runs = np.arange(best.residuals.size) // int(np.prod(shape[1:])) if shape[1] else np.zeros(best.residuals.size)
+    readings = np.arange(best.residuals.size) < int(np.prod(shape))
+    own = any(axis.experiment is not None for axis in model.coordinates)
+    found = {} if own else clustered(runs[readings], best.residuals[readings], best.jacobian[readings], spread)
+    process = discrepancy(series, best.residuals, best.jacobian, spread)
+    return found | ({"discrepancy": process.spread} if process else {})
+
+
+def _headlined(
+    model: Model,
+    labels: tuple[str, ...],
+    best: End,
+    log_depth: float,
+    misses: dict[str, fit_tests.Spread],
+    parameters: dict[str, Parameter],
+    reference: Reference | None,
+    given: bool,
+) -> tuple[dict[str, Parameter], Reference | None]:
+    """Estimates with their intervals by kind, and the headline: the widest.
+
+    Args:
+        misses: spreads beside the noise's; none where the law is the noise.
+        given: whether there is one: not after a search that failed, nor where the data allow another answer.
+    """
+    kinds = {kind: ends_of(model, labels, best, log_depth, spread) for kind, spread in misses.items()}
+
+    def headline(by_kind: dict[str, tuple[float, float] | None], known: Callable) -> tuple[Any, str]:
+        if not given or any(ends is None for ends in by_kind.values()):
+            return None, ""
+        kind = max(by_kind, key=lambda k: by_kind[k][1] - by_kind[k][0])  # pyright: ignore[reportOptionalSubscript]
+        return (by_kind[kind], kind) if known(by_kind[kind]) else (None, "")
+
+    shown = {}
+    for axis, name in zip(model.coordinates, labels, strict=True):
+        p = parameters[name]
+        by_kind = {"noise": p.ci95, **{kind: ends[name] for kind, (ends, _) in kinds.items()}}
+        ends, kind = headline(by_kind, lambda ends, axis=axis: half(ends, axis.log) < fit_tests.widest(axis))
+        shown[name] = replace(p, ci95=ends, headline=kind, intervals=by_kind if given else {})
+    if reference:
+        by_kind = {"noise": reference.ci95, **{kind: own for kind, (_, own) in kinds.items()}}
+        ends, _ = headline(by_kind, lambda ends: True)
+        reference = replace(reference, ci95=ends)
+    return shown, reference
 
 
 def _turns(records: list[Record], seen: list[Contact]) -> bool:
@@ -276,6 +349,23 @@ def _notes(noise: Estimate) -> list[str]:
         f"and count as {noise.sigma[name]:.2g} {unit_of(name)}"
         for name in noise.integrator
     ]
+
+
+def _wide_notes(parameters: dict[str, Parameter]) -> list[str]:
+    wide = [name for name, p in parameters.items() if p.ci95 is None and p.intervals.get("noise")]
+    what = "with what the law misses and runs differ by allowed for, the data do not determine"
+    return [f"{what} {' and '.join(wide)} to a factor of two"] if wide else []
+
+
+def _overstated_notes(series: list[Series], residuals: np.ndarray) -> list[str]:
+    worst = min((np.sqrt(np.mean(residuals[s.rows] ** 2)) for s in series if overstated(s, residuals)), default=1.0)
+    return (
+        [
+            f"residuals are {worst:.2g} times the stated noise: it was stated too large, and intervals use what residuals show"
+        ]
+        if worst < 1.0
+        else []
+    )
 
 
 def _by_channel(noise: Estimate) -> dict[str, dict[str, float]]:

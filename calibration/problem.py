@@ -45,6 +45,10 @@ def nuisances(observed: Iterable[str]) -> dict[str, Quantity]:
     return {**NUISANCES, "force_offset": offset if others else offset._replace(unit=unit)}
 
 
+# Of the peak: what the laws of contact miss in published drop tests of steel and rubber (docs/calibration.md).
+ADEQUATE = 0.03
+
+
 @dataclass(frozen=True)
 class Channel:
     """What a sensor saw in one experiment, with noise of variance sigma^2 + (relative reading)^2.
@@ -148,7 +152,8 @@ class Problem:
 
     ``accuracy`` is the error of the simulated forces as a share of their peak; by default 1e-6, and 1e-3 of a joint's
     motion, whose derivatives would take ten times as long. ``loss`` is SciPy's name for what a residual of z standard
-    deviations costs (``losses.loss_of``).
+    deviations costs (``losses.loss_of``). ``adequate``: share of the peak that a law may miss a contact by, to be called
+    adequate (``diagnostics.answers``).
 
     Raises:
         InputError: on construction, for a free parameter the scene does not have, bounds the wrong way
@@ -163,6 +168,7 @@ class Problem:
     accuracy: float = 0.0
     where: str = "problem"
     loss: str = "linear"
+    adequate: float = ADEQUATE
 
     def __post_init__(self) -> None:
         # <contact>.clearance and clearance_<contact> are one parameter.
@@ -183,6 +189,8 @@ class Problem:
             raise InputError(self.where, "no experiment to fit", "give at least one [[experiment]] without hold_out")
         for parameter in self.free:
             self._check_free(parameter)
+        if not 0.0 <= self.adequate < 1.0:
+            raise InputError(f"{self.where}: adequate", f"{self.adequate:g}", 'give a share of the peak, such as "3 %"')
         if self.loss not in LOSSES:
             raise InputError(f"{self.where}: loss", f"no loss '{self.loss}'", nearest(self.loss, LOSSES))
         # Of a contact with members one is observed: seat_ball_2.

@@ -33,7 +33,7 @@ from calibration.data import stated
 from calibration.data.preparation import Prepared, Recipe, prepare
 from calibration.data.readers import read
 from calibration.data.table import split
-from calibration.problem import Channel, Experiment, Free, Problem, nuisances, units_of
+from calibration.problem import ADEQUATE, Channel, Experiment, Free, Problem, nuisances, units_of
 
 
 class _Experiment(tables.Table):
@@ -72,6 +72,7 @@ class _File(tables.Table):
     free: dict[str, FreeTable]
     loss: str = "linear"
     accuracy: float | None = pydantic.Field(None, ge=1e-9, le=0.5)
+    adequate: Any = None
     model: list[dict[str, Any]] = []
     candidate: list[dict[str, Any]] = []
 
@@ -98,6 +99,7 @@ def load(path: str | Path) -> Problem:
         where=str(path),
         loss=file.loss,
         accuracy=file.accuracy or 0.0,
+        adequate=ADEQUATE if file.adequate is None else quantity(file.adequate, "1", f"{path}: adequate"),
     )
 
 

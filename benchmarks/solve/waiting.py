@@ -85,14 +85,12 @@ for _ in range(2):
 print(time.perf_counter() - begin)
 """,
     "study": """import time
-import numpy as np
 import bcfj_jax as bj
 
 bj.use_cache()
-scene = bj.scenes.impact()
-for _ in range(2):
+for out in ("first", "second"):
     begin = time.perf_counter()
-    bj.study(scene, clearance_contact=np.linspace(1e-6, 1e-4, 256), features=["contact.peak"])
+    bj.study("study.toml", out)
 print(time.perf_counter() - begin)
 """,
 }
@@ -252,7 +250,7 @@ def table(result: dict[str, Any]) -> str:
     rows = [["`bcfj ...`, or a script", "before: cold", "warm", "cold", "goal", "warm", "goal", "warm over import"]]
     for name, row in result["commands"].items():
         goals = [f"{goal:g} s" if goal else "" for goal in COMMANDS[name][1:]]
-        if name in BEYOND:
+        if "computing" in row:
             goals[1] = f"{row['computing'] + BEYOND[name][1]:.1f} s"
         rows.append(
             [
@@ -293,23 +291,24 @@ def main() -> None:
     parser.add_argument("--before", type=Path)
     given = parser.parse_args()
     wanted = [name for name in given.only.split(",") if name] or list(COMMANDS)
+    result: dict[str, Any] = {}
     kept = load("waiting")["commands"] if (RESULTS / "waiting.json").exists() else {}
     for name in wanted:
+        old = kept.get(name, {})
         if given.before:
-            kept.setdefault(name, {})["before"] = before(COMMANDS[name][0], given.before.resolve())
-            continue
-        kept[name] = {k: v for k, v in kept.get(name, {}).items() if k == "before"}
-        kept[name] |= measured(COMMANDS[name][0], given.processes)
-        if name in BEYOND:
-            with tempfile.TemporaryDirectory() as folder:
-                text = process(_COMPUTING[BEYOND[name][0]], Path(folder))[1]
-            kept[name]["computing"] = float(text.splitlines()[-1])
-        print(name, {k: round(kept[name][k], 2) for k in ("cold", "warm", "import")}, flush=True)
-    result = {
-        "processes": given.processes,
-        "commands": {name: kept[name] for name in COMMANDS if "cold" in kept.get(name, {})},
-    }
-    save("waiting", result)
+            kept[name] = {**old, "before": before(COMMANDS[name][0], given.before.resolve())}
+        else:
+            kept[name] = measured(COMMANDS[name][0], given.processes)
+            if "before" in old:
+                kept[name]["before"] = old["before"]
+            if name in BEYOND:
+                with tempfile.TemporaryDirectory() as folder:
+                    text = process(_COMPUTING[BEYOND[name][0]], Path(folder))[1]
+                kept[name]["computing"] = float(text.splitlines()[-1])
+            print(name, {k: round(kept[name][k], 2) for k in ("cold", "warm", "import")}, flush=True)
+        result = {"commands": {name: kept[name] for name in COMMANDS if "cold" in kept.get(name, {})}}
+        # What was measured is kept, whatever comes after it.
+        save("waiting", result)
     put_in_readme("waiting", table(result), "docs/waiting.md")
     put_in_readme("stages", where(result), "docs/waiting.md")
     print(table(result), where(result), sep="\n\n")

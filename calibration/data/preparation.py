@@ -26,6 +26,9 @@ from calibration.data.inspection import (
 from calibration.data.resampling import resampled
 from calibration.data.table import Table
 
+# Samples from which on a level of rest is looked for.
+_FEW = 12
+
 
 @dataclass(frozen=True)
 class Recipe:
@@ -34,7 +37,7 @@ class Recipe:
     Attributes:
         resample: rate [Hz] to bring it down to.
         saturation: magnitude at and beyond which the sensor cannot read, by channel.
-        align: whether time 0 becomes the first sample above a tenth of the first channel's peak.
+        align: whether time 0 becomes the first sample above rest by a tenth of the first channel's peak.
         window: times [s] to keep, after aligning.
         impact: whether the record holds a whole impact, which begins and ends apart.
         offset: whether the reading where there is nothing to read is unknown.
@@ -146,14 +149,30 @@ def _signed(part: Table, header: str, unit: str, where: str) -> np.ndarray:
 
 
 def _first_contact(clock: np.ndarray, observes: str, values: np.ndarray, where: str) -> float:
-    """Time of the first sample above a tenth of the peak; only a normal force has a sign that it must have."""
-    values = values if observes.endswith(".normal") else np.abs(values)
+    """Time of the first sample above rest by a tenth of the peak; only a normal force has a sign that it must have."""
+    values = values - _rest(values) if observes.endswith(".normal") else np.abs(values)
     peak = np.nanmax(values, initial=0.0)
     if not peak > 0:
         if not observes.endswith(".normal"):
             raise InputError(f"{where} observe", f"'{observes}' reads 0 throughout", "choose another column")
         raise InputError(f"{where} observe", "the force is never positive", 'flip its sign with "-" before the column')
     return float(clock[np.flatnonzero(values > TOUCHING * peak)[0]])
+
+
+def _rest(values: np.ndarray) -> float:
+    """The reading at rest: the middle of the quarter of the samples that lie closest together; 0 where that is none.
+
+    The record must begin there. One that is all contact has no rest.
+    """
+    seen = values[np.isfinite(values)]
+    ordered, span, count = np.sort(seen), float(np.ptp(seen)), seen.size // 4
+    if not span or seen.size < _FEW:
+        return 0.0
+    widths = ordered[count - 1 :] - ordered[: seen.size - count + 1]
+    first = int(np.argmin(widths))
+    level = float(np.median(ordered[first : first + count]))
+    begins = abs(float(seen[0]) - level) < TOUCHING * span
+    return level if begins and widths[first] < TOUCHING * span else 0.0
 
 
 def _inside(times: np.ndarray, window: tuple[float, float] | None, name: str, where: str) -> np.ndarray:

@@ -58,6 +58,7 @@ class Spread(NamedTuple):
         moved: for every estimated number of the noise, the derivative (P, P) of the covariance by its logarithm and the
             variance of that.
         rise: of the cost by a step whose length is 1 in units of the covariance; 1 but for a robust loss.
+        student: degrees of freedom of the covariance itself, where it is not the noise's.
     """
 
     covariance: np.ndarray | None
@@ -67,6 +68,7 @@ class Spread(NamedTuple):
     condition: float
     moved: tuple[tuple[np.ndarray, float], ...] = ()
     rise: float = 1.0
+    student: float = np.inf
 
     def quantile_of(self, slope: np.ndarray) -> float:
         """Quantile of a combination's 95 % interval: Student's, degrees of freedom by Satterthwaite.
@@ -75,6 +77,8 @@ class Spread(NamedTuple):
         estimated deviation, that of samples less parameters.
         """
         assert self.covariance is not None
+        if np.isfinite(self.student):
+            return float(special.stdtrit(self.student, 0.975))
         variance = slope @ self.covariance @ slope
         doubt = sum((slope @ change @ slope) ** 2 * own for change, own in self.moved)
         return float(special.stdtrit(2.0 * variance**2 / doubt, 0.975) if doubt > 0 else special.ndtri(0.975))
@@ -117,6 +121,15 @@ def spread(end: End, samples: int, moved: list[tuple[np.ndarray, float]], loss: 
     changes = tuple((-covariance @ change @ covariance / factor, variance) for change, variance in moved)
     found = Spread(covariance, 0.0, freedom, directions[-1], condition, changes, factor * mean)
     return found._replace(quantile=max(found.quantile_of(unit) for unit in np.eye(count)))
+
+
+def shown(stated: Spread, end: End) -> Spread:
+    """The spread by the noise that residuals show, where they are far smaller than the noise that was stated."""
+    if stated.covariance is None:
+        return stated
+    share = float(end.residuals @ end.residuals) / stated.freedom
+    covariance = share * stated.covariance
+    return stated._replace(covariance=covariance, moved=((covariance, 2.0 / stated.freedom),), rise=share * stated.rise)
 
 
 def agreement(
@@ -206,11 +219,3 @@ def curvature_test(label: str, ratio: float) -> Test:
     if not np.isfinite(ratio):
         reason = f"the simulation fails at an end of the interval of {label}"
     return Test(f"interval of {label}", ratio, 2.0, 0.5 < ratio < 2.0, reason)
-
-
-def order(verdicts: set[str]) -> str:
-    """The verdict that wins: a fit that did not converge says nothing of the model, and so on."""
-    for verdict in ("not_converged", "misfit", "not_identified"):
-        if verdict in verdicts:
-            return verdict
-    return "identified"

@@ -190,6 +190,9 @@ def series_of(
                     estimated=channel.sigma is None,
                     integrator=channel.observes in noise.integrator
                     or integration.own(residuals[rows], errors[rows], accuracy, 1.0 / share if share else 0.0),
+                    clock=np.asarray(model.data.times)[i, own],
+                    values=values[i, j, own],
+                    weights=weights[i, j, own],
                 )
             )
     return series

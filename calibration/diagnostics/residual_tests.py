@@ -22,6 +22,11 @@ CORRELATION_LEVEL = 1e-2
 _FEW = 300
 # Share of samples that a robust loss may leave aside, and share of a contact that noise may remember.
 MOST_OUTLIERS, LONGEST_MEMORY = 0.1, 0.2
+# Share of the stated noise below which residuals show no more than that it was stated too large.
+_OVERSTATED = 0.5
+
+
+_NONE = np.zeros(0)
 
 
 class Series(NamedTuple):
@@ -36,6 +41,7 @@ class Series(NamedTuple):
         declared: whether the noise was said to be correlated.
         estimated: whether its deviation comes from these residuals.
         integrator: whether they are no larger than the integrator's error: their order then says nothing.
+        clock, values, weights: (n,) times [s], readings and their inverse deviations, SI.
     """
 
     rows: np.ndarray
@@ -46,6 +52,9 @@ class Series(NamedTuple):
     declared: bool = False
     estimated: bool = False
     integrator: bool = False
+    clock: np.ndarray = _NONE
+    values: np.ndarray = _NONE
+    weights: np.ndarray = _NONE
 
 
 def residual_tests(series: list[Series], residuals: np.ndarray, jacobian: np.ndarray, robust: bool) -> list[Test]:
@@ -67,7 +76,7 @@ def residual_tests(series: list[Series], residuals: np.ndarray, jacobian: np.nda
         tests.append(_size_test(residuals, basis, np.concatenate([*stated, others]), inside))
     if not series:
         return tests
-    heard = [s for s in series if not s.integrator]
+    heard = [s for s in series if not s.integrator and not overstated(s, residuals)]
     kept = [s._replace(rows=s.rows[inside[s.rows]], touching=s.touching[inside[s.rows]]) for s in heard]
     for place, touching in (("in contact", True), ("apart", False)):
         parts = [s.rows[s.touching == touching] for s in kept]
@@ -83,6 +92,11 @@ def residual_tests(series: list[Series], residuals: np.ndarray, jacobian: np.nda
     worst, limit = float(np.max(np.abs(residuals[tested]))), -float(special.ndtri(LEVEL / (2 * tested.size)))
     reason = f"a residual is {worst:.3g} sigma: the model misses an event, or a sample is wrong"
     return [*tests, Test("no outlier", worst, limit, worst < limit, reason)]
+
+
+def overstated(s: Series, residuals: np.ndarray) -> bool:
+    """Whether the stated noise is more than twice what all residuals are: their order is no misfit of the law then."""
+    return not s.estimated and s.rows.size > 0 and float(np.mean(residuals[s.rows] ** 2)) < _OVERSTATED**2
 
 
 def _size_test(residuals: np.ndarray, basis: np.ndarray, rows: np.ndarray, inside: np.ndarray) -> Test:
@@ -137,10 +151,9 @@ def _correlation_test(
     a, b, inside = (np.concatenate(parts) for parts in (firsts, seconds, rows))
     correlation, p = correlation_of(residuals, basis, a, b, inside)
     again = "beyond what its correlation time explains" if any(s.declared for s in series) else ""
-    remedy = "" if again else '; if it is the noise, say correlation = "estimate"'
     reason = (
         f"{place}, residuals of successive samples correlate by {correlation:.2f} {again}".rstrip()
-        + f": the noise is correlated, or the model misses a shape{remedy}"
+        + ": the sensor has a memory, or the law misses a shape"
     )
     return Test(f"correlation of residuals {place}", p, CORRELATION_LEVEL / 2, p > CORRELATION_LEVEL / 2, reason)
 

@@ -37,9 +37,19 @@ def coordinates_of(problem: Problem, experiments: int) -> tuple[Coordinate, ...]
     coordinates = []
     for f in sorted(problem.free, key=lambda f: f.per_experiment):
         share = f.as_share
-        low, high = (np.log(f.lower), np.log(f.upper)) if share else (f.lower, f.upper)
+        low, high = _logarithms(f.lower, f.upper) if share else (f.lower, f.upper)
         owners = range(experiments) if f.per_experiment else [None]
         coordinates += [
             Coordinate(f.name, owner, share, float(low), float(high), f.log and not share) for owner in owners
         ]
     return tuple(coordinates)
+
+
+def _logarithms(lower: float, upper: float) -> tuple[float, float]:
+    """Logarithms of bounds, such that their exponentials lie within the bounds in spite of rounding."""
+    low, high = np.log(lower), np.log(upper)
+    while np.exp(low) < lower:
+        low = np.nextafter(low, np.inf)
+    while np.exp(high) > upper:
+        high = np.nextafter(high, -np.inf)
+    return float(low), float(high)

@@ -21,6 +21,8 @@ from calibration.forward.model import Model
 
 # Times of a run that is looked at by itself; as many always, so that all share one program.
 SAMPLES = 2001
+# Of them at the record's own times.
+_OWN = 1000
 _NOT_DIFFERENTIABLE = "the simulation ends well, but its derivative is not finite"
 
 
@@ -101,7 +103,7 @@ def contacts(model: Model, point: np.ndarray, log_depth: float) -> list[Contact]
     names, found = channel_names(model.scene.members), []
     for i, (params, span) in enumerate(zip(params_at(model, point, log_depth), _spans(model), strict=True)):
         first, last = np.maximum(span - params["time_offset"], 0.0)
-        times = np.linspace(first, max(last, first + 1e-9), SAMPLES)
+        times = instants(model, i, params["time_offset"], first, max(last, first + 1e-9))
         # Not by the force: the regularisation bears a little across a gap.
         inside = depths(ran(model, params, times))
         turned = (inside.max(axis=0) > 0) & (inside.argmax(axis=0) < SAMPLES - 1)
@@ -110,6 +112,30 @@ def contacts(model: Model, point: np.ndarray, log_depth: float) -> list[Contact]
             for k, name in enumerate(names)
         ]
     return found
+
+
+def instants(model: Model, experiment: int, offset: float, first: float, last: float) -> np.ndarray:
+    """SAMPLES times [s] from first to last: those of the record at which most is read, and others between.
+
+    A hard contact may take less than a thousandth of the record, and lies where the data are large.
+    """
+    d = model.data
+    seen = np.asarray(d.weights)[experiment] > 0
+    size = np.max(
+        np.abs(np.where(seen, np.asarray(d.values)[experiment] * np.asarray(d.weights)[experiment], 0.0)),
+        axis=0,
+        initial=0.0,
+    )
+    own = np.asarray(d.times)[experiment] - offset
+    order = np.argsort(-size, kind="stable")
+    largest = own[order[(size[order] > 0) & (own[order] > first) & (own[order] < last)]][:_OWN]
+    chosen = np.unique(np.concatenate([largest, np.linspace(first, last, SAMPLES - _OWN)]))
+    # Equal times are filled up between the others.
+    while chosen.size < SAMPLES:
+        gaps = np.diff(chosen)
+        widest = np.argsort(-gaps, kind="stable")[: SAMPLES - chosen.size]
+        chosen = np.unique(np.concatenate([chosen, chosen[widest] + 0.5 * gaps[widest]]))
+    return chosen
 
 
 def depths(run: Run) -> np.ndarray:

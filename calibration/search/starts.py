@@ -17,9 +17,10 @@ import numpy as np
 from bcfj_jax.io.journal import Journal
 from bcfj_jax.io.stop import check
 from calibration.forward.model import Model
-from calibration.forward.runs import SAMPLES, params_at, ran, refusal
+from calibration.forward.runs import instants, params_at, ran, refusal
 from calibration.search.continuation import Interrupted as Interrupted
 from calibration.search.continuation import blocks, continued, named
+from calibration.search.descent import Descents, levenberg
 from calibration.search.evaluate import evaluator as evaluator
 from calibration.search.evaluate import loosened
 from calibration.search.horizon import stages, until
@@ -122,6 +123,7 @@ def search(
         log_depth = reference_depth(model, by_cost(design, costs), log_depth)
     points = np.clip(model.point(chosen, log_depth), 1e-3, 1 - 1e-3)
     found = continued(model, points, log_depth, batch_size(len(points)), journal)
+    found = _straight(model, points[: len(starts)], found, log_depth)
     if model.referenced and np.isfinite(found.costs).any():
         old, log_depth = log_depth, reference_depth(model, by_cost(found.points, found.costs), log_depth)
         points, moved = (model.point(model.values(u, old), log_depth) for u in (points, found.points))
@@ -132,6 +134,23 @@ def search(
         k = int(np.argmin(found.costs))
         values, all_of_them = named(model, found.points[k], log_depth), f"{len(points)} of {len(points)}"
         raise Interrupted(all_of_them, values, float(found.costs[k]), "refinement") from None
+
+
+def _straight(model: Model, points: np.ndarray, found: Descents, log_depth: float) -> Descents:
+    """Given starts, fitted to all data at once too, where that ends lower.
+
+    Fitted to the first contacts alone, an estimate moves by what these leave open, and of a hard contact that is enough
+    to miss the last ones.
+    """
+    if not len(points) or len(stages(model)) == 1:
+        return found
+    check()
+    means = budget(model.scene)
+    direct = levenberg(evaluator(model, log_depth), points, means.descend, means.tolerance)
+    lower = np.flatnonzero(direct.costs < found.costs[: len(points)])
+    for old, new in zip(found, direct, strict=True):
+        old[lower] = new[lower]
+    return found
 
 
 def _spread(design: np.ndarray, costs: np.ndarray, count: int) -> np.ndarray:
@@ -153,8 +172,9 @@ def reference_depth(model: Model, points: Iterable[np.ndarray], log_depth: float
     point = next((p for p in points if not refusal(model, p, log_depth)), None)
     if point is None:
         return log_depth
-    times = np.linspace(0.0, float(model.data.times[0].max()), SAMPLES)
-    run = ran(loosened(model), params_at(model, point, log_depth)[0], times)
+    params = params_at(model, point, log_depth)[0]
+    times = instants(model, 0, params["time_offset"], 0.0, float(model.data.times[0].max()))
+    run = ran(loosened(model), params, times)
     force = np.concatenate([f[..., 0].ravel() for f in run.force.values()])
     depth = np.concatenate([d.ravel() for d in run.penetration.values()])
     inside = (depth > 0) & (force > 0)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from bcfj_jax.core.quantities import Quantity
 from calibration.diagnostics import fit_tests
 from calibration.diagnostics.influence import separation
+from calibration.forward.coordinates import Coordinate
 from calibration.forward.losses import straightened
 from calibration.forward.model import Model
 from calibration.problem import nuisances
@@ -25,11 +27,14 @@ class Parameter:
 
     Attributes:
         value: SI.
-        ci95: 95 % interval, or None where no honest one exists.
+        ci95: the headline, a 95 % interval: of ``intervals`` the widest that applies, or None where the data do not
+            determine it, or the search failed.
         identifiable: whether the data determine it to better than a factor of two.
         at_bound: "lower", "upper" or "".
         kind: how it was found: "fitted", or "derived" from the reference force and exponent.
-        interval_kind: what the interval comes from, or would: "covariance", "profile" or "posterior".
+        interval_kind: what the interval of the noise comes from, or would: "covariance", "profile" or "posterior".
+        intervals: 95 % intervals by kind: "noise", if law and sensor are exact, and those of ``law_miss``.
+        headline: the kind that ci95 is, "" for none.
     """
 
     value: float
@@ -39,6 +44,8 @@ class Parameter:
     at_bound: str
     kind: str = "fitted"
     interval_kind: str = "covariance"
+    intervals: dict[str, tuple[float, float] | None] = field(default_factory=dict)
+    headline: str = ""
 
 
 @dataclass(frozen=True)
@@ -59,15 +66,9 @@ def estimates(
     ``rough``: whether the integrator's error is what the cost is made of; a joint's always counts.
     """
     values = model.values(best.point, log_depth).tolist()
-    lower, width = model.box(log_depth)
-    slopes = np.diag(width)
-    z, pair, reference = lower + best.point * width, model.pair() if model.referenced else None, None
-    if pair:
-        k, n = pair
-        reference = _reference(spread, log_depth, float(z[k]), slopes[k])
-        # From the coordinate ln F_ref to ln K = ln F_ref - n ln d_ref.
-        z[k] -= values[n] * log_depth
-        slopes[k, n] = -log_depth * (values[n] if model.coordinates[n].log else 1.0) * width[n]
+    pair = model.pair() if model.referenced else None
+    z, slopes = placed(model, best, log_depth)
+    reference = _reference(model, best, log_depth, spread)
     parameters: dict[str, Parameter] = {}
     tests: list[fit_tests.Test] = []
     reaches: list[float] = []
@@ -75,12 +76,10 @@ def estimates(
         half = spread.half_width(slopes[i])
         widest = fit_tests.widest(axis)
         identifiable = bool(half < widest)
-        quantity = {**model.scene.quantities, **nuisances(model.channels)}[axis.name]
-        # No lower than the quantity can be: a clearance that may be closed.
-        reach = 1.0 if axis.log or not identifiable else min(1.0, (values[i] - quantity.low) / half)
+        quantity = _quantity(model, axis)
+        edges, reach = _edges(axis, quantity, values[i], z[i], half)
         reaches.append(reach)
-        edges = (z[i] - reach * half, z[i] + half)
-        interval = tuple(float(np.exp(e)) if axis.log else float(e) for e in edges) if identifiable else None
+        interval = edges if identifiable else None
         # Of many decades the lowest are no thousandth of the range.
         margin = 1e-3 * (min(axis.upper - axis.lower, values[i]) if axis.decades else axis.upper - axis.lower)
         at_bound = "lower" if z[i] < axis.lower + margin else "upper" if z[i] > axis.upper - margin else ""
@@ -104,8 +103,55 @@ def estimates(
     return parameters, reference, tests
 
 
-def _reference(spread: fit_tests.Spread, log_depth: float, centre: float, slope: np.ndarray) -> Reference:
-    half = spread.half_width(slope)
+def placed(model: Model, best: End, log_depth: float) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates (P,) on their scales, and how they move with the unit box (P, P).
+
+    A stiffness that is searched as a reference force goes from ln F_ref to ln K = ln F_ref - n ln d_ref.
+    """
+    values = model.values(best.point, log_depth)
+    lower, width = model.box(log_depth)
+    slopes, z, pair = np.diag(width), lower + best.point * width, model.pair() if model.referenced else None
+    if pair:
+        k, n = pair
+        z[k] -= values[n] * log_depth
+        slopes[k, n] = -log_depth * (values[n] if model.coordinates[n].log else 1.0) * width[n]
+    return z, slopes
+
+
+def _edges(
+    axis: Coordinate, quantity: Quantity, value: float, z: float, half: float
+) -> tuple[tuple[float, float], float]:
+    """Ends of an interval of a half width on the search scale, SI, and how much of it lies below the estimate."""
+    # No lower than the quantity can be: a clearance that may be closed.
+    reach = 1.0 if axis.log or not np.isfinite(half) else min(1.0, (value - quantity.low) / half)
+    # Nor outside of the bounds that were given.
+    low, high = np.clip((z - reach * half, z + half), axis.lower, axis.upper)
+    return (float(np.exp(low)), float(np.exp(high))) if axis.log else (float(low), float(high)), reach
+
+
+def ends_of(
+    model: Model, labels: tuple[str, ...], best: End, log_depth: float, spread: fit_tests.Spread
+) -> tuple[dict[str, tuple[float, float] | None], tuple[float, float] | None]:
+    """Intervals by name for another spread of the same estimate, and that of the reference force, however wide."""
+    z, slopes = placed(model, best, log_depth)
+    values, found = model.values(best.point, log_depth).tolist(), {}
+    for i, (axis, label) in enumerate(zip(model.coordinates, labels, strict=True)):
+        half, quantity = spread.half_width(slopes[i]), _quantity(model, axis)
+        found[label] = _edges(axis, quantity, values[i], z[i], half)[0] if np.isfinite(half) else None
+    reference = _reference(model, best, log_depth, spread)
+    return found, reference and reference.ci95
+
+
+def _quantity(model: Model, axis: Coordinate) -> Quantity:
+    return {**model.scene.quantities, **nuisances(model.channels)}[axis.name]
+
+
+def _reference(model: Model, best: End, log_depth: float, spread: fit_tests.Spread) -> Reference | None:
+    """F_ref, a coordinate of its own, where stiffness and exponent are both searched."""
+    if not model.referenced:
+        return None
+    (lower, width), k = model.box(log_depth), model.pair()[0]
+    centre, half = float(lower[k] + best.point[k] * width[k]), spread.half_width(np.diag(width)[k])
     interval = (float(np.exp(centre - half)), float(np.exp(centre + half)))
     known = half < np.log(fit_tests.WIDEST_FACTOR)
     return Reference(float(np.exp(log_depth)), float(np.exp(centre)), interval if known else None)

@@ -133,16 +133,16 @@ def _replaced(
     changed = dict(parameters)
     for axis, name in zip(model.coordinates, labels, strict=True):
         if name in ends:
-            known = _half(ends[name], axis.log) < fit_tests.widest(axis)
+            known = half(ends[name], axis.log) < fit_tests.widest(axis)
             own = ends[name] if known else None
             changed[name] = replace(parameters[name], ci95=own, identifiable=known, interval_kind=kind)
     if reference and "reference_force" in ends:
-        known = _half(ends["reference_force"], True) < np.log(fit_tests.WIDEST_FACTOR)
+        known = half(ends["reference_force"], True) < np.log(fit_tests.WIDEST_FACTOR)
         reference = replace(reference, ci95=ends["reference_force"] if known else None, interval_kind=kind)
     return changed, reference
 
 
-def _half(ends: tuple[float, float] | None, log: bool) -> float:
+def half(ends: tuple[float, float] | None, log: bool) -> float:
     """Half the length of an interval on the search scale; infinite for none."""
     if ends is None:
         return float("inf")
@@ -160,10 +160,10 @@ def _retested(
     changed = []
     for axis, name in zip(model.coordinates, labels, strict=True):
         if name in ends:
-            half, limit = _half(ends[name], axis.log), fit_tests.widest(axis)
+            own, limit = half(ends[name], axis.log), fit_tests.widest(axis)
             reason = f"the data do not determine {name}: they allow a factor or share beyond the limit"
             reason = why[name] if ends[name] is None else reason
-            changed.append(fit_tests.Test(f"{name} determined", half, limit, half < limit, reason))
+            changed.append(fit_tests.Test(f"{name} determined", own, limit, own < limit, reason))
     gone = {f"interval of {name}" for name in ends} | {t.name for t in changed}
     # That direction is the covariance's: where every parameter turns out bounded it is not weak.
     if set(labels) <= set(ends) and all(t.passed for t in changed):

@@ -219,3 +219,8 @@ def test_a_parameter_that_moves_nothing_is_refused(here):
         "fix it in the scene, or add data",
         outs=[("--out", "out")],
     )
+
+
+def test_fewer_than_four_starts_are_refused_with_the_help(here):
+    done = CliRunner().invoke(app, ["calibrate", "p.toml", "--starts", "3"])
+    assert done.exit_code == 2 and "--starts" in done.output

@@ -285,6 +285,19 @@ def test_the_picture_shows_what_was_left_out(tmp_path):
     assert not (tmp_path / "none.png").exists()
 
 
+@pytest.mark.parametrize("offset", [-900.0, 200.0, 900.0])
+def test_onset_is_seen_above_the_level_at_which_the_sensor_rests(offset):
+    noise = 5.0 * np.random.default_rng(5).standard_normal(CLOCK.size)
+    expected = record(CLOCK, pulse(CLOCK) + noise, align=True)[3].first_contact
+    found = record(CLOCK, pulse(CLOCK) + noise + offset, align=True, offset=True)[3].first_contact
+    assert found == pytest.approx(expected, abs=2e-5)
+
+
+def test_a_record_that_is_all_contact_has_no_rest():
+    force = 100.0 + 50.0 * np.sin(2.0 * np.pi * 200.0 * CLOCK)
+    assert record(CLOCK, force, align=True)[3].first_contact == CLOCK[0]
+
+
 def test_jitter_is_reported():
     rng = np.random.default_rng(3)
     steps = 1e-4 * (1.0 + 0.05 * rng.uniform(-1.0, 1.0, 200))

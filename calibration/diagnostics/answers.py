@@ -1,0 +1,111 @@
+"""Three questions to a fit, three answers, and the one word that follows from them.
+
+*search*: did it converge, on the whole record, without rivals that no data exclude? *data*: which coefficients do they
+determine? *law*: is the miss of the contact law the noise (``consistent``), a few percent of the peak (``adequate``),
+or more (``inadequate``)?
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from calibration.diagnostics.fit_tests import Test
+from calibration.diagnostics.records import Record
+from calibration.diagnostics.residual_tests import Series
+
+# Held-out runs may be missed by so much more: they differ from the fitted ones, too.
+_HELD_OUT = 2.0
+# A reading of so much of the peak where so little is predicted is a contact that the model does not have there.
+_HIGH, _LOW, _MOST_UNMET = 0.2, 0.02, 0.1
+
+
+class Answer(NamedTuple):
+    """One word, and the sentences behind it."""
+
+    answer: str
+    because: list[str]
+
+
+def search(tests: Sequence[Test]) -> Answer:
+    """``converged`` or ``not_converged``."""
+    failed = [t.reason for t in tests if not t.passed]
+    return Answer("not_converged" if failed else "converged", failed)
+
+
+def data(tests: Sequence[Test], determined: Mapping[str, bool]) -> Answer:
+    """``determined`` where the data tell every coefficient, ``partly`` where some, ``not_determined`` where none."""
+    failed = [t.reason for t in tests if not t.passed]
+    if not failed:
+        return Answer("determined", [])
+    known = [name for name, known in determined.items() if known]
+    return Answer("partly" if known else "not_determined", failed)
+
+
+def law(
+    tests: Sequence[Test], miss: float, held_out: Mapping[str, Mapping[str, float]] | None, threshold: float
+) -> Answer:
+    """``consistent``, ``adequate`` or ``inadequate``.
+
+    Args:
+        tests: of the residuals, and of held-out records.
+        miss: of the worst channel in contact, as ``missed``.
+        held_out: errors of held-out records by name.
+        threshold: of the peak, up to which a law is adequate.
+    """
+    failed = [t.reason for t in tests if not t.passed]
+    if not failed:
+        return Answer("consistent", [])
+    predicted = max((e["rms_error_of_peak"] for e in (held_out or {}).values()), default=0.0)
+    good = miss <= threshold and predicted <= _HELD_OUT * threshold
+    size = f"in contact the law misses by {100 * miss:.2g} % of the peak (rms)"
+    size += f", and held-out records by {100 * predicted:.2g} %" if held_out else ""
+    limit = f"; up to {100 * threshold:.2g} % is called adequate"
+    return Answer("adequate" if good else "inadequate", [size + limit, *failed])
+
+
+def missed(series: Sequence[Series], residuals: np.ndarray) -> float:
+    """What the worst channel misses in contact, rms, as a share of the record's peak.
+
+    Less what changes from sample to sample, by the median, which is noise.
+    """
+    worst = 0.0
+    for s in series:
+        inside = residuals[s.rows[s.touching]]
+        if inside.size < 2:
+            continue
+        noise = (1.4826 * float(np.median(np.abs(np.diff(inside))))) ** 2 / 2.0
+        worst = max(worst, s.share * float(np.sqrt(max(np.mean(inside**2) - noise, 0.0))))
+    return worst
+
+
+def contacts_met(records: Sequence[Record]) -> Test:
+    """Whether the model touches where the data do: where it does not, the search ended beside the contacts."""
+    worst = 0.0
+    for record in records:
+        for name, values in record.data.items():
+            if not name.endswith(".normal"):
+                continue
+            seen = np.isfinite(values)
+            peak = float(np.max(values[seen], initial=0.0))
+            high = seen & (values > _HIGH * peak)
+            if peak > 0.0 and high.any():
+                worst = max(worst, float(np.mean(np.abs(record.prediction[name][high]) < _LOW * peak)))
+    reason = (
+        f"{worst:.0%} of the samples that read a contact are predicted apart: the search ended beside the contacts; "
+        "give more starts, narrower bounds, or a start"
+    )
+    return Test("contacts met", worst, _MOST_UNMET, worst <= _MOST_UNMET, reason)
+
+
+def verdict(of_search: Answer, of_data: Answer, of_law: Answer) -> str:
+    """A search that failed says nothing of the law, and an inadequate law nothing of its coefficients."""
+    if of_search.answer != "converged":
+        return "not_converged"
+    if of_law.answer == "inadequate":
+        return "misfit"
+    if of_data.answer != "determined":
+        return "not_identified"
+    return "adequate" if of_law.answer == "adequate" else "identified"

@@ -1,0 +1,182 @@
+"""Covariances of the estimates that hold where the law misses the contact, or runs differ, beside that of the noise.
+
+Least squares over residuals r with the Jacobian J: an estimate moves by d = -(J^T J)^-1 J^T e for an error e of the
+prediction. Its covariance is (J^T J)^-1 J^T S J (J^T J)^-1 with S that of e:
+
+- *discrepancy*: e = noise + what the law misses, a Gaussian process over the phase of a contact, the same in every
+  contact and proportional to its peak (Kennedy and O'Hagan, J. R. Statist. Soc. B 63, 2001). Its size, its length and
+  the noise maximise the restricted likelihood of the residuals, which sees nothing in the directions of J. The process
+  is taken to be as large there as beside them, at most twice as large as the residuals in contact, and no longer
+  than a third of a contact, since what is larger or longer is a coefficient.
+- *robust*: clustered by run, S from each run's own residuals (Liang and Zeger, Biometrika 73, 1986), times
+  G/(G - 1), Student's with G - 1 degrees of freedom.
+- *runs*: of the scatter of single runs' estimates, each a Gauss-Newton step from the common one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import minimize, minimize_scalar
+
+from calibration.diagnostics.fit_tests import Spread
+from calibration.diagnostics.residual_tests import Series
+
+# Cosines over a contact's phase, and lengths of the process as shares of a contact.
+_COSINES, _LENGTHS = 24, (0.03, 0.06, 0.12, 0.2, 0.33)
+# Fewer samples in contact show no shape.
+_FEW = 6
+# A process must raise the logarithm of the likelihood by so much, as by chance in one case of twenty.
+_SEEN = 1.92
+# Bounds of the logarithm of the noise, which is about 1, and the logarithm of a process that is none.
+_NOISE, _NOTHING = (-3.0, 3.0), -40.0
+# A process is at most so many times as large as the residuals in contact, which the coefficients have taken a part of.
+_MOST = 2.0
+# Fewer runs say nothing of their scatter.
+FEWEST_RUNS = 3
+# Condition from which on a run does not determine every coordinate by itself.
+_WORST = 1e7
+
+
+class Discrepancy(NamedTuple):
+    """What the law misses.
+
+    Attributes:
+        spread: of the estimate; share: the process's deviation as a share of a contact's peak.
+        length: over which it changes, as a share of a contact.
+    """
+
+    spread: Spread
+    share: float
+    length: float
+
+
+def discrepancy(
+    series: Sequence[Series], residuals: np.ndarray, jacobian: np.ndarray, noise: Spread
+) -> Discrepancy | None:
+    """The Gaussian process over the phase; None where no contact is resolved.
+
+    Args:
+        series: white residuals by record and channel, with clock and readings.
+        residuals, jacobian: (N,), (N, P), white and of variance 1.
+        noise: spread of the noise alone, whose directions are kept.
+    """
+    if noise.covariance is None:
+        return None
+    basis, inside = _cosines(series, residuals.size)
+    if inside < _FEW:
+        return None
+    gram, cross, own = basis.T @ basis, basis.T @ jacobian, jacobian.T @ jacobian
+    push, square = basis.T @ residuals, float(residuals @ residuals)
+    count = int(np.count_nonzero(np.abs(jacobian).any(axis=1) | (residuals != 0)))
+
+    def cost(x: np.ndarray, power: np.ndarray) -> float:
+        return _restricted(np.exp(2.0 * x[0]), np.exp(2.0 * x[1]) * power, gram, cross, own, push, square, count)
+
+    # Without a process, and with one of each length.
+    nothing = _power(_LENGTHS[0])
+    alone = minimize_scalar(lambda x: cost(np.array([x, _NOTHING]), nothing), bounds=_NOISE, method="bounded")
+    best = (float(alone.fun) - _SEEN, float(np.exp(alone.x)), 0.0, _LENGTHS[0])
+    # No larger than what is seen: what coefficients could take up altogether would else have no bound.
+    peaks = np.sum(basis[:, 0] ** 2)
+    most = float(np.log(_MOST * np.sqrt(np.sum(residuals[basis[:, 0] != 0.0] ** 2) / peaks)))
+    for length in _LENGTHS:
+        for start in (most - 2.0, most - 0.3):
+            options = {"xatol": 1e-3, "fatol": 1e-3}
+            found = minimize(
+                cost,
+                [alone.x, start],
+                (_power(length),),
+                method="Nelder-Mead",
+                bounds=(_NOISE, (most - 8.0, most)),
+                options=options,
+            )
+            if found.fun < best[0]:
+                best = (float(found.fun), float(np.exp(found.x[0])), float(np.exp(found.x[1])), length)
+    _, deviation, share, length = best
+    variance = share**2 * _power(length)
+    inverse = np.linalg.inv(own)
+    way = inverse @ cross.T
+    plain, missed = deviation**2 * inverse, (way * variance) @ way.T
+    changes = [(plain, 2.0 / max(count - len(own), 1))]
+    if share > 0.0:
+        # As many numbers of the process as the data show say how well its size is known.
+        root, beside = np.sqrt(variance), gram - cross @ np.linalg.solve(own, cross.T)
+        seen = np.maximum(np.linalg.eigvalsh(root[:, None] * beside * root), 0.0)
+        changes.append((missed, 2.0 / max(float(np.sum(seen / (seen + deviation**2))), 1.0)))
+    return Discrepancy(noise._replace(covariance=plain + missed, moved=tuple(changes)), share, length)
+
+
+def _cosines(series: Sequence[Series], size: int) -> tuple[np.ndarray, int]:
+    """Cosines (N, K) of the phase of each contact, times its peak in deviations; and how many samples lie in contact.
+
+    Freed of the noise's memory, as the residuals are.
+    """
+    basis, inside = np.zeros((size, _COSINES)), 0
+    for s in series:
+        edges = np.flatnonzero(np.diff(np.r_[False, s.touching, False].astype(int)))
+        for first, last in zip(edges[::2], edges[1::2], strict=True):
+            if last - first < 3:
+                continue
+            clock, rows = s.clock[first:last], s.rows[first:last]
+            phase = (clock - clock[0]) / (clock[-1] - clock[0])
+            peak = float(np.max(np.abs(s.values[first:last]))) * s.weights[first:last]
+            basis[rows] = peak[:, None] * np.cos(np.pi * np.arange(_COSINES) * phase[:, None])
+            inside += last - first
+        if s.memory:
+            kept = np.r_[0.0, np.exp(-np.diff(s.clock) / s.memory)][:, None]
+            own = basis[s.rows]
+            basis[s.rows] = (own - kept * np.roll(own, 1, axis=0)) / np.sqrt(1.0 - kept**2)
+    return basis, inside
+
+
+def _power(length: float) -> np.ndarray:
+    """Variances of the cosines for a squared-exponential covariance of this length, 1 on average over the phase."""
+    density = np.exp(-0.5 * (length * np.pi * np.arange(_COSINES)) ** 2)
+    return density / (density[0] + 0.5 * np.sum(density[1:]))
+
+
+def _restricted(
+    noise: float, power: np.ndarray, gram: np.ndarray, cross: np.ndarray, own: np.ndarray, push: np.ndarray,
+    square: float, count: int,
+) -> float:  # fmt: skip
+    """Negative logarithm of the restricted likelihood of S = noise 1 + B power B^T, by the matrices that B, J, r make.
+
+    With L = power^1/2 (noise 1 + power^1/2 B^T B power^1/2)^-1 power^1/2: S^-1 = (1 - B L B^T)/noise, of the
+    residuals of a least-squares fit, whose J^T r is 0.
+    """
+    root = np.sqrt(power)
+    inner = np.eye(power.size) + root[:, None] * gram * root / noise
+    middle = root[:, None] * np.linalg.solve(inner, np.diag(root)) / noise
+    information = (own - cross.T @ middle @ cross) / noise
+    sign, size = np.linalg.slogdet(information)
+    if not sign > 0.0:
+        return np.inf
+    tilt = -(cross.T @ middle @ push) / noise
+    form = (square - push @ middle @ push) / noise - tilt @ np.linalg.solve(information, tilt)
+    return 0.5 * float(count * np.log(noise) + np.linalg.slogdet(inner)[1] + size + form)
+
+
+def clustered(runs: np.ndarray, residuals: np.ndarray, jacobian: np.ndarray, noise: Spread) -> dict[str, Spread]:
+    """Spreads "robust" and "runs" of G >= 3 runs, ``runs`` (N,) being the run of each residual; else none.
+
+    A run that does not determine every coordinate by itself leaves out the second.
+    """
+    names = np.unique(runs)
+    if noise.covariance is None or len(names) < FEWEST_RUNS:
+        return {}
+    count = len(names)
+    scores = np.stack([jacobian[runs == g].T @ residuals[runs == g] for g in names])
+    meat = scores.T @ scores * count / (count - 1)
+    whole = np.linalg.inv(jacobian.T @ jacobian)
+    found = {"robust": noise._replace(covariance=whole @ meat @ whole, moved=(), student=count - 1.0)}
+    steps = []
+    for g, score in zip(names, scores, strict=True):
+        own = jacobian[runs == g]
+        if np.linalg.cond(own) > _WORST:
+            return found
+        steps.append(np.linalg.solve(own.T @ own, score))
+    scatter = np.cov(np.stack(steps).T).reshape(len(whole), len(whole)) / count
+    return found | {"runs": noise._replace(covariance=scatter, moved=(), student=count - 1.0)}

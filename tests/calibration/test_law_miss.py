@@ -1,0 +1,163 @@
+"""Intervals that allow for a law that misses, and for runs that differ: coverage on linear problems, and closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from calibration.diagnostics import answers, fit_tests
+from calibration.diagnostics.answers import Answer
+from calibration.diagnostics.fit_tests import Spread
+from calibration.diagnostics.records import Record
+from calibration.diagnostics.residual_tests import Series, overstated, residual_tests
+from calibration.forward.coordinates import _logarithms
+from calibration.uncertainty.law_miss import clustered, discrepancy
+
+# One contact of 60 samples between 30 quiet ones on either side; peak 1, noise 0.002.
+PHASE = np.linspace(0.0, 1.0, 60)
+INSIDE = np.r_[np.zeros(30, bool), np.ones(60, bool), np.zeros(30, bool)]
+CLOCK, SIGMA = np.arange(120.0), 2e-3
+PULSE = np.r_[np.zeros(30), np.sin(np.pi * PHASE), np.zeros(30)]
+# What a coefficient of size, one of shape and one of loss would change.
+SLOPES = np.stack([PULSE, np.r_[np.zeros(30), np.sin(np.pi * PHASE) ** 2, np.zeros(30)], np.gradient(PULSE)], axis=1)
+
+
+def noise_of(jacobian: np.ndarray) -> Spread:
+    covariance = np.linalg.inv(jacobian.T @ jacobian)
+    return Spread(covariance, 1.96, len(jacobian) - jacobian.shape[1], np.zeros(jacobian.shape[1]), 1.0)
+
+
+def series(values: np.ndarray, weights: np.ndarray, **more) -> Series:
+    rows = np.arange(values.size)
+    return Series(rows, INSIDE, SIGMA, estimated=True, clock=CLOCK, values=values, weights=weights, **more)
+
+
+def process(rng: np.random.Generator, share: float, length: float) -> np.ndarray:
+    """A draw of the squared-exponential process over the phase, by its Cholesky factor: not by the cosines of the code."""
+    far = (PHASE[:, None] - PHASE) / length
+    factor = np.linalg.cholesky(np.exp(-0.5 * far**2) + 1e-9 * np.eye(PHASE.size))
+    return np.r_[np.zeros(30), share * factor @ rng.standard_normal(PHASE.size), np.zeros(30)]
+
+
+def fitted(error: np.ndarray) -> tuple[np.ndarray, Spread, np.ndarray, np.ndarray]:
+    """Least squares about the truth 0: estimate, spread by the noise that the residuals show, residuals, Jacobian."""
+    at, *_ = np.linalg.lstsq(SLOPES, error, rcond=None)
+    left = error - SLOPES @ at
+    sigma = float(np.sqrt(left @ left / (error.size - SLOPES.shape[1])))
+    jacobian = SLOPES / sigma
+    return at, noise_of(jacobian), left / sigma, jacobian
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("share", [0.003, 0.02])
+def test_the_interval_holds_the_truth_where_the_law_misses(share):
+    rng, count = np.random.default_rng(1), 80
+    held = {"noise": 0, "discrepancy": 0}
+    for _ in range(count):
+        error = process(rng, share, 0.15) + SIGMA * rng.standard_normal(120)
+        at, noise, residuals, jacobian = fitted(error)
+        found = discrepancy([series(PULSE + error, jacobian[:, 0] * 0 + 1.0 / SIGMA)], residuals, jacobian, noise)
+        assert found is not None
+        for kind, spread in (("noise", noise), ("discrepancy", found.spread)):
+            held[kind] += int(np.sum(np.abs(at) < [spread.half_width(unit) for unit in np.eye(3)]))
+    coverage = {kind: n / (3 * count) for kind, n in held.items()}
+    assert coverage["discrepancy"] > 0.88, coverage
+    if share > 0.01:
+        assert coverage["noise"] < 0.85, coverage
+
+
+def test_without_a_miss_the_interval_is_that_of_the_noise():
+    rng, ratios = np.random.default_rng(2), []
+    for _ in range(12):
+        error = SIGMA * rng.standard_normal(120)
+        _, noise, residuals, jacobian = fitted(error)
+        found = discrepancy([series(PULSE + error, np.full(120, 1.0 / SIGMA))], residuals, jacobian, noise)
+        assert found is not None
+        ratios += [found.spread.half_width(unit) / noise.half_width(unit) for unit in np.eye(3)]
+    assert np.median(ratios) < 1.2 and np.quantile(ratios, 0.9) < 2.0, np.sort(ratios)
+
+
+def test_runs_of_one_coefficient_have_the_interval_of_their_mean():
+    """J = 1 for every sample: a run's estimate is its mean, and the interval Student's of the G means."""
+    rng, runs, samples = np.random.default_rng(3), 6, 40
+    names = np.repeat(np.arange(runs), samples)
+    error = np.repeat(rng.standard_normal(runs), samples) + 0.1 * rng.standard_normal(runs * samples)
+    jacobian = np.ones((runs * samples, 1))
+    found = clustered(names, error - error.mean(), jacobian, noise_of(jacobian))
+    means = error.reshape(runs, samples).mean(axis=1)
+    expected = stats.t.ppf(0.975, runs - 1) * stats.sem(means)
+    np.testing.assert_allclose(found["runs"].half_width(np.ones(1)), expected, rtol=1e-12)
+    np.testing.assert_allclose(found["robust"].half_width(np.ones(1)), expected, rtol=1e-12)
+
+
+def test_two_runs_say_nothing_of_their_scatter():
+    jacobian = np.ones((4, 1))
+    assert clustered(np.array([0, 0, 1, 1]), np.ones(4), jacobian, noise_of(jacobian)) == {}
+
+
+def test_a_run_that_determines_nothing_by_itself_leaves_the_clustered_interval():
+    jacobian = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.0, 1.0], [1.0, 1.0], [1.0, -1.0]])
+    found = clustered(
+        np.array([0, 0, 1, 1, 2, 2]), np.array([1.0, -1.0, 1.0, -1.0, 0.5, 0.5]), jacobian, noise_of(jacobian)
+    )
+    assert list(found) == ["robust"]
+
+
+@pytest.mark.parametrize(
+    ("search", "data", "law", "verdict"),
+    [
+        ("converged", "determined", "consistent", "identified"),
+        ("converged", "determined", "adequate", "adequate"),
+        ("converged", "determined", "inadequate", "misfit"),
+        ("converged", "partly", "adequate", "not_identified"),
+        ("converged", "not_determined", "inadequate", "misfit"),
+        ("not_converged", "determined", "consistent", "not_converged"),
+    ],
+)
+def test_one_word_follows_from_three_answers(search, data, law, verdict):
+    assert answers.verdict(Answer(search, []), Answer(data, []), Answer(law, [])) == verdict
+
+
+@pytest.mark.parametrize(
+    ("miss", "held_out", "word"),
+    [(0.02, None, "adequate"), (0.04, None, "inadequate"), (0.02, 0.05, "adequate"), (0.02, 0.07, "inadequate")],
+)
+def test_a_law_is_adequate_up_to_the_threshold(miss, held_out, word):
+    failed = [fit_tests.Test("order", 0.0, 1.0, False, "a shape is missed")]
+    others = None if held_out is None else {"run": {"rms_error_of_peak": held_out}}
+    found = answers.law(failed, miss, others, 0.03)
+    assert found.answer == word and f"{100 * miss:.2g} % of the peak" in found.because[0]
+    assert answers.law([fit_tests.Test("order", 1.0, 1.0, True, "")], miss, others, 0.03).answer == "consistent"
+
+
+def test_what_is_missed_leaves_out_what_changes_from_sample_to_sample():
+    rng = np.random.default_rng(4)
+    residuals = rng.standard_normal(120) + np.where(INSIDE, 3.0, 0.0)
+    found = answers.missed([series(PULSE, np.full(120, 1.0 / SIGMA))], residuals)
+    assert found == pytest.approx(3.0 * SIGMA, rel=0.1)
+
+
+def test_noise_that_was_stated_too_large_is_no_misfit():
+    smooth = 0.2 * np.r_[np.zeros(30), np.sin(3.0 * np.pi * PHASE), np.zeros(30)]
+    stated = series(PULSE, np.full(120, 1.0 / SIGMA))._replace(estimated=False)
+    jacobian = SLOPES / SIGMA
+    assert overstated(stated, smooth) and all(t.passed for t in residual_tests([stated], smooth, jacobian, False))
+    assert not all(t.passed for t in residual_tests([stated], 20.0 * smooth, jacobian, False))
+
+
+def test_a_contact_that_is_predicted_elsewhere_is_a_failed_search():
+    def record(shift: int) -> Record:
+        predicted = np.roll(PULSE, shift)
+        return Record("run", False, CLOCK, {"contact.normal": PULSE}, {"contact.normal": predicted}, {}, {})
+
+    assert answers.contacts_met([record(2)]).passed
+    assert not answers.contacts_met([record(40)]).passed
+
+
+def test_bounds_on_a_logarithmic_scale_are_never_left_by_rounding():
+    rng = np.random.default_rng(6)
+    for lower, upper in np.sort(10.0 ** rng.uniform(-9, 12, (400, 2)), axis=1):
+        low, high = _logarithms(lower, upper)
+        assert lower <= np.exp(low) <= lower * (1 + 1e-14) and upper * (1 - 1e-14) <= np.exp(high) <= upper
+    assert np.exp(_logarithms(1.0, 3.0)[1]) <= 3.0
