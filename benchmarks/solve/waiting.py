@@ -209,6 +209,12 @@ def joint_problem(folder: Path) -> None:
     (folder / "joint.toml").write_text(text)
 
 
+def stages_of(words: list[str] | str, cache: Path, checkout: Path = ROOT) -> dict[str, float]:
+    """Stages of one process; none of one whose budget ended it while something computed."""
+    *_, last = process(words, cache, True, checkout)[1].splitlines() or [""]
+    return json.loads(last) if last.startswith("{") else {}
+
+
 def importing() -> float:
     begin = time.perf_counter()
     subprocess.run(IMPORT, check=True)
@@ -226,9 +232,9 @@ def measured(words: list[str] | str, count: int) -> dict[str, Any]:
             row["import"].append(importing())
             row["warm"].append(process(words, cache)[0])
             if k == count - 1:
-                stages["warm"] = json.loads(process(words, cache, True)[1].splitlines()[-1])
+                stages["warm"] = stages_of(words, cache)
                 with tempfile.TemporaryDirectory() as other:
-                    stages["cold"] = json.loads(process(words, Path(other), True)[1].splitlines()[-1])
+                    stages["cold"] = stages_of(words, Path(other))
     return {name: statistics.median(values) for name, values in row.items()} | {"all": row, "stages": stages}
 
 
@@ -240,8 +246,7 @@ def before(words: list[str] | str, checkout: Path) -> dict[str, Any]:
             row[kind] = process(words, Path(folder), False, checkout)[0]
     with tempfile.TemporaryDirectory() as folder:
         for kind in ("cold", "warm"):
-            text = process(words, Path(folder), True, checkout)[1]
-            row["stages"][kind] = json.loads(text.splitlines()[-1])
+            row["stages"][kind] = stages_of(words, Path(folder), checkout)
     return row
 
 
@@ -275,8 +280,9 @@ def where(result: dict[str, Any]) -> str:
         for kind in ("cold", "warm"):
             if "before" in row:
                 old = row["before"]["stages"][kind]
-                rows.append([f"`{name}`", f"before, {kind}", *(f"{old[stage]:.2f}" for stage in STAGES)])
-            rows.append([f"`{name}`", kind, *(f"{row['stages'][kind][stage]:.2f}" for stage in STAGES)])
+                rows.append([f"`{name}`", f"before, {kind}", *(f"{old.get(stage, 0.0):.2f}" for stage in STAGES)])
+            if row["stages"][kind]:
+                rows.append([f"`{name}`", kind, *(f"{row['stages'][kind][stage]:.2f}" for stage in STAGES)])
     from benchmarks.common import markdown
 
     return markdown(rows)

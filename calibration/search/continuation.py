@@ -15,7 +15,7 @@ import numpy as np
 from bcfj_jax.io.journal import Journal
 from bcfj_jax.io.stop import check
 from calibration.forward.model import Model
-from calibration.search.descent import Descents, adam, cost_of, levenberg
+from calibration.search.descent import Descents, Evaluate, adam, cost_of, levenberg
 from calibration.search.evaluate import evaluator, loosened
 from calibration.search.horizon import impulses, meets, stages, until
 from calibration.solver_budget import budget
@@ -26,6 +26,8 @@ _ADAM, _ARRIVE = 20, 12
 # On the way this much of the cost is left for the last leg, which sees soon that no more is to be had: of a record
 # without noise, what remains is the integrator's.
 _LEFT, _AT_REST = 1e-3, 3
+# Draws of what the data before a contact leave open, and the farthest, in unit-box coordinates.
+_DRAWS, _FARTHEST = 24, 0.3
 # Given up after a leg: starts that cost so much more than the best, on that leg's data, but for some.
 _HOPELESS = 4.0
 
@@ -80,9 +82,10 @@ def continued(
     leg: _Leg | None = _Leg(0, len(ends) > 1, len(ends) == 1 and budget(model.scene).apart)
     while leg is not None:
         part = model if leg.last else loosened(until(model, ends[leg.reached]))
+        before = loosened(until(model, ends[leg.reached - 1])) if leg.missed and leg.reached else None
 
-        def descend(block: np.ndarray, part: Model = part, leg: _Leg = leg) -> Descents:
-            return _descend(part, block, log_depth, leg)
+        def descend(block: np.ndarray, part: Model = part, leg: _Leg = leg, before: Model | None = before) -> Descents:
+            return _descend(part, block, log_depth, leg, before)
 
         least, stage = np.inf, leg.title(len(ends))
         for first in range(0, len(going), size):
@@ -163,8 +166,12 @@ def _once(
     return Descents(np.array(known["points"]), np.array(costs), np.array(known["converged"], dtype=bool))
 
 
-def _descend(part: Model, points: np.ndarray, log_depth: float, leg: _Leg) -> Descents:
-    """One batch on one leg: far off by Adam, then to the right arrivals, then to the least squares."""
+def _descend(part: Model, points: np.ndarray, log_depth: float, leg: _Leg, before: Model | None) -> Descents:
+    """One batch on one leg: far off by Adam, then to the right arrivals, then to the least squares.
+
+    Args:
+        part: the data of this leg; before: those of the leg before, where this one's contacts may be missed.
+    """
     evaluate, means = evaluator(part, log_depth), budget(part.scene)
     if means.apart:
         return levenberg(evaluate, points, means.descend, means.tolerance if leg.last else means.roughly)
@@ -178,8 +185,31 @@ def _descend(part: Model, points: np.ndarray, log_depth: float, leg: _Leg) -> De
             residuals, jacobians = evaluate(at)
             return impulses(part, residuals), impulses(part, jacobians)
 
+        if before is not None and not means.apart:
+            points = _drawn(evaluator(before, log_depth), arrivals, points)
         points = levenberg(arrivals, points, _ARRIVE, means.roughly).points
     return levenberg(evaluate, points, means.descend, means.roughly, enough=_LEFT)
+
+
+def _drawn(before: Evaluate, arrivals: Evaluate, points: np.ndarray) -> np.ndarray:
+    """Of each point and draws of what the data before leave open, the one that meets the next arrivals best.
+
+    A hard contact lasts a small part of the time by which its arrival is uncertain, and no slope leads there from beside.
+    """
+    residuals, jacobians = before(points)
+    normal = np.random.default_rng(0).standard_normal((_DRAWS, points.shape[1]))
+    best, least = points.copy(), cost_of(arrivals(points)[0])
+    for k, (r, j) in enumerate(zip(residuals, jacobians, strict=True)):
+        if not (np.isfinite(r).all() and np.isfinite(j).all()):
+            continue
+        _, singular, directions = np.linalg.svd(j, full_matrices=False)
+        size = np.sqrt(max(float(r @ r) / max(np.count_nonzero(r), 1), 1.0))
+        spread = np.minimum(size / np.maximum(singular, 1e-300), _FARTHEST)
+        trial = np.clip(points[k] + normal @ (spread[:, None] * directions), 0.0, 1.0)
+        costs = cost_of(arrivals(trial)[0])
+        if np.min(costs) < least[k]:
+            best[k], least[k] = trial[int(np.argmin(costs))], float(np.min(costs))
+    return best
 
 
 def _evaluated(model: Model, points: np.ndarray, log_depth: float) -> Descents:
