@@ -11,8 +11,10 @@ from typing import Any
 from bcfj_jax import InputError
 from bcfj_jax.core.programs import keep_asked
 from bcfj_jax.core.progress import stage
+from bcfj_jax.core.threads import ahead
 from bcfj_jax.io import outputs, report, scenefile, tables
 from bcfj_jax.io.journal import NAME, Journal, key_of
+from bcfj_jax.io.plots import get_ready
 from bcfj_jax.io.stop import heeded
 from bcfj_jax.io.units import format_si
 from calibration.data.preparation import Prepared
@@ -70,6 +72,7 @@ def run(path: Path, out: Path | None, seed: int, starts: int, intervals: str = "
         understood = prepared(path)
         for record in understood:
             print(f"{record.name}: {'; '.join(record.notes)}", file=sys.stderr)
+        ahead(get_ready)
         try:
             outcome = solve(path, problem, base, seed=seed, starts=starts, journal=journal, intervals=intervals)
         except InputError:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from bcfj_jax import InputError
+from bcfj_jax.core.threads import ahead
 from bcfj_jax.io.journal import Journal
 from bcfj_jax.mechanism.channels import unit_of
 from calibration.diagnostics import answers, fit_tests, influence, misfit_location
@@ -18,7 +20,7 @@ from calibration.diagnostics.records import Record, features_of, hold_out, recor
 from calibration.diagnostics.residual_tests import Series, overstated, residual_tests
 from calibration.diagnostics.systematic import Budget, budget_of
 from calibration.forward import integration
-from calibration.forward.model import Model, build
+from calibration.forward.model import Model, build, evaluation
 from calibration.forward.runs import Contact, commonest_failure, contacts, failure
 from calibration.noise.averaging import averaged, stepped
 from calibration.noise.estimation import settle
@@ -126,6 +128,7 @@ def fit(
     influence.refuse_data(problem)
     fitted = tuple(e for e in problem.experiments if not e.hold_out)
     model = build(problem, fitted)
+    ahead(partial(evaluation, model))
     labels = tuple(axis.label(fitted) for axis in model.coordinates)
     given = [_given_start(problem, model)] if any(f.start is not None for f in problem.free) else []
     screened = screen(model, starts, seed)

@@ -194,12 +194,16 @@ def test_commands_run(command, folder):
     assert {*common, *WRITES[command]} <= written
 
 
-def test_a_verdict_that_is_not_identified_exits_4(folder):
-    """README: "its correlation is estimated, too; without it the verdict is `misfit`"."""
+@pytest.mark.parametrize(("more", "verdict", "code"), [("", "adequate", 0), ('adequate = "0.01 %"\n', "misfit", 4)])
+def test_exit_codes_of_a_law_that_misses(folder, more, verdict, code):
+    """README: "its correlation is estimated, too; without it the verdict is `adequate`"."""
     file = folder / "examples/chung_ooi_fit.toml"
     text, count = re.subn(r"^correlation = .*\n", "", file.read_text(encoding="utf-8"), flags=re.MULTILINE)
     assert count == 1
-    file.write_text(text, encoding="utf-8")
+    file.write_text(more + text, encoding="utf-8")
     done = bcfj("calibrate", "examples/chung_ooi_fit.toml", "--starts", "4")
-    assert done.exit_code == 4, done.stderr
-    assert json.loads((folder / "out/fit.json").read_text(encoding="utf-8"))["verdict"] == "misfit"
+    assert done.exit_code == code, done.stderr
+    found = json.loads((folder / "out/fit.json").read_text(encoding="utf-8"))
+    assert found["verdict"] == verdict
+    assert found["search"]["answer"] == "converged" and found["law"]["answer"] in ("adequate", "inadequate")
+    assert found["parameters"]["exponent"]["headline"] == "discrepancy"

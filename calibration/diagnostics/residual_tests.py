@@ -15,6 +15,7 @@ from scipy.sparse import csr_array
 
 from calibration.diagnostics.fit_tests import LEVEL, Test
 from calibration.noise.noise_model import OUTLYING
+from calibration.problem import ADEQUATE
 
 # Undeclared correlation of the noise makes intervals too narrow before it can be seen for certain.
 CORRELATION_LEVEL = 1e-2
@@ -95,8 +96,12 @@ def residual_tests(series: list[Series], residuals: np.ndarray, jacobian: np.nda
 
 
 def overstated(s: Series, residuals: np.ndarray) -> bool:
-    """Whether the stated noise is more than twice what all residuals are: their order is no misfit of the law then."""
-    return not s.estimated and s.rows.size > 0 and float(np.mean(residuals[s.rows] ** 2)) < _OVERSTATED**2
+    """Whether the stated noise is more than twice what the residuals are, and these are a small part of the peak.
+
+    Their order is no misfit of the law then. Large residuals are one, however large the noise is said to be.
+    """
+    size = float(np.sqrt(np.mean(residuals[s.rows] ** 2))) if s.rows.size else np.inf
+    return not s.estimated and size < _OVERSTATED and size * s.share <= ADEQUATE
 
 
 def _size_test(residuals: np.ndarray, basis: np.ndarray, rows: np.ndarray, inside: np.ndarray) -> Test:

@@ -66,7 +66,7 @@ def discrepancy(
     if noise.covariance is None:
         return None
     basis, inside = _cosines(series, residuals.size)
-    if inside < _FEW:
+    if inside < _FEW or not np.any(residuals[basis[:, 0] != 0.0]):
         return None
     gram, cross, own = basis.T @ basis, basis.T @ jacobian, jacobian.T @ jacobian
     push, square = basis.T @ residuals, float(residuals @ residuals)

@@ -61,19 +61,25 @@ def thin() -> Choice:
     return choose(stated("4mm"), starts=4)
 
 
-def test_thick_pad_is_predicted_and_its_law_is_seen_to_miss_a_shape():
+def test_thick_pad_is_predicted_and_its_law_is_adequate():
     found = fit(load(EXAMPLES / "pad_40mm.toml"), starts=6)
     (errors,) = found.held_out.values()
     # The peaks of the five runs themselves differ by 4 %.
     assert errors["max_error_of_peak"] <= 0.06
-    assert ordered(found) and found.verdict == "misfit", found.reasons
-    assert all(p.ci95 is None for p in found.parameters.values())
+    assert ordered(found) and found.verdict == "adequate", found.reasons
+    # The intervals allow for the shape that is missed; the damping is not known to a factor of two then.
+    shared = {name: found.parameters[name] for name in ("stiffness", "exponent", "damping")}
+    assert {p.headline for p in shared.values()} <= {"discrepancy", ""}
+    assert shared["exponent"].ci95 is not None and shared["stiffness"].ci95 is not None
+    for p in shared.values():
+        (low, high), (lower, upper) = p.intervals["noise"], p.intervals["discrepancy"]
+        assert lower <= low and high <= upper and upper - lower > 1.5 * (high - low)
 
 
 def test_thin_pad_is_a_misfit_of_one_law_named_by_its_time(thin):
     one = next(r.fit for r in thin.rivals if r.name == "power law")
     assert one.verdict == "misfit", one.reasons
-    assert all(p.ci95 is None for p in one.parameters.values())
+    assert all(p.headline != "noise" for p in one.parameters.values())
     spikes = measured_spikes(one)
     named = [m for m in misses(one.records) if m.brief and m.record != "run 5"]
     assert {m.record for m in named} == {"run 2", "run 3"}
@@ -90,7 +96,7 @@ def test_thin_pad_is_a_misfit_whatever_the_noise_is_said_to_be():
     )
     found = fit(replace(whole, experiments=loud), starts=4)
     assert found.verdict == "misfit", found.reasons
-    assert all(p.ci95 is None for p in found.parameters.values())
+    assert all(p.headline != "noise" for p in found.parameters.values())
 
 
 def test_a_stop_is_chosen_for_the_thin_pad(thin):
