@@ -134,11 +134,19 @@ def channels(history: Mapping[str, np.ndarray], components: int = 0) -> dict[str
 
 
 def write_table(path: Path, header: Sequence[str], table: np.ndarray) -> None:
-    """A CSV file of numbers (T, k): the same text as ``write_csv``'s, several times as fast."""
+    """A CSV file of numbers (T, k), as ``write_csv``'s."""
+    _write_columns(path, header, [_texts(column) for column in np.asarray(table).T])
+
+
+def _texts(numbers: np.ndarray) -> list[str]:
+    return ["" if x != x else repr(x) for x in numbers.tolist()]
+
+
+def _write_columns(path: Path, header: Sequence[str], columns: Sequence[Sequence[str]]) -> None:
+    """A CSV file of texts by columns, none of which needs quotes: the same as ``write_csv``'s, several times as fast."""
     buffer = io.StringIO()
     csv.writer(buffer, lineterminator="\n").writerow(header)
-    text = "".join(f"{','.join(map(repr, row))}\n" for row in table.tolist())
-    buffer.write(text.replace("nan", "") if np.isnan(table).any() else text)
+    buffer.writelines(f"{line}\n" for line in map(",".join, zip(*columns, strict=True)))
     write_text(path, buffer.getvalue())
 
 
@@ -157,14 +165,14 @@ def write_forces(path: Path, run: Run) -> None:
 def write_contacts(path: Path, run: Run) -> None:
     """``contacts.csv``: time [s], then every contact's penetration [m], sliding speed [m/s] where it slides, state."""
     slip, state = channels(run.slip), channels(run.state)
-    header, columns = ["time [s]"], [run.times.tolist()]
+    header, columns = ["time [s]"], [_texts(np.asarray(run.times))]
     for name, depth in channels(run.penetration).items():
         header.append(f"{name}.penetration [m]")
-        columns.append(depth.tolist())
+        columns.append(_texts(depth))
         if name in slip:
             header.append(f"{name}.sliding_speed [m/s]")
-            columns.append(slip[name].tolist())
+            columns.append(_texts(slip[name]))
         header.append(f"{name}.state")
         # A failed run's state is unknown: an empty cell, as its numbers.
         columns.append([STATES[code] if code >= 0 else "" for code in state[name].tolist()])
-    write_csv(path, header, zip(*columns, strict=True))
+    _write_columns(path, header, columns)

@@ -16,7 +16,7 @@ prediction. Its covariance is (J^T J)^-1 J^T S J (J^T J)^-1 with S that of e:
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar
@@ -77,7 +77,7 @@ def discrepancy(
 
     # Without a process, and with one of each length.
     nothing = _power(_LENGTHS[0])
-    alone = minimize_scalar(lambda x: cost(np.array([x, _NOTHING]), nothing), bounds=_NOISE, method="bounded")
+    alone: Any = minimize_scalar(lambda x: cost(np.array([x, _NOTHING]), nothing), bounds=_NOISE, method="bounded")
     best = (float(alone.fun) - _SEEN, float(np.exp(alone.x)), 0.0, _LENGTHS[0])
     # No larger than what is seen: what coefficients could take up altogether would else have no bound.
     peaks = np.sum(basis[:, 0] ** 2)
