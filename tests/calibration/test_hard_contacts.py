@@ -39,7 +39,7 @@ def test_a_contact_of_a_thousandth_of_the_flight_is_seen():
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("seed", [4, 7])
+@pytest.mark.parametrize("seed", [pytest.param(4, marks=pytest.mark.slow), 7])
 def test_ten_hard_bounces_are_met(seed):
     """Case 7 has 5 % of noise: after the first contacts the next is uncertain by many times its duration."""
     found = hard_bounces.one(seed)

@@ -50,7 +50,7 @@ def fitted(error: np.ndarray) -> tuple[np.ndarray, Spread, np.ndarray, np.ndarra
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("share", [0.003, 0.02])
+@pytest.mark.parametrize("share", [pytest.param(0.003, marks=pytest.mark.slow), 0.02])
 def test_the_interval_holds_the_truth_where_the_law_misses(share):
     rng, count = np.random.default_rng(1), 80
     held = {"noise": 0, "discrepancy": 0}

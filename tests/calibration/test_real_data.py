@@ -57,8 +57,7 @@ def stated(pad: str) -> list[tuple[str, Problem]]:
 
 @pytest.fixture(scope="module")
 def thin() -> Choice:
-    # A third of the default number of starts, for time: three must agree.
-    return choose(stated("4mm"), starts=4)
+    return choose(stated("4mm"), starts=12)
 
 
 def test_thick_pad_is_predicted_and_its_law_is_adequate():

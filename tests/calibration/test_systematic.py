@@ -38,6 +38,7 @@ def test_a_line_says_what_a_fit_of_that_error_moves_by():
             assert moved == pytest.approx(lines[error].moves[name], rel=0.15, abs=2e-4), (name, error)
 
 
+@pytest.mark.slow
 def test_an_error_that_residuals_show_is_bounded_by_them():
     """Less noise lets less pass, and nothing more than is called large."""
     loud = fit(problem(lambda f: f), starts=4)
