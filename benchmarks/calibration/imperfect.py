@@ -54,10 +54,12 @@ def motion(speed: float, relaxation: float = 0.0) -> tuple[np.ndarray, np.ndarra
 
 
 def lagged(times: np.ndarray, force: np.ndarray, tau: float) -> np.ndarray:
-    """Through a first-order sensor."""
+    """Through a first-order sensor, exactly for a force that is linear between samples."""
     step, out = times[1] - times[0], np.zeros_like(force)
+    kept = np.exp(-step / tau)
     for i in range(1, force.size):
-        out[i] = out[i - 1] + (1.0 - np.exp(-step / tau)) * (0.5 * (force[i] + force[i - 1]) - out[i - 1])
+        behind = (force[i] - force[i - 1]) * tau / step
+        out[i] = force[i] - behind + (out[i - 1] - force[i - 1] + behind) * kept
     return out
 
 
@@ -74,7 +76,7 @@ Change = Callable[[np.ndarray, np.ndarray, float], np.ndarray]
 # What a strength of the imperfection makes of a record; a strength of 1 is large.
 SENSOR: dict[str, Change] = {
     "gain bend": lambda t, f, s: f * (1.0 + s * f / f.max()),
-    "lag": lambda t, f, s: lagged(t, f, max(s, 1e-4) * 0.2 * t[-1]),
+    "lag": lambda t, f, s: lagged(t, f, s * 0.2 * t[-1]),
     "drift": lambda t, f, s: f + s * f.max() * t / t[-1],
     "hum": lambda t, f, s: f + s * f.max() * np.sin(2.0 * np.pi * 1.7 * t / t[-1] + 1.0),
     "clock": lambda t, f, s: np.interp(t + 0.02 * s * t[-1] * np.sin(9.0 * t / t[-1]), t, f),
