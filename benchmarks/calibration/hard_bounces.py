@@ -52,6 +52,8 @@ def record(truth: dict[str, float], count: int) -> tuple[np.ndarray, np.ndarray,
 
         start = (1e-11, arriving / speed)
         run = solve_ivp(motion, (0.0, 1e3), start, "DOP853", rtol=1e-11, atol=1e-14, events=apart, dense_output=True)
+        if not run.t_events[0].size:  # It stays: gravity presses it deeper than it bounces.
+            break
         end = float(run.t_events[0][0])
         inside = np.linspace(0.0, end, SAMPLES)
         place, rate = run.sol(inside)
