@@ -105,9 +105,11 @@ def strength_of(world: str, deviations: float) -> float:
 
 def problem(world: str, strength: float, runs: int, seed: int) -> Problem:
     rng, experiments = np.random.default_rng([seed, runs]), []
+    # One sensor, whose noise is that of a share of the peak at 1 m/s.
+    sigma = NOISE * float(motion(1.0)[1].max())
     for k, speed in enumerate(SPEEDS[runs]):
         times, force = read(world, speed, strength)
-        values = force + NOISE * force.max() * rng.standard_normal(force.size)
+        values = force + sigma * rng.standard_normal(force.size)
         experiments.append(
             Experiment(
                 f"run {k + 1}", times, (Channel("contact.normal", values, None),), fixed={"approach_speed": speed}
