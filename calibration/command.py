@@ -19,7 +19,6 @@ from bcfj_jax.io.stop import heeded
 from bcfj_jax.io.units import format_si
 from calibration.data.preparation import Prepared
 from calibration.diagnostics.answers import Answer
-from calibration.diagnostics.systematic import total
 from calibration.fit import AllStartsFailed, Fit, Parameter
 from calibration.problem import Problem
 from calibration.problemfile import load, prepared, sources
@@ -44,8 +43,8 @@ MEANING = {
     "robust": "runs differ, weighed by their data",
     "discrepancy": "the law misses a shape of the contact",
 }
-_BUDGET = "Beside every interval: what residuals cannot show, or let pass, moves the estimates by"
-_HEAD = ["parameter", "value", "95 % interval", "which allows for", "remark"]
+_BUDGET = "Errors of the sensor and of fixed values that residuals do not show, and what they move each estimate by"
+_HEAD = ["parameter", "value", "95 % interval", "which allows for", "with the errors below", "remark"]
 
 
 def run(path: Path, out: Path | None, seed: int, starts: int, intervals: str = "covariance") -> int:
@@ -178,13 +177,14 @@ def _kinds(result: Fit) -> list[list[str]]:
 
 
 def _budget_rows(result: Fit) -> list[list[str]]:
-    """What each estimate moves by for every error: a share of itself."""
-    lines = result.systematic
-    rows = [["parameter", *(f"{x.error}, {100 * x.amplitude:.2g} % {x.unit}" for x in lines), "sensor's together"]]
-    for name in _shared(result):
-        moves = [_moved(line.moves[name], result, name) for line in lines]
-        rows.append([name, *moves, _moved(total(lines, name), result, name)])
-    return rows
+    """What each estimate moves by for every error, a share of itself, and for all together."""
+    found, names = result.systematic, _shared(result)
+    assert found is not None
+    rows = [["error", "up to", *names]]
+    for line in found.lines:
+        moves = [_moved(line.moves[name], result, name) for name in names]
+        rows.append([line.error, f"{100 * line.amplitude:.2g} % {line.unit}", *moves])
+    return [*rows, ["all together", "", *(_moved(found.widened(name, 0.0), result, name) for name in names)]]
 
 
 def _shared(result: Fit) -> list[str]:
@@ -216,7 +216,8 @@ def _interval(thing: Any, unit: str) -> str:
 def _rows(result: Fit) -> list[list[str]]:
     rows = []
     for name, p in result.parameters.items():
-        rows.append([name, format_si(p.value, p.unit), _ends(p.ci95, p.unit), MEANING.get(p.headline, ""), _remark(p)])
+        ends = _ends(p.ci95, p.unit), MEANING.get(p.headline, ""), _ends(p.with_budget, p.unit)
+        rows.append([name, format_si(p.value, p.unit), *ends, _remark(p)])
     return rows
 
 
@@ -242,6 +243,7 @@ def as_json(result: Fit) -> dict[str, Any]:
                 "unit": p.unit,
                 "ci95": p.ci95,
                 "headline": p.headline or None,
+                "with_budget": p.with_budget,
                 "intervals": p.intervals,
                 "identifiable": p.identifiable,
                 "at_bound": p.at_bound or None,
@@ -262,7 +264,7 @@ def as_json(result: Fit) -> dict[str, Any]:
         "noise": result.noise,
         "check": result.check,
         "held_out": result.held_out,
-        "systematic": [line._asdict() for line in result.systematic],
+        "systematic": [line._asdict() for line in result.systematic.lines] if result.systematic else [],
         "correlation": None
         if result.correlation is None
         else {"labels": list(result.labels), "matrix": result.correlation},

@@ -32,7 +32,7 @@ from calibration.search.starts import Screen, batch_size, by_cost, reference_dep
 from calibration.solver_budget import budget
 from calibration.uncertainty.estimates import Parameter as Parameter
 from calibration.uncertainty.estimates import Reference as Reference
-from calibration.uncertainty.estimates import ends_of, estimates, placed
+from calibration.uncertainty.estimates import ends_of, estimates, placed, widened
 from calibration.uncertainty.intervals import Evidence, check_kind, half, revised
 from calibration.uncertainty.law_miss import clustered, discrepancy
 
@@ -69,7 +69,8 @@ class Fit:
 
     ``noise`` is what was estimated of it: by channel its "sigma" (SI) and "correlation" [s]. ``check`` is what could be
     said before the solve (``influence.at_start``). ``notes`` say what a reader must know though nothing failed.
-    ``systematic``: errors that no residual shows, and what the estimates move by (``diagnostics.systematic``).
+    ``systematic``: errors that no residual shows, and what the estimates move by (``diagnostics.systematic``); None
+    where no estimate is determined or no channel is read.
     """
 
     verdict: str
@@ -92,7 +93,7 @@ class Fit:
     check: dict[str, Any]
     notes: list[str]
     optimum: Optimum = field(repr=False)
-    systematic: list[Budget] = field(default_factory=list)
+    systematic: Budget | None = None
     evidence: Evidence = field(default_factory=Evidence, repr=False)
 
     def force_at(self, penetration: float) -> float:
@@ -231,10 +232,13 @@ def _assess(
         given and not any(p.at_bound for p in parameters.values()) and (of_law.answer == "consistent" or bool(misses))
     )
     parameters, reference = _headlined(model, labels, best, log_depth, misses, parameters, reference, given)
-    systematic = []
-    if not budget(model.scene).rough and model.loss == "linear":
-        slopes = placed(model, best, log_depth)[1]
-        systematic = budget_of(model, labels, best, log_depth, spread, series, slopes)
+    slopes = placed(model, best, log_depth)[1]
+    systematic = budget_of(model, labels, best, log_depth, spread, series, slopes, _tolerances(problem, fitted))
+    if systematic:
+        parameters = {
+            name: replace(p, with_budget=widened(axis, p, partial(systematic.widened, name)))
+            for axis, (name, p) in zip(model.coordinates, parameters.items(), strict=True)
+        }
     if verdict not in ("identified", "adequate"):
         evidence = evidence.withheld(f"no profile is given: {verdict}")
     values = {name: float(v[0]) for name, v in model.data.fixed.items()}
@@ -329,6 +333,15 @@ def _headlined(
         ends, _ = headline(by_kind, lambda ends: True)
         reference = replace(reference, ci95=ends)
     return shown, reference
+
+
+def _tolerances(problem: Problem, fitted: tuple[Experiment, ...]) -> dict[str, np.ndarray]:
+    """Stated tolerances of fixed values by name, (E,), SI."""
+    names = dict.fromkeys((*problem.tolerances, *(name for e in fitted for name in e.tolerances)))
+    common = problem.tolerances
+    return {
+        n: np.array([e.tolerances.get(n, 0.0 if n in e.fixed else common.get(n, 0.0)) for e in fitted]) for n in names
+    }
 
 
 def _turns(records: list[Record], seen: list[Contact]) -> bool:

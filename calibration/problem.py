@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -91,8 +91,8 @@ class Observation:
 class Experiment:
     """One record: times (T,) [s], increasing, and what the channels saw; or features of one, or both.
 
-    ``fixed`` overrides scene parameters and nuisances. Features are those of the model's force from 0 to
-    ``span`` [s]; without one, to the end of the record.
+    ``fixed`` overrides scene parameters and nuisances; ``tolerances`` (SI) say how well they are known. Features are
+    those of the model's force from 0 to ``span`` [s]; without one, to the end of the record.
     """
 
     name: str
@@ -103,6 +103,7 @@ class Experiment:
     source: str = ""
     features: tuple[Observation, ...] = ()
     span: float | None = None
+    tolerances: dict[str, float] = field(default_factory=dict)
 
     @property
     def samples(self) -> int:
@@ -153,7 +154,8 @@ class Problem:
     ``accuracy`` is the error of the simulated forces as a share of their peak; by default 1e-6, and 1e-3 of a joint's
     motion, whose derivatives would take ten times as long. ``loss`` is SciPy's name for what a residual of z standard
     deviations costs (``losses.loss_of``). ``adequate``: share of the peak that a law may miss a contact by, to be called
-    adequate (``diagnostics.answers``).
+    adequate (``diagnostics.answers``). ``tolerances`` (SI): how well fixed values are known, as limits of 95 %; without
+    one, 1 % of the value (``diagnostics.systematic``).
 
     Raises:
         InputError: on construction, for a free parameter the scene does not have, bounds the wrong way
@@ -169,13 +171,17 @@ class Problem:
     where: str = "problem"
     loss: str = "linear"
     adequate: float = ADEQUATE
+    tolerances: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         # <contact>.clearance and clearance_<contact> are one parameter.
         one = self.scene.canonical
         object.__setattr__(self, "free", tuple(replace(f, name=one(f.name)) for f in self.free))
         if any(name != one(name) for e in self.experiments for name in e.fixed):
-            named = (replace(e, fixed={one(n): value for n, value in e.fixed.items()}) for e in self.experiments)
+            named = (
+                replace(e, fixed=_renamed(e.fixed, one), tolerances=_renamed(e.tolerances, one))
+                for e in self.experiments
+            )
             object.__setattr__(self, "experiments", tuple(named))
         names = [seen.feature for e in self.experiments for seen in e.features]
         object.__setattr__(self, "scene", observing(self.scene, names))
@@ -244,6 +250,10 @@ class Problem:
             )
         if f.log and f.lower <= 0:
             raise InputError(where, f"scale = log with lower = {f.lower:g}", "use positive bounds or scale = 'linear'")
+
+
+def _renamed(values: dict[str, float], one: Callable[[str], str]) -> dict[str, float]:
+    return {one(name): value for name, value in values.items()}
 
 
 def _check_experiment(experiment: Experiment, scene: AbstractModel) -> None:

@@ -3,7 +3,8 @@
 scene = "impact.toml"            a scene file (relative to this one) or a built-in scene's name
 [[experiment]]                   name; file (of a kind in ``readers``), table (which one inside it), time, rows,
                                  observe, noise (of the samples as fitted) and its correlation time, hold_out;
-                                 parameters (known for it alone); features, feature_noise and span (``stated``);
+                                 parameters (known for it alone; "0.55 kg +- 2 %" says how well); features,
+                                 feature_noise and span (``stated``);
                                  saturation = "10 kN" (or of each channel, as noise) drops samples at or beyond it;
                                  resample = "10 kHz" brings the record down to that rate; align = "onset" puts time 0
                                  where the first channel first exceeds a tenth of its peak; window = [from, to] keeps
@@ -26,7 +27,7 @@ import pydantic
 from bcfj_jax import InputError, nearest
 from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.io import scenefile, tables
-from bcfj_jax.io.units import quantity
+from bcfj_jax.io.units import quantity, toleranced
 from bcfj_jax.mechanism.channels import channel, unit_of
 from bcfj_jax.models import scenes
 from calibration.data import stated
@@ -99,6 +100,7 @@ def load(path: str | Path) -> Problem:
         where=str(path),
         loss=file.loss,
         accuracy=file.accuracy or 0.0,
+        tolerances=dict(base.tolerances),
         adequate=ADEQUATE if file.adequate is None else quantity(file.adequate, "1", f"{path}: adequate"),
     )
 
@@ -201,11 +203,13 @@ def _limits(entry: _Experiment, where: str) -> dict[str, float]:
 def _experiment(
     entry: _Experiment, record: Prepared | None, where: str, known: dict[str, Quantity], one: Callable[[str], str]
 ) -> Experiment:
-    fixed = {}
+    fixed, tolerances = {}, {}
     for name, value in ((one(name), value) for name, value in entry.parameters.items()):
         if name not in known:
             raise InputError(f"{where} parameters", f"the scene has no parameter '{name}'", ", ".join(known))
-        fixed[name] = quantity(value, known[name].unit, f"{where} parameters.{name}")
+        fixed[name], tolerance = toleranced(value, known[name].unit, f"{where} parameters.{name}")
+        if tolerance is not None:
+            tolerances[name] = tolerance
     memory = stated.correlation(entry.correlation, f"{where} correlation")
     channels = []
     for observes, reading in record.readings.items() if record else ():
@@ -220,4 +224,5 @@ def _experiment(
         source=record.source if record else where,
         features=stated.features(entry.features, entry.feature_noise, where),
         span=None if entry.span is None else quantity(entry.span, "s", f"{where} span"),
+        tolerances=tolerances,
     )

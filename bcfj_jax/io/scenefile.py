@@ -1,7 +1,7 @@
 """Scene files: what a TOML file says, checked, in SI, with every default filled in.
 
     [scene]        kind, the options that the scene's function takes (law, elastic, smoothing, ...), some: [scene.spheres]
-    [parameters]   values by name, SI numbers or texts with a unit
+    [parameters]   values by name, SI numbers or texts with a unit; "0.55 kg +- 2 %" says how well one is known
     [time]         end, samples; the run starts at 0
     [accuracy]     force_error or level, max_steps and solver
     [[read]]       of, frame: readings to keep (``mechanism.channels``)
@@ -17,7 +17,7 @@ import inspect
 import math
 import typing
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,7 @@ from bcfj_jax.core.quantities import CATALOGUE, check_order, check_value
 from bcfj_jax.io import mechanismfile, tables, usercode
 from bcfj_jax.io.scenetemplate import template as template
 from bcfj_jax.io.spheres import Spheres
-from bcfj_jax.io.units import quantity
+from bcfj_jax.io.units import quantity, toleranced
 from bcfj_jax.mechanism.channels import Channel
 from bcfj_jax.mechanism.model import AbstractModel, horizon
 from bcfj_jax.mechanism.observed import Observed
@@ -55,6 +55,7 @@ class SceneFile:
         solver: by which values are integrated; None: the scene's own.
         open: whether the level of the model was left to what runs it.
         reads: what [[read]] asks for.
+        tolerances: how well parameters are known, SI, where the file says it; read by the calibration.
     """
 
     scene: AbstractModel
@@ -67,6 +68,7 @@ class SceneFile:
     solver: str | None = None
     open: bool = False
     reads: tuple[Channel, ...] = ()
+    tolerances: Mapping[str, float] = field(default_factory=dict)
 
 
 class _Time(tables.Table):
@@ -113,7 +115,7 @@ def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
     where = str(source) if source else f"scene '{table['scene']['kind']}'"
     file = tables.validated(_File, dict(table), where)
     scene, made_of, spheres = _scene(file, where)
-    values = _values(scene, file.parameters, spheres, where)
+    values, tolerances = _values(scene, file.parameters, spheres, where)
     params = scene.parameters(values)
     listed = file.scene.get("kind") == mechanismfile.KIND
     with mechanismfile.placed(table, where) if listed else contextlib.nullcontext():
@@ -139,7 +141,8 @@ def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
     times = np.linspace(0.0, end, samples)
     levels = scene.choice_options()
     free = bool(levels) and not set(levels) & set(file.scene)
-    return SceneFile(scene, params, times, accuracy, resolved, source, file.accuracy.max_steps, solver, free, reads)
+    steps = file.accuracy.max_steps
+    return SceneFile(scene, params, times, accuracy, resolved, source, steps, solver, free, reads, tolerances)
 
 
 def shown(given: SceneFile) -> SceneFile:
@@ -247,7 +250,10 @@ def _options(kind: str) -> type[tables.Table]:
     return pydantic.create_model("Options", __base__=tables.Table, kind=(str, ...), **fields)
 
 
-def _values(scene: AbstractModel, written: Mapping[str, Any], spheres: Spheres | None, where: str) -> dict[str, float]:
+def _values(
+    scene: AbstractModel, written: Mapping[str, Any], spheres: Spheres | None, where: str
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Values, and how well they are known where that is said."""
     derived = spheres.derived(f"{where}: [scene.spheres]") if spheres else {}
     known, given = scene.quantities, {}
     for key, value in written.items():
@@ -262,6 +268,7 @@ def _values(scene: AbstractModel, written: Mapping[str, Any], spheres: Spheres |
             hint = f"known here: {', '.join(sorted(known))}" if key in CATALOGUE else nearest(key, known)
             raise InputError(place, f"scene '{scene.kind}' with these options has no parameter '{key}'", hint)
     values = {name: value for name, value in derived.items() if name in known}
+    tolerances: dict[str, float] = {}
     defaults = dict(scene.defaults)
     # Exponents first: the unit of a stiffness depends on its contact's, or else on the shared one.
     for name in sorted(given, key=lambda name: not name.endswith("exponent")):
@@ -271,10 +278,12 @@ def _values(scene: AbstractModel, written: Mapping[str, Any], spheres: Spheres |
         sources = [(d, key) for key in dict.fromkeys((own, "exponent")) for d in (values, defaults)]
         # A law that reads no exponent is linear.
         exponent = next((d[key] for d, key in sources if key in d), 1.0) if own in known else 1.0
-        values[name] = quantity(given[name], known[name].unit, place, exponent=exponent)
+        values[name], tolerance = toleranced(given[name], known[name].unit, place, exponent=exponent)
         check_value(place, known[name], values[name])
+        if tolerance is not None:
+            tolerances[name] = tolerance
     check_order(f"{where}: [parameters]", known, {**defaults, **values})
-    return values
+    return values, tolerances
 
 
 def _end(scene: AbstractModel, params: dict[str, Array], time: _Time, where: str) -> float:

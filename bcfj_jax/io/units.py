@@ -150,6 +150,23 @@ def quantity(value: object, unit: str, where: str, *, exponent: float | None = N
     return _times(number, _factor(text, unit, where, exponent, value)) if text else number
 
 
+def toleranced(value: object, unit: str, where: str, *, exponent: float | None = None) -> tuple[float, float | None]:
+    """A value and how well it is known, both SI: "0.55 kg +- 2 %", "12 mm +- 0.1 mm"; None where nothing is said.
+
+    Args, Raises: as ``quantity``; and for a tolerance that is no share and no value of the same unit, or below 0.
+    """
+    if not isinstance(value, str) or not (found := re.fullmatch(r"(.*?)\s*(?:\+-|\+/-|±)\s*(.*)", value)):
+        return quantity(value, unit, where, exponent=exponent), None
+    number = quantity(found[1], unit, where, exponent=exponent)
+    if found[2].endswith("%"):
+        tolerance = abs(number) * quantity(found[2], "1", where)
+    else:
+        tolerance = quantity(found[2], unit, where, exponent=exponent)
+    if not (math.isfinite(tolerance) and tolerance >= 0.0):
+        raise InputError(where, f"a tolerance of '{found[2]}'", 'give one above 0, as in "+- 2 %"')
+    return number, tolerance
+
+
 def coherent(unit: str, where: str) -> str:
     """A unit in which values are kept as they are: SI without a prefix or a factor; "1" is dimensionless.
 

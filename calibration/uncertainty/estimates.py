@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -35,6 +36,7 @@ class Parameter:
         interval_kind: what the interval of the noise comes from, or would: "covariance", "profile" or "posterior".
         intervals: 95 % intervals by kind: "noise", if law and sensor are exact, and those of ``law_miss``.
         headline: the kind that ci95 is, "" for none.
+        with_budget: ci95 with the errors of the sensor and of fixed values allowed for (``diagnostics.systematic``).
     """
 
     value: float
@@ -46,6 +48,7 @@ class Parameter:
     interval_kind: str = "covariance"
     intervals: dict[str, tuple[float, float] | None] = field(default_factory=dict)
     headline: str = ""
+    with_budget: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -140,6 +143,16 @@ def ends_of(
         found[label] = _edges(axis, quantity, values[i], z[i], half)[0] if np.isfinite(half) else None
     reference = _reference(model, best, log_depth, spread)
     return found, reference and reference.ci95
+
+
+def widened(axis: Coordinate, p: Parameter, wider: Callable[[float], float]) -> tuple[float, float] | None:
+    """Ends of the headline interval, each as far from the estimate as ``wider`` makes it, inside the bounds."""
+    if p.ci95 is None:
+        return None
+    z, low, high = np.log([p.value, *p.ci95]) if axis.log else (p.value, *p.ci95)
+    ends = np.clip((z - wider(z - low), z + wider(high - z)), axis.lower, axis.upper)
+    low, high = np.exp(ends) if axis.log else ends
+    return float(low), float(high)
 
 
 def _quantity(model: Model, axis: Coordinate) -> Quantity:

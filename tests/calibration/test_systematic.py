@@ -6,8 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lsim
 
-from bcfj_jax import scenes, simulate
+from bcfj_jax import InputError, scenes, simulate
+from bcfj_jax.io.units import toleranced
 from calibration import Channel, Experiment, Free, Problem, fit
 
 SCENE = scenes.impact(smoothing=False)
@@ -26,10 +28,13 @@ def problem(error, seed=0) -> Problem:
 
 @pytest.mark.full
 def test_a_line_says_what_a_fit_of_that_error_moves_by():
-    """Of one percent of the mass, and of a bend of the gain as large as its line says."""
+    """Of the mass and of a bend of the gain, as large as their lines say."""
     found = fit(problem(lambda f: f), starts=4)
-    lines = {line.error: line for line in found.systematic}
-    one = fit(replace(problem(lambda f: f), params={**problem(lambda f: f).params, "mass": 0.101}), starts=4)
+    lines = {line.error: line for line in found.systematic.lines}
+    mass = lines["mass"].amplitude
+    one = fit(
+        replace(problem(lambda f: f), params={**problem(lambda f: f).params, "mass": 0.1 * (1.0 + mass)}), starts=4
+    )
     bend = lines["bend of the gain"].amplitude
     two = fit(problem(lambda f: f * (1.0 + bend * f / f.max())), starts=4)
     for name in TRUTH:
@@ -50,6 +55,45 @@ def test_an_error_that_residuals_show_is_bounded_by_them():
     quiet = fit(
         replace(calm, experiments=(replace(experiment, channels=(replace(channel, values=values),)),)), starts=4
     )
-    for more, less in zip(loud.systematic, quiet.systematic, strict=False):
+    for more, less in zip(loud.systematic.lines, quiet.systematic.lines, strict=False):
         if more.error in ("bend of the gain", "lag", "drift"):
             assert 0.0 < less.amplitude <= more.amplitude <= 0.1
+
+
+def stated(tolerance: str) -> tuple[float, float | None]:
+    return toleranced(tolerance, "kg", "problem.toml: [parameters] mass")
+
+
+def test_a_tolerance_is_a_share_or_a_value():
+    assert stated("0.55 kg +- 2 %") == (0.55, pytest.approx(0.011))
+    assert stated("550 g ± 5 g") == (pytest.approx(0.55), pytest.approx(0.005))
+    assert stated("0.55 kg") == (0.55, None)
+    with pytest.raises(InputError, match="mass: a tolerance of '-2 %'"):
+        stated("0.55 kg +- -2 %")
+    with pytest.raises(InputError, match="mass"):
+        stated("0.55 kg +- 2 mm")
+
+
+def test_what_is_known_better_widens_less():
+    """Errors of the mass: none, 1 % (not said) and 5 %; of what the residuals let pass no more is allowed for."""
+    plain = problem(lambda f: f)
+    widths = []
+    for tolerances in ({"mass": 0.0}, {}, {"mass": 0.005}):
+        p = fit(replace(plain, tolerances=tolerances), starts=4).parameters["stiffness"]
+        assert p.with_budget and p.ci95
+        assert p.with_budget[0] < p.ci95[0] < p.ci95[1] < p.with_budget[1]
+        widths.append(np.log(p.with_budget[1] / p.with_budget[0]))
+    assert widths[0] <= widths[1] <= widths[2]
+
+
+@pytest.mark.full
+def test_an_error_that_no_residual_shows_is_allowed_for():
+    """A lag of a five-hundredth of a contact, by SciPy: the law is consistent, the interval of the noise is wrong."""
+    tau = 2e-6
+    lagged = lambda f: lsim(((1.0,), (tau, 1.0)), f, TIMES)[1]  # noqa: E731
+    found = fit(problem(lagged), starts=4)
+    assert found.verdict == "identified"
+    off = [p.ci95 and not p.ci95[0] < TRUTH[name] < p.ci95[1] for name, p in found.parameters.items()]
+    assert any(off)
+    for name, p in found.parameters.items():
+        assert p.with_budget and p.with_budget[0] < TRUTH[name] < p.with_budget[1]
