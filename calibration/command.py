@@ -29,6 +29,7 @@ from calibration.selection.alternatives import Outcome, solve
 from calibration.selection.next_experiment import as_json as candidates_json
 from calibration.selection.next_experiment import table as candidates_table
 from calibration.uncertainty import intervals as uncertainty
+from calibration.uncertainty.estimates import REFERENCE
 
 DONE, FAILED, NOT_IDENTIFIED, INTERRUPTED = 0, 3, 4, 5
 FILES = (
@@ -143,7 +144,12 @@ def text(result: Fit) -> str:
         lines += [
             "",
             f"force at {format_si(result.reference.penetration, 'm')}: {_interval(result.reference, 'N')}"
-            " (the power law where the data are; the stiffness is derived from it)",
+            + (
+                f", with the errors below {_ends(result.reference.with_budget, 'N')}"
+                if result.reference.with_budget
+                else ""
+            )
+            + " (the power law where the data are; the stiffness is derived from it)",
         ]
     if result.systematic:
         lines += ["", f"{_BUDGET}:", report.text(_budget_rows(result))]
@@ -178,8 +184,9 @@ def _kinds(result: Fit) -> list[list[str]]:
 
 def _budget_rows(result: Fit) -> list[list[str]]:
     """What each estimate moves by for every error, a share of itself, and for all together."""
-    found, names = result.systematic, _shared(result)
+    found = result.systematic
     assert found is not None
+    names = [*([REFERENCE] if REFERENCE in found.shifts else []), *_shared(result)]
     rows = [["error", "up to", *names]]
     for line in found.lines:
         moves = [_moved(line.moves[name], result, name) for name in names]
@@ -195,6 +202,8 @@ def _shared(result: Fit) -> list[str]:
 
 
 def _moved(move: float, result: Fit, name: str) -> str:
+    if name == REFERENCE:
+        return f"{100 * move:.2g} %"
     axis = result.optimum.model.coordinates[result.labels.index(name)]
     return f"{100 * move:.2g} %" if axis.log else format_si(move, result.parameters[name].unit, 2)
 
@@ -254,7 +263,12 @@ def as_json(result: Fit) -> dict[str, Any]:
         },
         "reference": None
         if reference is None
-        else {"penetration": reference.penetration, "force": reference.force, "ci95": reference.ci95},
+        else {
+            "penetration": reference.penetration,
+            "force": reference.force,
+            "ci95": reference.ci95,
+            "with_budget": reference.with_budget,
+        },
         "tests": [
             {"name": t.name, "value": float(t.value), "threshold": float(t.threshold), "passed": bool(t.passed)}
             for t in result.tests

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -13,14 +12,15 @@ from bcfj_jax import InputError
 from bcfj_jax.core.threads import ahead
 from bcfj_jax.io.journal import Journal
 from bcfj_jax.mechanism.channels import unit_of
-from calibration.diagnostics import answers, fit_tests, influence, misfit_location
+from calibration.diagnostics import answers, fit_tests, influence, law_errors, misfit_location, systematic
 from calibration.diagnostics.answers import Answer, contacts_met
 from calibration.diagnostics.clearance import clearance_tests, whole_contact_test
 from calibration.diagnostics.records import Record, features_of, hold_out, records_of, rms, rms_of_peak, series_of
 from calibration.diagnostics.residual_tests import Series, overstated, residual_tests
-from calibration.diagnostics.systematic import Budget, budget_of
+from calibration.diagnostics.systematic import Budget
 from calibration.forward import integration
-from calibration.forward.model import Model, build, evaluation
+from calibration.forward.coordinates import Coordinate
+from calibration.forward.model import Model, build, evaluation, predictions
 from calibration.forward.runs import Contact, commonest_failure, contacts, failure
 from calibration.noise.averaging import averaged, stepped
 from calibration.noise.estimation import settle
@@ -30,9 +30,9 @@ from calibration.search.evaluate import evaluator, loosened
 from calibration.search.refinement import End
 from calibration.search.starts import Screen, batch_size, by_cost, reference_depth, screen, search
 from calibration.solver_budget import budget
+from calibration.uncertainty.estimates import REFERENCE, ends_of, estimates, placed, widened
 from calibration.uncertainty.estimates import Parameter as Parameter
 from calibration.uncertainty.estimates import Reference as Reference
-from calibration.uncertainty.estimates import ends_of, estimates, placed, widened
 from calibration.uncertainty.intervals import Evidence, check_kind, half, revised
 from calibration.uncertainty.law_miss import clustered, discrepancy
 
@@ -130,6 +130,7 @@ def fit(
     fitted = tuple(e for e in problem.experiments if not e.hold_out)
     model = build(problem, fitted)
     ahead(partial(evaluation, model))
+    ahead(partial(law_errors.get_ready, model))
     labels = tuple(axis.label(fitted) for axis in model.coordinates)
     given = [_given_start(problem, model)] if any(f.start is not None for f in problem.free) else []
     screened = screen(model, starts, seed)
@@ -232,13 +233,13 @@ def _assess(
         given and not any(p.at_bound for p in parameters.values()) and (of_law.answer == "consistent" or bool(misses))
     )
     parameters, reference = _headlined(model, labels, best, log_depth, misses, parameters, reference, given)
-    slopes = placed(model, best, log_depth)[1]
-    systematic = budget_of(model, labels, best, log_depth, spread, series, slopes, _tolerances(problem, fitted))
-    if systematic:
+    allowed = _systematic(problem, model, labels, fitted, best, log_depth, spread, series, seen)
+    if allowed:
         parameters = {
-            name: replace(p, with_budget=widened(axis, p, partial(systematic.widened, name)))
+            name: replace(p, with_budget=widened(axis, p, partial(allowed.widened, name)))
             for axis, (name, p) in zip(model.coordinates, parameters.items(), strict=True)
         }
+        reference = reference and reference.widened(partial(allowed.widened, REFERENCE))
     if verdict not in ("identified", "adequate"):
         evidence = evidence.withheld(f"no profile is given: {verdict}")
     values = {name: float(v[0]) for name, v in model.data.fixed.items()}
@@ -279,8 +280,8 @@ def _assess(
         noise=_by_channel(noise),
         check=checked,
         optimum=Optimum(model, best, log_depth, spread, noise),
-        notes=_notes(noise) + _wide_notes(parameters) + _overstated_notes(series, best.residuals),
-        systematic=systematic,
+        notes=_notes(noise) + _wide_notes(model, parameters) + _overstated_notes(series, best.residuals),
+        systematic=allowed,
         evidence=evidence,
     )
 
@@ -316,32 +317,66 @@ def _headlined(
     """
     kinds = {kind: ends_of(model, labels, best, log_depth, spread) for kind, spread in misses.items()}
 
-    def headline(by_kind: dict[str, tuple[float, float] | None], known: Callable) -> tuple[Any, str]:
+    def headline(by_kind: dict[str, tuple[float, float] | None]) -> tuple[Any, str]:
         if not given or any(ends is None for ends in by_kind.values()):
             return None, ""
         kind = max(by_kind, key=lambda k: by_kind[k][1] - by_kind[k][0])  # pyright: ignore[reportOptionalSubscript]
-        return (by_kind[kind], kind) if known(by_kind[kind]) else (None, "")
+        return by_kind[kind], kind
 
     shown = {}
     for axis, name in zip(model.coordinates, labels, strict=True):
         p = parameters[name]
         by_kind = {"noise": p.ci95, **{kind: ends[name] for kind, (ends, _) in kinds.items()}}
-        ends, kind = headline(by_kind, lambda ends, axis=axis: half(ends, axis.log) < fit_tests.widest(axis))
+        ends, kind = headline(by_kind)
+        if ends and _everything(ends, axis):
+            ends, kind = None, ""
         shown[name] = replace(p, ci95=ends, headline=kind, intervals=by_kind if given else {})
     if reference:
         by_kind = {"noise": reference.ci95, **{kind: own for kind, (_, own) in kinds.items()}}
-        ends, _ = headline(by_kind, lambda ends: True)
-        reference = replace(reference, ci95=ends)
+        reference = replace(reference, ci95=headline(by_kind)[0])
     return shown, reference
 
 
-def _tolerances(problem: Problem, fitted: tuple[Experiment, ...]) -> dict[str, np.ndarray]:
-    """Stated tolerances of fixed values by name, (E,), SI."""
+def _everything(ends: tuple[float, float], axis: Coordinate) -> bool:
+    """Whether an interval is all that the bounds allow."""
+    low, high = np.log(ends) if axis.log else ends
+    margin = 1e-6 * (axis.upper - axis.lower)
+    return bool(low <= axis.lower + margin and high >= axis.upper - margin)
+
+
+def _systematic(
+    problem: Problem,
+    model: Model,
+    labels: tuple[str, ...],
+    fitted: tuple[Experiment, ...],
+    best: End,
+    log_depth: float,
+    spread: fit_tests.Spread,
+    series: list[Series],
+    seen: list[Contact],
+) -> Budget | None:
+    """The budget of errors; None where no estimate is determined or no channel is read."""
+    if spread.covariance is None or not model.channels:
+        return None
+    deepest, peak = (max((getattr(c, key) for c in seen), default=0.0) for key in ("deepest", "peak"))
+    law = law_errors.signatures(model, best.point, log_depth, deepest, peak)
     names = dict.fromkeys((*problem.tolerances, *(name for e in fitted for name in e.tolerances)))
     common = problem.tolerances
-    return {
+    tolerances = {
         n: np.array([e.tolerances.get(n, 0.0 if n in e.fixed else common.get(n, 0.0)) for e in fitted]) for n in names
     }
+    stated = frozenset(n for n in model.data.chain if all(n in e.fixed for e in fitted))
+    errors = [
+        *systematic.of_sensor(model, predictions(model, best.point, log_depth), series, stated),
+        *systematic.of_law(law),
+        *systematic.of_fixed(model, best, log_depth, tolerances, stated),
+    ]
+    slopes, values = placed(model, best, log_depth)[1], model.values(best.point, log_depth)
+    sizes = [1.0 if axis.log else max(abs(v), 1e-300) for axis, v in zip(model.coordinates, values, strict=True)]
+    if model.referenced:
+        slopes = np.vstack([slopes, np.diag(model.box(log_depth)[1])[model.pair()[0]]])
+        labels, sizes = (*labels, REFERENCE), [*sizes, 1.0]
+    return systematic.budget_of(model, labels, best, spread, errors, slopes, np.array(sizes), frozenset(law))
 
 
 def _turns(records: list[Record], seen: list[Contact]) -> bool:
@@ -367,8 +402,13 @@ def _notes(noise: Estimate) -> list[str]:
     ]
 
 
-def _wide_notes(parameters: dict[str, Parameter]) -> list[str]:
-    wide = [name for name, p in parameters.items() if p.ci95 is None and p.intervals.get("noise")]
+def _wide_notes(model: Model, parameters: dict[str, Parameter]) -> list[str]:
+    """Of headlines that are wider than what is called determined, though the noise's interval is not."""
+    wide = [
+        name
+        for axis, (name, p) in zip(model.coordinates, parameters.items(), strict=True)
+        if p.intervals.get("noise") and (p.ci95 is None or half(p.ci95, axis.log) >= fit_tests.widest(axis))
+    ]
     what = "with what the law misses and runs differ by allowed for, the data do not determine"
     return [f"{what} {' and '.join(wide)} to a factor of two"] if wide else []
 

@@ -113,6 +113,23 @@ class DampedStop(AbstractLaw):
         return layer + backing(penetration, c) * positive(1.0 + c["bottoming_damping"] * rate)
 
 
+class Backed(AbstractLaw):
+    """F = F_law(d, d') + K_b r(d - d_b): any law with an elastic stop of ``elastic.TwoStage`` behind it.
+
+    Coefficients: those of the law, ``bottoming_stiffness`` K_b [N/m], ``bottoming_penetration`` d_b [m] and
+    ``bottoming_width`` w [m].
+    """
+
+    law: AbstractLaw
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys((*self.law.needs, *BACKING)))
+
+    def force(self, penetration: Array, rate: Array, c: Coefficients) -> Array:
+        return self.law.force(penetration, rate, c) + backing(penetration, c)
+
+
 class Restitution(AbstractLaw):
     """F = f(d) (1 + chi(e) d'/v0), the family of ``restitution.FACTORS``; v0 is the approach speed of this impact.
 

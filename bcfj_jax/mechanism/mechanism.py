@@ -20,8 +20,9 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from bcfj_jax.contact.elastic import BACKING
 from bcfj_jax.contact.gaps import Face, Frame
-from bcfj_jax.contact.normal import regularised_force
+from bcfj_jax.contact.normal import Backed, regularised_force
 from bcfj_jax.contact.wrench import ContactForce, press
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
@@ -202,6 +203,12 @@ class Mechanism(AbstractModel):
         known = self._parameters
         values = {**found, **given}
         return tuple((name, values[name]) for name in known if name in values)
+
+    def backed(self) -> Mechanism | None:
+        """As ``AbstractModel``: None without contacts, and where a law reads those coefficients already."""
+        if not self.contacts or any(set(BACKING) & set(c.law.needs) for c in self.contacts):
+            return None
+        return replace(self, contacts=tuple(replace(c, law=Backed(c.law)) for c in self.contacts))
 
     def horizon(self, params: Params) -> Array:
         """``end``."""

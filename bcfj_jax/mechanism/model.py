@@ -341,6 +341,10 @@ class AbstractModel(eqx.Module):
         del params, end, solver
         return self
 
+    def backed(self) -> AbstractModel | None:
+        """This model with an elastic stop behind each contact (``bottoming_*``); None where it cannot be or is there."""
+        return None
+
     def choice_options(self) -> dict[str, Any]:
         """Fields, and options of the scene file, with which ``simulate`` chooses the level; empty without levels."""
         return {}

@@ -45,9 +45,11 @@ _SENSOR = {
 }
 # Step of a fixed value as a share of its tolerance, which is this share of it where none is stated.
 _STEP, _SHARE = 1e-2, 0.01
+# A share of the peak that is called a large error of the law.
+_LAW = 0.05
 # Constants, which are known.
 _KNOWN = ("gravity",)
-# A fixed value that moves no estimate by more than this share is not named.
+# An error that moves no estimate by more than this share is not named.
 _NAMED = 1e-4
 _QUANTILE = 1.959964
 
@@ -76,85 +78,113 @@ class Budget(NamedTuple):
         return self.shifts[label] + float(np.hypot(half, _QUANTILE * self.deviations[label]))
 
 
-def budget_of(
-    model: Model, labels: tuple[str, ...], best: End, log_depth: float, spread: Spread, series: list[Series],
-    slopes: np.ndarray, tolerances: dict[str, np.ndarray],
-) -> Budget | None:  # fmt: skip
-    """Every line that applies, and all together; None where no estimate is determined or no channel is read.
+class Error(NamedTuple):
+    """One error: its signature (N,) in deviations of the noise, a unit of it, and the amplitude that is called large."""
 
-    Of a rough cost, of fixed values only those with a stated tolerance: a motion of the joint costs seconds each.
+    name: str
+    unit: str
+    most: float
+    signature: np.ndarray
+
+
+def budget_of(
+    model: Model, names: tuple[str, ...], best: End, spread: Spread, errors: list[Error], slopes: np.ndarray,
+    sizes: np.ndarray, alone: frozenset[str] = frozenset(),
+) -> Budget:  # fmt: skip
+    """Every line, and all together.
 
     Args:
-        model, labels, best, log_depth, spread: of the optimum.
-        series: of its residuals.
-        slopes: (P, P) of the coordinates by the unit box (``estimates.placed``).
-        tolerances: by name (E,), SI, of what was held fixed, where they were stated.
+        model, best, spread: of the optimum, whose covariance is known.
+        names, slopes, sizes: (K,) of what moves, (K, P) how it moves with the unit box, and what a move is a share of.
+        errors: that may be.
+        alone: names of errors of which there is one at most; each estimate's is the one that moves it most.
     """
-    if spread.covariance is None or not model.channels:
-        return None
-    at = evaluation(model)(np.asarray(best.point)[None], log_depth)
     psi, bend = influence(model.loss, best.residuals)
     # Least squares over these rows is a step of the robust loss.
     root = np.sqrt(np.maximum(bend, 1e-3))
-    jacobian, residuals = root[:, None] * best.jacobian, psi / root
-    basis, triangle = np.linalg.qr(jacobian)
-    freedom = spread.freedom
-    variance = max(1.0, float(residuals @ residuals) / max(freedom, 1))
-    found: list[tuple[str, str, float, np.ndarray]] = []
-    free = {axis.name for axis in model.coordinates}
-    for name, signature in _signatures(model, at.readings[0], series).items():
-        if np.any(signature) and _SENSOR[name].nuisance not in free:
-            found.append((name, _SENSOR[name].unit, _SENSOR[name].most, signature))
-    for name, value in model.data.fixed.items():
-        own = np.asarray(value, dtype=float)
-        stated = tolerances.get(name)
-        if name in free or name in _KNOWN or not np.any(own if stated is None else stated):
-            continue
-        if stated is None and budget(model.scene).rough:
-            continue
-        tolerance = _SHARE * own if stated is None else stated
-        moved = eqx.tree_at(lambda m, name=name: m.data.fixed[name], model, own + _STEP * tolerance)
-        seen = evaluation(moved)(np.asarray(best.point)[None], log_depth).residuals[0]
-        share = np.abs(tolerance) / np.where(own != 0.0, np.abs(own), 1.0)
-        signature = (seen - at.residuals[0]) / (_STEP * np.max(share))
-        if np.isfinite(signature).all():
-            found.append((name, "of itself", float(np.max(share)), signature))
-
-    lines, columns = [], []
-    for name, unit, most, plain in found:
-        signature = root * plain
+    residuals = psi / root
+    basis, triangle = np.linalg.qr(root[:, None] * best.jacobian)
+    variance = max(1.0, float(residuals @ residuals) / max(spread.freedom, 1))
+    lines: dict[str, Line] = {}
+    columns: dict[str, np.ndarray] = {}
+    for error in errors:
+        signature = root * error.signature
         beside = signature - basis @ (basis.T @ signature)
-        size = float(np.linalg.norm(beside))
-        let_pass = (
-            (abs(float(beside @ residuals)) / size + _QUANTILE * np.sqrt(variance)) / size if size > 0 else np.inf
-        )
-        amplitude = min(let_pass, most)
-        move = slopes @ np.linalg.solve(triangle, basis.T @ signature)
-        moves = {label: float(abs(x)) * amplitude for label, x in zip(labels, move, strict=True)}
-        if name not in _SENSOR:
-            sizes = (_size(model, k, best, log_depth) for k in range(len(labels)))
-            if max(moves[label] / size for label, size in zip(labels, sizes, strict=True)) < _NAMED:
-                continue
-        lines.append(Line(name, amplitude, unit, moves))
-        columns.append(signature * (most / _QUANTILE))
-    if not lines:
-        return Budget([], dict.fromkeys(labels, 0.0), dict.fromkeys(labels, 0.0))
-    signatures = np.stack(columns, axis=1)
-    beside = signatures - basis @ (basis.T @ signatures)
-    narrowed = np.linalg.inv(beside.T @ beside / variance + np.eye(len(lines)))
-    mean = narrowed @ (beside.T @ residuals) / variance
-    way = slopes @ np.linalg.solve(triangle, basis.T @ signatures)
-    shifts, deviations = np.abs(way @ mean), np.sqrt(np.einsum("ij,jk,ik->i", way, narrowed, way))
-    return Budget(
-        lines, dict(zip(labels, shifts.tolist(), strict=True)), dict(zip(labels, deviations.tolist(), strict=True))
-    )
+        length = float(np.linalg.norm(beside))
+        seen = abs(float(beside @ residuals)) / length + _QUANTILE * np.sqrt(variance) if length > 0 else np.inf
+        amplitude = min(seen / max(length, 1e-300), error.most)
+        moves = amplitude * np.abs(slopes @ np.linalg.solve(triangle, basis.T @ signature))
+        if np.max(moves / sizes) > _NAMED:
+            lines[error.name] = Line(error.name, amplitude, error.unit, dict(zip(names, moves.tolist(), strict=True)))
+            columns[error.name] = signature * (error.most / _QUANTILE)
+    shifts, deviations = np.zeros(len(names)), np.zeros(len(names))
+    common = [name for name in lines if name not in alone]
+    for chosen in [[*common, name] for name in lines if name in alone] or [common]:
+        if not chosen:
+            continue
+        signatures = np.stack([columns[name] for name in chosen], axis=1)
+        beside = signatures - basis @ (basis.T @ signatures)
+        narrowed = np.linalg.inv(beside.T @ beside / variance + np.eye(len(chosen)))
+        way = slopes @ np.linalg.solve(triangle, basis.T @ signatures)
+        shift = np.abs(way @ narrowed @ (beside.T @ residuals) / variance)
+        deviation = np.sqrt(np.einsum("ij,jk,ik->i", way, narrowed, way))
+        worse = shift + _QUANTILE * deviation > shifts + _QUANTILE * deviations
+        shifts, deviations = np.where(worse, shift, shifts), np.where(worse, deviation, deviations)
+    both = (dict(zip(names, x.tolist(), strict=True)) for x in (shifts, deviations))
+    return Budget(list(lines.values()), *both)
 
 
-def _size(model: Model, k: int, best: End, log_depth: float) -> float:
-    """What a move of a coordinate is a share of: 1 of a logarithm."""
-    if model.coordinates[k].log:
-        return 1.0
-    return max(abs(float(model.values(best.point, log_depth)[k])), 1e-300)
+def of_sensor(model: Model, readings: np.ndarray, series: list[Series], stated: frozenset[str]) -> list[Error]:
+    """Errors of the sensor, but for what is fitted and what is ``stated`` of every record.
+
+    Args:
+        readings: (E, C, T) that the model predicts, SI.
+        series: of the residuals.
+        stated: names of nuisances.
+    """
+    taken = {axis.name for axis in model.coordinates} | stated
+    return [
+        Error(name, _SENSOR[name].unit, _SENSOR[name].most, signature)
+        for name, signature in _signatures(model, readings, series).items()
+        if np.any(signature) and _SENSOR[name].nuisance not in taken
+    ]
+
+
+def of_fixed(
+    model: Model, best: End, log_depth: float, tolerances: dict[str, np.ndarray], stated: frozenset[str]
+) -> list[Error]:
+    """Errors of scene parameters that were held fixed, and of nuisances that were ``stated``, by runs with a little of each.
+
+    Of a rough cost only those with a stated tolerance: a motion of the joint costs seconds each.
+
+    Args:
+        tolerances: by name (E,), SI, where they were stated.
+    """
+    point, found = np.asarray(best.point)[None], []
+    free = {axis.name for axis in model.coordinates}
+    plain = evaluation(model)(point, log_depth).residuals[0]
+    every = [("fixed", name) for name in model.data.fixed] + [
+        ("chain", name) for name in model.data.chain if name in stated
+    ]
+    for table, name in every:
+        own, known = np.asarray(getattr(model.data, table)[name], dtype=float), tolerances.get(name)
+        if name in free or name in _KNOWN or (known is None and budget(model.scene).rough):
+            continue
+        tolerance = _SHARE * np.abs(own) if known is None else known
+        if not np.any(tolerance):
+            continue
+        moved = eqx.tree_at(lambda m, t=table, n=name: getattr(m.data, t)[n], model, own + _STEP * tolerance)
+        change = (evaluation(moved)(point, log_depth).residuals[0] - plain) / _STEP
+        if np.isfinite(change).all():
+            share = float(np.max(tolerance / np.where(own != 0.0, np.abs(own), np.inf)))
+            unit, most = ("of itself", share) if share else ("of its tolerance", 1.0)
+            found.append(Error(name, unit, most, change / most))
+    return found
+
+
+def of_law(signatures: dict[str, np.ndarray]) -> list[Error]:
+    """Errors of the contact law (``law_errors.signatures``)."""
+    return [Error(name, "of the peak", _LAW, signature) for name, signature in signatures.items()]
 
 
 def _signatures(model: Model, readings: np.ndarray, series: list[Series]) -> dict[str, np.ndarray]:

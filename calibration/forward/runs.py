@@ -29,7 +29,8 @@ _NOT_DIFFERENTIABLE = "the simulation ends well, but its derivative is not finit
 class Contact(NamedTuple):
     """One channel of contact in one experiment's record: (T,) times [s] of the model's clock and whether it touches.
 
-    ``offset`` [s] is how far the record's clock is ahead of that; ``turned``: whether it is deepest before the end.
+    ``offset`` [s] is how far the record's clock is ahead of that; ``turned``: whether it is deepest before the end;
+    ``deepest`` [m] and ``peak`` [N]: greatest penetration and normal force.
     """
 
     experiment: int
@@ -38,6 +39,8 @@ class Contact(NamedTuple):
     times: np.ndarray
     touching: np.ndarray
     turned: bool
+    deepest: float = 0.0
+    peak: float = 0.0
 
     @property
     def durations(self) -> np.ndarray:
@@ -105,12 +108,17 @@ def contacts(model: Model, point: np.ndarray, log_depth: float) -> list[Contact]
         first, last = np.maximum(span - params["time_offset"], 0.0)
         times = instants(model, i, params["time_offset"], first, max(last, first + 1e-9))
         # Not by the force: the regularisation bears a little across a gap.
-        inside = depths(ran(model, params, times))
+        run = ran(model, params, times)
+        inside = depths(run)
         turned = (inside.max(axis=0) > 0) & (inside.argmax(axis=0) < SAMPLES - 1)
+        deepest, peaks = inside.max(axis=0), np.abs(_normal(run)).max(axis=0)
         found += [
-            Contact(i, name, params["time_offset"], times, inside[:, k] > 0, bool(turned[k]))
+            Contact(
+                i, name, params["time_offset"], times, inside[:, k] > 0, bool(turned[k]), float(deepest[k]),
+                float(peaks[k]),
+            )
             for k, name in enumerate(names)
-        ]
+        ]  # fmt: skip
     return found
 
 
@@ -142,6 +150,12 @@ def depths(run: Run) -> np.ndarray:
     """Penetrations (T, C) of all channels of contact [m]."""
     empty = np.zeros((len(run.times), 0))
     return np.concatenate([empty, *(d.reshape(len(run.times), -1) for d in run.penetration.values())], axis=1)
+
+
+def _normal(run: Run) -> np.ndarray:
+    """Normal forces (T, C) of all channels of contact [N]."""
+    empty = np.zeros((len(run.times), 0))
+    return np.concatenate([empty, *(f[..., 0].reshape(len(run.times), -1) for f in run.force.values())], axis=1)
 
 
 def refusal(model: Model, point: np.ndarray, log_depth: float) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -18,6 +18,8 @@ from calibration.search.evaluate import evaluator
 from calibration.search.refinement import End
 from calibration.solver_budget import budget
 
+# Name of the reference force among what errors move.
+REFERENCE = "reference force"
 # In half-widths of an interval.
 _NEAR = 0.1
 
@@ -59,6 +61,14 @@ class Reference:
     force: float
     ci95: tuple[float, float] | None
     interval_kind: str = "covariance"
+    with_budget: tuple[float, float] | None = None
+
+    def widened(self, wider: Callable[[float], float]) -> Reference:
+        """With the interval in which the errors of sensor and fixed values are allowed for; ``wider`` is of its logarithm."""
+        if self.ci95 is None:
+            return self
+        low, high = (wider(abs(np.log(end / self.force))) for end in self.ci95)
+        return replace(self, with_budget=(float(self.force * np.exp(-low)), float(self.force * np.exp(high))))
 
 
 def estimates(
