@@ -30,6 +30,7 @@ from calibration.selection.next_experiment import as_json as candidates_json
 from calibration.selection.next_experiment import table as candidates_table
 from calibration.uncertainty import intervals as uncertainty
 from calibration.uncertainty.estimates import REFERENCE
+from calibration.uncertainty.law_miss import NEXT_RUN
 
 DONE, FAILED, NOT_IDENTIFIED, INTERRUPTED = 0, 3, 4, 5
 FILES = (
@@ -41,8 +42,9 @@ _SO_FAR = "interrupted.json"
 MEANING = {
     "noise": "if the law and the sensor are exact",
     "runs": "runs differ",
-    "robust": "runs differ, weighed by their data",
+    "robust": "runs, or blocks of samples, differ",
     "discrepancy": "the law misses a shape of the contact",
+    NEXT_RUN: "the estimate of one more run by itself",
 }
 _BUDGET = "Errors of the sensor and of fixed values that residuals do not show, and what they move each estimate by"
 _HEAD = ["parameter", "value", "95 % interval", "which allows for", "with the errors below", "remark"]
@@ -202,10 +204,10 @@ def _shared(result: Fit) -> list[str]:
 
 
 def _moved(move: float, result: Fit, name: str) -> str:
-    if name == REFERENCE:
-        return f"{100 * move:.2g} %"
-    axis = result.optimum.model.coordinates[result.labels.index(name)]
-    return f"{100 * move:.2g} %" if axis.log else format_si(move, result.parameters[name].unit, 2)
+    share = f"{100 * move:.2g} %" if move >= 1e-4 else "< 0.01 %"
+    if name == REFERENCE or result.optimum.model.coordinates[result.labels.index(name)].log:
+        return share
+    return format_si(move, result.parameters[name].unit, 2)
 
 
 def _ends(ends: tuple[float, float] | None, unit: str) -> str:

@@ -34,7 +34,7 @@ from calibration.uncertainty.estimates import REFERENCE, ends_of, estimates, pla
 from calibration.uncertainty.estimates import Parameter as Parameter
 from calibration.uncertainty.estimates import Reference as Reference
 from calibration.uncertainty.intervals import Evidence, check_kind, half, revised
-from calibration.uncertainty.law_miss import clustered, discrepancy
+from calibration.uncertainty.law_miss import NEXT_RUN, clustered, discrepancy, in_blocks
 
 # Failed points of a design that are asked why.
 _ASKED = 16
@@ -295,6 +295,8 @@ def _misses(model: Model, series: list[Series], best: End, spread: fit_tests.Spr
     readings = np.arange(best.residuals.size) < int(np.prod(shape))
     own = any(axis.experiment is not None for axis in model.coordinates)
     found = {} if own else clustered(runs[readings], best.residuals[readings], best.jacobian[readings], spread)
+    if "robust" not in found and (within := in_blocks(series, best.residuals, best.jacobian, spread)):
+        found["robust"] = within
     process = discrepancy(series, best.residuals, best.jacobian, spread)
     return found | ({"discrepancy": process.spread} if process else {})
 
@@ -320,6 +322,7 @@ def _headlined(
     def headline(by_kind: dict[str, tuple[float, float] | None]) -> tuple[Any, str]:
         if not given or any(ends is None for ends in by_kind.values()):
             return None, ""
+        by_kind = {kind: ends for kind, ends in by_kind.items() if kind != NEXT_RUN}
         kind = max(by_kind, key=lambda k: by_kind[k][1] - by_kind[k][0])  # pyright: ignore[reportOptionalSubscript]
         return by_kind[kind], kind
 

@@ -9,8 +9,10 @@ prediction. Its covariance is (J^T J)^-1 J^T S J (J^T J)^-1 with S that of e:
   is taken to be as large there as beside them, at most twice as large as the residuals in contact, and no longer
   than a third of a contact, since what is larger or longer is a coefficient.
 - *robust*: clustered by run, S from each run's own residuals (Liang and Zeger, Biometrika 73, 1986), times
-  G/(G - 1), Student's with G - 1 degrees of freedom.
-- *runs*: of the scatter of single runs' estimates, each a Gauss-Newton step from the common one.
+  G/(G - 1), Student's with G - 1 degrees of freedom. Of fewer runs the moving-block bootstrap within them
+  (Kuensch, Ann. Statist. 17, 1989), in the closed form that it has for sums.
+- *runs*: of the scatter of single runs' estimates, each a Gauss-Newton step from the common one. The estimate of one
+  more run scatters about the common one by sqrt(G + 1) times as much.
 """
 
 from __future__ import annotations
@@ -34,8 +36,12 @@ _SEEN = 1.92
 _NOISE, _NOTHING = (-3.0, 3.0), -40.0
 # A process is at most so many times as large as the residuals in contact, which the coefficients have taken a part of.
 _MOST = 2.0
-# Fewer runs say nothing of their scatter.
+# The kind of interval that is of one more run by itself, and no interval of the estimate.
+NEXT_RUN = "next run"
+# Fewer runs, or blocks, say nothing of their scatter.
 FEWEST_RUNS = 3
+# Lags in a row without correlation that end a block (Politis and White, Econometric Reviews 23, 2004).
+_QUIET = 5
 # Condition from which on a run does not determine every coordinate by itself.
 _WORST = 1e7
 
@@ -135,6 +141,8 @@ def _cosines(series: Sequence[Series], size: int) -> tuple[np.ndarray, int]:
 def _power(length: float) -> np.ndarray:
     """Variances of the cosines for a squared-exponential covariance of this length, 1 on average over the phase."""
     density = np.exp(-0.5 * (length * np.pi * np.arange(_COSINES)) ** 2)
+    # The square of the constant is 1 on average, that of a cosine a half: they have the same share of the spectrum.
+    density[0] *= 0.5
     return density / (density[0] + 0.5 * np.sum(density[1:]))
 
 
@@ -179,4 +187,51 @@ def clustered(runs: np.ndarray, residuals: np.ndarray, jacobian: np.ndarray, noi
             return found
         steps.append(np.linalg.solve(own.T @ own, score))
     scatter = np.cov(np.stack(steps).T).reshape(len(whole), len(whole)) / count
-    return found | {"runs": noise._replace(covariance=scatter, moved=(), student=count - 1.0)}
+    runs_differ = noise._replace(covariance=scatter, moved=(), student=count - 1.0)
+    return found | {"runs": runs_differ, NEXT_RUN: runs_differ._replace(covariance=(count + 1) * scatter)}
+
+
+def in_blocks(series: Sequence[Series], residuals: np.ndarray, jacobian: np.ndarray, noise: Spread) -> Spread | None:
+    """Spread by blocks of successive samples, which keep what correlates together; None of fewer than three blocks.
+
+    The variance of a sum under the moving-block bootstrap of blocks of b among N samples is N/b times that of the
+    N - b + 1 blocks' sums.
+    """
+    if noise.covariance is None:
+        return None
+    whole = np.linalg.inv(jacobian.T @ jacobian)
+    scores = [residuals[s.rows, None] * jacobian[s.rows] @ whole for s in series if s.rows.size > 3 * _QUIET]
+    if not scores:
+        return None
+    length = max(1, round(max(block_length(column) for score in scores for column in score.T)))
+    count = sum(len(score) for score in scores) / length
+    if count < FEWEST_RUNS:
+        return None
+    covariance = np.zeros_like(whole)
+    for score in scores:
+        sums = np.array([score[k : k + length].sum(axis=0) for k in range(len(score) - length + 1)])
+        away = sums - length * score.mean(axis=0)
+        covariance += len(score) / length * away.T @ away / len(sums)
+    return noise._replace(covariance=covariance * count / (count - 1.0), moved=(), student=count - 1.0)
+
+
+def block_length(values: np.ndarray) -> float:
+    """Best length of the blocks of a circular bootstrap of a series (N,), by its correlation.
+
+    Politis and White, Econometric Reviews 23 (2004), with the correction of Patton, Politis and White (28, 2009).
+    """
+    count = values.size
+    away = values - values.mean()
+    longest = int(np.ceil(np.sqrt(count))) + _QUIET
+    power = np.correlate(away, away, "full")[count - 1 : count + longest] / count
+    if not power[0] > 0.0:
+        return 1.0
+    seen = np.abs(power[1:] / power[0]) > 2.0 * np.sqrt(np.log10(count) / count)
+    quiet = (k for k in range(len(seen) - _QUIET + 1) if not seen[k : k + _QUIET].any())
+    reach = min(2 * (next(quiet, longest) + 1), longest)
+    lags = np.arange(1, reach + 1)
+    taper = np.clip(2.0 * (1.0 - lags / reach), 0.0, 1.0)
+    slope = 2.0 * float(np.sum(taper * lags * power[lags]))
+    long_run = float(power[0] + 2.0 * np.sum(taper * power[lags]))
+    best = (2.0 * slope**2 / (4.0 / 3.0 * long_run**2)) ** (1.0 / 3.0) * count ** (1.0 / 3.0)
+    return float(min(best, np.ceil(min(3.0 * np.sqrt(count), count / 3.0))))

@@ -12,7 +12,7 @@ from calibration.diagnostics.fit_tests import Spread
 from calibration.diagnostics.records import Record
 from calibration.diagnostics.residual_tests import Series, overstated, residual_tests
 from calibration.forward.coordinates import _logarithms
-from calibration.uncertainty.law_miss import clustered, discrepancy
+from calibration.uncertainty.law_miss import _power, block_length, clustered, discrepancy, in_blocks
 
 # One contact of 60 samples between 30 quiet ones on either side; peak 1, noise 0.002.
 PHASE = np.linspace(0.0, 1.0, 60)
@@ -89,6 +89,69 @@ def test_runs_of_one_coefficient_have_the_interval_of_their_mean():
     expected = stats.t.ppf(0.975, runs - 1) * stats.sem(means)
     np.testing.assert_allclose(found["runs"].half_width(np.ones(1)), expected, rtol=1e-12)
     np.testing.assert_allclose(found["robust"].half_width(np.ones(1)), expected, rtol=1e-12)
+
+
+def test_one_more_run_scatters_as_a_prediction():
+    """J = 1: Student's prediction interval of one more mean, t s sqrt(1 + 1/G)."""
+    rng, runs, samples = np.random.default_rng(8), 5, 30
+    error = np.repeat(rng.standard_normal(runs), samples)
+    jacobian = np.ones((runs * samples, 1))
+    found = clustered(np.repeat(np.arange(runs), samples), error - error.mean(), jacobian, noise_of(jacobian))
+    means = error.reshape(runs, samples).mean(axis=1)
+    expected = stats.t.ppf(0.975, runs - 1) * means.std(ddof=1) * np.sqrt(1.0 + 1.0 / runs)
+    np.testing.assert_allclose(found["next run"].half_width(np.ones(1)), expected, rtol=1e-12)
+
+
+def test_the_clustered_covariance_is_that_of_statsmodels():
+    linear_model = pytest.importorskip("statsmodels.regression.linear_model")
+    rng = np.random.default_rng(9)
+    names, jacobian = np.repeat(np.arange(7), 25), rng.standard_normal((175, 3))
+    values = jacobian @ [1.0, 2.0, 3.0] + rng.standard_normal(7)[names] + 0.3 * rng.standard_normal(175)
+    theirs = linear_model.OLS(values, jacobian).fit()
+    covariance = theirs.get_robustcov_results("cluster", groups=names, use_correction=False).cov_params()
+    found = clustered(names, -theirs.resid, jacobian, noise_of(jacobian))
+    np.testing.assert_allclose(found["robust"].covariance, 7.0 / 6.0 * covariance, rtol=1e-9)
+
+
+def remembering(rng: np.random.Generator, keep: float, count: int) -> np.ndarray:
+    values = rng.standard_normal(count)
+    for k in range(1, count):
+        values[k] += keep * values[k - 1]
+    return values
+
+
+@pytest.mark.parametrize("keep", [0.0, 0.5, 0.8, 0.95])
+def test_the_length_of_a_block_is_that_of_arch(keep):
+    bootstrap = pytest.importorskip("arch.bootstrap")
+    values = remembering(np.random.default_rng(10), keep, 600)
+    theirs = float(bootstrap.optimal_block_length(values)["circular"].iloc[0])
+    assert block_length(values) == pytest.approx(theirs, rel=1e-9)
+
+
+def test_blocks_know_the_scatter_of_a_mean_of_samples_that_remember():
+    """A mean of N samples of x_k = 0.8 x_(k-1) + e has the variance 25/N; taken for white noise, 2.8/N."""
+    ratios = []
+    for seed in range(20):
+        values = remembering(np.random.default_rng(seed), 0.8, 2000)
+        jacobian, rows = np.ones((2000, 1)), np.arange(2000)
+        one = Series(rows, rows >= 0, 1.0, clock=rows.astype(float), values=values, weights=np.ones(2000))
+        found = in_blocks([one], values - values.mean(), jacobian, noise_of(jacobian))
+        assert found is not None and found.covariance is not None
+        ratios.append(found.covariance[0, 0] * 2000.0 / 25.0)
+    assert 0.75 < np.mean(ratios) < 1.1, ratios
+
+
+def test_the_process_is_that_of_tinygp():
+    """Its correlation over the phase away from the ends, where the cosines are even, of two lengths."""
+    kernels = pytest.importorskip("tinygp").kernels
+    middle = PHASE[20:40]
+    for length in (0.06, 0.12):
+        waves = np.cos(np.pi * np.arange(24) * middle[:, None])
+        theirs = np.asarray(kernels.ExpSquared(length)(middle, middle))
+        ours = (waves * _power(length)) @ waves.T
+        # On average over the whole phase the variance is 1, and a little more at its ends.
+        assert 0.85 < ours[10, 10] <= 1.0
+        np.testing.assert_allclose(ours / ours[10, 10], theirs, atol=0.01)
 
 
 def test_two_runs_say_nothing_of_their_scatter():
