@@ -97,3 +97,18 @@ def test_an_error_that_no_residual_shows_is_allowed_for():
     assert any(off)
     for name, p in found.parameters.items():
         assert p.with_budget and p.with_budget[0] < TRUTH[name] < p.with_budget[1]
+
+
+def test_a_stated_sensor_has_a_line_of_its_own():
+    """A clock known to 1 us in place of half a sample, and a gain that is known for certain."""
+    plain = problem(lambda f: f)
+    (experiment,) = plain.experiments
+    stated = {"time_offset": 0.0, "gain": 1.0}
+    known = replace(experiment, fixed=stated, tolerances={"time_offset": 1e-6, "gain": 0.0})
+    loose, tight = (fit(p, starts=4) for p in (plain, replace(plain, experiments=(known,))))
+    assert loose.systematic and tight.systematic
+    assert {"clock", "gain"} <= {line.error for line in loose.systematic.lines}
+    named = {line.error: line for line in tight.systematic.lines}
+    assert not {"clock", "gain"} & set(named) and named["time_offset"].amplitude <= 1.0
+    wide, narrow = (f.parameters["stiffness"].with_budget for f in (loose, tight))
+    assert wide and narrow and wide[0] < narrow[0] < narrow[1] < wide[1]

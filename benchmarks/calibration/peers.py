@@ -1,0 +1,173 @@
+"""The same imperfect records to SciPy, lmfit, MuJoCo's sysid and us: false intervals, their width, time to answer.
+
+Records are those of ``imperfect``: an impact with one imperfection or two, none named to anyone. The peers get what a user
+would write: the same law integrated by SciPy's LSODA in its natural coordinates (logarithms of stiffness and damping, the
+exponent), a start a factor of three off, the box that we get, and the intervals that each tool prints. MuJoCo has no contact
+K d^n of its own, and gets the residuals from the same function.
+
+    python -m benchmarks.calibration.peers [--records 100] [--minutes 30]    keeps results/peers.json; needs the extra bench
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.optimize import least_squares
+
+from benchmarks.calibration.imperfect import MAGNITUDES, MASS, STARTS, TRUTH, WORLDS, imperfections, problem
+from benchmarks.common import markdown, put_in_readme, save
+from calibration import Problem, fit
+
+RUNS = (1, 4)
+LOWER, UPPER = np.array([np.log(1e7), 1.0, np.log(1e-3)]), np.array([np.log(1e9), 2.5, np.log(1.0)])
+START = np.array([np.log(3.3e7), 1.4, np.log(0.03)])
+TRUE = np.array([np.log(TRUTH["stiffness"]), TRUTH["exponent"], np.log(TRUTH["damping"])])
+NAMES = tuple(TRUTH)
+Ends = list[tuple[float, float]]
+
+
+def residuals_of(given: Problem) -> Callable[[np.ndarray], np.ndarray]:
+    """Prediction less record, in newtons, of (ln K, n, ln a)."""
+    records = [(e.times, e.channels[0].values, e.fixed["approach_speed"]) for e in given.experiments]
+
+    def residuals(at: np.ndarray) -> np.ndarray:
+        k, n, a = np.exp(at[0]), at[1], np.exp(at[2])
+
+        def force(d: Any, v: Any) -> Any:
+            return k * np.maximum(d, 0.0) ** n * np.maximum(1.0 + a * v, 0.0)
+
+        found = []
+        for times, values, speed in records:
+            run = solve_ivp(
+                lambda _, s: (s[1], -force(s[0], s[1]) / MASS), (0.0, times[-1]), (0.0, speed), "LSODA", t_eval=times,
+                rtol=1e-8, atol=1e-12, max_step=times[-1] / 20.0,
+            )  # fmt: skip
+            found.append(force(run.y[0], run.y[1]) - values)
+        return np.concatenate(found)
+
+    return residuals
+
+
+def by_scipy(given: Problem) -> Ends:
+    """``least_squares`` and 1.96 deviations of s^2 (J^T J)^-1."""
+    found = least_squares(residuals_of(given), START, bounds=(LOWER, UPPER), x_scale="jac")
+    variance = 2.0 * found.cost / (found.fun.size - 3)
+    half = 1.96 * np.sqrt(np.diag(variance * np.linalg.inv(found.jac.T @ found.jac)))
+    return list(zip(found.x - half, found.x + half, strict=True))
+
+
+def by_lmfit(given: Problem) -> Ends:
+    """``minimize`` and 1.96 of the stderr that its report prints."""
+    import lmfit
+
+    params, residuals = lmfit.Parameters(), residuals_of(given)
+    for name, start, low, high in zip(NAMES, START, LOWER, UPPER, strict=True):
+        params.add(name, value=start, min=low, max=high)
+    found: Any = lmfit.minimize(lambda p: residuals(np.array([p[name].value for name in NAMES])), params)
+    ends = [(found.params[n].value, 1.96 * (found.params[n].stderr or np.nan)) for n in NAMES]
+    return [(value - half, value + half) for value, half in ends]
+
+
+def by_mujoco(given: Problem) -> Ends:
+    """``sysid.optimize`` and ``calculate_intervals``."""
+    from absl import logging
+    from mujoco import sysid
+
+    logging.set_verbosity(logging.ERROR)
+    plain = residuals_of(given)
+    params = sysid.ParameterDict()
+    for name, start, low, high in zip(NAMES, START, LOWER, UPPER, strict=True):
+        params.add(sysid.Parameter(name, start, low, high, modifier=lambda spec, p: None))
+
+    def residual(x: np.ndarray, _: Any) -> tuple[list[np.ndarray], None, None]:
+        columns = np.reshape(x, (3, -1))
+        found = np.stack([plain(column) for column in columns.T], axis=1)
+        return [found[:, 0] if np.ndim(x) == 1 else found], None, None
+
+    with contextlib.redirect_stdout(io.StringIO()):
+        found, result = sysid.optimize(params, residual, "mujoco", verbose=False, max_iters=100)
+    at = found.as_vector()
+    half = np.asarray(sysid.calculate_intervals([plain(at)], result.jac)[1])
+    return list(zip(at - half, at + half, strict=True))
+
+
+def by_us(given: Problem) -> dict[str, Ends]:
+    """The interval of the noise, the headline, and the headline with its budget; NaN for none."""
+    found = fit(given, starts=STARTS)
+    rows: dict[str, Ends] = {"noise": [], "headline": [], "headline with its budget": []}
+    for name, p in found.parameters.items():
+        for kind, ends in zip(rows, (p.intervals.get("noise"), p.ci95, p.with_budget), strict=True):
+            low, high = ends or (np.nan, np.nan)
+            rows[kind].append((low, high) if name == "exponent" else (float(np.log(low)), float(np.log(high))))
+    return rows
+
+
+def judged(ends: Ends) -> dict[str, list[float]]:
+    """Of each coefficient: 1 where the interval excludes the truth (NaN where there is none), and its width."""
+    wrong = [
+        float(not low <= true <= high) if np.isfinite(low + high) else np.nan
+        for (low, high), true in zip(ends, TRUE, strict=True)
+    ]
+    return {"false": wrong, "width": [float(high - low) for low, high in ends]}
+
+
+TOOLS = {"SciPy least_squares": by_scipy, "lmfit": by_lmfit, "mujoco.sysid": by_mujoco}
+
+
+def one(world: str, deviations: float, runs: int, seed: int) -> dict[str, Any]:
+    given, row = problem(imperfections(world, deviations, seed), runs, seed), {}
+    for name, tool in TOOLS.items():
+        begin = time.perf_counter()
+        row[name] = {**judged(tool(given)), "wall_s": time.perf_counter() - begin}
+    begin = time.perf_counter()
+    ours = by_us(given)
+    wall = time.perf_counter() - begin
+    row |= {f"bcfj-jax, {kind}": {**judged(ends), "wall_s": wall} for kind, ends in ours.items()}
+    return {"world": world, "effect_over_noise": deviations, "runs": runs, "seed": seed, "tools": row}
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    shown = [["tool", "intervals", "false", *(f"width of {name} (median)" for name in NAMES), "s an answer (median)"]]
+    for tool in rows[0]["tools"]:
+        own = [r["tools"][tool] for r in rows]
+        wrong, widths = np.array([o["false"] for o in own]), np.array([o["width"] for o in own])
+        given = int(np.isfinite(wrong).sum())
+        halves = 0.5 * np.nanmedian(widths, axis=0)
+        sizes = [
+            f"+- {h:.2g}" if n == "exponent" else f"+- {100 * np.expm1(h):.2g} %"
+            for n, h in zip(NAMES, halves, strict=True)
+        ]
+        wall = float(np.median([o["wall_s"] for o in own]))
+        shown.append([tool, str(given), f"{np.nansum(wrong) / max(given, 1):.1%}", *sizes, f"{wall:.2f}"])
+    return markdown(shown)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--records", type=int, default=100)
+    parser.add_argument("--minutes", type=float, default=30.0)
+    given = parser.parse_args()
+    plans = [(w, m, r, s) for s in range(99) for w in WORLDS if w != "none" for m in MAGNITUDES for r in RUNS]
+    begin, rows = time.perf_counter(), []
+    one(*plans[0])  # Programs are compiled once.
+    one(*plans[1])
+    for plan in plans[: given.records]:
+        if time.perf_counter() - begin > 60.0 * given.minutes:
+            break
+        rows.append(one(*plan))
+        print(plan, {k: (v["false"], round(v["wall_s"], 2)) for k, v in rows[-1]["tools"].items()}, flush=True)
+        save("peers", {"records": rows})
+    text = f"{table(rows)}\n\n{len(rows)} records."
+    put_in_readme("peers", text, "docs/calibration.md")
+    print(text)
+
+
+if __name__ == "__main__":
+    main()
