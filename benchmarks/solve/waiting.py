@@ -101,6 +101,7 @@ COMMANDS: dict[str, tuple[list[str] | str, float | None, float | None]] = {
     "simulate impact": (["simulate", "impact"], 4.0, 2.5),
     "simulate joint": (["simulate", "joint"], 12.0, 4.0),
     "calibrate the demo": (["calibrate", str(ROOT / "examples" / "chung_ooi_fit.toml")], 15.0, 5.0),
+    "calibrate the pad of 40 mm by three laws": (["calibrate", str(ROOT / "examples" / "pad_40mm.toml")], None, 30.0),
     "sensitivity impact": (["sensitivity", "impact", "--wrt", "stiffness,damping"], 8.0, 4.0),
     "sensitivity joint": (["sensitivity", "joint", "--wrt", _EIGHT], 60.0, 15.0),
     "calibrate the joint's seven": (["calibrate", "joint.toml", "--starts", "6"], None, None),
