@@ -209,7 +209,8 @@ def _assess(
     if series and all(overstated(s, best.residuals) for s in series) and not model.data.features.size:
         spread = fit_tests.shown(spread, best)
     of_search = answers.search(converged)
-    of_law = answers.law(quality, answers.missed(series, best.residuals), held_out, problem.adequate)
+    missed, loud = answers.missed(series, best.residuals), answers.louder(series, best.residuals)
+    of_law = answers.law(quality, missed, held_out, problem.adequate, loud)
     parameters, reference, identification = estimates(model, labels, best, log_depth, spread, bool(noise.integrator))
     evidence = Evidence()
     others = clearance_tests(model, seen) + whole_contact_test(model, seen, _turns(records, seen))

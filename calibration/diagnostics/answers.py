@@ -18,6 +18,8 @@ from calibration.diagnostics.residual_tests import Series
 
 # Held-out runs may be missed by so much more: they differ from the fitted ones, too.
 _HELD_OUT = 2.0
+# Fewer samples before contact show no noise, and residuals of less than so many times it are no news.
+_RESTING, _LOUDER = 8, 1.5
 # A reading of so much of the peak where so little is predicted is a contact that the model does not have there.
 _HIGH, _LOW, _MOST_UNMET = 0.2, 0.02, 0.1
 
@@ -45,7 +47,11 @@ def data(tests: Sequence[Test], determined: Mapping[str, bool]) -> Answer:
 
 
 def law(
-    tests: Sequence[Test], miss: float, held_out: Mapping[str, Mapping[str, float]] | None, threshold: float
+    tests: Sequence[Test],
+    miss: float,
+    held_out: Mapping[str, Mapping[str, float]] | None,
+    threshold: float,
+    loud: float = 0.0,
 ) -> Answer:
     """``consistent``, ``adequate`` or ``inadequate``.
 
@@ -54,6 +60,7 @@ def law(
         miss: of the worst channel in contact, as ``missed``.
         held_out: errors of held-out records by name.
         threshold: of the peak, up to which a law is adequate.
+        loud: residuals in contact over the noise before it (``louder``).
     """
     failed = [t.reason for t in tests if not t.passed]
     if not failed:
@@ -63,7 +70,10 @@ def law(
     size = f"in contact the law misses by {100 * miss:.2g} % of the peak (rms)"
     size += f", and held-out records by {100 * predicted:.2g} %" if held_out else ""
     limit = f"; up to {100 * threshold:.2g} % is called adequate"
-    return Answer("adequate" if good else "inadequate", [size + limit, *failed])
+    rest = (
+        [f"residuals in contact are {loud:.2g} times what the sensor scatters before contact"] if loud > _LOUDER else []
+    )
+    return Answer("adequate" if good else "inadequate", [size + limit, *rest, *failed])
 
 
 def missed(series: Sequence[Series], residuals: np.ndarray) -> float:
@@ -78,6 +88,23 @@ def missed(series: Sequence[Series], residuals: np.ndarray) -> float:
             continue
         noise = (1.4826 * float(np.median(np.abs(np.diff(inside))))) ** 2 / 2.0
         worst = max(worst, s.share * float(np.sqrt(max(np.mean(inside**2) - noise, 0.0))))
+    return worst
+
+
+def louder(series: Sequence[Series], residuals: np.ndarray) -> float:
+    """Residuals in contact over the scatter of what is read before the first contact, of the worst channel; 0 of none.
+
+    Both by deviations; a record with fewer than ``_RESTING`` samples before contact says nothing.
+    """
+    worst = 0.0
+    for s in series:
+        first = int(np.argmax(s.touching)) if s.touching.any() else 0
+        if first < _RESTING:
+            continue
+        rest = float(np.std(s.values[:first] * s.weights[:first]))
+        inside = residuals[s.rows[s.touching]]
+        if rest > 0.0 and inside.size:
+            worst = max(worst, float(np.sqrt(np.mean(inside**2))) / rest)
     return worst
 
 

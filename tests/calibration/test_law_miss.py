@@ -201,6 +201,16 @@ def test_what_is_missed_leaves_out_what_changes_from_sample_to_sample():
     assert found == pytest.approx(3.0 * SIGMA, rel=0.1)
 
 
+def test_residuals_are_held_against_what_the_sensor_scatters_at_rest():
+    rng = np.random.default_rng(5)
+    values = PULSE + SIGMA * rng.standard_normal(120)
+    one = series(values, np.full(120, 1.0 / SIGMA))
+    assert answers.louder([one], np.where(INSIDE, 4.0, 0.0)) == pytest.approx(4.0, rel=0.3)
+    assert answers.louder([one._replace(touching=np.roll(INSIDE, -30))], np.ones(120)) == 0.0
+    failed = [fit_tests.Test("order", 0.0, 1.0, False, "a shape is missed")]
+    assert "4 times what the sensor scatters" in answers.law(failed, 0.01, None, 0.03, 4.0).because[1]
+
+
 def test_noise_that_was_stated_too_large_is_no_misfit():
     smooth = 0.2 * np.r_[np.zeros(30), np.sin(3.0 * np.pi * PHASE), np.zeros(30)]
     stated = series(PULSE, np.full(120, 1.0 / SIGMA))._replace(estimated=False)
