@@ -192,7 +192,7 @@ def _budget_rows(result: Fit) -> list[list[str]]:
     rows = [["error", "up to", *names]]
     for line in found.lines:
         moves = [_moved(line.moves[name], result, name) for name in names]
-        rows.append([line.error, f"{100 * line.amplitude:.2g} % {line.unit}", *moves])
+        rows.append([line.error, line.limit, *moves])
     return [*rows, ["all together", "", *(_moved(found.widened(name, 0.0), result, name) for name in names)]]
 
 
@@ -211,7 +211,8 @@ def _moved(move: float, result: Fit, name: str) -> str:
 
 
 def _ends(ends: tuple[float, float] | None, unit: str) -> str:
-    return f"{format_si(ends[0], unit)} to {format_si(ends[1], unit)}" if ends else "none"
+    # The ends of an interval are no better known than to a few digits.
+    return f"{format_si(ends[0], unit, 4)} to {format_si(ends[1], unit, 4)}" if ends else "none"
 
 
 def _sizes(by_unit: dict[str, float]) -> str:
@@ -220,8 +221,7 @@ def _sizes(by_unit: dict[str, float]) -> str:
 
 def _interval(thing: Any, unit: str) -> str:
     value = thing.force if hasattr(thing, "force") else thing.value
-    ends = f", 95 % {format_si(thing.ci95[0], unit)} to {format_si(thing.ci95[1], unit)}" if thing.ci95 else ""
-    return format_si(value, unit) + ends
+    return format_si(value, unit) + (f", 95 % {_ends(thing.ci95, unit)}" if thing.ci95 else "")
 
 
 def _rows(result: Fit) -> list[list[str]]:

@@ -34,11 +34,13 @@ class _Error(NamedTuple):
     nuisance: str
 
 
+# Its amplitude is 1/w^2.
+_RESONANCE = "resonance"
 _SENSOR = {
     "gain": _Error("of itself", 0.01, "gain"),
     "bend of the gain": _Error("of the peak, at the peak", 0.05, "gain_bend"),
     "lag": _Error("of a contact's duration", 0.1, "bandwidth"),
-    "resonance (1/w^2)": _Error("of a contact's duration squared", 0.01, "resonance"),
+    _RESONANCE: _Error("of a contact's duration squared", 0.01, "resonance"),
     "drift": _Error("of the peak, over the record", 0.05, "drift"),
     "rest": _Error("of the peak", 0.02, "force_offset"),
     "clock": _Error("of the time between samples", 0.5, "time_offset"),
@@ -64,6 +66,13 @@ class Line(NamedTuple):
     amplitude: float
     unit: str
     moves: dict[str, float]
+
+    @property
+    def limit(self) -> str:
+        """The amplitude in words; of a resonance the frequency."""
+        if self.error == _RESONANCE:
+            return f"{1.0 / (2.0 * np.pi * np.sqrt(self.amplitude)):.2g} oscillations in a contact's duration"
+        return f"{100 * self.amplitude:.2g} % {self.unit}"
 
 
 class Budget(NamedTuple):
@@ -203,7 +212,7 @@ def _signatures(model: Model, readings: np.ndarray, series: list[Series]) -> dic
             "gain": seen,
             "bend of the gain": seen * np.abs(seen) / max(peak, 1e-300),
             "lag": -duration * first,
-            "resonance (1/w^2)": -(duration**2) * np.gradient(first, clock),
+            _RESONANCE: -(duration**2) * np.gradient(first, clock),
             "drift": peak * (clock - clock.mean()) / max(float(np.ptp(clock)), 1e-300),
             "rest": np.full(clock.size, peak),
             "clock": -float(np.median(np.diff(clock))) * first,
