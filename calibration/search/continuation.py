@@ -27,7 +27,9 @@ _ADAM, _ARRIVE = 20, 12
 # without noise, what remains is the integrator's.
 _LEFT, _AT_REST = 1e-3, 3
 # Draws of what the data before a contact leave open, and the farthest, in unit-box coordinates.
-_DRAWS, _FARTHEST = 24, 0.3
+_DRAWS, _FARTHEST = 48, 0.3
+# How often a start draws, until its arrivals cost less than this share.
+_ROUNDS, _HIT = 4, 0.1
 # Given up after a leg: starts that cost so much more than the best, on that leg's data, but for some.
 _HOPELESS = 4.0
 
@@ -195,20 +197,25 @@ def _drawn(before: Evaluate, arrivals: Evaluate, points: np.ndarray) -> np.ndarr
     """Of each point and draws of what the data before leave open, the one that meets the next arrivals best.
 
     A hard contact lasts a small part of the time by which its arrival is uncertain, and no slope leads there from beside.
+    Starts that have met nothing draw again, a few times, while most have not.
     """
     residuals, jacobians = before(points)
-    normal = np.random.default_rng(0).standard_normal((_DRAWS, points.shape[1]))
-    best, least = points.copy(), cost_of(arrivals(points)[0])
-    for k, (r, j) in enumerate(zip(residuals, jacobians, strict=True)):
-        if not (np.isfinite(r).all() and np.isfinite(j).all()):
-            continue
-        _, singular, directions = np.linalg.svd(j, full_matrices=False)
-        size = np.sqrt(max(float(r @ r) / max(np.count_nonzero(r), 1), 1.0))
-        spread = np.minimum(size / np.maximum(singular, 1e-300), _FARTHEST)
-        trial = np.clip(points[k] + normal @ (spread[:, None] * directions), 0.0, 1.0)
-        costs = cost_of(arrivals(trial)[0])
-        if np.min(costs) < least[k]:
-            best[k], least[k] = trial[int(np.argmin(costs))], float(np.min(costs))
+    begun, rng = cost_of(arrivals(points)[0]), np.random.default_rng(0)
+    best, least = points.copy(), begun.copy()
+    for _ in range(_ROUNDS):
+        for k, (r, j) in enumerate(zip(residuals, jacobians, strict=True)):
+            normal = rng.standard_normal((_DRAWS, points.shape[1]))
+            if least[k] < _HIT * begun[k] or not (np.isfinite(r).all() and np.isfinite(j).all()):
+                continue
+            _, singular, directions = np.linalg.svd(j, full_matrices=False)
+            size = np.sqrt(max(float(r @ r) / max(np.count_nonzero(r), 1), 1.0))
+            spread = np.minimum(size / np.maximum(singular, 1e-300), _FARTHEST)
+            trial = np.clip(points[k] + normal @ (spread[:, None] * directions), 0.0, 1.0)
+            costs = cost_of(arrivals(trial)[0])
+            if np.min(costs) < least[k]:
+                best[k], least[k] = trial[int(np.argmin(costs))], float(np.min(costs))
+        if np.mean(least < _HIT * begun) > 0.5:
+            break
     return best
 
 

@@ -47,6 +47,13 @@ def _rise(name: str, values: np.ndarray) -> np.ndarray:
     return np.abs(values - np.nanmedian(values, axis=-1, keepdims=True))
 
 
+def _at_rest(values: np.ndarray) -> float:
+    """Deviation of the noise of readings (T,) by the steps between neighbours in their lower half."""
+    low = values <= np.median(values)
+    steps = np.abs(np.diff(values))[low[1:] & low[:-1]]
+    return 1.4826 / np.sqrt(2.0) * float(np.median(steps)) if steps.size else 0.0
+
+
 def stages(model: Model) -> list[np.ndarray]:
     """Ends of the data (E,) [s] to fit one after the other: the 1st contact, all before the 3rd, the 5th, ..., all.
 
@@ -66,7 +73,8 @@ def stages(model: Model) -> list[np.ndarray]:
             seen = weights[i, j] > 0
             if np.any(seen):
                 rise = _rise(model.channels[j], values[i, j][seen])
-                found = contacts(rise, 1.0 / float(weights[i, j][seen].min()))
+                # Noise that is to be estimated may be larger than the 1 % that is assumed until then.
+                found = contacts(rise, max(1.0 / float(weights[i, j][seen].min()), _at_rest(rise)))
                 # The last quiet sample: that nothing has arrived by then is known, too.
                 clock = times[i][seen]
                 quiet = [float(clock[first - 1]) for first, _ in found[1:]]
