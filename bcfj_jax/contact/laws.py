@@ -11,12 +11,23 @@ from bcfj_jax.contact.friction import FRICTION as FRICTION
 from bcfj_jax.contact.friction import AbstractFriction as AbstractFriction
 from bcfj_jax.contact.friction import make_friction as make_friction
 from bcfj_jax.contact.normal import AbstractLaw as AbstractLaw
-from bcfj_jax.contact.normal import AdamsImpact, DampedStop, ElastoGap, Hertz, KelvinVoigt, MemoryFree, Restitution
+from bcfj_jax.contact.normal import (
+    AdamsImpact,
+    DampedStop,
+    ElastoGap,
+    Hertz,
+    KelvinVoigt,
+    MemoryFree,
+    Restitution,
+    StandardLinearSolid,
+    Thornton,
+    WaltonBraun,
+)
 from bcfj_jax.contact.normal import regularised_force as regularised_force
 from bcfj_jax.contact.restitution import FACTORS
 from bcfj_jax.core.errors import InputError, nearest
 
-# Each with its own default elastic part: ``linear`` for ``kelvin_voigt``, ``power`` for the rest.
+# Each with its own default elastic part: ``linear`` for ``kelvin_voigt`` and ``walton_braun``, ``power`` for the rest.
 LAWS: dict[str, AbstractLaw] = {
     "memory_free": MemoryFree(),
     "damped_stop": DampedStop(),
@@ -24,6 +35,9 @@ LAWS: dict[str, AbstractLaw] = {
     "kelvin_voigt": KelvinVoigt(),
     "adams_impact": AdamsImpact(),
     "elasto_gap": ElastoGap(),
+    "standard_linear_solid": StandardLinearSolid(),
+    "walton_braun": WaltonBraun(),
+    "thornton": Thornton(),
     **{name: Restitution(factor=factor) for name, factor in FACTORS.items()},
 }
 
@@ -33,7 +47,8 @@ def make(law: str = "memory_free", elastic: str | None = None) -> AbstractLaw:
 
     Args:
         law: one of ``LAWS``; a name of ``restitution.FACTORS`` gives that member of the family.
-        elastic: one of ``ELASTIC``; by default ``linear`` for ``kelvin_voigt`` and ``power`` for the rest.
+        elastic: one of ``ELASTIC``; by default ``linear`` for ``kelvin_voigt`` and ``walton_braun``, ``power`` for the
+            rest.
 
     Raises:
         InputError: for a name that is not known, with the nearest one that is.

@@ -4,24 +4,41 @@ A law is an elastic part with a way to lose energy. It takes one scalar contact 
 shape) and knows nothing of geometry, bodies or time. The force is pushing only: every law is clipped
 at zero, since a formula with damping turns tensile just before separation.
 
-To add a law: a final module with ``needs`` and ``force``, and a line in ``laws.LAWS``.
+A law may have states (relaxation, plastic deformation). They stand beside the coefficients, by their names. A state is 0
+where the surfaces have not touched; the contact integrates its rate and lets it go when apart (``regularised_rates``).
+
+To add a law: a final module with ``needs`` and ``force``, and a line in ``laws.LAWS``; with states also ``rates``,
+``sizes`` and ``stored``.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
+from typing import ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from bcfj_jax.contact.elastic import BACKING, AbstractElastic, Coefficients, Linear, Power, backing
+from bcfj_jax.contact.restitution import LOWEST_RESTITUTION
 from bcfj_jax.core.numerics import positive, smooth_ramp, smooth_step
+
+# Gap [m] beyond which a contact's memory is lost.
+NEAR = 1e-7
+# A surface that is pressed again yields from this fraction of its greatest penetration before that penetration.
+_RELOADED = 1e-3
+# Gauss-Legendre on (0, 1) in s, x = r s^2: exact for d^1.5, and to rounding for every power n >= 1 or its root.
+_NODES, _WEIGHTS = (0.5 * (x + shift) for x, shift in zip(np.polynomial.legendre.leggauss(24), (1.0, 0.0), strict=True))
 
 
 class AbstractLaw(eqx.Module):
-    """Normal force F(d, d') >= 0 of one contact."""
+    """Normal force F(d, d') >= 0 of one contact; ``states`` names the numbers that the law remembers of it."""
+
+    states: ClassVar[tuple[str, ...]] = ()
 
     @property
     @abstractmethod
@@ -35,8 +52,29 @@ class AbstractLaw(eqx.Module):
         Args:
             penetration: d [m], 0 or less when apart.
             rate: d' [m/s], positive while approaching.
-            c: the coefficients named by ``needs``, SI.
+            c: the coefficients named by ``needs`` and the states, SI.
         """
+
+    def rates(self, penetration: Array, rate: Array, c: Coefficients) -> tuple[Array, ...]:
+        """Time derivatives of the states while the surfaces overlap. Arguments as ``force``."""
+        del penetration, rate, c
+        return ()
+
+    def sizes(self, penetration: Array, c: Coefficients) -> tuple[Array, ...]:
+        """Of each state, the change whose effect is about that of an error as large as the penetration to expect [m]."""
+        del penetration, c
+        return ()
+
+    def stored(self, penetration: Array, c: Coefficients) -> Array:
+        """Elastic energy [J]; what work exceeds its change is lost. Without states: the work of the force at rest."""
+        return _work(lambda x, c: self.force(x, jnp.zeros_like(x), c), penetration, c)
+
+
+def _work(force: Callable[[Array, Coefficients], Array], penetration: Array, c: Coefficients) -> Array:
+    """Integral of a force from 0 to the penetration [J]."""
+    reach = positive(penetration)
+    wide = {name: value[..., None] if getattr(value, "ndim", 0) else value for name, value in c.items()}
+    return jnp.sum(force(reach[..., None] * _NODES**2, wide) * 2.0 * _NODES * _WEIGHTS, -1) * reach
 
 
 class Hertz(AbstractLaw):
@@ -192,6 +230,155 @@ class ElastoGap(AbstractLaw):
         return jnp.where(penetration > 0, spring + damped, 0.0)
 
 
+class StandardLinearSolid(AbstractLaw):
+    """F = f(d) (1 + a d')_+ + s,  s' = r f' - s/tau: ``MemoryFree`` with a Maxwell branch beside it (Zener).
+
+    The standard linear solid (Zener 1948, Elasticity and Anelasticity of Metals; Lakes 2009, Viscoelastic Materials,
+    2.6) with f in place of K d, which is Fung's quasi-linear viscoelasticity with one exponential. A quick press meets
+    (1 + r) f(d); held, the force falls to f(d) as exp(-t/tau). The loss is greatest for contacts as long as some tau;
+    presses much quicker or slower than tau are elastic. With r = 0 it is ``MemoryFree``. Linear in f: strains where
+    the modulus does not depend on the strain.
+    The state is the relaxed force q [N],  q' = (f - q)/tau,  s = r (f - q): smooth at touch, no f' needed. The branch
+    is free of load at each new touch. A body that is pressed at time 0 has been pressed there at once.
+    Stored are Phi(d) and the branch's r int_p^d (f - q) dx, with Phi the integral of f, f(p) = q; the branch loses
+    r (f - q)(d - p)/tau >= 0. Where F = 0 the surface lags behind the body: d is then where the two parts cancel.
+    Coefficients: those of the elastic part, ``damping`` a [s/m], ``relaxation`` r [-] >= 0, ``relaxation_time`` tau [s].
+    """
+
+    states: ClassVar[tuple[str, ...]] = ("relaxed_force",)
+    elastic: AbstractElastic = Power()
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return (*self.elastic.needs, "damping", "relaxation", "relaxation_time")
+
+    def force(self, penetration: Array, rate: Array, c: Coefficients) -> Array:
+        spring = self.elastic.force(penetration, c)
+        branch = c["relaxation"] * (spring - positive(c["relaxed_force"]))
+        return positive(spring * positive(1.0 + c["damping"] * rate) + branch)
+
+    def rates(self, penetration: Array, rate: Array, c: Coefficients) -> tuple[Array, ...]:
+        del rate
+        return ((self.elastic.force(penetration, c) - c["relaxed_force"]) / c["relaxation_time"],)
+
+    def sizes(self, penetration: Array, c: Coefficients) -> tuple[Array, ...]:
+        return (self.elastic.force(penetration, c) / jnp.maximum(c["relaxation"], 1.0),)
+
+    def stored(self, penetration: Array, c: Coefficients) -> Array:
+        # Both penetrations minimise or maximise the energy: their derivatives do not count.
+        r, q = c["relaxation"], positive(c["relaxed_force"])
+        surface = jnp.maximum(penetration, self._penetration(r * q / (1.0 + r), c))
+        relaxed = self._penetration(q, c)
+        work = lambda d: _work(self.elastic.force, d, c)  # noqa: E731
+        return (1.0 + r) * work(surface) - r * (q * surface - q * relaxed + work(relaxed))
+
+    def _penetration(self, force: Array, c: Coefficients) -> Array:
+        """Penetration [m] of an elastic force, by bisection; a constant to derivatives."""
+
+        def halve(_, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
+            middle = 0.5 * (bracket[0] + bracket[1])
+            deep = self.elastic.force(jnp.exp(middle), c) > force
+            return jnp.where(deep, bracket[0], middle), jnp.where(deep, middle, bracket[1])
+
+        force = jax.lax.stop_gradient(force)
+        c = {name: jax.lax.stop_gradient(value) for name, value in c.items()}
+        bracket = (jnp.full_like(force, jnp.log(1e-18)), jnp.full_like(force, jnp.log(1e2)))
+        return jnp.where(force > 0, jnp.exp(jax.lax.fori_loop(0, 64, halve, bracket)[1]), 0.0)
+
+
+class AbstractPlastic(AbstractLaw):
+    """F = h f(m - u/w): loading along h f(d), unloading and reloading along an elastic curve from the greatest penetration.
+
+    m is the greatest penetration of this contact and u = m - d >= 0 the state ``unloaded`` [m]: u' = -d' while the
+    surfaces part. While they close u' = -d' until u is 0, where the surface yields again: it begins to yield when u is
+    below 0.1 % of m, which makes m too great by at most 0.1 % where it is pressed again. The first loading is exact.
+    The dent is not kept: after the surfaces part (d < 0) they meet elsewhere and the next contact starts afresh.
+    Quasi-static: F does not depend on the rate. The energy stored is h w Phi(m - u/w), with Phi the integral of f.
+    """
+
+    states: ClassVar[tuple[str, ...]] = ("unloaded",)
+    elastic: eqx.AbstractVar[AbstractElastic]
+
+    @abstractmethod
+    def unloading(self, deepest: Array, c: Coefficients) -> tuple[Array, Array]:
+        """Height h and width w of the unloading curve from the greatest penetration [m], both relative to f."""
+
+    def _unloaded(self, penetration: Array, c: Coefficients) -> tuple[Array, Array, Array]:
+        """h, w and m - u/w."""
+        unloaded = positive(c["unloaded"])
+        deepest = penetration + unloaded
+        height, width = self.unloading(deepest, c)
+        return height, width, deepest - unloaded / width
+
+    def force(self, penetration: Array, rate: Array, c: Coefficients) -> Array:
+        del rate
+        height, _, equivalent = self._unloaded(penetration, c)
+        return height * self.elastic.force(equivalent, c)
+
+    def rates(self, penetration: Array, rate: Array, c: Coefficients) -> tuple[Array, ...]:
+        unloaded = c["unloaded"]
+        deepest = jnp.maximum(penetration + unloaded, 1e-30)
+        return (-rate * jnp.where(rate < 0, 1.0, smooth_step(unloaded / (_RELOADED * deepest))),)
+
+    def sizes(self, penetration: Array, c: Coefficients) -> tuple[Array, ...]:
+        _, width = self.unloading(penetration, c)
+        return (penetration * width,)
+
+    def stored(self, penetration: Array, c: Coefficients) -> Array:
+        height, width, equivalent = self._unloaded(penetration, c)
+        return height * width * _work(self.elastic.force, equivalent, c)
+
+
+class WaltonBraun(AbstractPlastic):
+    """F = K1 d loading, F = K2 (d - d0) unloading,  d0 = m (1 - K1/K2),  K2 = K1/e^2; m the greatest penetration.
+
+    Walton and Braun 1986 (Journal of Rheology 30, 949), their latching spring with constant K1/K2: the restitution is e
+    at every speed. Stated by e instead of K2, since e is what a drop test measures, is bounded, and for no loss is 1.
+    With another elastic part, F = f(m - (m - d)/e^2): the loading curve narrowed by e^2, which keeps the restitution at
+    e for every f. Needs no approach speed. Collisions whose loss is plastic and whose restitution hardly depends on
+    the speed. e below 0.001 is taken as 0.001.
+    Contact from touch to no force: (1 + e) (pi/2) sqrt(m/K1) for a mass m.
+    Coefficients: those of the elastic part (``linear`` by default: ``stiffness`` K1 [N/m]), ``restitution`` e [-].
+    """
+
+    elastic: AbstractElastic = Linear()
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return (*self.elastic.needs, "restitution")
+
+    def unloading(self, deepest: Array, c: Coefficients) -> tuple[Array, Array]:
+        del deepest
+        return jnp.ones(()), jnp.maximum(c["restitution"], LOWEST_RESTITUTION) ** 2
+
+
+class Thornton(AbstractPlastic):
+    """Hertz up to the yield penetration d_y, then F = f(d_y) + f'(d_y)(d - d_y); unloading Hertzian of a larger radius.
+
+    Thornton 1997 (Journal of Applied Mechanics 64, 383): elastic, perfectly plastic spheres. Beyond yield the contact
+    pressure is constant, so F rises along the tangent at d_y, and unloading is Hertz's with the radius R/b,
+    b = F(m)/f(m), from the greatest penetration m:  F = b f(m - (m - d)/b). With f = K d^1.5 the yield speed is
+    V_y = sqrt(4 K d_y^2.5 / (5 mass)), e = 1 up to it and above, with x = V_y/V,
+    e^2 = (6 sqrt(3)/5) (1 - x^2/6) sqrt(x / (x + 2 sqrt(6/5 - x^2/5))), about 1.19 x^(1/4) for x << 1.
+    Contact pressure at the centre at yield, with the relative radius R: p_y = (2 E*/pi) sqrt(d_y/R). Real metals
+    harden, so that V from some 50 V_y on is beyond the theory.
+    Coefficients: those of the elastic part, ``yield_penetration`` d_y [m] > 0.
+    """
+
+    elastic: AbstractElastic = Power()
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return (*self.elastic.needs, "yield_penetration")
+
+    def unloading(self, deepest: Array, c: Coefficients) -> tuple[Array, Array]:
+        first = c["yield_penetration"]
+        force, slope = jax.jvp(lambda d: self.elastic.force(d, c), (first,), (jnp.ones_like(first),))
+        beyond = jnp.maximum(deepest, first)
+        share = (force + slope * (beyond - first)) / self.elastic.force(beyond, c)
+        return share, share
+
+
 def regularised_force(law: AbstractLaw, penetration: Array, rate: Array, c: Coefficients, width: Array | None) -> Array:
     """Normal force [N] of a law from penetration d [m] and rate d' [m/s].
 
@@ -211,3 +398,39 @@ def regularised_force(law: AbstractLaw, penetration: Array, rate: Array, c: Coef
         return law.force(penetration, rate, c)
     ramp, slope = smooth_ramp(penetration, width)
     return slope * law.force(ramp, rate, c)
+
+
+def regularised_rates(
+    law: AbstractLaw, penetration: Array, rate: Array, c: Coefficients, width: Array | None
+) -> tuple[Array, ...]:
+    """Rates of a law's states, along the regularised penetration. Arguments as ``regularised_force``.
+
+    Apart, beyond the regularisation, a state s is let go as the bodies part at the speed v, over the gap g:
+    s' = -4 v s/(g + l),  l = ``NEAR``. It falls as the fourth power of the gap, whatever the scale.
+    """
+    if not law.states:
+        return ()
+    width = jnp.zeros(()) if width is None else width
+    ramp, slope = smooth_ramp(penetration, width)
+    gap = -penetration - width
+    loss = 4.0 * positive(-rate) / (positive(gap) + NEAR)
+    found = zip(law.states, law.rates(ramp, slope * rate, c), strict=True)
+    return tuple(jnp.where(gap > 0, -loss * c[name], x) for name, x in found)
+
+
+def regularised_energy(
+    law: AbstractLaw, penetration: Array, rate: Array, c: Coefficients, changes: Coefficients, width: Array | None
+) -> tuple[Array, Array]:
+    """Elastic energy [J] along the regularised penetration, and the power [W] of the force at rest that its states lose.
+
+    ``changes`` are the rates of the states; other arguments as ``regularised_force``.
+    """
+
+    def energy(penetration: Array, kept: Coefficients) -> Array:
+        return law.stored(positive(penetration) if width is None else smooth_ramp(penetration, width)[0], {**c, **kept})
+
+    if not law.states:
+        return energy(penetration, {}), jnp.zeros_like(penetration)
+    at, along = ({name: jnp.broadcast_to(x[name], penetration.shape) for name in law.states} for x in (c, changes))
+    stored, gain = jax.jvp(energy, (penetration, at), (rate, along))
+    return stored, regularised_force(law, penetration, jnp.zeros_like(rate), c, width) * rate - gain

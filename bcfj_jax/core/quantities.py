@@ -74,6 +74,9 @@ CATALOGUE: dict[str, Quantity] = {
         _not_negative("damping", "s/m", "a of F = f(d) (1 + a d')"),
         Quantity("restitution", "1", "coefficient of restitution e the law is asked for", 0.0, 1.0),
         _not_negative("dashpot", "N s/m", "viscous coefficient c (Kelvin-Voigt, ElastoGap), c_max (ADAMS IMPACT)"),
+        _not_negative("relaxation", "1", "force that relaxes over the force that stays (standard linear solid)"),
+        _positive("relaxation_time", "s", "time in which the relaxing force falls to 1/e at constant penetration"),
+        _positive("yield_penetration", "m", "penetration at which the surface begins to yield (Thornton)"),
         _positive("damping_depth", "m", "penetration at which the ADAMS dashpot is fully in"),
         _not_negative("smoothing", "m", "half-width of the contact regularisation (C2); 0 is the sharp contact"),
         # coefficients of the friction laws

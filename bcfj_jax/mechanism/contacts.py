@@ -1,7 +1,8 @@
 """A contact of a mechanism: between which bodies, where on them, by which gap, law and friction; and what it remembers.
 
-A contact has a state for two reasons, kept in one way: a law stated by restitution remembers the approach speed of the
-impact (one number a face), and friction with bristles their deflection (three numbers a face, world axes).
+A contact has a state for three reasons, kept in one way (``Contact.memory``): a law stated by restitution remembers the
+approach speed of the impact (one number a face), a law with states keeps those (``contact.normal``), and friction with
+bristles their deflection (three numbers a face, world axes).
 """
 
 from __future__ import annotations
@@ -17,8 +18,9 @@ from jax import Array
 
 from bcfj_jax.contact import laws
 from bcfj_jax.contact.friction import AbstractFriction
-from bcfj_jax.contact.gaps import AbstractGap, Frame
-from bcfj_jax.contact.normal import AbstractLaw
+from bcfj_jax.contact.gaps import AbstractGap, Face, Frame
+from bcfj_jax.contact.normal import NEAR, AbstractLaw, regularised_rates
+from bcfj_jax.contact.wrench import ContactForce
 from bcfj_jax.core.errors import InputError, origin
 from bcfj_jax.core.numerics import positive
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
@@ -28,8 +30,8 @@ from bcfj_jax.mechanism.sizes import ORIGIN, Params, Place, Size
 
 # Least approach speed of a law stated by restitution [m/s]: a resting contact would be rigid.
 SLOWEST = 1e-3
-# Gap within which a memory is settled [m].
-_NEAR = 1e-7
+# What bristles remember.
+_BRISTLE = ("bristle_x", "bristle_y", "bristle_z")
 
 
 class Approach(eqx.Module):
@@ -56,7 +58,7 @@ class Approach(eqx.Module):
         """
         del p
         closing = positive(rate)
-        return 4.0 * closing * (jnp.maximum(closing, SLOWEST) - memory) / (positive(gap) + _NEAR)
+        return 4.0 * closing * (jnp.maximum(closing, SLOWEST) - memory) / (positive(gap) + NEAR)
 
 
 class Contact(eqx.Module):
@@ -117,6 +119,40 @@ class Contact(eqx.Module):
     def bristles(self) -> bool:
         """Whether its friction has bristles."""
         return self.friction is not None and self.friction.bristles
+
+    @property
+    def memory(self) -> tuple[str, ...]:
+        """Names of the numbers that each face remembers: approach speed, states of the law, deflection of bristles."""
+        approach = ("approach_speed",) if self.remembers else ()
+        return (*approach, *self.law.states, *(_BRISTLE if self.bristles else ()))
+
+    def first(self, face: Face, touch: ContactForce, p: Params) -> list[Number]:
+        """What a face remembers at time 0."""
+        approach = [self.approach.first(-face.depth, touch.rate, p)] if self.remembers else []
+        return [*approach, *(0.0 for _ in self.memory[len(approach) :])]
+
+    def learning(self, face: Face, touch: ContactForce, values: Mapping[str, Array], p: Params) -> list[Number]:
+        """Rates of what a face remembers.
+
+        Args:
+            face, touch: where it touches, and with what force.
+            values: its coefficients and what it remembers, by name.
+            p: the mechanism's parameters.
+        """
+        found: list[Number] = []
+        if self.remembers:
+            # Within the regularisation there is a force: that is no flight.
+            learning = self.approach.learning(-face.depth, touch.rate, values["approach_speed"], p)
+            found.append(jnp.where(-face.depth > values.get("smoothing", 0.0), learning, 0.0))
+        found += regularised_rates(
+            self.law, jnp.asarray(face.depth), jnp.asarray(touch.rate), values, values.get("smoothing")
+        )
+        return [*found, *(touch.bending or ())]
+
+    def sizes(self, speed: Array, depth: Array, values: Mapping[str, Array]) -> list[Number]:
+        """What errors of its memory are measured in, at the speed [m/s] and penetration [m] that are to be expected."""
+        bend = [values["friction_static"] / values["bristle_stiffness"]] * 3 if self.bristles else []
+        return [*([speed] if self.remembers else []), *self.law.sizes(depth, values), *bend]
 
     @property
     def reads(self) -> tuple[str, ...]:

@@ -22,7 +22,9 @@ from jax.typing import ArrayLike
 
 from bcfj_jax.contact.elastic import BACKING
 from bcfj_jax.contact.gaps import Face, Frame
-from bcfj_jax.contact.normal import Backed, regularised_force
+from bcfj_jax.contact.elastic import BACKING
+from bcfj_jax.contact.gaps import Face, Frame
+from bcfj_jax.contact.normal import Backed, regularised_energy, regularised_force
 from bcfj_jax.contact.wrench import ContactForce, press
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
@@ -62,8 +64,6 @@ from bcfj_jax.mechanism.model import (
 # Local error a step, in units of ``error_scale``, per unit of force error asked for: of explicit methods, derived by
 # benchmarks/solve/levels.py on random impacts and bounces; of implicit ones, by benchmarks/solve/mechanisms.py.
 EXPLICIT, IMPLICIT, LOOSEST = 5e-4, 1e-2, 1e-3
-# Gauss-Legendre on (0, 1) in s, x = r s^2: exact for d^1.5, and to rounding for every power n >= 1 or its root.
-_NODES, _WEIGHTS = (0.5 * (x + shift) for x, shift in zip(np.polynomial.legendre.leggauss(24), (1.0, 0.0), strict=True))
 
 
 class Instant(NamedTuple):
@@ -239,10 +239,10 @@ class Mechanism(AbstractModel):
 
     @cached_property
     def _memory(self) -> tuple[tuple[str, int], ...]:
-        """(contact, members) of every number that contacts remember, in order: a memory a face, bristles of each face."""
+        """(contact, members) of every number that contacts remember, in order: ``Contact.memory`` of each face."""
         found, members = [], self.members
         for c in self.contacts:
-            each = (1 if c.remembers else 0) + (3 if c.bristles else 0)
+            each = len(c.memory)
             found += [(c.name, members[c.name])] * (each * c.faces if each else 0)
         return tuple(found)
 
@@ -261,8 +261,7 @@ class Mechanism(AbstractModel):
         memory: list[Number] = []
         for c in self.contacts:
             for face, touch in found.faces.get(c.name, []):
-                memory += [c.approach.first(-face.depth, touch.rate, params)] if c.remembers else []
-                memory += [0.0, 0.0, 0.0] if c.bristles else []
+                memory += c.first(face, touch, params)
         return jnp.concatenate([start, flat(memory, [k for _, k in self._memory])])
 
     def instants(self, params: Params, times: Array, near: Any = None, rates: bool = True) -> tuple[Solution, Any]:
@@ -306,7 +305,7 @@ class Mechanism(AbstractModel):
         bodies = self.moving(t, list(q), list(v), p)
         faces, memory = {}, {}
         for c in self.contacts:
-            each = (1 if c.remembers else 0) + (3 if c.bristles else 0)
+            each = len(c.memory)
             own, kept = kept[: each * c.faces], kept[each * c.faces :]
             memory[c.name] = [own[each * i : each * (i + 1)] for i in range(c.faces)]
             faces[c.name] = self._touching(c, bodies, memory[c.name], p, laws)
@@ -338,7 +337,7 @@ class Mechanism(AbstractModel):
                 rate = dot(face.normal, velocity)
                 found.append((face, ContactForce(ZERO, ZERO, 0.0, rate, subtract(velocity, scale(rate, face.normal)))))
                 continue
-            c_values = coefficients | {"approach_speed": own[0]} if c.remembers else coefficients
+            c_values = coefficients | dict(zip(c.memory, own, strict=True))
             bristle = (own[-3], own[-2], own[-1]) if c.bristles else None
             try:
                 touch = press(c.law, c.friction, c_values, face, velocity, bristle, first.spin)
@@ -408,16 +407,10 @@ class Mechanism(AbstractModel):
 
     def _remembered(self, now: Instant, p: Params) -> list[Number]:
         found: list[Number] = []
-        for c in self.contacts:
+        for c in (c for c in self.contacts if c.memory):
+            coefficients = c.coefficients(p)
             for (face, touch), own in zip(now.faces[c.name], now.memory[c.name], strict=True):
-                if c.remembers:
-                    width = c.coefficients(p).get("smoothing", 0.0)
-                    # Within the regularisation there is a force: that is no flight.
-                    learning = c.approach.learning(-face.depth, touch.rate, own[0], p)
-                    found.append(jnp.where(-face.depth > width, learning, 0.0))
-                if c.bristles:
-                    assert touch.bending is not None
-                    found += touch.bending
+                found += c.learning(face, touch, coefficients | dict(zip(c.memory, own, strict=True)), p)
         return found
 
     # What instruments read.
@@ -508,7 +501,10 @@ class Mechanism(AbstractModel):
         return next(i for i, (name, own, _) in enumerate(self._placed) if name == body.name and own == key)
 
     def flows(self, t: Array, y: Array, prepared: Params) -> Flows:
-        """Power of drives and loads, what friction and damping take, kinetic and elastic energy."""
+        """Power of drives and loads, what friction and damping take, kinetic and elastic energy.
+
+        What a law's states lose, by relaxation or plastic deformation, is damping, too.
+        """
         p = prepared
         now = self.instant(t, y, p)
         gathered = self.assembled(t, now, p)
@@ -535,15 +531,17 @@ class Mechanism(AbstractModel):
         damping: Number = jnp.zeros(())
         elastic: Number = jnp.zeros(())
         for c in self.contacts:
-            c_values = c.coefficients(p)
+            coefficients = c.coefficients(p)
+            width = coefficients.get("smoothing")
             for (face, touch), own in zip(now.faces[c.name], now.memory[c.name], strict=True):
-                c_values = c_values | {"approach_speed": own[0]} if c.remembers else c_values
+                values = coefficients | dict(zip(c.memory, own, strict=True))
+                changes = dict(zip(c.memory, c.learning(face, touch, values, p), strict=True))
                 friction = friction - jnp.sum(jnp.asarray(dot(touch.drag, touch.slide)))
-                still = regularised_force(
-                    c.law, face.depth, jnp.zeros_like(jnp.asarray(face.depth)), c_values, c_values.get("smoothing")
-                )
-                damping = damping + jnp.sum((touch.normal - face.gate * still) * touch.rate)
-                elastic = elastic + jnp.sum(face.gate * _stored(c, face.depth, c_values))
+                depth, rate = jnp.broadcast_arrays(jnp.asarray(face.depth), jnp.asarray(touch.rate))
+                still = regularised_force(c.law, depth, jnp.zeros_like(depth), values, width)
+                stored, lost = regularised_energy(c.law, depth, rate, values, changes, width)
+                damping = damping + jnp.sum((touch.normal - face.gate * still) * touch.rate + face.gate * lost)
+                elastic = elastic + jnp.sum(face.gate * stored)
         return Flows(
             given, {"friction": friction, "damping": damping}, {"kinetic": jnp.asarray(kinetic), "elastic": elastic}
         )
@@ -665,15 +663,3 @@ def _deepest(touching: list[tuple[Face, ContactForce]]) -> tuple[Number, Number,
     best = jnp.argmax(depths, axis=0, keepdims=True)
     depth, rate, slip = (jnp.take_along_axis(x, best, 0)[0] for x in (depths, rates, slips))
     return depth, rate, slip
-
-
-def _stored(c: Contact, depth: Number, c_values: Mapping[str, Array]) -> Array:
-    """Elastic energy of a face [J]: the integral of law(x, 0) from 0 to the smoothed penetration."""
-    from bcfj_jax.core.numerics import positive, smooth_ramp
-
-    width = c_values.get("smoothing")
-    reach = positive(jnp.asarray(depth)) if width is None else smooth_ramp(depth, width)[0]
-    x = reach[..., None] * _NODES**2
-    wide = {name: value[..., None] if getattr(value, "ndim", 0) else value for name, value in c_values.items()}
-    force = c.law.force(x, jnp.zeros_like(x), wide)
-    return jnp.sum(force * 2.0 * _NODES * _WEIGHTS, -1) * reach

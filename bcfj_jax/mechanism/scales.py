@@ -134,10 +134,7 @@ def expected_scale(scene: Mechanism, params: Params) -> Array:
         places += [found.depth / x for x in own[:plain]] + [found.depth / longest] * (len(b.coordinates) - plain)
     kept: list[Number] = []
     for c in scene.contacts:
-        values = c.coefficients(params)
-        for _ in range(c.faces):
-            kept += [found.speed] if c.remembers else []
-            kept += [values["friction_static"] / values["bristle_stiffness"]] * 3 if c.bristles else []
+        kept += c.sizes(found.speed, found.depth, _coefficients(c, found.speed, params)) * c.faces if c.memory else []
     members = [*(k for *_, k in scene._placed), *(k for *_, k in scene._free), *(k for _, k in scene._memory)]
     return flat([*places, *(speed / x for x in found.levers), *kept], members)
 
@@ -169,7 +166,8 @@ def _compliance(gathered: Equations, row: dict[int, Number], count: int) -> Numb
 
 
 def _coefficients(c: Contact, speed: Array, params: Params) -> dict[str, Array]:
-    values = c.coefficients(params)
+    """Its coefficients, of a contact that comes at a speed [m/s] and remembers no other."""
+    values = c.coefficients(params) | dict.fromkeys(c.law.states, jnp.zeros(()))
     return values | {"approach_speed": speed} if c.remembers else values
 
 

@@ -1,4 +1,4 @@
-"""Whether only an implicit solver takes long steps: strong damping by loads, friction that is stiff.
+"""Whether only an implicit solver takes long steps: strong damping by loads, friction or contact states that are stiff.
 
 An explicit method takes steps below 3/r, r the fastest relaxation of the mechanism, however slowly anything moves; springs
 of frequency w ask for steps below 1/w of every method. With T the length of the run, an implicit solver pays where
@@ -7,7 +7,8 @@ of frequency w ask for steps below 1/w of every method. With T the length of the
   -a +- i w), and r T > STEEP, r > w;
 - friction is stiff: N m(0) v resists a slip v, with the law's mobility m(0) [s/m] at rest. For a contact of the expected
   depth d and speed v_n (``mechanism.scales``) the normal force is about m v_n^2/d and the contact's frequency
-  w = v_n/d, so r = m(0) v_n w. Friction is stiff where r T > STEEP, and r > STIFF w or r T > LONG.
+  w = v_n/d, so r = m(0) v_n w. Friction is stiff where r T > STEEP, and r > STIFF w or r T > LONG;
+- a state of a normal-force law relaxes fast at the expected depth, by the same limits.
 
 A step of an implicit method costs several explicit ones, and in the mechanisms measured it takes no fewer
 (benchmarks/solve/friction.py): a contact slides or is apart most of the time, when friction relaxes more slowly. Therefore
@@ -25,6 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from bcfj_jax.contact.normal import AbstractLaw
 from bcfj_jax.core import host
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.mechanism.checks import asked
@@ -71,12 +73,12 @@ def implicit_by_default(scene: Mechanism) -> bool:
 
 
 def _known(scene: Mechanism) -> bool | None:
-    """What needs no numbers: bristles are stiff; without friction and dampers nothing is."""
+    """What needs no numbers: bristles are stiff; without friction, states of laws and dampers nothing is."""
     frictions = [c.friction for c in scene.contacts if c.friction is not None]
     if any(friction.bristles for friction in frictions):
         return True
     damps = bool(scene._free) and any(load.damps for load in scene.loads)
-    return None if frictions or damps else False
+    return None if frictions or damps or any(c.law.states for c in scene.contacts) else False
 
 
 def _slow(jacobian: np.ndarray, rate: np.ndarray, frequency: np.ndarray, end: float) -> bool:
@@ -92,7 +94,7 @@ def _slow(jacobian: np.ndarray, rate: np.ndarray, frequency: np.ndarray, end: fl
 
 
 def _rates(scene: Mechanism, params: Params) -> tuple[Array, Array, Array]:
-    """J (n, n) at the start, of loads that damp; the fastest relaxation by friction and its contact's frequency [1/s]."""
+    """J (n, n) at the start, of loads that damp; the fastest relaxation in contacts and a contact's frequency [1/s]."""
     t, y = jnp.zeros(()), scene.initial_state(params)
     jacobian = jnp.zeros((0, 0))
     if scene._free and any(load.damps for load in scene.loads):
@@ -100,9 +102,22 @@ def _rates(scene: Mechanism, params: Params) -> tuple[Array, Array, Array]:
         along = lambda way: jax.jvp(lambda y: scene.motion(t, y, params), (y,), (way,))[1]  # noqa: E731
         jacobian = jax.vmap(along, out_axes=1)(jnp.eye(y.size))
     frictions = [(c.friction, c.coefficients(params)) for c in scene.contacts if c.friction is not None]
-    if not frictions:
+    lasting = [c for c in scene.contacts if c.law.states]
+    if not (frictions or lasting):
         return jacobian, jnp.zeros(()), jnp.ones(())
     found = expected(scene, params)
-    steepest = jnp.max(jnp.stack([law.mobility(jnp.zeros(()), told) for law, told in frictions]))
     frequency = found.speed / found.depth
-    return jacobian, steepest * found.speed * frequency, frequency
+    rates = [law.mobility(jnp.zeros(()), told) * found.speed * frequency for law, told in frictions]
+    rates += [_relaxation(c.law, found.depth, c.coefficients(params)) for c in lasting]
+    return jacobian, jnp.max(jnp.stack(rates)), frequency
+
+
+def _relaxation(law: AbstractLaw, depth: Array, values: Params) -> Array:
+    """The fastest rate [1/s] at which a state of a law relaxes of itself, in a contact at rest that knows nothing yet."""
+    nothing = jnp.zeros_like(depth)
+    found = []
+    for k, name in enumerate(law.states):
+        fresh = {**values, **dict.fromkeys(law.states, nothing)}
+        rate = lambda x, k=k, name=name, fresh=fresh: law.rates(depth, nothing, {**fresh, name: x})[k]
+        found.append(-jax.jvp(rate, (nothing,), (jnp.ones_like(depth),))[1])
+    return jnp.max(jnp.stack(found))

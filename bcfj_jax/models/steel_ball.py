@@ -2,7 +2,8 @@
 
 E = 207 GPa and nu = 0.29 are the paper's; the ball's size is the group's published key size; mass and stiffness follow
 from them (physics sheet 1.4: ball on flat window 1.3476e10 N/m^1.5). The damping is a GUESS (restitution 0.9 at 1.5 m/s),
-as it is nowhere stated; so are the coefficients of friction's transition and of a stop behind a layer.
+as it is nowhere stated; so are the coefficients of friction's transition, of a stop behind a layer, of relaxation and of
+yielding.
 """
 
 from __future__ import annotations
@@ -26,6 +27,9 @@ STEEL_BALL: dict[str, float] = {
     "restitution": 0.9,
     "dashpot": 100.0,
     "damping_depth": 1e-4,
+    "relaxation": 0.1,
+    "relaxation_time": 1e-5,
+    "yield_penetration": 5e-6,
     "smoothing": 0.0,
     "mass": 0.016731,
     "friction_static": 0.12,

@@ -13,6 +13,7 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.contact.laws import AbstractFriction, AbstractLaw
+from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
 from bcfj_jax.mechanism.contacts import own_quantities
 from bcfj_jax.mechanism.model import AbstractModel, Params
@@ -36,6 +37,11 @@ class JointContact(eqx.Module):
     name: str = eqx.field(static=True)
     law: AbstractLaw
     friction: AbstractFriction | None
+
+    def __check_init__(self):
+        if self.law.states:
+            found = f"the law {type(self.law).__name__} has a state, which the joint's contacts do not keep"
+            raise InputError(f"scene 'joint' {self.name}", found, "give a law without a state, such as memory_free")
 
     @property
     def needs(self) -> tuple[str, ...]:
