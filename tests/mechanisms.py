@@ -31,8 +31,12 @@ _SIZES = {
 SHARED = {
     "stiffness": 1e4, "exponent": 1.5, "damping": 0.3, "restitution": 0.7, "dashpot": 5.0, "smoothing": 1e-3,
     "friction_static": 0.3, "friction_dynamic": 0.2, "friction_speed": 0.3, "bristle_stiffness": 300.0,
-    "bristle_damping": 1.0, "gravity": 9.81,
+    "bristle_damping": 1.0, "gravity": 9.81, "relaxation": 0.4, "relaxation_time": 0.1, "yield_penetration": 2e-3,
 }  # fmt: skip
+
+LAWS = (
+    "memory_free", "hertz", "kelvin_voigt", "elasto_gap", "exact", "standard_linear_solid", "walton_braun", "thornton",
+)  # fmt: skip
 
 
 def swing(t, p):
@@ -113,7 +117,7 @@ def contact(i: int, gap: str, bodies: list[Body], parts: Any, rng: np.random.Gen
         return None
     second = str(rng.choice(others))
     first = str(rng.choice([name for name in names if name != second]))
-    law = str(rng.choice(["memory_free", "hertz", "kelvin_voigt", "elasto_gap", "exact"]))
+    law = str(rng.choice(LAWS))
     friction = [None, "brown_mcphee", "coulomb", "step", "lugre"][rng.integers(5)]
     values = {name: _SIZES[name] for name in GAPS[gap].needs}
     ours = np.zeros(3) if second in round_ else 0.1 * rng.normal(size=3)

@@ -31,6 +31,9 @@ from bcfj_jax.core.numerics import positive, smooth_ramp, smooth_step
 NEAR = 1e-7
 # A surface that is pressed again yields from this fraction of its greatest penetration before that penetration.
 _RELOADED = 1e-3
+# The rate of a greatest penetration has a corner where it is reached: a step across it is as wrong in the derivatives as
+# the square root of its error. With this part of the size they are some 30 times better for half as many steps more.
+_CORNER = 1e-2
 # Gauss-Legendre on (0, 1) in s, x = r s^2: exact for d^1.5, and to rounding for every power n >= 1 or its root.
 _NODES, _WEIGHTS = (0.5 * (x + shift) for x, shift in zip(np.polynomial.legendre.leggauss(24), (1.0, 0.0), strict=True))
 
@@ -241,7 +244,8 @@ class StandardLinearSolid(AbstractLaw):
     The state is the relaxed force q [N],  q' = (f - q)/tau,  s = r (f - q): smooth at touch, no f' needed. The branch
     is free of load at each new touch. A body that is pressed at time 0 has been pressed there at once.
     Stored are Phi(d) and the branch's r int_p^d (f - q) dx, with Phi the integral of f, f(p) = q; the branch loses
-    r (f - q)(d - p)/tau >= 0. Where F = 0 the surface lags behind the body: d is then where the two parts cancel.
+    r (f - q)(d - p)/tau >= 0. Where F = 0 the surface lags behind the body: d is then where the two parts cancel. What
+    the branch holds when the body leaves is lost there.
     Coefficients: those of the elastic part, ``damping`` a [s/m], ``relaxation`` r [-] >= 0, ``relaxation_time`` tau [s].
     """
 
@@ -293,7 +297,8 @@ class AbstractPlastic(AbstractLaw):
     surfaces part. While they close u' = -d' until u is 0, where the surface yields again: it begins to yield when u is
     below 0.1 % of m, which makes m too great by at most 0.1 % where it is pressed again. The first loading is exact.
     The dent is not kept: after the surfaces part (d < 0) they meet elsewhere and the next contact starts afresh.
-    Quasi-static: F does not depend on the rate. The energy stored is h w Phi(m - u/w), with Phi the integral of f.
+    A first loading changes no state: where every body is driven, a solver with nothing else to follow may step across an
+    unloading. Quasi-static: F does not depend on the rate. The energy stored is h w Phi(m - u/w), with Phi the integral of f.
     """
 
     states: ClassVar[tuple[str, ...]] = ("unloaded",)
@@ -322,7 +327,7 @@ class AbstractPlastic(AbstractLaw):
 
     def sizes(self, penetration: Array, c: Coefficients) -> tuple[Array, ...]:
         _, width = self.unloading(penetration, c)
-        return (penetration * width,)
+        return (_CORNER * width * penetration,)
 
     def stored(self, penetration: Array, c: Coefficients) -> Array:
         height, width, equivalent = self._unloaded(penetration, c)
@@ -406,16 +411,17 @@ def regularised_rates(
     """Rates of a law's states, along the regularised penetration. Arguments as ``regularised_force``.
 
     Apart, beyond the regularisation, a state s is let go as the bodies part at the speed v, over the gap g:
-    s' = -4 v s/(g + l),  l = ``NEAR``. It falls as the fourth power of the gap, whatever the scale.
+    s' = -4 v s/(g + l),  l = ``NEAR``, which sets in over that gap (C1). s falls as the fourth power of the gap, whatever
+    the scale.
     """
     if not law.states:
         return ()
     width = jnp.zeros(()) if width is None else width
     ramp, slope = smooth_ramp(penetration, width)
-    gap = -penetration - width
-    loss = 4.0 * positive(-rate) / (positive(gap) + NEAR)
+    gap = positive(-penetration - width)
+    apart, loss = smooth_step(gap / NEAR), 4.0 * positive(-rate) / (gap + NEAR)
     found = zip(law.states, law.rates(ramp, slope * rate, c), strict=True)
-    return tuple(jnp.where(gap > 0, -loss * c[name], x) for name, x in found)
+    return tuple((1.0 - apart) * x - apart * loss * c[name] for name, x in found)
 
 
 def regularised_energy(

@@ -113,11 +113,8 @@ def _rates(scene: Mechanism, params: Params) -> tuple[Array, Array, Array]:
 
 
 def _relaxation(law: AbstractLaw, depth: Array, values: Params) -> Array:
-    """The fastest rate [1/s] at which a state of a law relaxes of itself, in a contact at rest that knows nothing yet."""
+    """Fastest rate [1/s] at which states of a law relax of themselves, in a contact at rest that remembers nothing."""
     nothing = jnp.zeros_like(depth)
-    found = []
-    for k, name in enumerate(law.states):
-        fresh = {**values, **dict.fromkeys(law.states, nothing)}
-        rate = lambda x, k=k, name=name, fresh=fresh: law.rates(depth, nothing, {**fresh, name: x})[k]
-        found.append(-jax.jvp(rate, (nothing,), (jnp.ones_like(depth),))[1])
-    return jnp.max(jnp.stack(found))
+    rates = lambda kept: law.rates(depth, nothing, {**values, **kept})  # noqa: E731
+    fresh, ones = (dict.fromkeys(law.states, x) for x in (nothing, jnp.ones_like(depth)))
+    return jnp.max(-jnp.stack(jax.jvp(rates, (fresh,), (ones,))[1]))
