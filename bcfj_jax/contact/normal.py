@@ -27,8 +27,8 @@ from bcfj_jax.contact.elastic import BACKING, AbstractElastic, Coefficients, Lin
 from bcfj_jax.contact.restitution import LOWEST_RESTITUTION
 from bcfj_jax.core.numerics import positive, smooth_ramp, smooth_step
 
-# Gap [m] beyond which a contact's memory is lost.
-NEAR = 1e-7
+# Gap [m] over which a contact forgets what it remembered while it touched.
+GAP = 1e-6
 # A surface that is pressed again yields from this fraction of its greatest penetration before that penetration.
 _RELOADED = 1e-3
 # The rate of a greatest penetration has a corner where it is reached: a step across it is as wrong in the derivatives as
@@ -411,7 +411,7 @@ def regularised_rates(
     """Rates of a law's states, along the regularised penetration. Arguments as ``regularised_force``.
 
     Apart, beyond the regularisation, a state s is let go as the bodies part at the speed v, over the gap g:
-    s' = -4 v s/(g + l),  l = ``NEAR``, which sets in over that gap (C1). s falls as the fourth power of the gap, whatever
+    s' = -4 v s/(g + l),  l = ``GAP``, which sets in over that gap (C1). s falls as the fourth power of the gap, whatever
     the scale.
     """
     if not law.states:
@@ -419,7 +419,7 @@ def regularised_rates(
     width = jnp.zeros(()) if width is None else width
     ramp, slope = smooth_ramp(penetration, width)
     gap = positive(-penetration - width)
-    apart, loss = smooth_step(gap / NEAR), 4.0 * positive(-rate) / (gap + NEAR)
+    apart, loss = smooth_step(gap / GAP), 4.0 * positive(-rate) / (gap + GAP)
     found = zip(law.states, law.rates(ramp, slope * rate, c), strict=True)
     return tuple((1.0 - apart) * x - apart * loss * c[name] for name, x in found)
 

@@ -23,12 +23,12 @@ from jax import Array
 
 from bcfj_jax.contact.friction import AbstractFriction
 from bcfj_jax.contact.gaps import Coefficients, Face
-from bcfj_jax.contact.normal import AbstractLaw, regularised_force
+from bcfj_jax.contact.normal import GAP, AbstractLaw, regularised_force
 from bcfj_jax.core.numerics import smooth_step
 from bcfj_jax.core.vectors import ZERO, Number, Vector, add, cross, dot, minus, negative, scale, subtract, times
 
-# A bristle that touches nothing springs back: over this gap [m], with this time constant [s].
-GAP, RELAX = 1e-6, 1e-5
+# A bristle that touches nothing springs back with this time constant [s].
+RELAX = 1e-5
 
 
 class ContactForce(NamedTuple):

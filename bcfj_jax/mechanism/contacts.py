@@ -19,7 +19,7 @@ from jax import Array
 from bcfj_jax.contact import laws
 from bcfj_jax.contact.friction import AbstractFriction
 from bcfj_jax.contact.gaps import AbstractGap, Face, Frame
-from bcfj_jax.contact.normal import NEAR, AbstractLaw, regularised_rates
+from bcfj_jax.contact.normal import AbstractLaw, regularised_rates
 from bcfj_jax.contact.wrench import ContactForce
 from bcfj_jax.core.errors import InputError, origin
 from bcfj_jax.core.numerics import positive
@@ -30,6 +30,8 @@ from bcfj_jax.mechanism.sizes import ORIGIN, Params, Place, Size
 
 # Least approach speed of a law stated by restitution [m/s]: a resting contact would be rigid.
 SLOWEST = 1e-3
+# Gap within which the approach speed is settled [m].
+_NEAR = 1e-7
 # What bristles remember.
 _BRISTLE = ("bristle_x", "bristle_y", "bristle_z")
 
@@ -58,7 +60,7 @@ class Approach(eqx.Module):
         """
         del p
         closing = positive(rate)
-        return 4.0 * closing * (jnp.maximum(closing, SLOWEST) - memory) / (positive(gap) + NEAR)
+        return 4.0 * closing * (jnp.maximum(closing, SLOWEST) - memory) / (positive(gap) + _NEAR)
 
 
 class Contact(eqx.Module):

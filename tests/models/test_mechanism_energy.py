@@ -174,6 +174,7 @@ def check_power(joints, touching, seed):
     powers = [float(x) for x in (*flows.given.values(), *flows.taken.values())]
     given_, taken = sum(map(float, flows.given.values())), sum(map(float, flows.taken.values()))
     assert float(gain) == pytest.approx(given_ - taken, abs=1e-9 * (1.0 + np.abs(powers).sum()))
-    assert float(flows.taken["damping"]) >= 0.0
+    # Plastic contacts unload without a loss, to rounding.
+    assert float(flows.taken["damping"]) >= -1e-12 * np.abs(powers).sum()
     if not any(c.bristles for c in scene.contacts):
         assert float(flows.taken["friction"]) >= 0.0
