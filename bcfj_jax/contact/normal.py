@@ -22,6 +22,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.typing import ArrayLike
 
 from bcfj_jax.contact.elastic import BACKING, AbstractElastic, Coefficients, Linear, Power, backing
 from bcfj_jax.contact.restitution import LOWEST_RESTITUTION
@@ -406,9 +407,9 @@ def regularised_force(law: AbstractLaw, penetration: Array, rate: Array, c: Coef
 
 
 def regularised_rates(
-    law: AbstractLaw, penetration: Array, rate: Array, c: Coefficients, width: Array | None
+    law: AbstractLaw, penetration: Array, rate: Array, c: Coefficients, width: ArrayLike
 ) -> tuple[Array, ...]:
-    """Rates of a law's states, along the regularised penetration. Arguments as ``regularised_force``.
+    """Rates of a law's states, along the regularised penetration. Arguments as ``regularised_force``; no width is 0.
 
     Apart, beyond the regularisation, a state s is let go as the bodies part at the speed v, over the gap g:
     s' = -4 v s/(g + l),  l = ``GAP``, which sets in over that gap (C1). s falls as the fourth power of the gap, whatever
@@ -416,7 +417,6 @@ def regularised_rates(
     """
     if not law.states:
         return ()
-    width = jnp.zeros(()) if width is None else width
     ramp, slope = smooth_ramp(penetration, width)
     gap = positive(-penetration - width)
     apart, loss = smooth_step(gap / GAP), 4.0 * positive(-rate) / (gap + GAP)

@@ -7,7 +7,7 @@ bristles their deflection (three numbers a face, world axes).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any
 
@@ -133,23 +133,29 @@ class Contact(eqx.Module):
         approach = [self.approach.first(-face.depth, touch.rate, p)] if self.remembers else []
         return [*approach, *(0.0 for _ in self.memory[len(approach) :])]
 
-    def learning(self, face: Face, touch: ContactForce, values: Mapping[str, Array], p: Params) -> list[Number]:
+    def recalled(self, own: Sequence[Number], p: Params) -> dict[str, Array]:
+        """Its coefficients and what a face remembers, by their own names."""
+        return self.coefficients(p) | dict(zip(self.memory, own, strict=True))
+
+    def learning(self, face: Face, touch: ContactForce, own: Sequence[Number], p: Params) -> list[Number]:
         """Rates of what a face remembers.
 
         Args:
             face, touch: where it touches, and with what force.
-            values: its coefficients and what it remembers, by name.
+            own: what the face remembers.
             p: the mechanism's parameters.
         """
-        found: list[Number] = []
+        bending = list(touch.bending or ())
+        if len(self.memory) == len(bending):
+            return bending
+        found, values = [], self.recalled(own, p)
+        width = values.get("smoothing", 0.0)
         if self.remembers:
             # Within the regularisation there is a force: that is no flight.
-            learning = self.approach.learning(-face.depth, touch.rate, values["approach_speed"], p)
-            found.append(jnp.where(-face.depth > values.get("smoothing", 0.0), learning, 0.0))
-        found += regularised_rates(
-            self.law, jnp.asarray(face.depth), jnp.asarray(touch.rate), values, values.get("smoothing")
-        )
-        return [*found, *(touch.bending or ())]
+            learning = self.approach.learning(-face.depth, touch.rate, own[0], p)
+            found.append(jnp.where(-face.depth > width, learning, 0.0))
+        depth, rate = jnp.asarray(face.depth), jnp.asarray(touch.rate)
+        return [*found, *regularised_rates(self.law, depth, rate, values, width), *bending]
 
     def sizes(self, speed: Array, depth: Array, values: Mapping[str, Array]) -> list[Number]:
         """What errors of its memory are measured in, at the speed [m/s] and penetration [m] that are to be expected."""

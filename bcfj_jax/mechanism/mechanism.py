@@ -407,10 +407,9 @@ class Mechanism(AbstractModel):
 
     def _remembered(self, now: Instant, p: Params) -> list[Number]:
         found: list[Number] = []
-        for c in (c for c in self.contacts if c.memory):
-            coefficients = c.coefficients(p)
+        for c in self.contacts:
             for (face, touch), own in zip(now.faces[c.name], now.memory[c.name], strict=True):
-                found += c.learning(face, touch, coefficients | dict(zip(c.memory, own, strict=True)), p)
+                found += c.learning(face, touch, own, p)
         return found
 
     # What instruments read.
@@ -531,11 +530,10 @@ class Mechanism(AbstractModel):
         damping: Number = jnp.zeros(())
         elastic: Number = jnp.zeros(())
         for c in self.contacts:
-            coefficients = c.coefficients(p)
-            width = coefficients.get("smoothing")
             for (face, touch), own in zip(now.faces[c.name], now.memory[c.name], strict=True):
-                values = coefficients | dict(zip(c.memory, own, strict=True))
-                changes = dict(zip(c.memory, c.learning(face, touch, values, p), strict=True))
+                values = c.recalled(own, p)
+                width = values.get("smoothing")
+                changes = dict(zip(c.memory, c.learning(face, touch, own, p), strict=True))
                 friction = friction - jnp.sum(jnp.asarray(dot(touch.drag, touch.slide)))
                 depth, rate = jnp.broadcast_arrays(jnp.asarray(face.depth), jnp.asarray(touch.rate))
                 still = regularised_force(c.law, depth, jnp.zeros_like(depth), values, width)

@@ -25,7 +25,7 @@ _SPEED = (Quantity("follower_speed", "m/s", "speed of the follower at time 0"), 
 _STOP = {
     **STEEL_BALL, "mass": 1.0, "stiffness": 10.0, "exponent": 1.0, "dashpot": 1.5, "clearance_stop": 0.5,
     "reference_force": 10.0, "reference_penetration": 1.0, "bottoming_stiffness": 1e3, "bottoming_penetration": 0.2,
-    "bottoming_width": 0.02,
+    "bottoming_width": 0.02, "relaxation_time": 0.1, "yield_penetration": 0.2,
 }  # fmt: skip
 
 

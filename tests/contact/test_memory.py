@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +16,8 @@ from scipy.linalg import expm
 import bcfj_jax as bj
 from bcfj_jax import Body, Contact, Drive, InputError, Mechanism, gaps, laws, loads, scenes
 from bcfj_jax.analysis.energy_balance import balance
+from calibration import fit
+from calibration.problemfile import load
 
 MASS, SPEED = 0.0167, 1.5
 HERTZ = {"stiffness": 1.3e10, "exponent": 1.5, "mass": MASS, "approach_speed": SPEED, "smoothing": 0.0}
@@ -163,7 +166,9 @@ def test_a_linear_solid_relaxes_and_strikes_as_its_closed_forms():
     assert np.abs(found - expected).max() < 3e-6 * expected.max()
 
 
-@pytest.mark.parametrize(("elastic", "e"), [("linear", 0.6), ("linear", 0.2), ("power", 0.6)])
+@pytest.mark.parametrize(
+    ("elastic", "e"), [("linear", 0.6), ("linear", 0.2), pytest.param("power", 0.6, marks=pytest.mark.full)]
+)
 def test_walton_braun_delivers_its_restitution_at_every_speed(elastic, e):
     values = (LINEAR if elastic == "linear" else HERTZ) | {"restitution": e}
     for speed in (0.01, 1.0, 30.0):
@@ -194,6 +199,7 @@ def test_thornton_delivers_its_closed_form():
         assert force[-1] == 0.0 and rebound(force, times, values) == pytest.approx(e, abs=1e-4), x
 
 
+@pytest.mark.full
 def test_regularisation_changes_nothing_of_the_restitution():
     times = np.linspace(0.0, 9e-5, 4001)
     for law, values in (("walton_braun", LINEAR | {"restitution": 0.6}), ("thornton", REFERENCES["thornton"][1])):
@@ -213,6 +219,7 @@ def pressed_twice(t, p):
     return 1e-6 * jnp.interp(1e3 * t, jnp.array(knots), jnp.array([-5.0, 20.0, 15.0, 30.0, -10.0, 10.0]))
 
 
+@pytest.mark.full
 def test_a_surface_reloads_along_its_unloading_line_and_forgets_apart():
     c = {"stiffness": 4e7, "restitution": 0.6, "smoothing": 0.0}
     contact = Contact("pad", ("ground", "die"), gaps.PointOnPlane("-x"), "walton_braun")
@@ -235,7 +242,6 @@ def test_a_surface_reloads_along_its_unloading_line_and_forgets_apart():
     assert np.abs(found - expected)[again].max() < 2e-3 * expected.max()
 
 
-@pytest.mark.full
 def test_every_bounce_has_the_restitution():
     scene = scenes.bounce("walton_braun")
     params = scene.parameters(restitution=0.8, drop_height=0.02, smoothing=0.0)
@@ -254,6 +260,7 @@ def test_every_bounce_has_the_restitution():
 # --- derivatives
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("law", "names"),
     [
@@ -288,7 +295,7 @@ def test_derivatives_are_those_of_an_accurate_solver(law, names):
 # --- energy
 
 
-@pytest.mark.parametrize("law", MEMORY)
+@pytest.mark.parametrize("law", [MEMORY[0], *(pytest.param(law, marks=pytest.mark.full) for law in MEMORY[1:])])
 def test_energy_is_balanced_and_never_won(law):
     reference, values, end = REFERENCES[law]
     scene, times = scenes.impact(law, smoothing=False), np.linspace(0.0, end, 401)
@@ -338,6 +345,7 @@ def test_fast_relaxation_asks_for_an_implicit_solver():
     assert not scenes.bounce("walton_braun").traits.stiff
 
 
+@pytest.mark.full
 def test_a_batch_is_its_runs():
     scene, times = scenes.impact("thornton"), np.linspace(0.0, 9e-5, 201)
     params = scene.parameters()
@@ -348,3 +356,41 @@ def test_a_batch_is_its_runs():
         assert np.allclose(row, single, atol=1e-9 * np.max(single))
     with pytest.raises(InputError, match="yield_penetration"):
         scene.parameters(yield_penetration=0.0)
+
+
+CASES = {
+    "standard_linear_solid": ("relaxation", "relaxation_time", "stiffness"),
+    "walton_braun": ("restitution", "stiffness"),
+    "thornton": ("yield_penetration", "stiffness"),
+}
+
+
+@pytest.mark.parametrize(
+    "law", [pytest.param(x, marks=pytest.mark.full if x == "thornton" else pytest.mark.slow) for x in CASES]
+)
+def test_a_record_identifies_its_coefficients(law, tmp_path, monkeypatch):
+    """SciPy's record with 0.5 % of noise in; the law's own coefficients out, by files."""
+    monkeypatch.chdir(tmp_path)
+    reference, values, end = REFERENCES[law]
+    known = {name: x for name, x in values.items() if name not in CASES[law]}
+    Path("s.toml").write_text(
+        f'[scene]\nkind = "impact"\nlaw = "{law}"\n[parameters]\n'
+        + "".join(f"{name} = {x!r}\n" for name, x in known.items())
+        + f"[time]\nend = {end}\nsamples = 201\n"
+    )
+    times = np.linspace(0.0, end, 201)
+    force = reference(values, times)[0]
+    force += 5e-3 * force.max() * np.random.default_rng(1).normal(size=force.size)
+    rows = (f"{t!r},{x!r}" for t, x in zip(times.tolist(), force.tolist(), strict=True))
+    Path("d.csv").write_text("\n".join(["time [s],force [N]", *rows]))
+    upper = {name: 1.0 if name == "restitution" else 10.0 * values[name] for name in CASES[law]}
+    Path("p.toml").write_text(
+        'scene = "s.toml"\n[[experiment]]\nfile = "d.csv"\ntime = "time [s]"\n'
+        'observe = { "contact.normal" = "force [N]" }\nnoise = "0.5 %"\n'
+        + "".join(f"[free.{name}]\nlower = {values[name] / 10}\nupper = {upper[name]}\n" for name in CASES[law])
+    )
+    found = fit(load("p.toml"), starts=6)
+    assert found.verdict == "identified", found.reasons
+    for name in CASES[law]:
+        low, high = found.parameters[name].ci95
+        assert low - (high - low) < values[name] < high + (high - low) and high - low < 0.3 * values[name], name
