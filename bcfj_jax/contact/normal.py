@@ -263,14 +263,16 @@ class StandardLinearSolid(AbstractLaw):
         return positive(spring * positive(1.0 + c["damping"] * rate) + branch)
 
     def rates(self, penetration: Array, rate: Array, c: Coefficients) -> tuple[Array, ...]:
+        """The relaxed force follows the elastic one: q' = (f - q)/tau."""
         del rate
         return ((self.elastic.force(penetration, c) - c["relaxed_force"]) / c["relaxation_time"],)
 
     def sizes(self, penetration: Array, c: Coefficients) -> tuple[Array, ...]:
+        """The elastic force; of a branch stiffer than it, the part that has the branch's force as large."""
         return (self.elastic.force(penetration, c) / jnp.maximum(c["relaxation"], 1.0),)
 
     def stored(self, penetration: Array, c: Coefficients) -> Array:
-        # Both penetrations minimise or maximise the energy: their derivatives do not count.
+        """Both springs' energy. The surface's and the branch's penetrations are stationary points of it, hence constants."""
         r, q = c["relaxation"], positive(c["relaxed_force"])
         surface = jnp.maximum(penetration, self._penetration(r * q / (1.0 + r), c))
         relaxed = self._penetration(q, c)
@@ -322,15 +324,18 @@ class AbstractPlastic(AbstractLaw):
         return height * self.elastic.force(equivalent, c)
 
     def rates(self, penetration: Array, rate: Array, c: Coefficients) -> tuple[Array, ...]:
+        """The distance grows as the surfaces part, and falls to 0 as they close."""
         unloaded = c["unloaded"]
         deepest = jnp.maximum(penetration + unloaded, 1e-30)
         return (-rate * jnp.where(rate < 0, 1.0, smooth_step(unloaded / (_RELOADED * deepest))),)
 
     def sizes(self, penetration: Array, c: Coefficients) -> tuple[Array, ...]:
+        """A part of the unloading curve's width."""
         _, width = self.unloading(penetration, c)
         return (_CORNER * width * penetration,)
 
     def stored(self, penetration: Array, c: Coefficients) -> Array:
+        """Work of the unloading: h w Phi(m - u/w)."""
         height, width, equivalent = self._unloaded(penetration, c)
         return height * width * _work(self.elastic.force, equivalent, c)
 
@@ -354,6 +359,7 @@ class WaltonBraun(AbstractPlastic):
         return (*self.elastic.needs, "restitution")
 
     def unloading(self, deepest: Array, c: Coefficients) -> tuple[Array, Array]:
+        """1 and e^2."""
         del deepest
         return jnp.ones(()), jnp.maximum(c["restitution"], LOWEST_RESTITUTION) ** 2
 
@@ -378,6 +384,7 @@ class Thornton(AbstractPlastic):
         return (*self.elastic.needs, "yield_penetration")
 
     def unloading(self, deepest: Array, c: Coefficients) -> tuple[Array, Array]:
+        """b and b, the plastic force over the elastic one."""
         first = c["yield_penetration"]
         force, slope = jax.jvp(lambda d: self.elastic.force(d, c), (first,), (jnp.ones_like(first),))
         beyond = jnp.maximum(deepest, first)

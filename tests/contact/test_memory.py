@@ -116,7 +116,7 @@ REFERENCES = {
 # --- forces and restitution
 
 
-@pytest.mark.parametrize("law", MEMORY)
+@pytest.mark.parametrize("law", [*MEMORY[:2], pytest.param(MEMORY[2], marks=pytest.mark.full)])
 def test_forces_are_those_of_scipy(law):
     reference, values, end = REFERENCES[law]
     times = np.linspace(0.0, end, 401)
@@ -295,7 +295,8 @@ def test_derivatives_are_those_of_an_accurate_solver(law, names):
 # --- energy
 
 
-@pytest.mark.parametrize("law", [MEMORY[0], *(pytest.param(law, marks=pytest.mark.full) for law in MEMORY[1:])])
+@pytest.mark.full
+@pytest.mark.parametrize("law", MEMORY)
 def test_energy_is_balanced_and_never_won(law):
     reference, values, end = REFERENCES[law]
     scene, times = scenes.impact(law, smoothing=False), np.linspace(0.0, end, 401)
