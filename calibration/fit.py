@@ -363,7 +363,8 @@ def _systematic(
     if spread.covariance is None or not model.channels:
         return None
     deepest, peak = (max((getattr(c, key) for c in seen), default=0.0) for key in ("deepest", "peak"))
-    law = law_errors.signatures(model, best.point, log_depth, deepest, peak)
+    longest = max((float(c.durations.max(initial=0.0)) for c in seen), default=0.0)
+    law = law_errors.signatures(model, best.point, log_depth, deepest, peak, longest)
     names = dict.fromkeys((*problem.tolerances, *(name for e in fitted for name in e.tolerances)))
     common = problem.tolerances
     tolerances = {
@@ -380,7 +381,7 @@ def _systematic(
     if model.referenced:
         slopes = np.vstack([slopes, np.diag(model.box(log_depth)[1])[model.pair()[0]]])
         labels, sizes = (*labels, REFERENCE), [*sizes, 1.0]
-    return systematic.budget_of(model, labels, best, spread, errors, slopes, np.array(sizes), frozenset(law))
+    return systematic.budget_of(model, labels, best, spread, errors, slopes, np.array(sizes), list(law.values()))
 
 
 def _turns(records: list[Record], seen: list[Contact]) -> bool:

@@ -20,11 +20,8 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from bcfj_jax.contact.elastic import BACKING
 from bcfj_jax.contact.gaps import Face, Frame
-from bcfj_jax.contact.elastic import BACKING
-from bcfj_jax.contact.gaps import Face, Frame
-from bcfj_jax.contact.normal import Backed, regularised_energy, regularised_force
+from bcfj_jax.contact.normal import IMPERFECT, Imperfect, regularised_energy, regularised_force
 from bcfj_jax.contact.wrench import ContactForce, press
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
@@ -204,11 +201,11 @@ class Mechanism(AbstractModel):
         values = {**found, **given}
         return tuple((name, values[name]) for name in known if name in values)
 
-    def backed(self) -> Mechanism | None:
+    def imperfect(self) -> Mechanism | None:
         """As ``AbstractModel``: None without contacts, and where a law reads those coefficients already."""
-        if not self.contacts or any(set(BACKING) & set(c.law.needs) for c in self.contacts):
+        if not self.contacts or any(set(IMPERFECT) & set(c.law.needs) for c in self.contacts):
             return None
-        return replace(self, contacts=tuple(replace(c, law=Backed(c.law)) for c in self.contacts))
+        return replace(self, contacts=tuple(replace(c, law=Imperfect(c.law)) for c in self.contacts))
 
     def horizon(self, params: Params) -> Array:
         """``end``."""

@@ -341,8 +341,8 @@ class AbstractModel(eqx.Module):
         del params, end, solver
         return self
 
-    def backed(self) -> AbstractModel | None:
-        """This model with an elastic stop behind each contact (``bottoming_*``); None where it cannot be or is there."""
+    def imperfect(self) -> AbstractModel | None:
+        """This model with the small errors of ``contact.normal.Imperfect`` in each contact; None where they cannot be."""
         return None
 
     def choice_options(self) -> dict[str, Any]:

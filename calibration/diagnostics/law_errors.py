@@ -1,7 +1,7 @@
-"""Errors of the contact law that no residual may show, as what they change of the readings: a second contact behind each.
+"""Errors of the contact law that no residual may show, as what they change of the readings.
 
-An elastic stop behind a share of the greatest depth adds a force to the law (``contact.normal.Backed``), and the motion
-follows: the change is that of a run with a little of it.
+A second contact behind a share of the greatest depth, and a force that relaxes (``contact.normal.Imperfect``). The motion
+follows them: the change is that of a run with a little of each.
 """
 
 from __future__ import annotations
@@ -14,56 +14,68 @@ import equinox as eqx
 import numpy as np
 from jax import Array
 
+from bcfj_jax.contact.normal import IMPERFECT
 from bcfj_jax.core.programs import program
 from calibration.forward.model import Model, divided, whole
 from calibration.solver_budget import budget
 
 # Depths of the stop as shares of the greatest, half-width of its corner as a share of its depth.
 _DEPTHS, _WIDTH = (0.3, 0.7), 0.05
-# The stop's force at the greatest depth, of the peak: the step of the difference.
+# Times of relaxation as shares of a contact.
+_TIMES = (0.1, 0.5)
+# The step of the difference, of the peak.
 _STEP = 1e-3
-_NAMES = ("bottoming_stiffness", "bottoming_penetration", "bottoming_width")
 
 
-def signatures(model: Model, point: np.ndarray, log_depth: float, deepest: float, peak: float) -> dict[str, np.ndarray]:
-    """Changes of the residuals (N,) by name, a unit being a stop that adds the peak force at the greatest depth.
+def signatures(
+    model: Model, point: np.ndarray, log_depth: float, deepest: float, peak: float, duration: float
+) -> dict[str, dict[str, np.ndarray]]:
+    """Changes of the residuals (N,) by kind of error and name, a unit being one as large as the peak force.
 
-    None for a rough cost, and where the model has no contact or has such a stop already.
+    None for a rough cost, and where the model has no contact or has such an error already. Of each kind there is one at
+    most in a contact.
 
     Args:
         model, point, log_depth: of the optimum.
         deepest: greatest depth of its contacts [m].
         peak: greatest contact force [N].
+        duration: of its longest contact [s].
     """
-    backed = with_stop(model)
-    if backed is None or not (deepest > 0.0 and peak > 0.0):
+    wrong = with_errors(model)
+    if wrong is None or not (deepest > 0.0 and peak > 0.0 and 0.0 < duration < np.inf):
         return {}
-    plain, found = _residuals(_set(backed, 0.0, deepest), point, log_depth), {}
+
+    def seen(
+        stiffness: float = 0.0, place: float = deepest, relaxing: float = 0.0, time: float = duration
+    ) -> np.ndarray:
+        return _residuals(_set(wrong, (stiffness, place, _WIDTH * place, relaxing, time)), point, log_depth)
+
+    plain, stops, relaxations = seen(), {}, {}
     for share in _DEPTHS:
         place = share * deepest
-        stiffness = _STEP * peak / (deepest - place)
-        seen = _residuals(_set(backed, stiffness, place), point, log_depth)
-        if np.isfinite(seen).all() and np.isfinite(plain).all():
-            found[f"second contact behind {share:.0%} of the depth"] = (seen - plain) / _STEP
-    return found
+        stops[f"second contact behind {share:.0%} of the depth"] = seen(_STEP * peak / (deepest - place), place)
+    for share in _TIMES:
+        relaxations[f"relaxation within {share:.0%} of a contact"] = seen(relaxing=_STEP, time=share * duration)
+    kinds = {"second contact": stops, "relaxation": relaxations}
+    changes = {kind: {name: (r - plain) / _STEP for name, r in found.items()} for kind, found in kinds.items()}
+    return {kind: {n: x for n, x in found.items() if np.isfinite(x).all()} for kind, found in changes.items()}
 
 
-def with_stop(model: Model) -> Model | None:
-    """The model with a stop behind each contact; None where there is none to be."""
-    scene = None if budget(model.scene).rough else model.scene.backed()
-    return None if scene is None else _set(replace(model, scene=scene), 0.0, 1.0)
+def with_errors(model: Model) -> Model | None:
+    """The model with both errors in each contact, none of any size; None where there are none to be."""
+    scene = None if budget(model.scene).rough else model.scene.imperfect()
+    return None if scene is None else _set(replace(model, scene=scene), (0.0, 1.0, 0.05, 0.0, 1.0))
 
 
 def get_ready(model: Model) -> None:
     """Compile what ``signatures`` needs."""
-    if (backed := with_stop(model)) is not None:
-        _program(backed, np.zeros(len(model.coordinates)), 0.0)
+    if (wrong := with_errors(model)) is not None:
+        _program(wrong, np.zeros(len(model.coordinates)), 0.0)
 
 
-def _set(model: Model, stiffness: float, depth: float) -> Model:
+def _set(model: Model, values: tuple[float, ...]) -> Model:
     count = len(model.data.times)
-    values = (stiffness, depth, _WIDTH * depth)
-    more = {name: np.full(count, value) for name, value in zip(_NAMES, values, strict=True)}
+    more = {name: np.full(count, value) for name, value in zip(IMPERFECT, values, strict=True)}
     return eqx.tree_at(lambda m: m.data.fixed, model, {**model.data.fixed, **more})
 
 

@@ -13,6 +13,8 @@ v the variance that residuals have. So errors that hide each other in the residu
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -98,7 +100,7 @@ class Error(NamedTuple):
 
 def budget_of(
     model: Model, names: tuple[str, ...], best: End, spread: Spread, errors: list[Error], slopes: np.ndarray,
-    sizes: np.ndarray, alone: frozenset[str] = frozenset(),
+    sizes: np.ndarray, alone: Sequence[Collection[str]] = (),
 ) -> Budget:  # fmt: skip
     """Every line, and all together.
 
@@ -106,7 +108,7 @@ def budget_of(
         model, best, spread: of the optimum, whose covariance is known.
         names, slopes, sizes: (K,) of what moves, (K, P) how it moves with the unit box, and what a move is a share of.
         errors: that may be.
-        alone: names of errors of which there is one at most; each estimate's is the one that moves it most.
+        alone: groups of names of which there is one error at most; for each estimate those that move it most.
     """
     psi, bend = influence(model.loss, best.residuals)
     # Least squares over these rows is a step of the robust loss.
@@ -127,8 +129,10 @@ def budget_of(
             lines[error.name] = Line(error.name, amplitude, error.unit, dict(zip(names, moves.tolist(), strict=True)))
             columns[error.name] = signature * (error.most / _QUANTILE)
     shifts, deviations = np.zeros(len(names)), np.zeros(len(names))
-    common = [name for name in lines if name not in alone]
-    for chosen in [[*common, name] for name in lines if name in alone] or [common]:
+    common = [name for name in lines if not any(name in group for group in alone)]
+    groups = [own for group in alone if (own := [name for name in lines if name in group])]
+    for one_of_each in itertools.product(*groups):
+        chosen = [*common, *one_of_each]
         if not chosen:
             continue
         signatures = np.stack([columns[name] for name in chosen], axis=1)
@@ -191,9 +195,10 @@ def of_fixed(
     return found
 
 
-def of_law(signatures: dict[str, np.ndarray]) -> list[Error]:
+def of_law(signatures: dict[str, dict[str, np.ndarray]]) -> list[Error]:
     """Errors of the contact law (``law_errors.signatures``)."""
-    return [Error(name, "of the peak", _LAW, signature) for name, signature in signatures.items()]
+    every = [item for found in signatures.values() for item in found.items()]
+    return [Error(name, "of the peak", _LAW, signature) for name, signature in every]
 
 
 def _signatures(model: Model, readings: np.ndarray, series: list[Series]) -> dict[str, np.ndarray]:
