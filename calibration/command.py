@@ -390,6 +390,7 @@ def _resolved(path: Path, base: scenefile.SceneFile, problem: Problem, seed: int
                 "hold_out": e.hold_out,
                 "samples": int(e.times.size),
                 "parameters": e.fixed,
+                "bounds": {name: list(own) for name, own in e.bounds.items()},
                 "noise": {c.observes: "estimate" if c.sigma is None else c.sigma for c in e.channels},
             }
             for e in problem.experiments

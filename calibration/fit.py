@@ -151,9 +151,10 @@ def fit(
 
 def _given_start(problem: Problem, model: Model) -> np.ndarray:
     by_name = {f.name: f for f in problem.free}
-    middle = {f.name: np.sqrt(f.lower * f.upper) if f.log else 0.5 * (f.lower + f.upper) for f in problem.free}
+    middle = [np.exp(0.5 * (s.lower + s.upper)) if s.log else 0.5 * (s.lower + s.upper) for s in model.coordinates]
+    middle = [np.sqrt(s.lower * s.upper) if s.decades else m for s, m in zip(model.coordinates, middle, strict=True)]
     chosen = [by_name[s.name].start for s in model.coordinates]
-    return np.array([middle[s.name] if c is None else c for s, c in zip(model.coordinates, chosen, strict=True)])
+    return np.array([m if c is None else c for m, c in zip(middle, chosen, strict=True)])
 
 
 def _checked(

@@ -22,11 +22,18 @@ from calibration.solver_budget import budget
 NUISANCES = {
     "time_offset": Quantity("time_offset", "s", "clock of the record ahead of the model's"),
     "force_offset": Quantity("force_offset", "N", "reading where there is nothing to read, in the channels' unit"),
+    "position_offset": Quantity("position_offset", "m", "reading of a position where the model's is 0"),
+    "velocity_offset": Quantity("velocity_offset", "m/s", "reading of a velocity at rest"),
+    "acceleration_offset": Quantity("acceleration_offset", "m/s^2", "reading of an acceleration where there is none"),
     "gain": Quantity("gain", "1", "reading per what is there", low=0.0, open_low=True),
     "bandwidth": Quantity(
         "bandwidth", "Hz", "frequency at which a first-order sensor passes 1/sqrt(2)", 0.0, 1e12, True
     ),
 }
+# Offsets of channels by their unit.
+OFFSETS = {
+    q.unit: name for name, q in NUISANCES.items() if name.endswith("_offset") and name != "time_offset"
+}  # fmt: skip
 LOSSES = ("linear", "soft_l1", "cauchy")
 
 
@@ -36,6 +43,22 @@ def units_of(observed: Iterable[str]) -> dict[str, list[str]]:
     for name in observed:
         found.setdefault(unit_of(name), []).append(name)
     return found
+
+
+def offsets_of(observes: str, among: Iterable[str]) -> tuple[str, ...]:
+    """Names of the offsets that act on a channel: its unit's, and force_offset where all channels share one unit."""
+    own = OFFSETS.get(unit_of(observes), "")
+    names = (own, "force_offset" if len(units_of(among)) == 1 else "")
+    return tuple(dict.fromkeys(name for name in names if name))
+
+
+def size(observes: str, values: np.ndarray) -> float:
+    """What a share of a channel is a share of: its largest reading; of a position, whose zero is anywhere, its range."""
+    what = observes.partition(" in ")[0].split(".")[1:2]
+    seen = values[np.isfinite(values)]
+    if not seen.size:
+        return 0.0
+    return float(np.ptp(seen)) if what in (["place"], ["angle"]) and np.ptp(seen) > 0 else float(np.max(np.abs(seen)))
 
 
 def nuisances(observed: Iterable[str]) -> dict[str, Quantity]:
@@ -72,7 +95,7 @@ class Channel:
     def deviation(self, readings: np.ndarray) -> np.ndarray:
         """Standard deviation, SI, of the noise at readings; where it is to be estimated, 1 % of the largest value."""
         if self.sigma is None:
-            return np.full(readings.shape, 0.01 * np.nanmax(np.abs(self.values)))
+            return np.full(readings.shape, 0.01 * size(self.observes, self.values))
         # The least that was read bounds it where the model reads 0.
         least = self.relative * np.nanmin(np.abs(self.values))
         return np.hypot(self.sigma, np.maximum(self.relative * np.abs(readings), least))
@@ -91,8 +114,9 @@ class Observation:
 class Experiment:
     """One record: times (T,) [s], increasing, and what the channels saw; or features of one, or both.
 
-    ``fixed`` overrides scene parameters and nuisances; ``tolerances`` (SI) say how well they are known. Features are
-    those of the model's force from 0 to ``span`` [s]; without one, to the end of the record.
+    ``fixed`` overrides scene parameters and nuisances; ``tolerances`` (SI) say how well they are known. ``bounds`` are its
+    own of parameters that every experiment has its own of, in place of ``Free``'s. Features are those of the model's force
+    from 0 to ``span`` [s]; without one, to the end of the record.
     """
 
     name: str
@@ -104,6 +128,7 @@ class Experiment:
     features: tuple[Observation, ...] = ()
     span: float | None = None
     tolerances: dict[str, float] = field(default_factory=dict)
+    bounds: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def samples(self) -> int:
@@ -217,14 +242,32 @@ class Problem:
                     found = f"the noise of {c.observes} is 'estimate' in {e.name}, and no fitted record determines it"
                     raise InputError(self.where, found, "state its noise")
         units = list(units_of(self.observed))
-        if len(units) > 1 and "force_offset" in {f.name for f in self.free}.union(*(e.fixed for e in self.experiments)):
+        offset = "force_offset" in {f.name for f in self.free}.union(*(e.fixed for e in self.experiments))
+        if len(units) > 1 and "N" not in units and offset:
             found = f"one force_offset for channels in {' and '.join(units)}"
-            raise InputError(self.where, found, "take it out, or fit the channels apart")
+            right = " or ".join(OFFSETS[u] for u in units if u in OFFSETS) or "take it out, or fit the channels apart"
+            raise InputError(self.where, found, right)
         for e in self.experiments:
+            for name in e.bounds:
+                self._check_bounds(e, name)
             for f in self.free:
                 if f.name in e.fixed:
                     found = f"'{f.name}' is free, and known to be {e.fixed[f.name]:g} in {e.name}"
                     raise InputError(self.where, found, "take one of them out")
+
+    def _check_bounds(self, e: Experiment, name: str) -> None:
+        free, where = {f.name: f for f in self.free}.get(name), f"{self.where}: bounds of {name} in {e.name}"
+        if free is None or not free.per_experiment:
+            each = [f.name for f in self.free if f.per_experiment]
+            remedy = f"a record has its own of: {', '.join(each)}" if each else "no parameter here is a record's own"
+            raise InputError(where, f"'{name}' is not free with a value of its own for each record", remedy)
+        lower, upper = e.bounds[name]
+        check_value(where, self.quantities[name], lower)
+        check_value(where, self.quantities[name], upper)
+        if not lower < upper:
+            raise InputError(where, f"{lower:g} is not below {upper:g}", "swap the bounds")
+        if free.log and lower <= 0:
+            raise InputError(where, f"scale = log with a lower bound of {lower:g}", "use positive bounds")
 
     @property
     def observed(self) -> tuple[str, ...]:

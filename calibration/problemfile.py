@@ -11,13 +11,18 @@ scene = "impact.toml"            a scene file (relative to this one) or a built-
                                  those times (after aligning)
 loss = "linear"                  what a residual costs, as in ``Problem``
 accuracy = 1e-6                  error of the simulated forces as a share of their peak, likewise
-[free.NAME]                      lower, upper, start, scale; each = true gives every experiment its own
+sensor = "free"                  time_offset and the zero of each unit are free within bounds that each record gives
+                                 (``data.sensor``), unless the file says what they are; "exact" holds them at 0
+[free.NAME]                      lower, upper, start, scale; each = true gives every experiment its own. Without
+                                 bounds a nuisance has those that each record gives. bounds = { NAME = [from, to] } in
+                                 [[experiment]]: of these records alone
 [[model]], [[candidate]]         other models of the same data, experiments that might be made: ``alternatives``
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -27,14 +32,15 @@ import pydantic
 from bcfj_jax import InputError, nearest
 from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.io import scenefile, tables
-from bcfj_jax.io.units import quantity, toleranced
+from bcfj_jax.io.units import format_si, quantity, toleranced
 from bcfj_jax.mechanism.channels import channel, unit_of
 from bcfj_jax.models import scenes
-from calibration.data import stated
+from calibration.data import sensor, stated
 from calibration.data.preparation import Prepared, Recipe, prepare
 from calibration.data.readers import read
+from calibration.data.sensor import Sensor
 from calibration.data.table import split
-from calibration.problem import ADEQUATE, Channel, Experiment, Free, Problem, nuisances, units_of
+from calibration.problem import ADEQUATE, NUISANCES, Channel, Experiment, Free, Problem, nuisances, units_of
 
 
 class _Experiment(tables.Table):
@@ -55,13 +61,14 @@ class _Experiment(tables.Table):
     window: list[Any] | None = None
     resample: Any = None
     saturation: Any = None
+    bounds: dict[str, list[Any]] = {}
 
 
 class FreeTable(tables.Table):
-    """[free.NAME]: bounds as numbers or texts with a unit."""
+    """[free.NAME]: bounds as numbers or texts with a unit; of a nuisance none, where records are to give them."""
 
-    lower: Any
-    upper: Any
+    lower: Any = None
+    upper: Any = None
     start: Any = None
     scale: Literal["log", "linear"] | None = None
     each: bool = False
@@ -74,6 +81,7 @@ class _File(tables.Table):
     loss: str = "linear"
     accuracy: float | None = pydantic.Field(None, ge=1e-9, le=0.5)
     adequate: Any = None
+    sensor: Literal["free", "exact"] = "free"
     model: list[dict[str, Any]] = []
     candidate: list[dict[str, Any]] = []
 
@@ -90,13 +98,17 @@ def load(path: str | Path) -> Problem:
     known = {**base.scene.quantities, **nuisances(o for entry in file.experiment for o in entry.observe)}
     one = base.scene.canonical
     records = _records(file, path, base)
+    experiments = [
+        _experiment(entry, record, f"{path}: [[experiment]] {k + 1}", known, one) for k, entry, record in records
+    ]
+    found = _sensor(file, path, base, records, experiments, known)
+    experiments = [replace(e, bounds={**found.bounds.get(i, {}), **e.bounds}) for i, e in enumerate(experiments)]
+    free = [free_of(one(name), table, path, known) for name, table in file.free.items() if one(name) not in found.names]
     return Problem(
         scene=base.scene,
         params={name: float(value) for name, value in base.params.items()},
-        experiments=tuple(
-            _experiment(entry, record, f"{path}: [[experiment]] {k + 1}", known, one) for k, entry, record in records
-        ),
-        free=tuple(free_of(one(name), table, path, known) for name, table in file.free.items()),
+        experiments=tuple(experiments),
+        free=(*free, *(_proposed(name, found, file, path, known) for name in found.names)),
         where=str(path),
         loss=file.loss,
         accuracy=file.accuracy or 0.0,
@@ -113,7 +125,13 @@ def prepared(path: str | Path) -> list[Prepared]:
     """
     path = Path(path)
     file = tables.validated(_File, tables.read(path), str(path))
-    return [record for _, _, record in _records(file, path, _scene(file, path)) if record]
+    base = _scene(file, path)
+    known = {**base.scene.quantities, **nuisances(o for entry in file.experiment for o in entry.observe)}
+    one, records = base.scene.canonical, _records(file, path, base)
+    experiments = [_experiment(entry, record, str(path), known, one) for _, entry, record in records]
+    notes = _sensor(file, path, base, records, experiments, known).notes
+    every = ((r, notes.get(i, [])) for i, (_, _, r) in enumerate(records) if r)
+    return [replace(record, notes=(*record.notes, *own)) for record, own in every]
 
 
 def sources(path: Path) -> list[Path]:
@@ -124,6 +142,9 @@ def sources(path: Path) -> list[Path]:
 
 def free_of(name: str, table: FreeTable, path: Path, known: dict[str, Quantity]) -> Free:
     """A free parameter; texts become SI by the unit that the scene, or a nuisance, gives the name."""
+    for key in ("lower", "upper"):
+        if getattr(table, key) is None:
+            raise InputError(f"{path}: [free.{name}] {key}", f"the key '{key}' is missing", "it must be given")
     unit = known[name].unit if name in known else None
     # The unit of a stiffness follows an exponent that may itself be free: its bounds' own unit is taken.
     texts = {key: getattr(table, key) for key in ("lower", "upper", "start") if getattr(table, key) is not None}
@@ -131,6 +152,59 @@ def free_of(name: str, table: FreeTable, path: Path, known: dict[str, Quantity])
         key: quantity(value, unit, f"{path}: [free.{name}] {key}") if unit else 0.0 for key, value in texts.items()
     }
     return Free(name, numbers["lower"], numbers["upper"], numbers.get("start"), table.scale, table.each)
+
+
+def _sensor(
+    file: _File, path: Path, base: scenefile.SceneFile, records: list[tuple[int, _Experiment, Prepared | None]],
+    experiments: list[Experiment], known: dict[str, Quantity],
+) -> Sensor:  # fmt: skip
+    """Nuisances that are free within bounds which the records give: those asked for without bounds, and by default."""
+    found, scene, one = Sensor(), base.scene, base.scene.canonical
+    stated = {one(name) for name in file.free} | {n for e in experiments for n in e.fixed} | {"gain", "bandwidth"}
+    asked = [n for n, t in file.free.items() if n in NUISANCES and t.lower is None and t.upper is None]
+    measured = file.sensor == "free" and scene.traits.history and not scene.traits.turning
+    observed = [o for entry in file.experiment for o in entry.observe]
+    unasked = [n for n in dict.fromkeys(sensor.unasked(observed)) if n not in stated] if measured else []
+    unasked = [] if "force_offset" in stated and len(units_of(observed)) == 1 else unasked
+    fitted = [e for e in experiments if not e.hold_out]
+    samples = sum(e.samples for e in fitted)
+    unknowns = sum(len(fitted) if t.each or n in NUISANCES else 1 for n, t in file.free.items())
+    for name in (*asked, *unasked):
+        proposals, doubts = {}, {}
+        for i, ((_, _, record), e) in enumerate(zip(records, experiments, strict=True)):
+            params = {**{n: float(v) for n, v in base.params.items()}, **e.fixed}
+            given = (
+                sensor.proposed(name, record, scene.kind, params, stated) if record else "it has no history of readings"
+            )
+            if isinstance(given, str):
+                doubts[i] = given
+                continue
+            proposals[i] = given
+            if given.doubt:
+                doubts[i] = given.doubt
+        refused = {i: why for i, why in doubts.items() if i not in proposals and name not in experiments[i].bounds}
+        if name in asked and refused:
+            i, why = next(iter(refused.items()))
+            unknown = f"no bounds, and none can be proposed for {experiments[i].name}: {why}"
+            raise InputError(f"{path}: [free.{name}]", unknown, "give lower and upper")
+        if name in unasked and not proposals:
+            continue
+        if name in unasked and samples <= 2 * (unknowns + len(fitted)):
+            doubts = dict.fromkeys(proposals, f"{samples} samples are few for {unknowns + len(fitted)} free parameters")
+        if name in unasked and doubts:
+            for i, why in doubts.items():
+                found.say(i, f"{name} stays {format_si(0.0, known[name].unit)}: {why}")
+            continue
+        unknowns += len(fitted) if name in unasked else 0
+        found.add(name, proposals, known)
+    return found
+
+
+def _proposed(name: str, found: Sensor, file: _File, path: Path, known: dict[str, Quantity]) -> Free:
+    """A nuisance that is free within the bounds of each record."""
+    lower, upper = found.envelope(name)
+    table = file.free.get(name, FreeTable()).model_copy(update={"lower": lower, "upper": upper})
+    return free_of(name, table, path, known)
 
 
 def _scene(file: _File, path: Path) -> scenefile.SceneFile:
@@ -160,6 +234,7 @@ def _records(file: _File, path: Path, base: scenefile.SceneFile) -> list[tuple[i
         whole = read(path.parent / entry.file, f"{where} file", entry.table)
         # Where nothing turns, every record is of impacts: apart, in contact, apart.
         recipe = _recipe(entry, where, not base.scene.traits.turning, "force_offset" in file.free)
+        recipe = replace(recipe, exact=file.sensor == "exact")
         parts = split(whole, entry.rows, where)
         for label, part in parts:
             name = label if entry.name is None else entry.name if len(parts) == 1 else f"{entry.name} {label}"
@@ -225,4 +300,17 @@ def _experiment(
         features=stated.features(entry.features, entry.feature_noise, where),
         span=None if entry.span is None else quantity(entry.span, "s", f"{where} span"),
         tolerances=tolerances,
+        bounds={one(name): _pair(name, pair, where, known, one) for name, pair in entry.bounds.items()},
     )
+
+
+def _pair(
+    name: str, pair: list[Any], where: str, known: dict[str, Quantity], one: Callable[[str], str]
+) -> tuple[float, float]:
+    place = f"{where} bounds.{name}"
+    if one(name) not in known:
+        raise InputError(place, f"no parameter '{name}'", nearest(name, known))
+    if len(pair) != 2:
+        raise InputError(place, f"{pair}", 'give [lower, upper], such as ["-1 ms", "2 ms"]')
+    lower, upper = (quantity(value, known[one(name)].unit, place) for value in pair)
+    return lower, upper

@@ -56,10 +56,10 @@ def clock_note(clock: np.ndarray) -> str:
     return f"{span}; {jitter}"
 
 
-def check_channel(observes: str, values: np.ndarray, masked: np.ndarray, offset: bool, place: str) -> None:
+def check_channel(observes: str, values: np.ndarray, masked: np.ndarray, zero: float, place: str) -> None:
     """Refuse readings (N,), SI, that are empty, constant, all ``masked`` as saturated or of the wrong sign.
 
-    Where the reading at rest is unknown (``offset``), the median stands for it.
+    ``zero`` is the reading where there is nothing to read.
     """
     seen = values[np.isfinite(values)]
     if not seen.size:
@@ -69,7 +69,7 @@ def check_channel(observes: str, values: np.ndarray, masked: np.ndarray, offset:
         raise InputError(place, f"reads {format_si(float(seen[0]), unit_of(observes))} in every row", remedy)
     if not (np.isfinite(values) & ~masked).any():
         raise InputError(place, "every sample is at or beyond the saturation", "give the sensor's true limit")
-    level = seen - (np.median(seen) if offset else 0.0)
+    level = seen - zero
     pull, push = -level[level < 0].sum(), level[level > 0].sum()
     if observes.endswith(".normal") and pull > 2.0 * push and -level.min() > level.max():
         found = f"{pull / (pull + push):.0%} of the impulse is negative, and '{observes}' can only push"
@@ -114,13 +114,16 @@ def _plateau(values: np.ndarray) -> tuple[float, int]:
     return top, count if clipped else 0
 
 
-def check_contact(times: np.ndarray, values: np.ndarray, offset: bool, cut: bool, place: str) -> list[str]:
-    """Refuse an impact that readings (T,) do not hold whole; where a window ``cut`` it, only say so."""
+def check_contact(times: np.ndarray, values: np.ndarray, zero: float, cut: bool, place: str) -> list[str]:
+    """Refuse an impact that readings (T,) do not hold whole; where a window ``cut`` it, only say so.
+
+    ``zero`` is the reading where there is nothing to read.
+    """
     seen = np.isfinite(values)
     if not seen.any():
         return []
     force, at = values[seen], times[seen]
-    force = force - (np.median(force) if offset else 0.0)
+    force = force - zero
     peak = int(np.argmax(force))
     inside = int(np.count_nonzero(force > TOUCHING * force[peak]))
     if inside < _FEW_IN_CONTACT:

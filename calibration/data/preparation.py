@@ -14,6 +14,7 @@ import numpy as np
 from bcfj_jax import InputError
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import unit_of
+from calibration.data.events import rest, rise
 from calibration.data.inspection import (
     TOUCHING,
     channel_notes,
@@ -25,9 +26,6 @@ from calibration.data.inspection import (
 )
 from calibration.data.resampling import resampled
 from calibration.data.table import Table
-
-# Samples from which on a level of rest is looked for.
-_FEW = 12
 
 
 @dataclass(frozen=True)
@@ -41,6 +39,7 @@ class Recipe:
         window: times [s] to keep, after aligning.
         impact: whether the record holds a whole impact, which begins and ends apart.
         offset: whether the reading where there is nothing to read is unknown.
+        exact: whether the sensor's zero is 0, though the record rests elsewhere.
     """
 
     resample: float | None = None
@@ -49,6 +48,7 @@ class Recipe:
     window: tuple[float, float] | None = None
     impact: bool = False
     offset: bool = False
+    exact: bool = False
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,8 @@ def prepare(name: str, part: Table, time: str, observe: dict[str, str], recipe: 
         notes.append(f"{breaks.size} gaps in time, the longest {longest}; nothing is put into them")
     masked = {o: np.abs(values) >= recipe.saturation.get(o, np.inf) for o, values in raw.items()}
     for observes, values in raw.items():
-        check_channel(observes, values, masked[observes], recipe.offset, _place(part, observe[observes]))
+        zero = _zero(values, recipe)
+        check_channel(observes, values, masked[observes], zero, _place(part, observe[observes]))
         notes += channel_notes(observes, values, masked[observes])
     times, values = clock, {o: np.where(masked[o], np.nan, v) for o, v in raw.items()}
     if recipe.resample is not None:
@@ -125,7 +126,7 @@ def prepare(name: str, part: Table, time: str, observe: dict[str, str], recipe: 
     for observes, kept in values.items():
         if recipe.impact and observes.endswith(".normal"):
             cut, place = recipe.window is not None, _place(part, observe[observes])
-            notes += [f"{observes}: {said}" for said in check_contact(times, kept, recipe.offset, cut, place)]
+            notes += [f"{observes}: {said}" for said in check_contact(times, kept, _zero(kept, recipe), cut, place)]
     return Prepared(
         name=name,
         source=part.span,
@@ -150,8 +151,10 @@ def _signed(part: Table, header: str, unit: str, where: str) -> np.ndarray:
 
 def _first_contact(clock: np.ndarray, observes: str, values: np.ndarray, where: str) -> float:
     """Time of the first sample above rest by a tenth of the peak; only a normal force has a sign that it must have."""
-    values = values - _rest(values) if observes.endswith(".normal") else np.abs(values)
-    peak = np.nanmax(values, initial=0.0)
+    seen = np.isfinite(values)
+    clock, values = clock[seen], values[seen]
+    values = rise(observes, clock, values) if values.size > 2 else values
+    peak = np.max(values, initial=0.0)
     if not peak > 0:
         if not observes.endswith(".normal"):
             raise InputError(f"{where} observe", f"'{observes}' reads 0 throughout", "choose another column")
@@ -159,20 +162,12 @@ def _first_contact(clock: np.ndarray, observes: str, values: np.ndarray, where: 
     return float(clock[np.flatnonzero(values > TOUCHING * peak)[0]])
 
 
-def _rest(values: np.ndarray) -> float:
-    """The reading at rest: the middle of the quarter of the samples that lie closest together; 0 where that is none.
-
-    The record must begin there. One that is all contact has no rest.
-    """
-    seen = values[np.isfinite(values)]
-    ordered, span, count = np.sort(seen), float(np.ptp(seen)), seen.size // 4
-    if not span or seen.size < _FEW:
-        return 0.0
-    widths = ordered[count - 1 :] - ordered[: seen.size - count + 1]
-    first = int(np.argmin(widths))
-    level = float(np.median(ordered[first : first + count]))
-    begins = abs(float(seen[0]) - level) < TOUCHING * span
-    return level if begins and widths[first] < TOUCHING * span else 0.0
+def _zero(values: np.ndarray, recipe: Recipe) -> float:
+    """The reading where there is nothing to read: the level of rest, or where none is seen and it is unknown, the median."""
+    level = None if recipe.exact and not recipe.offset else rest(values)
+    if level is None and recipe.offset and np.isfinite(values).any():
+        level = float(np.nanmedian(values))
+    return level or 0.0
 
 
 def _inside(times: np.ndarray, window: tuple[float, float] | None, name: str, where: str) -> np.ndarray:

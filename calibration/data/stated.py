@@ -18,7 +18,7 @@ from bcfj_jax import InputError, nearest
 from bcfj_jax.analysis.derivatives.names import UNITS, feature_unit
 from bcfj_jax.io.units import quantity
 from bcfj_jax.mechanism.channels import unit_of
-from calibration.problem import Observation
+from calibration.problem import Observation, size
 
 _OF_READING = re.compile(r"(.*%)\s*of\s+(?:the\s+)?reading")
 _RIGHT = 'give "2 %", "0.1 kN", "0.1 kN + 2 % of reading" or "estimate"'
@@ -49,7 +49,7 @@ def noise(stated: object, observes: str, values: np.ndarray, where: str) -> Nois
         stated, where = stated[observes], f"{where}.{observes}"
     if stated == "estimate":
         return Noise(None, 0.0)
-    largest = float(np.nanmax(np.abs(values), initial=0.0))
+    largest = size(observes, values)
     if not largest > 0:
         raise InputError(where, "the record is zero throughout", "choose another column, or widen the window")
     sigmas, shares = [], []

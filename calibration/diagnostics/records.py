@@ -13,7 +13,7 @@ from calibration.forward import integration
 from calibration.forward.model import Model, build, predictions, residuals_and_jacobian
 from calibration.forward.runs import Contact, together
 from calibration.noise.noise_model import OUTLYING, Estimate
-from calibration.problem import Experiment, Problem, units_of
+from calibration.problem import Experiment, Problem, size, units_of
 from calibration.search.refinement import FAILED_RESIDUAL, End
 
 
@@ -55,7 +55,7 @@ def hold_out(
     report = {}
     for record in records:
         for channel, data in record.data.items():
-            error, peak = record.prediction[channel] - data, np.nanmax(np.abs(data))
+            error, peak = record.prediction[channel] - data, size(channel, data)
             report[f"{record.name} {channel}"] = {
                 "max_error_of_peak": float(np.nanmax(np.abs(error)) / peak),
                 "rms_error_of_peak": float(np.sqrt(np.nanmean(error**2)) / peak),
@@ -176,7 +176,7 @@ def series_of(
                 touching = np.interp(clock, mine.times, mine.touching.astype(float), left=0.0) >= 0.5
                 durations = mine.durations
             memory = noise.correlation.get(channel.observes) if channel.correlation is None else channel.correlation
-            peak = float(np.max(np.abs(values[i, j, own])))
+            peak = size(channel.observes, values[i, j, own])
             rows = np.ravel_multi_index((np.full(own.size, i), np.full(own.size, j), own), shape)
             share = 1.0 / float(weights[i, j, own].max() * peak) if peak > 0 else 0.0
             series.append(
@@ -225,5 +225,5 @@ def rms(records: list[Record]) -> dict[str, float]:
 
 def rms_of_peak(records: list[Record]) -> float:
     """Root mean square of prediction less data as a share of each history's peak; 0 where there is none."""
-    shares = [(r.prediction[c] - r.data[c]) / np.nanmax(np.abs(r.data[c])) for r in records for c in r.data]
+    shares = [(r.prediction[c] - r.data[c]) / size(c, r.data[c]) for r in records for c in r.data]
     return float(np.sqrt(np.nanmean(np.concatenate(shares) ** 2))) if shares else 0.0

@@ -32,16 +32,15 @@ class Coordinate(NamedTuple):
         return f"{self.name}[{experiments[self.experiment].name}]" if own and self.experiment is not None else self.name
 
 
-def coordinates_of(problem: Problem, experiments: int) -> tuple[Coordinate, ...]:
-    """One coordinate for each shared parameter, then one for each experiment of the others."""
+def coordinates_of(problem: Problem, experiments: tuple[Experiment, ...]) -> tuple[Coordinate, ...]:
+    """One coordinate for each shared parameter, then one for each experiment of the others, in its own bounds."""
     coordinates = []
     for f in sorted(problem.free, key=lambda f: f.per_experiment):
         share = f.as_share
-        low, high = _logarithms(f.lower, f.upper) if share else (f.lower, f.upper)
-        owners = range(experiments) if f.per_experiment else [None]
-        coordinates += [
-            Coordinate(f.name, owner, share, float(low), float(high), f.log and not share) for owner in owners
-        ]
+        for owner in range(len(experiments)) if f.per_experiment else [None]:
+            own = (f.lower, f.upper) if owner is None else experiments[owner].bounds.get(f.name, (f.lower, f.upper))
+            low, high = _logarithms(*own) if share else own
+            coordinates.append(Coordinate(f.name, owner, share, float(low), float(high), f.log and not share))
     return tuple(coordinates)
 
 

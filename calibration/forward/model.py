@@ -34,7 +34,7 @@ from calibration.forward.observables import (
     observed_features,
     tabulated,
 )
-from calibration.problem import NUISANCES, Experiment, Problem
+from calibration.problem import NUISANCES, OFFSETS, Experiment, Problem, offsets_of
 from calibration.solver_budget import budget
 
 # Steps over a record that its force is sampled in where a sensor's low-pass is to be applied.
@@ -149,14 +149,24 @@ class Model(eqx.Module):
             # Samples may stand in any order; of those that read the initial state, a batch is done at its first step.
             order = jnp.argsort(shifted)
             sampled, places = fine(shifted, self.parts) if self.parts else (shifted[order], jnp.argsort(order))
-            seen = reading_history(self.scene, params, sampled, self.channels, accuracy=self.how)
-            readings = jnp.stack([seen[channel] for channel in self.channels], axis=1)
+            # A body that is at a place at time 0 came there with the speed that it has then.
+            speeds = {c: c.replace(".place.", ".velocity.") for c in self.channels if ".place." in c and " in " not in c}
+            read = tuple(dict.fromkeys((*self.channels, *speeds.values())))
+            seen = reading_history(self.scene, params, sampled, read, accuracy=self.how)
+            before = jnp.minimum(sampled, 0.0)
+            readings = [seen[c] + (seen[speeds[c]][0] * before if c in speeds else 0.0) for c in self.channels]
+            readings = jnp.stack(readings, axis=1)
             passed = low_pass(sampled, readings, own["bandwidth"]) if self.parts else readings
-            return own["gain"] * passed[places].T + own["force_offset"]
+            return own["gain"] * passed[places].T + self._offsets(own)
 
         if not self.channels:
             return jnp.zeros(self.data.values.shape)
         return jax.vmap(one)(*self.settings(point, log_depth), self.data.times)
+
+    def _offsets(self, own: dict[str, Array]) -> Array:
+        """What each channel reads where there is nothing to read, (C, 1)."""
+        sums = [sum(own[o] for o in offsets_of(c, self.channels) if o in own) for c in self.channels]
+        return jnp.stack([jnp.asarray(x, dtype=float) for x in sums])[:, None]
 
     def features(self, point: Array, log_depth: Array) -> Array:
         """What each experiment's features would have been, (E, F), 0 where there is none."""
@@ -302,13 +312,14 @@ def build(
     filtered = "bandwidth" in {*known, *(f.name for f in problem.free)}
     chain = {"time_offset": 0.0, "force_offset": 0.0, "gain": 1.0}
     chain |= {"bandwidth": _NO_LOW_PASS} if filtered else {}
+    chain |= {o: 0.0 for o in OFFSETS.values() if o in {*known, *(f.name for f in problem.free)}}
     fixed, chain = (
         {name: np.array([e.fixed.get(name, float(value)) for e in experiments]) for name, value in table.items()}
         for table in (params, chain)
     )
     features, feature_weights = tabulated(experiments)
     arrays = (times, values, weights, memory, previous, features, feature_weights)
-    axes = coordinates or coordinates_of(problem, len(experiments))
+    axes = coordinates or coordinates_of(problem, experiments)
     return Model(
         scene=problem.scene,
         coordinates=axes,

@@ -14,11 +14,11 @@ from petab.v2.models.model import Model
 
 from bcfj_jax.io.outputs import write_toml
 from bcfj_jax.mechanism.model import AbstractModel
-from calibration.problem import NUISANCES
+from calibration.problem import NUISANCES, OFFSETS
 
 LANGUAGE = "bcfj"
 # Nuisances that an observable's formula can hold; the others are inputs of the model.
-IN_FORMULA = ("gain", "force_offset")
+IN_FORMULA = ("gain", *OFFSETS.values())
 
 
 def identifier(name: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from bcfj_jax.analysis.derivatives.names import UNITS
 from bcfj_jax.io import scenefile
 from bcfj_jax.mechanism.channels import is_reading
 from calibration.data.readers import library
-from calibration.problem import NUISANCES, Channel, Experiment, Free, Observation, Problem
+from calibration.problem import NUISANCES, OFFSETS, Channel, Experiment, Free, Observation, Problem
 
 
 def load(path: str | Path, scene: str | Path | None = None) -> Problem:
@@ -155,8 +156,19 @@ class _Reader:
             own = each and name not in NUISANCES
             one = Free(name, float(p.lb), float(p.ub), start.get(name), scale.get(name), own)
             if found.setdefault(name, one) != one:
-                raise InputError(where, f"'{name}' has several bounds", "give it the same in every experiment")
+                # Its own bounds go to each experiment: ``_bounds``.
+                wide = replace(one, lower=min(one.lower, found[name].lower), upper=max(one.upper, found[name].upper))
+                if not each or wide.start != found[name].start or wide.scale != found[name].scale:
+                    raise InputError(where, f"'{name}' has several bounds", "give it the same in every experiment")
+                found[name] = wide
         return tuple(found.values())
+
+    def _bounds(self, changes: dict[str, Any]) -> dict[str, tuple[float, float]]:
+        """Bounds of an experiment's own parameters, where they are not those of all."""
+        shared = {f.name: (f.lower, f.upper) for f in self.free()}
+        rows = {self.name(t): self.rows[str(v)] for t, v in changes.items() if str(v) in self.rows}
+        own = {name: (float(p.lb), float(p.ub)) for name, p in rows.items() if p.estimate and name in shared}
+        return {name: bounds for name, bounds in own.items() if bounds != shared[name]}
 
     def experiments(self, hold_out: bool) -> list[Experiment]:
         """Every experiment that was measured."""
@@ -195,7 +207,8 @@ class _Reader:
         if len(spans) > 1:
             raise InputError(where, "features at several times", "give all the time that they were taken over")
         name, span = self.titles.get(label, label or "measurements"), next(iter(spans), None)
-        return Experiment(name, times, tuple(channels), hold_out, fixed, where, tuple(features), span)
+        own = self._bounds(changes)
+        return Experiment(name, times, tuple(channels), hold_out, fixed, where, tuple(features), span, bounds=own)
 
     def _reads(self, observable: str, fixed: dict[str, float]) -> str:
         """The channel or feature that an observable reads; a gain or offset in its formula goes to ``fixed``."""
@@ -212,7 +225,7 @@ class _Reader:
         if len(factors) != 2:
             raise InputError(where, f"the formula '{formula}'", right)
         for name, neutral, factor in (("gain", 1.0, factors[0]), ("force_offset", 0.0, factors[1])):
-            if str(factor) == name:
+            if str(factor) == name or (name == "force_offset" and str(factor) in OFFSETS.values()):
                 continue
             if not factor.is_number:
                 raise InputError(where, f"the formula '{formula}'", right)

@@ -9,9 +9,9 @@ import numpy as np
 
 from bcfj_jax import InputError
 from calibration.data.readers import library
-from calibration.problem import Experiment, Problem
+from calibration.problem import OFFSETS, Experiment, Free, Problem, offsets_of, size
 
-_NEUTRAL = {"time_offset": 0.0, "force_offset": 0.0, "gain": 1.0}
+_NEUTRAL = {"time_offset": 0.0, "gain": 1.0, **dict.fromkeys(OFFSETS.values(), 0.0)}
 FILES = {
     "parameter_tables": "parameters.tsv",
     "observable_tables": "observables.tsv",
@@ -82,7 +82,7 @@ def _tables(v2: Any, problem: Problem, experiments: tuple[Experiment, ...], scen
     for observes in channels:
         output, noise = f"model__{identifier(observes)}", f"noise__{identifier(observes)}"
         formula = f"gain * {output}" if "gain" in varied else output
-        formula += " + force_offset" if "force_offset" in varied else ""
+        formula += "".join(f" + {name}" for name in offsets_of(observes, channels) if name in varied)
         # PEtab's library 0.8 prints sqrt(x) as x^1/2 and reads that as x/2.
         share = f"({noise}^2 + (share__{identifier(observes)} * {identifier(observes)})^2)^0.5"
         petab.add_observable(identifier(observes), formula, share if observes in relative else noise, name=observes)
@@ -106,19 +106,19 @@ def _tables(v2: Any, problem: Problem, experiments: tuple[Experiment, ...], scen
         petab.add_mapping(f"e{k}", name=e.name)
         _measure(petab, e, f"e{k}", identifier)
         for name in own:
-            _add_free(petab, problem, name, f"{identifier(name)}__e{k}")
+            _add_free(petab, problem, free[name], f"{identifier(name)}__e{k}", e.bounds.get(name))
     for name in dict.fromkeys([*(n for n in free if n not in own), *problem.params]):
         if name in varied:
             continue
         if name in free:
-            _add_free(petab, problem, name, identifier(name))
+            _add_free(petab, problem, free[name], identifier(name))
         elif np.isfinite(problem.params[name]):
             petab.add_parameter(identifier(name), False, float(problem.params[name]))
     for name in dict.fromkeys([*free, *problem.params, *varied]):
         if identifier(name) != name:
             petab.add_mapping(identifier(name), name)
     for observes in dict.fromkeys(c.observes for e in experiments for c in e.channels if c.sigma is None):
-        sizes = [np.nanmax(np.abs(c.values)) for e in experiments for c in e.channels if c.observes == observes]
+        sizes = [size(observes, c.values) for e in experiments for c in e.channels if c.observes == observes]
         largest = float(max(sizes))
         petab.add_parameter(f"deviation__{identifier(observes)}", True, 1e-2 * largest, 1e-6 * largest, largest)
     return petab
@@ -136,10 +136,10 @@ def _measure(petab: Any, experiment: Experiment, label: str, identifier: Any) ->
         petab.add_measurement(identifier(seen.feature), experiment_id=label, time=end, measurement=seen.value)
 
 
-def _add_free(petab: Any, problem: Problem, name: str, label: str) -> None:
-    f = next(f for f in problem.free if f.name == name)
-    nominal = f.start if f.start is not None else {**_NEUTRAL, **problem.params}.get(name, f.lower)
-    petab.add_parameter(label, True, float(np.clip(nominal, f.lower, f.upper)), f.lower, f.upper)
+def _add_free(petab: Any, problem: Problem, f: Free, label: str, own: tuple[float, float] | None = None) -> None:
+    lower, upper = own or (f.lower, f.upper)
+    nominal = f.start if f.start is not None else {**_NEUTRAL, **problem.params}.get(f.name, lower)
+    petab.add_parameter(label, True, float(np.clip(nominal, lower, upper)), lower, upper)
 
 
 def _extension(problem: Problem, experiments: tuple[Experiment, ...]) -> dict[str, Any]:

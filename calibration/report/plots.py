@@ -14,7 +14,7 @@ from calibration.data.plot import reading_label
 from calibration.diagnostics.records import Record
 from calibration.fit import Fit
 from calibration.forward.runs import SAMPLES, ran
-from calibration.problem import Problem
+from calibration.problem import Problem, offsets_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -59,7 +59,8 @@ def _panel(upper: Axes, lower: Axes, record: Record, channel: str, run: Run) -> 
     lower.set_visible(True)
     name, colour = ("prediction", COLOURS[1]) if record.held_out else ("fit", COLOURS[0])
     own = record.params
-    curve = own["gain"] * run.readings[channel] + own["force_offset"]
+    offset = sum(own.get(name, 0.0) for name in offsets_of(channel, run.readings))
+    curve = own["gain"] * run.readings[channel] + offset
     upper.plot((run.times + own["time_offset"]) * time_scale, curve * scale, color=colour, label=name)
     upper.plot(record.times * time_scale, data * scale, "o", ms=3.5, color=COLOURS[5], label="data")
     upper.set_title(f"{record.name}: {channel}" + (" (held out)" if record.held_out else ""))

@@ -144,6 +144,8 @@ def _gain(
     other = build(replace(problem, free=free), (planned,))
     pairs = [(axis.name, value) for axis, value in zip(model.coordinates, values, strict=True)]
     usual = {name: float(np.mean([v for n, v in pairs if n == name])) for name, _ in pairs}
+    if any("time_offset" in e.bounds for e in problem.experiments):  # Of clocks of their own there is no usual one.
+        usual["time_offset"] = 0.0
     nominal = {**usual, **candidate.fixed}
     point = other.point(np.array([nominal[axis.name] for axis in other.coordinates]), 0.0)
     if candidate.share:

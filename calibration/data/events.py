@@ -1,0 +1,127 @@
+"""Contacts in a record, found by events: where readings of any kind leave what they do without contact.
+
+A force or an acceleration rises above its rest; a velocity leaves its first level; a position leaves its first straight
+line. Nothing is assumed of the sampling: times are the record's own.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+# Samples from which on a level of rest is looked for, and the fewest that are one.
+_FEW, _LEVEL = 6, 3
+# A share of a record's range: a level of rest is narrower, and the record begins there.
+_NARROW = 0.1
+# A contact begins above so many deviations of the rest, or this share of the peak, and ends below half of that.
+_SIGMAS, _SHARE = 6.0, 0.05
+# Of a velocity or a position: the share of its largest departure that is contact.
+_DEPARTED = 0.1
+
+
+class Event(NamedTuple):
+    """One contact in a record: first and last sample in it, their times [s], the largest rise, and the usual step [s].
+
+    ``before`` is the time of the last sample before it, or a step earlier where there is none.
+    """
+
+    first: int
+    last: int
+    before: float
+    begin: float
+    end: float
+    peak: float
+    step: float
+
+    @property
+    def duration(self) -> float:
+        """About how long it lasts [s]: half a step more on either side."""
+        return self.end - self.begin + self.step
+
+
+def quantity(observes: str) -> str:
+    """What a channel is a reading of: "normal", "velocity", "place", or "pulse" of what contacts make pulse."""
+    what = observes.partition(" in ")[0].split(".")[1:2]
+    known = {"normal": "normal", "velocity": "velocity", "rate": "velocity", "place": "place", "angle": "place"}
+    return known.get(what[0] if what else "", "pulse")
+
+
+def rest(values: np.ndarray) -> float | None:
+    """The reading at rest: the middle of the quarter of the samples that lie closest together.
+
+    The record must begin there. None where that is none: one that is all contact has no rest.
+    """
+    seen = values[np.isfinite(values)]
+    span, count = float(np.ptp(seen)) if seen.size else 0.0, max(seen.size // 4, _LEVEL)
+    if not span or seen.size < _FEW:
+        return None
+    ordered = np.sort(seen)
+    widths = ordered[count - 1 :] - ordered[: seen.size - count + 1]
+    first = int(np.argmin(widths))
+    level = float(np.median(ordered[first : first + count]))
+    return level if abs(float(seen[0]) - level) < _NARROW * span and widths[first] < _NARROW * span else None
+
+
+def rise(observes: str, times: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """How far readings (T,) without gaps are from what they are without contact, in their own unit."""
+    kind = quantity(observes)
+    if kind == "normal":
+        return values - (rest(values) or 0.0)
+    if kind == "pulse":
+        return np.abs(values - (rest(values) or 0.0))
+    few = max(3, values.size // 20)
+    if kind == "velocity":
+        return np.abs(values - np.median(values[:few]))
+    # A straight line through the first half of the way to where the position turns, or through its first samples.
+    turn = int(np.argmax(np.abs(values - values[0])))
+    count = min(max(few, turn // 2), values.size)
+    slope, level = np.polyfit(times[:count], values[:count], 1)
+    return np.abs(values - (slope * times + level))
+
+
+def contacts(observes: str, times: np.ndarray, values: np.ndarray) -> list[Event]:
+    """Every contact that a channel (T,) shows, in order; of a velocity or a position the first.
+
+    Args:
+        observes: the reading.
+        times: (T,) [s].
+        values: (T,), NaN where nothing was read.
+    """
+    seen = np.flatnonzero(np.isfinite(values))
+    if seen.size < _LEVEL:
+        return []
+    clock, rises = times[seen], rise(observes, times[seen], values[seen])
+    peak, step = float(rises.max()), float(np.median(np.diff(clock)))
+    if not peak > 0.0:
+        return []
+    if quantity(observes) in ("velocity", "place"):
+        first = int(np.flatnonzero(rises > _DEPARTED * peak)[0])
+        high = np.flatnonzero(rises[first:] > (1.0 - _DEPARTED) * peak)[0]
+        return [_event(clock, seen, first, first + int(high), peak, step)]
+    quiet = rises[rises < _SHARE * peak]
+    noise = 1.4826 * float(np.median(np.abs(quiet - np.median(quiet)))) if quiet.size >= _LEVEL else 0.0
+    high = max(_SHARE * peak, min(_SIGMAS * noise, 0.5 * peak))
+    found, k = [], 0
+    while k < clock.size:
+        if rises[k] <= high:
+            k += 1
+            continue
+        last = k
+        # One low sample between two high ones is noise, not a flight.
+        while last + 1 < clock.size and rises[last + 1 : last + 3].max() > 0.5 * high:
+            last += 1
+        last = k + int(np.flatnonzero(rises[k : last + 1] > 0.5 * high)[-1])
+        found.append(_event(clock, seen, k, last, float(rises[k : last + 1].max()), step))
+        k = last + 1
+    return found
+
+
+def _event(clock: np.ndarray, seen: np.ndarray, first: int, last: int, peak: float, step: float) -> Event:
+    before = float(clock[first - 1]) if first else float(clock[0]) - step
+    return Event(int(seen[first]), int(seen[last]), before, float(clock[first]), float(clock[last]), peak, step)
+
+
+def telling(observed: list[str]) -> list[str]:
+    """Channels in the order in which they tell a contact: a normal force, what pulses, a velocity, a position."""
+    return sorted(observed, key=lambda o: ("normal", "pulse", "velocity", "place").index(quantity(o)))

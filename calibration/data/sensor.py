@@ -1,0 +1,156 @@
+"""What a record leaves open of its sensor: when its clock shows the first contact, and what it reads at rest.
+
+A measured record shares no clock with the model, and a sensor's zero drifts. Both are therefore free for measured files
+unless the problem file says ``sensor = "exact"``, each within bounds that the record itself gives:
+
+    time_offset       from a sample and a quarter of a contact before the first sample in contact to a sample after it
+    force_offset,     the mean of the samples before the first contact, and on either side five of their deviations or
+    acceleration_     2 % of the peak, whichever is more
+    offset
+    position_offset   the reading at the first contact less the model's place there; half of its range on either side
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from bcfj_jax.core.quantities import Quantity
+from bcfj_jax.io.units import format_si
+from bcfj_jax.mechanism.channels import unit_of
+from calibration.data.events import Event, contacts, quantity, telling
+from calibration.data.preparation import Prepared
+from calibration.problem import OFFSETS, units_of
+
+# Bounds of the clock about the first contact: shares of a contact's duration before and after, by what is read.
+_BEFORE, _AFTER = {"normal": 0.25, "pulse": 0.25, "velocity": 0.5, "place": 1.0}, 0.1
+# Bounds of a level of rest: so many deviations, and at least this share of the peak.
+_SIGMAS, _SHARE = 5.0, 0.02
+# Samples before the first contact that are a rest, and what of a contact's duration before it is none.
+_RESTING, _CLEAR = 4, 0.25
+# Scenes whose first contact is known before anything runs, and the place of the body there.
+_KNOWN = ("impact", "oblique_impact", "bounce")
+# What sets the time of the first contact, and would move it as the record's clock does.
+_MOVES = ("clearance_contact", "drop_height")
+
+
+class Proposal(NamedTuple):
+    """Bounds [SI] of a nuisance in one record; ``doubt`` says why it should not be free unasked, "" if nothing does."""
+
+    lower: float
+    upper: float
+    doubt: str = ""
+
+
+@dataclass
+class Sensor:
+    """What was freed of the sensors of all records.
+
+    Attributes:
+        names: of the nuisances that are free within proposed bounds.
+        bounds: of each by the place of its record.
+        notes: of each record, in words, likewise.
+    """
+
+    names: list[str] = field(default_factory=list)
+    bounds: dict[int, dict[str, tuple[float, float]]] = field(default_factory=dict)
+    notes: dict[int, list[str]] = field(default_factory=dict)
+
+    def add(self, name: str, proposals: Mapping[int, Proposal], quantities: Mapping[str, Quantity]) -> None:
+        """Free a nuisance within the bounds that are proposed of each record."""
+        self.names.append(name)
+        unit = quantities[name].unit
+        for k, p in proposals.items():
+            self.bounds.setdefault(k, {})[name] = (p.lower, p.upper)
+            self.say(k, f"{name} is free from {format_si(p.lower, unit, 3)} to {format_si(p.upper, unit, 3)}")
+
+    def say(self, record: int, note: str) -> None:
+        """A note on one record."""
+        self.notes.setdefault(record, []).append(note)
+
+    def envelope(self, name: str) -> tuple[float, float]:
+        """Bounds that hold those of all records."""
+        own = [bounds[name] for bounds in self.bounds.values() if name in bounds]
+        return min(low for low, _ in own), max(high for _, high in own)
+
+
+def first_touch(kind: str, params: Mapping[str, float]) -> float | None:
+    """Time of the model's first contact on its own clock [s], from the start alone; None where only a run tells."""
+    if kind not in _KNOWN:
+        return None
+    if kind == "bounce":
+        return float(np.sqrt(2.0 * params["drop_height"] / params["gravity"])) if params["gravity"] > 0 else None
+    speed = params["approach_speed"] * np.cos(params.get("impact_angle", 0.0))
+    gap = params.get("clearance_contact", 0.0)
+    return float(gap / speed) if gap and speed > 0 else 0.0 if not gap else None
+
+
+def proposed(
+    name: str, record: Prepared, kind: str, params: Mapping[str, float], free: Collection[str]
+) -> Proposal | str:
+    """Bounds of one nuisance from one record, or why there are none.
+
+    Args:
+        name: of the nuisance.
+        record: as prepared.
+        kind: of the scene.
+        params: of the record's scene, SI.
+        free: names of what else is searched.
+    """
+    if name != "time_offset" and name not in OFFSETS.values():
+        return f"a record does not tell a {name}"
+    for observes in telling(list(record.readings)):
+        found = contacts(observes, record.times, record.readings[observes].values)
+        if found:
+            break
+    else:
+        return "it shows no contact"
+    if name == "time_offset":
+        return _clock(observes, found, record, kind, params, free)
+    return _zero(name, found[0], record, kind, params)
+
+
+def _clock(
+    observes: str, found: list[Event], record: Prepared, kind: str, params: Mapping[str, float], free: Collection[str]
+) -> Proposal | str:
+    touch, event = first_touch(kind, params), found[0]
+    if touch is None:
+        return f"when the scene '{kind}' first touches is known only from a run"
+    lower = event.before - event.step - _BEFORE[quantity(observes)] * event.duration - touch
+    upper = event.begin + event.step + _AFTER * event.duration - touch
+    doubt = "" if event.first else "the record begins in contact"
+    moving = [n for n in _MOVES if n in free]
+    return Proposal(lower, upper, f"{moving[0]} is free and moves the contact as well" if moving else doubt)
+
+
+def _zero(name: str, event: Event, record: Prepared, kind: str, params: Mapping[str, float]) -> Proposal | str:
+    units = units_of(record.readings)
+    unit = next((u for u, offset in OFFSETS.items() if offset == name and u in units), "")
+    unit = unit or (next(iter(units)) if name == "force_offset" and len(units) == 1 else "")
+    if not unit:
+        return f"it has no channel that a {name} acts on"
+    bounds = []
+    for observes in units[unit]:
+        values = record.readings[observes].values
+        if quantity(observes) == "place":
+            seen = np.isfinite(values)
+            at = float(np.interp(event.begin, record.times[seen], values[seen]))
+            there = params.get("clearance_contact", 0.0) if kind == "impact" else 0.0
+            half = 0.5 * float(np.ptp(values[seen]))
+            bounds.append((at - there - half, at - there + half))
+            continue
+        apart = np.isfinite(values) & (record.times < event.begin - max(_CLEAR * event.duration, event.step))
+        if np.count_nonzero(apart) < _RESTING:
+            return f"{observes} has no {_RESTING} samples of rest before the first contact"
+        level, noise = float(np.mean(values[apart])), float(np.std(values[apart]))
+        half = max(_SIGMAS * noise, _SHARE * float(np.nanmax(np.abs(values - level))))
+        bounds.append((level - half, level + half))
+    return Proposal(min(low for low, _ in bounds), max(high for _, high in bounds), "")
+
+
+def unasked(observed: Collection[str]) -> list[str]:
+    """Nuisances that are free unless the file says otherwise; a velocity's zero trades against the speed."""
+    return ["time_offset", *(OFFSETS[unit_of(o)] for o in observed if unit_of(o) in ("N", "m", "m/s^2"))]
