@@ -160,7 +160,8 @@ def _sensor(
 ) -> Sensor:  # fmt: skip
     """Nuisances that are free within bounds which the records give: those asked for without bounds, and by default."""
     found, scene, one = Sensor(), base.scene, base.scene.canonical
-    stated = {one(name) for name in file.free} | {n for e in experiments for n in e.fixed} | {"gain", "bandwidth"}
+    searched = {one(name) for name in file.free}
+    stated = searched | {n for e in experiments for n in e.fixed}
     asked = [n for n, t in file.free.items() if n in NUISANCES and t.lower is None and t.upper is None]
     measured = file.sensor == "free" and scene.traits.history and not scene.traits.turning
     observed = [o for entry in file.experiment for o in entry.observe]
@@ -174,7 +175,7 @@ def _sensor(
         for i, ((_, _, record), e) in enumerate(zip(records, experiments, strict=True)):
             params = {**{n: float(v) for n, v in base.params.items()}, **e.fixed}
             given = (
-                sensor.proposed(name, record, scene.kind, params, stated) if record else "it has no history of readings"
+                sensor.proposed(name, record, scene.kind, params, searched) if record else "it has no history of readings"
             )
             if isinstance(given, str):
                 doubts[i] = given
