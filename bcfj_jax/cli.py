@@ -235,15 +235,32 @@ def validate(
 @app.command(epilog=_EPILOG)
 @_guarded
 def init(
-    scene: Annotated[str, typer.Argument(help="A built-in scene's name, or mechanism for one of your own.")],
-    out: Annotated[Path | None, typer.Option("--out", help="Folder for SCENE.toml; by default this one.")] = None,
+    what: Annotated[
+        str, typer.Argument(metavar="SCENE|calibration", help="A built-in scene's name, mechanism, or calibration.")
+    ],
+    record: Annotated[Path | None, typer.Argument(help="The measured file, for calibration.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Folder for the file; by default this one.")] = None,
+    scene: Annotated[str, typer.Option(help="Of a calibration: impact, bounce or oblique_impact.")] = "",
+    mass: Annotated[str | None, typer.Option(help='Of a calibration, if it is known: "0.55 kg".')] = None,
+    speed: Annotated[str | None, typer.Option(help='Of a calibration, if it is known: "0.86 m/s".')] = None,
+    table: Annotated[str | None, typer.Option(help="Which table of a record that holds several.")] = None,
 ) -> int:
-    """Write a commented scene file to start from."""
+    """Write a commented scene file to start from; or, from a measured RECORD, a calibration file."""
+    if what == "calibration":
+        if record is None:
+            raise InputError("init calibration", "no record", "give a measured file: bcfj init calibration drop.csv")
+        from calibration import init as proposal
+
+        return proposal.run(record, out, scene, mass, speed, table, typer.echo)
+    if record is not None:
+        raise InputError(
+            "init", f"{record} after the scene '{what}'", "give one scene, or: bcfj init calibration RECORD"
+        )
     from bcfj_jax.io.outputs import open_folder, write_text
     from bcfj_jax.io.scenetemplate import template
 
-    text, name = template(scene), f"{scene}.toml"
-    path = open_folder(out or Path("."), "init", scene, [name]) / name
+    text, name = template(what), f"{what}.toml"
+    path = open_folder(out or Path("."), "init", what, [name]) / name
     write_text(path, text)
     typer.echo(f"wrote {path}")
     return DONE

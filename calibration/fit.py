@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -17,6 +18,7 @@ from calibration.diagnostics.answers import Answer, contacts_met
 from calibration.diagnostics.clearance import clearance_tests, whole_contact_test
 from calibration.diagnostics.records import Record, features_of, hold_out, records_of, rms, rms_of_peak, series_of
 from calibration.diagnostics.residual_tests import Series, overstated, residual_tests
+from calibration.diagnostics.scales import untold
 from calibration.diagnostics.systematic import Budget
 from calibration.forward import integration
 from calibration.forward.coordinates import Coordinate
@@ -35,6 +37,8 @@ from calibration.uncertainty.estimates import Parameter as Parameter
 from calibration.uncertainty.estimates import Reference as Reference
 from calibration.uncertainty.intervals import Evidence, check_kind, half, revised
 from calibration.uncertainty.law_miss import NEXT_RUN, clustered, discrepancy, in_blocks
+
+log = logging.getLogger("calibration")
 
 # Failed points of a design that are asked why.
 _ASKED = 16
@@ -172,7 +176,11 @@ def _checked(
         point = model.point(model.values(point, 0.0), depth)
     if given:
         point = model.point(given[0], depth)
-    return influence.at_start(problem, model, labels, point, depth, screened.reach, influence.noise_floor(fitted))
+    told = influence.at_start(problem, model, labels, point, depth, screened.reach, influence.noise_floor(fitted))
+    told["scales"] = untold(model, labels, point, depth)
+    for scale in told["scales"]:
+        log.info("before the fit: %s. What helps: %s", scale["text"], scale["remedy"])
+    return told
 
 
 def _assess(
@@ -244,6 +252,8 @@ def _assess(
         reference = reference and reference.widened(partial(allowed.widened, REFERENCE))
     if verdict not in ("identified", "adequate"):
         evidence = evidence.withheld(f"no profile is given: {verdict}")
+    # The same as before the fit, now with the moves at the estimates.
+    scales = untold(model, labels, best.point, log_depth) if checked.get("scales") else []
     values = {name: float(v[0]) for name, v in model.data.fixed.items()}
     values |= {
         s.name: parameters[name].value
@@ -282,7 +292,10 @@ def _assess(
         noise=_by_channel(noise),
         check=checked,
         optimum=Optimum(model, best, log_depth, spread, noise),
-        notes=_notes(noise) + _wide_notes(model, parameters) + _overstated_notes(series, best.residuals),
+        notes=[f"{s['text']}. What helps: {s['remedy']}" for s in scales]
+        + _notes(noise)
+        + _wide_notes(model, parameters)
+        + _overstated_notes(series, best.residuals),
         systematic=allowed,
         evidence=evidence,
     )

@@ -175,7 +175,9 @@ def _sensor(
         for i, ((_, _, record), e) in enumerate(zip(records, experiments, strict=True)):
             params = {**{n: float(v) for n, v in base.params.items()}, **e.fixed}
             given = (
-                sensor.proposed(name, record, scene.kind, params, searched) if record else "it has no history of readings"
+                sensor.proposed(name, record, scene.kind, params, searched)
+                if record
+                else "it has no history of readings"
             )
             if isinstance(given, str):
                 doubts[i] = given

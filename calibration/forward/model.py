@@ -150,7 +150,9 @@ class Model(eqx.Module):
             order = jnp.argsort(shifted)
             sampled, places = fine(shifted, self.parts) if self.parts else (shifted[order], jnp.argsort(order))
             # A body that is at a place at time 0 came there with the speed that it has then.
-            speeds = {c: c.replace(".place.", ".velocity.") for c in self.channels if ".place." in c and " in " not in c}
+            speeds = {
+                c: c.replace(".place.", ".velocity.") for c in self.channels if ".place." in c and " in " not in c
+            }
             read = tuple(dict.fromkeys((*self.channels, *speeds.values())))
             seen = reading_history(self.scene, params, sampled, read, accuracy=self.how)
             before = jnp.minimum(sampled, 0.0)

@@ -1,0 +1,309 @@
+"""What a measured table is: its clock, its channels with units and signs, its runs and contacts, and sizes that follow.
+
+Sizes of an impact follow from its impulse J = m v (1 + e), its peak F and its duration T: with m or v known the other
+lies between J/2 and J over it, the depth is about v T/3.2 (half a sine), and K = F / depth^n.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from bcfj_jax import InputError
+from bcfj_jax.io.units import column, scale_of
+from calibration.data.events import Event, contacts, rest, telling
+from calibration.data.table import RUN_COLUMNS, Table, split
+
+# Readings by the unit of their column, as scenes of one body have them; and names by which a column without a unit is one.
+_KINDS = ("s", "N", "m/s^2", "m/s", "m")
+_NAMES = {
+    "s": ("time", "t", "zeit", "clock", "seconds"),
+    "N": ("force", "load", "f", "fn", "fz", "fx", "fy", "kraft", "normal"),
+    "m/s^2": ("acceleration", "accel", "acc", "a", "az", "ax", "ay"),
+    "m/s": ("velocity", "speed", "v", "vel"),
+    "m": ("position", "displacement", "x", "y", "z", "height", "place", "weg"),
+}
+_TANGENTIAL = ("tangential", "friction", "shear", "ft", "lateral")
+_MOST_RUNS = 50
+# Readings that are a channel.
+_FEWEST = 3
+
+
+@dataclass(frozen=True)
+class Record:
+    """One run: clock (N,) [s] and readings (N,) by unit, SI, signs turned so that contacts push and bodies approach."""
+
+    name: str
+    clock: np.ndarray
+    readings: dict[str, np.ndarray]
+    events: list[Event]
+
+    def impulse(self) -> float:
+        """Of the first contact [N s]."""
+        force, e = self.readings["N"], self.events[0]
+        inside = slice(max(e.first - 1, 0), e.last + 2)
+        level = self.rest("N")
+        return float(np.trapezoid(np.nan_to_num(force[inside] - level), self.clock[inside]))
+
+    def rest(self, unit: str) -> float:
+        """Reading before the first contact."""
+        before = self.readings[unit][: max(self.events[0].first - 1, 0)]
+        before = before[np.isfinite(before)]
+        return float(np.mean(before)) if before.size >= 3 else rest(self.readings[unit]) or 0.0
+
+    def speeds(self) -> tuple[float, float] | None:
+        """Speeds just before and after the first contact [m/s], from a velocity or else from a position."""
+        e = self.events[0]
+        span = max(0.75 * e.duration, 5.5 * e.step)
+        found = []
+        for first, last in ((e.begin - span - e.step, e.begin - 0.1 * e.step), (e.end + e.step, e.end + span + e.step)):
+            inside = (self.clock >= first) & (self.clock <= last)
+            for unit in ("m/s", "m"):
+                if unit not in self.readings:
+                    continue
+                seen = inside & np.isfinite(self.readings[unit])
+                if np.count_nonzero(seen) >= 3:
+                    t, x = self.clock[seen], self.readings[unit][seen]
+                    found.append(float(np.median(x)) if unit == "m/s" else float(np.polyfit(t, x, 1)[0]))
+                    break
+        return (found[0], found[1]) if len(found) == 2 else None
+
+
+@dataclass(frozen=True)
+class Understood:
+    """What a table holds.
+
+    Attributes:
+        path, table: the file, and which table in it.
+        time: header of the clock.
+        columns: header by unit, "-" before it where the sign is to be flipped; "tangential" for a second force.
+        others: headers that were not understood.
+        runs: the column that numbers runs, and how many.
+        records: every run, at most 50.
+        rows: which value of a column of text its readings stand beside.
+    """
+
+    path: Path
+    table: str
+    time: str
+    columns: dict[str, str]
+    others: list[str]
+    runs: tuple[str, int]
+    records: list[Record]
+    rows: dict[str, str] = field(default_factory=dict)
+
+
+def understood(table: Table) -> Understood:
+    """What a table is, by its headers and by what its columns do.
+
+    Raises:
+        InputError: where there is no clock, no reading or no contact in it.
+    """
+    found, where = _columns(table), str(table.path)
+    run = next((h for h in table.header if column(h)[0].lower() in RUN_COLUMNS), "")
+    rows, table = _filtered(table, found.get("s", ""))
+    parts = split(table, {}, where)
+    if "s" not in found:
+        raise InputError(where, f"no column is a time: {', '.join(table.header)}", 'head one as "time [s]"')
+    time = found.pop("s")
+    units = [u for u in ("N", "tangential", "m/s^2", "m/s", "m") if u in found]
+    units = [u for u in units if np.isfinite(table.numbers(found[u], _si(u), where, True)).sum() >= _FEWEST]
+    found = {u: found[u] for u in units}
+    if not set(found) & {"N", "m/s^2", "m/s", "m"}:
+        kinds = "no column is a force, a position, a velocity or an acceleration"
+        raise InputError(where, f"{kinds}: {', '.join(table.header)}", 'head one with its unit, as in "force [N]"')
+    raw = [
+        (
+            label,
+            part.numbers(time, "s", where, blank=False),
+            {u: part.numbers(found[u], _si(u), where, True) for u in units},
+        )
+        for label, part in parts[:_MOST_RUNS]
+    ]
+    signs = _signs(raw, units)
+    records = []
+    for label, clock, readings in raw:
+        turned = {u: signs.get(u, 1.0) * v for u, v in readings.items()}
+        names = {"N": "contact.normal", "m/s^2": "body.acceleration.x", "m/s": "body.velocity.x", "m": "body.place.x"}
+        best = telling([names[u] for u in turned if u in names])[0]
+        unit = next(u for u, n in names.items() if n == best)
+        events = contacts("contact.normal" if unit in ("N", "m/s^2") else best, clock, turned[unit] * _push(unit))
+        if not events:
+            raise InputError(
+                where, f"{label}: no contact is found in '{found[unit]}'", "choose a record that holds one"
+            )
+        records.append(Record(label, clock, turned, events))
+    shown = {u: ("-" if signs.get(u, 1.0) < 0 else "") + h for u, h in found.items()}
+    known = {time, run, *found.values(), *rows}
+    others = [h for h in table.header if h and h not in known]
+    return Understood(table.path, table.inside, time, shown, others, (run, len(parts) if run else 1), records, rows)
+
+
+def _filtered(table: Table, time: str) -> tuple[dict[str, str], Table]:
+    """Rows beside the one text that has a clock, where a column of text parts the table into curves."""
+    if not time:
+        return {}, table
+    timed = np.array([bool(text.strip()) and text != "nan" for text in table.texts(time, str(table.path))])
+    if timed.all():
+        return {}, table
+    for h, cells in zip(table.header, table.columns, strict=True):
+        if not h or _is_numeric(cells):
+            continue
+        texts = np.array([str(c) for c in cells])
+        whole = [t for t in dict.fromkeys(texts.tolist()) if timed[texts == t].all()]
+        if len(whole) == 1 and timed[texts == whole[0]].sum() == timed.sum():
+            return {h: whole[0]}, table.where(texts == whole[0])
+    return {}, table
+
+
+def _push(unit: str) -> float:
+    """An acceleration of a body that moves along +x is negative in contact."""
+    return -1.0 if unit == "m/s^2" else 1.0
+
+
+def _si(unit: str) -> str:
+    return "N" if unit == "tangential" else unit
+
+
+def _name(header: str) -> str:
+    return column(header)[0].lower().strip()
+
+
+def _columns(table: Table) -> dict[str, str]:
+    """Headers by unit: those that state one, then those whose name says what they are."""
+    found: dict[str, str] = {}
+    numeric = [h for h, c in zip(table.header, table.columns, strict=True) if h and _is_numeric(c)]
+    numeric = [h for h in numeric if _name(h) not in RUN_COLUMNS]
+    stated = {h: u for h in numeric if (u := _unit(h))}
+    # A column named as what it is goes before another of its unit; a second force is a tangential one only by its name.
+    for h in sorted(stated, key=lambda h: _name(h) not in _NAMES[stated[h]]):
+        unit = stated[h]
+        unit = "tangential" if unit == "N" and any(w in _name(h) for w in _TANGENTIAL) else unit
+        found.setdefault(unit, h)
+    for h in numeric:
+        if h not in stated and column(h)[1] is None:
+            unit = next((u for u in _KINDS if _name(h) in _NAMES[u]), None)
+            if unit:
+                found.setdefault(unit, h)
+    return found
+
+
+def _unit(header: str) -> str | None:
+    """The SI unit of ``_KINDS`` that a header's unit converts to."""
+    text = column(header)[1]
+    for unit in _KINDS if text else ():
+        try:
+            scale_of(str(text), unit, header)
+        except InputError:
+            continue
+        return unit
+    return None
+
+
+def _is_numeric(cells: np.ndarray) -> bool:
+    if cells.dtype.kind in "iuf":
+        return True
+    seen = [str(c).strip() for c in cells[:200] if str(c).strip()]
+    try:
+        [float(c) for c in seen]
+    except ValueError:
+        return False
+    return bool(seen)
+
+
+def _signs(raw: list[tuple[str, np.ndarray, dict[str, np.ndarray]]], units: list[str]) -> dict[str, float]:
+    """Which columns to flip: a force pushes; an approach is along +x, and the acceleration in contact against it."""
+    signs: dict[str, float] = {}
+
+    def vote(unit: str, wanted: float, measure) -> None:
+        votes = [measure(clock, readings[unit]) for _, clock, readings in raw]
+        signs[unit] = wanted if np.nansum(np.sign(votes)) >= 0 else -wanted
+
+    for unit in units:
+        if unit in ("N", "tangential"):
+            vote(unit, 1.0, lambda t, v: _lopsided(v))
+        elif unit == "m/s^2":
+            vote(unit, -1.0, lambda t, v: _lopsided(v))
+        elif unit == "m/s":
+            vote(unit, 1.0, lambda t, v: v[np.isfinite(v)][: max(3, v.size // 20)].mean())
+        else:
+            vote(unit, 1.0, _turning)
+    return signs
+
+
+def _lopsided(values: np.ndarray) -> float:
+    """Positive where a channel leaves its rest upwards more than downwards."""
+    seen = values[np.isfinite(values)]
+    level = seen - (rest(seen) or 0.0)
+    return float(np.max(level) + np.min(level))
+
+
+def _turning(clock: np.ndarray, values: np.ndarray) -> float:
+    """Positive where a position moves upwards at first, before it turns."""
+    seen = values[np.isfinite(values)]
+    turn = int(np.argmax(np.abs(seen - seen[0])))
+    return float(seen[turn] - seen[0])
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """What the first contacts say: peak [N], impulse [N s], duration [s], samples in contact, step [s], contacts a run.
+
+    Of records without a force, peak and impulse are per mass. ``speed`` and ``restitution`` from a velocity or position,
+    ``mass`` from the impulse over the change of the speed, or from force over acceleration; None where nothing tells.
+    """
+
+    peak: float
+    impulse: float
+    duration: float
+    samples: int
+    step: float
+    contacts: int
+    speed: tuple[float, float] | None
+    restitution: float | None
+    mass: float | None
+    flights: list[float]
+    begin: float
+
+
+def sizes(found: Understood) -> Sizes:
+    """The sizes of all records together, by their medians."""
+    records = found.records
+    events = [r.events[0] for r in records]
+    specific = [r if "N" in r.readings else _specific(r) for r in records]
+    has = [r for r in specific if "N" in r.readings]
+    speeds = [s for r in records if (s := r.speeds()) is not None and s[0] > 0]
+    mass = None
+    force = all("N" in r.readings for r in records)
+    if force and speeds:
+        changes = [(r.impulse(), s[0] - s[1]) for r in records if (s := r.speeds()) is not None and s[0] > s[1]]
+        mass = float(np.median([j / c for j, c in changes])) if changes else None
+    elif force and all("m/s^2" in r.readings for r in records):
+        pairs = [(r.readings["N"] - r.rest("N"), -(r.readings["m/s^2"] - r.rest("m/s^2"))) for r in records]
+        f, a = (np.nan_to_num(np.concatenate(x)) for x in zip(*pairs, strict=True))
+        mass = float(f @ a / (a @ a)) if a @ a > 0 else None
+    longest = max(records, key=lambda r: len(r.events))
+    return Sizes(
+        peak=float(np.median([r.events[0].peak if "N" in r.readings else np.nan for r in has]))
+        if has
+        else float("nan"),
+        impulse=float(np.median([r.impulse() for r in has])) if has else float("nan"),
+        duration=float(np.median([e.duration for e in events])),
+        samples=int(np.median([e.last - e.first + 1 for e in events])),
+        step=float(np.median([e.step for e in events])),
+        contacts=len(longest.events),
+        speed=(min(s[0] for s in speeds), max(s[0] for s in speeds)) if speeds else None,
+        restitution=float(np.median([-s[1] / s[0] for s in speeds])) if speeds else None,
+        mass=mass,
+        flights=[float(b.begin - a.end) for a, b in zip(longest.events, longest.events[1:], strict=False)],
+        begin=float(longest.events[0].begin),
+    )
+
+
+def _specific(record: Record) -> Record:
+    """A record of an acceleration as one of a force per mass."""
+    if "m/s^2" not in record.readings:
+        return record
+    return replace(record, readings={**record.readings, "N": -record.readings["m/s^2"]})

@@ -1,0 +1,298 @@
+"""``bcfj init calibration RECORD``: a problem file of a dozen lines from a measured table, with what was found in it.
+
+What a record cannot tell, such as the mass, stands in the file as "? kg": ``bcfj calibrate`` then names the key.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from bcfj_jax import InputError, nearest
+from bcfj_jax.io.outputs import open_folder, write_text
+from bcfj_jax.io.units import format_si, quantity
+from calibration import problemfile
+from calibration.data.proposal import Sizes, Understood, sizes, understood
+from calibration.data.readers import read
+
+SCENES = ("impact", "bounce", "oblique_impact")
+_GRAVITY = 9.81
+# Depth of a half sine over speed and duration; a restitution where nothing tells it.
+_DEPTH, _USUAL = 3.2, 0.7
+# Bounds beyond what the record says: of a stiffness, a damping times the speed, a speed or mass from an impulse.
+_WIDE, _LOSS, _MARGIN = 30.0, (0.01, 5.0), 1.4
+# Speeds that a mass which is not known yet leaves open [m/s].
+_ANY_SPEED = (0.01, 100.0)
+_EXPONENTS = (1.0, 2.5)
+
+
+class _Line(NamedTuple):
+    """A line of the file, and what is said behind it."""
+
+    text: str
+    note: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.text:<60}  # {self.note}" if self.note else self.text
+
+
+class _Known(NamedTuple):
+    """Mass and speed, SI, with where they are from: a pair is bounds to search between, None is not known."""
+
+    mass: float | tuple[float, float] | None
+    speed: float | tuple[float, float] | None
+    mass_from: str
+    speed_from: str
+
+
+def run(
+    record: Path, out: Path | None, scene: str, mass: str | None, speed: str | None, table: str | None,
+    say: Callable[[str], None],
+) -> int:  # fmt: skip
+    """Write RECORD's problem file; never over another.
+
+    Args:
+        record: any kind of measured file.
+        out: folder of the problem file; by default this one.
+        scene: impact, bounce or oblique_impact; "" takes what the columns suggest.
+        mass, speed: texts with units, where they are known.
+        table: which table inside the file.
+        say: prints.
+
+    Raises:
+        InputError: for a file that holds no clock, no reading or no contact, and where the problem file is there already.
+    """
+    found = understood(read(record, "record", table))
+    kind = scene or ("oblique_impact" if "tangential" in found.columns else "impact")
+    if kind not in SCENES:
+        raise InputError("--scene", f"no problem file is proposed for the scene '{kind}'", nearest(kind, SCENES))
+    given = [None if text is None else quantity(text, unit, f"--{key}") for key, unit, text in
+             (("mass", "kg", mass), ("speed", "m/s", speed))]  # fmt: skip
+    folder, name = out or Path("."), f"{record.stem}.toml"
+    relative = Path(os.path.relpath(record, folder)).as_posix()
+    text, missing = _text(found, kind, given[0], given[1], relative, name)
+    path = open_folder(folder, "init", record.stem, [name]) / name
+    write_text(path, text)
+    if not missing:
+        try:
+            for one in problemfile.prepared(path):
+                say(f"{one.name}: {'; '.join(one.notes)}")
+            problemfile.load(path)
+        except InputError:
+            path.unlink()
+            raise
+    say(f"wrote {path}")
+    say(
+        f"fill in {' and '.join(missing)} there, then: bcfj calibrate {path}"
+        if missing
+        else f"next: bcfj calibrate {path}"
+    )
+    return 0
+
+
+def _text(
+    found: Understood, kind: str, mass: float | None, speed: float | None, file: str, name: str
+) -> tuple[str, list[str]]:
+    """The file, and the keys that are left to fill in."""
+    s = sizes(found)
+    known = _bounced(s, mass, speed, found) if kind == "bounce" else _known(s, mass, speed, found)
+    doubt = _doubt(s, known)
+    parameters, missing = _parameters(known, kind)
+    lines = [
+        f"# A contact law from {found.path.name}, proposed by bcfj init calibration. Next: bcfj calibrate {name}",
+        f"# Found: {_summary(found, s)}.",
+        *(f"# {text}." for text in _other(found, kind)),
+        *([f"# CHECK: {doubt}."] if doubt else []),
+        _Line(f'scene = "{kind}"', "or a scene file: another law, two stages, friction"),
+        _Line('sensor = "free"', 'each record\'s clock and zero are found, too; "exact" holds them at 0'),
+        "[[experiment]]",
+        _Line(f'file = "{file}"', f"every {found.runs[0]} is a record" if found.runs[0] else ""),
+        *([f'table = "{found.table}"'] if found.table else []),
+        f'time = "{found.time}"',
+        *(f'rows = {{ "{header}" = "{value}" }}' for header, value in found.rows.items()),
+        _observed(found, kind),
+        _Line('noise = "estimate"', 'or what the sensor is known to: "0.1 N", "2 %"'),
+        *_window(s, kind),
+        *([parameters] if parameters else []),
+        "[free]",
+        *_free(s, known, kind, found),
+    ]
+    return "\n".join(map(str, lines)) + "\n", missing
+
+
+def _parameters(known: _Known, kind: str) -> tuple[_Line | None, list[str]]:
+    """What is known of every record, and the keys that are left to fill in."""
+    entries: list[tuple[str, float | None, str, str]] = []
+    if not isinstance(known.mass, tuple):
+        entries.append(("mass", known.mass, "kg", known.mass_from))
+    if kind != "bounce" and not isinstance(known.speed, tuple):
+        entries.append(("approach_speed", known.speed, "m/s", known.speed_from))
+    if kind == "oblique_impact":
+        entries += [("impact_angle", None, "deg", ""), ("radius", None, "mm", "")]
+    missing = [key for key, value, *_ in entries if value is None]
+    text = ", ".join(f'{k} = "{"?" if value is None else f"{value:.4g}"} {unit}"' for k, value, unit, _ in entries)
+    origins = dict.fromkeys(origin for _, value, _, origin in entries if value is not None and origin)
+    note = "FILL IN what is a question mark" if missing else "; ".join(origins)
+    return (_Line(f"parameters = {{ {text} }}", note) if entries else None), missing
+
+
+def _summary(found: Understood, s: Sizes) -> str:
+    many = f"{found.runs[1]} runs, " if found.runs[0] else ""
+    parts = [
+        f"{many}a sample every {format_si(s.step, 's', 3)}",
+        f"{s.contacts} contact{'s' if s.contacts > 1 else ''}{' a run' if many else ''}, the first of "
+        f"{format_si(s.duration, 's', 3)} and {s.samples} samples",
+    ]
+    if np.isfinite(s.peak):
+        peak, impulse = ("N", "N s") if "N" in found.columns else ("m/s^2", "m/s")
+        parts.append(f"peak {format_si(s.peak, peak, 3)}, impulse {format_si(s.impulse, impulse, 3)}")
+    if "N" in found.columns:
+        rests = [r.rest("N") for r in found.records]
+        parts.append(f"rest at {format_si(float(np.median(rests)), 'N', 2)}")
+    if s.speed:
+        parts.append(f"approach at {format_si(float(np.mean(s.speed)), 'm/s', 3)}")
+    return "; ".join(parts)
+
+
+def _known(s: Sizes, mass: float | None, speed: float | None, found: Understood) -> _Known:
+    """Mass and speed of an impact: as given, else as other columns show them, else as the impulse bounds them."""
+    mass_from = speed_from = "as given"
+    v: float | tuple[float, float] | None = speed
+    m: float | tuple[float, float] | None = mass
+    if v is None and s.speed:
+        v, speed_from = (s.speed[0] / _MARGIN, s.speed[1] * _MARGIN), "from the motion before contact"
+    if m is None and s.mass and s.mass > 0:
+        what = "the impulse over the change of the speed" if s.speed else "force over acceleration"
+        m, mass_from = float(f"{s.mass:.3g}"), f"CHECK the mass, {what}: weigh it"
+    pushed = np.isfinite(s.impulse) and s.impulse > 0
+    force = "N" in found.columns and pushed
+    if m is None and isinstance(v, float) and force:
+        m = (s.impulse / (2.0 * v) / _MARGIN, s.impulse / v * _MARGIN)
+    if v is None and isinstance(m, float) and force:
+        v, speed_from = (s.impulse / (2.0 * m) / _MARGIN, s.impulse / m * _MARGIN), "from the impulse and the mass"
+    elif v is None and pushed and not force:  # What an acceleration sums up to is v (1 + e).
+        v, speed_from = (s.impulse / 2.0 / _MARGIN, s.impulse * _MARGIN), "from the change of speed in contact"
+    return _Known(m, v if v is not None else _ANY_SPEED, mass_from, speed_from)
+
+
+def _bounced(s: Sizes, mass: float | None, speed: float | None, found: Understood) -> _Known:
+    """Mass and speed of a drop: a flight of length t ends the impact at g t/2, and the next begins with that."""
+    if not s.flights:
+        remedy = "take --scene impact, or a record of two contacts"
+        raise InputError("--scene", "bounce, but no record holds two contacts", remedy)
+    after = 0.5 * _GRAVITY * s.flights[0]
+    kept = min(max(s.flights[1] / s.flights[0], 0.2), 0.99) if len(s.flights) > 1 else _USUAL
+    v = speed if speed is not None else after / kept
+    m: float | tuple[float, float] | None = mass
+    if m is None and "N" in found.columns:
+        m = (s.impulse / (v + after) / 2.0, s.impulse / (v + after) * 2.0)
+    return _Known(m, v, "as given", "from the flights between contacts" if speed is None else "about the speed given")
+
+
+def _middle(value: float | tuple[float, float] | None) -> float | None:
+    return float(np.sqrt(value[0] * value[1])) if isinstance(value, tuple) else value
+
+
+def _doubt(s: Sizes, known: _Known) -> str:
+    """Whether mass and speed, both known, contradict the impulse."""
+    if not (isinstance(known.mass, float) and isinstance(known.speed, float) and np.isfinite(s.impulse)):
+        return ""
+    ratio = s.impulse / (known.mass * known.speed)
+    return (
+        ""
+        if 0.95 < ratio < 2.05
+        else f"impulse / (mass x speed) is {ratio:.3g}, and 1 + e is 1 to 2: mass, speed, a unit or the gain is wrong"
+    )
+
+
+def _columns(found: Understood, kind: str) -> dict[str, str]:
+    """Headers with their sign, by the readings of the scene: an impact goes along +x, a fall along -y."""
+    axis, sign = ("x", 1.0) if kind == "impact" else ("y", -1.0)
+    names = {"N": "contact.normal", "m/s^2": f"body.acceleration.{axis}", "m/s": f"body.velocity.{axis}"}
+    names |= {"m": f"body.place.{axis}"}
+    names |= {"tangential": "contact.tangential"} if kind == "oblique_impact" else {}
+    signed = {}
+    for unit, header in found.columns.items():
+        if unit in names:
+            minus = header.startswith("-") != (sign < 0 and unit.startswith("m"))
+            signed[names[unit]] = f"{'-' if minus else ''}{header.removeprefix('-')}"
+    return signed
+
+
+def _taken(columns: dict[str, str]) -> list[str]:
+    """The readings that are fitted: forces, or else what follows a contact best."""
+    forces = [name for name in columns if name.startswith("contact.")]
+    return forces or [min(columns, key=lambda n: ("acceleration", "velocity", "place").index(n.split(".")[1]))]
+
+
+def _observed(found: Understood, kind: str) -> _Line:
+    columns = _columns(found, kind)
+    text = ", ".join(f'"{name}" = "{columns[name]}"' for name in _taken(columns))
+    flipped = columns.get("contact.normal", "").startswith("-")
+    return _Line(f"observe = {{ {text} }}", "its sign is flipped: a contact pushes" if flipped else "")
+
+
+def _other(found: Understood, kind: str) -> list[str]:
+    """What the table holds beside what is fitted."""
+    columns = _columns(found, kind)
+    more = [f'"{name}" = "{h}"' for name, h in columns.items() if name not in _taken(columns)]
+    said = [f"It could observe more: {', '.join(more)}"] if more else []
+    return said + ([f"Not understood: {', '.join(found.others)}"] if found.others else [])
+
+
+def _window(s: Sizes, kind: str) -> list[_Line]:
+    """About the first contact of an impact; a bounce is taken whole."""
+    if kind == "bounce":
+        return []
+    before = max(s.duration, 12.0 * s.step)
+    after = s.duration + max(0.75 * s.duration, 6.0 * s.step)
+    note = ""
+    if s.flights:
+        after = min(after, s.duration + 0.7 * s.flights[0])
+        note = f"the first of {s.contacts} contacts; --scene bounce takes all"
+    ends = f'["{format_si(-before, "s", 3)}", "{format_si(after, "s", 3)}"]'
+    return [_Line('align = "onset"', "time 0 where the record first rises"), _Line(f"window = {ends}", note)]
+
+
+def _free(s: Sizes, known: _Known, kind: str, found: Understood) -> list[_Line]:
+    """What is searched, with bounds that follow from the impulse, the duration and the peak."""
+    m, v, force = _middle(known.mass), _middle(known.speed), "N" in found.columns
+    open_scale = m is None or known.speed == _ANY_SPEED
+    speeds: tuple[float, float] = known.speed if isinstance(known.speed, tuple) else (v, v) if v else _ANY_SPEED
+    peak = s.peak
+    if not force:  # The mass times what is read; without an acceleration a half sine of the change of speed.
+        each_kg = s.peak if np.isfinite(s.peak) else 1.6 * (v or 1.0) * (1.0 + _USUAL) / s.duration
+        peak = each_kg * (m or 1.0)
+    depths = [x * s.duration / _DEPTH for x in speeds]
+    ends = [peak / d**n for d in depths for n in _EXPONENTS]
+    unknown = 1.0 if m is not None or force else 1e3
+    origin = f"depth about {format_si(float(np.sqrt(depths[0] * depths[-1])), 'm', 2)}, force {format_si(peak, 'N', 2)}"
+    origin = "wide: the mass is not known yet" if open_scale else origin
+    each = ", each = true" if found.runs[0] else ""
+    lower, upper = min(ends) / _WIDE / unknown, max(ends) * _WIDE * unknown
+    lines = [
+        _box("stiffness", f"{lower:.1g}", f"{upper:.1g}", f"N/m^n; {origin}"),
+        _box("exponent", *(f"{n}" for n in _EXPONENTS), "1.5 of a smooth elastic bump"),
+    ]
+    if kind == "oblique_impact":
+        lines += [_box("friction_dynamic", "0.01", "1.0", ""), _box("restitution", "0.1", "1.0", "")]
+    else:
+        low, high = _LOSS[0] / max(speeds), _LOSS[1] / min(speeds)
+        lines.append(_box("damping", f"{low:.2g}", f"{high:.2g}", "s/m; 0.01 to 5 over the speed"))
+    if isinstance(known.mass, tuple):
+        lines.append(_box("mass", *(f'"{x:.3g} kg"' for x in known.mass), "from the impulse and the speed"))
+    if kind == "bounce":
+        height = (v or 1.0) ** 2 / (2.0 * _GRAVITY)
+        lines.append(_box("drop_height", *(f'"{k * height:.3g} m"' for k in (0.5, 2.0)), known.speed_from, each))
+    elif isinstance(known.speed, tuple):
+        note = "any: the mass is not known yet" if open_scale else known.speed_from
+        lines.append(_box("approach_speed", *(f'"{x:.3g} m/s"' for x in known.speed), note, each))
+    return lines
+
+
+def _box(name: str, lower: str, upper: str, note: str, more: str = "") -> _Line:
+    return _Line(f"{name} = {{ lower = {lower}, upper = {upper}{more} }}", note)
