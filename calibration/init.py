@@ -6,7 +6,7 @@ What a record cannot tell, such as the mass, stands in the file as "? kg": ``bcf
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,15 +14,23 @@ import numpy as np
 
 from bcfj_jax import InputError, nearest
 from bcfj_jax.io.outputs import open_folder, write_text
-from bcfj_jax.io.units import format_si, quantity
+from bcfj_jax.io.units import column, format_si, quantity
 from calibration import problemfile
 from calibration.data.proposal import Sizes, Understood, sizes, understood
 from calibration.data.readers import read
 
-SCENES = ("impact", "bounce", "oblique_impact")
+_FILE = "or a scene file: another law, two stages"
+_SAID = {
+    "impact": f"one contact, no gravity; {_FILE}",
+    "bounce": f"a drop under gravity, several contacts; {_FILE}",
+    "oblique_impact": f"a sphere with friction and spin; {_FILE}",
+}
+SCENES = tuple(_SAID)
 _GRAVITY = 9.81
 # Depth of a half sine over speed and duration; a restitution where nothing tells it.
 _DEPTH, _USUAL = 3.2, 0.7
+# Restitution from the impulse above which no damping is searched.
+_ELASTIC = 0.98
 # Bounds beyond what the record says: of a stiffness, a damping times the speed, a speed or mass from an impulse.
 _WIDE, _LOSS, _MARGIN = 30.0, (0.01, 5.0), 1.4
 # Speeds that a mass which is not known yet leaves open [m/s].
@@ -58,7 +66,7 @@ def run(
     Args:
         record: any kind of measured file.
         out: folder of the problem file; by default this one.
-        scene: impact, bounce or oblique_impact; "" takes what the columns suggest.
+        scene: impact, bounce or oblique_impact; "" takes what the record looks like.
         mass, speed: texts with units, where they are known.
         table: which table inside the file.
         say: prints.
@@ -67,7 +75,7 @@ def run(
         InputError: for a file that holds no clock, no reading or no contact, and where the problem file is there already.
     """
     found = understood(read(record, "record", table))
-    kind = scene or ("oblique_impact" if "tangential" in found.columns else "impact")
+    kind = scene or _kind(found)
     if kind not in SCENES:
         raise InputError("--scene", f"no problem file is proposed for the scene '{kind}'", nearest(kind, SCENES))
     given = [None if text is None else quantity(text, unit, f"--{key}") for key, unit, text in
@@ -94,6 +102,15 @@ def run(
     return 0
 
 
+def _kind(found: Understood) -> str:
+    """The scene that a record looks like: flights that are longer than contacts, and get shorter, are bounces."""
+    if "tangential" in found.columns:
+        return "oblique_impact"
+    s = sizes(found)
+    falling = all(b < a for a, b in zip(s.flights, s.flights[1:], strict=False))
+    return "bounce" if s.flights and falling and min(s.flights) > s.duration else "impact"
+
+
 def _text(
     found: Understood, kind: str, mass: float | None, speed: float | None, file: str, name: str
 ) -> tuple[str, list[str]]:
@@ -101,13 +118,14 @@ def _text(
     s = sizes(found)
     known = _bounced(s, mass, speed, found) if kind == "bounce" else _known(s, mass, speed, found)
     doubt = _doubt(s, known)
-    parameters, missing = _parameters(known, kind)
+    elastic = kind == "impact" and _ratio(s, known) > 1.0 + _ELASTIC
+    parameters, missing = _parameters(known, kind, elastic)
     lines = [
         f"# A contact law from {found.path.name}, proposed by bcfj init calibration. Next: bcfj calibrate {name}",
         f"# Found: {_summary(found, s)}.",
         *(f"# {text}." for text in _other(found, kind)),
         *([f"# CHECK: {doubt}."] if doubt else []),
-        _Line(f'scene = "{kind}"', "or a scene file: another law, two stages, friction"),
+        _Line(f'scene = "{kind}"', _SAID[kind]),
         _Line('sensor = "free"', 'each record\'s clock and zero are found, too; "exact" holds them at 0'),
         "[[experiment]]",
         _Line(f'file = "{file}"', f"every {found.runs[0]} is a record" if found.runs[0] else ""),
@@ -119,12 +137,12 @@ def _text(
         *_window(s, kind),
         *([parameters] if parameters else []),
         "[free]",
-        *_free(s, known, kind, found),
+        *_free(s, known, kind, found, elastic),
     ]
     return "\n".join(map(str, lines)) + "\n", missing
 
 
-def _parameters(known: _Known, kind: str) -> tuple[_Line | None, list[str]]:
+def _parameters(known: _Known, kind: str, elastic: bool) -> tuple[_Line | None, list[str]]:
     """What is known of every record, and the keys that are left to fill in."""
     entries: list[tuple[str, float | None, str, str]] = []
     if not isinstance(known.mass, tuple):
@@ -133,6 +151,8 @@ def _parameters(known: _Known, kind: str) -> tuple[_Line | None, list[str]]:
         entries.append(("approach_speed", known.speed, "m/s", known.speed_from))
     if kind == "oblique_impact":
         entries += [("impact_angle", None, "deg", ""), ("radius", None, "mm", "")]
+    if elastic:
+        entries.append(("damping", 0.0, "s/m", "the impulse says that nothing is lost: no damping is searched"))
     missing = [key for key, value, *_ in entries if value is None]
     text = ", ".join(f'{k} = "{"?" if value is None else f"{value:.4g}"} {unit}"' for k, value, unit, _ in entries)
     origins = dict.fromkeys(origin for _, value, _, origin in entries if value is not None and origin)
@@ -197,16 +217,19 @@ def _middle(value: float | tuple[float, float] | None) -> float | None:
     return float(np.sqrt(value[0] * value[1])) if isinstance(value, tuple) else value
 
 
+def _ratio(s: Sizes, known: _Known) -> float:
+    """1 + e from the impulse over mass and speed, where both are known; else NaN."""
+    if not (isinstance(known.mass, float) and isinstance(known.speed, float)):
+        return float("nan")
+    return s.impulse / (known.mass * known.speed)
+
+
 def _doubt(s: Sizes, known: _Known) -> str:
     """Whether mass and speed, both known, contradict the impulse."""
-    if not (isinstance(known.mass, float) and isinstance(known.speed, float) and np.isfinite(s.impulse)):
+    ratio = _ratio(s, known)
+    if not np.isfinite(ratio) or 0.95 < ratio < 2.05:
         return ""
-    ratio = s.impulse / (known.mass * known.speed)
-    return (
-        ""
-        if 0.95 < ratio < 2.05
-        else f"impulse / (mass x speed) is {ratio:.3g}, and 1 + e is 1 to 2: mass, speed, a unit or the gain is wrong"
-    )
+    return f"impulse / (mass x speed) is {ratio:.3g}, and 1 + e is 1 to 2: mass, speed, a unit or the gain is wrong"
 
 
 def _columns(found: Understood, kind: str) -> dict[str, str]:
@@ -241,6 +264,8 @@ def _other(found: Understood, kind: str) -> list[str]:
     columns = _columns(found, kind)
     more = [f'"{name}" = "{h}"' for name, h in columns.items() if name not in _taken(columns)]
     said = [f"It could observe more: {', '.join(more)}"] if more else []
+    bare = [h for h in (found.time, *(h.removeprefix("-") for h in found.columns.values())) if column(h)[1] is None]
+    said += [f"CHECK: no unit is stated of {', '.join(bare)}; SI is taken"] if bare else []
     return said + ([f"Not understood: {', '.join(found.others)}"] if found.others else [])
 
 
@@ -258,7 +283,7 @@ def _window(s: Sizes, kind: str) -> list[_Line]:
     return [_Line('align = "onset"', "time 0 where the record first rises"), _Line(f"window = {ends}", note)]
 
 
-def _free(s: Sizes, known: _Known, kind: str, found: Understood) -> list[_Line]:
+def _free(s: Sizes, known: _Known, kind: str, found: Understood, elastic: bool) -> list[_Line]:
     """What is searched, with bounds that follow from the impulse, the duration and the peak."""
     m, v, force = _middle(known.mass), _middle(known.speed), "N" in found.columns
     open_scale = m is None or known.speed == _ANY_SPEED
@@ -275,24 +300,25 @@ def _free(s: Sizes, known: _Known, kind: str, found: Understood) -> list[_Line]:
     each = ", each = true" if found.runs[0] else ""
     lower, upper = min(ends) / _WIDE / unknown, max(ends) * _WIDE * unknown
     lines = [
-        _box("stiffness", f"{lower:.1g}", f"{upper:.1g}", f"N/m^n; {origin}"),
-        _box("exponent", *(f"{n}" for n in _EXPONENTS), "1.5 of a smooth elastic bump"),
+        _box("stiffness", (f"{lower:.1g}", f"{upper:.1g}"), f"N/m^n; {origin}"),
+        _box("exponent", (f"{n}" for n in _EXPONENTS), "1.5 of a smooth elastic bump"),
     ]
     if kind == "oblique_impact":
-        lines += [_box("friction_dynamic", "0.01", "1.0", ""), _box("restitution", "0.1", "1.0", "")]
-    else:
+        lines += [_box("friction_dynamic", ("0.01", "1.0"), ""), _box("restitution", ("0.1", "1.0"), "")]
+    elif not elastic:
         low, high = _LOSS[0] / max(speeds), _LOSS[1] / min(speeds)
-        lines.append(_box("damping", f"{low:.2g}", f"{high:.2g}", "s/m; 0.01 to 5 over the speed"))
+        lines.append(_box("damping", (f"{low:.2g}", f"{high:.2g}"), "s/m; 0.01 to 5 over the speed"))
     if isinstance(known.mass, tuple):
-        lines.append(_box("mass", *(f'"{x:.3g} kg"' for x in known.mass), "from the impulse and the speed"))
+        lines.append(_box("mass", (f'"{x:.3g} kg"' for x in known.mass), "from the impulse and the speed"))
     if kind == "bounce":
         height = (v or 1.0) ** 2 / (2.0 * _GRAVITY)
-        lines.append(_box("drop_height", *(f'"{k * height:.3g} m"' for k in (0.5, 2.0)), known.speed_from, each))
+        lines.append(_box("drop_height", (f'"{k * height:.3g} m"' for k in (0.5, 2.0)), known.speed_from, each))
     elif isinstance(known.speed, tuple):
         note = "any: the mass is not known yet" if open_scale else known.speed_from
-        lines.append(_box("approach_speed", *(f'"{x:.3g} m/s"' for x in known.speed), note, each))
+        lines.append(_box("approach_speed", (f'"{x:.3g} m/s"' for x in known.speed), note, each))
     return lines
 
 
-def _box(name: str, lower: str, upper: str, note: str, more: str = "") -> _Line:
+def _box(name: str, bounds: Iterable[str], note: str, more: str = "") -> _Line:
+    lower, upper = bounds
     return _Line(f"{name} = {{ lower = {lower}, upper = {upper}{more} }}", note)

@@ -160,8 +160,9 @@ def _sensor(
 ) -> Sensor:  # fmt: skip
     """Nuisances that are free within bounds which the records give: those asked for without bounds, and by default."""
     found, scene, one = Sensor(), base.scene, base.scene.canonical
-    searched = {one(name) for name in file.free}
-    stated = searched | {n for e in experiments for n in e.fixed}
+    bounded = {one(n): t for n, t in file.free.items() if None not in (t.lower, t.upper)}
+    searched = {f.name: (f.lower, f.upper) for f in (free_of(n, t, path, known) for n, t in bounded.items())}
+    stated = {one(name) for name in file.free} | {n for e in experiments for n in e.fixed}
     asked = [n for n, t in file.free.items() if n in NUISANCES and t.lower is None and t.upper is None]
     measured = file.sensor == "free" and scene.traits.history and not scene.traits.turning
     observed = [o for entry in file.experiment for o in entry.observe]

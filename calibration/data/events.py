@@ -74,10 +74,16 @@ def rise(observes: str, times: np.ndarray, values: np.ndarray) -> np.ndarray:
     if kind == "velocity":
         return np.abs(values - np.median(values[:few]))
     # A straight line through the first half of the way to where the position turns, or through its first samples.
-    turn = int(np.argmax(np.abs(values - values[0])))
-    count = min(max(few, turn // 2), values.size)
+    count = min(max(few, turning(times, values) // 2), values.size)
     slope, level = np.polyfit(times[:count], values[:count], 1)
     return np.abs(values - (slope * times + level))
+
+
+def turning(times: np.ndarray, values: np.ndarray) -> int:
+    """The sample (of T) at which a position has gone farthest the way that it went at first."""
+    few = min(max(4, values.size // 10), values.size)
+    way = np.polyfit(times[:few], values[:few], 1)[0]
+    return int(np.argmax(np.sign(way) * values))
 
 
 def contacts(observes: str, times: np.ndarray, values: np.ndarray) -> list[Event]:
@@ -96,6 +102,8 @@ def contacts(observes: str, times: np.ndarray, values: np.ndarray) -> list[Event
     if not peak > 0.0:
         return []
     if quantity(observes) in ("velocity", "place"):
+        # A position leaves its line further and further: what counts is how far it has when it turns.
+        peak = float(rises[turning(clock, values[seen])]) if quantity(observes) == "place" else peak
         first = int(np.flatnonzero(rises > _DEPARTED * peak)[0])
         high = np.flatnonzero(rises[first:] > (1.0 - _DEPARTED) * peak)[0]
         return [_event(clock, seen, first, first + int(high), peak, step)]

@@ -14,7 +14,7 @@ import numpy as np
 from bcfj_jax import InputError
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import unit_of
-from calibration.data.events import rest, rise
+from calibration.data.events import quantity, rest, rise, turning
 from calibration.data.inspection import (
     TOUCHING,
     channel_notes,
@@ -153,8 +153,9 @@ def _first_contact(clock: np.ndarray, observes: str, values: np.ndarray, where: 
     """Time of the first sample above rest by a tenth of the peak; only a normal force has a sign that it must have."""
     seen = np.isfinite(values)
     clock, values = clock[seen], values[seen]
-    values = rise(observes, clock, values) if values.size > 2 else values
-    peak = np.max(values, initial=0.0)
+    position, values = values, rise(observes, clock, values) if values.size > 2 else values
+    far = quantity(observes) == "place" and values.size > 2
+    peak = values[turning(clock, position)] if far else np.max(values, initial=0.0)
     if not peak > 0:
         if not observes.endswith(".normal"):
             raise InputError(f"{where} observe", f"'{observes}' reads 0 throughout", "choose another column")

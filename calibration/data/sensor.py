@@ -89,7 +89,7 @@ def first_touch(kind: str, params: Mapping[str, float]) -> float | None:
 
 
 def proposed(
-    name: str, record: Prepared, kind: str, params: Mapping[str, float], free: Collection[str]
+    name: str, record: Prepared, kind: str, params: Mapping[str, float], free: Mapping[str, tuple[float, float]]
 ) -> Proposal | str:
     """Bounds of one nuisance from one record, or why there are none.
 
@@ -98,7 +98,7 @@ def proposed(
         record: as prepared.
         kind: of the scene.
         params: of the record's scene, SI.
-        free: names of what else is searched.
+        free: what else is searched, with its bounds.
     """
     if name != "time_offset" and name not in OFFSETS.values():
         return f"a record does not tell a {name}"
@@ -114,16 +114,21 @@ def proposed(
 
 
 def _clock(
-    observes: str, found: list[Event], record: Prepared, kind: str, params: Mapping[str, float], free: Collection[str]
-) -> Proposal | str:
-    touch, event = first_touch(kind, params), found[0]
-    if touch is None:
+    observes: str, found: list[Event], record: Prepared, kind: str, params: Mapping[str, float],
+    free: Mapping[str, tuple[float, float]],
+) -> Proposal | str:  # fmt: skip
+    moving, event = next((n for n in _MOVES if n in free), ""), found[0]
+    # The flights between several contacts tell the height of a drop, so that the clock is another unknown.
+    several = kind == "bounce" and moving == "drop_height" and len(found) > 1
+    ends = free["drop_height"] if several else (params.get(moving, 0.0),) * 2
+    first, last = (first_touch(kind, {**params, **({moving: x} if moving else {})}) for x in ends)
+    if first is None or last is None:
         return f"when the scene '{kind}' first touches is known only from a run"
-    lower = event.before - event.step - _BEFORE[quantity(observes)] * event.duration - touch
-    upper = event.begin + event.step + _AFTER * event.duration - touch
-    doubt = "" if event.first else "the record begins in contact"
-    moving = [n for n in _MOVES if n in free]
-    return Proposal(lower, upper, f"{moving[0]} is free and moves the contact as well" if moving else doubt)
+    lower = event.before - event.step - _BEFORE[quantity(observes)] * event.duration - last
+    upper = event.begin + event.step + _AFTER * event.duration - first
+    if moving and not several:
+        return Proposal(lower, upper, f"{moving} is free and moves the contact as well")
+    return Proposal(lower, upper, "" if event.first else "the record begins in contact")
 
 
 def _zero(name: str, event: Event, record: Prepared, kind: str, params: Mapping[str, float]) -> Proposal | str:
@@ -148,7 +153,9 @@ def _zero(name: str, event: Event, record: Prepared, kind: str, params: Mapping[
         level, noise = float(np.mean(values[apart])), float(np.std(values[apart]))
         half = max(_SIGMAS * noise, _SHARE * float(np.nanmax(np.abs(values - level))))
         bounds.append((level - half, level + half))
-    return Proposal(min(low for low, _ in bounds), max(high for _, high in bounds), "")
+    apart = max(low for low, _ in bounds) > min(high for _, high in bounds)
+    doubt = f"{' and '.join(units[unit])} rest at different levels: subtract them in the file" if apart else ""
+    return Proposal(min(low for low, _ in bounds), max(high for _, high in bounds), doubt)
 
 
 def unasked(observed: Collection[str]) -> list[str]:

@@ -24,6 +24,8 @@ _UNITS, _LENGTHS, _NONE = ("kg", "kg m^2", "m/s"), ("drop_height",), ("friction_
 # What is left of a derivative, as a share, where the data cannot tell; step of the differences. Exact scalings leave
 # 1e-5 or less, combinations that data determine to a percent 5e-3 or more.
 _UNSEEN, _STEP = 1e-3, 1e-3
+# A finite move along such a direction, and what may be left of what it would do.
+_FINITE, _LEFT = 0.05, 5e-3
 # A move of an estimate that is named, for 1 % of a scale [%].
 _NAMED = 0.05
 # Relations of two scales that a direction leaves open are recognised to this share.
@@ -48,7 +50,7 @@ def untold(model: Model, labels: tuple[str, ...], point: np.ndarray, log_depth: 
     jacobian = np.where(np.isfinite(at.jacobians[0]), at.jacobians[0], 0.0)
     inner = jacobian @ _steps(model, point, log_depth)
     free = [axis.name for axis in model.coordinates]
-    found = _searched(model, labels, inner, [n for n in scales if n in free])
+    found = _searched(model, labels, point, log_depth, inner, [n for n in scales if n in free])
     if found:
         return found
     return _fixed(model, labels, point, log_depth, inner, [n for n in scales if n not in free])
@@ -64,7 +66,9 @@ def _steps(model: Model, point: np.ndarray, log_depth: float) -> np.ndarray:
     return steps
 
 
-def _searched(model: Model, labels: tuple[str, ...], inner: np.ndarray, scales: list[str]) -> list[dict[str, Any]]:
+def _searched(
+    model: Model, labels: tuple[str, ...], point: np.ndarray, log_depth: float, inner: np.ndarray, scales: list[str]
+) -> list[dict[str, Any]]:
     """Free scales of which the data determine a combination only."""
     mine = [k for k, axis in enumerate(model.coordinates) if axis.name in scales]
     if not mine:
@@ -77,6 +81,8 @@ def _searched(model: Model, labels: tuple[str, ...], inner: np.ndarray, scales: 
         return []
     lead = mine[int(np.argmax(np.abs(way[mine])))]
     way = way / way[lead]
+    if not _exact(model, point, log_depth, way, {}, sizes[lead]):
+        return []
     together = [k for k in mine if abs(way[k]) > _EQUAL]
     names = list(dict.fromkeys(model.coordinates[k].name for k in together))
     share = {labels[k]: float(way[k]) for k in range(len(labels)) if abs(way[k]) > _NAMED}
@@ -89,7 +95,8 @@ def _searched(model: Model, labels: tuple[str, ...], inner: np.ndarray, scales: 
     more = {
         labels[k]: float(way[k]) for k in range(len(labels)) if k != lead and model.coordinates[k].name not in NUISANCES
     }
-    text = f"{_channels(model)} alone leave a scale open, and {only}: {labels[lead]} 1 % larger with {_moves(more)} reads the same"
+    same = f"{labels[lead]} 1 % larger with {_moves(more)} reads the same"
+    text = f"{_channels(model)} alone leave a scale open, and {only}: {same}"
     return [{"parameters": names, "moves": {names[0]: share}, "text": text, "remedy": _remedy(names, model, True)}]
 
 
@@ -119,7 +126,12 @@ def _fixed(
     left = (outer + inner @ along) / outer_sizes
     _, singular, directions = np.linalg.svd(left, full_matrices=False)
     weak = directions[singular < _UNSEEN]
-    involved = [k for k in range(len(names)) if weak.size and np.max(np.abs(weak[:, k])) > _EQUAL]
+    ways = [(way / outer_sizes) / np.max(np.abs(way / outer_sizes)) for way in weak]
+    weak = np.array([
+        w * outer_sizes for w in ways
+        if _exact(model, point, log_depth, along @ w, dict(zip(names, w, strict=True)), float(np.max(np.abs(w) * outer_sizes)))
+    ])  # fmt: skip
+    involved = [k for k in range(len(names)) if weak.size and np.max(np.abs(weak[:, k] / outer_sizes[k])) > _EQUAL]
     if not involved:
         return []
     own = [names[k] for k in involved]
@@ -137,6 +149,31 @@ def _fixed(
     what = ", ".join(dict.fromkeys(model.coordinates[i].name for i in kept))
     text = f"{_channels(model)} alone determine {what} only for {given} given: {'; '.join(said)}"
     return [{"parameters": own, "moves": moves, "text": text, "remedy": _remedy(own, model, False)}]
+
+
+def _exact(
+    model: Model, point: np.ndarray, log_depth: float, way: np.ndarray, fixed: dict[str, float], size: float
+) -> bool:
+    """Whether a finite move leaves every reading as it is: few samples have directions that only to first order do.
+
+    Args:
+        model, point, log_depth: where.
+        way: (P,) logarithms by which what is free moves; shares of the range of a nuisance.
+        fixed: logarithms by which fixed values move.
+        size: what the largest of these moves alone does to the residuals, by the logarithm.
+    """
+    point = np.asarray(point, dtype=float)
+    values, moved = model.values(point, log_depth), model
+    nuisance = np.array([axis.name in NUISANCES for axis in model.coordinates])
+    other = model.point(np.where(nuisance, values, values * np.exp(_FINITE * way)), log_depth)
+    other = np.where(nuisance, point + _FINITE * way, other)
+    for name, log in fixed.items():
+        own = np.asarray(model.data.fixed[name], dtype=float) * np.exp(_FINITE * log)
+        moved = eqx.tree_at(lambda m, name=name: m.data.fixed[name], moved, own)
+    change = (
+        evaluation(moved)(other[None], log_depth).residuals[0] - evaluation(model)(point[None], log_depth).residuals[0]
+    )
+    return bool(np.linalg.norm(change) < _LEFT * _FINITE * size)
 
 
 def _shared(model: Model, labels: tuple[str, ...], moves: dict[str, float]) -> dict[str, float]:
