@@ -257,10 +257,8 @@ class Problem:
 
     def _check_bounds(self, e: Experiment, name: str) -> None:
         free, where = {f.name: f for f in self.free}.get(name), f"{self.where}: bounds of {name} in {e.name}"
-        if free is None or not free.per_experiment:
-            each = [f.name for f in self.free if f.per_experiment]
-            remedy = f"a record has its own of: {', '.join(each)}" if each else "no parameter here is a record's own"
-            raise InputError(where, f"'{name}' is not free with a value of its own for each record", remedy)
+        if free is None:  # Another model of the same data may not search it.
+            return
         lower, upper = e.bounds[name]
         check_value(where, self.quantities[name], lower)
         check_value(where, self.quantities[name], upper)

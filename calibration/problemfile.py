@@ -104,6 +104,8 @@ def load(path: str | Path) -> Problem:
     found = _sensor(file, path, base, records, experiments, known)
     experiments = [replace(e, bounds={**found.bounds.get(i, {}), **e.bounds}) for i, e in enumerate(experiments)]
     free = [free_of(one(name), table, path, known) for name, table in file.free.items() if one(name) not in found.names]
+    for k, entry in enumerate(file.experiment):
+        _check_own(entry, f"{path}: [[experiment]] {k + 1} bounds", free, found, one)
     return Problem(
         scene=base.scene,
         params={name: float(value) for name, value in base.params.items()},
@@ -306,6 +308,15 @@ def _experiment(
         tolerances=tolerances,
         bounds={one(name): _pair(name, pair, where, known, one) for name, pair in entry.bounds.items()},
     )
+
+
+def _check_own(entry: _Experiment, where: str, free: list[Free], found: Sensor, one: Callable[[str], str]) -> None:
+    """Refuse bounds of a record for what is not its own."""
+    own = [*(f.name for f in free if f.per_experiment), *found.names]
+    for name in entry.bounds:
+        if one(name) not in own:
+            remedy = f"a record has its own of: {', '.join(own)}" if own else "free it with each = true"
+            raise InputError(where, f"'{name}' is not free with a value of its own for each record", remedy)
 
 
 def _pair(

@@ -204,6 +204,7 @@ def test_models_of_a_file(stated):
         '[[model]]\nname = "two"\nscene = { elastic = "two_stage" }\n'
         'model.free.bottoming_stiffness = { lower = "1 kN/m", upper = "1 MN/m" }\n'.replace("model.free", "free")
     )
+    path.write_text('sensor = "exact"\n' + path.read_text())
     problem = load(path)
     plain, hertz, two = models(path, problem)
     assert [a.name for a in (plain, hertz, two)] == ["as it is", "hertz", "two"]

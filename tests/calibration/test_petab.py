@@ -78,6 +78,14 @@ def test_a_problem_comes_back_the_same(tmp_path):
     same(problem(), load(export(problem(), BASE.resolved, tmp_path / "out")))
 
 
+def test_bounds_of_each_record_come_back(tmp_path):
+    own = tuple(experiment(n, bounds={"time_offset": (t, t + 1e-4)}) for n, t in (("a", 0.0), ("b", 3.0)))
+    one = problem(experiments=own, free=(*FREE[:-1], Free("time_offset", 0.0, 3.0001)))
+    other = load(export(one, BASE.resolved, tmp_path))
+    same(one, other)
+    assert [e.bounds for e in other.experiments] == [e.bounds for e in own]
+
+
 def test_estimated_and_correlated_noise_comes_back(tmp_path):
     channel = Channel("contact.normal", FORCE, None, 0.0, None)
     estimated = problem(experiments=(experiment("a", channels=(channel,)), experiment("b")))
@@ -141,7 +149,6 @@ BAD = {
         lambda d: edit(d, "observables.tsv", "noise__contact__peak", "exp(noise__contact__peak*time)"),
         r"contact__peak: the noise formula .*; write a number",
     ),
-    "bounds": (lambda d: edit(d, "parameters.tsv", "mass__e2\t0.05", "mass__e2\t0.06"), "'mass' has several bounds"),
     "condition": (
         lambda d: edit(d, "conditions.tsv", "mass__e1", "mass__e1 * 2"),
         "'mass' becomes '2.*mass__e1'; give a number",

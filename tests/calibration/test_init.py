@@ -1,0 +1,199 @@
+"""``bcfj init calibration RECORD``: what it finds in measured files of every kind, and a file that calibrates at once."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from test_records import MASS, SPEED, TRUTH, drop, impact, law, table
+from typer.testing import CliRunner
+
+from bcfj_jax.cli import app
+from calibration import load
+
+pytestmark = pytest.mark.filterwarnings("error")
+
+TIMES = np.arange(0.0, 0.06, 2.5e-4)
+PLACE, RATE, ACCELERATION, PUSH = impact(TIMES - 21.3e-3)
+
+
+def init(*arguments: str):
+    return CliRunner().invoke(app, ["init", "calibration", *arguments])
+
+
+def written(record: str, *options: str) -> dict:
+    done = init(record, *options)
+    assert done.exit_code == 0, done.output
+    path = Path(record).with_suffix(".toml").name
+    assert f"wrote {path}" in done.output
+    text = Path(path).read_text()
+    assert len(text.splitlines()) <= 22 and text.isascii()
+    return tomllib.loads(text)
+
+
+def noisy(values: np.ndarray, share: float = 0.01) -> np.ndarray:
+    return values + share * np.ptp(values) * np.random.default_rng(3).standard_normal(values.size)
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_a_rig_with_force_and_motion_needs_nothing_more(here):
+    drop()
+    found = written("drop.csv")
+    (entry,) = found["experiment"]
+    assert (found["scene"], found["sensor"]) == ("impact", "free")
+    assert entry["observe"] == {"contact.normal": "force [N]"} and entry["align"] == "onset"
+    assert float(entry["parameters"]["mass"].split()[0]) == pytest.approx(MASS, rel=0.02)
+    bounds = {name: [float(str(b[end]).split()[0]) for end in ("lower", "upper")] for name, b in found["free"].items()}
+    for name, true in {**TRUTH, "approach_speed": SPEED}.items():
+        assert bounds[name][0] < true < bounds[name][1]
+    text = Path("drop.toml").read_text()
+    for said in (
+        "every 250 us",
+        "1 contact",
+        '"body.place.x" = "position [mm]"',
+        "CHECK the mass",
+        "approach at 1.2 m/s",
+    ):
+        assert said in text
+    assert [f.name for f in load("drop.toml").free][-2:] == ["time_offset", "force_offset"]
+
+
+def test_nothing_is_overwritten_and_nothing_else_is_taken(here):
+    drop()
+    written("drop.csv")
+    again = init("drop.csv")
+    assert again.exit_code == 2 and "already holds drop.toml" in again.output
+    assert CliRunner().invoke(app, ["init", "impact", "drop.csv"]).exit_code == 2
+    assert CliRunner().invoke(app, ["init", "calibration"]).exit_code == 2
+    assert CliRunner().invoke(app, ["init", "impact"]).exit_code == 0 and Path("impact.toml").exists()
+
+
+def test_what_a_force_alone_cannot_tell_is_asked_for(here):
+    table("f.csv", {"time [ms]": 1e3 * TIMES, "load [kN]": -1e-3 * noisy(PUSH)})
+    found = written("f.csv")
+    assert found["experiment"][0]["parameters"] == {"mass": "? kg"}
+    assert found["experiment"][0]["observe"] == {"contact.normal": "-load [kN]"}
+    done = CliRunner().invoke(app, ["calibrate", "f.toml", "--out", "fit"])
+    assert done.exit_code == 2 and "[[experiment]] 1 parameters.mass" in done.output and "give a mass" in done.output
+    Path("f.toml").unlink()
+    known = written("f.csv", "--mass", "0.4 kg")["free"]["approach_speed"]
+    low, high = (float(known[end].split()[0]) for end in ("lower", "upper"))
+    assert low < SPEED < high < 4.0 * low
+    Path("f.toml").unlink()
+    both = written("f.csv", "--mass", "40 g", "--speed", "1.2 m/s")
+    assert "approach_speed" not in both["free"] and "CHECK: impulse / (mass x speed)" in Path("f.toml").read_text()
+
+
+def hdf5(path: str) -> None:
+    h5py = pytest.importorskip("h5py", reason="the extra io is not installed")
+    with h5py.File(path, "w") as file:
+        group = file.create_group("daq")
+        group.create_dataset("t", data=1e3 * TIMES).attrs["unit"] = "ms"
+        group.create_dataset("a1", data=noisy(ACCELERATION) / 9.80665).attrs["unit"] = "g_0"
+
+
+def mat(path: str) -> None:
+    from scipy.io import savemat
+
+    units = {"time": "s", "x": "mm", "F": "kN"}
+    columns = {"time": TIMES, "x": 350.0 - 1e3 * PLACE, "F": -1e-3 * noisy(PUSH), "units": units}
+    savemat(path, {"shot": columns})
+
+
+def tdms(path: str) -> None:
+    nptdms = pytest.importorskip("nptdms", reason="the extra io is not installed")
+    columns = (("time", TIMES, "s"), ("Laser", noisy(-RATE, 0.002), "m/s"))
+    with nptdms.TdmsWriter(path) as writer:
+        writer.write_segment([nptdms.ChannelObject("g", n, v, properties={"unit_string": u}) for n, v, u in columns])
+
+
+def parquet(path: str) -> None:
+    pyarrow = pytest.importorskip("pyarrow", reason="the extra io is not installed")
+    from pyarrow import parquet
+
+    runs = np.repeat([1, 2], TIMES.size)
+    force = np.concatenate([PUSH, impact(TIMES - 15e-3, 1.5)[3]])
+    parquet.write_table(pyarrow.table({"run": runs, "time [s]": np.tile(TIMES, 2), "tare [N]": force + 7.0}), path)
+
+
+@pytest.mark.parametrize(
+    ("make", "record", "observe", "options"),
+    [
+        (hdf5, "a.h5", {"body.acceleration.x": "a1 [g_0]"}, ("--mass", "0.4 kg")),
+        (mat, "x.mat", {"contact.normal": "-F [kN]"}, ()),
+        (tdms, "v.tdms", {"body.velocity.x": "-Laser [m/s]"}, ("--mass", "0.4 kg")),
+        (parquet, "r.parquet", {"contact.normal": "tare [N]"}, ("--mass", "0.4 kg")),
+    ],
+)
+def test_every_kind_of_file_gives_a_problem_that_loads(make, record, observe, options, here):
+    make(record)
+    found = written(record, *options)
+    assert found["experiment"][0]["observe"] == observe
+    problem = load(Path(record).with_suffix(".toml"))
+    assert len(problem.experiments) == (2 if make is parquet else 1)
+    assert {"stiffness", "exponent", "damping", "approach_speed", "time_offset"} <= {f.name for f in problem.free}
+    if make is parquet:
+        assert all(e.bounds["force_offset"][0] < 7.0 < e.bounds["force_offset"][1] for e in problem.experiments)
+        assert next(f for f in problem.free if f.name == "approach_speed").each
+
+
+def bounces() -> None:
+    """A drop from 0.1 m, three contacts of five samples, on a clock of the rig's own."""
+    run = solve_ivp(
+        lambda t, y: [y[1], -9.81 + float(law(-y[0], -y[1])) / 0.2], (0.0, 0.9), [0.1, 0.0], "DOP853", dense_output=True,
+        rtol=1e-10, atol=1e-12, max_step=5e-4,
+    )  # fmt: skip
+    times = np.arange(0.0, 0.9, 2e-3)
+    height, rate = run.sol(times)
+    table("b.csv", {"time [s]": times + 7.3, "force [N]": noisy(law(-height, -rate), 0.005)})
+
+
+def test_flights_between_contacts_tell_the_height_and_the_mass(here):
+    bounces()
+    found = written("b.csv")
+    assert found["scene"] == "bounce" and "parameters" not in found["experiment"][0]
+    for name, true in (("drop_height", 0.1), ("mass", 0.2)):
+        low, high = (float(found["free"][name][end].split()[0]) for end in ("lower", "upper"))
+        assert low < true < high
+    lower, upper = load("b.toml").experiments[0].bounds["time_offset"]
+    assert lower < 7.3 < upper
+    Path("b.toml").unlink()
+    assert written("b.csv", "--scene", "impact", "--mass", "0.2 kg")["scene"] == "impact"
+
+
+@pytest.mark.parametrize(
+    ("columns", "options", "words"),
+    [
+        ({"force [N]": PUSH}, (), "no column is a time: force [N]"),
+        ({"time [s]": TIMES, "voltage [V]": PUSH}, (), "no column is a force, a position"),
+        (
+            {"time [s]": TIMES, "force [N]": PUSH},
+            ("--scene", "chain"),
+            "no problem file is proposed for the scene 'chain'",
+        ),
+        ({"time [s]": TIMES, "force [N]": PUSH}, ("--scene", "bounce"), "no record holds two contacts"),
+        ({"time [s]": TIMES, "force [N]": PUSH}, ("--mass", "3 m"), "--mass: '3 m'"),
+    ],
+)
+def test_what_cannot_be_proposed_is_said(columns, options, words, here):
+    table("d.csv", columns)
+    done = init("d.csv", *options)
+    assert done.exit_code == 2 and words in done.output
+    assert not Path("d.toml").exists()
+
+
+@pytest.mark.full
+def test_the_file_calibrates_at_once(here):
+    drop()
+    written("drop.csv")
+    done = CliRunner().invoke(app, ["calibrate", "drop.toml", "--starts", "4", "--out", "fit"])
+    assert done.exit_code == 0, done.output
+    assert "verdict: identified" in done.stdout
