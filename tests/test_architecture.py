@@ -17,7 +17,7 @@ LAYERS = {
     ),
     "calibration": (
         "solver_budget", "problem", "forward", "search", "noise", "diagnostics", "uncertainty", "fit", "data",
-        "problemfile", "selection", "petab", "report", "command",
+        "problemfile", "init", "selection", "petab", "report", "command",
     ),
 }  # fmt: skip
 # What is computed, without files, units, commands and pictures.

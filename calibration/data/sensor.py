@@ -101,7 +101,7 @@ def proposed(
         free: what else is searched, with its bounds.
     """
     if name != "time_offset" and name not in OFFSETS.values():
-        return f"a record does not tell a {name}"
+        return f"a record does not give a {name}"
     for observes in telling(list(record.readings)):
         found = contacts(observes, record.times, record.readings[observes].values)
         if found:

@@ -122,7 +122,7 @@ def test_what_the_file_says_of_a_sensor_holds(rig):
         ('bounds = { time_offset = ["1 ms"] }', "", "bounds.time_offset.*give .lower, upper."),
         ('bounds = { time_ofset = ["1 ms", "2 ms"] }', "", "no parameter 'time_ofset'.*time_offset"),
         ('bounds = { time_offset = ["3 ms", "2 ms"] }', "", "0.003 is not below 0.002"),
-        ("", "gain = {}\n", "no bounds, and none can be proposed for drop: a record does not tell a gain"),
+        ("", "gain = {}\n", "no bounds, and none can be proposed for drop: a record does not give a gain"),
         ("", "velocity_offset = {}\n", "no channel that a velocity_offset acts on"),
         ("", 'time_offset = { lower = "1 ms" }\n', "the key 'upper' is missing"),
     ],
