@@ -2,7 +2,8 @@
 
 scene = "impact.toml"            a scene file (relative to this one) or a built-in scene's name
 [[experiment]]                   name; file (of a kind in ``readers``), table (which one inside it), time, rows,
-                                 observe, noise (of the samples as fitted) and its correlation time, hold_out;
+                                 observe, noise (of the samples as fitted) and its correlation time; hold_out =
+                                 true, or the runs to hold out: ["run 5"];
                                  parameters (known for it alone; "0.55 kg +- 2 %" says how well); features,
                                  feature_noise and span (``stated``);
                                  saturation = "10 kN" (or of each channel, as noise) drops samples at or beyond it;
@@ -13,7 +14,8 @@ loss = "linear"                  what a residual costs, as in ``Problem``
 accuracy = 1e-6                  error of the simulated forces as a share of their peak, likewise
 sensor = "free"                  time_offset and the zero of each unit are free within bounds that each record gives
                                  (``data.sensor``), unless the file says what they are; "exact" holds them at 0
-[free.NAME]                      lower, upper, start, scale; each = true gives every experiment its own. Without
+[free.NAME]                      lower, upper, start, scale, or NAME = [lower, upper] under [free];
+                                 each = true gives every experiment its own. Without
                                  bounds a nuisance has those that each record gives. bounds = { NAME = [from, to] } in
                                  [[experiment]]: of these records alone
 [[model]], [[candidate]]         other models of the same data, experiments that might be made: ``alternatives``
@@ -40,7 +42,7 @@ from calibration.data.preparation import Prepared, Recipe, prepare
 from calibration.data.readers import read
 from calibration.data.sensor import Sensor
 from calibration.data.table import split
-from calibration.problem import ADEQUATE, NUISANCES, Channel, Experiment, Free, Problem, nuisances, units_of
+from calibration.problem import ADEQUATE, NUISANCES, OFFSETS, Channel, Experiment, Free, Problem, nuisances, units_of
 
 
 class _Experiment(tables.Table):
@@ -55,7 +57,7 @@ class _Experiment(tables.Table):
     feature_noise: Any = None
     span: Any = None
     rows: dict[str, Any] = {}
-    hold_out: bool = False
+    hold_out: bool | list[str] = False
     parameters: dict[str, Any] = {}
     align: Literal["onset"] | None = None
     window: list[Any] | None = None
@@ -65,13 +67,23 @@ class _Experiment(tables.Table):
 
 
 class FreeTable(tables.Table):
-    """[free.NAME]: bounds as numbers or texts with a unit; of a nuisance none, where records are to give them."""
+    """[free.NAME]: bounds as numbers or texts with a unit; of a nuisance none, where records are to give them.
+
+    NAME = [lower, upper] under [free] says no more than the bounds.
+    """
 
     lower: Any = None
     upper: Any = None
     start: Any = None
     scale: Literal["log", "linear"] | None = None
     each: bool = False
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _pair(cls, given: Any) -> Any:
+        if isinstance(given, list) and len(given) == 2:
+            return {"lower": given[0], "upper": given[1]}
+        return given
 
 
 class _File(tables.Table):
@@ -169,7 +181,8 @@ def _sensor(
     measured = file.sensor == "free" and scene.traits.history and not scene.traits.turning
     observed = [o for entry in file.experiment for o in entry.observe]
     unasked = [n for n in dict.fromkeys(sensor.unasked(observed)) if n not in stated] if measured else []
-    unasked = [] if "force_offset" in stated and len(units_of(observed)) == 1 else unasked
+    if "force_offset" in stated and len(units_of(observed)) == 1:
+        unasked = [n for n in unasked if n not in OFFSETS.values()]
     fitted = [e for e in experiments if not e.hold_out]
     samples = sum(e.samples for e in fitted)
     unknowns = sum(len(fitted) if t.each or n in NUISANCES else 1 for n, t in file.free.items())
@@ -178,9 +191,7 @@ def _sensor(
         for i, ((_, _, record), e) in enumerate(zip(records, experiments, strict=True)):
             params = {**{n: float(v) for n, v in base.params.items()}, **e.fixed}
             given = (
-                sensor.proposed(name, record, scene.kind, params, searched)
-                if record
-                else "it has no history of readings"
+                sensor.proposed(name, record, scene, params, searched) if record else "it has no history of readings"
             )
             if isinstance(given, str):
                 doubts[i] = given
@@ -242,6 +253,9 @@ def _records(file: _File, path: Path, base: scenefile.SceneFile) -> list[tuple[i
         recipe = _recipe(entry, where, not base.scene.traits.turning, "force_offset" in file.free)
         recipe = replace(recipe, exact=file.sensor == "exact")
         parts = split(whole, entry.rows, where)
+        if isinstance(entry.hold_out, list) and (unknown := set(entry.hold_out) - {label for label, _ in parts}):
+            runs = ", ".join(label for label, _ in parts)
+            raise InputError(f"{where} hold_out", f"there is no run '{min(unknown)}'", f"the runs are: {runs}")
         for label, part in parts:
             name = label if entry.name is None else entry.name if len(parts) == 1 else f"{entry.name} {label}"
             # Results go by name, so that no two records may share one.
@@ -300,7 +314,7 @@ def _experiment(
         name=record.name if record else entry.name or where.rpartition(": ")[2],
         times=record.times if record else np.zeros(0),
         channels=tuple(channels),
-        hold_out=entry.hold_out,
+        hold_out=_held_out(entry, record),
         fixed=fixed,
         source=record.source if record else where,
         features=stated.features(entry.features, entry.feature_noise, where),
@@ -308,6 +322,14 @@ def _experiment(
         tolerances=tolerances,
         bounds={one(name): _pair(name, pair, where, known, one) for name, pair in entry.bounds.items()},
     )
+
+
+def _held_out(entry: _Experiment, record: Prepared | None) -> bool:
+    """Whether a run is held out: all of an entry, or those that it lists."""
+    if isinstance(entry.hold_out, bool) or record is None:
+        return bool(entry.hold_out)
+    label = record.name.removeprefix(f"{entry.name} ")
+    return any(label == run or label.startswith(f"{run} (") for run in entry.hold_out)
 
 
 def _check_own(entry: _Experiment, where: str, free: list[Free], found: Sensor, one: Callable[[str], str]) -> None:

@@ -171,6 +171,7 @@ class Imperfect(AbstractLaw):
 
     @property
     def states(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Those of the law, and q [N]."""
         return (*self.law.states, "relaxed_force")
 
     @property
@@ -182,10 +183,12 @@ class Imperfect(AbstractLaw):
         return self.law.force(penetration, rate, c) + backing(penetration, c) + c["relaxation"] * branch
 
     def rates(self, penetration: Array, rate: Array, c: Coefficients) -> tuple[Array, ...]:
+        """As ``AbstractLaw``."""
         relaxing = (self._still(penetration, c) - c["relaxed_force"]) / c["relaxation_time"]
         return (*self.law.rates(penetration, rate, c), relaxing)
 
     def sizes(self, penetration: Array, c: Coefficients) -> tuple[Array, ...]:
+        """As ``AbstractLaw``."""
         return (*self.law.sizes(penetration, c), self._still(penetration, c))
 
     def _still(self, penetration: Array, c: Coefficients) -> Array:

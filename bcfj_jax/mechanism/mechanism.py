@@ -85,6 +85,7 @@ class Mechanism(AbstractModel):
         samples: output times over it.
         scale: (mechanism, params, end) -> error scale, in place of the one from the expected loads.
         more: what a scene knows beside: (params, times) -> its numbers for the envelope.
+        touch: time of the first contact [s] of parameters, or None; where the start alone tells it.
         implicit: whether an implicit solver takes it (``mechanism.stiff``); None: as its default values say.
     """
 
@@ -99,6 +100,7 @@ class Mechanism(AbstractModel):
     scale: Callable[..., Array] | None = eqx.field(static=True, default=None)
     more: Callable[..., dict[str, float]] | None = eqx.field(static=True, default=None)
     implicit: bool | None = eqx.field(static=True, default=None)
+    touch: Callable[[Mapping[str, float]], float | None] | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
         from bcfj_jax.mechanism.checks import check_structure
@@ -200,6 +202,10 @@ class Mechanism(AbstractModel):
         known = self._parameters
         values = {**found, **given}
         return tuple((name, values[name]) for name in known if name in values)
+
+    def first_touch(self, params: Mapping[str, float]) -> float | None:
+        """``touch``."""
+        return None if self.touch is None else self.touch(params)
 
     def imperfect(self) -> Mechanism | None:
         """As ``AbstractModel``: None without contacts, and where a law reads those coefficients already."""

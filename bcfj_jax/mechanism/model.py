@@ -270,6 +270,11 @@ class AbstractModel(eqx.Module):
         """
         del params, where
 
+    def first_touch(self, params: Mapping[str, float]) -> float | None:
+        """Time of the first contact [s], where the start alone tells it; None where only a run does."""
+        del params
+        return None
+
     def period(self, params: Params) -> tuple[float, float]:
         """Time of one turn of the drive, and of the pitch in which it repeats [s].
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import jax.numpy as jnp
@@ -45,8 +46,14 @@ def impact(law: str = "memory_free", elastic: str | None = None, smoothing: bool
     )  # fmt: skip
     given = picked({**STEEL_BALL, "clearance_contact": 0.0}, [*surface.reads, "mass", "clearance_contact"])
     return Mechanism(
-        "impact", (body,), (surface,), given=given | {"approach_speed": 1.5}, end=_impact_end, samples=1001, more=_envelope
+        "impact", (body,), (surface,), given=given | {"approach_speed": 1.5}, end=_impact_end, samples=1001,
+        more=_envelope, touch=_met,
     )  # fmt: skip
+
+
+def _met(p: Mapping[str, float]) -> float | None:
+    """First contact [s]: the clearance at the approach speed."""
+    return p["clearance_contact"] / p["approach_speed"] if p["approach_speed"] > 0 else None
 
 
 def _impact_end(p: Params) -> Array:
@@ -96,8 +103,13 @@ def bounce(law: str = "memory_free", elastic: str | None = None, smoothing: bool
     given |= {"drop_height": 0.1, "gravity": 9.81} | ({"stiffness": 1e7} if "stiffness" in given else {})
     return Mechanism(
         "bounce", (body,), (surface,), (Gravity("-y"),), given=given, end=_bounce_end, samples=10001,
-        scale=_bounce_scale, more=_envelope,
+        scale=_bounce_scale, more=_envelope, touch=_landed,
     )  # fmt: skip
+
+
+def _landed(p: Mapping[str, float]) -> float | None:
+    """First contact [s]: sqrt(2 h/g)."""
+    return float(np.sqrt(2.0 * p["drop_height"] / p["gravity"])) if p["gravity"] > 0 else None
 
 
 def _sag(p: Params) -> Array:

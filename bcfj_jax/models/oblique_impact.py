@@ -9,6 +9,7 @@ stiffness of Mindlin's contact under half the peak force at 30 degrees, and no d
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import jax.numpy as jnp
 from jax import Array
@@ -91,4 +92,10 @@ def oblique_impact(
         values={"approach_speed": _closing} if "approach_speed" in made.needs else {}, approach="parameter",
     )  # fmt: skip
     given = picked(_BALL, [*plane.reads, "radius", "mass", "clearance_contact"])
-    return Mechanism("oblique_impact", (sphere,), (plane,), own=_OWN, given=given, end=_end, samples=1001)
+    return Mechanism("oblique_impact", (sphere,), (plane,), own=_OWN, given=given, end=_end, samples=1001, touch=_met)
+
+
+def _met(p: Mapping[str, float]) -> float | None:
+    """First contact [s]: the clearance at the speed along the normal."""
+    speed = p["approach_speed"] * math.cos(p["impact_angle"])
+    return p["clearance_contact"] / speed if speed > 0 else None

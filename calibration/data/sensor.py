@@ -21,6 +21,7 @@ import numpy as np
 from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import unit_of
+from bcfj_jax.mechanism.model import AbstractModel
 from calibration.data.events import Event, contacts, quantity, telling
 from calibration.data.preparation import Prepared
 from calibration.problem import OFFSETS, units_of
@@ -31,8 +32,6 @@ _BEFORE, _AFTER = {"normal": 0.25, "pulse": 0.25, "velocity": 0.5, "place": 1.0}
 _SIGMAS, _SHARE = 5.0, 0.02
 # Samples before the first contact that are a rest, and what of a contact's duration before it is none.
 _RESTING, _CLEAR = 4, 0.25
-# Scenes whose first contact is known before anything runs, and the place of the body there.
-_KNOWN = ("impact", "oblique_impact", "bounce")
 # What sets the time of the first contact, and would move it as the record's clock does.
 _MOVES = ("clearance_contact", "drop_height")
 
@@ -77,27 +76,19 @@ class Sensor:
         return min(low for low, _ in own), max(high for _, high in own)
 
 
-def first_touch(kind: str, params: Mapping[str, float]) -> float | None:
-    """Time of the model's first contact on its own clock [s], from the start alone; None where only a run tells."""
-    if kind not in _KNOWN:
-        return None
-    if kind == "bounce":
-        return float(np.sqrt(2.0 * params["drop_height"] / params["gravity"])) if params["gravity"] > 0 else None
-    speed = params["approach_speed"] * np.cos(params.get("impact_angle", 0.0))
-    gap = params.get("clearance_contact", 0.0)
-    return float(gap / speed) if gap and speed > 0 else 0.0 if not gap else None
-
-
 def proposed(
-    name: str, record: Prepared, kind: str, params: Mapping[str, float], free: Mapping[str, tuple[float, float]]
+    name: str,
+    record: Prepared,
+    scene: AbstractModel,
+    params: Mapping[str, float],
+    free: Mapping[str, tuple[float, float]],
 ) -> Proposal | str:
     """Bounds of one nuisance from one record, or why there are none.
 
     Args:
         name: of the nuisance.
         record: as prepared.
-        kind: of the scene.
-        params: of the record's scene, SI.
+        scene, params: of the record, SI.
         free: what else is searched, with its bounds.
     """
     if name != "time_offset" and name not in OFFSETS.values():
@@ -109,21 +100,21 @@ def proposed(
     else:
         return "it shows no contact"
     if name == "time_offset":
-        return _clock(observes, found, record, kind, params, free)
-    return _zero(name, found[0], record, kind, params)
+        return _clock(observes, found, record, scene, params, free)
+    return _zero(name, found[0], record, params)
 
 
 def _clock(
-    observes: str, found: list[Event], record: Prepared, kind: str, params: Mapping[str, float],
+    observes: str, found: list[Event], record: Prepared, scene: AbstractModel, params: Mapping[str, float],
     free: Mapping[str, tuple[float, float]],
 ) -> Proposal | str:  # fmt: skip
     moving, event = next((n for n in _MOVES if n in free), ""), found[0]
-    # The flights between several contacts tell the height of a drop, so that the clock is another unknown.
-    several = kind == "bounce" and moving == "drop_height" and len(found) > 1
-    ends = free["drop_height"] if several else (params.get(moving, 0.0),) * 2
-    first, last = (first_touch(kind, {**params, **({moving: x} if moving else {})}) for x in ends)
+    # The flights between several contacts tell what moves the first, so that the clock is another unknown.
+    several = bool(moving) and len(found) > 1
+    ends = free[moving] if several else (params.get(moving, 0.0),) * 2
+    first, last = (scene.first_touch({**params, **({moving: x} if moving else {})}) for x in ends)
     if first is None or last is None:
-        return f"when the scene '{kind}' first touches is known only from a run"
+        return f"when the scene '{scene.kind}' first touches is known only from a run"
     lower = event.before - event.step - _BEFORE[quantity(observes)] * event.duration - last
     upper = event.begin + event.step + _AFTER * event.duration - first
     if moving and not several:
@@ -131,7 +122,7 @@ def _clock(
     return Proposal(lower, upper, "" if event.first else "the record begins in contact")
 
 
-def _zero(name: str, event: Event, record: Prepared, kind: str, params: Mapping[str, float]) -> Proposal | str:
+def _zero(name: str, event: Event, record: Prepared, params: Mapping[str, float]) -> Proposal | str:
     units = units_of(record.readings)
     unit = next((u for u, offset in OFFSETS.items() if offset == name and u in units), "")
     unit = unit or (next(iter(units)) if name == "force_offset" and len(units) == 1 else "")
@@ -143,7 +134,7 @@ def _zero(name: str, event: Event, record: Prepared, kind: str, params: Mapping[
         if quantity(observes) == "place":
             seen = np.isfinite(values)
             at = float(np.interp(event.begin, record.times[seen], values[seen]))
-            there = params.get("clearance_contact", 0.0) if kind == "impact" else 0.0
+            there = params.get("clearance_contact", 0.0)
             half = 0.5 * float(np.ptp(values[seen]))
             bounds.append((at - there - half, at - there + half))
             continue
