@@ -17,8 +17,10 @@ from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.mechanism.observed import observing
 from calibration.solver_budget import budget
 
-# Nuisance parameters of the measuring chain: reading(t) = gain L[x](t - time_offset) + force_offset of a force or whatever
-# else x is read, with L a sensor of first order, y' = 2 pi bandwidth (x - y).
+# Nuisance parameters of the measuring chain, of a force or whatever else x is read, t being the record's clock:
+#   reading(t) = gain b(R[L[x]](t - time_offset)) + force_offset + drift t + hum_sine sin(w t) + hum_cosine cos(w t),
+# L a sensor of first order, y' = 2 pi bandwidth (x - y); R one of second order, y'' + 2 z v y' + v^2 y = v^2 x with
+# v = 2 pi resonance and z = resonance_damping; b(y) = y (1 + gain_bend |y|); w = 2 pi hum_frequency.
 NUISANCES = {
     "time_offset": Quantity("time_offset", "s", "clock of the record ahead of the model's"),
     "force_offset": Quantity("force_offset", "N", "reading where there is nothing to read, in the channels' unit"),
@@ -29,11 +31,30 @@ NUISANCES = {
     "bandwidth": Quantity(
         "bandwidth", "Hz", "frequency at which a first-order sensor passes 1/sqrt(2)", 0.0, 1e12, True
     ),
+    "resonance": Quantity("resonance", "Hz", "undamped frequency of a second-order sensor", 0.0, 1e12, True),
+    "resonance_damping": Quantity(
+        "resonance_damping", "1", "damping of a second-order sensor as a share of critical", 0.0, 0.99, True
+    ),
+    "gain_bend": Quantity("gain_bend", "1/N", "change of the gain per unit of what is there"),
+    "drift": Quantity("drift", "N/s", "growth of the reading with the record's time, in the channels' unit"),
+    "hum_frequency": Quantity("hum_frequency", "Hz", "frequency of a hum, such as the mains'", 0.0, 1e12, True),
+    "hum_sine": Quantity("hum_sine", "N", "sine part of the hum in the record's time, in the channels' unit"),
+    "hum_cosine": Quantity("hum_cosine", "N", "cosine part of the hum, likewise"),
 }
 # Offsets of channels by their unit.
 OFFSETS = {
     q.unit: name for name, q in NUISANCES.items() if name.endswith("_offset") and name != "time_offset"
 }  # fmt: skip
+# Every record has its own of these unless each = false says otherwise; the others are a sensor's, one for all records.
+OWN = ("time_offset", *OFFSETS.values(), "gain", "drift", "hum_sine", "hum_cosine")
+# Of a chain that neither gives nor seeks them; what an element needs beside its own number.
+NEUTRAL = {
+    "time_offset": 0.0, **dict.fromkeys(OFFSETS.values(), 0.0), "gain": 1.0, "bandwidth": 1e12, "resonance": 1e12,
+    "resonance_damping": 0.05, "gain_bend": 0.0, "drift": 0.0, "hum_frequency": 50.0, "hum_sine": 0.0, "hum_cosine": 0.0,
+}  # fmt: skip
+_NEEDS = {"resonance_damping": ("resonance",), "hum_sine": ("hum_frequency",), "hum_cosine": ("hum_frequency",)}
+# In the unit of what is read, so that one number does not serve channels of several; and what comes after that unit.
+_IN_UNIT = {"force_offset": "{}", "drift": "{}/s", "hum_sine": "{}", "hum_cosine": "{}", "gain_bend": "1/({})"}
 LOSSES = ("linear", "soft_l1", "cauchy")
 
 
@@ -64,8 +85,9 @@ def size(observes: str, values: np.ndarray) -> float:
 def nuisances(observed: Iterable[str]) -> dict[str, Quantity]:
     """Nuisance parameters of channels that observe some readings: an offset is in their unit, where they share one."""
     unit, *others = units_of(observed) or ("N",)
-    offset = NUISANCES["force_offset"]
-    return {**NUISANCES, "force_offset": offset if others else offset._replace(unit=unit)}
+    if others or unit == "N":
+        return dict(NUISANCES)
+    return {**NUISANCES, **{name: NUISANCES[name]._replace(unit=text.format(unit)) for name, text in _IN_UNIT.items()}}
 
 
 # Of the peak: what the laws of contact miss in published drop tests of steel and rubber (docs/calibration.md).
@@ -140,7 +162,7 @@ class Experiment:
 class Free:
     """A parameter to be found between two bounds; ``start`` adds a start there to the design.
 
-    ``each`` gives every experiment its own value (always so for nuisances).
+    ``each`` gives every experiment its own value; by default so for the nuisances named in ``OWN``.
 
     ``scale`` is that on which starts are drawn; and of the interval, but for a clearance whose ``scale`` is not said.
     """
@@ -150,7 +172,7 @@ class Free:
     upper: float
     start: float | None = None
     scale: Literal["log", "linear"] | None = None
-    each: bool = False
+    each: bool | None = None
 
     @property
     def log(self) -> bool:
@@ -169,7 +191,7 @@ class Free:
     @property
     def per_experiment(self) -> bool:
         """Whether every experiment has its own."""
-        return self.each or self.name in NUISANCES
+        return self.name in OWN if self.each is None else self.each
 
 
 @dataclass(frozen=True)
@@ -241,12 +263,7 @@ class Problem:
                 if e.hold_out and c.sigma is None and c.observes not in known:
                     found = f"the noise of {c.observes} is 'estimate' in {e.name}, and no fitted record determines it"
                     raise InputError(self.where, found, "state its noise")
-        units = list(units_of(self.observed))
-        offset = "force_offset" in {f.name for f in self.free}.union(*(e.fixed for e in self.experiments))
-        if len(units) > 1 and "N" not in units and offset:
-            found = f"one force_offset for channels in {' and '.join(units)}"
-            right = " or ".join(OFFSETS[u] for u in units if u in OFFSETS) or "take it out, or fit the channels apart"
-            raise InputError(self.where, found, right)
+        self._check_chain()
         for e in self.experiments:
             for name in e.bounds:
                 self._check_bounds(e, name)
@@ -276,6 +293,25 @@ class Problem:
     def quantities(self) -> dict[str, Quantity]:
         """What may be free: the scene's parameters and the nuisances."""
         return {**self.scene.quantities, **nuisances(self.observed)}
+
+    def _check_chain(self) -> None:
+        """One number in the channels' unit needs channels of one unit; a part of the chain may need another."""
+        free, units = {f.name for f in self.free}, list(units_of(self.observed))
+        named = free.union(*(e.fixed for e in self.experiments))
+        wrong = [name for name in _IN_UNIT if name in named and (name != "force_offset" or "N" not in units)]
+        if len(units) > 1 and wrong:
+            found = f"one {wrong[0]} for channels in {' and '.join(units)}"
+            own = " or ".join(OFFSETS[u] for u in units if u in OFFSETS) if wrong[0] == "force_offset" else ""
+            raise InputError(self.where, found, own or "take it out, or fit the channels apart")
+        for e in self.experiments:
+            for name, needs in _NEEDS.items():
+                if name in free | e.fixed.keys() and not any(n in free | e.fixed.keys() for n in needs):
+                    remedy = f"give {needs[0]} in [[experiment]] parameters, or add [free.{needs[0]}]"
+                    raise InputError(f"{self.where}: {name}", f"{e.name} has no {needs[0]}", remedy)
+        sought = {"hum_frequency"} & free
+        if sought and not {"hum_sine", "hum_cosine"} & named:
+            remedy = "add [free.hum_sine] and [free.hum_cosine]"
+            raise InputError(f"{self.where}: [free.hum_frequency]", "the hum has no size", remedy)
 
     def _check_free(self, f: Free) -> None:
         where, known = f"{self.where}: [free.{f.name}]", self.quantities

@@ -15,7 +15,7 @@ accuracy = 1e-6                  error of the simulated forces as a share of the
 sensor = "free"                  time_offset and the zero of each unit are free within bounds that each record gives
                                  (``data.sensor``), unless the file says what they are; "exact" holds them at 0
 [free.NAME]                      lower, upper, start, scale, or NAME = [lower, upper] under [free];
-                                 each = true gives every experiment its own. Without
+                                 each = true gives every experiment its own, false none. Without
                                  bounds a nuisance has those that each record gives. bounds = { NAME = [from, to] } in
                                  [[experiment]]: of these records alone
 [[model]], [[candidate]]         other models of the same data, experiments that might be made: ``alternatives``
@@ -76,7 +76,7 @@ class FreeTable(tables.Table):
     upper: Any = None
     start: Any = None
     scale: Literal["log", "linear"] | None = None
-    each: bool = False
+    each: bool | None = None
 
     @pydantic.model_validator(mode="before")
     @classmethod

@@ -29,17 +29,21 @@ from calibration.forward.observables import (
     ObservedFeatures,
     fine,
     grid,
-    low_pass,
     measured,
     observed_features,
     tabulated,
+    through,
 )
-from calibration.problem import NUISANCES, OFFSETS, Experiment, Problem, offsets_of
+from calibration.problem import NEUTRAL, NUISANCES, OFFSETS, Experiment, Problem, offsets_of
 from calibration.solver_budget import budget
 
+# Parts of a measuring chain, by their nuisances: what no experiment names is not compiled.
+_CHAIN = (
+    ("time_offset", "force_offset", "gain"), ("bandwidth",), ("resonance", "resonance_damping"), ("gain_bend",),
+    ("drift",), ("hum_frequency", "hum_sine", "hum_cosine"),
+)  # fmt: skip
 # Steps over a record that its force is sampled in where a sensor's low-pass is to be applied.
 _FINE_STEPS = 2000
-_NO_LOW_PASS = 1e12  # [Hz]
 # Points that one call of the compiled program takes, one after the other: on a CPU a batch of them would cost several
 # times as much, and all would wait for the slowest.
 _ROWS = 12
@@ -157,18 +161,16 @@ class Model(eqx.Module):
             seen = reading_history(self.scene, params, sampled, read, accuracy=self.how)
             before = jnp.minimum(sampled, 0.0)
             readings = [seen[c] + (seen[speeds[c]][0] * before if c in speeds else 0.0) for c in self.channels]
-            readings = jnp.stack(readings, axis=1)
-            passed = low_pass(sampled, readings, own["bandwidth"]) if self.parts else readings
-            return own["gain"] * passed[places].T + self._offsets(own)
+            return through(own, sampled, jnp.stack(readings, axis=1), self._offsets(own))[places].T
 
         if not self.channels:
             return jnp.zeros(self.data.values.shape)
         return jax.vmap(one)(*self.settings(point, log_depth), self.data.times)
 
     def _offsets(self, own: dict[str, Array]) -> Array:
-        """What each channel reads where there is nothing to read, (C, 1)."""
+        """What each channel reads where there is nothing to read, (C,)."""
         sums = [sum(own[o] for o in offsets_of(c, self.channels) if o in own) for c in self.channels]
-        return jnp.stack([jnp.asarray(x, dtype=float) for x in sums])[:, None]
+        return jnp.stack([jnp.asarray(x, dtype=float) for x in sums])
 
     def features(self, point: Array, log_depth: Array) -> Array:
         """What each experiment's features would have been, (E, F), 0 where there is none."""
@@ -180,8 +182,7 @@ class Model(eqx.Module):
                 times, own = jnp.asarray(grid(observed)), {name: v[i] for name, v in chain.items()}
                 found, _ = histories(self.scene, {name: v[i] for name, v in table.items()}, times, self.how)
                 flat = found.force.reshape(times.size, -1)
-                passed = low_pass(times, flat, own["bandwidth"]) if self.parts else flat
-                force = (own["gain"] * passed + own["force_offset"]).reshape(found.force.shape)
+                force = through(own, times, flat, own["force_offset"]).reshape(found.force.shape)
                 seen = Histories(force, found.penetration, found.rate, None)
                 values = values.at[: len(observed.names)].set(measured(self.scene, observed, seen))
             rows.append(values)
@@ -311,10 +312,11 @@ def build(
     own = [f.name for f in problem.free if f.name not in NUISANCES] + sorted(known - NUISANCES.keys())
     given: dict[str, Any] = dict(problem.params)
     params = complete(problem.scene, given, tuple(dict.fromkeys(own)))[0] if own else given
-    filtered = "bandwidth" in {*known, *(f.name for f in problem.free)}
-    chain = {"time_offset": 0.0, "force_offset": 0.0, "gain": 1.0}
-    chain |= {"bandwidth": _NO_LOW_PASS} if filtered else {}
-    chain |= {o: 0.0 for o in OFFSETS.values() if o in {*known, *(f.name for f in problem.free)}}
+    named = known | {f.name for f in problem.free}
+    filtered = bool(named & {"bandwidth", "resonance"})
+    parts = [part for part in _CHAIN if part is _CHAIN[0] or named & set(part)]
+    chain = {name: NEUTRAL[name] for part in parts for name in part}
+    chain |= {name: 0.0 for name in OFFSETS.values() if name in named}
     fixed, chain = (
         {name: np.array([e.fixed.get(name, float(value)) for e in experiments]) for name, value in table.items()}
         for table in (params, chain)

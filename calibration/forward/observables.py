@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import jax
@@ -39,9 +40,56 @@ def low_pass(times: Array, values: Array, bandwidth: Array) -> Array:
         values: (T, C) its inputs.
         bandwidth: [Hz].
     """
-    angle = 2.0 * jnp.pi * bandwidth * jnp.diff(times)
+    return _first_order(times, values, 2.0 * jnp.pi * bandwidth)
+
+
+def resonant(times: Array, values: Array, frequency: Array, damping: Array) -> Array:
+    """Output of a second-order sensor, y'' + 2 z w y' + w^2 y = w^2 x, at rest before the first time.
+
+    Exact for an input that is linear between samples: with s = sqrt(1 - z^2), y is the imaginary part of
+    u (z + i s)/s, u' = w (z - i s) (x - u).
+
+    Args:
+        times, values: as of ``low_pass``.
+        frequency: w / 2 pi [Hz].
+        damping: z, above 0 and below 1.
+    """
+    s = jnp.sqrt(1.0 - jnp.square(damping))
+    pole = jax.lax.complex(damping, s)
+    u = _first_order(times, values, 2.0 * jnp.pi * frequency * jnp.conj(pole))
+    return jnp.imag(u * pole / s)
+
+
+def through(chain: Mapping[str, Array], times: Array, values: Array, offset: Array) -> Array:
+    """What a measuring chain reads of what is there, (T, C); parts that ``chain`` does not name are not compiled.
+
+    Args:
+        chain: nuisances by name, of one record (``problem.NUISANCES``).
+        times: (T,) [s] of the model's clock, not decreasing.
+        values: (T, C) readings of the model, SI.
+        offset: () or (C,) readings where there is nothing to read.
+    """
+    if "bandwidth" in chain:
+        values = low_pass(times, values, chain["bandwidth"])
+    if "resonance" in chain:
+        values = resonant(times, values, chain["resonance"], chain["resonance_damping"])
+    if "gain_bend" in chain:
+        values = values * (1.0 + chain["gain_bend"] * jnp.abs(values))
+    read, clock = chain["gain"] * values + offset, times[:, None] + chain["time_offset"]
+    if "drift" in chain:
+        read = read + chain["drift"] * clock
+    if "hum_frequency" in chain:
+        angle = 2.0 * jnp.pi * chain["hum_frequency"] * clock
+        read = read + chain["hum_sine"] * jnp.sin(angle) + chain["hum_cosine"] * jnp.cos(angle)
+    return read
+
+
+def _first_order(times: Array, values: Array, rate: Array) -> Array:
+    """Of y' = rate (x - y), ``rate`` [1/s] real or complex."""
+    steps = jnp.diff(times)
+    angle = rate * steps
     keep = jnp.exp(-angle)
-    some = angle > 0
+    some = steps > 0
     mean = jnp.where(some, -jnp.expm1(-angle) / jnp.where(some, angle, 1.0), 1.0)
     pushed = (mean - keep)[:, None] * values[:-1] + (1.0 - mean)[:, None] * values[1:]
 
@@ -49,7 +97,7 @@ def low_pass(times: Array, values: Array, bandwidth: Array) -> Array:
         return first[0] * second[0], second[0] * first[1] + second[1]
 
     kept, sums = jax.lax.associative_scan(compose, (jnp.broadcast_to(keep[:, None], pushed.shape), pushed))
-    return jnp.concatenate([values[:1], kept * values[:1] + sums])
+    return jnp.concatenate([values[:1].astype(sums.dtype), kept * values[:1] + sums])
 
 
 def fine(times: Array, parts: int) -> tuple[Array, Array]:

@@ -15,7 +15,7 @@ from bcfj_jax.analysis.derivatives.names import UNITS
 from bcfj_jax.io import scenefile
 from bcfj_jax.mechanism.channels import is_reading
 from calibration.data.readers import library
-from calibration.problem import NUISANCES, OFFSETS, Channel, Experiment, Free, Observation, Problem
+from calibration.problem import NUISANCES, OFFSETS, OWN, Channel, Experiment, Free, Observation, Problem
 
 
 def load(path: str | Path, scene: str | Path | None = None) -> Problem:
@@ -150,10 +150,9 @@ class _Reader:
             if not p.estimate or p.id in self.noise:
                 continue
             where, name, each = f"{self.path}: parameter {p.id}", owner.get(p.id, self.name(p.id)), p.id in owner
-            if name in NUISANCES and not each and len(self.measured) > 1:
-                remedy = "set it in the condition table to a parameter of each"
-                raise InputError(where, f"'{name}' is every experiment's own here", remedy)
-            own = each and name not in NUISANCES
+            # Said only where it is not what holds by default; of one experiment it says nothing.
+            usual = name in OWN
+            own = each if each != usual and (len(self.measured) > 1 or name not in NUISANCES) else None
             one = Free(name, float(p.lb), float(p.ub), start.get(name), scale.get(name), own)
             if found.setdefault(name, one) != one:
                 # Its own bounds go to each experiment: ``_bounds``.

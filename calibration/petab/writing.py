@@ -9,9 +9,8 @@ import numpy as np
 
 from bcfj_jax import InputError
 from calibration.data.readers import library
-from calibration.problem import OFFSETS, Experiment, Free, Problem, offsets_of, size
+from calibration.problem import NEUTRAL, Experiment, Free, Problem, offsets_of, size
 
-_NEUTRAL = {"time_offset": 0.0, "gain": 1.0, **dict.fromkeys(OFFSETS.values(), 0.0)}
 FILES = {
     "parameter_tables": "parameters.tsv",
     "observable_tables": "observables.tsv",
@@ -76,13 +75,13 @@ def _tables(v2: Any, problem: Problem, experiments: tuple[Experiment, ...], scen
     free = {f.name: f for f in problem.free}
     own = [f.name for f in problem.free if f.per_experiment]
     # What differs between experiments is set by conditions, and then in all of them.
-    known = {**_NEUTRAL, **problem.params}
+    known = {**NEUTRAL, **problem.params}
     varied = dict.fromkeys([*own, *(name for e in experiments for name in e.fixed)])
     petab = v2.Problem(models=[SceneModel(problem.scene, problem.params, (*channels, *features), scene)])
     for observes in channels:
         output, noise = f"model__{identifier(observes)}", f"noise__{identifier(observes)}"
-        formula = f"gain * {output}" if "gain" in varied else output
-        formula += "".join(f" + {name}" for name in offsets_of(observes, channels) if name in varied)
+        formula = f"gain * {output}" if "gain" in {*varied, *free} else output
+        formula += "".join(f" + {name}" for name in offsets_of(observes, channels) if name in {*varied, *free})
         # PEtab's library 0.8 prints sqrt(x) as x^1/2 and reads that as x/2.
         share = f"({noise}^2 + (share__{identifier(observes)} * {identifier(observes)})^2)^0.5"
         petab.add_observable(identifier(observes), formula, share if observes in relative else noise, name=observes)
@@ -138,7 +137,7 @@ def _measure(petab: Any, experiment: Experiment, label: str, identifier: Any) ->
 
 def _add_free(petab: Any, problem: Problem, f: Free, label: str, own: tuple[float, float] | None = None) -> None:
     lower, upper = own or (f.lower, f.upper)
-    nominal = f.start if f.start is not None else {**_NEUTRAL, **problem.params}.get(f.name, lower)
+    nominal = f.start if f.start is not None else {**NEUTRAL, **problem.params}.get(f.name, lower)
     petab.add_parameter(label, True, float(np.clip(nominal, lower, upper)), lower, upper)
 
 

@@ -72,7 +72,7 @@ def test_a_slow_sensor_reads_the_filtered_force(bandwidth):
     """Forty readings of a contact by a sensor of first order, beside SciPy's at a hundred times the resolution."""
     times = np.linspace(-1e-3, 2.0 * CONTACT, 40)
     one = Experiment("a", times, (Channel("contact.normal", half_sine(times), 1.0),), fixed={"gain": 2.0})
-    free = (Free("bandwidth", 10.0, 1e4), Free("stiffness", 1e4, 1e6))
+    free = (Free("stiffness", 1e4, 1e6), Free("bandwidth", 10.0, 1e4))
     built = model.build(Problem(IMPACT, params(IMPACT, approach_speed=SPEED), (one,), free, 1e-6), (one,))
     point = jnp.asarray(built.point(np.array([STIFFNESS, bandwidth]), 0.0))
     read = np.asarray(model.predictions(built, point, jnp.asarray(0.0)))[0, 0]
