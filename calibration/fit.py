@@ -58,6 +58,7 @@ class Optimum:
         log_depth: ln of the reference penetration [m].
         spread: covariance of the coordinates.
         noise: what was found of it.
+        series: white residuals by record and channel.
     """
 
     model: Model
@@ -65,6 +66,7 @@ class Optimum:
     log_depth: float
     spread: fit_tests.Spread
     noise: Estimate
+    series: list[Series] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -291,7 +293,7 @@ def _assess(
         seed=seed,
         noise=_by_channel(noise),
         check=checked,
-        optimum=Optimum(model, best, log_depth, spread, noise),
+        optimum=Optimum(model, best, log_depth, spread, noise, series),
         notes=[f"{s['text']}. What helps: {s['remedy']}" for s in scales]
         + _notes(noise)
         + _wide_notes(model, parameters)

@@ -57,6 +57,14 @@ class Series(NamedTuple):
     values: np.ndarray = _NONE
     weights: np.ndarray = _NONE
 
+    def white(self, errors: np.ndarray) -> np.ndarray:
+        """Errors (n, ...) of the readings [SI] as the residuals have them: in deviations, freed of the noise's memory."""
+        weighed = (errors.T * self.weights).T
+        if not self.memory:
+            return weighed
+        kept = np.r_[0.0, np.exp(-np.diff(self.clock) / self.memory)]
+        return ((weighed.T - kept * np.roll(weighed, 1, axis=0).T) / np.sqrt(1.0 - kept**2)).T
+
 
 def residual_tests(series: list[Series], residuals: np.ndarray, jacobian: np.ndarray, robust: bool) -> list[Test]:
     """All tests of the residuals (N,) of a fit with their Jacobian (N, P).

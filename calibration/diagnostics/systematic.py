@@ -222,8 +222,6 @@ def _signatures(model: Model, readings: np.ndarray, series: list[Series]) -> dic
             "rest": np.full(clock.size, peak),
             "clock": -float(np.median(np.diff(clock))) * first,
         }
-        kept = np.r_[0.0, np.exp(-np.diff(clock) / s.memory)] if s.memory else np.zeros(clock.size)
         for name, error in errors.items():
-            weighed = error * s.weights
-            found[name][s.rows] = (weighed - kept * np.roll(weighed, 1)) / np.sqrt(1.0 - kept**2)
+            found[name][s.rows] = s.white(error)
     return found

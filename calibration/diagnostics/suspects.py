@@ -1,0 +1,379 @@
+"""The usual suspects for a miss, ranked by what they explain of held-out residuals; nothing here simulates anew.
+
+Residuals r of a fit with the Jacobian J are compared with the signatures S of each suspect (``signatures``): [J S] is
+fitted to a part of the samples and predicts the others. Numbers that a signature depends on otherwise, such as a
+frequency, are sought on a grid in each training part, and about its best point. What a suspect explains is the share by
+which the held-out sum of squares falls; of a suspect that is a noise (jitter, steps of a quantisation) it is the share of
+the variance that has its size, or that the likelihood gains by it.
+
+A suspect is significant where chance would let the best of all grids fall so far in less than one record of a hundred
+(F, Bonferroni over grid and suspects). One is named after the other, as long as it is significant beside those before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from scipy import special
+
+from calibration.diagnostics import signatures
+from calibration.diagnostics.residual_tests import Series
+from calibration.diagnostics.signatures import Scene
+
+# Chance of a name in a record without any imperfection, all suspects together.
+_LEVEL = 0.01
+# Samples of a block that is held out, at least, and blocks of a contact.
+_FEWEST, _BLOCKS = 4, 8
+_FOLDS = 6
+# Rounds of a finer grid about the best point, and points of each number in it.
+_ROUNDS, _POINTS = 3, 5
+# A suspect that explains less of the held-out squares than this is not named, however significant.
+_LEAST = 0.05
+# Readings equal to the largest, from which on a sensor may be saturated; readings that show a lattice.
+_EQUAL, _LATTICE = 3, 8
+
+
+class Found(NamedTuple):
+    """What one suspect explains.
+
+    Attributes:
+        name: of the suspect.
+        explained: share of the held-out sum of squares.
+        chance: that noise alone lets any suspect explain as much as this; 1 where it explains nothing.
+        values: numbers of its best shape, SI, and its amplitude where that is one number.
+        columns: (N, K) its signature there; none of a noise.
+        given: whether the signature's amplitude is 1.
+        named: whether it is named, and after how many others.
+    """
+
+    name: str
+    explained: float
+    chance: float
+    values: dict[str, float]
+    columns: np.ndarray | None = None
+    given: bool = False
+    numbers: int = 1
+    named: int = 0
+
+
+class _Suspect(NamedTuple):
+    """A suspect with a signature: its grid by number, the columns at a point of it, and whether their amplitude is 1.
+
+    ``sign``: whether its amplitude cannot be negative, or is 0 for either.
+    """
+
+    grid: Callable[[Scene], dict[str, np.ndarray]]
+    columns: Callable[..., np.ndarray]
+    given: bool = False
+    sign: int = 0
+    amplitude: str = ""
+    law: bool = False
+
+
+def _resonances(scene: Scene) -> dict[str, np.ndarray]:
+    return {
+        "resonance": np.geomspace(1.0 / scene.contact, _nyquist(scene), 48),
+        "resonance_damping": np.array([0.01, 0.05, 0.15, 0.4]),
+    }
+
+
+def _nyquist(scene: Scene) -> float:
+    step = float(np.median(np.concatenate([np.diff(s.clock) for s in scene.series if s.clock.size > 1])))
+    return max(0.5 / step, 4.0 / scene.contact)
+
+
+def _hums(scene: Scene) -> dict[str, np.ndarray]:
+    """From one period in the longest record on, four points in what a record tells apart."""
+    span = max(float(np.ptp(s.clock)) for s in scene.series)
+    highest = _nyquist(scene)
+    count = int(np.clip(2.0 * span * highest, 8, 600))
+    return {"hum_frequency": np.linspace(1.0 / span, highest, count)}
+
+
+def _depths(scene: Scene) -> dict[str, np.ndarray]:
+    deepest = max((held[0].depth.max() for held in scene.motions if held), default=0.0)
+    return {"bottoming_penetration": deepest * np.linspace(0.3, 0.96, 23)} if deepest > 0.0 else {}
+
+
+SUSPECTS: dict[str, _Suspect] = {
+    "bandwidth": _Suspect(
+        lambda x: {"bandwidth": np.geomspace(0.3, 50.0, 30) / x.contact}, signatures.first_order, given=True
+    ),
+    "resonance": _Suspect(_resonances, signatures.second_order, given=True),
+    "hum": _Suspect(_hums, signatures.hum),
+    "drift": _Suspect(lambda x: {}, signatures.drift),
+    "clock offset": _Suspect(lambda x: {}, signatures.clock_offset),
+    "offset": _Suspect(lambda x: {}, signatures.offset),
+    "gain bend": _Suspect(lambda x: {}, signatures.gain_bend, amplitude="gain_bend"),
+    "stop": _Suspect(_depths, signatures.stop, sign=1, amplitude="bottoming_stiffness", law=True),
+    "relaxation": _Suspect(
+        lambda x: {"relaxation_time": np.geomspace(0.02, 3.0, 16) * x.contact},
+        signatures.relaxation, sign=1, amplitude="relaxation", law=True,
+    ),
+    "plasticity": _Suspect(lambda x: {}, signatures.plasticity, sign=1, law=True),
+}  # fmt: skip
+NOISES = ("clock jitter", "quantisation", "saturation", "correlated noise")
+
+
+class _Sums(NamedTuple):
+    """Sums over each fold: (F, P, P), (F, P), (F,)."""
+
+    gram: np.ndarray
+    push: np.ndarray
+    square: np.ndarray
+
+
+class _Errors(NamedTuple):
+    """Sum of squares of all samples fitted, of each training part (F,), and of the held-out parts together (F,)."""
+
+    whole: float
+    trained: np.ndarray
+    held_out: np.ndarray
+    amplitudes: np.ndarray
+
+
+class Rank(NamedTuple):
+    """Residuals in order of their folds.
+
+    Attributes:
+        order: rows by fold; starts: (F,) first of each.
+        residuals, jacobian: in that order.
+        plain: errors without any suspect.
+        count: residuals less coordinates.
+    """
+
+    order: np.ndarray
+    starts: np.ndarray
+    residuals: np.ndarray
+    jacobian: np.ndarray
+    plain: _Errors
+    count: int
+
+
+def ranked(
+    scene: Scene, residuals: np.ndarray, jacobian: np.ndarray, laws: tuple[str, ...] = ("stop",)
+) -> list[Found]:
+    """Every suspect, the named ones first in their order, the others by what they explain.
+
+    Args:
+        scene: of the optimum.
+        residuals, jacobian: (N,), (N, P), white.
+        laws: suspects of the law that may be tried: those whose law there is.
+    """
+    at = _folded(scene.series, residuals, jacobian)
+    tried = [name for name, s in SUSPECTS.items() if not s.law or (name in laws and any(scene.motions))]
+    tests = len(tried) + len(NOISES)
+    found = [f for name in tried if (f := _scanned(at, name, scene, tests))]
+    found += [_jitter(at, scene, tests), _quantised(at, scene), *_saturated(at, scene, tests)]
+    found = [f for f in found if f.explained > 0.0]
+    # Of two that explain the same, the one with fewer numbers.
+    found.sort(key=lambda f: 2.0 * f.numbers / at.order.size - f.explained)
+    named = _named(at, found, tests)
+    if not named:
+        found.append(_correlated(scene, residuals, tests))
+        named = [found[-1]] if found[-1].chance < _LEVEL and found[-1].explained > _LEAST else []
+    order = [f.name for f in named]
+    marked = [f._replace(named=order.index(f.name) + 1 if f.name in order else 0) for f in found]
+    return sorted(marked, key=lambda f: (f.named or len(marked) + 1, -f.explained))
+
+
+def _folded(series: list[Series], residuals: np.ndarray, jacobian: np.ndarray) -> Rank:
+    """Folds: blocks of a contact's eighth, cyclically; of three runs or more each run's blocks by themselves, in halves."""
+    fold = np.full(residuals.size, -1)
+    many = len(series) >= 3
+    for k, s in enumerate(series):
+        inside = max(int(s.touching.sum()), 1)
+        block = max(_FEWEST, inside // _BLOCKS)
+        blocks = np.arange(s.rows.size) // block
+        fold[s.rows] = 2 * k + blocks % 2 if many else blocks % _FOLDS
+    rows = np.flatnonzero(fold >= 0)
+    order = rows[np.argsort(fold[rows], kind="stable")]
+    starts = np.flatnonzero(np.diff(np.r_[-1, fold[order]]))
+    size = np.linalg.norm(jacobian, axis=0)
+    scaled = (jacobian / np.where(size > 0.0, size, 1.0))[order]
+    nothing = _Errors(0.0, np.zeros(0), np.zeros(0), np.zeros(0))
+    at = Rank(order, starts, residuals[order], scaled, nothing, int(order.size) - jacobian.shape[1])
+    return at._replace(plain=_errors(at, scaled, at.residuals))
+
+
+def _sums(at: Rank, columns: np.ndarray, target: np.ndarray) -> _Sums:
+    ends = [*at.starts[1:], at.order.size]
+    parts = [(columns[a:b], target[a:b]) for a, b in zip(at.starts, ends, strict=True)]
+    return _Sums(
+        np.stack([c.T @ c for c, _ in parts]), np.stack([c.T @ t for c, t in parts]), np.array([t @ t for _, t in parts])
+    )
+
+
+def _errors(at: Rank, columns: np.ndarray, target: np.ndarray) -> _Errors:
+    """Of least squares of the target by columns: on all rows, and on all folds but one."""
+    s = _sums(at, columns, target)
+    ridge = 1e-9 * np.eye(columns.shape[1])
+    gram, push, square = s.gram.sum(axis=0), s.push.sum(axis=0), float(s.square.sum())
+    amplitudes = np.linalg.solve(gram + ridge, push)
+    rest, given = gram - s.gram + ridge, push - s.push
+    x = np.linalg.solve(rest, given[..., None])[..., 0]
+    trained = square - s.square - np.einsum("fp,fp->f", given, x)
+    held = s.square - 2.0 * np.einsum("fp,fp->f", s.push, x) + np.einsum("fp,fpq,fq->f", x, s.gram, x)
+    return _Errors(square - float(push @ amplitudes), trained, held, amplitudes)
+
+
+def _tried(at: Rank, columns: np.ndarray, given: bool) -> _Errors | None:
+    """Errors with a signature's columns (N, K) beside the Jacobian."""
+    own = columns[at.order]
+    if given:
+        # The data have what the prediction lacks: residuals are prediction less data.
+        return _errors(at, at.jacobian, at.residuals + own[:, 0])
+    size = np.linalg.norm(own, axis=0)
+    own = own[:, size > 0.0] / size[size > 0.0]
+    return _errors(at, np.hstack([at.jacobian, own]), -at.residuals) if own.size else None
+
+
+def _scanned(at: Rank, name: str, scene: Scene, tests: int) -> Found | None:
+    """A suspect's best shape, and what it explains of held-out samples, the shape sought in each training part."""
+    suspect = SUSPECTS[name]
+    grid = suspect.grid(scene)
+    points = [dict(zip(grid, map(float, values), strict=True)) for values in product(*grid.values())]
+    tried: list[tuple[dict[str, float], _Errors]] = []
+
+    def attempt(values: dict[str, float]) -> None:
+        errors = _tried(at, suspect.columns(scene, **values), suspect.given)
+        if errors is not None and (suspect.sign == 0 or errors.amplitudes[-1] > 0.0):
+            tried.append((values, errors))
+
+    for values in points:
+        attempt(values)
+    if not tried:
+        return None
+    # Steps of the grid as ratios, halved from round to round.
+    ratios = {key: (v[-1] / v[0]) ** (1.0 / max(v.size - 1, 1)) for key, v in grid.items()}
+    for _ in range(_ROUNDS if grid else 0):
+        centre = min(tried, key=lambda t: t[1].whole)[0]
+        spread = {key: centre[key] * ratio ** np.linspace(-1.0, 1.0, _POINTS) for key, ratio in ratios.items()}
+        for values in product(*spread.values()):
+            attempt(_within(dict(zip(spread, map(float, values), strict=True))))
+        ratios = {key: ratio**0.4 for key, ratio in ratios.items()}
+    values, best = min(tried, key=lambda t: t[1].whole)
+    folds = np.arange(at.starts.size)
+    chosen = np.argmin([errors.trained for _, errors in tried], axis=0)
+    held = sum(float(tried[c][1].held_out[f]) for c, f in zip(chosen, folds, strict=True))
+    columns = suspect.columns(scene, **values)
+    more = len(grid) + (0 if suspect.given else int(np.count_nonzero(np.any(columns, axis=0))))
+    if suspect.amplitude:
+        values = {**values, suspect.amplitude: _amplitude(at, columns)}
+    explained = 1.0 - held / float(at.plain.held_out.sum())
+    chance = _chance(at.plain.whole, best.whole, more, at.count) * len(points) * tests
+    return Found(name, explained, min(chance, 1.0), values, columns, suspect.given, more)
+
+
+def _within(values: dict[str, float]) -> dict[str, float]:
+    damping = values.get("resonance_damping")
+    return values if damping is None else {**values, "resonance_damping": min(max(damping, 2e-3), 0.6)}
+
+
+def _amplitude(at: Rank, columns: np.ndarray) -> float:
+    own = columns[at.order, 0]
+    size = float(np.linalg.norm(own))
+    return float(_errors(at, np.hstack([at.jacobian, own[:, None] / size]), -at.residuals).amplitudes[-1] / size)
+
+
+def _chance(before: float, after: float, more: int, count: int) -> float:
+    """Chance of a fall of the sum of squares by so much with so many numbers more: F."""
+    left = count - more
+    if left < 1 or not after > 0.0:
+        return 1.0
+    ratio = max(before - after, 0.0) / more / (after / left)
+    return float(special.fdtrc(more, left, ratio))
+
+
+def _named(at: Rank, found: list[Found], tests: int) -> list[Found]:
+    """Suspects one after the other, each significant beside those before."""
+    named = []
+    for f in found:
+        if f.chance < _LEVEL and f.explained > _LEAST:
+            named.append(f)
+            break
+    return named
+
+
+def _jitter(at: Rank, scene: Scene, tests: int) -> Found:
+    """Whether the variance grows with the square of the slope: 1 + (j w x')^2, j sought on a grid."""
+    slope = np.zeros(scene.size)
+    for s, x in zip(scene.series, scene.read, strict=True):
+        slope[s.rows] = np.gradient(x, s.clock) * s.weights if s.clock.size > 2 else 0.0
+    square, own = at.residuals**2, slope[at.order] ** 2
+    if not own.any():
+        return Found("clock jitter", 0.0, 1.0, {})
+    scales = np.r_[0.0, np.geomspace(0.1, 1e3, 25)] / float(np.mean(own))
+    variance = 1.0 + scales[:, None] * own
+    logs, sizes = np.add.reduceat(np.log(variance), at.starts, axis=1), np.add.reduceat(square / variance, at.starts, 1)
+    counts = np.diff(np.r_[at.starts, at.order.size])
+
+    def cost(log: np.ndarray, size: np.ndarray, count: np.ndarray | int) -> np.ndarray:
+        return 0.5 * log + 0.5 * count * np.log(size / count)
+
+    whole = cost(logs.sum(1), sizes.sum(1), at.order.size)
+    rest = cost(logs.sum(1)[:, None] - logs, sizes.sum(1)[:, None] - sizes, at.order.size - counts)
+    gain = 0.0
+    for f, k in enumerate(np.argmin(rest, axis=0)):
+        for sign, i in ((1.0, 0), (-1.0, k)):
+            level = (sizes[i].sum() - sizes[i, f]) / (at.order.size - counts[f])
+            gain += sign * 0.5 * (logs[i, f] + counts[f] * np.log(level) + sizes[i, f] / level)
+    best = int(np.argmin(whole))
+    chance = float(special.chdtrc(1.0, 2.0 * max(whole[0] - whole[best], 0.0))) * tests
+    level = np.sqrt(sizes[best].sum() / at.order.size * scales[best])
+    explained = 1.0 - float(np.exp(-2.0 * gain / at.order.size))
+    return Found("clock jitter", explained, min(chance, 1.0), {"jitter": float(level)})
+
+
+def _quantised(at: Rank, scene: Scene) -> Found:
+    """Share of the residuals' variance that steps of the readings have: step^2/12."""
+    share, widest = 0.0, 0.0
+    for s in scene.series:
+        step = lattice(s.values)
+        share += float(np.sum((step * s.weights) ** 2)) / 12.0
+        widest = max(widest, step)
+    explained = min(share / float(np.sum(at.residuals**2)), 1.0)
+    return Found("quantisation", explained, 0.0 if widest else 1.0, {"step": widest})
+
+
+def lattice(values: np.ndarray) -> float:
+    """Step of which all readings are whole multiples apart; 0 where there is none, or few levels."""
+    levels = np.unique(values)
+    if levels.size < _LATTICE or levels.size > 0.9 * values.size:
+        return 0.0
+    step = float(np.min(np.diff(levels)))
+    if step < 1e-9 * float(np.ptp(levels)):
+        return 0.0
+    parts = (levels - levels[0]) / step
+    return step if np.max(np.abs(parts - np.round(parts))) < 1e-3 else 0.0
+
+
+def _saturated(at: Rank, scene: Scene, tests: int) -> list[Found]:
+    """What is left without the samples that equal the largest reading."""
+    level = max((float(np.abs(s.values).max()) for s in scene.series), default=0.0)
+    clipped = np.zeros(scene.size, dtype=bool)
+    for s in scene.series:
+        clipped[s.rows] = np.abs(s.values) >= level * (1.0 - 1e-9)
+    rows = clipped[at.order]
+    count = int(rows.sum())
+    if count < _EQUAL:
+        return []
+    keep = np.where(rows, 0.0, 1.0)
+    errors = _errors(at, at.jacobian * keep[:, None], at.residuals * keep)
+    before = at.plain.held_out.sum() / at.order.size
+    explained = 1.0 - float(errors.held_out.sum() / (at.order.size - count) / before)
+    chance = _chance(at.plain.whole, errors.whole, count, at.count) * tests
+    return [Found("saturation", explained, min(chance, 1.0), {"level": level})]
+
+
+def _correlated(scene: Scene, residuals: np.ndarray, tests: int) -> Found:
+    """Correlation of successive residuals, which any shape that is missed makes, too."""
+    pairs = np.concatenate([np.stack([s.rows[:-1], s.rows[1:]]) for s in scene.series if s.rows.size > 1], axis=1)
+    phi = float(np.sum(residuals[pairs[0]] * residuals[pairs[1]]) / np.sum(residuals[pairs[0]] ** 2))
+    step = float(np.median(np.concatenate([np.diff(s.clock) for s in scene.series])))
+    chance = float(special.ndtr(-phi * np.sqrt(pairs.shape[1]))) * tests
+    time = -step / np.log(phi) if 0.0 < phi < 1.0 else 0.0
+    return Found("correlated noise", max(phi, 0.0) ** 2, min(chance, 1.0), {"correlation": time})
