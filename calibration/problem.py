@@ -96,7 +96,7 @@ ADEQUATE = 0.03
 
 @dataclass(frozen=True)
 class Channel:
-    """What a sensor saw in one experiment, with noise of variance sigma^2 + (relative reading)^2.
+    """What a sensor saw in one experiment, with noise of variance sigma^2 + (relative reading)^2 + (jitter slope)^2.
 
     Attributes:
         observes: a reading of the scene (``bcfj_jax.mechanism.channels``), as "contact.normal" or "slider.acceleration.x".
@@ -106,6 +106,7 @@ class Channel:
         relative: part of the noise that grows with the reading, as a share of it.
         correlation: time [s] over which the noise remembers itself, exp(-dt/correlation) between samples; 0 for
             white noise; None: to be estimated, likewise.
+        jitter: deviation of the clock from sample to sample [s].
     """
 
     observes: str
@@ -113,14 +114,16 @@ class Channel:
     sigma: float | None
     relative: float = 0.0
     correlation: float | None = 0.0
+    jitter: float = 0.0
 
-    def deviation(self, readings: np.ndarray) -> np.ndarray:
-        """Standard deviation, SI, of the noise at readings; where it is to be estimated, 1 % of the largest value."""
+    def deviation(self, readings: np.ndarray, times: np.ndarray) -> np.ndarray:
+        """Standard deviation, SI, of the noise at readings and their times; to be estimated: 1 % of the largest value."""
         if self.sigma is None:
             return np.full(readings.shape, 0.01 * size(self.observes, self.values))
         # The least that was read bounds it where the model reads 0.
         least = self.relative * np.nanmin(np.abs(self.values))
-        return np.hypot(self.sigma, np.maximum(self.relative * np.abs(readings), least))
+        still = np.hypot(self.sigma, np.maximum(self.relative * np.abs(readings), least))
+        return np.hypot(still, self.jitter * np.gradient(readings, times)) if self.jitter and times.size > 1 else still
 
 
 @dataclass(frozen=True)
@@ -355,14 +358,14 @@ def _check_experiment(experiment: Experiment, scene: AbstractModel) -> None:
 def _check_noise(channel: Channel, where: str) -> None:
     """Every sample must have a noise above 0, known or to be found."""
     unit = unit_of(channel.observes)
-    if channel.sigma is None and channel.relative:
+    if channel.sigma is None and (channel.relative or channel.jitter):
         raise InputError(where, "one part is stated, the other estimated", "state both or estimate one number")
     if channel.correlation is not None and not channel.correlation >= 0:
         raise InputError(where, f"a correlation time of {channel.correlation:g} s", "give 0 or more")
     if channel.sigma is None:
         return
-    if not (channel.sigma >= 0 and channel.relative >= 0):
-        found = f"{channel.sigma:g} {unit} + {channel.relative:.3%} of reading"
+    if not (channel.sigma >= 0 and channel.relative >= 0 and channel.jitter >= 0):
+        found = f"{channel.sigma:g} {unit} + {channel.relative:.3%} of reading + {channel.jitter:g} s of clock"
         raise InputError(where, found, "give deviations above 0")
     size = np.abs(channel.values[np.isfinite(channel.values)])
     least, peak = size.min(initial=np.inf), size.max(initial=0.0)

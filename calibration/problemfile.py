@@ -308,8 +308,8 @@ def _experiment(
     memory = stated.correlation(entry.correlation, f"{where} correlation")
     channels = []
     for observes, reading in record.readings.items() if record else ():
-        sigma, relative = stated.noise(entry.noise, observes, reading.values, f"{where} noise")
-        channels.append(Channel(observes, reading.values, sigma, relative, memory))
+        sigma, relative, jitter = stated.noise(entry.noise, observes, reading.values, f"{where} noise")
+        channels.append(Channel(observes, reading.values, sigma, relative, memory, jitter))
     return Experiment(
         name=record.name if record else entry.name or where.rpartition(": ")[2],
         times=record.times if record else np.zeros(0),

@@ -9,7 +9,10 @@ of a quantisation, so many off the highest peak of a saturation). Fifty have non
 
 from __future__ import annotations
 
+import argparse
 import os
+import time
+from functools import cache
 from typing import Any
 
 os.environ.setdefault("EQX_ON_ERROR", "nan")
@@ -17,53 +20,61 @@ os.environ.setdefault("EQX_ON_ERROR", "nan")
 import numpy as np
 
 from benchmarks.calibration import imperfect
-from benchmarks.calibration.imperfect import MASS, NOISE, SCENE, STARTS, TRUTH
+from benchmarks.calibration.imperfect import MASS, NOISE, SCENE, TRUTH
 from calibration import Channel, Experiment, Free, Problem
 
 PLANTED = (
     "bandwidth", "resonance", "hum", "drift", "gain bend", "clock jitter", "quantisation", "saturation", "stop",
     "relaxation",
 )  # fmt: skip
-# Those of ``imperfect``, by the names of the suspects.
-_SAME = {"bandwidth": "lag", "resonance": "resonance", "drift": "drift", "gain bend": "gain bend"}
 SPEEDS = {1: (1.0,), 2: (0.8, 1.2), 3: (0.75, 1.0, 1.3), 4: (0.7, 0.9, 1.1, 1.3)}
+# Duration [s] of a record and peak [N] at 1 m/s: one sensor reads all runs.
+TIMES, PLAIN = imperfect.motion(1.0)
+SPAN, PEAK = float(TIMES[-1]), float(PLAIN.max())
 
 
 def read(kind: str, speed: float, strength: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """A record without noise."""
+    """A record without noise; a strength of 1 is large."""
     if kind in ("stop", "relaxation"):
         return imperfect.motion(speed, **{kind: strength})
     times, force = imperfect.motion(speed)
-    if kind in _SAME:
-        return times, imperfect.SENSOR[_SAME[kind]](times, force, strength)
-    if kind == "hum":
-        frequency, phase = 2.6 / times[-1] * speed ** (-0.2), rng.uniform(0.0, 2.0 * np.pi)
-        return times, force + strength * np.sin(2.0 * np.pi * frequency * times + phase)
-    if kind == "clock jitter":
-        return times, np.interp(times + strength * rng.standard_normal(times.size), times, force)
+    if kind == "bandwidth":
+        force = imperfect.lagged(times, force, 0.2 * strength * SPAN)
+    elif kind == "resonance":
+        force = imperfect.resonant(times, force, 2.0 * np.pi * 4.0 / (max(strength, 1e-3) ** 0.5 * SPAN))
+    elif kind == "hum":
+        force = force + strength * PEAK * np.sin(2.0 * np.pi * 2.6 * times / SPAN + rng.uniform(0.0, 2.0 * np.pi))
+    elif kind == "drift":
+        force = force + strength * PEAK * times / SPAN
+    elif kind == "gain bend":
+        force = force * (1.0 + strength * force / PEAK)
+    elif kind == "clock jitter":
+        force = np.interp(times + strength * SPAN * rng.standard_normal(times.size), times, force)
     return times, force
 
 
+@cache
 def strength_of(kind: str, deviations: float) -> float:
-    """The strength whose largest effect at 1 m/s is so many deviations of the noise."""
-    times, plain = imperfect.motion(1.0)
-    size = deviations * NOISE * float(plain.max())
-    if kind in ("hum", "quantisation", "saturation"):
+    """The strength whose largest effect at 1 m/s is so many deviations of the noise; a force for what has no record."""
+    size = deviations * NOISE * PEAK
+    if kind in ("quantisation", "saturation"):
         return size
+    if kind == "hum":
+        return size / PEAK
     if kind == "clock jitter":
-        return size / float(np.abs(np.gradient(plain, times)).max())
+        return size / float(np.abs(np.gradient(PLAIN, TIMES)).max()) / SPAN
     low, high = 1e-6, 10.0
     for _ in range(20):
         middle = float(np.sqrt(low * high))
-        effect = np.abs(read(kind, 1.0, middle, np.random.default_rng(0))[1] - plain).max()
+        effect = np.abs(read(kind, 1.0, middle, np.random.default_rng(0))[1] - PLAIN).max()
         low, high = (middle, high) if effect < size else (low, middle)
     return float(np.sqrt(low * high))
 
 
 def problem(kind: str, strength: float, runs: int, seed: int) -> Problem:
-    """The record of one imperfection; none for the kind "clean"."""
+    """The record of one imperfection; none for ``NOTHING``."""
     rng, experiments = np.random.default_rng([seed, runs]), []
-    sigma = NOISE * float(imperfect.motion(1.0)[1].max())
+    sigma = NOISE * PEAK
     forces = {speed: read(kind, speed, strength, rng) for speed in SPEEDS[runs]}
     highest = max(float(force.max()) for _, force in forces.values())
     for k, (speed, (times, force)) in enumerate(forces.items()):
@@ -79,10 +90,73 @@ def problem(kind: str, strength: float, runs: int, seed: int) -> Problem:
     return Problem(SCENE, params, tuple(experiments), free)
 
 
-def plan(records: int) -> list[dict[str, Any]]:
-    """Which imperfection, how large and in how many runs: evenly over kinds, sizes and runs."""
-    rng, found = np.random.default_rng(21), []
+def plan(records: int, seed: int) -> list[dict[str, Any]]:
+    """Which imperfection, how large and in how many runs: evenly over kinds and runs, sizes at random."""
+    rng, found = np.random.default_rng([21, seed]), []
     for k in range(records):
         size = float(3.0 * (10.0 / 3.0) ** rng.uniform())
-        found.append({"planted": PLANTED[k % len(PLANTED)], "deviations": size, "runs": 1 + (k // len(PLANTED) + k) % 4})
+        runs = 1 + (k // len(PLANTED) + k) % 4
+        found.append({"planted": PLANTED[k % len(PLANTED)], "deviations": size, "runs": runs, "seed": 1000 * seed + k})
     return found
+
+
+def judged(planned: dict[str, Any]) -> dict[str, Any]:
+    """One record fitted and diagnosed, by residuals alone and with fits."""
+    kind = planned["planted"]
+    given = problem(
+        kind, 0.0 if kind == NOTHING else strength_of(kind, planned["deviations"]), planned["runs"], planned["seed"]
+    )
+    plain = fit(given, seed=planned["seed"], starts=STARTS)
+    begin = time.perf_counter()
+    ranking = rank(given, plain)
+    seconds = time.perf_counter() - begin
+    found = diagnose(given, plain, planned["seed"])
+    assert ranking is not None and found is not None
+    best = found.trials[0] if found.trials else None
+    return {
+        **planned, "law": plain.law.answer, "by_residuals": ranking.named, "named": found.named,
+        "explained": {f.name: round(f.explained, 4) for f in found.found if f.likely},
+        "fits": [{"names": list(t.names), "bic_change": -t.gain, "confirmed": t.confirmed, "reason": t.reason,
+                  "law": t.fit.law.answer if t.fit else None} for t in found.trials],
+        "best": list(best.names) if best else [], "rank_s": seconds, "diagnose_s": time.perf_counter() - begin - seconds,
+    }  # fmt: skip
+
+
+def table(planted: list[dict[str, Any]], clean: list[dict[str, Any]]) -> str:
+    """By imperfection: named first by residuals alone, with fits, and by which fits it was confirmed."""
+    shown = [["planted", "records", "named by residuals", "named with fits", "fit with it confirmed", "else named"]]
+    for kind in PLANTED:
+        own = [f for f in planted if f["planted"] == kind]
+        quick, right = (sum(f[key][:1] == [kind] for f in own) for key in ("by_residuals", "named"))
+        confirmed = sum(any(t["names"] == [kind] and t["confirmed"] for t in f["fits"]) for f in own)
+        wrong = ", ".join((f["named"] or ["none"])[0] for f in own if f["named"][:1] != [kind])
+        shown.append([kind, str(len(own)), str(quick), str(right), str(confirmed), wrong])
+    counts = [str(sum(f[key][:1] == [f["planted"]] for f in planted)) for key in ("by_residuals", "named")]
+    confirmed = sum(any(t["names"] == [f["planted"]] and t["confirmed"] for t in f["fits"]) for f in planted)
+    shown.append(["all", str(len(planted)), *counts, str(confirmed), ""])
+    quiet = [str(sum(not f[key] for f in clean)) for key in ("by_residuals", "named")]
+    wrong = ", ".join(f["named"][0] for f in clean if f["named"])
+    return markdown([*shown, ["none (none is named)", str(len(clean)), *quiet, "", wrong]])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--records", type=int, default=50)
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    planted = plan(given.records, given.seed)
+    clean = [{**p, "planted": NOTHING, "deviations": 0.0, "seed": p["seed"] + 500} for p in planted]
+    found = []
+    for k, planned in enumerate([*planted, *clean]):
+        found.append(judged(planned))
+        print(k, found[-1], flush=True)
+    parts = found[: given.records], found[given.records :]
+    save("diagnosis", {"seed": given.seed, "planted": parts[0], "clean": parts[1]})
+    ranks, diagnoses = ([f[key] for f in found] for key in ("rank_s", "diagnose_s"))
+    said = f"The ranking by residuals takes {np.median(ranks):.2g} s, with fits {np.median(diagnoses):.2g} s (median)."
+    put_in_readme("diagnosis", f"{table(*parts)}\n\n{said}", "docs/calibration.md")
+    print(table(*parts), said, sep="\n\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -2,6 +2,8 @@
 
 noise = "2 %"                        of the channel's largest reading; "0.1 kN"; "estimate"
 noise = "0.1 kN + 2 % of reading"    variance 0.1^2 + (0.02 reading)^2
+noise = "2 N + 3 us of clock"        variance 2^2 + (3e-6 slope)^2: jitter of the sampling clock
+noise = "2 N + 5 N of steps"         variance 2^2 + 5^2/12: steps of a converter
 noise = { "contact.normal" = "2 %" } each channel its own
 features = { "contact.peak" = "5 kN" }, feature_noise = "2 %" of each, or as a table one for each
 """
@@ -20,15 +22,16 @@ from bcfj_jax.io.units import quantity
 from bcfj_jax.mechanism.channels import unit_of
 from calibration.problem import Observation, size
 
-_OF_READING = re.compile(r"(.*%)\s*of\s+(?:the\s+)?reading")
-_RIGHT = 'give "2 %", "0.1 kN", "0.1 kN + 2 % of reading" or "estimate"'
+_OF = re.compile(r"(.*?)\s*of\s+(?:the\s+)?(reading|clock|steps)")
+_RIGHT = 'give "2 %", "0.1 kN", "0.1 kN + 2 % of reading", "2 N + 3 us of clock", "2 N + 5 N of steps" or "estimate"'
 
 
 class Noise(NamedTuple):
-    """Standard deviation, SI (None: to be estimated), and the part that grows with the reading, as a share."""
+    """Standard deviation, SI (None: to be estimated), the part that grows with the reading, as a share, jitter [s]."""
 
     sigma: float | None
     relative: float
+    jitter: float
 
 
 def noise(stated: object, observes: str, values: np.ndarray, where: str) -> Noise:
@@ -48,24 +51,31 @@ def noise(stated: object, observes: str, values: np.ndarray, where: str) -> Nois
             raise InputError(where, f"no noise of '{observes}'", f"{_RIGHT} for each channel")
         stated, where = stated[observes], f"{where}.{observes}"
     if stated == "estimate":
-        return Noise(None, 0.0)
+        return Noise(None, 0.0, 0.0)
     largest = size(observes, values)
     if not largest > 0:
         raise InputError(where, "the record is zero throughout", "choose another column, or widen the window")
-    sigmas, shares = [], []
+    sigmas, shares, jitters = [], [], []
     for part in stated.split(" + ") if isinstance(stated, str) else [stated]:
         text = part.strip() if isinstance(part, str) else part
-        of_reading = _OF_READING.fullmatch(text) if isinstance(text, str) else None
-        if of_reading:
-            shares.append(quantity(of_reading[1], "1", where))
+        of = _OF.fullmatch(text) if isinstance(text, str) else None
+        if of and of[2] == "reading":
+            shares.append(quantity(of[1], "1", where))
+        elif of and of[2] == "clock":
+            jitters.append(quantity(of[1], "s", where))
+        elif of:
+            sigmas.append(quantity(of[1], unit_of(observes), where) / math.sqrt(12.0))
         elif isinstance(text, str) and text.endswith("%"):
             sigmas.append(quantity(text, "1", where) * largest)
         else:
             sigmas.append(quantity(text, unit_of(observes), where))
-    if not min(sigmas + shares) > 0:
-        raise InputError(where, f"noise = {stated} gives a deviation of {min(sigmas + shares):g}", _RIGHT)
+    least = min(sigmas + shares + jitters)
+    if not least > 0:
+        raise InputError(where, f"noise = {stated} gives a deviation of {least:g}", _RIGHT)
+    if not sigmas and not shares:
+        raise InputError(where, f"noise = {stated} is none where the reading does not change", _RIGHT)
     # Independent parts add in their squares.
-    return Noise(math.hypot(*sigmas), math.hypot(*shares))
+    return Noise(math.hypot(*sigmas), math.hypot(*shares), math.hypot(*jitters))
 
 
 def correlation(stated: object, where: str) -> float | None:

@@ -64,7 +64,7 @@ class Scene(NamedTuple):
 
     Attributes:
         size: N, residuals of the fit.
-        series: residuals by record and channel.
+        series: residuals by record and channel; runs: the record of each.
         read: (n,) what is predicted of each, SI.
         motions: the contact that each reads, with the offset of its clock [s]; None where it reads another thing.
         contact: duration of the longest contact [s].
@@ -73,6 +73,7 @@ class Scene(NamedTuple):
 
     size: int
     series: list[Series]
+    runs: list[int]
     read: list[np.ndarray]
     motions: list[tuple[Motion, float] | None]
     contact: float
@@ -83,9 +84,11 @@ def scene_of(model: Model, series: list[Series], readings: np.ndarray, point: np
     """The scene about an optimum; ``readings`` (E, C, T) are the predicted ones there."""
     flat, table = readings.reshape(-1), params_at(model, point, log_depth)
     motions: list[tuple[Motion, float] | None] = []
+    runs: list[int] = []
     known: dict[tuple[int, str], Motion | None] = {}
     for s in series:
         i, j, _ = np.unravel_index(s.rows[0], readings.shape)
+        runs.append(int(i))
         part, _, what = model.channels[j].partition(".")
         offset, key = table[i]["time_offset"], (int(i), part)
         if what == "normal" and key not in known:
@@ -95,7 +98,7 @@ def scene_of(model: Model, series: list[Series], readings: np.ndarray, point: np
     spans = [s.longest if np.isfinite(s.longest) and s.longest > 0 else float(np.ptp(s.clock)) for s in series]
     read = [flat[s.rows] for s in series]
     size = int(model.data.values.size + model.data.features.size)
-    return Scene(size, series, read, motions, max(spans), max(float(np.abs(x).max()) for x in read))
+    return Scene(size, series, runs, read, motions, max(spans), max(float(np.abs(x).max()) for x in read))
 
 
 def _motion(model: Model, experiment: int, params: dict[str, float], name: str, clock: np.ndarray) -> Motion | None:

@@ -7,7 +7,8 @@ which the held-out sum of squares falls; of a suspect that is a noise (jitter, s
 the variance that has its size, or that the likelihood gains by it.
 
 A suspect is significant where chance would let the best of all grids fall so far in less than one record of a hundred
-(F, Bonferroni over grid and suspects). One is named after the other, as long as it is significant beside those before.
+(F, Bonferroni over grid and suspects). The one that explains most is named. Correlated noise comes last: a shape that
+is missed looks the same, so that it is named only where no suspect is significant.
 """
 
 from __future__ import annotations
@@ -20,7 +21,6 @@ import numpy as np
 from scipy import special
 
 from calibration.diagnostics import signatures
-from calibration.diagnostics.residual_tests import Series
 from calibration.diagnostics.signatures import Scene
 
 # Chance of a name in a record without any imperfection, all suspects together.
@@ -28,6 +28,8 @@ _LEVEL = 0.01
 # Samples of a block that is held out, at least, and blocks of a contact.
 _FEWEST, _BLOCKS = 4, 8
 _FOLDS = 6
+# So many runs or contacts are folds, and so many at most.
+_SEVERAL, _MOST = 3, 8
 # Rounds of a finer grid about the best point, and points of each number in it.
 _ROUNDS, _POINTS = 3, 5
 # A suspect that explains less of the held-out squares than this is not named, however significant.
@@ -46,7 +48,8 @@ class Found(NamedTuple):
         values: numbers of its best shape, SI, and its amplitude where that is one number.
         columns: (N, K) its signature there; none of a noise.
         given: whether the signature's amplitude is 1.
-        named: whether it is named, and after how many others.
+        numbers: that are fitted or sought for it.
+        named: whether it is the one that explains most.
     """
 
     name: str
@@ -56,7 +59,12 @@ class Found(NamedTuple):
     columns: np.ndarray | None = None
     given: bool = False
     numbers: int = 1
-    named: int = 0
+    named: bool = False
+
+    @property
+    def likely(self) -> bool:
+        """Whether it explains more than chance would, and enough to matter."""
+        return self.chance < _LEVEL and self.explained > _LEAST
 
 
 class _Suspect(NamedTuple):
@@ -154,41 +162,48 @@ class Rank(NamedTuple):
 
 
 def ranked(
-    scene: Scene, residuals: np.ndarray, jacobian: np.ndarray, laws: tuple[str, ...] = ("stop",)
-) -> list[Found]:
-    """Every suspect, the named ones first in their order, the others by what they explain.
+    scene: Scene, residuals: np.ndarray, jacobian: np.ndarray, laws: tuple[str, ...] = (),
+    taken: frozenset[str] = frozenset(),
+) -> list[Found]:  # fmt: skip
+    """Every suspect that explains anything, the best first.
 
     Args:
         scene: of the optimum.
         residuals, jacobian: (N,), (N, P), white.
         laws: suspects of the law that may be tried: those whose law there is.
+        taken: suspects that the model has in it already.
     """
-    at = _folded(scene.series, residuals, jacobian)
+    at = _folded(scene, residuals, jacobian)
     tried = [name for name, s in SUSPECTS.items() if not s.law or (name in laws and any(scene.motions))]
+    tried = [name for name in tried if name not in taken]
     tests = len(tried) + len(NOISES)
     found = [f for name in tried if (f := _scanned(at, name, scene, tests))]
     found += [_jitter(at, scene, tests), _quantised(at, scene), *_saturated(at, scene, tests)]
-    found = [f for f in found if f.explained > 0.0]
+    found = [f for f in found if f.explained > 0.0 and f.name not in taken]
     # Of two that explain the same, the one with fewer numbers.
     found.sort(key=lambda f: 2.0 * f.numbers / at.order.size - f.explained)
-    named = _named(at, found, tests)
-    if not named:
+    if not any(f.likely for f in found) and "correlated noise" not in taken:
         found.append(_correlated(scene, residuals, tests))
-        named = [found[-1]] if found[-1].chance < _LEVEL and found[-1].explained > _LEAST else []
-    order = [f.name for f in named]
-    marked = [f._replace(named=order.index(f.name) + 1 if f.name in order else 0) for f in found]
-    return sorted(marked, key=lambda f: (f.named or len(marked) + 1, -f.explained))
+    # Of two that are likely, the one that explains more comes first; what chance explains comes last.
+    found.sort(key=lambda f: not f.likely)
+    return [f._replace(named=k == 0 and f.likely) for k, f in enumerate(found)]
 
 
-def _folded(series: list[Series], residuals: np.ndarray, jacobian: np.ndarray) -> Rank:
-    """Folds: blocks of a contact's eighth, cyclically; of three runs or more each run's blocks by themselves, in halves."""
-    fold = np.full(residuals.size, -1)
-    many = len(series) >= 3
-    for k, s in enumerate(series):
-        inside = max(int(s.touching.sum()), 1)
-        block = max(_FEWEST, inside // _BLOCKS)
-        blocks = np.arange(s.rows.size) // block
-        fold[s.rows] = 2 * k + blocks % 2 if many else blocks % _FOLDS
+def _folded(scene: Scene, residuals: np.ndarray, jacobian: np.ndarray) -> Rank:
+    """Folds: runs where there are three or more, else contacts, else blocks of a contact's eighth.
+
+    Every second block of a run or contact is held out at a time: a hum's phase in a run can be learnt there only.
+    """
+    fold, runs = np.full(residuals.size, -1), len(set(scene.runs))
+    for s, run in zip(scene.series, scene.runs, strict=True):
+        starts = s.touching & ~np.r_[False, s.touching[:-1]]
+        contacts = int(starts.sum())
+        blocks = np.arange(s.rows.size) // max(_FEWEST, int(s.touching.sum()) // max(contacts, 1) // _BLOCKS)
+        if runs >= _SEVERAL or contacts >= _SEVERAL:
+            part = run if runs >= _SEVERAL else np.maximum(np.cumsum(starts) - 1, 0)
+            fold[s.rows] = 2 * (part % _MOST) + blocks % 2
+        else:
+            fold[s.rows] = blocks % _FOLDS
     rows = np.flatnonzero(fold >= 0)
     order = rows[np.argsort(fold[rows], kind="stable")]
     starts = np.flatnonzero(np.diff(np.r_[-1, fold[order]]))
@@ -203,7 +218,9 @@ def _sums(at: Rank, columns: np.ndarray, target: np.ndarray) -> _Sums:
     ends = [*at.starts[1:], at.order.size]
     parts = [(columns[a:b], target[a:b]) for a, b in zip(at.starts, ends, strict=True)]
     return _Sums(
-        np.stack([c.T @ c for c, _ in parts]), np.stack([c.T @ t for c, t in parts]), np.array([t @ t for _, t in parts])
+        np.stack([c.T @ c for c, _ in parts]),
+        np.stack([c.T @ t for c, t in parts]),
+        np.array([t @ t for _, t in parts]),
     )
 
 
@@ -288,16 +305,6 @@ def _chance(before: float, after: float, more: int, count: int) -> float:
     return float(special.fdtrc(more, left, ratio))
 
 
-def _named(at: Rank, found: list[Found], tests: int) -> list[Found]:
-    """Suspects one after the other, each significant beside those before."""
-    named = []
-    for f in found:
-        if f.chance < _LEVEL and f.explained > _LEAST:
-            named.append(f)
-            break
-    return named
-
-
 def _jitter(at: Rank, scene: Scene, tests: int) -> Found:
     """Whether the variance grows with the square of the slope: 1 + (j w x')^2, j sought on a grid."""
     slope = np.zeros(scene.size)
@@ -323,9 +330,12 @@ def _jitter(at: Rank, scene: Scene, tests: int) -> Found:
             gain += sign * 0.5 * (logs[i, f] + counts[f] * np.log(level) + sizes[i, f] / level)
     best = int(np.argmin(whole))
     chance = float(special.chdtrc(1.0, 2.0 * max(whole[0] - whole[best], 0.0))) * tests
-    level = np.sqrt(sizes[best].sum() / at.order.size * scales[best])
+    level = np.sqrt(sizes[best].sum() / at.order.size)
+    sigma = level / float(np.median(np.concatenate([s.weights for s in scene.series])))
     explained = 1.0 - float(np.exp(-2.0 * gain / at.order.size))
-    return Found("clock jitter", explained, min(chance, 1.0), {"jitter": float(level)})
+    return Found(
+        "clock jitter", explained, min(chance, 1.0), {"jitter": float(level * np.sqrt(scales[best])), "sigma": sigma}
+    )
 
 
 def _quantised(at: Rank, scene: Scene) -> Found:

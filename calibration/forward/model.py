@@ -299,11 +299,9 @@ def build(
         times[i, count:] = (experiment.times[-1] if count else 0.0) + 1e-3 * step * np.arange(1, longest - count + 1)
         for channel in experiment.channels:
             j = channels.index(channel.observes)
-            seen = np.isfinite(channel.values)
-            readings = np.where(seen, channel.values, 0.0)
-            values[i, j, :count] = readings
-            weights[i, j, :count] = seen / channel.deviation(readings)
-            own = np.flatnonzero(seen)
+            own = np.flatnonzero(np.isfinite(channel.values))
+            values[i, j, own] = channel.values[own]
+            weights[i, j, own] = 1.0 / channel.deviation(channel.values[own], experiment.times[own])
             previous[i, j, own[1:]] = own[:-1]
             if channel.correlation:
                 memory[i, j, own[1:]] = np.exp(-np.diff(experiment.times[own]) / channel.correlation)

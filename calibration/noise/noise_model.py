@@ -65,7 +65,8 @@ class _Rows(NamedTuple):
 
 def known(experiments: tuple[Experiment, ...]) -> bool:
     """Whether no noise is estimated or depends on the model's reading."""
-    return not any(c.sigma is None or c.relative or c.correlation is None for e in experiments for c in e.channels)
+    channels = [c for e in experiments for c in e.channels]
+    return not any(c.sigma is None or c.relative or c.jitter or c.correlation is None for c in channels)
 
 
 def estimate(
@@ -128,7 +129,8 @@ def _series(
             j = model.channels.index(channel.observes)
             own = np.flatnonzero(np.isfinite(channel.values))
             gaps = np.diff(experiment.times[own])
-            deviation = np.ones(own.size) if channel.sigma is None else channel.deviation(read[i, j, own])
+            at = read[i, j, own], experiment.times[own]
+            deviation = np.ones(own.size) if channel.sigma is None else channel.deviation(*at)
             found.append(_Series((i, j), channel, own, gaps, shaped[i, j, own], slopes[i, j, own], deviation))
     return found, (errors[read.size :], jacobian[read.size :])
 

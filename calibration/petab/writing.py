@@ -37,6 +37,10 @@ def export(problem: Problem, scene: dict[str, Any], folder: Path) -> Path:
         InputError: where PEtab is not installed, or its checks refuse the tables.
     """
     v2 = library("petab.v2", "petab", str(folder), "petab")
+    for e in problem.experiments:
+        if any(c.jitter for c in e.channels):
+            found = f"the noise of {e.name} depends on the slope of its readings"
+            raise InputError(str(folder), found, "PEtab has no place for jitter: state the noise without it")
     held_out = tuple(e for e in problem.experiments if e.hold_out)
     if held_out:
         _write(v2, problem, held_out, scene, folder / "held_out", {})
