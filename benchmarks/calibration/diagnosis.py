@@ -20,9 +20,12 @@ os.environ.setdefault("EQX_ON_ERROR", "nan")
 import numpy as np
 
 from benchmarks.calibration import imperfect
-from benchmarks.calibration.imperfect import MASS, NOISE, SCENE, TRUTH
-from calibration import Channel, Experiment, Free, Problem
+from benchmarks.calibration.imperfect import MASS, NOISE, SCENE, STARTS, TRUTH
+from benchmarks.common import markdown, put_in_readme, save
+from calibration import Channel, Experiment, Free, Problem, fit
+from calibration.selection.diagnosis import diagnose, rank
 
+NOTHING = "nothing"
 PLANTED = (
     "bandwidth", "resonance", "hum", "drift", "gain bend", "clock jitter", "quantisation", "saturation", "stop",
     "relaxation",
