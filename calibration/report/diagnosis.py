@@ -7,22 +7,26 @@ from typing import Any
 
 from bcfj_jax.io.units import format_si
 from calibration.fit import Fit, Parameter
-from calibration.selection.diagnosis import Diagnosis, Trial
+from calibration.selection.choice import DECISIVE
+from calibration.selection.diagnosis import SEEN, Diagnosis, Trial
 from calibration.selection.remedies import ADVICE
+
+# A suspect that explains less and is not named is not shown.
+_LEAST = 0.01
 
 
 def rows(d: Diagnosis) -> list[list[str]]:
     """The table of suspects, those that explain anything."""
     table = [["suspect", "explains, held out", "by chance", "fit with it", "what to do"]]
     for f in d.found:
-        if f.explained < 0.01 and not f.named:
+        if f.explained < _LEAST and not f.named:
             continue
-        said = f"{f.explained:.0%}", f"{f.chance:.1g}" if f.chance > 0.0 else "never"
         trial = next((t for t in d.trials if t.names == (f.name,)), None)
-        mark = "* " if f.named else ""
-        table.append([mark + f.name, *said, _said(trial), ADVICE[f.name] if f.named else ""])
-    table += [[" and ".join(t.names), "", "", _said(t), ""] for t in d.trials if len(t.names) > 1]
-    return table
+        seen = "seen in the readings" if f.name in SEEN and f.named else _said(trial)
+        chance = "" if f.name in SEEN else f"{f.chance:.1g}"
+        advice = ADVICE[f.name] if f.name in d.named else ""
+        table.append([("* " if f.named else "") + f.name, f"{f.explained:.0%}", chance, seen, advice])
+    return table + [[" and ".join(t.names), "", "", _said(t), ""] for t in d.trials if len(t.names) > 1]
 
 
 def _said(trial: Trial | None) -> str:
@@ -31,7 +35,8 @@ def _said(trial: Trial | None) -> str:
     if trial.fit is None:
         return f"fails: {trial.reason}"
     word = "confirmed" if trial.confirmed else "not confirmed"
-    return f"{word}: law {trial.fit.law.answer}, BIC {-trial.gain:+.0f}"
+    search = "" if trial.fit.search.answer == "converged" else ", search not converged"
+    return f"{word}: law {trial.fit.law.answer}, BIC {-trial.gain:+.0f}{search}"
 
 
 def values(d: Diagnosis, plain: Fit) -> list[list[str]]:
@@ -57,13 +62,23 @@ def sentence(d: Diagnosis) -> str:
     """What the table comes to."""
     if not d.named:
         return "no suspect explains more of the held-out samples than chance would"
-    best = next((t for t in d.trials if t.confirmed), None)
-    text = f"{d.named[0]} explains {d.found[0].explained:.0%} of the held-out squares of the residuals"
+    first, *others = d.named
+    text = f"{first} explains {d.found[0].explained:.0%} of the held-out squares of the residuals"
+    if first in SEEN:
+        return f"{text}: it is seen in the readings"
     if not d.trials:
-        return text + ("; run --diagnose to confirm by fits" if d.lines[d.named[0]] else "")
-    if best is None:
-        return text + "; no fit confirms it"
-    return text + f"; a fit with {' and '.join(best.names)} is decisively better, and its law is {best.fit.law.answer}"  # pyright: ignore[reportOptionalMemberAccess]
+        return f"{text}; run --diagnose to confirm by fits"
+    best = next((t for t in d.trials if t.confirmed and t.fit), None)
+    if best is None or best.fit is None:
+        return f"{text}; no fit confirms it"
+    text += (
+        f"; the fit with it is decisively better, and the law is {d.alone[0].fit.law.answer} then"
+        if d.alone[0].fit
+        else ""
+    )
+    pair = next((t for t in d.trials if len(t.names) > 1 and t.confirmed), None)
+    text += f"; {' and '.join(pair.names)} together explain more" if pair and pair.gain > best.gain + DECISIVE else ""
+    return text + (f"; the data do not tell it from {' or '.join(others)}" if others else "")
 
 
 def _shown_lines(d: Diagnosis) -> list[tuple[str, str]]:

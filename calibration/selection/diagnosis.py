@@ -9,6 +9,9 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass, replace
 
+import equinox as eqx
+import numpy as np
+
 from bcfj_jax import InputError
 from calibration.diagnostics import suspects
 from calibration.diagnostics.signatures import scene_of
@@ -22,8 +25,10 @@ from calibration.solver_budget import budget
 
 log = logging.getLogger("calibration")
 
-# Suspects that are fitted, and starts of such a fit.
-_MOST, _STARTS = 3, 4
+# Suspects that are fitted, if they explain more than this share of what the best one does; starts of such a fit.
+_MOST, _NEAR, _STARTS = 3, 0.5, 4
+# What is seen in the readings themselves: a fit has nothing to add.
+SEEN = ("quantisation",)
 
 
 @dataclass(frozen=True)
@@ -46,13 +51,13 @@ class Trial:
 
     @property
     def confirmed(self) -> bool:
-        """Whether the fit converged and the data want it decisively."""
-        return self.fit is not None and self.fit.search.answer == "converged" and self.gain > DECISIVE
+        """Whether the data want it decisively."""
+        return self.fit is not None and self.gain > DECISIVE
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Suspects, the named ones first; their lines by name; the fits with them, the best first where there are any."""
+    """Suspects, the named one first; their lines by name; the fits with them, the best first where there are any."""
 
     found: list[Found]
     lines: dict[str, str]
@@ -60,8 +65,18 @@ class Diagnosis:
 
     @property
     def named(self) -> list[str]:
-        """Names of the suspects that are named."""
-        return [f.name for f in self.found if f.named]
+        """The suspect that is named, and after it those that the fits cannot tell from it; none where none explains."""
+        first = [f.name for f in self.found if f.named]
+        return first + [t.names[0] for t in self.alone if t.names[0] not in first and self._as_good(t, first)]
+
+    @property
+    def alone(self) -> list[Trial]:
+        """Fits with one suspect that the data want, the best first."""
+        return [t for t in self.trials if len(t.names) == 1 and t.confirmed]
+
+    def _as_good(self, trial: Trial, first: list[str]) -> bool:
+        own = [t for t in self.alone if [t.names[0]] == first]
+        return bool(own) and own[0].gain - trial.gain < DECISIVE
 
 
 def rank(problem: Problem, result: Fit) -> Diagnosis | None:
@@ -93,9 +108,9 @@ def diagnose(problem: Problem, result: Fit, seed: int = 0) -> Diagnosis | None:
     ranking = rank(problem, result)
     if ranking is None:
         return None
-    likely = [f for f in ranking.found if f.likely and ranking.lines[f.name]]
-    before = _bic(problem, result)
-    trials = [_trial(problem, result, before, (f.name,), ranking.lines[f.name], seed) for f in likely[:_MOST]]
+    likely = [f for f in ranking.found if f.likely and ranking.lines[f.name] and f.name not in SEEN]
+    likely = [f for f in likely if f.explained > _NEAR * likely[0].explained]
+    trials = [_trial(problem, result, (f.name,), ranking.lines[f.name], seed) for f in likely[:_MOST]]
     trials.sort(key=lambda t: (not t.confirmed, -t.gain))
     best = trials[0] if trials and trials[0].confirmed else None
     if best is not None and best.fit is not None:
@@ -103,33 +118,40 @@ def diagnose(problem: Problem, result: Fit, seed: int = 0) -> Diagnosis | None:
         second = next((f.name for f in left.found if f.named and f.name not in best.names), "") if left else ""
         both = joined(best.lines, left.lines[second]) if left and second else ""
         if both:
-            trials.append(_trial(problem, result, before, (*best.names, second), both, seed))
+            trials.append(_trial(problem, result, (*best.names, second), both, seed))
     return _confirmed(Diagnosis(ranking.found, ranking.lines, trials))
 
 
 def _confirmed(d: Diagnosis) -> Diagnosis:
-    """With the name that the fits give where they disagree with the residuals: the best fit's."""
-    alone = [t for t in d.trials if len(t.names) == 1 and t.confirmed]
-    if not alone or not d.named or alone[0].names[0] == d.named[0]:
+    """With the name that the fits give: that of the best fit, where the residuals named one that was fitted."""
+    if not d.alone or not any(d.found[0].name in t.names for t in d.trials):
         return d
-    mine = next((t for t in alone if t.names[0] == d.named[0]), None)
-    if mine is not None and alone[0].gain - mine.gain < DECISIVE:
-        return d
-    found = [f._replace(named=int(f.name == alone[0].names[0])) for f in d.found]
+    best = d.alone[0].names[0]
+    found = [f._replace(named=f.name == best) for f in d.found]
     return replace(d, found=sorted(found, key=lambda f: not f.named))
 
 
-def _trial(problem: Problem, plain: Fit, before: float, names: tuple[str, ...], text: str, seed: int) -> Trial:
+def _trial(problem: Problem, plain: Fit, names: tuple[str, ...], text: str, seed: int) -> Trial:
     log.info("diagnosis: a fit with %s", " and ".join(names))
     try:
         other = altered(problem, text, plain)
         found = fit(other, seed=seed, starts=_STARTS)
     except (InputError, AllStartsFailed) as error:
         return Trial(names, text, None, 0.0, str(error))
-    return Trial(names, text, found, before - _bic(other, found))
+    # On the samples that both have: those at a sensor's limit are dropped.
+    weights = np.where(
+        np.asarray(found.optimum.model.data.weights) > 0, np.asarray(plain.optimum.model.data.weights), 0
+    )
+    return Trial(names, text, found, _bic(other, plain, weights) - _bic(other, found))
 
 
-def _bic(problem: Problem, found: Fit) -> float:
-    fitted = tuple(e for e in problem.experiments if not e.hold_out)
+def _bic(problem: Problem, found: Fit, weights: np.ndarray | None = None) -> float:
     at = found.optimum
-    return likelihood_of(fitted, at.model, at.end.residuals, at.noise).bic
+    model, residuals = at.model, at.end.residuals
+    if weights is not None:
+        model = eqx.tree_at(lambda m: m.data.weights, model, weights)
+        residuals = np.r_[residuals[: weights.size] * (weights.ravel() > 0), residuals[weights.size :]]
+    estimated = tuple(e for e in problem.experiments if not e.hold_out)
+    if at.noise.sigma:  # As it was fitted: a suspect's lines may state the noise.
+        estimated = tuple(replace(e, channels=tuple(replace(c, sigma=None) for c in e.channels)) for e in estimated)
+    return likelihood_of(estimated, model, residuals, at.noise).bic

@@ -185,8 +185,10 @@ def _swapped(problem: Problem, law: str | None = None, elastic: str | None = Non
         own = getattr(contact.law, "elastic", None)
         new = laws.make(law, elastic)
         new = new if elastic or own is None else replace(new, elastic=own)
-    given = dict(scene.given) | {name: _DEFAULTS[name] for name in new.needs if name in _DEFAULTS}
-    return replace(scene, contacts=(replace(contact, law=new),), given=given)
+    other = replace(contact, law=new)
+    given = {name: value for name, value in scene.given if name not in {*contact.reads} - {*other.reads}}
+    more = {name: _DEFAULTS[name] for name in other.reads if name in _DEFAULTS}
+    return replace(scene, contacts=(other,), given=more | given)
 
 
 # Values of coefficients that a scene made for another law has no default of: their lines seek them.
