@@ -51,8 +51,8 @@ class Trial:
 
     @property
     def confirmed(self) -> bool:
-        """Whether the data want it decisively."""
-        return self.fit is not None and self.gain > DECISIVE
+        """Whether the data want it decisively; to leave samples out takes no number that they must pay for."""
+        return self.fit is not None and self.gain > (0.0 if self.names == ("saturation",) else DECISIVE)
 
 
 @dataclass(frozen=True)
