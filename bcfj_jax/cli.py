@@ -127,6 +127,9 @@ def calibrate(
     seed: Annotated[int, typer.Option(min=0, help="Seed of the starting points.")] = 0,
     starts: Annotated[int, typer.Option(min=4, help="Number of starting points.")] = 12,
     intervals: Annotated[str, typer.Option(help="covariance, profile or posterior.")] = "covariance",
+    diagnose: Annotated[
+        bool, typer.Option("--diagnose", help="Say what would explain a miss; confirm by fits.")
+    ] = False,
     export_petab: Annotated[Path | None, typer.Option(help="Write PEtab 2 tables there instead of fitting.")] = None,
     code: Code = None,
 ) -> int:
@@ -143,7 +146,7 @@ def calibrate(
 
     if export_petab is not None:
         return command.export_petab(problem, export_petab)
-    return command.run(problem, out, seed, starts, intervals)
+    return command.run(problem, out, seed, starts, intervals, diagnose)
 
 
 @app.command(epilog=_EPILOG)

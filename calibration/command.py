@@ -23,8 +23,10 @@ from calibration.fit import AllStartsFailed, Fit, Parameter
 from calibration.problem import Problem
 from calibration.problemfile import load, prepared, sources
 from calibration.report import plots_uncertainty
+from calibration.report.diagnosis import as_json as diagnosis_json
+from calibration.report.diagnosis import sections
 from calibration.search.starts import Interrupted
-from calibration.selection import choice
+from calibration.selection import choice, diagnosis
 from calibration.selection.alternatives import Outcome, solve
 from calibration.selection.next_experiment import as_json as candidates_json
 from calibration.selection.next_experiment import table as candidates_table
@@ -50,10 +52,13 @@ _BUDGET = "Errors of the sensor and of fixed values that residuals do not show, 
 _HEAD = ["parameter", "value", "95 % interval", "which allows for", "with the errors below", "remark"]
 
 
-def run(path: Path, out: Path | None, seed: int, starts: int, intervals: str = "covariance") -> int:
+def run(
+    path: Path, out: Path | None, seed: int, starts: int, intervals: str = "covariance", diagnose: bool = False
+) -> int:
     """Calibrate a problem file; write the results; return the exit code of the contract.
 
-    A folder that holds the journal of this very fit is gone on with: finished starts are taken from there.
+    A folder that holds the journal of this very fit is gone on with: finished starts are taken from there. What would
+    explain a miss is ranked where the law is not consistent; ``diagnose``: always, and the best confirmed by fits.
 
     Raises:
         InputError: for bad input, before anything is written.
@@ -77,6 +82,7 @@ def run(path: Path, out: Path | None, seed: int, starts: int, intervals: str = "
         ahead(get_ready)
         try:
             outcome = solve(path, problem, base, seed=seed, starts=starts, journal=journal, intervals=intervals)
+            diagnosed = _diagnosed(outcome, diagnose, seed)
         except InputError:
             _take_back(folder, journal)
             raise
@@ -87,13 +93,13 @@ def run(path: Path, out: Path | None, seed: int, starts: int, intervals: str = "
         except KeyboardInterrupt as stop:
             return _interrupted(folder, path, stop)
         result = outcome.fit
-        _write(folder, path, outcome, starts, time.perf_counter() - begin)
+        _write(folder, path, outcome, starts, time.perf_counter() - begin, diagnosed)
         print(text(result))
-        for heading, rows in _comparisons(outcome):
+        for heading, rows in [*_comparisons(outcome), *_explained(outcome, diagnosed)]:
             print(f"\n{heading}\n{report.text(rows)}")
         print(f"\nresults and pictures, all in report.html: {folder}", flush=True)
         with stage("drawing"):
-            _draw(folder, path, outcome, understood)
+            _draw(folder, path, outcome, understood, diagnosed)
         (folder / _SO_FAR).unlink(missing_ok=True)
         journal.remove()
     keep_asked()
@@ -300,7 +306,21 @@ def _comparisons(outcome: Outcome) -> list[tuple[str, list[list[str]]]]:
     return found
 
 
-def _write(folder: Path, path: Path, outcome: Outcome, starts: int, seconds: float) -> None:
+def _diagnosed(outcome: Outcome, diagnose: bool, seed: int) -> diagnosis.Diagnosis | None:
+    """What would explain the miss; None where nothing was asked and the law is consistent, or it cannot be said."""
+    if diagnose:
+        with stage("diagnosis"):
+            return diagnosis.diagnose(outcome.problem, outcome.fit, seed)
+    return None if outcome.fit.law.answer == "consistent" else diagnosis.rank(outcome.problem, outcome.fit)
+
+
+def _explained(outcome: Outcome, diagnosed: diagnosis.Diagnosis | None) -> list[tuple[str, list[list[str]]]]:
+    return sections(diagnosed, outcome.fit) if diagnosed else []
+
+
+def _write(
+    folder: Path, path: Path, outcome: Outcome, starts: int, seconds: float, diagnosed: diagnosis.Diagnosis | None
+) -> None:
     """The result. The journal is there until ``_draw`` is done: cut off before, the same command completes the folder."""
     problem, result = outcome.problem, outcome.fit
     _write_scene(folder / "fitted_scene.toml", path, outcome.base, result)
@@ -313,10 +333,13 @@ def _write(folder: Path, path: Path, outcome: Outcome, starts: int, seconds: flo
     outputs.write_json(folder / "environment.json", outputs.environment(seed=result.seed, data=data))
     if outcome.choice:
         outputs.write_json(folder / "models.json", choice.as_json(outcome.choice))
-    outputs.write_json(folder / "fit.json", {**as_json(result), **_compared(outcome), "wall_s": seconds})
+    said = {"diagnosis": diagnosis_json(diagnosed, result)} if diagnosed else {}
+    outputs.write_json(folder / "fit.json", {**as_json(result), **_compared(outcome), **said, "wall_s": seconds})
 
 
-def _draw(folder: Path, path: Path, outcome: Outcome, understood: list[Prepared]) -> None:
+def _draw(
+    folder: Path, path: Path, outcome: Outcome, understood: list[Prepared], diagnosed: diagnosis.Diagnosis | None
+) -> None:
     """Pictures, and the report that holds them."""
     from calibration.data import plot as dataplot
     from calibration.report import plots
@@ -341,7 +364,7 @@ def _draw(folder: Path, path: Path, outcome: Outcome, understood: list[Prepared]
             [n, f"{e['max_error_of_peak']:.2%}", f"{e['rms_error_of_peak']:.2%}"] for n, e in result.held_out.items()
         ]
         tables.append(("Held out", [["record", "largest error of the peak", "rms of the peak"], *rows]))
-    tables += _comparisons(outcome)
+    tables += [*_comparisons(outcome), *_explained(outcome, diagnosed)]
     pictures = [folder / name for name in FILES if name.endswith(".png") and (folder / name).exists()]
     report.write(folder, f"Calibration of {path.name}", result.verdict, tables, pictures, result.reasons)
 

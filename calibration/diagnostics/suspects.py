@@ -240,6 +240,8 @@ def _errors(at: Rank, columns: np.ndarray, target: np.ndarray) -> _Errors:
 def _tried(at: Rank, columns: np.ndarray, given: bool) -> _Errors | None:
     """Errors with a signature's columns (N, K) beside the Jacobian."""
     own = columns[at.order]
+    if not np.isfinite(own).all():
+        return None
     if given:
         # The data have what the prediction lacks: residuals are prediction less data.
         return _errors(at, at.jacobian, at.residuals + own[:, 0])

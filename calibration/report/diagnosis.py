@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 from bcfj_jax.io.units import format_si
@@ -114,11 +113,11 @@ def as_json(d: Diagnosis, plain: Fit) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def sections(d: Diagnosis, plain: Fit) -> Sequence[tuple[str, list[list[str]]]]:
+def sections(d: Diagnosis, plain: Fit) -> list[tuple[str, list[list[str]]]]:
     """Headings and tables for screen and report."""
     found = [(f"What would explain the miss: {sentence(d)}", rows(d))] if len(rows(d)) > 1 else []
     if d.trials:
         found.append(("Estimates with each", values(d, plain)))
     for name, text in _shown_lines(d):
-        found.append((f"Lines for the problem file: {name}", [["line"], *([line] for line in text.splitlines())]))
+        found.append(("Lines for the problem file", [[f"# {name}"], *([line] for line in text.splitlines())]))
     return found or [(f"What would explain the miss: {sentence(d)}", [["suspect"], ["none"]])]
