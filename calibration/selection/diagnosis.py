@@ -108,8 +108,8 @@ def diagnose(problem: Problem, result: Fit, seed: int = 0) -> Diagnosis | None:
     ranking = rank(problem, result)
     if ranking is None:
         return None
-    likely = [f for f in ranking.found if f.likely and ranking.lines[f.name] and f.name not in SEEN]
-    likely = [f for f in likely if f.explained > _NEAR * likely[0].explained]
+    likely = [f for f in ranking.found if f.likely and f.explained > _NEAR * ranking.found[0].explained]
+    likely = [f for f in likely if ranking.lines[f.name] and f.name not in SEEN]
     trials = [_trial(problem, result, (f.name,), ranking.lines[f.name], seed) for f in likely[:_MOST]]
     trials.sort(key=lambda t: (not t.confirmed, -t.gain))
     best = trials[0] if trials and trials[0].confirmed else None
@@ -124,7 +124,7 @@ def diagnose(problem: Problem, result: Fit, seed: int = 0) -> Diagnosis | None:
 
 def _confirmed(d: Diagnosis) -> Diagnosis:
     """With the name that the fits give: that of the best fit, where the residuals named one that was fitted."""
-    if not d.alone or not any(d.found[0].name in t.names for t in d.trials):
+    if not d.alone or (d.found[0].name,) not in [t.names for t in d.trials]:
         return d
     best = d.alone[0].names[0]
     found = [f._replace(named=f.name == best) for f in d.found]
