@@ -77,7 +77,7 @@ def sentence(d: Diagnosis) -> str:
     )
     pair = next((t for t in d.trials if len(t.names) > 1 and t.confirmed), None)
     text += f"; {' and '.join(pair.names)} together explain more" if pair and pair.gain > best.gain + DECISIVE else ""
-    return text + (f"; the data do not tell it from {' or '.join(others)}" if others else "")
+    return text + (f"; the data do not distinguish it from {' or '.join(others)}" if others else "")
 
 
 def _shown_lines(d: Diagnosis) -> list[tuple[str, str]]:
