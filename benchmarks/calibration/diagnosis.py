@@ -4,7 +4,7 @@ Single impacts by SciPy from the exact law, 1 to 4 runs at different speeds, noi
 have one imperfection each, whose largest effect on the force at 1 m/s is 3 to 10 deviations of the noise (a step of so many
 of a quantisation, so many off the highest peak of a saturation). Fifty have none.
 
-    python -m benchmarks.calibration.diagnosis [--records 50] [--seed 0]    keeps results/diagnosis.json
+    python -m benchmarks.calibration.diagnosis [--records 50] [--seed 0] [--minutes 60]    keeps results/diagnosis.json
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import numpy as np
 from benchmarks.calibration import imperfect
 from benchmarks.calibration.imperfect import MASS, NOISE, SCENE, STARTS, TRUTH
 from benchmarks.common import markdown, put_in_readme, save
-from calibration import Channel, Experiment, Free, Problem, fit
+from calibration import Channel, Experiment, Fit, Free, Problem, fit
 from calibration.selection.diagnosis import diagnose, rank
 
 NOTHING = "nothing"
@@ -103,62 +103,85 @@ def plan(records: int, seed: int) -> list[dict[str, Any]]:
     return found
 
 
-def judged(planned: dict[str, Any]) -> dict[str, Any]:
-    """One record fitted and diagnosed, by residuals alone and with fits."""
+def fitted(planned: dict[str, Any]) -> tuple[Problem, Fit]:
+    """A record, and the fit that knows nothing of its imperfection."""
     kind = planned["planted"]
-    given = problem(
-        kind, 0.0 if kind == NOTHING else strength_of(kind, planned["deviations"]), planned["runs"], planned["seed"]
-    )
-    plain = fit(given, seed=planned["seed"], starts=STARTS)
+    strength = 0.0 if kind == NOTHING else strength_of(kind, planned["deviations"])
+    given = problem(kind, strength, planned["runs"], planned["seed"])
+    return given, fit(given, seed=planned["seed"], starts=STARTS)
+
+
+def ranking(planned: dict[str, Any], given: Problem, plain: Fit) -> dict[str, Any]:
+    """What residuals alone say."""
     begin = time.perf_counter()
-    ranking = rank(given, plain)
+    found = rank(given, plain)
+    assert found is not None
+    likely = {f.name: round(f.explained, 4) for f in found.found if f.likely}
     seconds = time.perf_counter() - begin
+    return {**planned, "law": plain.law.answer, "by_residuals": found.named, "explained": likely, "rank_s": seconds}
+
+
+def confirming(planned: dict[str, Any], given: Problem, plain: Fit) -> dict[str, Any]:
+    """What fits say of it."""
+    begin = time.perf_counter()
     found = diagnose(given, plain, planned["seed"])
-    assert ranking is not None and found is not None
-    best = found.trials[0] if found.trials else None
-    return {
-        **planned, "law": plain.law.answer, "by_residuals": ranking.named, "named": found.named,
-        "explained": {f.name: round(f.explained, 4) for f in found.found if f.likely},
-        "fits": [{"names": list(t.names), "bic_change": -t.gain, "confirmed": t.confirmed, "reason": t.reason,
-                  "law": t.fit.law.answer if t.fit else None} for t in found.trials],
-        "best": list(best.names) if best else [], "rank_s": seconds, "diagnose_s": time.perf_counter() - begin - seconds,
-    }  # fmt: skip
+    assert found is not None
+    fits = [
+        {
+            "names": list(t.names), "bic_change": -t.gain, "confirmed": t.confirmed, "reason": t.reason,
+            "law": t.fit.law.answer if t.fit else None,
+        }
+        for t in found.trials
+    ]  # fmt: skip
+    return {"named": found.named, "fits": fits, "diagnose_s": time.perf_counter() - begin}
 
 
 def table(planted: list[dict[str, Any]], clean: list[dict[str, Any]]) -> str:
-    """By imperfection: named first by residuals alone, with fits, and by which fits it was confirmed."""
-    shown = [["planted", "records", "named by residuals", "named with fits", "fit with it confirmed", "else named"]]
-    for kind in PLANTED:
-        own = [f for f in planted if f["planted"] == kind]
-        quick, right = (sum(f[key][:1] == [kind] for f in own) for key in ("by_residuals", "named"))
-        confirmed = sum(any(t["names"] == [kind] and t["confirmed"] for t in f["fits"]) for f in own)
-        wrong = ", ".join((f["named"] or ["none"])[0] for f in own if f["named"][:1] != [kind])
-        shown.append([kind, str(len(own)), str(quick), str(right), str(confirmed), wrong])
-    counts = [str(sum(f[key][:1] == [f["planted"]] for f in planted)) for key in ("by_residuals", "named")]
-    confirmed = sum(any(t["names"] == [f["planted"]] and t["confirmed"] for t in f["fits"]) for f in planted)
-    shown.append(["all", str(len(planted)), *counts, str(confirmed), ""])
-    quiet = [str(sum(not f[key] for f in clean)) for key in ("by_residuals", "named")]
-    wrong = ", ".join(f["named"][0] for f in clean if f["named"])
-    return markdown([*shown, ["none (none is named)", str(len(clean)), *quiet, "", wrong]])
+    """By imperfection: named first by residuals alone, with fits, and whether the fit with it was confirmed."""
+    shown = [["planted", "named by residuals", "named first with fits", "fit with it confirmed", "not named, but"]]
+    for kind in (*PLANTED, "all"):
+        own = [f for f in planted if kind in (f["planted"], "all")]
+        done = [f for f in own if "named" in f]
+        right = sum(f["by_residuals"] == [f["planted"]] for f in own)
+        first = sum(f["named"][:1] == [f["planted"]] for f in done)
+        confirmed = sum(any(t["names"] == [f["planted"]] and t["confirmed"] for t in f["fits"]) for f in done)
+        said = [f"{(f['by_residuals'] or ['none'])[0]} (residuals)" for f in own if f["by_residuals"] != [f["planted"]]]
+        said += [f"{(f['named'] or ['none'])[0]} (fits)" for f in done if f["named"][:1] != [f["planted"]]]
+        counts = f"{right} of {len(own)}", f"{first} of {len(done)}", f"{confirmed} of {len(done)}"
+        shown.append([kind, *counts, "" if kind == "all" else ", ".join(said)])
+    done = [f for f in clean if "named" in f]
+    quiet = sum(not f["by_residuals"] for f in clean), sum(not f["named"] for f in done)
+    said = ", ".join(f["by_residuals"][0] for f in clean if f["by_residuals"])
+    counts = f"none named: {quiet[0]} of {len(clean)}", f"none named: {quiet[1]} of {len(done)}"
+    return markdown([*shown, ["nothing", *counts, "", said]])
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--records", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args()
+    parser.add_argument("--minutes", type=float, default=60.0)
+    given, begin = parser.parse_args(), time.perf_counter()
     planted = plan(given.records, given.seed)
     clean = [{**p, "planted": NOTHING, "deviations": 0.0, "seed": p["seed"] + 500} for p in planted]
-    found = []
-    for k, planned in enumerate([*planted, *clean]):
-        found.append(judged(planned))
-        print(k, found[-1], flush=True)
-    parts = found[: given.records], found[given.records :]
-    save("diagnosis", {"seed": given.seed, "planted": parts[0], "clean": parts[1]})
-    ranks, diagnoses = ([f[key] for f in found] for key in ("rank_s", "diagnose_s"))
-    said = f"The ranking by residuals takes {np.median(ranks):.2g} s, with fits {np.median(diagnoses):.2g} s (median)."
-    put_in_readme("diagnosis", f"{table(*parts)}\n\n{said}", "docs/calibration.md")
-    print(table(*parts), said, sep="\n\n")
+    records = [(planned, *fitted(planned)) for planned in [*planted, *clean]]
+    found = [ranking(*record) for record in records]
+    keep(found, given)
+    # Many fits, and compiled anew for each number of runs.
+    for k in sorted(range(len(found)), key=lambda k: found[k]["runs"]):
+        if time.perf_counter() - begin < 60.0 * given.minutes:
+            found[k] |= confirming(*records[k])
+            print(k, found[k], flush=True)
+            keep(found, given)
+
+
+def keep(found: list[dict[str, Any]], given: argparse.Namespace) -> None:
+    planted, clean = found[: given.records], found[given.records :]
+    save("diagnosis", {"seed": given.seed, "planted": planted, "clean": clean})
+    quick, slow = ([f[key] for f in found if key in f] or [0.0] for key in ("rank_s", "diagnose_s"))
+    said = f"The ranking by residuals takes {np.median(quick):.2g} s (median)"
+    said += f", with fits and their compilation {np.median(slow):.2g} s." if max(slow) else "."
+    put_in_readme("diagnosis", f"{table(planted, clean)}\n\n{said}", "docs/calibration.md")
 
 
 if __name__ == "__main__":
