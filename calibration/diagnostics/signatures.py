@@ -9,17 +9,17 @@ another, the force alone is taken.
 
 from __future__ import annotations
 
+from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import lfilter
 
 from calibration.diagnostics.residual_tests import Series
 from calibration.forward.model import Model
 from calibration.forward.runs import instants, params_at, ran
 
-# Times per record that a sensor's output is computed at, as multiples of its samples, and at most.
-_FINER, _FINEST = 4, 100_000
+# Samples of a block of flight that is kept where there are too many.
+_BLOCK = 32
 # A contact's tangent is fitted where its depth is above this share of the largest.
 _DEEP = 0.02
 # Share of the acceleration that one mass must explain.
@@ -99,6 +99,32 @@ def scene_of(model: Model, series: list[Series], readings: np.ndarray, point: np
     read = [flat[s.rows] for s in series]
     size = int(model.data.values.size + model.data.features.size)
     return Scene(size, series, runs, read, motions, max(spans), max(float(np.abs(x).max()) for x in read))
+
+
+def thinned(scene: Scene, most: int) -> Scene:
+    """The scene with about ``most`` samples: whole contacts with what rings after them, and blocks of the rest."""
+    if sum(s.rows.size for s in scene.series) <= most:
+        return scene
+    series, read = [], []
+    for s, x in zip(scene.series, scene.read, strict=True):
+        kept = _kept(s.touching, max(most // len(scene.series), 4 * _BLOCK))
+        own = {name: getattr(s, name)[kept] for name in ("rows", "touching", "clock", "values", "weights")}
+        series.append(s._replace(**own))
+        read.append(x[kept])
+    return scene._replace(series=series, read=read)
+
+
+def _kept(touching: np.ndarray, most: int) -> np.ndarray:
+    """Which samples of a series stay; contacts at even distances, each as far again as it is long."""
+    edges = np.flatnonzero(np.diff(np.r_[False, touching, False].astype(int)))
+    spans = [(a, min(2 * b - a, touching.size)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    near = sum(b - a for a, b in spans)
+    kept = np.zeros(touching.size, dtype=bool)
+    for a, b in spans[:: max(1, -(-2 * near // most))]:
+        kept[a : min(b, a + most)] = True
+    apart = ~touching & ~kept
+    every = max(1, -(-2 * int(apart.sum()) // most))
+    return kept | (apart & (np.arange(touching.size) // _BLOCK % every == 0))
 
 
 def _motion(model: Model, experiment: int, params: dict[str, float], name: str, clock: np.ndarray) -> Motion | None:
@@ -200,17 +226,18 @@ def _filtered(scene: Scene, rate: complex, weight: complex) -> np.ndarray:
     """Output of u' = rate (x - u) less its input x, linear between samples; the output is Im or Re of weight u."""
     errors = []
     for s, x in zip(scene.series, scene.read, strict=True):
-        count = min(max(_FINER * s.clock.size, 1000), _FINEST)
-        times = np.linspace(s.clock[0], s.clock[-1], count)
-        values = np.interp(times, s.clock, x)
-        angle = rate * (times[1] - times[0])
+        angle = rate * np.diff(s.clock)
         keep = np.exp(-angle)
         mean = -np.expm1(-angle) / angle
-        start = np.array([values[0] - (1.0 - mean) * values[0]])
-        out = weight * lfilter([1.0 - mean, mean - keep], [1.0, -keep], values, zi=start)[0]
-        read = out.imag if isinstance(rate, complex) else out.real
-        errors.append(np.interp(s.clock, times, read) - x)
+        push = (mean - keep) * x[:-1] + (1.0 - mean) * x[1:]
+        out = list(accumulate(zip(keep.tolist(), push.tolist(), strict=True), _step, initial=complex(x[0])))
+        read = weight * np.array(out)
+        errors.append((read.imag if isinstance(rate, complex) else read.real) - x)
     return of_readings(scene, errors)
+
+
+def _step(last: complex, move: tuple[complex, complex]) -> complex:
+    return move[0] * last + move[1]
 
 
 def gain_bend(scene: Scene) -> np.ndarray:

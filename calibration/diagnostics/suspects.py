@@ -28,6 +28,8 @@ _LEVEL = 0.01
 # Samples of a block that is held out, at least, and blocks of a contact.
 _FEWEST, _BLOCKS = 4, 8
 _FOLDS = 6
+# Samples that are enough: of more a part is taken.
+_SAMPLES = 4000
 # So many runs or contacts are folds, and so many at most.
 _SEVERAL, _MOST = 3, 8
 # Rounds of a finer grid about the best point, and points of each number in it.
@@ -173,6 +175,7 @@ def ranked(
         laws: suspects of the law that may be tried: those whose law there is.
         taken: suspects that the model has in it already.
     """
+    scene = signatures.thinned(scene, _SAMPLES)
     at = _folded(scene, residuals, jacobian)
     tried = [name for name, s in SUSPECTS.items() if not s.law or (name in laws and any(scene.motions))]
     tried = [name for name in tried if name not in taken]
