@@ -167,7 +167,7 @@ def ranked(
     scene: Scene, residuals: np.ndarray, jacobian: np.ndarray, laws: tuple[str, ...] = (),
     taken: frozenset[str] = frozenset(),
 ) -> list[Found]:  # fmt: skip
-    """Every suspect that explains anything, the best first.
+    """Every suspect, the best first; one that predicts held-out samples worse explains less than nothing.
 
     Args:
         scene: of the optimum.
@@ -182,7 +182,7 @@ def ranked(
     tests = len(tried) + len(NOISES)
     found = [f for name in tried if (f := _scanned(at, name, scene, tests))]
     found += [_jitter(at, scene, tests), _quantised(at, scene), *_saturated(at, scene, tests)]
-    found = [f for f in found if f.explained > 0.0 and f.name not in taken]
+    found = [f for f in found if f.name not in taken]
     # Of two that explain the same, the one with fewer numbers.
     found.sort(key=lambda f: 2.0 * f.numbers / at.order.size - f.explained)
     if not any(f.likely for f in found) and "correlated noise" not in taken:

@@ -1,7 +1,7 @@
 """What would explain the miss: suspects ranked by residuals, the best of them confirmed by fits with their lines.
 
-A fit with a suspect's lines (``remedies``) is compared with the plain one by BIC. What is left at the best of these fits is
-ranked again, and the two best suspects are fitted together.
+A fit with a suspect's lines (``remedies``) is compared with the plain one by BIC. Beside the signature of each that is
+fitted the others are ranked again, and the pair that explains most is fitted together.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from bcfj_jax import InputError
 from calibration.diagnostics import suspects
-from calibration.diagnostics.signatures import scene_of
+from calibration.diagnostics.signatures import Scene, scene_of
 from calibration.diagnostics.suspects import Found
 from calibration.fit import AllStartsFailed, Fit, fit
 from calibration.forward.model import predictions
@@ -27,6 +27,10 @@ log = logging.getLogger("calibration")
 
 # Suspects that are fitted, if they explain more than this share of what the best one does; starts of such a fit.
 _MOST, _NEAR, _STARTS = 3, 0.5, 4
+# Share of the held-out squares that a second suspect must explain beside the first, to be fitted with it.
+_MORE = 0.05
+# Samples of a record that say something of it, at least.
+_FEWEST = 4
 # What is seen in the readings themselves: a fit has nothing to add.
 SEEN = ("quantisation",)
 
@@ -86,16 +90,8 @@ def rank(problem: Problem, result: Fit) -> Diagnosis | None:
         problem: that was fitted.
         result: its fit.
     """
-    at = result.optimum
-    if not at.series or budget(problem.scene).rough or problem.loss != "linear" or at.noise.integrator:
-        return None
-    if at.spread.covariance is None or min(s.rows.size for s in at.series) < 4:
-        return None
-    readings = predictions(at.model, at.end.point, at.log_depth)
-    scene = scene_of(at.model, at.series, readings, at.end.point, at.log_depth)
-    found = suspects.ranked(scene, at.end.residuals, at.end.jacobian, laws_of(problem), taken(problem))
-    texts = {f.name: lines(f, scene, problem, result) for f in found}
-    return Diagnosis(found, texts, [])
+    scene = _scene(problem, result)
+    return None if scene is None else _ranked(problem, result, scene)
 
 
 def diagnose(problem: Problem, result: Fit, seed: int = 0) -> Diagnosis | None:
@@ -105,21 +101,57 @@ def diagnose(problem: Problem, result: Fit, seed: int = 0) -> Diagnosis | None:
         problem, result: what was fitted, and its fit.
         seed: of the fits.
     """
-    ranking = rank(problem, result)
-    if ranking is None:
+    scene = _scene(problem, result)
+    if scene is None:
         return None
+    ranking = _ranked(problem, result, scene)
     likely = [f for f in ranking.found if f.likely and f.explained > _NEAR * ranking.found[0].explained]
-    likely = [f for f in likely if ranking.lines[f.name] and f.name not in SEEN]
-    trials = [_trial(problem, result, (f.name,), ranking.lines[f.name], seed) for f in likely[:_MOST]]
+    likely = [f for f in likely if ranking.lines[f.name] and f.name not in SEEN][:_MOST]
+    trials = [_trial(problem, result, (f.name,), ranking.lines[f.name], seed) for f in likely]
     trials.sort(key=lambda t: (not t.confirmed, -t.gain))
-    best = trials[0] if trials and trials[0].confirmed else None
-    if best is not None and best.fit is not None:
-        left = rank(altered(problem, best.lines, result), best.fit)
-        second = next((f.name for f in left.found if f.named and f.name not in best.names), "") if left else ""
-        both = joined(best.lines, left.lines[second]) if left and second else ""
-        if both:
-            trials.append(_trial(problem, result, (*best.names, second), both, seed))
+    # Of two at once one may explain nothing alone: every suspect is tried as the first.
+    pairs = [
+        (1.0 - (1.0 - f.explained) * (1.0 - g.explained), f.name, g.name, text)
+        for f in (ranking.found if trials else [])
+        for g, text in _beside(problem, result, scene, f, ranking.lines[f.name])
+    ]
+    if pairs and max(pairs)[0] > ranking.found[0].explained + _MORE:
+        _, first, second, text = max(pairs)
+        trials.append(_trial(problem, result, (first, second), text, seed))
     return _confirmed(Diagnosis(ranking.found, ranking.lines, trials))
+
+
+def _scene(problem: Problem, result: Fit) -> Scene | None:
+    at = result.optimum
+    if not at.series or budget(problem.scene).rough or problem.loss != "linear" or at.noise.integrator:
+        return None
+    if at.spread.covariance is None or min(s.rows.size for s in at.series) < _FEWEST:
+        return None
+    readings = predictions(at.model, at.end.point, at.log_depth)
+    return scene_of(at.model, at.series, readings, at.end.point, at.log_depth)
+
+
+def _ranked(problem: Problem, result: Fit, scene: Scene, first: Found | None = None) -> Diagnosis:
+    """The ranking of the suspects, or of the others beside a first one's signature."""
+    residuals, jacobian = result.optimum.end.residuals, result.optimum.end.jacobian
+    known = taken(problem)
+    if first is not None and first.columns is not None:
+        known |= {first.name}
+        if first.given:
+            residuals = residuals + first.columns[:, 0]
+        else:
+            jacobian = np.hstack([jacobian, first.columns[:, np.any(first.columns, axis=0)]])
+    found = suspects.ranked(scene, residuals, jacobian, laws_of(problem), known)
+    return Diagnosis(found, {f.name: lines(f, scene, problem, result) for f in found}, [])
+
+
+def _beside(problem: Problem, result: Fit, scene: Scene, first: Found, text: str) -> list[tuple[Found, str]]:
+    """The suspect that explains most of what a first one leaves, and the lines of both; none where none does."""
+    if first.columns is None:
+        return []
+    others = _ranked(problem, result, scene, first)
+    both = [(f, joined(text, others.lines[f.name])) for f in others.found if f.named]
+    return [(f, lines_of) for f, lines_of in both if lines_of]
 
 
 def _confirmed(d: Diagnosis) -> Diagnosis:
