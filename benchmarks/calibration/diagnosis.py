@@ -138,7 +138,7 @@ def confirming(planned: dict[str, Any], given: Problem, plain: Fit) -> dict[str,
 
 def table(planted: list[dict[str, Any]], clean: list[dict[str, Any]]) -> str:
     """By imperfection: named first by residuals alone, with fits, and whether the fit with it was confirmed."""
-    shown = [["planted", "named by residuals", "named first with fits", "fit with it confirmed", "not named, but"]]
+    shown = [["planted", "named by residuals", "named first with fits", "fit with it confirmed", "in its place"]]
     for kind in (*PLANTED, "all"):
         own = [f for f in planted if kind in (f["planted"], "all")]
         done = [f for f in own if "named" in f]

@@ -17,7 +17,7 @@ from calibration.data import stated
 from calibration.diagnostics.signatures import Scene
 from calibration.diagnostics.suspects import Found
 from calibration.fit import Fit
-from calibration.problem import Channel, Free, Problem
+from calibration.problem import OFFSETS, Channel, Free, Problem, units_of
 from calibration.problemfile import FreeTable, free_of
 
 _RELAXING, _PLASTIC = "standard_linear_solid", "walton_braun"
@@ -49,6 +49,9 @@ def taken(problem: Problem) -> frozenset[str]:
         "gain bend": "gain_bend", "clock offset": "time_offset", "offset": "force_offset",
     }  # fmt: skip
     taken = {name for name, nuisance in own.items() if nuisance in named}
+    taken |= {"offset"} if named & {*OFFSETS.values()} else set()
+    # One number in the channels' unit needs channels of one unit.
+    taken |= {"hum", "drift", "offset", "gain bend"} if len(units_of(problem.observed)) > 1 else set()
     taken |= {"correlated noise"} if any(c.correlation != 0.0 for c in channels) else set()
     return frozenset(taken | ({"clock jitter"} if any(c.jitter for c in channels) else set()))
 
