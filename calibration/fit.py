@@ -114,6 +114,7 @@ def fit(
     starts: int = 12,
     journal: Journal | None = None,
     intervals: str = "covariance",
+    systematic: bool = True,
 ) -> Fit:
     """Calibrate: find the optimum from several starts and say what may be believed of it.
 
@@ -123,6 +124,7 @@ def fit(
         starts: how many starts descend, at least 4.
         journal: where finished starts are kept, and taken from.
         intervals: "covariance" (a profile where the cost does not rise as that says), "profile" or "posterior".
+        systematic: whether errors of sensor, law and fixed values are allowed for (``with_budget``).
 
     Raises:
         InputError: for a free parameter that moves no residual, and data that no model explains.
@@ -136,7 +138,8 @@ def fit(
     fitted = tuple(e for e in problem.experiments if not e.hold_out)
     model = build(problem, fitted)
     ahead(partial(evaluation, model))
-    ahead(partial(law_errors.get_ready, model))
+    if systematic:
+        ahead(partial(law_errors.get_ready, model))
     labels = tuple(axis.label(fitted) for axis in model.coordinates)
     given = [_given_start(problem, model)] if any(f.start is not None for f in problem.free) else []
     screened = screen(model, starts, seed)
@@ -152,7 +155,25 @@ def fit(
         why = commonest_failure(model, np.array([end.point for end in ends[:_ASKED]]), found.log_depth)
         raise AllStartsFailed(f"all {len(ends)} starts failed: {why}")
     model, ends, noise = settle(model, fitted, ends, found.log_depth, problem.accuracy)
-    return _assess(problem, fitted, labels, model, ends, found.log_depth, noise, seed, checked, intervals)
+    assessed = _assess(problem, fitted, labels, model, ends, found.log_depth, noise, seed, checked, intervals)
+    return with_budget(problem, assessed) if systematic else assessed
+
+
+def with_budget(problem: Problem, found: Fit) -> Fit:
+    """A fit with the errors that its residuals do not show: ``systematic``, and the intervals that allow for them.
+
+    Unchanged where no estimate is determined or no channel is read.
+    """
+    model = found.optimum.model
+    if found.optimum.spread.covariance is None or not model.channels:
+        return found
+    allowed = _systematic(problem, found)
+    parameters = {
+        name: replace(p, with_budget=widened(axis, p, partial(allowed.widened, name)))
+        for axis, (name, p) in zip(model.coordinates, found.parameters.items(), strict=True)
+    }
+    reference = found.reference and found.reference.widened(partial(allowed.widened, REFERENCE))
+    return replace(found, systematic=allowed, parameters=parameters, reference=reference)
 
 
 def _given_start(problem: Problem, model: Model) -> np.ndarray:
@@ -245,13 +266,6 @@ def _assess(
         given and not any(p.at_bound for p in parameters.values()) and (of_law.answer == "consistent" or bool(misses))
     )
     parameters, reference = _headlined(model, labels, best, log_depth, misses, parameters, reference, given)
-    allowed = _systematic(problem, model, labels, fitted, best, log_depth, spread, series, seen)
-    if allowed:
-        parameters = {
-            name: replace(p, with_budget=widened(axis, p, partial(allowed.widened, name)))
-            for axis, (name, p) in zip(model.coordinates, parameters.items(), strict=True)
-        }
-        reference = reference and reference.widened(partial(allowed.widened, REFERENCE))
     if verdict not in ("identified", "adequate"):
         evidence = evidence.withheld(f"no profile is given: {verdict}")
     # The same as before the fit, now with the moves at the estimates.
@@ -298,7 +312,6 @@ def _assess(
         + _notes(noise)
         + _wide_notes(model, parameters)
         + _overstated_notes(series, best.residuals),
-        systematic=allowed,
         evidence=evidence,
     )
 
@@ -364,20 +377,12 @@ def _everything(ends: tuple[float, float], axis: Coordinate) -> bool:
     return bool(low <= axis.lower + margin and high >= axis.upper - margin)
 
 
-def _systematic(
-    problem: Problem,
-    model: Model,
-    labels: tuple[str, ...],
-    fitted: tuple[Experiment, ...],
-    best: End,
-    log_depth: float,
-    spread: fit_tests.Spread,
-    series: list[Series],
-    seen: list[Contact],
-) -> Budget | None:
-    """The budget of errors; None where no estimate is determined or no channel is read."""
-    if spread.covariance is None or not model.channels:
-        return None
+def _systematic(problem: Problem, found: Fit) -> Budget:
+    """The budget of errors."""
+    best, log_depth, spread = found.optimum.end, found.optimum.log_depth, found.optimum.spread
+    model, labels = found.optimum.model, found.labels
+    fitted = tuple(e for e in problem.experiments if not e.hold_out)
+    seen = contacts(model, best.point, log_depth)
     deepest, peak = (max((getattr(c, key) for c in seen), default=0.0) for key in ("deepest", "peak"))
     longest = max((float(c.durations.max(initial=0.0)) for c in seen), default=0.0)
     law = law_errors.signatures(model, best.point, log_depth, deepest, peak, longest)
@@ -388,7 +393,7 @@ def _systematic(
     }
     stated = frozenset(n for n in model.data.chain if all(n in e.fixed for e in fitted))
     errors = [
-        *systematic.of_sensor(model, predictions(model, best.point, log_depth), series, stated),
+        *systematic.of_sensor(model, predictions(model, best.point, log_depth), found.optimum.series, stated),
         *systematic.of_law(law),
         *systematic.of_fixed(model, best, log_depth, tolerances, stated),
     ]

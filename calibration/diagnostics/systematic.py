@@ -24,6 +24,7 @@ from calibration.diagnostics.fit_tests import Spread
 from calibration.diagnostics.residual_tests import Series
 from calibration.forward.losses import influence
 from calibration.forward.model import Model, evaluation
+from calibration.problem import OFFSETS
 from calibration.search.refinement import End
 from calibration.solver_budget import budget
 
@@ -156,6 +157,7 @@ def of_sensor(model: Model, readings: np.ndarray, series: list[Series], stated: 
         stated: names of nuisances.
     """
     taken = {axis.name for axis in model.coordinates} | stated
+    taken |= {"force_offset"} if taken & set(OFFSETS.values()) else set()
     return [
         Error(name, _SENSOR[name].unit, _SENSOR[name].most, signature)
         for name, signature in _signatures(model, readings, series).items()

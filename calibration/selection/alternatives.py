@@ -29,7 +29,7 @@ from bcfj_jax import InputError, nearest
 from bcfj_jax.io import scenefile, tables
 from bcfj_jax.io.units import quantity
 from bcfj_jax.mechanism.channels import unit_of
-from calibration.fit import Fit, fit
+from calibration.fit import Fit, fit, with_budget
 from calibration.problem import NUISANCES, Problem, nuisances, units_of
 from calibration.problemfile import FreeTable, free_of
 from calibration.selection.choice import Choice, choose
@@ -91,7 +91,7 @@ def solve(path: Path, problem: Problem, base: scenefile.SceneFile, **options: An
     if choice is not None:
         chosen = next(r for r in rivals if r.name == choice.chosen)
         problem, base = chosen.problem, chosen.base
-    found = choice.fit if choice else fit(problem, **options)
+    found = with_budget(problem, choice.fit) if choice else fit(problem, **options)
     planned = candidates(path, problem)
     return Outcome(found, problem, base, choice, next_experiment(problem, found, planned) if planned else [])
 

@@ -109,7 +109,8 @@ def choose(models: Sequence[tuple[str, Problem]], *, journal: Journal | None = N
             raise InputError(f"[[model]] '{name}'", "has other experiments", "compare models on the same data")
     rivals = []
     for name, problem in models:
-        found = fit(problem, journal=Chapter(journal, name) if journal is not None else None, **options)
+        own = Chapter(journal, name) if journal is not None else None
+        found = fit(problem, journal=own, systematic=False, **options)
         log.info("model '%s': %s", name, found.verdict)
         rivals.append(rival(name, problem, found))
     return decided(rivals)

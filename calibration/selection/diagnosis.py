@@ -167,7 +167,7 @@ def _trial(problem: Problem, plain: Fit, names: tuple[str, ...], text: str, seed
     log.info("diagnosis: a fit with %s", " and ".join(names))
     try:
         other = altered(problem, text, plain)
-        found = fit(other, seed=seed, starts=_STARTS)
+        found = fit(other, seed=seed, starts=_STARTS, systematic=False)
     except (InputError, AllStartsFailed) as error:
         return Trial(names, text, None, 0.0, str(error))
     # On the samples that both have: those at a sensor's limit are dropped.
