@@ -21,7 +21,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from bcfj_jax.contact.gaps import Face, Frame
-from bcfj_jax.contact.normal import IMPERFECT, Imperfect, regularised_energy, regularised_force
+from bcfj_jax.contact.normal import IMPERFECT, AbstractLaw, Imperfect, regularised_energy, regularised_force
 from bcfj_jax.contact.wrench import ContactForce, press
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
@@ -202,6 +202,18 @@ class Mechanism(AbstractModel):
         known = self._parameters
         values = {**found, **given}
         return tuple((name, values[name]) for name in known if name in values)
+
+    def only_law(self) -> AbstractLaw | None:
+        """As ``AbstractModel``."""
+        return self.contacts[0].law if len(self.contacts) == 1 else None
+
+    def with_law(self, law: AbstractLaw, more: Mapping[str, float]) -> Mechanism:
+        """As ``AbstractModel``; the mechanism's own defaults go before ``more``."""
+        (contact,) = self.contacts
+        other = replace(contact, law=law)
+        given = {name: value for name, value in self.given if name not in {*contact.reads} - {*other.reads}}
+        own = {name: value for name, value in more.items() if name in other.reads}
+        return replace(self, contacts=(other,), given=own | given)
 
     def first_touch(self, params: Mapping[str, float]) -> float | None:
         """``touch``."""

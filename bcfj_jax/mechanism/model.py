@@ -18,6 +18,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from bcfj_jax.contact.normal import AbstractLaw
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.programs import ask
 from bcfj_jax.core.quantities import Quantity, check_order, check_value
@@ -269,6 +270,19 @@ class AbstractModel(eqx.Module):
             InputError: naming the place, the value and what would be right.
         """
         del params, where
+
+    def only_law(self) -> AbstractLaw | None:
+        """The normal-force law of its one contact; None where there are several or none."""
+        return None
+
+    def with_law(self, law: AbstractLaw, more: Mapping[str, float]) -> AbstractModel:
+        """This model with another law in its one contact, and ``more`` defaults of what that reads.
+
+        Raises:
+            ValueError: where ``only_law`` is None.
+        """
+        del more
+        raise ValueError(f"{law} is for a model with one contact")
 
     def first_touch(self, params: Mapping[str, float]) -> float | None:
         """Time of the first contact [s], where the start alone tells it; None where only a run does."""

@@ -12,7 +12,7 @@ import numpy as np
 from bcfj_jax.contact import laws
 from bcfj_jax.core.quantities import CATALOGUE
 from bcfj_jax.mechanism.channels import unit_of
-from bcfj_jax.mechanism.mechanism import Mechanism
+from bcfj_jax.mechanism.model import AbstractModel
 from calibration.data import stated
 from calibration.diagnostics.signatures import Scene
 from calibration.diagnostics.suspects import Found
@@ -58,10 +58,9 @@ def taken(problem: Problem) -> frozenset[str]:
 
 def laws_of(problem: Problem) -> tuple[str, ...]:
     """Suspects of the law whose law there is, of a scene with one contact."""
-    scene = problem.scene
-    if not isinstance(scene, Mechanism) or len(scene.contacts) != 1:
+    law = problem.scene.only_law()
+    if law is None:
         return ()
-    law = scene.contacts[0].law
     found = ["stop"] if isinstance(getattr(law, "elastic", None), type(laws.ELASTIC["power"])) else []
     found += ["relaxation"] if isinstance(law, (laws.MemoryFree, laws.Hertz)) and _RELAXING in laws.LAWS else []
     found += ["plasticity"] if hasattr(law, "elastic") and _PLASTIC in laws.LAWS and not _plastic(law) else []
@@ -177,21 +176,16 @@ def altered(problem: Problem, text: str, plain: Fit) -> Problem:
     return replace(problem, scene=scene, params=params, free=(*kept, *new), experiments=experiments)
 
 
-def _swapped(problem: Problem, law: str | None = None, elastic: str | None = None) -> Mechanism:
+def _swapped(problem: Problem, law: str | None = None, elastic: str | None = None) -> AbstractModel:
     """The scene with another law of its one contact."""
-    scene = problem.scene
-    assert isinstance(scene, Mechanism)
-    (contact,) = scene.contacts
+    kept: Any = problem.scene.only_law()
     if law is None:
-        new: Any = replace(contact.law, elastic=laws.ELASTIC[str(elastic)])
+        new: Any = replace(kept, elastic=laws.ELASTIC[str(elastic)])
     else:
-        own = getattr(contact.law, "elastic", None)
+        own = getattr(kept, "elastic", None)
         new = laws.make(law, elastic)
         new = new if elastic or own is None else replace(new, elastic=own)
-    other = replace(contact, law=new)
-    given = {name: value for name, value in scene.given if name not in {*contact.reads} - {*other.reads}}
-    more = {name: _DEFAULTS[name] for name in other.reads if name in _DEFAULTS}
-    return replace(scene, contacts=(other,), given=more | given)
+    return problem.scene.with_law(new, _DEFAULTS)
 
 
 # Values of coefficients that a scene made for another law has no default of: their lines seek them.
