@@ -194,12 +194,12 @@ def _budget_rows(result: Fit) -> list[list[str]]:
     """What each estimate moves by for every error, a share of itself, and for all together."""
     found = result.systematic
     assert found is not None
-    names = [*([REFERENCE] if REFERENCE in found.shifts else []), *_shared(result)]
+    names = [*([REFERENCE] if REFERENCE in found.names else []), *_shared(result)]
     rows = [["error", "up to", *names]]
     for line in found.lines:
         moves = [_moved(line.moves[name], result, name) for name in names]
         rows.append([line.error, line.limit, *moves])
-    return [*rows, ["all together", "", *(_moved(found.widened(name, 0.0), result, name) for name in names)]]
+    return [*rows, ["all together", "", *(_moved(max(found.widened(name, 0.0)), result, name) for name in names)]]
 
 
 def _shared(result: Fit) -> list[str]:

@@ -20,7 +20,7 @@ from calibration.forward.model import Model, divided, whole
 from calibration.solver_budget import budget
 
 # Depths of the stop as shares of the greatest, half-width of its corner as a share of its depth.
-_DEPTHS, _WIDTH = (0.3, 0.7), 0.05
+_DEPTHS, _WIDTH = (0.25, 0.5, 0.75), 0.05
 # Times of relaxation as shares of a contact.
 _TIMES = (0.1, 0.5)
 # The step of the difference, of the peak.

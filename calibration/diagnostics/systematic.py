@@ -79,15 +79,29 @@ class Line(NamedTuple):
 
 
 class Budget(NamedTuple):
-    """Every line, and of all errors together the mean shift and the deviation (SI or as a share) of each estimate."""
+    """Every line, and all errors together.
+
+    Attributes:
+        lines: one error each.
+        names: (K,) of the estimates.
+        corrections, deviations: (C, K) what would take the errors out of each estimate, on average, and the deviation
+            about it, SI or as a share, of every combination of errors of which there is one at most.
+    """
 
     lines: list[Line]
-    shifts: dict[str, float]
-    deviations: dict[str, float]
+    names: tuple[str, ...]
+    corrections: np.ndarray
+    deviations: np.ndarray
 
-    def widened(self, label: str, half: float) -> float:
-        """Half of an interval with the errors allowed for."""
-        return self.shifts[label] + float(np.hypot(half, _QUANTILE * self.deviations[label]))
+    def widened(self, name: str, half: float) -> tuple[float, float]:
+        """How far an interval of a half width reaches below and above the estimate, with the errors allowed for.
+
+        It holds the estimate as it is and as corrected.
+        """
+        k = self.names.index(name)
+        away = np.hypot(half, _QUANTILE * self.deviations[:, k])
+        moved = self.corrections[:, k]
+        return float(np.max(away - np.minimum(moved, 0.0))), float(np.max(away + np.maximum(moved, 0.0)))
 
 
 class Error(NamedTuple):
@@ -129,7 +143,7 @@ def budget_of(
         if np.max(moves / sizes) > _NAMED:
             lines[error.name] = Line(error.name, amplitude, error.unit, dict(zip(names, moves.tolist(), strict=True)))
             columns[error.name] = signature * (error.most / _QUANTILE)
-    shifts, deviations = np.zeros(len(names)), np.zeros(len(names))
+    corrections, deviations = [np.zeros(len(names))], [np.zeros(len(names))]
     common = [name for name in lines if not any(name in group for group in alone)]
     groups = [own for group in alone if (own := [name for name in lines if name in group])]
     for one_of_each in itertools.product(*groups):
@@ -140,12 +154,9 @@ def budget_of(
         beside = signatures - basis @ (basis.T @ signatures)
         narrowed = np.linalg.inv(beside.T @ beside / variance + np.eye(len(chosen)))
         way = slopes @ np.linalg.solve(triangle, basis.T @ signatures)
-        shift = np.abs(way @ narrowed @ (beside.T @ residuals) / variance)
-        deviation = np.sqrt(np.einsum("ij,jk,ik->i", way, narrowed, way))
-        worse = shift + _QUANTILE * deviation > shifts + _QUANTILE * deviations
-        shifts, deviations = np.where(worse, shift, shifts), np.where(worse, deviation, deviations)
-    both = (dict(zip(names, x.tolist(), strict=True)) for x in (shifts, deviations))
-    return Budget(list(lines.values()), *both)
+        corrections.append(way @ narrowed @ (beside.T @ residuals) / variance)
+        deviations.append(np.sqrt(np.einsum("ij,jk,ik->i", way, narrowed, way)))
+    return Budget(list(lines.values()), names, np.stack(corrections), np.stack(deviations))
 
 
 def of_sensor(model: Model, readings: np.ndarray, series: list[Series], stated: frozenset[str]) -> list[Error]:

@@ -22,6 +22,8 @@ from calibration.solver_budget import budget
 REFERENCE = "reference force"
 # In half-widths of an interval.
 _NEAR = 0.1
+# Of a half width, how far an interval reaches below and above.
+Reaches = Callable[[float], tuple[float, float]]
 
 
 @dataclass(frozen=True)
@@ -63,12 +65,12 @@ class Reference:
     interval_kind: str = "covariance"
     with_budget: tuple[float, float] | None = None
 
-    def widened(self, wider: Callable[[float], float]) -> Reference:
+    def widened(self, wider: Reaches) -> Reference:
         """With the interval in which the errors of sensor and fixed values are allowed for; ``wider`` is of its logarithm."""
         if self.ci95 is None:
             return self
-        low, high = (wider(abs(np.log(end / self.force))) for end in self.ci95)
-        return replace(self, with_budget=(float(self.force * np.exp(-low)), float(self.force * np.exp(high))))
+        below, above = (wider(abs(np.log(end / self.force)))[k] for k, end in enumerate(self.ci95))
+        return replace(self, with_budget=(float(self.force * np.exp(-below)), float(self.force * np.exp(above))))
 
 
 def estimates(
@@ -155,12 +157,12 @@ def ends_of(
     return found, reference and reference.ci95
 
 
-def widened(axis: Coordinate, p: Parameter, wider: Callable[[float], float]) -> tuple[float, float] | None:
+def widened(axis: Coordinate, p: Parameter, wider: Reaches) -> tuple[float, float] | None:
     """Ends of the headline interval, each as far from the estimate as ``wider`` makes it, inside the bounds."""
     if p.ci95 is None:
         return None
     z, low, high = np.log([p.value, *p.ci95]) if axis.log else (p.value, *p.ci95)
-    ends = np.clip((z - wider(z - low), z + wider(high - z)), axis.lower, axis.upper)
+    ends = np.clip((z - wider(z - low)[0], z + wider(high - z)[1]), axis.lower, axis.upper)
     low, high = np.exp(ends) if axis.log else ends
     return float(low), float(high)
 
