@@ -24,7 +24,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import bcfj_jax as bj
-from benchmarks.common import markdown, put_in_readme, save
+from benchmarks.common import RESULTS, load, markdown, put_in_readme, save
 from calibration import Channel, Experiment, Fit, Free, Problem, fit
 
 SCENE = bj.scenes.impact(smoothing=False)
@@ -219,7 +219,10 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=30.0)
     parser.add_argument("--workers", type=int, default=os.cpu_count())
     given = parser.parse_args()
-    begin, cells = time.perf_counter(), {}
+    begin = time.perf_counter()
+    # Cells of other numbers of runs stay as they were measured.
+    known = load("imperfect")["cells"] if (RESULTS / "imperfect.json").exists() else {}
+    cells = {key: found for key, found in known.items() if int(key.rpartition("|")[2]) not in given.runs}
     plans = [(w, m, r) for w in WORLDS for m in (MAGNITUDES if w != "none" else (0.0,)) for r in given.runs]
     with ProcessPoolExecutor(given.workers, get_context("spawn")) as pool:
         for seed in range(given.replicates):

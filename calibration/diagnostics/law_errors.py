@@ -6,17 +6,14 @@ follows them: the change is that of a run with a little of each.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import equinox as eqx
 import numpy as np
-from jax import Array
 
 from bcfj_jax.contact.normal import IMPERFECT
-from bcfj_jax.core.programs import program
-from calibration.forward.model import Model, divided, whole
+from calibration.forward import runs
+from calibration.forward.model import Model
 from calibration.solver_budget import budget
 
 # Depths of the stop as shares of the greatest, half-width of its corner as a share of its depth.
@@ -45,10 +42,13 @@ def signatures(
     if wrong is None or not (deepest > 0.0 and peak > 0.0 and 0.0 < duration < np.inf):
         return {}
 
+    records = runs.clocks(model, point, log_depth)
+
     def seen(
         stiffness: float = 0.0, place: float = deepest, relaxing: float = 0.0, time: float = duration
     ) -> np.ndarray:
-        return _residuals(_set(wrong, (stiffness, place, _WIDTH * place, relaxing, time)), point, log_depth)
+        values = (stiffness, place, _WIDTH * place, relaxing, time)
+        return _read(wrong, records, dict(zip(IMPERFECT, values, strict=True)))
 
     plain, stops, relaxations = seen(), {}, {}
     for share in _DEPTHS:
@@ -57,38 +57,41 @@ def signatures(
     for share in _TIMES:
         relaxations[f"relaxation within {share:.0%} of a contact"] = seen(relaxing=_STEP, time=share * duration)
     kinds = {"second contact": stops, "relaxation": relaxations}
-    changes = {kind: {name: (r - plain) / _STEP for name, r in found.items()} for kind, found in kinds.items()}
+    changes = {kind: {n: _white(model, (r - plain) / _STEP) for n, r in found.items()} for kind, found in kinds.items()}
     return {kind: {n: x for n, x in found.items() if np.isfinite(x).all()} for kind, found in changes.items()}
 
 
 def with_errors(model: Model) -> Model | None:
-    """The model with both errors in each contact, none of any size; None where there are none to be."""
+    """The model with both errors in each contact; None where there are none to be."""
     scene = None if budget(model.scene).rough else model.scene.imperfect()
-    return None if scene is None else _set(replace(model, scene=scene), (0.0, 1.0, 0.05, 0.0, 1.0))
+    if scene is None:
+        return None
+    more = {name: np.zeros(len(model.data.times)) for name in IMPERFECT}
+    return eqx.tree_at(lambda m: m.data.fixed, replace(model, scene=scene), {**model.data.fixed, **more})
 
 
 def get_ready(model: Model) -> None:
-    """Compile what ``signatures`` needs."""
+    """Compile what ``signatures`` needs: a run of its own, the same for records of any length."""
     if (wrong := with_errors(model)) is not None:
-        _program(wrong, np.zeros(len(model.coordinates)), 0.0)
+        runs.get_ready(wrong)
 
 
-def _set(model: Model, values: tuple[float, ...]) -> Model:
-    count = len(model.data.times)
-    more = {name: np.full(count, value) for name, value in zip(IMPERFECT, values, strict=True)}
-    return eqx.tree_at(lambda m: m.data.fixed, model, {**model.data.fixed, **more})
+def _read(model: Model, records: list[tuple[dict[str, float], np.ndarray]], values: dict[str, float]) -> np.ndarray:
+    """What each channel reads at the times of the records, (E, C, T), but for what the sensor's memory makes of it."""
+    read = np.zeros(model.data.values.shape)
+    for i, (params, times) in enumerate(records):
+        found = runs.ran(model, params | values, times).readings
+        clock = np.asarray(model.data.times)[i] - params["time_offset"]
+        for j, name in enumerate(model.channels):
+            read[i, j] = params["gain"] * np.interp(clock, times, np.asarray(found[name]))
+    return read
 
 
-def _program(model: Model, point: np.ndarray, log_depth: float) -> tuple[Callable[..., Any], tuple[Any, ...]]:
-    frame, numbers = divided(model)
-    arguments = (numbers, np.asarray(point, dtype=float), float(log_depth))
-    return program("calibration residuals", _run, (frame,), arguments)[0], arguments
-
-
-def _residuals(model: Model, point: np.ndarray, log_depth: float) -> np.ndarray:
-    run, arguments = _program(model, point, log_depth)
-    return np.asarray(run(*arguments))
-
-
-def _run(frame: Model, numbers: Any, point: Array, log_depth: Array) -> Array:
-    return whole(frame, numbers).residuals(point, log_depth)
+def _white(model: Model, changes: np.ndarray) -> np.ndarray:
+    """Changes of the readings as the residuals have them, (N,): in deviations, freed of the noise's memory."""
+    d = model.data
+    weighed = np.where(np.asarray(d.weights) > 0, changes, 0.0) * np.asarray(d.weights)
+    before = np.take_along_axis(weighed, np.asarray(d.previous), axis=-1)
+    memory = np.asarray(d.memory)
+    white = np.where(np.asarray(d.weights) > 0, (weighed - memory * before) / np.sqrt(1.0 - memory**2), 0.0)
+    return np.concatenate([white.ravel(), np.zeros(d.features.size)])

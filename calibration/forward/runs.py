@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Iterable, Mapping
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 from jax import Array
@@ -63,14 +63,26 @@ def ran(model: Model, params: Mapping[str, float], times: np.ndarray, more: Iter
         times: (T,) [s] of the scene's clock. Runs of as many share one compiled program.
         more: readings beside the model's channels.
     """
-    names = tuple(dict.fromkeys((*model.channels, *more)))
-    wanted = tuple(channel(name, model.scene) for name in names)
-    arguments = ({name: float(params[name]) for name in model.data.fixed}, times, model.how)
-    run, compile_s = program("calibration run", _run, (model.scene, wanted), arguments)
+    run, compile_s, arguments = _compiled(model, params, times, more)
     begin = time.perf_counter()
     solution, found, read = run(*arguments)
     walls = {"wall_s": time.perf_counter() - begin, "compile_s": compile_s}
     return story(model.scene, times, solution, found, model.how, walls)._replace(readings=read)
+
+
+def get_ready(model: Model) -> None:
+    """Compile what ``ran`` needs at SAMPLES times."""
+    _compiled(model, dict.fromkeys(model.data.fixed, 1.0), np.zeros(SAMPLES), ())
+
+
+def _compiled(
+    model: Model, params: Mapping[str, float], times: np.ndarray, more: Iterable[str]
+) -> tuple[Callable[..., Any], float, tuple[Any, ...]]:
+    """The program of ``ran``, the seconds that compiling it took, and its arguments."""
+    names = tuple(dict.fromkeys((*model.channels, *more)))
+    wanted = tuple(channel(name, model.scene) for name in names)
+    arguments = ({name: float(params[name]) for name in model.data.fixed}, times, model.how)
+    return *program("calibration run", _run, (model.scene, wanted), arguments), arguments
 
 
 def _run(
@@ -101,12 +113,19 @@ def _spans(model: Model) -> np.ndarray:
     return spans
 
 
+def clocks(model: Model, point: np.ndarray, log_depth: float) -> list[tuple[dict[str, float], np.ndarray]]:
+    """Of each experiment its parameters at a point, and SAMPLES times of the model's clock within its record [s]."""
+    found = []
+    for i, (params, span) in enumerate(zip(params_at(model, point, log_depth), _spans(model), strict=True)):
+        first, last = np.maximum(span - params["time_offset"], 0.0)
+        found.append((params, instants(model, i, params["time_offset"], first, max(last, first + 1e-9))))
+    return found
+
+
 def contacts(model: Model, point: np.ndarray, log_depth: float) -> list[Contact]:
     """When each channel of contact touches within each record, as the model has it at a point."""
     names, found = channel_names(model.scene.members), []
-    for i, (params, span) in enumerate(zip(params_at(model, point, log_depth), _spans(model), strict=True)):
-        first, last = np.maximum(span - params["time_offset"], 0.0)
-        times = instants(model, i, params["time_offset"], first, max(last, first + 1e-9))
+    for i, (params, times) in enumerate(clocks(model, point, log_depth)):
         # Not by the force: the regularisation bears a little across a gap.
         run = ran(model, params, times)
         inside = depths(run)
