@@ -77,8 +77,9 @@ def test_a_clean_record_names_none(force):
         assert found is not None and not found.named and "no suspect" in sentence(found)
 
 
-@pytest.mark.full
-@pytest.mark.parametrize("kind", PLANTED)
+@pytest.mark.parametrize(
+    "kind", [pytest.param(x, marks=pytest.mark.full if x == "resonance" else pytest.mark.slow) for x in PLANTED]
+)
 def test_a_fit_with_the_lines_confirms(force, kind):
     """And its stiffness holds the truth, which the plain fit's noise interval does not."""
     problem, plain = fitted(force, PLANTED[kind])
@@ -91,7 +92,7 @@ def test_a_fit_with_the_lines_confirms(force, kind):
     json.dumps(as_json(found, plain))
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_two_at_once_are_fitted_together(force):
     problem, plain = fitted(force, lambda f: PLANTED["drift"](hum(f)))
     found = diagnose(problem, plain)

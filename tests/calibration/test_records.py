@@ -149,9 +149,14 @@ def test_events_of_every_kind_of_reading():
     assert rest(force[100:150]) is None
 
 
-@pytest.mark.full
 @pytest.mark.parametrize(
-    "observe", [FORCE, ACCELERATION, f"{FORCE}, {POSITION}"], ids=["force", "acceleration", "both"]
+    "observe",
+    [
+        pytest.param(FORCE, marks=pytest.mark.slow),
+        pytest.param(ACCELERATION, marks=pytest.mark.slow),
+        pytest.param(f"{FORCE}, {POSITION}", marks=pytest.mark.full),
+    ],
+    ids=["force", "acceleration", "both"],
 )
 def test_a_drop_is_fitted_by_whatever_was_read(observe, rig):
     """The zero of each sensor and the clock are found with the law."""
@@ -166,7 +171,9 @@ def test_a_drop_is_fitted_by_whatever_was_read(observe, rig):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("observe", [POSITION, VELOCITY], ids=["position", "velocity"])
+@pytest.mark.parametrize(
+    "observe", [pytest.param(POSITION, id="position"), pytest.param(VELOCITY, id="velocity", marks=pytest.mark.slow)]
+)
 def test_motion_alone_says_what_it_leaves_open(observe, rig):
     """A position before contact goes on as it came: its line is fitted, too."""
     found = fit(load(problem(observe, free=LAW.replace("exponent = { lower = 1.0, upper = 2.5 }\n", ""),
@@ -176,8 +183,7 @@ def test_motion_alone_says_what_it_leaves_open(observe, rig):
     assert any("only for the mass given" in note and "read a force as well" in note for note in found.notes)
 
 
-@pytest.mark.full
-@pytest.mark.parametrize("runs", [1, 3])
+@pytest.mark.parametrize("runs", [pytest.param(1, marks=pytest.mark.full), pytest.param(3, marks=pytest.mark.slow)])
 def test_five_samples_a_contact_are_fitted(runs, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     rng, parts = np.random.default_rng(4), []
