@@ -163,7 +163,7 @@ def judged(found: Fit) -> dict[str, Any]:
             held[kind][1] += int(ends[0] <= TRUTH[name] <= ends[1])
             if kind in widths and noise:
                 widths[kind].append(_width(ends, axis.log) / _width(noise, axis.log))
-    return {"verdict": found.verdict, **held, "widths": {k: float(np.median(w)) for k, w in widths.items() if w}}
+    return {"verdict": found.verdict, **held, "widths": {k: float(f"{np.median(w):.3g}") for k, w in widths.items() if w}}
 
 
 def _width(ends: tuple[float, float], log: bool) -> float:
@@ -179,21 +179,30 @@ def one(world: str, deviations: float, runs: int, seed: int) -> tuple[str, dict[
 KINDS = ("noise", "headline", "with budget")
 
 
+def added(cell: dict[str, dict[str, Any]], found: dict[str, Any]) -> None:
+    """Count one fit in its cell, whose keys are verdicts."""
+    kept = cell.setdefault(found["verdict"], {"fits": 0, **{k: [0, 0] for k in KINDS}, "widths": {}})
+    kept["fits"] += 1
+    for kind in KINDS:
+        kept[kind] = [a + b for a, b in zip(kept[kind], found[kind], strict=True)]
+    for kind, width in found["widths"].items():
+        kept["widths"].setdefault(kind, []).append(width)
+
+
 def shares(found: list[dict[str, Any]], kind: str) -> tuple[int, int]:
     """How many intervals of a kind hold the truth, and how many are given."""
     return sum(f[kind][1] for f in found), sum(f[kind][0] for f in found)
 
 
-def table(cells: dict[str, list[dict[str, Any]]]) -> str:
+def table(cells: dict[str, dict[str, Any]]) -> str:
     head = ["imperfection", "effect / noise", "runs", "verdicts", "noise holds", "headline holds", "with its budget"]
     rows = [[*head, "widths beside the noise's"]]
     shown = []
     for key, found in cells.items():
         world, magnitude, runs = key.split("|")
-        words = sorted({f["verdict"] for f in found})
-        verdicts = ", ".join(f"{w} {sum(f['verdict'] == w for f in found)}" for w in words)
-        held = [shares(found, kind) for kind in KINDS]
-        widths = [[f["widths"][k] for f in found if k in f["widths"]] for k in KINDS[1:]]
+        verdicts = ", ".join(f"{word} {of['fits']}" for word, of in sorted(found.items()))
+        held = [shares(list(found.values()), kind) for kind in KINDS]
+        widths = [[w for of in found.values() for w in of["widths"].get(k, [])] for k in KINDS[1:]]
         wide = ", ".join(f"{np.median(w):.2g}" for w in widths if w)
         cell = [world, magnitude, runs, verdicts, *(f"{a} of {b}" for a, b in held), wide]
         shown.append(([a / b if b else 1.0 for a, b in reversed(held)], cell))
@@ -201,14 +210,14 @@ def table(cells: dict[str, list[dict[str, Any]]]) -> str:
     return markdown([*rows, *(row for _, row in shown)])
 
 
-def summary(cells: dict[str, list[dict[str, Any]]]) -> str:
+def summary(cells: dict[str, dict[str, Any]]) -> str:
     """All cells, and of the fits that are called identified."""
-    every = [f for found in cells.values() for f in found]
-    sure = [f for f in every if f["verdict"] == "identified"]
+    every = [of for found in cells.values() for of in found.values()]
+    sure = [found["identified"] for found in cells.values() if "identified" in found]
     said = []
     for name, fits in (("All", every), ("`identified` alone", sure)):
         held = {kind: shares(fits, kind) for kind in KINDS}
-        said.append(f"{name}: " + "; ".join(f"{k} {a / max(b, 1):.1%} of {b}" for k, (a, b) in held.items()) + ".")
+        said.append(f"{name}, {sum(of['fits'] for of in fits)} fits: " + "; ".join(f"{k} {a / max(b, 1):.1%} of {b}" for k, (a, b) in held.items()) + ".")
     return "\n".join(said)
 
 
@@ -230,7 +239,7 @@ def main() -> None:
                 break
             for done in as_completed([pool.submit(one, *plan, seed) for plan in plans]):
                 key, found = done.result()
-                cells.setdefault(key, []).append(found)
+                added(cells.setdefault(key, {}), found)
             strengths = {f"{w}|{m:g}": strength_of(w, m) for w in SINGLE for m in MAGNITUDES}
             save("imperfect", {"cells": dict(sorted(cells.items())), "strengths": strengths})
             print(seed, f"{time.perf_counter() - begin:.0f} s", flush=True)
