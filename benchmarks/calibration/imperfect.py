@@ -163,7 +163,8 @@ def judged(found: Fit) -> dict[str, Any]:
             held[kind][1] += int(ends[0] <= TRUTH[name] <= ends[1])
             if kind in widths and noise:
                 widths[kind].append(_width(ends, axis.log) / _width(noise, axis.log))
-    return {"verdict": found.verdict, **held, "widths": {k: float(f"{np.median(w):.3g}") for k, w in widths.items() if w}}
+    medians = {k: float(f"{np.median(w):.3g}") for k, w in widths.items() if w}
+    return {"verdict": found.verdict, **held, "widths": medians}
 
 
 def _width(ends: tuple[float, float], log: bool) -> float:
@@ -217,7 +218,8 @@ def summary(cells: dict[str, dict[str, Any]]) -> str:
     said = []
     for name, fits in (("All", every), ("`identified` alone", sure)):
         held = {kind: shares(fits, kind) for kind in KINDS}
-        said.append(f"{name}, {sum(of['fits'] for of in fits)} fits: " + "; ".join(f"{k} {a / max(b, 1):.1%} of {b}" for k, (a, b) in held.items()) + ".")
+        parts = [f"{k} {a / max(b, 1):.1%} of {b}" for k, (a, b) in held.items()]
+        said.append(f"{name}, {sum(of['fits'] for of in fits)} fits: {'; '.join(parts)}.")
     return "\n".join(said)
 
 
