@@ -48,6 +48,17 @@ def _log(text: str) -> None:
     typer.echo(text, err=True)
 
 
+def _unsaid() -> Callable[[logging.LogRecord], bool]:
+    """A filter that lets each message pass once: the fits of several models find the same."""
+    said: set[str] = set()
+
+    def new(record: logging.LogRecord) -> bool:
+        text = record.getMessage()
+        return text not in said and not said.add(text)
+
+    return new
+
+
 def _use(files: list[Path] | None, what: str | Path = "") -> None:
     """Get ready for a file of the user's, or a scene's name, and execute the user's own code.
 
@@ -141,7 +152,9 @@ def calibrate(
     _use(code, problem)
     progress = logging.getLogger("calibration")
     progress.setLevel(logging.INFO)
-    progress.addHandler(logging.StreamHandler(sys.stderr))
+    handler = logging.StreamHandler(sys.stderr)
+    handler.addFilter(_unsaid())
+    progress.addHandler(handler)
     from calibration import command
 
     if export_petab is not None:

@@ -171,7 +171,7 @@ def text(result: Fit) -> str:
         )
     for name, errors in (result.held_out or {}).items():
         worst, rms = errors["max_error_of_peak"], errors["rms_error_of_peak"]
-        lines.append(f"held out, {name}: at most {worst:.2%} of the peak, {rms:.2%} rms")
+        lines.append(f"held out, {name}: at most {worst:.2%} of the peak, {rms:.2%} rms where the force acts")
     return "\n".join([*lines, *(f"note: {note}" for note in result.notes)])
 
 
@@ -363,7 +363,9 @@ def _draw(
         rows = [
             [n, f"{e['max_error_of_peak']:.2%}", f"{e['rms_error_of_peak']:.2%}"] for n, e in result.held_out.items()
         ]
-        tables.append(("Held out", [["record", "largest error of the peak", "rms of the peak"], *rows]))
+        tables.append(
+            ("Held out", [["record", "largest error of the peak", "rms of the peak, where the force acts"], *rows])
+        )
     tables += [*_comparisons(outcome), *_explained(outcome, diagnosed)]
     pictures = [folder / name for name in FILES if name.endswith(".png") and (folder / name).exists()]
     report.write(folder, f"Calibration of {path.name}", result.verdict, tables, pictures, result.reasons)

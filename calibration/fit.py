@@ -246,13 +246,17 @@ def _assess(
     parameters, reference, identification = estimates(model, labels, best, log_depth, spread, bool(noise.integrator))
     evidence = Evidence()
     others = clearance_tests(model, seen) + whole_contact_test(model, seen, _turns(records, seen))
-    sound = of_search.answer == "converged" and of_law.answer != "inadequate" and rivals.passed
-    # Where the verdict stands already no profile can mend it.
+    sound = of_search.answer == "converged" and of_law.answer == "consistent" and rivals.passed
+    # Where the verdict stands already no profile can mend it, and where the law misses the noise's interval is not the
+    # headline.
     if intervals != "covariance" or (sound and all(t.passed for t in others)):
         parameters, reference, identification, evidence = revised(
             intervals, model, labels, best.point, log_depth, spread, parameters, reference, identification,
             estimated=list(noise.sigma), batch=batch_size(len(ends)), seed=seed,
         )  # fmt: skip
+    bent = [] if intervals != "covariance" or of_law.answer == "consistent" else fit_tests.bent(identification)
+    # Where the law misses, the headline is of the miss: that the cost is no parabola over the noise's interval is a note.
+    identification = [t for t in identification if t not in bent]
     # A rival that fits as well is another answer, not a failed search.
     identification = [rivals, *identification, *others]
     tests = converged + quality + identification
@@ -311,6 +315,7 @@ def _assess(
         notes=[f"{s['text']}. What helps: {s['remedy']}" for s in scales]
         + _notes(noise)
         + _wide_notes(model, parameters)
+        + _bent_notes(bent)
         + _overstated_notes(series, best.residuals),
         evidence=evidence,
     )
@@ -437,6 +442,16 @@ def _wide_notes(model: Model, parameters: dict[str, Parameter]) -> list[str]:
     ]
     what = "with what the law misses and runs differ by allowed for, the data do not determine"
     return [f"{what} {' and '.join(wide)} to a factor of two"] if wide else []
+
+
+def _bent_notes(bent: list[fit_tests.Test]) -> list[str]:
+    if not bent:
+        return []
+    worst = max(bent, key=lambda t: abs(np.log(t.value)))
+    others = f", and of {len(bent) - 1} more" if len(bent) > 1 else ""
+    return [
+        f"intervals take the cost for a parabola, but {worst.reason}{others}: --intervals profile walks along the cost"
+    ]
 
 
 def _overstated_notes(series: list[Series], residuals: np.ndarray) -> list[str]:

@@ -9,6 +9,7 @@ apart. So at most 1.4 % of fits of a right model with right noise are called ``m
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -219,3 +220,8 @@ def curvature_test(label: str, ratio: float) -> Test:
     if not np.isfinite(ratio):
         reason = f"the simulation fails at an end of the interval of {label}"
     return Test(f"interval of {label}", ratio, 2.0, 0.5 < ratio < 2.0, reason)
+
+
+def bent(tests: Sequence[Test]) -> list[Test]:
+    """Failed tests of the curvature whose simulations succeeded."""
+    return [t for t in tests if t.name.startswith("interval of ") and not t.passed and np.isfinite(t.value)]

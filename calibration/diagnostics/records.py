@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
+from bcfj_jax.mechanism.channels import unit_of
 from calibration.diagnostics import fit_tests
 from calibration.diagnostics.residual_tests import Series
 from calibration.forward import integration
@@ -15,6 +16,9 @@ from calibration.forward.runs import Contact, together
 from calibration.noise.noise_model import OUTLYING, Estimate
 from calibration.problem import Experiment, Problem, size, units_of
 from calibration.search.refinement import FAILED_RESIDUAL, End
+
+# Share of a record's peak from which on a force is said to act.
+_ACTING = 0.05
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,8 @@ def hold_out(
         r^T (1 + K C K^T)^-1 r = |r|^2 - (K^T r)^T (C^-1 + K^T K)^-1 K^T r.
 
     Returns:
-        Errors by record and channel as fractions of the peak, the records, and the test.
+        Errors by record and channel as fractions of the peak, the rms of a force over the samples where it acts (a long
+        rest must not make it small); the records; and the test.
     """
     held = tuple(with_noise(e, noise) for e in problem.experiments if e.hold_out)
     other = build(problem, held)
@@ -56,9 +61,10 @@ def hold_out(
     for record in records:
         for channel, data in record.data.items():
             error, peak = record.prediction[channel] - data, size(channel, data)
+            rated = _rated(channel, data, record.prediction[channel], peak)
             report[f"{record.name} {channel}"] = {
                 "max_error_of_peak": float(np.nanmax(np.abs(error)) / peak),
-                "rms_error_of_peak": float(np.sqrt(np.nanmean(error**2)) / peak),
+                "rms_error_of_peak": float(np.sqrt(np.nanmean(error[rated] ** 2)) / peak),
             }
     residuals, jacobian = residuals_and_jacobian(other, point, log_depth)
     if other.loss != "linear":  # outliers were allowed for
@@ -72,6 +78,12 @@ def hold_out(
         square -= float(push @ np.linalg.solve(doubt, push))
     freedom = sum(e.samples for e in held) - len(other.coordinates) + shared
     return report, records, fit_tests.held_out_test(square, freedom, quality)
+
+
+def _rated(channel: str, data: np.ndarray, predicted: np.ndarray, peak: float) -> np.ndarray:
+    """Samples (T,) that an error is rated by: of a force where it or its prediction is over a share of the peak."""
+    acting = np.fmax(np.abs(data), np.abs(predicted)) > _ACTING * peak
+    return acting if unit_of(channel) == "N" and acting.any() else np.isfinite(data)
 
 
 def with_noise(experiment: Experiment, noise: Estimate) -> Experiment:

@@ -91,8 +91,8 @@ def residual_tests(series: list[Series], residuals: np.ndarray, jacobian: np.nda
         parts = [s.rows[s.touching == touching] for s in kept]
         tests.append(_runs_test(place, parts, kept, residuals))
         tests.append(_correlation_test(place, touching, kept, residuals, basis))
-    if any(s.declared for s in series):
-        tests.append(_memory_test(series))
+    if any(s.declared for s in heard):
+        tests.append(_memory_test(heard))
     if robust:
         share = 1.0 - float(np.mean(inside[tested]))
         reason = f"{share:.0%} of the samples are outliers: not a few accidents, but something that the model misses"
@@ -251,5 +251,5 @@ def _matched(first: float, second: float, third: float) -> float:
 def _memory_test(series: list[Series]) -> Test:
     """Whether the noise forgets faster than a contact lasts: a slow error looks like a wrong shape."""
     worst = max((s.memory / s.longest for s in series if s.declared), default=0.0)
-    reason = f"residuals keep their sign over {worst:.2g} of a contact: that looks like a shape that the model misses"
+    reason = f"residuals keep their sign for {worst:.2g} times as long as a contact lasts: a shape that the model misses does so"
     return Test("memory of the noise", worst, LONGEST_MEMORY, worst <= LONGEST_MEMORY, reason)

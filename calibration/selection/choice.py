@@ -32,6 +32,8 @@ log = logging.getLogger("calibration")
 DECISIVE = 10.0
 # Models are as cheap as the fastest up to this factor of time a prediction; the number of parameters decides then.
 AS_FAST = 3.0
+# Verdicts of models that are not kept.
+_REFUSED = ("misfit", "not_converged")
 
 
 class Likelihood(NamedTuple):
@@ -63,8 +65,7 @@ class Rival:
         likelihood: None where a robust loss, which is no likelihood, was asked for, or nothing was fitted.
         held_out: rms of held-out errors as a share of each record's peak; None without held-out records.
         seconds: of one prediction of all fitted records.
-        adequate: whether the tests of the residuals and of the held-out prediction passed and no other such model is
-            decisively better by BIC.
+        kept: whether its search converged, its law is no misfit, and no other such model is decisively better by BIC.
     """
 
     name: str
@@ -72,7 +73,7 @@ class Rival:
     likelihood: Likelihood | None
     held_out: float | None
     seconds: float
-    adequate: bool = False
+    kept: bool = False
 
 
 @dataclass(frozen=True)
@@ -160,13 +161,13 @@ def likelihood_of(
 
 
 def decided(rivals: Sequence[Rival]) -> Choice:
-    """Rank fitted models and choose the cheapest adequate one, or where none is, the best predictor.
+    """Rank fitted models and choose the cheapest that is kept, or where none is, the best predictor.
 
-    Ranked by held-out score where all have one, else by BIC, else by their own cost. Adequate models are those whose
+    Ranked by held-out score where all have one, else by BIC, else by their own cost. Kept are those whose
     verdict is neither ``misfit`` nor ``not_converged``, less those that BIC decisively refuses among them. The cheapest
     is the one of fewest numbers among those within ``AS_FAST`` of the fastest.
     """
-    passing = [r for r in rivals if r.fit.verdict not in ("misfit", "not_converged")]
+    passing = [r for r in rivals if r.fit.verdict not in _REFUSED]
     lowest = min((_bic(r) for r in passing), default=float("inf"))
     names = {r.name for r in passing if _bic(r) <= lowest + DECISIVE or not np.isfinite(lowest)}
     by_held_out = all(r.held_out is not None for r in rivals)
@@ -180,22 +181,20 @@ def decided(rivals: Sequence[Rival]) -> Choice:
     ranked = tuple(
         Rival(r.name, r.fit, r.likelihood, r.held_out, r.seconds, r.name in names) for r in sorted(rivals, key=score)
     )
-    adequate = [r for r in ranked if r.adequate]
+    kept = [r for r in ranked if r.kept]
     by = "the held-out prediction" if by_held_out else "BIC" if by_bic else "the size of its residuals"
-    if not adequate:
+    if not kept:
         best = ranked[0]
-        reasons = [
-            f"none of the models is adequate; '{best.name}' is the best by {by}; its verdict is {best.fit.verdict}"
-        ]
+        reasons = [f"the data refuse every model; '{best.name}' is the best by {by}; its verdict is {best.fit.verdict}"]
         return Choice(ranked, best.name, reasons + _differences(best, ranked))
-    fastest = min(r.seconds for r in adequate)
-    quick = [r for r in adequate if r.seconds <= AS_FAST * fastest]
+    fastest = min(r.seconds for r in kept)
+    quick = [r for r in kept if r.seconds <= AS_FAST * fastest]
     best = min(quick, key=lambda r: (len(r.fit.labels), score(r)))
-    if len(adequate) == 1:
-        reasons = [f"'{best.name}' is the only adequate model"]
+    if len(kept) == 1:
+        reasons = [f"'{best.name}' is the only model that the data do not refuse"]
     else:
-        others = ", ".join(f"'{r.name}'" for r in adequate if r.name != best.name)
-        reasons = [f"'{best.name}' is the cheapest of the adequate models; the data do not ask for {others}"]
+        others = ", ".join(f"'{r.name}'" for r in kept if r.name != best.name)
+        reasons = [f"'{best.name}' is the cheapest model that the data do not refuse; they do not ask for {others}"]
     return Choice(ranked, best.name, reasons + _differences(best, ranked))
 
 
@@ -205,7 +204,7 @@ def table(choice: Choice) -> list[list[str]]:
     lowest_aicc = min((r.likelihood.aicc for r in choice.rivals if r.likelihood), default=0.0)
     rows = [["model", "verdict", "held-out rms", "BIC - best", "AICc - best", "numbers found", "time a prediction", ""]]
     for r in choice.rivals:
-        remark = "chosen" if r.name == choice.chosen else "adequate" if r.adequate else ""
+        remark = "chosen" if r.name == choice.chosen else "" if r.kept else "refused"
         rows.append(
             [
                 r.name,
@@ -231,7 +230,7 @@ def as_json(choice: Choice) -> dict[str, Any]:
                 "name": r.name,
                 "verdict": r.fit.verdict,
                 "reasons": r.fit.reasons,
-                "adequate": r.adequate,
+                "kept": r.kept,
                 "held_out_rms_of_peak": r.held_out,
                 "bic": r.likelihood.bic if r.likelihood else None,
                 "aicc": r.likelihood.aicc if r.likelihood else None,
@@ -264,8 +263,9 @@ def _differences(best: Rival, ranked: Sequence[Rival]) -> list[str]:
         if r.likelihood and best.likelihood:
             more = r.likelihood.bic - best.likelihood.bic
             parts.append(f"its BIC is {abs(more):.3g} {'higher' if more > 0 else 'lower'}")
-        if not r.adequate:
-            parts.append(f"its verdict is {r.fit.verdict}")
+        if not r.kept:
+            bad = r.fit.verdict in _REFUSED
+            parts.append(f"its verdict is {r.fit.verdict}" if bad else "a model of lower BIC fits far better")
         said.append(f"'{r.name}': {', '.join(parts)}")
     return said
 

@@ -94,21 +94,21 @@ def scored(name, verdict="identified", bic=0.0, held_out=None, seconds=1.0, labe
 @pytest.mark.parametrize(
     ("rivals", "chosen", "said"),
     [
-        # Of adequate models the one of fewest numbers, though another predicts a little better.
+        # Of models that are kept the one of fewest numbers, though another predicts a little better.
         ([scored("small", held_out=0.011), scored("large", held_out=0.010, labels=("a", "b"))], "small", "cheapest"),
         # Not where the likelihood speaks for the larger one decisively.
-        ([scored("small", bic=10.1), scored("large", labels=("a", "b"))], "large", "only adequate"),
+        ([scored("small", bic=10.1), scored("large", labels=("a", "b"))], "large", "only model"),
         ([scored("small", bic=9.9), scored("large", labels=("a", "b"))], "small", "cheapest"),
         # A model that computes much faster is cheaper than one of fewer numbers.
         ([scored("slow"), scored("quick", seconds=0.2, labels=("a", "b"))], "quick", "do not ask for 'slow'"),
-        # A misfit is not adequate, however well it predicts; an undetermined parameter is no misfit.
+        # A misfit is refused, however well it predicts; an undetermined parameter is no misfit.
         ([scored("wrong", "misfit", held_out=0.01), scored("right", "not_identified", held_out=0.02)], "right", "only"),
-        # Where none is adequate the best predictor, and that it is none.
-        ([scored("a", "misfit", held_out=0.2), scored("b", "misfit", held_out=0.1)], "b", "none of the models"),
+        # Where none is kept the best predictor, and that it is none.
+        ([scored("a", "misfit", held_out=0.2), scored("b", "misfit", held_out=0.1)], "b", "refuse every model"),
         ([scored("a", "misfit", bic=5.0), scored("b", "misfit", bic=4.0)], "b", "best by BIC; its verdict is misfit"),
     ],
 )
-def test_the_cheapest_adequate_model_is_chosen(rivals, chosen, said):
+def test_the_cheapest_model_that_is_kept_is_chosen(rivals, chosen, said):
     choice = decided(rivals)
     assert choice.chosen == chosen and said in choice.reasons[0]
     assert choice.fit is next(r.fit for r in rivals if r.name == chosen)
@@ -125,7 +125,7 @@ def test_a_soft_layer_that_bottoms_out_is_seen_and_its_law_chosen():
     one = problem(SOFT, data, FREE)
     two = problem(STIFF, data, FREE + more, bottoming_width=1e-5, bottoming_penetration=2e-3)
     choice = choose([("one stage", one), ("two stages", two)], starts=6)
-    assert choice.chosen == "two stages" and "only adequate" in choice.reasons[0]
+    assert choice.chosen == "two stages" and "only model" in choice.reasons[0]
     by_name = {r.name: r for r in choice.rivals}
     worse, better = by_name["one stage"], by_name["two stages"]
     assert worse.fit.verdict == "misfit" and better.fit.verdict == "identified", better.fit.reasons
