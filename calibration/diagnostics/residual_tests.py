@@ -106,10 +106,13 @@ def residual_tests(series: list[Series], residuals: np.ndarray, jacobian: np.nda
 def overstated(s: Series, residuals: np.ndarray) -> bool:
     """Whether the stated noise is more than twice what the residuals are, and these are a small part of the peak.
 
-    Their order is no misfit of the law then. Large residuals are one, however large the noise is said to be.
+    Their order is no misfit of the law then. Large residuals in contact are one, however large the noise is said to be.
     """
-    size = float(np.sqrt(np.mean(residuals[s.rows] ** 2))) if s.rows.size else np.inf
-    return not s.estimated and size < _OVERSTATED and size * s.share <= ADEQUATE
+    if s.estimated or not s.rows.size:
+        return False
+    squares = residuals[s.rows] ** 2
+    every, inside = float(np.mean(squares)), float(np.mean(squares[s.touching])) if s.touching.any() else 0.0
+    return every < _OVERSTATED**2 and max(every, inside) * s.share**2 <= ADEQUATE**2
 
 
 def _size_test(residuals: np.ndarray, basis: np.ndarray, rows: np.ndarray, inside: np.ndarray) -> Test:

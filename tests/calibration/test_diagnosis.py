@@ -200,11 +200,12 @@ def test_the_command_says_what_would_explain(force, tmp_path, monkeypatch):
         '[scene]\nkind = "impact"\nsmoothing = false\n[parameters]\nmass = 0.1\napproach_speed = 1.0\n'
         "stiffness = 1e8\ndamping = 0.1\n"
     )
-    text = 'scene = "s.toml"\n[[experiment]]\nfile = "d.csv"\ntime = "time [s]"\n'
+    text = 'scene = "s.toml"\nsensor = "exact"\n[[experiment]]\nfile = "d.csv"\ntime = "time [s]"\n'
     text += 'observe = { "contact.normal" = "force [N]" }\n'
     text += "".join(f"[free.{f.name}]\nlower = {f.lower}\nupper = {f.upper}\n" for f in FREE)
     Path("p.toml").write_text(text)
-    assert command.run(Path("p.toml"), Path("out"), 0, 4, diagnose=True) == command.DONE
+    code = command.run(Path("p.toml"), Path("out"), 0, 4, diagnose=True)
+    assert code == command.DONE, json.loads(Path("out/fit.json").read_text())["reasons"]
     found = json.loads(Path("out/fit.json").read_text())["diagnosis"]
     assert found["named"] == ["hum"] and found["fits"][0]["confirmed"]
     assert "What would explain the miss" in Path("out/report.html").read_text()
