@@ -4,7 +4,9 @@ A single impact by SciPy from the exact law, or with one imperfection of the sen
 fixed, in three magnitudes: its largest effect on the force is 0.3, 2 and 10 deviations of the noise. "mixture" is two of
 them at once, another pair for every seed. One run, or four or eight at different speeds.
 
-    python -m benchmarks.calibration.imperfect [--replicates 20] [--runs 1 4] [--minutes 30]    keeps results/imperfect.json
+    python -m benchmarks.calibration.imperfect [--replicates 20] [--runs 1 4 8] [--minutes 30] [--more]
+
+keeps results/imperfect.json; ``--more`` goes on from the replicates that it holds.
 """
 
 from __future__ import annotations
@@ -229,14 +231,17 @@ def main() -> None:
     parser.add_argument("--runs", type=int, nargs="+", default=[1, 4], choices=SPEEDS)
     parser.add_argument("--minutes", type=float, default=30.0)
     parser.add_argument("--workers", type=int, default=os.cpu_count())
+    parser.add_argument("--more", action="store_true", help="go on from the replicates that are there")
     given = parser.parse_args()
     begin = time.perf_counter()
     # Cells of other numbers of runs stay as they were measured.
     known = load("imperfect")["cells"] if (RESULTS / "imperfect.json").exists() else {}
-    cells = {key: found for key, found in known.items() if int(key.rpartition("|")[2]) not in given.runs}
+    cells = {key: found for key, found in known.items() if given.more or int(key.rpartition("|")[2]) not in given.runs}
+    own = [found for key, found in cells.items() if int(key.rpartition("|")[2]) in given.runs]
+    done = min((sum(of["fits"] for of in found.values()) for found in own), default=0)
     plans = [(w, m, r) for w in WORLDS for m in (MAGNITUDES if w != "none" else (0.0,)) for r in given.runs]
     with ProcessPoolExecutor(given.workers, get_context("spawn")) as pool:
-        for seed in range(given.replicates):
+        for seed in range(done, given.replicates):
             if time.perf_counter() - begin > 60.0 * given.minutes:
                 break
             for done in as_completed([pool.submit(one, *plan, seed) for plan in plans]):
