@@ -16,8 +16,9 @@ from calibration.forward import runs
 from calibration.forward.model import Model
 from calibration.solver_budget import budget
 
-# Depths of the stop as shares of the greatest, half-width of its corner as a share of its depth.
-_DEPTHS, _WIDTH = (0.25, 0.5, 0.75), 0.05
+# Depths of the stop as shares of the greatest: so close that runs of several speeds find one like theirs. Half-width of its
+# corner as a share of its depth.
+_DEPTHS, _WIDTH = (0.2, 0.35, 0.5, 0.65, 0.8), 0.05
 # Times of relaxation as shares of a contact.
 _TIMES = (0.1, 0.5)
 # The step of the difference, of the peak.
