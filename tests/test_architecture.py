@@ -13,7 +13,8 @@ ROOT = Path(__file__).resolve().parent.parent
 # name everything.
 LAYERS = {
     "bcfj_jax": (
-        "core", "contact", "mechanism", "models", "solve", "io", "analysis", "reproduction", "cli", "__main__",
+        "_version", "core", "contact", "mechanism", "models", "solve", "io", "analysis", "verification", "reproduction",
+        "cli", "__main__",
     ),
     "calibration": (
         "solver_budget", "problem", "forward", "search", "noise", "diagnostics", "uncertainty", "fit", "data",

@@ -11,12 +11,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from bcfj_jax._version import __version__
+
 _PACKAGES = ("jax", "jaxlib", "diffrax", "equinox", "optimistix", "lineax", "numpy", "scipy", "pint", "pydantic")
 
 
 def version() -> str:
-    """The version of bcfj-jax; "unknown" where it is run from a checkout that is not installed."""
-    return _version("bcfj-jax")
+    """The version of bcfj-jax: of this code, whatever an installer has noted."""
+    return __version__
 
 
 def _version(package: str) -> str:
