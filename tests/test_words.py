@@ -61,7 +61,7 @@ def messages(path: Path) -> Iterator[tuple[int, str]]:
     tree, inside = ast.parse(path.read_text(encoding="utf-8")), set()
     for node in ast.walk(tree):
         named = isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)) and ast.get_docstring(node)
-        if named and not (path.name == "cli.py" and getattr(node, "decorator_list", [])):
+        if named and not (path.parent.name == "cli" and getattr(node, "decorator_list", [])):
             inside.add(node.body[0].value)
     for node in ast.walk(tree):
         text = node.value if isinstance(node, ast.Constant) and node not in inside else None

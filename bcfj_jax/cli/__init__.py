@@ -1,0 +1,32 @@
+"""The command ``bcfj``: results to stdout and a folder, progress to stderr, exit codes as documented.
+
+``base`` has the application and what all verbs share, ``options`` the options that several verbs take; each other
+module has a group of verbs. Modules import what a verb needs when it runs, so that help is quick and nothing here
+pulls in calibration.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+from bcfj_jax.cli.base import BAD_INPUT, DONE, INTERRUPTED, SIMULATION_FAILED, app
+from bcfj_jax.io.stop import heeded, leave
+
+__all__ = ["BAD_INPUT", "DONE", "INTERRUPTED", "SIMULATION_FAILED", "app", "main"]
+
+# A module with verbs has a line here; help lists them in this order.
+for _module in ("running", "fitting", "study", "files"):
+    importlib.import_module(f"bcfj_jax.cli.{_module}")
+
+
+def main() -> None:
+    """Entry point of the command ``bcfj``. Ctrl-C is heeded from here on: modules that load may swallow it."""
+    try:
+        with heeded():
+            app()
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED)
+    except SystemExit as end:
+        leave(end.code if isinstance(end.code, int) else DONE)
+        raise

@@ -1,0 +1,73 @@
+"""Verbs about files, which run nothing: validate, init."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bcfj_jax.cli.base import DONE, app, ready, verb
+from bcfj_jax.cli.options import Code
+from bcfj_jax.core.errors import InputError
+
+
+@verb(app)
+def validate(
+    file: Annotated[Path, typer.Argument(help="A scene file, a calibration file or a study file.")], code: Code = None
+) -> int:
+    """Check a file and say what it holds; nothing is run, and nothing is written."""
+    ready(code, file)
+    from bcfj_jax.io import scenefile, tables
+
+    content = tables.read(file)
+    if "experiment" in content or "free" in content:
+        from calibration import problemfile
+
+        problem = problemfile.load(file)
+        free, records = [f.name for f in problem.free], len(problem.experiments)
+        text = f"a calibration of {', '.join(free)} from {records} records, of the scene '{problem.scene.kind}'"
+    elif "vary" in content:
+        from bcfj_jax.analysis.studies import specification
+
+        study = specification.load(file)
+        text = f"a study of {', '.join(study.names)}: {study.count} points of the scene '{study.given.scene.kind}'"
+    else:
+        given = scenefile.load(file)
+        contacts = ", ".join(contact.name for contact in given.scene.contacts) or "none"
+        text = f"a scene '{given.scene.kind}', {len(given.params)} parameters, contacts: {contacts}"
+    typer.echo(f"{file} is {text}")
+    return DONE
+
+
+@verb(app)
+def init(
+    what: Annotated[
+        str, typer.Argument(metavar="SCENE|calibration", help="A built-in scene's name, mechanism, or calibration.")
+    ],
+    record: Annotated[Path | None, typer.Argument(help="The measured file, for calibration.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Folder for the file; by default this one.")] = None,
+    scene: Annotated[str, typer.Option(help="Of a calibration: impact, bounce or oblique_impact.")] = "",
+    mass: Annotated[str | None, typer.Option(help='Of a calibration, if it is known: "0.55 kg".')] = None,
+    speed: Annotated[str | None, typer.Option(help='Of a calibration, if it is known: "0.86 m/s".')] = None,
+    table: Annotated[str | None, typer.Option(help="Which table of a record that holds several.")] = None,
+) -> int:
+    """Write a commented scene file to start from; or, from a measured RECORD, a calibration file."""
+    if what == "calibration":
+        if record is None:
+            raise InputError("init calibration", "no record", "give a measured file: bcfj init calibration drop.csv")
+        from calibration import init as proposal
+
+        return proposal.run(record, out, scene, mass, speed, table, typer.echo)
+    if record is not None:
+        raise InputError(
+            "init", f"{record} after the scene '{what}'", "give one scene, or: bcfj init calibration RECORD"
+        )
+    from bcfj_jax.io.outputs import open_folder, write_text
+    from bcfj_jax.io.scenetemplate import template
+
+    text, name = template(what), f"{what}.toml"
+    path = open_folder(out or Path("."), "init", what, [name]) / name
+    write_text(path, text)
+    typer.echo(f"wrote {path}")
+    return DONE

@@ -1,0 +1,103 @@
+"""The verbs of a study: run, resume, status, merge, indices, surface."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bcfj_jax.cli.base import EPILOG, app, ready, say, verb
+from bcfj_jax.cli.options import Code
+
+studies = typer.Typer(help="Run a scene at many points of its parameters.", no_args_is_help=True, epilog=EPILOG)
+app.add_typer(studies, name="study")
+
+StudyFile = Annotated[str, typer.Argument(metavar="STUDY", help="A study file, or a built-in study: clearance.")]
+StudyOut = Annotated[Path | None, typer.Option("--out", help="Folder of the study; by default results/study-NAME.")]
+Workers = Annotated[int | None, typer.Option(min=1, help="Processes on this machine; by default one a core.")]
+Others = Annotated[list[Path] | None, typer.Option("--from", help="Another folder of the same study.")]
+Dry = Annotated[bool, typer.Option("--dry-run", help="Count points, estimate time and disk; no more.")]
+Scheduler = Annotated[str | None, typer.Option(help="Dask scheduler that shall do the work: tcp://HOST:PORT.")]
+
+
+def _study(
+    study: str, files: list[Path] | None, out: Path | None, workers: int | None, scheduler: str | None, dry: bool,
+    resuming: bool,
+) -> int:  # fmt: skip
+    ready(files, study)
+    from bcfj_jax.analysis.studies import command
+
+    text, found = command.run(study, out, workers, scheduler, dry, say, resuming)
+    typer.echo(text)
+    return found
+
+
+@verb(studies, "run")
+def study_run(
+    study: StudyFile, out: StudyOut = None, workers: Workers = None, scheduler: Scheduler = None, dry_run: Dry = False,
+    code: Code = None,
+) -> int:  # fmt: skip
+    """Run a study: results.parquet, study.json, a picture and report.html; goes on with what its folder holds."""
+    return _study(study, code, out, workers, scheduler, dry_run, False)
+
+
+@verb(studies, "resume")
+def study_resume(
+    study: StudyFile, out: StudyOut = None, workers: Workers = None, scheduler: Scheduler = None, code: Code = None
+) -> int:
+    """Compute what is missing of a study that was cut off."""
+    return _study(study, code, out, workers, scheduler, False, True)
+
+
+@verb(studies, "status")
+def study_status(study: StudyFile, out: StudyOut = None, code: Code = None) -> int:
+    """Say what is finished, what failed and what is left (then the exit code is 5)."""
+    ready(code, study)
+    from bcfj_jax.analysis.studies import command
+
+    text, found = command.status(study, out)
+    typer.echo(text)
+    return found
+
+
+@verb(studies, "merge")
+def study_merge(study: StudyFile, out: StudyOut = None, other: Others = None, code: Code = None) -> int:
+    """Take in blocks that were computed elsewhere, and write results.parquet when none is missing."""
+    ready(code, study)
+    from bcfj_jax.analysis.studies import command
+
+    text, found = command.merge(study, out, other or [])
+    typer.echo(text)
+    return found
+
+
+Features = Annotated[list[str] | None, typer.Option("--feature", help="Such as contact.peak; by default every one.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of the bootstrap.")]
+Slopes = Annotated[bool, typer.Option(help="Whether to use the study's derivatives, if it kept any.")]
+
+
+@verb(studies, "indices")
+def study_indices(
+    study: StudyFile, out: StudyOut = None, feature: Features = None, seed: Seed = 0, code: Code = None
+) -> int:
+    """Say how much of each feature's variation each parameter brings: a table, indices.json and bars."""
+    ready(code, study)
+    from bcfj_jax.analysis.studies import indices_command
+
+    text, found = indices_command.run(study, out, feature or [], seed)
+    typer.echo(text)
+    return found
+
+
+@verb(studies, "surface")
+def study_surface(
+    study: StudyFile, out: StudyOut = None, feature: Features = None, derivatives: Slopes = True, code: Code = None
+) -> int:
+    """Lay a response surface through each feature: its errors, surface.json and a picture a feature."""
+    ready(code, study)
+    from bcfj_jax.analysis.studies import surface_command
+
+    text, found = surface_command.run(study, out, feature or [], derivatives)
+    typer.echo(text)
+    return found
