@@ -4,7 +4,26 @@ from __future__ import annotations
 
 import difflib
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+
+QUOTED = 200  # characters of a value that a message repeats
+_LONGEST_LINE, _LONGEST_MESSAGE = 1000, 8000
+
+
+def clip(value: object, most: int = QUOTED) -> str:
+    """A value as a message quotes it: its beginning, and how long it is where it is longer than ``most`` characters."""
+    try:
+        text = value if isinstance(value, str) else repr(value)
+    except Exception:
+        return f"a value of type {type(value).__name__}"
+    return text if len(text) <= most else f"{text[: most - 30]}... ({len(text)} characters)"
+
+
+def _short(text: str) -> str:
+    """A part of a message, no line of it and not all of it beyond what can be read."""
+    if len(text) <= _LONGEST_LINE:
+        return text
+    return clip("\n".join(clip(line, _LONGEST_LINE) for line in text.split("\n")), _LONGEST_MESSAGE)
 
 
 class InputError(ValueError):
@@ -17,6 +36,7 @@ class InputError(ValueError):
     """
 
     def __init__(self, where: str, found: str, remedy: str) -> None:
+        where, found, remedy = _short(where), _short(found), _short(remedy)
         super().__init__(f"{where}: {found}; {remedy}")
         self.where, self.found, self.remedy = where, found, remedy
 
@@ -25,9 +45,19 @@ class InputError(ValueError):
         return type(self), (self.where, self.found, self.remedy)
 
 
+def together(where: str, faults: Sequence[InputError]) -> InputError:
+    """Several faults of one place as one message, a line each; a single fault stays as it is."""
+    if len(faults) == 1:
+        return faults[0]
+    lines = [f"  {str(fault).removeprefix(where).lstrip(': ')}" for fault in faults]
+    return InputError(
+        where, f"{len(faults)} faults\n" + "\n".join(lines) + "\n", "correct them, then repeat the command"
+    )
+
+
 def nearest(name: str, known: Iterable[str]) -> str:
     """Say which of the known names was probably meant, or list them all."""
-    names = sorted(known)
+    names, name = sorted(known), name[:QUOTED]
     close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
     if close:
         return f"did you mean '{close[0]}'?"

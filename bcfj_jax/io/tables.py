@@ -10,7 +10,11 @@ from typing import Any, TypeVar
 
 import pydantic
 
-from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.errors import InputError, clip, nearest
+from bcfj_jax.io.opening import LARGEST_TOML, content
+
+# Parts of a dotted key. The reader's time grows with their square.
+_DEEPEST = 30
 
 M = TypeVar("M", bound="Table")
 
@@ -27,18 +31,36 @@ def read(path: Path) -> dict[str, Any]:
     Raises:
         InputError: when there is no such file, it is no text or no TOML; the last with its line.
     """
+    shown, right = clip(str(path)), "give the path of a TOML file"
+    raw = _bytes(path, shown, right)
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(str(path), "there is no such file", "give the path of a TOML file") from None
-    except OSError as error:
-        raise InputError(str(path), f"cannot be read ({error.strerror})", "give the path of a TOML file") from None
-    except UnicodeDecodeError:
-        raise InputError(str(path), "is not UTF-8 text", "save it as UTF-8") from None
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = raw[: error.start].count(b"\n") + 1
+        found = f"byte 0x{raw[error.start]:02x} is not UTF-8 text"
+        raise InputError(f"{shown}, line {line}", found, "save the file as UTF-8") from None
+    for number, line in enumerate(text.splitlines(), 1):
+        if line.partition("=")[0].count(".") > _DEEPEST:
+            raise InputError(f"{shown}, line {number}", f"a key of more than {_DEEPEST} parts", "write a shorter key")
+    try:
+        return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        text, line = str(error), re.search(r"at line (\d+)", str(error))
-        where = f"{path}, line {line[1]}" if line else str(path)
-        raise InputError(where, f"not TOML: {text}", "write key = value; a text goes in quotes") from None
+        said, line = str(error), re.search(r"at line (\d+)", str(error))
+        where = f"{shown}, line {line[1]}" if line else shown
+        raise InputError(where, f"not TOML: {clip(said)}", "write key = value; a text goes in quotes") from None
+    except RecursionError:
+        raise InputError(shown, "brackets inside brackets, too deep to be read", "write a flat table") from None
+    except ValueError as error:  # An integer of more digits than Python converts, a date that does not exist.
+        raise InputError(shown, f"not TOML: {clip(str(error))}", "write numbers as 4e10") from None
+
+
+def _bytes(path: Path, shown: str, right: str) -> bytes:
+    try:
+        return content(path, LARGEST_TOML, shown, right, "give a file of settings; data go in a file of their own")
+    except InputError as error:
+        # The path is the place already.
+        found = "there is no such file" if error.found.startswith("no file") else error.found
+        raise InputError(shown, found.removeprefix(f"{shown} "), error.remedy) from None
 
 
 def validated(model: type[M], table: object, where: str, inside: str = "") -> M:
@@ -61,13 +83,17 @@ def validated(model: type[M], table: object, where: str, inside: str = "") -> M:
     problem = (unknown or problems)[0]
     path = [part for part in (inside, *problem["loc"]) if part != ""]
     key, parents = str(path[-1]) if path else "", path[:-1]
-    place = f"{where}: [{'.'.join(map(str, parents))}] {key}" if parents else f"{where}: {key}"
+    shown = clip(key)
+    place = f"{where}: [{clip('.'.join(map(str, parents)))}] {shown}" if parents else f"{where}: {shown}"
     if problem["type"] == "extra_forbidden":
-        raise InputError(place, f"unknown key '{key}'", nearest(key, _known(model, problem["loc"][:-1])))
+        raise InputError(place, f"unknown key '{clip(key)}'", nearest(key, _known(model, problem["loc"][:-1])))
     if problem["type"] == "missing":
         raise InputError(place, f"the key '{key}' is missing", "it must be given")
     message = problem["msg"].removeprefix("Input should be ")
-    raise InputError(place, f"{problem['input']!r} is not accepted", f"give {message}")
+    given = problem["input"]
+    raise InputError(
+        place, f"{clip(repr(given) if isinstance(given, str) else given)} is not accepted", f"give {message}"
+    )
 
 
 def _known(model: type[pydantic.BaseModel], loc: tuple[int | str, ...]) -> list[str]:

@@ -1,6 +1,7 @@
-"""Units at the edges: texts such as "12.5 um" become SI numbers here, and only here is Pint used.
+"""Units at the edges: texts such as "12.5 um" and headers such as "Force [kN]" become SI numbers here.
 
-Pint is imported on first use, so importing the package stays light; numbers need no Pint at all.
+What a unit may look like is in ``unittext``. Pint is imported on first use, so importing the package stays light;
+numbers need no Pint at all.
 """
 
 from __future__ import annotations
@@ -11,13 +12,63 @@ import re
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
-from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.errors import InputError, clip
+from bcfj_jax.io.unittext import LONGEST, UnitText, parse, registry, symbols
 
 if TYPE_CHECKING:
     import pint
 
 _NUMBER = re.compile(r"\s*([-+]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|inf))\s*(.*?)\s*", re.ASCII)
 _COLUMN = re.compile(r"\s*(.*?)\s*\[\s*([^\[\]]*?)\s*\]\s*")
+_ROUND = re.compile(r"(.*?[^\s/])\s*/?\s*\(\s*([^()]*|[^()]*\([^()]*\)[^()]*?)\s*\)")
+# A header whose name and unit are not parted by brackets.
+_BEHIND_SLASH = re.compile(r"(.*?\S)\s*/\s*(\S.*)")
+_LAST_WORD = re.compile(r"(.*?[^\s,_/])(?:\s*,\s*|\s+in\s+|[\s_]+)(\S+)")
+# "Force (A)" and "F/B" name a sensor, not a unit.
+_LETTERS = tuple("ABCDEFGHLMQRSTXYZ")
+# Units that no header ends in by chance.
+_PLAIN = (
+    "ns",
+    "us",
+    "µs",
+    "ms",
+    "mN",
+    "kN",
+    "MN",
+    "nm",
+    "um",
+    "µm",
+    "mm",
+    "cm",
+    "m/s",
+    "mm/s",
+    "m/s^2",
+    "m/s²",
+    "m/s2",
+)
+_RATE = re.compile(r"(?:[munkµ]?m|cm|km|rad|deg|°|k?N)\s*/\s*(?:s|h|min|s\^?2|s²)")
+_COMMAS = re.compile(r"\s*([-+]?\d[\d.]*,[\d.,]*\d)(?![\d.,])(.*)", re.DOTALL)
+_CASED = (
+    "kN",
+    "N",
+    "mN",
+    "MN",
+    "ms",
+    "s",
+    "mm",
+    "m",
+    "kg",
+    "g",
+    "Pa",
+    "kPa",
+    "MPa",
+    "GPa",
+    "Hz",
+    "kHz",
+    "J",
+    "rad/s",
+    "rpm",
+)
 _STIFFNESS = "N/m^n"
 _PREFIXES = {-12: "p", -9: "n", -6: "u", -3: "m", 0: "", 3: "k", 6: "M", 9: "G", 12: "T"}
 # Units whose name may be preceded by a prefix without changing its meaning.
@@ -42,20 +93,17 @@ _EXAMPLES = {
 }
 
 
-@functools.cache
-def _registry() -> pint.UnitRegistry:
-    import pint
-
-    registry = pint.UnitRegistry(cache_folder=None)
-    registry.define("@alias revolution = r")
-    return registry
-
-
 def _unit(text: str, where: str, given: str, remedy: str) -> pint.Unit:
     try:
-        return _registry().parse_units(text)
-    except Exception as error:  # Pint raises whatever its tokenizer does; to the user all of it is one thing.
-        raise InputError(where, f"'{given}' has no unit that is known here ('{text}')", f"give {remedy}") from error
+        return parse(text)
+    except UnitText as error:
+        raise InputError(where, f"'{clip(given)}' {error}", _cased(text) or f"give {remedy}") from None
+
+
+def _cased(text: str) -> str:
+    """A remedy for a unit in the wrong case, such as "KN"."""
+    right = {known.lower(): known for known in _CASED}.get(text.strip().lower())
+    return f"write {right}; case matters, as in mN and MN" if right else ""
 
 
 def _remedy(unit: str) -> str:
@@ -93,15 +141,37 @@ def _factor(unit_text: str, si_unit: str, where: str, exponent: float | None, gi
     if si_unit == _STIFFNESS:
         return _stiffness_factor(unit_text, where, exponent, given)
     right = f"give {_remedy(si_unit)}"
-    unit = _unit("" if unit_text == "1" else unit_text, where, given, _remedy(si_unit))
-    target = _registry().parse_units("" if si_unit == "1" else si_unit)
+    unit = _unit(unit_text, where, given, _remedy(si_unit))
+    given = clip(given)
+    target = parse(si_unit)
     if unit.dimensionality != target.dimensionality:
         wrong = "has a unit" if si_unit == "1" else f"is not in a unit that converts to {si_unit}"
         raise InputError(where, f"'{given}' {wrong}", right)
-    quantity = _registry().Quantity
-    if quantity(0.0, unit).to(target).magnitude != 0.0:
+    if si_unit in ("rad/s", "Hz"):
+        unit = _turning(unit_text, unit, si_unit, where, given)
+    quantity = registry().Quantity
+    try:
+        offset, factor = (float(quantity(x, unit).to(target).magnitude) for x in (0.0, 1.0))
+    except Exception:
+        offset, factor = 1.0, 1.0
+    if offset != 0.0:
         raise InputError(where, f"'{given}' is in a unit with an offset", right)
-    return _snapped(float(quantity(1.0, unit).to(target).magnitude))
+    if not (math.isfinite(factor) and factor > 0.0):
+        raise InputError(where, f"'{given}' is in a unit of no finite size", right)
+    return _snapped(factor)
+
+
+def _turning(unit_text: str, unit: pint.Unit, si_unit: str, where: str, given: str) -> pint.Unit:
+    """Turns and cycles, which Pint takes for the same as radians: 1/min is a revolution a minute; Hz is no speed."""
+    angle = "radian" in dict(registry().Quantity(1.0, unit).to_base_units().unit_items())
+    if si_unit == "Hz" and angle:
+        raise InputError(where, f"'{given}' is a rotational speed, not a frequency", 'give cycles, as in "50 Hz"')
+    if si_unit == "Hz" or angle:
+        return unit
+    named = symbols(unit_text)
+    if any("hertz" in str(parse(name)) for name in named):
+        raise InputError(where, f"'{given}' counts cycles, not radians", 'give "100 r/s", "6000 rpm" or "628 rad/s"')
+    return unit * parse("revolution") if named == ["min"] or named == ["min-1"] else unit
 
 
 def _stiffness_factor(unit_text: str, where: str, exponent: float | None, given: str) -> float:
@@ -119,7 +189,10 @@ def _stiffness_factor(unit_text: str, where: str, exponent: float | None, given:
             f"K of F = K d^n is in N/m^n, so the same number in another unit is another contact; give {remedy} "
             f"or set exponent = {found:g}",
         )
-    return _snapped(float(_registry().Quantity(1.0, unit).to_base_units().magnitude))
+    size = float(registry().Quantity(1.0, unit).to_base_units().magnitude)
+    if not (math.isfinite(size) and size > 0.0):
+        raise InputError(where, f"'{clip(given)}' is in a unit of no finite size", f"give {remedy}")
+    return _snapped(size)
 
 
 def quantity(value: object, unit: str, where: str, *, exponent: float | None = None) -> float:
@@ -136,13 +209,20 @@ def quantity(value: object, unit: str, where: str, *, exponent: float | None = N
     """
     remedy = f"give {_remedy(unit)}" if unit != _STIFFNESS else 'give a stiffness such as "1e10 N/m^1.5"'
     if isinstance(value, (int, float)) and not isinstance(value, bool):
-        return float(value)
+        return _number(value, where, remedy)
     if not isinstance(value, str):
-        raise InputError(where, f"{value!r} is not a number", remedy)
+        raise InputError(where, f"{clip(value)} is not a number", remedy)
+    _short(value, where, remedy)
     match = _NUMBER.fullmatch(value)
+    if comma := _COMMAS.fullmatch(value):
+        found, right = _without_commas(comma[1])
+        texts = " or ".join(f'"{number}{comma[2]}"' for number in right)
+        raise InputError(where, f"'{value}' has {found}", f"write {texts}: decimals have a point, thousands no mark")
     if match is None:
         raise InputError(where, f"'{value}' is not a number with a unit", remedy)
     number, text = float(match[1]), match[2]
+    if math.isinf(number) and "inf" not in match[1]:
+        raise InputError(where, f"'{value}' is too large for a number of 64 bits", remedy)
     if not text and unit == _STIFFNESS:
         return number  # Its unit goes with the exponent; without one it is SI, as a bare number is.
     if not text and unit != "1":
@@ -150,11 +230,41 @@ def quantity(value: object, unit: str, where: str, *, exponent: float | None = N
     return _times(number, _factor(text, unit, where, exponent, value)) if text else number
 
 
+def _without_commas(number: str) -> tuple[str, list[str]]:
+    """What the commas of a number are, and how to write it: "0,5", "1,000.5", "1.000,5", or either for "1,000"."""
+    whole, mark, decimals = number.rpartition("," if number.rfind(",") > number.rfind(".") else ".")
+    pointed = re.sub("[.,]", "", whole) + "." + decimals
+    plain = re.sub("[.,]", "", number)
+    if mark == ".":
+        return "commas between thousands", [pointed]
+    if number.count(",") > 1:
+        return "commas between thousands", [plain]
+    thousands = "." not in whole and len(decimals) == 3 and whole.strip("+-0")
+    return "a decimal comma", [pointed, plain] if thousands and len(whole.strip("+-")) <= 3 else [pointed]
+
+
+def _number(value: float, where: str, remedy: str) -> float:
+    try:
+        number = float(value)
+    except OverflowError:
+        raise InputError(where, f"{clip(value)} is too large for a number of 64 bits", remedy) from None
+    if math.isnan(number):
+        raise InputError(where, "nan is not a number", remedy)
+    return number
+
+
+def _short(value: str, where: str, remedy: str) -> None:
+    if len(value) > LONGEST:
+        raise InputError(where, f"a text of {len(value)} characters, '{clip(value, 40)}'", remedy)
+
+
 def toleranced(value: object, unit: str, where: str, *, exponent: float | None = None) -> tuple[float, float | None]:
     """A value and how well it is known, both SI: "0.55 kg +- 2 %", "12 mm +- 0.1 mm"; None where nothing is said.
 
     Args, Raises: as ``quantity``; and for a tolerance that is no share and no value of the same unit, or below 0.
     """
+    if isinstance(value, str):
+        _short(value, where, f"give {_remedy(unit)}")
     if not isinstance(value, str) or not (found := re.fullmatch(r"(.*?)\s*(?:\+-|\+/-|±)\s*(.*)", value)):
         return quantity(value, unit, where, exponent=exponent), None
     number = quantity(found[1], unit, where, exponent=exponent)
@@ -175,7 +285,11 @@ def coherent(unit: str, where: str) -> str:
     """
     if unit in ("1", _STIFFNESS):
         return unit
-    found = _registry().Quantity(1.0, _unit(unit, where, unit, "an SI unit such as m, N/m or rad/s")).to_base_units()
+    made = _unit(unit, where, unit, "an SI unit such as m, N/m or rad/s")
+    try:
+        found = registry().Quantity(1.0, made).to_base_units()
+    except Exception:
+        raise InputError(where, f"'{unit}' is not an SI unit", "give an SI unit such as m, N/m or rad/s") from None
     if abs(found.magnitude - 1.0) > 1e-12:
         plain = f"{found.units:~C}".replace("**", "^") or "1"
         near = (known for known in _EXAMPLES if alike(known, plain))
@@ -188,14 +302,38 @@ def alike(first: str, second: str) -> bool:
     """Whether two coherent units measure the same: rad/s and 1/s do, N and N m do not."""
     if _STIFFNESS in (first, second):
         return first == second
-    sizes = (_registry().parse_units("" if unit == "1" else unit).dimensionality for unit in (first, second))
+    sizes = (parse(unit).dimensionality for unit in (first, second))
     return next(sizes) == next(sizes)
 
 
+@functools.lru_cache(4096)
 def column(header: str) -> tuple[str, str | None]:
-    """Name and unit text of a table's column: "force [kN]" -> ("force", "kN"), "time" -> ("time", None)."""
-    match = _COLUMN.fullmatch(header)
-    return (match[1], match[2]) if match else (header.strip(), None)
+    """Name and unit text of a table's column; None where the header states no unit.
+
+    "force [kN]", "Force (kN)", "F / kN", "Kraft in kN", "force, kN" and "force_kN" all state one. Brackets of the
+    square kind are believed; all else is a unit only where it is known as one.
+    """
+    plain = header.strip()
+    if len(plain) > LONGEST:
+        return plain, None
+    if match := _COLUMN.fullmatch(plain):
+        return match[1], match[2]
+    if (match := _LAST_WORD.fullmatch(plain)) and match[2] in _PLAIN:
+        return match[1], match[2]
+    for pattern in (_ROUND, _BEHIND_SLASH):
+        match = None if _RATE.fullmatch(plain) else pattern.fullmatch(plain)
+        if match and match[2] not in _LETTERS and not match[2].isdigit() and known(match[2]):
+            return match[1], match[2]
+    return plain, None
+
+
+def known(text: str) -> bool:
+    """Whether a text is a unit, a sign for none such as "-" included."""
+    try:
+        parse(text)
+    except UnitText:
+        return False
+    return True
 
 
 def engineering(values: Iterable[float], unit: str = "m") -> tuple[float, str]:

@@ -81,7 +81,7 @@ def channel_notes(observes: str, values: np.ndarray, masked: np.ndarray) -> list
     notes = []
     blanks = int(np.isnan(values).sum())
     if blanks:
-        notes.append(f"{observes}: {blanks} of {values.size} cells hold no number; nothing is put in their place")
+        notes.append(f"{observes}: {blanks} of {values.size} cells hold no number; nothing is interpolated over them")
     if masked.any():
         notes.append(f"{observes}: {int(masked.sum())} samples dropped as saturated")
     level, count = _plateau(values[np.isfinite(values) & ~masked])

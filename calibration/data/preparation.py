@@ -111,7 +111,8 @@ def prepare(name: str, part: Table, time: str, observe: dict[str, str], recipe: 
     notes = [clock_note(clock)]
     if breaks.size:
         longest = format_si(float(np.diff(clock).max()), "s", 3)
-        notes.append(f"{breaks.size} gaps in time, the longest {longest}; nothing is put into them")
+        gaps = f"{breaks.size} gaps in time, the longest of" if breaks.size > 1 else "a gap in time of"
+        notes.append(f"{gaps} {longest}; nothing is interpolated over {'them' if breaks.size > 1 else 'it'}")
     masked = {o: np.abs(values) >= recipe.saturation.get(o, np.inf) for o, values in raw.items()}
     for observes, values in raw.items():
         zero = _zero(values, recipe)

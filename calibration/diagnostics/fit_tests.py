@@ -167,7 +167,7 @@ def agreement(
     return [
         Test(
             "agreement of starts", count, AGREEING_STARTS, count >= AGREEING_STARTS and best.converged,
-            f"only {count} of {len(ends)} starts reached the best optimum; {AGREEING_STARTS} must"
+            f"{count} of {len(ends)} starts reached the best optimum; at least {AGREEING_STARTS} are needed"
             + (f"; the integrator leaves costs uncertain by {2.0 * doubt:.2g}: ask for a smaller accuracy"
                if 2.0 * doubt > ALIKE[1] else "")
             if best.converged else "the best start stopped before it converged",

@@ -287,7 +287,7 @@ def test_missing_files(tmp_path):
         load(tmp_path / "none.toml")
     with pytest.raises(InputError, match=r"no such file and no such scene; .*impact, bounce"):
         load("impakt")
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="is a folder"):
         read(tmp_path)
 
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+import time
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.errors import InputError, clip, together
 from bcfj_jax.io.units import column, engineering, format_si, quantity, scale_of
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -27,13 +30,30 @@ pytestmark = pytest.mark.filterwarnings("error")
         ("207 GPa", "Pa", 207e9),
         ("7.85 g/cm^3", "kg/m^3", 7850.0),
         ("8 deg", "rad", math.radians(8)),
+        ("8°", "rad", math.radians(8)),
+        ("12.5 μm", "m", 1.25e-5),
+        ("3 N·m", "N m", 3.0),
+        ("3 N*m", "N m", 3.0),
+        ("3 Nm", "N m", 3.0),
+        ("3 kNm", "N m", 3000.0),
+        ("3 Nmm", "N m", 3e-3),
+        ("3 Ns", "N s", 3.0),
+        ("9.81 m/s2", "m/s^2", 9.81),
+        ("9.81 m/s²", "m/s^2", 9.81),
+        ("9.81 m s⁻²", "m/s^2", 9.81),
+        ("9.81 m s-2", "m/s^2", 9.81),
+        ("50 N/(m/s)", "N s/m", 50.0),
+        ("5 kHz", "Hz", 5000.0),
+        ("1 1/s", "rad/s", 1.0),
     ],
 )
 def test_texts_become_si(given, unit, wanted):
     assert quantity(given, unit, "here") == pytest.approx(wanted, rel=1e-15)
 
 
-@pytest.mark.parametrize("text", ["100 r/min", "100 rpm", "100rpm"])
+@pytest.mark.parametrize(
+    "text", ["100 r/min", "100 rpm", "100rpm", "100 1/min", "100 min^-1", "100 min⁻¹", "100 U/min"]
+)
 def test_revolutions_per_minute(text):
     assert quantity(text, "rad/s", "here") == pytest.approx(100 * 2 * math.pi / 60, rel=1e-14)
 
@@ -50,6 +70,23 @@ def test_revolutions_per_minute(text):
         ("3 kg", "m", ["'3 kg'", "converts to m", '"1.2 mm"']),
         ("3 m", "1", ["'3 m'", '"90 %"']),
         ("20 degC", "K", ["offset"]),
+        ("20 dB", "1", ["offset"]),
+        ("0,5 kg", "kg", ["'0,5 kg' has a decimal comma", 'write "0.5 kg"']),
+        ("0,5", "1", ["decimal comma", 'write "0.5"']),
+        ("1,000.5 N", "N", ["commas between thousands", 'write "1000.5 N"']),
+        ("1.234,5 N", "N", ["decimal comma", 'write "1234.5 N"']),
+        ("1,000 N", "N", ['write "1.000 N" or "1000 N"']),
+        ("1 KN", "N", ["('KN')", "write kN; case matters"]),
+        ("10 Hz", "rad/s", ["counts cycles", "6000 rpm"]),
+        ("10 rpm", "Hz", ["rotational speed", "50 Hz"]),
+        ("1 kg**9**9**9", "kg", ["a power stands where a symbol must"]),
+        ("1 kg^99", "kg", ["a power of 99", "at most 12"]),
+        ("1 N/((m)(s))", "N s/m", ["brackets inside brackets"]),
+        ("1 (m", "m", ["open bracket"]),
+        ("1 " + "kg" * 100_000, "kg", ["a text of 200002 characters"]),
+        ("9e999 kg", "kg", ["too large"]),
+        (10**400, "kg", ["too large"]),
+        (math.nan, "kg", ["not a number"]),
     ],
 )
 def test_bad_values_say_what_is_right(given, unit, parts):
@@ -57,6 +94,53 @@ def test_bad_values_say_what_is_right(given, unit, parts):
         quantity(given, unit, "f.toml: [parameters] x")
     for part in ["f.toml: [parameters] x", *parts]:
         assert part in str(caught.value)
+    assert len(str(caught.value)) < 500
+
+
+PIECES = ["kN", "m", "^", "**", "9", "(", ")", "/", "*", " ", "-2", "e", "degC", "dB", "Hz"]
+
+
+@pytest.mark.full
+@settings(deadline=None, max_examples=150, derandomize=True)
+@given(
+    st.one_of(
+        st.text(max_size=300),
+        st.text("kNmsgµ°%·*^/()-+. 0123456789,[]", max_size=60),
+        st.lists(
+            st.sampled_from(["kN", "m", "^", "**", "9", "(", ")", "/", "*", "-2", "e", "degC", "dB", "Hz"]), max_size=40
+        ).map("".join),
+    ),
+    st.sampled_from(["m", "1", "rad/s", "Hz", "K", "N/m^n", "N s/m"]),
+)
+def test_no_text_takes_long_or_raises_anything_else(text, unit):
+    """0.1 s is what one text may take; Pint's own parser takes hours for an exponent tower."""
+    scale_of("m", "m", "loads Pint")
+    for read in (
+        lambda: quantity(f"1 {text}", unit, "here"),
+        lambda: scale_of(text, unit, "here"),
+        lambda: column(text),
+    ):
+        start = time.process_time()
+        try:
+            found = read()
+        except InputError as error:
+            found = float(len(str(error)))
+        assert not isinstance(found, float) or found < 1e300
+        assert time.process_time() - start < 0.1
+
+
+def test_messages_are_cut_and_faults_are_listed():
+    assert (
+        clip("a" * 200) == "a" * 200 and len(clip("a" * 5000)) <= 200 and clip(10**5000).startswith("a value of type")
+    )
+    assert len(str(InputError("w" * 5000, "f" * 500_000, "r" * 5000))) < 4000
+    one, two = InputError("d.csv: line 3", "a", "b"), InputError("d.csv: line 4", "c", "d")
+    assert together("d.csv", [one]) is one
+    assert str(together("d.csv", [one, two])).splitlines()[:3] == [
+        "d.csv: 2 faults",
+        "  line 3: a; b",
+        "  line 4: c; d",
+    ]
 
 
 def test_stiffness_is_converted_with_its_exponent():
@@ -76,6 +160,12 @@ def test_columns_and_scales():
     assert column("force [kN]") == ("force", "kN")
     assert column(" contact.normal  [ N ] ") == ("contact.normal", "N")
     assert column("time") == ("time", None)
+    for header in ("F (kN)", "F / kN", "F/kN", "F in kN", "F, kN", "F_kN", "F kN", "F / (kN)"):
+        assert column(header) == ("F", "kN")
+    for header in ("m/s", "Force (raw)", "Force (A)", "F/B", "run/experiment", "F_N", "Fx (1)"):
+        assert column(header) == (header, None)
+    assert column("t/s") == ("t", "s") and column("s/mm") == ("s", "mm") and column("v m/s") == ("v", "m/s")
+    assert scale_of("-", "1", "here") == 1.0
     assert scale_of("us", "s", "here") == 1e-6
     assert scale_of("kN", "N", "here") == 1000.0
     assert scale_of("%", "1", "here") == 0.01

@@ -1,0 +1,77 @@
+"""The one place where a file that a user names is opened: a regular file of a limited size, or a sentence why not.
+
+A pipe or a device would block or never end, so what is no regular file is refused before a byte is read.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+from bcfj_jax.core.errors import InputError, clip
+
+MEGABYTE = 1 << 20
+# Tables of text are held as Python texts, some ten times their size.
+LARGEST_TEXT, LARGEST_TOML, LARGEST_BINARY = 200 * MEGABYTE, 2 * MEGABYTE, 16384 * MEGABYTE
+
+
+def check(path: Path, largest: int, where: str, missing: str, remedy: str) -> None:
+    """Refuse what is not a regular file of at most ``largest`` bytes.
+
+    Args:
+        path: the file.
+        largest: its size at most, in bytes.
+        where: place, for the message.
+        missing: what is right where there is no such file.
+        remedy: what is right where it is too large.
+
+    Raises:
+        InputError: where there is no such file, it is a folder, pipe or device, cannot be read, or is too large.
+    """
+    os.close(_opened(path, largest, where, missing, remedy))
+
+
+def content(path: Path, largest: int, where: str, missing: str, remedy: str) -> bytes:
+    """All bytes of a regular file.
+
+    Args, Raises: as ``check``.
+    """
+    handle = _opened(path, largest, where, missing, remedy)
+    with os.fdopen(handle, "rb") as file:
+        try:
+            # A file may grow while it is read.
+            raw = file.read(largest + 1)
+        except OSError as error:
+            raise InputError(where, f"{clip(str(path))} cannot be read ({error.strerror})", missing) from None
+    if len(raw) > largest:
+        raise _too_large(path, len(raw), largest, where, remedy)
+    return raw
+
+
+def _opened(path: Path, largest: int, where: str, missing: str, remedy: str) -> int:
+    shown = clip(str(path))
+    try:
+        # A pipe without a writer would block; the flag does not change how a regular file is read.
+        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    except FileNotFoundError:
+        raise InputError(where, f"no file {shown}", missing) from None
+    except (OSError, ValueError) as error:  # A path with a NUL is a ValueError.
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError(where, f"{shown!r} cannot be read ({reason})", missing) from None
+    try:
+        found = os.fstat(handle)
+        if not stat.S_ISREG(found.st_mode):
+            kind = "a folder" if stat.S_ISDIR(found.st_mode) else "a pipe or a device, not a file"
+            raise InputError(where, f"{shown} is {kind}", missing)
+        if found.st_size > largest:
+            raise _too_large(path, found.st_size, largest, where, remedy)
+    except BaseException:
+        os.close(handle)
+        raise
+    return handle
+
+
+def _too_large(path: Path, size: int, largest: int, where: str, remedy: str) -> InputError:
+    found = f"{clip(str(path))} holds {size / MEGABYTE:.3g} MB, more than the {largest / MEGABYTE:.3g} MB read here"
+    return InputError(where, found, remedy)
