@@ -144,7 +144,9 @@ def _runs_test(place: str, parts: list[np.ndarray], series: list[Series], residu
         changes += int(np.count_nonzero(np.diff(signs)))
         chances += max(signs.size - 1, 0)
     p = float(special.bdtr(changes, chances, 0.5)) if chances else 1.0
-    reason = f"{place}, residuals change their sign {changes} times; without a pattern they would {chances // 2} times or so"
+    reason = (
+        f"{place}, residuals change their sign {changes} times; without a pattern they would {chances // 2} times or so"
+    )
     if p <= LEVEL / 2:
         reason += f": the model misses a shape ({share:.2g} of the peak, rms)"
     return Test(f"order of residuals {place}", p, LEVEL / 2, p > LEVEL / 2, reason)

@@ -239,7 +239,10 @@ def test_nothing_is_put_into_a_gap():
         assert not ((seen > first + 1e-9) & (seen < last - 1e-9)).any()
     np.testing.assert_allclose(values[np.isfinite(values)], pulse(seen), atol=1.0)
     np.testing.assert_allclose(done.gaps, [(1.99e-3, 4.01e-3)])
-    assert "a gap in time of 2.02 ms; nothing is interpolated over it" in said and "40 of 1800 cells hold no number" in said
+    assert (
+        "a gap in time of 2.02 ms; nothing is interpolated over it" in said
+        and "40 of 1800 cells hold no number" in said
+    )
 
 
 def test_saturated_samples_are_dropped_before_anything_smears_them():
