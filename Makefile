@@ -3,10 +3,11 @@ PYTHON ?= python3
 BIN := .venv/bin
 RUNTIME := build/.installed
 TOOLS := build/.installed-test
+PAGES := build/.installed-docs
 # A worker gets whole files, because the tests of a file share compiled programs and fixtures; tests/conftest.py orders them.
 PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
-.PHONY: demo test fast all-tests lint types bench clean
+.PHONY: demo test fast all-tests lint types docs bench clean
 
 demo: $(RUNTIME)
 	rm -rf build/demo
@@ -18,7 +19,7 @@ demo: $(RUNTIME)
 fast: $(TOOLS)
 	$(PYTEST) -m "not full and not slow" --hypothesis-profile fast
 
-test: lint types $(TOOLS)
+test: lint types docs $(TOOLS)
 	$(PYTEST) -m "not slow" --hypothesis-profile fast --durations 25
 
 all-tests: $(TOOLS)
@@ -30,6 +31,11 @@ lint: $(TOOLS)
 
 types: $(TOOLS)
 	$(BIN)/pyright
+
+# A warning, such as a broken link or a page that no list names, is an error.
+docs: $(PAGES)
+	$(BIN)/python -m sphinx --quiet --fail-on-warning --keep-going --nitpicky --builder html docs build/site
+	@echo "open build/site/index.html"
 
 bench: $(RUNTIME)
 	$(BIN)/python -m benchmarks.calibration.demo
@@ -48,5 +54,9 @@ $(RUNTIME): pyproject.toml constraints.txt | .venv
 	mkdir -p build && touch $@
 
 $(TOOLS): pyproject.toml constraints.txt | .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[test]"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[test,docs]"
+	mkdir -p build && touch $(RUNTIME) $(PAGES) $@
+
+$(PAGES): pyproject.toml constraints.txt | .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[docs]"
 	mkdir -p build && touch $(RUNTIME) $@

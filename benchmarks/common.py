@@ -1,4 +1,4 @@
-"""What every benchmark needs: where it ran, how results are kept, how the README gets its tables."""
+"""What every benchmark needs: where it ran, how results are kept, how a page gets its tables."""
 
 from __future__ import annotations
 

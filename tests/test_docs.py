@@ -1,5 +1,5 @@
 """The code of the pages runs: Python blocks in order in one namespace, TOML blocks as the files that they name, and the
-README's commands.
+commands of the README, of the tutorials and of the how-to pages.
 
 A Python block that begins with a comment like ``# my_parts.py`` is added to that file. A TOML block that begins with
 ``# cam.toml --code my_parts.py`` is written to cam.toml, with the user's code in use: a scene is then simulated, a
@@ -9,8 +9,10 @@ calibration fitted, a study run.
 from __future__ import annotations
 
 import ast
+import inspect
 import json
 import re
+import shlex
 import shutil
 import tomllib
 from pathlib import Path
@@ -19,7 +21,8 @@ from typing import NamedTuple
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = sorted([*(ROOT / "docs").glob("*.md"), ROOT / "README.md", ROOT / "benchmarks" / "README.md"])
+OUTSIDE = (ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "benchmarks" / "README.md")
+PAGES = sorted([*(ROOT / "docs").rglob("*.md"), *OUTSIDE])
 MECHANISMS = ROOT / "docs" / "mechanisms.md"
 
 
@@ -129,6 +132,22 @@ def test_files_and_modules_that_the_pages_name_exist():
             assert (ROOT / (name.replace(".", "/") + ".py")).exists(), f"{page.name}: {name}"
 
 
+def test_every_public_name_is_in_the_reference():
+    """Each public name of both packages has a docstring, and a place in docs/api."""
+    import bcfj_jax as bj
+    import calibration
+
+    reference = "\n".join(page.read_text(encoding="utf-8") for page in sorted((ROOT / "docs" / "api").glob("*.md")))
+    shown = set(re.findall(r"^\.\. auto\w+:: (\S+)", reference, re.MULTILINE))
+    fitted = {name for name, thing in vars(calibration).items() if not name.startswith("_") and callable(thing)}
+    for package, names in ((bj, set(bj._PUBLIC)), (calibration, fitted)):
+        for name in sorted(names):
+            thing = getattr(package, name)
+            assert inspect.getdoc(thing), f"{package.__name__}.{name} has no docstring"
+            module = thing.__name__ if inspect.ismodule(thing) else ""
+            assert {f"{package.__name__}.{name}", module} & shown, f"docs/api has no {package.__name__}.{name}"
+
+
 def test_every_benchmark_is_in_the_index():
     index = (ROOT / "benchmarks" / "README.md").read_text(encoding="utf-8")
     for path in sorted((ROOT / "benchmarks").glob("*/*.py")):
@@ -157,6 +176,42 @@ def test_blocks_run(page, folder):
             run_toml(block)
 
 
+def run_commands(block: Block) -> None:
+    """The lines of a block that begin with ``bcfj``; one that ends otherwise than with 0 says so: ``# exit code 4``."""
+    from typer.testing import CliRunner
+
+    from bcfj_jax.cli import app
+
+    for line in block.text.splitlines():
+        if line.startswith("bcfj "):
+            command, _, comment = line.partition("  #")
+            code = re.search(r"exit code (\d)", comment)
+            done = CliRunner().invoke(app, shlex.split(command)[1:])
+            assert done.exit_code == int(code[1] if code else 0), f"{block.place}: {line}\n{done.output}"
+
+
+# Tutorials and how-to pages whose commands are cheap; the others run in the slow tier.
+CHEAP = ("drop_test",)
+GUIDES = [page for page in PAGES if page.parent.name in ("tutorials", "howto")]
+
+
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(page, marks=pytest.mark.full if page.stem in CHEAP else pytest.mark.slow) for page in GUIDES],
+    ids=lambda page: f"{page.parent.name}/{page.stem}",
+)
+def test_guides_run(page, folder):
+    """Python in one namespace, TOML blocks as the files that they name, commands by the command line, in order."""
+    names: dict[str, object] = {}
+    for block in blocks(page, "python", "toml", "bash"):
+        if block.language == "python":
+            run_python(block, names)
+        elif block.language == "bash":
+            run_commands(block)
+        elif block.file:
+            Path(block.file).write_text(block.text, encoding="utf-8")
+
+
 # The README's commands, and what they write beside run.toml and environment.json.
 WRITES = {
     "init impact": ("impact.toml",),
@@ -166,11 +221,7 @@ WRITES = {
     "calibrate examples/chung_ooi_fit.toml": ("fit.json", "fitted_scene.toml"),
     "sensitivity impact --wrt stiffness,damping": ("sensitivity.csv", "certificate.json"),
     "study run clearance": ("results.parquet", "study.json"),
-    "study indices STUDY.toml": (),
-    "reproduce": (),
 }
-# Run elsewhere: tests/analysis/test_sensitivity_indices.py and tests/analysis/test_reproduce.py.
-ELSEWHERE = ("study indices STUDY.toml", "reproduce")
 
 
 def test_every_command_of_the_readme_is_known():
@@ -186,7 +237,7 @@ def bcfj(*arguments: str):
     return CliRunner().invoke(app, [*arguments, "--out", "out"])
 
 
-@pytest.mark.parametrize("command", [name for name in WRITES if name not in ELSEWHERE])
+@pytest.mark.parametrize("command", WRITES)
 def test_commands_run(command, folder):
     done = bcfj(*command.split())
     assert done.exit_code == 0, done.stderr

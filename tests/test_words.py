@@ -12,7 +12,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = sorted([*(ROOT / "docs").glob("*.md"), ROOT / "README.md", ROOT / "benchmarks" / "README.md"])
+OUTSIDE = (ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "benchmarks" / "README.md")
+PAGES = sorted([*(ROOT / "docs").rglob("*.md"), *OUTSIDE])
 # A word of ours, the field's, and where ours is the right one all the same.
 WORDS: tuple[tuple[str, str, str], ...] = (
     (r"rooms?", "module, layer, folder", r"room temperature"),

@@ -1,11 +1,11 @@
-"""The trade of every built-in scene: ``bcfj tradeoff`` on impact, bounce and the joint, kept, drawn, and in the README.
+"""The trade of every built-in scene: ``bcfj tradeoff`` on impact, bounce and the joint, kept, drawn, and in docs/accuracy.md.
 
 Beside it the levels as ``bcfj simulate`` runs them: seconds of ``fast``, ``balanced`` and ``reference`` on the same
 scene, their error against the study's own truth; of the joint against CVODES (``joint_reference``), from a pitch after
 the load has risen. A study goes on where it was cut off (build/tradeoff).
 
     python -m benchmarks.analysis.tradeoff [SCENE ...] [--budget 900] [--drawn]
-        writes results/tradeoff_SCENE.json, docs/images/tradeoff.png and the README's table; --drawn measures nothing
+        writes results/tradeoff_SCENE.json, docs/images/tradeoff.png the table in docs/accuracy.md; --drawn measures nothing
 """
 
 from __future__ import annotations
@@ -154,7 +154,7 @@ def main() -> None:
     for name in () if asked.drawn else asked.scenes or TABLES:
         measure(name, asked.budget, [x for x in asked.only.split(",") if x], not asked.no_derivatives)
     picture()
-    put_in_readme("tradeoff", table())
+    put_in_readme("tradeoff", table(), "docs/accuracy.md")
 
 
 if __name__ == "__main__":

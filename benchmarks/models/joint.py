@@ -1,7 +1,7 @@
 """The joint: cost of each part, work against error beside other people's solvers, a batch, and what options save.
 
     python -m benchmarks.models.joint            all, some ten minutes on a quiet machine; needs the extra ``bench`` and cc
-    python -m benchmarks.models.joint costs      or any of: costs, precision, seconds, batch, options; then the README's table
+    python -m benchmarks.models.joint costs      or any of: costs, precision, seconds, batch, options; then docs/accuracy.md
 
 Wall times are medians, one thread of XLA, everything compiled before. Forces: normal forces of flank 1 at both races,
 0.6 s of the default joint, 301 outputs. ``loaded`` leaves out samples below 200 N, where a free ball drifts in its
@@ -215,13 +215,13 @@ def options() -> dict[str, Any]:
 
 
 def readme() -> str:
-    """The README's table, from the kept results."""
+    """The table of docs/accuracy.md, from the kept results."""
     seconds, batch = load("joint_seconds")["seconds"], load("joint_batch")["batch"]
     rows = [["", "wall", "force error"]]
     rows.append(["joint, 3 s at 1 %, compiled", f"{seconds['joint_3s_wall']:.2f} s", ""])
     rows.append(["... compile, nothing cached", f"{seconds['joint_3s_compile']:.0f} s", ""])
-    rows.append(["joint, 0.6 s, one lane", f"{1e3 * batch['one_lane_s']:.0f} ms", ""])
-    rows.append(["... a lane of 64", f"{1e3 * batch['per_lane_s']:.0f} ms", ""])
+    rows.append(["joint, 0.6 s, a single run", f"{1e3 * batch['one_lane_s']:.0f} ms", ""])
+    rows.append(["... a run of a batch of 64", f"{1e3 * batch['per_lane_s']:.0f} ms", ""])
     rows.append(["quasistatic, 360 angles", f"{1e3 * seconds['quasistatic_360_wall']:.0f} ms", ""])
     for row in load("joint_precision")["precision"]["rows"]:
         error = f"{row['loaded']:.2g} N" if row["failed"] is None else row["failed"]
@@ -237,7 +237,7 @@ def main() -> None:
         content = PARTS[name]()
         print(name, content)
         save(f"joint_{name}", {name: content})
-    put_in_readme("joint", readme())
+    put_in_readme("joint", readme(), "docs/accuracy.md")
 
 
 if __name__ == "__main__":

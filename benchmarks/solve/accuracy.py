@@ -4,7 +4,7 @@ For each requested force error: the worst error over a set of scenes of peak for
 whole history, in fractions of the peak, and the steps it took. The reference is SciPy's DOP853 at 1e-12 with its own
 NumPy force law and an event at every touch.
 
-    python -m benchmarks.solve.accuracy    measures, keeps benchmarks/results/accuracy.json, updates README.md
+    python -m benchmarks.solve.accuracy    measures, keeps benchmarks/results/accuracy.json, and docs/accuracy.md
 """
 
 from __future__ import annotations
@@ -140,8 +140,8 @@ def table(result: dict[str, Any]) -> str:
 def main() -> None:
     rows = [{"asked": e, "impact": impact_errors(e), "bounce": bounce_errors(e)} for e in ERRORS]
     save("accuracy", {"rows": rows, "bounces": BOUNCES})
-    put_in_readme("accuracy", table(load("accuracy")))
-    print(table(load("accuracy")))
+    put_in_readme("accuracy", table(load("accuracy")), "docs/accuracy.md")
+    print(table(load("accuracy")), "docs/accuracy.md")
 
 
 if __name__ == "__main__":

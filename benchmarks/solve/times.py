@@ -3,7 +3,7 @@
 Three situations, each in fresh processes: nothing cached; the persistent cache filled; and, in one process, a
 second call with new parameter values. Medians of several repetitions.
 
-    python -m benchmarks.solve.times            measures, keeps benchmarks/results/times.json, updates README.md
+    python -m benchmarks.solve.times            measures, keeps benchmarks/results/times.json, and docs/accuracy.md
     python -m benchmarks.solve.times --worker   (internal) one process
 """
 
@@ -94,8 +94,8 @@ def main() -> None:
             cold.append(one_process(cache))
             cached.append(one_process(cache))
     save("times", {"cold": median(cold), "cached": median(cached), "processes": PROCESSES})
-    put_in_readme("times", table(load("times")))
-    print(table(load("times")))
+    put_in_readme("times", table(load("times")), "docs/accuracy.md")
+    print(table(load("times")), "docs/accuracy.md")
 
 
 if __name__ == "__main__":
