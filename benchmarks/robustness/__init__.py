@@ -1,0 +1,1 @@
+"""What breaks: mutated files, attacks on the Python interface, kills, races, hostile surroundings."""

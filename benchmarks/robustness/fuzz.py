@@ -1,0 +1,323 @@
+"""Thousands of damaged inputs: no traceback, no hang, no run called good whose forces are wrong.
+
+    python -m benchmarks.robustness.fuzz [--cases 2000] [--only scene,calibration,...] [--seed 0] [--keep]
+
+Each case is a mutation of a good file (``mutations``), drawn from its own seed, read as the command reads it:
+
+scene         loaded; if it is accepted and its scene runs quickly, it is simulated. A run that is ``ok`` must have finite
+              forces. Where the mutated file is still an impact by the default law, the highest force must be the closed form's
+              (../shared/physics.md section 3), computed here from the parameters alone.
+calibration   loaded with its records, as ``bcfj validate`` does
+study         loaded, its points drawn if there are fewer than 100 000
+csv, ...      records of each data format, read with the columns and units of a good calibration
+journal, ...  what a cut-off job has kept, restored
+
+A refusal must be an ``InputError`` that names the file, quotes at most 200 characters of a value, and gives a remedy.
+"""
+
+from __future__ import annotations
+
+import argparse
+import collections
+import resource
+import shutil
+import signal
+import sys
+import tempfile
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.optimize import brentq
+
+from benchmarks.common import ROOT, markdown, save
+from benchmarks.robustness.mutations import of_toml
+
+HANG = 5.0
+# A message may list what is known; the value that it refuses is cut.
+LONGEST_MESSAGE = 2000
+LONGEST_VALUE = 200
+
+
+class Case(NamedTuple):
+    """How one case ended.
+
+    Attributes:
+        outcome: "accepted", "refused", or what is wrong: "traceback", "hang", "bad message", "wrong force".
+        seconds: of reading alone.
+        detail: the message, or the end of the traceback.
+    """
+
+    outcome: str
+    seconds: float
+    detail: str
+
+
+class Hang(BaseException):
+    """Raised by the timer; no ``except Exception`` catches it."""
+
+
+@contextmanager
+def limited(seconds: float) -> Iterator[None]:
+    """Interrupt Python code after a time."""
+
+    def stop(*_: object) -> None:
+        raise Hang
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def message_fault(message: str, file: Path, content: bytes) -> str:
+    """What is wrong with a refusal's words; "" for nothing."""
+    if file.name not in message:
+        return "does not name the file"
+    if "; " not in message:
+        return "gives no remedy"
+    if len(message) > LONGEST_MESSAGE:
+        return f"has {len(message)} characters"
+    text = content.decode("utf-8", "replace")
+    # Long runs of one character are the mutations' own; a message that repeats one repeats the value.
+    for character in "x9[(µ":
+        if character * (LONGEST_VALUE + 1) in text and character * (LONGEST_VALUE + 1) in message:
+            return "repeats a long value"
+    return ""
+
+
+def run_case(read: Callable[[Path], Any], then: Callable[[Any], str], file: Path, content: bytes) -> Case:
+    """Write a mutated file, read it, and look at what was accepted."""
+    from bcfj_jax import InputError
+
+    file.write_bytes(content)
+    begun = time.perf_counter()
+    try:
+        with limited(HANG):
+            found = read(file)
+        seconds = time.perf_counter() - begun
+        wrong = then(found)
+        return Case("wrong force" if wrong else "accepted", seconds, wrong)
+    except InputError as error:
+        fault = message_fault(str(error), file, content)
+        detail = f"{fault}: {str(error)[:600]}" if fault else str(error)[:300]
+        return Case("bad message" if fault else "refused", time.perf_counter() - begun, detail)
+    except Hang:
+        return Case("hang", time.perf_counter() - begun, "".join(traceback.format_exc(limit=-6)))
+    except BaseException as error:
+        if isinstance(error, KeyboardInterrupt):
+            raise
+        return Case("traceback", time.perf_counter() - begun, "".join(traceback.format_exc(limit=-5))[-1500:])
+
+
+def closed_peak(mass: float, speed: float, stiffness: float, exponent: float, damping: float) -> float:
+    """Highest force [N] of F = K d^n (1 + a d') against a wall, ../shared/physics.md section 3 with chi = a v0."""
+    n, chi = exponent, damping * speed
+    if chi < 1e-6:
+        depth = ((n + 1.0) * mass * speed**2 / (2.0 * stiffness)) ** (1.0 / (n + 1.0))
+        return stiffness * depth**n
+
+    # The peak's rate u v0: (1 - u) - n u/(n + 1) = ln((1 + chi)/(1 + chi u))/chi.
+    u = brentq(
+        lambda u: (1.0 - u) - n * u / (n + 1.0) - (np.log1p(chi) - np.log1p(chi * u)) / chi, 0.0, 1.0, xtol=1e-15
+    )
+    depth = (n * mass * speed**2 * u / (chi * stiffness)) ** (1.0 / (n + 1.0))
+    return stiffness * depth**n * (1.0 + chi * u)
+
+
+class Simulated:
+    """Runs scenes that were accepted: those of one degree of freedom always, others until their share is used up.
+
+    Every structure of a scene compiles its own program, which is not what is tested here.
+    """
+
+    def __init__(self, others: int) -> None:
+        self.left = collections.Counter({kind: others for kind in ("oblique_impact", "backlash", "chain", "mechanism")})
+        self.left |= collections.Counter(impact=10**9, bounce=10**9)
+        self.runs = 0
+        self.compared = 0
+
+    def __call__(self, given: Any) -> str:
+        """What is wrong with the run of a scene that was accepted; "" for nothing."""
+        kind = given.scene.kind
+        if self.left[kind] <= 0 or len(given.times) > 200_000:
+            return ""
+        self.left[kind] -= 1
+        from bcfj_jax import simulate
+
+        run = simulate(
+            given.scene, given.params, given.times, accuracy=given.accuracy, max_steps=min(given.max_steps, 20_000),
+            solver=given.solver,
+        )  # fmt: skip
+        self.runs += 1
+        forces = [force for force in run.force.values() if force.size]
+        finite = all(np.isfinite(force).all() for force in forces)
+        if run.status == "ok" and not finite:
+            return f"ok with forces that are not finite, {given.resolved}"
+        if run.status != "ok" and not run.reason:
+            return f"failed without a reason, {given.resolved}"
+        return self._compare(given, run) if kind == "impact" and run.status == "ok" else ""
+
+    def _compare(self, given: Any, run: Any) -> str:
+        """The highest force of an impact by the default law beside the closed form's."""
+        options = given.resolved["scene"]
+        if options.get("law") != "memory_free" or options.get("elastic", "power") != "power":
+            return ""
+        p = {name: float(value) for name, value in given.params.items()}
+        if not p["approach_speed"] > 0.0:
+            return ""
+        expected = closed_peak(p["mass"], p["approach_speed"], p["stiffness"], p["exponent"], p["damping"])
+        depth = (expected / p["stiffness"]) ** (1.0 / p["exponent"])
+        start = p["clearance_contact"] / p["approach_speed"]
+        contact = depth / p["approach_speed"]
+        over = float(given.times[-1]) > start + 4.0 * contact
+        fine = (given.times[1] - given.times[0]) < 0.02 * contact
+        # A regularised contact, and a law that jumps at first touch, have another peak.
+        plain = p.get("smoothing", 0.0) < 1e-3 * depth and p["damping"] * p["approach_speed"] < 10.0
+        if not (over and fine and plain and np.isfinite(expected)):
+            return ""
+        self.compared += 1
+        found = float(np.max(run.force["contact"][:, 0]))
+        share = given.accuracy if isinstance(given.accuracy, float) else 0.05
+        return (
+            "" if abs(found / expected - 1.0) <= 0.02 + share else f"peak {found:g} N, closed form {expected:g} N, {p}"
+        )
+
+
+def good_scenes() -> list[str]:
+    """Texts of scene files that load."""
+    from bcfj_jax.io.scenetemplate import template
+
+    kinds = (
+        "impact",
+        "impact",
+        "impact",
+        "bounce",
+        "oblique_impact",
+        "backlash",
+        "chain",
+        "slider_crank",
+        "joint",
+        "mechanism",
+    )
+    return [template(kind) for kind in kinds] + [(ROOT / "examples/chung_ooi_test1.toml").read_text()]
+
+
+STUDIES = (
+    """scene = "impact"
+[design]
+kind = "grid"
+[vary.stiffness]
+lower = 1e9
+upper = 1e11
+steps = 4
+scale = "log"
+[vary.clearance_contact]
+values = ["1 um", "2 um"]
+[results]
+features = ["contact.peak", "contact.impulse"]
+derivatives = ["stiffness"]
+""",
+    """scene = { scene = { kind = "bounce" }, time = { end = "0.2 s", samples = 501 } }
+[design]
+kind = "latin_hypercube"
+points = 16
+seed = 3
+[vary.drop_height]
+lower = "1 mm"
+upper = "5 cm"
+[vary.damping]
+lower = "0.01 s/m"
+upper = "0.5 s/m"
+[results]
+histories = true
+""",
+    """scene = "joint"
+[design]
+kind = "sobol"
+points = 32
+[vary.clearance_seat_cage]
+lower = "10 um"
+upper = "200 um"
+[results]
+features = ["seat_cage.peak", "seat_ball.peak"]
+""",
+)
+
+
+def settings(count: int) -> dict[str, tuple[list[str], Callable, Callable, int]]:
+    """By target: good files, how one is read, what is done with what was accepted, and how many cases."""
+    from bcfj_jax.analysis.studies import specification
+    from bcfj_jax.io import scenefile
+    from calibration import problemfile
+
+    def drawn(study: Any) -> str:
+        if study.count < 100_000 and not np.isfinite(study.points).all():
+            return "points that are not finite"
+        return ""
+
+    examples = ROOT / "examples"
+    problems = [(examples / name).read_text() for name in ("chung_ooi_fit.toml", "joint_fit.toml")]
+    two_models = '[[model]]\nname = "Hertz"\nparameters = { exponent = 1.5 }\n[free]'
+    problems.append(problems[0].replace("[free]", two_models))
+    return {
+        "scene": (good_scenes(), scenefile.load, Simulated(max(3, count // 50)), count),
+        "calibration": (problems, problemfile.load, lambda problem: "", count),
+        "study": (list(STUDIES), specification.load, drawn, count),
+    }
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the cases, print the table, say every fault once; the number of faults."""
+    options = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    options.add_argument("--cases", type=int, default=2000)
+    options.add_argument("--only", default="")
+    options.add_argument("--seed", type=int, default=0)
+    options.add_argument("--keep", action="store_true", help="keep the table in benchmarks/results/fuzz.json")
+    given = options.parse_args(arguments)
+    import bcfj_jax as bj
+
+    bj.use_cache()
+    rows, faults = [["files", "cases", "accepted", "refused", "faults", "slowest to read", "simulated", "compared"]], 0
+    with tempfile.TemporaryDirectory() as folder:
+        for path in (ROOT / "examples").iterdir():
+            shutil.copy(path, folder)
+        for target, (good, read, then, count) in settings(given.cases).items():
+            if given.only and target not in given.only.split(","):
+                continue
+            ended: collections.Counter[str] = collections.Counter()
+            slowest, said = 0.0, set()
+            for k in range(count):
+                rng = np.random.default_rng([given.seed, k, len(target)])
+                content = of_toml(rng, good[k % len(good)])
+                case = run_case(read, then, Path(folder) / f"{target}_case.toml", content)
+                ended[case.outcome] += 1
+                slowest = max(slowest, case.seconds)
+                if case.outcome not in ("accepted", "refused"):
+                    faults += 1
+                    key = (case.outcome, case.detail.strip().splitlines()[-1][:80])
+                    if key not in said:
+                        said.add(key)
+                        print(
+                            f"--- {target} case {k} (seed {given.seed}): {case.outcome}\n{case.detail}", file=sys.stderr
+                        )
+            bad = sum(n for outcome, n in ended.items() if outcome not in ("accepted", "refused"))
+            runs, compared = getattr(then, "runs", 0), getattr(then, "compared", 0)
+            cells = [target, count, ended["accepted"], ended["refused"], bad, f"{slowest:.2f} s", runs, compared]
+            rows.append([str(cell) for cell in cells])
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024**2
+    print(markdown(rows), f"\nhighest memory {memory:.2f} GB, faults {faults}")
+    if given.keep:
+        save("fuzz", {"seed": given.seed, "rows": rows, "memory_gb": memory, "faults": faults})
+    return min(faults, 1)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,130 @@
+"""Mutations of good files: of bytes, of lines, and of the keys and values of a TOML file.
+
+A mutation is drawn from a NumPy generator, so that every case can be made again from its seed.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+
+import numpy as np
+
+Rng = np.random.Generator
+
+# Values as a TOML file would hold them: of a wrong type, out of range, of a wrong unit, huge, nested, or not TOML at all.
+HOSTILE = (
+    "nan", "-nan", "inf", "-inf", "0", "-0.0", "-1", "1e-320", "1e308", "1e400", "-1e-9", "5e-324", "9" * 400,
+    "0x7fffffffffffffff", "0.1e1000", "true", "false", '""', '" "', '"abc"', '"nan"', '"inf"', '"-1 kg"',
+    '"1e400 m"', '"0,5 kg"', '"1 parsec"', '"12 furlong/fortnight"', '"1 kg**9**9**9**9"',
+    '"' + "(" * 300 + "1" + ")" * 300 + '"', '"1 m +- 900 %"', '"5 %"', '"1 +- nan m"', '"' + "x" * 5000 + '"',
+    '"' + "µ" * 300 + '"', '"\\u0000"', '"\\u202e1 m"', '"../../../etc/passwd"', '"/dev/zero"', '"C:\\\\x"', "[]",
+    "[[]]", "[1, 2]", "[nan, inf]", '["a"]', "[" * 900 + "]" * 900, "{}", "{ a = 1 }", "{ kind = { kind = {} } }",
+    "1979-05-27", "07:32:00", "1979-05-27T07:32:00Z", "''", '"""\n\n"""', "@", "= 3", "1 2", '"open', "[1, 2",
+    "# nothing",
+)  # fmt: skip
+
+KEYS = (
+    "kind",
+    "name",
+    "a.b.c",
+    '""',
+    '"x y"',
+    "nan",
+    "stiffness",
+    "mass",
+    "end",
+    "samples",
+    "free",
+    "scene",
+    "law",
+    "é",
+    "9" * 50,
+)
+
+
+def of_bytes(rng: Rng, data: bytes) -> bytes:
+    """A few bytes flipped, taken out, repeated, put in, or everything from some place on cut off."""
+    made = bytearray(data)
+    for _ in range(int(rng.integers(1, 6))):
+        at = int(rng.integers(0, max(len(made), 1)))
+        length = int(min(len(made), 2 ** rng.integers(0, 8)))
+        match int(rng.integers(0, 6)):
+            case 0 if made:
+                made[at] ^= 1 << int(rng.integers(0, 8))
+            case 1:
+                del made[at : at + length]
+            case 2:
+                made[at:at] = made[at : at + length]
+            case 3:
+                made[at:at] = rng.bytes(length)
+            case 4:
+                made[at : at + length] = bytes(length)
+            case _ if rng.random() < 0.3:
+                del made[at:]
+    return bytes(made)
+
+
+def _pick(rng: Rng, options: tuple[str, ...]) -> str:
+    return options[int(rng.integers(0, len(options)))]
+
+
+def _hostile_value(rng: Rng, line: str) -> str:
+    key, sign, _ = line.partition("=")
+    return f"{key}= {_pick(rng, HOSTILE)}" if sign else line
+
+
+def _scaled_number(rng: Rng, line: str) -> str:
+    """One number of the line times a power of ten, or negative: what a slip of the hand makes."""
+    numbers = list(re.finditer(r"(?<![\w.])\d+(\.\d+)?(e[+-]?\d+)?", line))
+    if not numbers:
+        return line
+    match = numbers[int(rng.integers(0, len(numbers)))]
+    value = float(match[0]) * 10.0 ** float(rng.integers(-12, 13)) * (-1.0 if rng.random() < 0.2 else 1.0)
+    return f"{line[: match.start()]}{value!r}{line[match.end() :]}"
+
+
+def _other_key(rng: Rng, line: str) -> str:
+    key, sign, value = line.partition("=")
+    if not sign:
+        return line
+    at = int(rng.integers(0, max(len(key.rstrip()), 1)))
+    misspelt = key[:at] + key[at + 1 :]
+    return f"{misspelt if rng.random() < 0.5 and misspelt.strip() else _pick(rng, KEYS)} = {value}"
+
+
+def _other_header(rng: Rng, line: str) -> str:
+    if not line.lstrip().startswith("["):
+        return line
+    name = line.strip().strip("[]")
+    return _pick(
+        rng, (f"[{name}x]", f"[[{name}]]", f"[{name}.more]", f"[{name[:-1]}]", "[]", f"[{name}", f"[{name}.{name}]")
+    )
+
+
+_OF_A_LINE: tuple[Callable[[Rng, str], str], ...] = (
+    _hostile_value, _hostile_value, _scaled_number, _scaled_number, _other_key, _other_header,
+)  # fmt: skip
+
+
+def of_toml(rng: Rng, text: str) -> bytes:
+    """One to three changes of lines that hold something; in one of eight cases of bytes instead."""
+    if rng.random() < 0.125:
+        return of_bytes(rng, text.encode())
+    lines = text.splitlines()
+    for _ in range(int(rng.integers(1, 4))):
+        live = [k for k, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")]
+        if not live:
+            break
+        at = live[int(rng.integers(0, len(live)))]
+        match int(rng.integers(0, 9)):
+            case 0:
+                lines.insert(at, lines[live[int(rng.integers(0, len(live)))]])
+            case 1:
+                del lines[at]
+            case 2:
+                lines.insert(at + 1, f"{_pick(rng, KEYS)} = {_pick(rng, HOSTILE)}")
+            case _:
+                lines[at] = _OF_A_LINE[int(rng.integers(0, len(_OF_A_LINE)))](rng, lines[at])
+    made = ("\n".join(lines) + "\n").encode("utf-8", "surrogatepass")
+    return b"\xef\xbb\xbf" + made if rng.random() < 0.02 else made
