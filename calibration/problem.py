@@ -10,7 +10,7 @@ import numpy as np
 
 from bcfj_jax import InputError, check_value, nearest
 from bcfj_jax.analysis.derivatives.names import feature
-from bcfj_jax.core.quantities import Quantity
+from bcfj_jax.core.quantities import Quantity, check_order
 from bcfj_jax.mechanism.channels import channel as reading
 from bcfj_jax.mechanism.channels import unit_of
 from bcfj_jax.mechanism.model import AbstractModel
@@ -253,6 +253,7 @@ class Problem:
         contacts = self.scene.members
         for experiment in self.experiments:
             _check_experiment(experiment, self.scene)
+            self._check_fixed(experiment)
             _check_features(experiment, contacts)
         fitted = [e for e in self.experiments if not e.hold_out]
         samples = sum(e.samples for e in fitted)
@@ -274,6 +275,17 @@ class Problem:
                 if f.name in e.fixed:
                     found = f"'{f.name}' is free, and known to be {e.fixed[f.name]:g} in {e.name}"
                     raise InputError(self.where, found, "take one of them out")
+
+    def _check_fixed(self, e: Experiment) -> None:
+        """What is known of one record: names, ranges, and values that agree with each other."""
+        where, known = f"{self.where}: parameters of {e.name}", self.quantities
+        for name, value in e.fixed.items():
+            if name not in known:
+                raise InputError(where, f"scene '{self.scene.kind}' has no parameter '{name}'", nearest(name, known))
+            check_value(where, known[name], value)
+        sought = {f.name for f in self.free}
+        values = {name: value for name, value in (self.params | e.fixed).items() if name not in sought}
+        check_order(where, [name for name in self.scene.quantities if name in values], values)
 
     def _check_bounds(self, e: Experiment, name: str) -> None:
         free, where = {f.name: f for f in self.free}.get(name), f"{self.where}: bounds of {name} in {e.name}"
@@ -360,13 +372,13 @@ def _check_noise(channel: Channel, where: str) -> None:
     unit = unit_of(channel.observes)
     if channel.sigma is None and (channel.relative or channel.jitter):
         raise InputError(where, "one part is stated, the other estimated", "state both or estimate one number")
-    if channel.correlation is not None and not channel.correlation >= 0:
-        raise InputError(where, f"a correlation time of {channel.correlation:g} s", "give 0 or more")
+    if channel.correlation is not None and not 0.0 <= channel.correlation < np.inf:
+        raise InputError(where, f"a correlation time of {channel.correlation:g} s", "give a finite time, 0 or more")
     if channel.sigma is None:
         return
-    if not (channel.sigma >= 0 and channel.relative >= 0 and channel.jitter >= 0):
+    if not all(0.0 <= part < np.inf for part in (channel.sigma, channel.relative, channel.jitter)):
         found = f"{channel.sigma:g} {unit} + {channel.relative:.3%} of reading + {channel.jitter:g} s of clock"
-        raise InputError(where, found, "give deviations above 0")
+        raise InputError(where, found, "give finite deviations above 0")
     size = np.abs(channel.values[np.isfinite(channel.values)])
     least, peak = size.min(initial=np.inf), size.max(initial=0.0)
     # A ten-thousandth of the peak is below what any sensor resolves.

@@ -70,7 +70,7 @@ def noise(stated: object, observes: str, values: np.ndarray, where: str) -> Nois
         else:
             sigmas.append(quantity(text, unit_of(observes), where))
     least = min(sigmas + shares + jitters)
-    if not least > 0:
+    if not (least > 0 and math.isfinite(sum(sigmas + shares + jitters))):
         raise InputError(where, f"noise = {stated} gives a deviation of {least:g}", _RIGHT)
     if not sigmas and not shares:
         raise InputError(where, f"noise = {stated} is none where the reading does not change", _RIGHT)

@@ -39,9 +39,17 @@ def coordinates_of(problem: Problem, experiments: tuple[Experiment, ...]) -> tup
         share = f.as_share
         for owner in range(len(experiments)) if f.per_experiment else [None]:
             own = (f.lower, f.upper) if owner is None else experiments[owner].bounds.get(f.name, (f.lower, f.upper))
-            low, high = _logarithms(*own) if share else own
+            low, high = _reached(*(_logarithms(*own) if share else own))
             coordinates.append(Coordinate(f.name, owner, share, float(low), float(high), f.log and not share))
     return tuple(coordinates)
+
+
+def _reached(low: float, high: float) -> tuple[float, float]:
+    """Bounds such that the far end of the unit box, low + 1 (high - low), lies within them in spite of rounding."""
+    top = high
+    while low + (top - low) > high:
+        top = float(np.nextafter(top, -np.inf))
+    return low, top
 
 
 def _logarithms(lower: float, upper: float) -> tuple[float, float]:

@@ -177,6 +177,16 @@ BAD = {
         swap("noise", "parameters = { masss = 1 }\nnoise"),
         ["[[experiment]] 1 parameters", "no parameter 'masss'", "mass"],
     ),
+    "own parameter that is no number": (
+        swap("noise", "parameters = { mass = nan }\nnoise"),
+        ["p.toml: parameters of d", "mass = nan kg is out of range", "must be > 0"],
+    ),
+    "own parameter below 0": (
+        swap("noise", "parameters = { mass = -1 }\nnoise"),
+        ["p.toml: parameters of d", "mass = -1 kg is out of range", "must be > 0"],
+    ),
+    "correlation": (swap("noise", "correlation = inf\nnoise"), ["correlation time of inf s", "finite time"]),
+    "infinite noise": (swap('"1 N"', "inf"), ["[[experiment]] 1 noise", "noise = inf gives", "2 % of reading"]),
     "few samples": (
         lambda: (
             lines(lambda r: [r[0], *r[5:8]])(),

@@ -11,7 +11,7 @@ from calibration.diagnostics.answers import Answer
 from calibration.diagnostics.fit_tests import Spread
 from calibration.diagnostics.records import Record
 from calibration.diagnostics.residual_tests import Series, overstated, residual_tests
-from calibration.forward.coordinates import _logarithms
+from calibration.forward.coordinates import _logarithms, _reached
 from calibration.uncertainty.law_miss import _power, block_length, clustered, discrepancy, in_blocks
 
 # One contact of 60 samples between 30 quiet ones on either side; peak 1, noise 0.002.
@@ -234,3 +234,13 @@ def test_bounds_on_a_logarithmic_scale_are_never_left_by_rounding():
         low, high = _logarithms(lower, upper)
         assert lower <= np.exp(low) <= lower * (1 + 1e-14) and upper * (1 - 1e-14) <= np.exp(high) <= upper
     assert np.exp(_logarithms(1.0, 3.0)[1]) <= 3.0
+
+
+def test_the_far_end_of_the_unit_box_is_within_the_bounds():
+    rng = np.random.default_rng(7)
+    over = 0
+    for lower, upper in np.sort(rng.uniform(-3.0, 3.0, (400, 2)), axis=1):
+        low, high = _reached(lower, upper)
+        over += lower + (upper - lower) > upper
+        assert low == lower and low + (high - low) <= upper and upper - high <= 1e-15 * 3.0
+    assert over > 0  # Without the correction some of these would be left.
