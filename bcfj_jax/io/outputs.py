@@ -9,13 +9,16 @@ import json
 import math
 import os
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bcfj_jax.core.errors import InputError
+from bcfj_jax.io.folder import already_there, unwritable
+from bcfj_jax.io.folder import inside as inside
+from bcfj_jax.io.folder import open_folder as open_folder
+from bcfj_jax.io.folder import session as session
 from bcfj_jax.io.provenance import environment as environment
 from bcfj_jax.mechanism.readings import STATES
 
@@ -25,35 +28,8 @@ if TYPE_CHECKING:
 COMPONENTS = ("normal", "axial", "tangential")
 
 
-def open_folder(out: Path | None, verb: str, stem: str, will_write: Sequence[str]) -> Path:
-    """The folder for a command's results; it is created with the first file that is written.
-
-    Args:
-        out: what the user asked for; None: ``results/<verb>-<stem>``, numbered where that exists.
-        verb, stem: what was done to what.
-        will_write: names of the files to come.
-
-    Raises:
-        InputError: if the folder asked for already holds one of them, or is no folder.
-    """
-    if out is None:
-        base, number = Path("results") / f"{verb}-{stem}", 1
-        folder = base
-        while folder.exists():
-            number += 1
-            folder = base.with_name(f"{base.name}-{number}")
-        return folder
-    if out.exists() and not out.is_dir():
-        raise InputError(f"--out {out}", "this is not a folder", "name a folder")
-    there = [name for name in will_write if (out / name).exists()]
-    if there:
-        found = f"already holds {', '.join(there)}"
-        raise InputError(f"--out {out}", found, "name another folder, or remove them: nothing is overwritten")
-    return out
-
-
 @contextlib.contextmanager
-def atomic(path: Path) -> Iterator[Path]:
+def atomic(path: Path, place: Callable[[str, Path], None] = os.replace) -> Iterator[Path]:
     """A temporary name beside a file; the file appears whole when the block ends without error."""
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
@@ -64,16 +40,40 @@ def atomic(path: Path) -> Iterator[Path]:
         mask = os.umask(0)
         os.umask(mask)
         os.chmod(name, 0o666 & ~mask)
-        os.replace(name, path)
-    except BaseException:
+        place(name, path)
+    finally:
         Path(name).unlink(missing_ok=True)
-        raise
 
 
 def write_text(path: Path, text: str) -> None:
-    """A UTF-8 file, atomically."""
+    """A UTF-8 file, atomically. What is no character, as in a file name of other bytes, is written as its escape."""
     with atomic(path) as temporary:
-        temporary.write_text(text, encoding="utf-8", newline="\n")
+        temporary.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
+
+
+def create(path: Path, text: str) -> None:
+    """A UTF-8 file that was not there, whole: of two processes that ask at once, one gets it.
+
+    Raises:
+        InputError: if it is there already, or cannot be written.
+    """
+    open_folder(path.parent, "init", "", [path.name], lock=False)
+    try:
+        with atomic(path, _new) as temporary:
+            temporary.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
+    except OSError as error:
+        raise unwritable(f"--out {path.parent}", error) from None
+
+
+def _new(temporary: str, path: Path) -> None:
+    try:
+        os.link(temporary, path)
+    except FileExistsError:
+        raise already_there(path.parent, [path.name]) from None
+    except OSError:  # A file system without links.
+        if path.exists():
+            raise already_there(path.parent, [path.name]) from None
+        os.replace(temporary, path)
 
 
 def plain(value: Any) -> Any:

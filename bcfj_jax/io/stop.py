@@ -22,40 +22,54 @@ T = TypeVar("T")
 _asked = threading.Event()
 # Whether something was left behind that still computes.
 _abandoned = threading.Event()
+# The signal that asked last.
+_last: list[int] = []
 
 
 class OutOfTime(Exception):
     """What was not done in its time."""
 
 
-def _remember(_: int, __: FrameType | None) -> None:
+def _remember(number: int, __: FrameType | None) -> None:
     _asked.set()
+    _last[:] = [number]
     raise KeyboardInterrupt
 
 
+def last() -> int:
+    """Number of the signal that asked to stop: SIGINT's where none is known."""
+    return _last[0] if _last else int(signal.SIGINT)
+
+
 @contextlib.contextmanager
-def heeded() -> Iterator[None]:
+def heeded(*others: signal.Signals) -> Iterator[None]:
     """Within, Ctrl-C is remembered. Where it is ignored, as by a shell's background jobs, it stays ignored.
 
     Within another, what came since the outer one began, and was reported to nobody, is raised at once.
 
+    Args:
+        others: signals that shall do the same, such as SIGTERM: for a command, whose process is its own.
+
     Raises:
         KeyboardInterrupt: if Ctrl-C came since an outer one began.
     """
-    before = signal.getsignal(signal.SIGINT)
-    if threading.current_thread() is not threading.main_thread() or before is signal.SIG_IGN:
+    if threading.current_thread() is not threading.main_thread():
         yield
         return
-    if before is _remember:
+    if any(signal.getsignal(number) is _remember for number in (signal.SIGINT, signal.SIGTERM)):
         check()
         yield
         return
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, *others)}
+    before = {number: handler for number, handler in before.items() if handler is not signal.SIG_IGN}
     _asked.clear()
-    signal.signal(signal.SIGINT, _remember)
+    for number in before:
+        signal.signal(number, _remember)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
         _asked.clear()
 
 

@@ -1,0 +1,313 @@
+"""Folders of results: reserved for one process, tried before anything is computed, and left as found where a run fails.
+
+A command opens its folder by ``open_folder`` within a ``session``. The folder is made, locked by the file ``.bcfj-run``
+in it, and written to before the run, so that a full disk or a read-only one is found first. The lock is the system's
+and ends with its process. The file names what the run will write: where it is found unlocked, that run was killed, and
+what it left is no result.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import os
+import shutil
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from bcfj_jax.core.errors import InputError
+
+try:
+    import fcntl
+except ImportError:  # Windows: folders are not locked there.
+    fcntl = None
+
+LOCK = ".bcfj-run"
+# Free space below which no run is begun [bytes]: tables, pictures and the report of a small one.
+LEAST_FREE = 1_000_000
+# How long to wait for a folder that another process has [s].
+WAIT_S = 1.0
+# Of a lock file that is read [bytes].
+_MOST = 100_000
+_REMEDIES = {
+    errno.ENOSPC: "free some space, or name another folder",
+    errno.EDQUOT: "free some space, or name another folder",
+    errno.EROFS: "name a folder that can be written",
+    errno.EACCES: "name a folder that you may write",
+    errno.EPERM: "name a folder that you may write",
+    errno.ENAMETOOLONG: "give a shorter name",
+    errno.ENOTDIR: "name a folder that is not below a file",
+    errno.ELOOP: "name a folder",
+}
+
+
+@dataclass
+class _Reserved:
+    """A folder of this process."""
+
+    folder: Path
+    names: tuple[str, ...]
+    goes_on: str
+    made: list[Path]
+    handle: int
+
+    @property
+    def kept(self) -> bool:
+        return bool(self.goes_on) and (self.folder / self.goes_on).exists()
+
+    def release(self, good: bool) -> None:
+        """Give the folder back; of a run that failed and keeps nothing, take away what was written."""
+        with contextlib.suppress(OSError):
+            for name in self.names:
+                for path in self.folder.glob(f".{_escaped(name)}.*"):
+                    path.unlink(missing_ok=True)
+                if not good and not self.kept:
+                    (self.folder / name).unlink(missing_ok=True)
+            (self.folder / LOCK).unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            os.close(self.handle)
+        if not self.kept:
+            _remove_empty(self.made)
+
+
+@dataclass
+class Session:
+    """Folders that a command has reserved.
+
+    Attributes:
+        kept: folders whose finished work the same command goes on with, where it was cut off.
+        reserved: folders that are this process's.
+    """
+
+    kept: list[Path] = field(default_factory=list)
+    reserved: list[_Reserved] = field(default_factory=list)
+
+
+_sessions: list[Session] = []
+
+
+@contextlib.contextmanager
+def session() -> Iterator[Session]:
+    """Within, folders that are opened belong to this process; an error takes back what was written and is not kept."""
+    mine, good = Session(), False
+    _sessions.append(mine)
+    try:
+        yield mine
+        good = True
+    finally:
+        _sessions.remove(mine)
+        mine.kept += [one.folder for one in mine.reserved if one.kept]
+        for outer in _sessions[-1:]:
+            outer.kept += mine.kept
+        for one in reversed(mine.reserved):
+            one.release(good)
+
+
+def open_folder(
+    out: Path | None, verb: str, stem: str, will_write: Sequence[str], goes_on: str = "",
+    size: int = LEAST_FREE, wait_s: float = WAIT_S, lock: bool = True,
+) -> Path:  # fmt: skip
+    """The folder for a command's results. Within a ``session`` it is made, locked and tried here.
+
+    Args:
+        out: what the user asked for; None: ``results/<verb>-<stem>``, numbered where that exists.
+        verb, stem: what was done to what.
+        will_write: names of the files to come.
+        goes_on: name of the file that keeps finished work; a folder that holds it is gone on with.
+        size: free space that the results need [bytes].
+        wait_s: how long to wait for a folder that another process has [s].
+        lock: whether the folder is this process's alone until the session ends.
+
+    Raises:
+        InputError: if the folder asked for already holds one of the files, is no folder, cannot be written, has no
+            space, or another process writes there.
+    """
+    try:
+        if out is None:
+            return _default(f"{verb}-{stem}", verb, tuple(will_write), goes_on, size)
+        if not (_sessions and lock):
+            _refuse_what_is_there(out, will_write, goes_on)
+            return out
+        made = _make(out)
+        try:
+            _sessions[-1].reserved.append(_reserve(out, verb, tuple(will_write), goes_on, made, size, wait_s))
+        except BaseException:
+            _remove_empty(made)
+            raise
+    except InputError:
+        raise
+    except (OSError, ValueError) as error:
+        where = "the folder results" if out is None else f"--out {str(out)[:200]}"
+        raise unwritable(where, error) from None
+    return out
+
+
+def unwritable(where: str, error: Exception) -> InputError:
+    """What cannot be written, and what to do, from the system's error."""
+    code, said = (error.errno, error.strerror) if isinstance(error, OSError) else (None, None)
+    return InputError(where, f"cannot be written ({said or error})", _REMEDIES.get(code or 0, "name another folder"))
+
+
+def already_there(folder: Path, names: Sequence[str]) -> InputError:
+    """Files that are in the way."""
+    remedy = "name another folder, or remove them: nothing is overwritten"
+    return InputError(f"--out {folder}", f"already holds {', '.join(names)}", remedy)
+
+
+def _default(name: str, verb: str, names: tuple[str, ...], goes_on: str, size: int) -> Path:
+    """A folder that did not exist: of two processes that ask at once, each gets its own."""
+    base, number = Path("results") / name, 1
+    folder = base
+    if not _sessions:
+        while folder.exists():
+            number += 1
+            folder = base.with_name(f"{base.name}-{number}")
+        return folder
+    made = _make(base.parent)
+    while True:
+        try:
+            folder.mkdir()
+            break
+        except FileExistsError:
+            number += 1
+            folder = base.with_name(f"{base.name}-{number}")
+        except FileNotFoundError:  # Another process that gave up has taken the empty folder results away.
+            made = _make(base.parent)
+    made.append(folder)
+    try:
+        _sessions[-1].reserved.append(_reserve(folder, verb, names, goes_on, made, size, 0.0))
+    except BaseException:
+        _remove_empty(made)
+        raise
+    return folder
+
+
+def _make(folder: Path) -> list[Path]:
+    """Make a folder; those that were made, the outermost first."""
+    missing = []
+    for path in (folder, *folder.parents):
+        if path.exists():
+            break
+        missing.insert(0, path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise InputError(f"--out {folder}", "this is not a folder", "name a folder") from None
+    except BaseException:
+        _remove_empty(missing)
+        raise
+    return missing
+
+
+def _remove_empty(folders: Sequence[Path]) -> None:
+    with contextlib.suppress(OSError):
+        for folder in reversed(folders):
+            folder.rmdir()
+
+
+def _reserve(
+    folder: Path, verb: str, names: tuple[str, ...], goes_on: str, made: list[Path], size: int, wait_s: float
+) -> _Reserved:
+    until = time.monotonic() + wait_s
+    while (handle := _locked(folder, made)) is None:
+        if time.monotonic() >= until:
+            found = f"another process writes there ({_said(folder / LOCK).get('verb', 'bcfj')})"
+            raise InputError(f"--out {folder}", found, "name another folder, or wait for it")
+        time.sleep(0.02)
+    reserved = _Reserved(folder, names, goes_on, made, handle)
+    try:
+        # Of a run that was killed: what it names and this one writes as well is half a result.
+        killed = _said(folder / LOCK).get("files", [])
+        if not reserved.kept:
+            for name in set(names).intersection(x for x in killed if isinstance(x, str)):
+                (folder / name).unlink(missing_ok=True)
+        _refuse_what_is_there(folder, names, goes_on)
+        free = shutil.disk_usage(folder).free
+        if free < size:
+            found = f"{free / 1e6:.3g} MB are free, and the results need about {size / 1e6:.3g} MB"
+            raise InputError(f"--out {folder}", found, _REMEDIES[errno.ENOSPC])
+        os.ftruncate(handle, 0)
+        os.pwrite(handle, json.dumps({"verb": f"bcfj {verb}", "files": names}).encode(), 0)
+    except BaseException:
+        reserved.names = ()
+        reserved.release(False)
+        raise
+    return reserved
+
+
+def _locked(folder: Path, made: list[Path]) -> int | None:
+    """The lock file of a folder, held; None where another process holds it."""
+    path = folder / LOCK
+    try:
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o600)
+    except FileNotFoundError:  # Another process gave up, and took the empty folder away.
+        made[:] = [*made, *(x for x in _make(folder) if x not in made)]
+        return None
+    try:
+        if fcntl is not None:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                os.close(handle)
+                return None
+            except OSError as error:
+                # A file system without locks.
+                if error.errno not in (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL):
+                    raise
+        # Its holder may have removed it between the two calls; then it locks nothing.
+        try:
+            same = os.stat(path).st_ino == os.fstat(handle).st_ino
+        except FileNotFoundError:
+            same = False
+    except BaseException:
+        os.close(handle)
+        raise
+    if not same:
+        os.close(handle)
+        return None
+    return handle
+
+
+def _said(path: Path) -> dict:
+    """What a lock file says; nothing where it is damaged."""
+    try:
+        with path.open("rb") as file:
+            found = json.loads(file.read(_MOST))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) and isinstance(found.get("files", []), list) else {}
+
+
+def _refuse_what_is_there(folder: Path, names: Sequence[str], goes_on: str) -> None:
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"--out {folder}", "this is not a folder", "name a folder")
+    if goes_on and (folder / goes_on).exists():
+        return
+    there = [name for name in names if (folder / name).exists()]
+    if there:
+        raise already_there(folder, there)
+
+
+def _escaped(name: str) -> str:
+    return "".join(f"[{x}]" if x in "*?[" else x for x in name)
+
+
+def inside(folder: Path, name: str, where: str) -> Path:
+    """The path of a file in a folder by a name that came from elsewhere: a worker, a file, a record.
+
+    Args:
+        folder: which it may not leave.
+        name: the name; parts are separated by "/".
+        where: where the name comes from, for the message.
+
+    Raises:
+        InputError: for an absolute name, one with "..", with a backslash, a colon or a control character, or too long.
+    """
+    parts = name.split("/")
+    bad = [x for x in parts if x in ("", ".", "..") or len(os.fsencode(x)) > 255]
+    if bad or any(x in "\\:" or not x.isprintable() for x in name):
+        raise InputError(where, f"the name {name[:200]!r} may leave its folder", "give a plain name")
+    return folder.joinpath(*parts)

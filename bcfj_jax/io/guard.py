@@ -1,0 +1,66 @@
+"""What a command says when it cannot go on: a sentence in place of a traceback, and the exit code that belongs to it."""
+
+from __future__ import annotations
+
+import errno
+import traceback
+from collections.abc import Callable
+
+from bcfj_jax.core.errors import InputError
+from bcfj_jax.io import stop
+from bcfj_jax.io.folder import Session, session
+
+BAD_INPUT, INTERRUPTED = 2, 5
+# A process that ends by a signal and keeps nothing has this and the signal's number as its exit code, as in a shell.
+SIGNALLED = 128
+_SPACE = (errno.ENOSPC, errno.EDQUOT)
+
+
+def guarded(verb: Callable[[], int], say: Callable[[str], None]) -> int:
+    """Run a verb; its exit code.
+
+    Bad input and what the system refuses end with 2; with 5 where finished work was kept, so that the same command
+    goes on. Ctrl-C and SIGTERM end with 5 where work was kept, else with 130 or 143, and the folder is as it was.
+
+    Args:
+        verb: what is run; its value is the exit code.
+        say: prints a line for the user.
+    """
+    held = Session()
+    try:
+        with session() as held:
+            return verb()
+    except InputError as error:
+        say(f"error: {error}")
+    except KeyboardInterrupt:
+        if not held.kept:
+            say("interrupted; nothing was kept: start again")
+            return SIGNALLED + stop.last()
+        say("interrupted")
+    except OSError as error:
+        say(f"error: {_refused(error)}")
+    except MemoryError:
+        say("error: not enough memory; ask for fewer samples, points or starts")
+    except RecursionError as error:
+        say(f"error: something is nested too deeply ({_place(error)}); write it flatter")
+    except RuntimeError as error:
+        # XLA's own class for it; there is no common one.
+        if "RESOURCE_EXHAUSTED" not in str(error):
+            raise
+        say("error: not enough memory for this run; ask for fewer samples, points or starts")
+    if not held.kept:
+        return BAD_INPUT
+    say(f"finished work is kept in {held.kept[0]}: the same command with --out {held.kept[0]} goes on")
+    return INTERRUPTED
+
+
+def _refused(error: OSError) -> str:
+    where = f"{error.filename}: " if error.filename else ""
+    remedy = "free some space" if error.errno in _SPACE else "check the folder and its permissions"
+    return f"{where}{error.strerror or error}; {remedy}"
+
+
+def _place(error: BaseException) -> str:
+    """The function in which an error arose."""
+    frames = traceback.extract_tb(error.__traceback__, limit=-1)
+    return frames[-1].name if frames else "unknown"
