@@ -65,8 +65,7 @@ def run(
     """
     path = Path(path)
     problem = load(path)
-    unfinished = out is not None and (out / NAME).exists()
-    folder = out if out and unfinished else outputs.open_folder(out, "calibrate", path.stem, FILES)
+    folder = outputs.open_folder(out, "calibrate", path.stem, (*FILES, _SO_FAR), goes_on=NAME)
     base = _base(path, problem)
     key = key_of(
         [asdict(e) for e in problem.experiments], _resolved(path, base, problem, seed, starts), problem.accuracy,

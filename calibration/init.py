@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bcfj_jax import InputError, nearest
-from bcfj_jax.io.outputs import open_folder, write_text
+from bcfj_jax.io.outputs import create
 from bcfj_jax.io.units import column, format_si, quantity
 from calibration import problemfile
 from calibration.data.proposal import Sizes, Understood, sizes, understood
@@ -83,8 +83,8 @@ def run(
     folder, name = out or Path("."), f"{record.stem}.toml"
     relative = Path(os.path.relpath(record, folder)).as_posix()
     text, missing = _text(found, kind, given[0], given[1], relative, name)
-    path = open_folder(folder, "init", record.stem, [name]) / name
-    write_text(path, text)
+    path = folder / name
+    create(path, text)
     if not missing:
         try:
             for one in problemfile.prepared(path):

@@ -8,10 +8,11 @@ pulls in calibration.
 from __future__ import annotations
 
 import importlib
+import signal
 import sys
 
 from bcfj_jax.cli.base import BAD_INPUT, DONE, INTERRUPTED, SIMULATION_FAILED, app
-from bcfj_jax.io.stop import heeded, leave
+from bcfj_jax.io.stop import SIGNALLED, heeded, last, leave
 
 __all__ = ["BAD_INPUT", "DONE", "INTERRUPTED", "SIMULATION_FAILED", "app", "main"]
 
@@ -23,10 +24,10 @@ for _module in ("running", "fitting", "study", "files"):
 def main() -> None:
     """Entry point of the command ``bcfj``. Ctrl-C is heeded from here on: modules that load may swallow it."""
     try:
-        with heeded():
+        with heeded(signal.SIGTERM):
             app()
     except KeyboardInterrupt:
-        sys.exit(INTERRUPTED)
+        sys.exit(SIGNALLED + last())
     except SystemExit as end:
         leave(end.code if isinstance(end.code, int) else DONE)
         raise

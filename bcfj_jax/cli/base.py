@@ -10,16 +10,15 @@ from typing import Annotated
 import typer
 
 from bcfj_jax.core.compile_cache import open_cache
-from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.progress import Waiting, stage
 
 DONE, BAD_INPUT, SIMULATION_FAILED, INTERRUPTED = 0, 2, 3, 5
 
 EPILOG = (
     "Exit codes: 0 done, 2 bad input, 3 a simulation failed, 4 the calibration's verdict is neither 'identified' nor "
-    "'adequate', "
-    "5 interrupted and resumable. Compiled programs are kept per user between runs, in the folder that BCFJ_CACHE "
-    "names (BCFJ_CACHE=off keeps none), by default the system's cache folder for bcfj-jax."
+    "'adequate', 5 interrupted and resumable, 130 or 143 interrupted by Ctrl-C or SIGTERM with nothing kept. Compiled "
+    "programs are kept per user between runs, in the folder that BCFJ_CACHE names (BCFJ_CACHE=off keeps none), by "
+    "default the system's cache folder for bcfj-jax."
 )
 
 app = typer.Typer(
@@ -66,15 +65,9 @@ def verb(to: typer.Typer, name: str | None = None) -> Callable[[Callable[..., in
     def added(function: Callable[..., int]) -> Callable[..., None]:
         @functools.wraps(function)
         def wrapped(*args: object, **options: object) -> None:
-            try:
-                code = function(*args, **options)
-            except InputError as error:
-                say(f"error: {error}")
-                code = BAD_INPUT
-            except KeyboardInterrupt:
-                say("interrupted")
-                code = INTERRUPTED
-            raise typer.Exit(code)
+            from bcfj_jax.io.guard import guarded
+
+            raise typer.Exit(guarded(functools.partial(function, *args, **options), say))
 
         return to.command(name, epilog=EPILOG)(wrapped)
 

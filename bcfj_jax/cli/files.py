@@ -63,11 +63,10 @@ def init(
         raise InputError(
             "init", f"{record} after the scene '{what}'", "give one scene, or: bcfj init calibration RECORD"
         )
-    from bcfj_jax.io.outputs import open_folder, write_text
+    from bcfj_jax.io.outputs import create
     from bcfj_jax.io.scenetemplate import template
 
-    text, name = template(what), f"{what}.toml"
-    path = open_folder(out or Path("."), "init", what, [name]) / name
-    write_text(path, text)
+    path = (out or Path(".")) / f"{what}.toml"
+    create(path, template(what))
     typer.echo(f"wrote {path}")
     return DONE

@@ -11,8 +11,6 @@ from bcfj_jax.io import stop
 from bcfj_jax.io.folder import Session, session
 
 BAD_INPUT, INTERRUPTED = 2, 5
-# A process that ends by a signal and keeps nothing has this and the signal's number as its exit code, as in a shell.
-SIGNALLED = 128
 _SPACE = (errno.ENOSPC, errno.EDQUOT)
 
 
@@ -32,10 +30,11 @@ def guarded(verb: Callable[[], int], say: Callable[[str], None]) -> int:
             return verb()
     except InputError as error:
         say(f"error: {error}")
+        return BAD_INPUT
     except KeyboardInterrupt:
         if not held.kept:
             say("interrupted; nothing was kept: start again")
-            return SIGNALLED + stop.last()
+            return stop.SIGNALLED + stop.last()
         say("interrupted")
     except OSError as error:
         say(f"error: {_refused(error)}")

@@ -1,14 +1,17 @@
 """A crash-safe record of finished work: JSON lines that are on disk before the next begins.
 
 A job that was cut off, by Ctrl-C or by the power, starts again and finds here what it had finished. The numbers are
-written in full, and what is computed from them is the same as without the cut.
+written in full, and what is computed from them is the same as without the cut. Each line has a digest of the job and of
+what it says; a line whose digest is wrong costs its own piece, which is computed again.
 """
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -16,9 +19,12 @@ from typing import Any
 
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.io import usercode
-from bcfj_jax.io.outputs import plain
+from bcfj_jax.io.outputs import atomic, plain
 
 NAME = "journal.jsonl"
+_REMEDY = f"name another folder, or remove {NAME} there to begin again"
+# Of a journal that is read [bytes].
+_LARGEST = 1 << 30
 
 
 def key_of(*parts: Any, packages: Sequence[str] = ("bcfj_jax",)) -> str:
@@ -36,14 +42,15 @@ def key_of(*parts: Any, packages: Sequence[str] = ("bcfj_jax",)) -> str:
 class Journal:
     """Finished pieces of one job by name, kept in ``folder/journal.jsonl``.
 
-    A last line that is torn, as a crash while writing leaves it, is dropped and its work done again.
+    A line that is torn, as a crash while writing leaves it, or damaged is dropped, which is said, and its work done
+    again.
 
     Args:
         folder: where; made if it is not there.
         key: what job it is, ``key_of``.
 
     Raises:
-        InputError: if the folder holds the journal of another job.
+        InputError: if the folder holds the journal of another job, or one of which nothing can be read.
     """
 
     def __init__(self, folder: Path, key: str) -> None:
@@ -54,28 +61,35 @@ class Journal:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         self._file = self.path.open("ab")
         if not self.resumed:
-            self._write({"key": key})
+            self._write(self._line({"key": key}))
 
     def _read(self) -> bool:
         if not self.path.exists():
             return False
-        content, good = self.path.read_bytes(), 0
-        for number, line in enumerate(content.splitlines(keepends=True)):
-            piece = _parsed(line)
-            if piece is None:
-                break
-            if number == 0 and piece.get("key") != self._key:
-                raise InputError(
-                    f"--out {self.path.parent}",
-                    "holds the finished pieces of another problem, of other options, or of another version",
-                    f"name another folder, or remove {NAME} there to begin again",
-                )
-            if number:
-                self._pieces[piece["name"]] = piece["result"]
-            good += len(line)
-        if good < len(content):
-            os.truncate(self.path, good)
-        return good > 0
+        lines = self.path.read_bytes().splitlines(keepends=True)
+        if not lines or lines == [lines[0].rstrip(b"\n")]:  # A crash while the first line was written.
+            os.truncate(self.path, 0)
+            return False
+        head, *others = [_parsed(line) for line in lines]
+        # The first line names the job; where it is damaged, the digests of the others do.
+        named = head is not None and _holds(head, {"key": head.get("key")}, head.get("key"))
+        if head is not None and named and head["key"] != self._key:
+            found = "holds the finished pieces of another problem, of other options, or of another version"
+            raise InputError(f"--out {self.path.parent}", found, _REMEDY)
+        good = [_piece(found) for found in others if found is not None and _holds(found, _piece(found), self._key)]
+        if not named and not good:
+            raise InputError(str(self.path), "is damaged, and none of its pieces can be read", _REMEDY)
+        self._pieces = {str(piece["name"]): piece["result"] for piece in good}
+        bad = len(others) - len(good)
+        if bad:
+            sys.stderr.write(f"{self.path}: {bad} of {len(others)} pieces are damaged and computed again\n")
+        if bad or not named:
+            with atomic(self.path) as temporary:
+                temporary.write_bytes(b"".join(map(self._line, [{"key": self._key}, *good])))
+        return True
+
+    def _line(self, piece: Mapping[str, Any]) -> bytes:
+        return json.dumps({**piece, "digest": _digest(self._key, piece)}, allow_nan=False).encode() + b"\n"
 
     def __len__(self) -> int:
         return len(self._pieces)
@@ -87,13 +101,20 @@ class Journal:
     def add(self, name: str, result: Mapping[str, Any]) -> None:
         """Keep a finished piece; on disk when this returns. NaN and infinities become None, as in a resumed job."""
         result = plain(result)
-        self._write({"name": name, "result": result})
+        self._write(self._line({"name": name, "result": result}))
         self._pieces[name] = result
 
-    def _write(self, piece: Mapping[str, Any]) -> None:
-        self._file.write(json.dumps(piece, allow_nan=False).encode() + b"\n")
-        self._file.flush()
-        os.fsync(self._file.fileno())
+    def _write(self, line: bytes) -> None:
+        before = self._file.seek(0, os.SEEK_END)
+        try:
+            self._file.write(line)
+            self._file.flush()
+            os.fsync(self._file.fileno())
+        except OSError:
+            # Half a line, on a disk that is full.
+            with contextlib.suppress(OSError):
+                os.truncate(self.path, before)
+            raise
 
     def close(self) -> None:
         """Let go of the file."""
@@ -134,11 +155,28 @@ class Chapter(Journal):
         self._whole.add(f"{self._name}: {name}", result)
 
 
+def _piece(line: Mapping[str, Any]) -> dict[str, Any]:
+    return {"name": line.get("name"), "result": line.get("result")}
+
+
+def _holds(line: Mapping[str, Any], said: Mapping[str, Any], key: Any) -> bool:
+    """Whether a line says this, of the job of this key, and no more."""
+    try:
+        return line == {**said, "digest": _digest(key, said)}
+    except RecursionError:
+        return False
+
+
+def _digest(key: Any, piece: Mapping[str, Any]) -> str:
+    """Of a line and its job."""
+    return hashlib.sha256(json.dumps([key, piece], sort_keys=True).encode()).hexdigest()
+
+
 def _parsed(line: bytes) -> dict[str, Any] | None:
     if not line.endswith(b"\n"):
         return None
     try:
         piece = json.loads(line)
-    except ValueError:
+    except (ValueError, RecursionError):
         return None
     return piece if isinstance(piece, dict) else None

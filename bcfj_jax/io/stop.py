@@ -18,6 +18,8 @@ from typing import TypeVar
 from bcfj_jax.core import threads
 
 T = TypeVar("T")
+# A process that ends by a signal and keeps nothing has this and the signal's number as its exit code, as in a shell.
+SIGNALLED = 128
 
 _asked = threading.Event()
 # Whether something was left behind that still computes.
@@ -61,8 +63,9 @@ def heeded(*others: signal.Signals) -> Iterator[None]:
         yield
         return
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, *others)}
-    before = {number: handler for number, handler in before.items() if handler is not signal.SIG_IGN}
+    before = {number: known for number, known in before.items() if known not in (signal.SIG_IGN, None)}
     _asked.clear()
+    _last.clear()
     for number in before:
         signal.signal(number, _remember)
     try:

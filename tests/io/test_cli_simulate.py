@@ -204,12 +204,14 @@ def test_unknown_verbs_and_options_exit_2():
     assert bcfj("simulate").exit_code == 2
 
 
-def test_an_interrupt_exits_5(monkeypatch, here):
+def test_an_interrupt_leaves_nothing_and_says_so(monkeypatch, here):
     def interrupted(*_):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(pictures, "forces", interrupted)
-    assert bcfj("simulate", "impact", "--out", "out").exit_code == 5
+    done = bcfj("simulate", "impact", "--out", "out")
+    assert done.exit_code == 130 and "nothing was kept" in done.stderr
+    assert not list(here.iterdir())
 
 
 def test_members_of_a_contact_are_numbered():

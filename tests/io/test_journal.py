@@ -72,6 +72,79 @@ def test_torn_header_begins_again(tmp_path):
         assert len(journal) == 1
 
 
+def damaged(line: bytes) -> dict[str, bytes]:
+    """A line of a journal in which something is wrong."""
+    piece = json.loads(line)
+    return {
+        "altered number": line.replace(b"0.1", b"0.7", 1),
+        "altered name": line.replace(b"piece 1", b"piece 7"),
+        "other keys": json.dumps({"points": 1}).encode() + b"\n",
+        "a list": b"[1, 2]\n",
+        "no text": b"\xff\x00\n",
+        "deep": b"[" * 5000 + b"\n",
+        "deep result": b'{"name": "piece 1", "result": ' + b"[" * 700 + b"]" * 700 + b', "digest": ""}\n',
+        "long number": b'{"name": "piece 1", "result": ' + b"9" * 5000 + b"}\n",
+        "no digest": json.dumps({k: v for k, v in piece.items() if k != "digest"}).encode() + b"\n",
+        "more": json.dumps({**piece, "more": 1}).encode() + b"\n",
+        "twice": line[:-1] + line,
+        "empty": b"\n",
+    }
+
+
+@pytest.mark.parametrize("fault", damaged(b'{"name": "piece 1", "result": {"a": 0.1}, "digest": ""}\n'))
+def test_a_damaged_line_costs_its_own_piece(tmp_path, capsys, fault):
+    path = filled(tmp_path, 3)
+    whole = path.read_bytes()
+    lines = whole.splitlines(keepends=True)
+    lines[2] = damaged(lines[2])[fault]
+    path.write_bytes(b"".join(lines))
+    with Journal(tmp_path, "job") as journal:
+        assert len(journal) == 2
+        assert journal.get("piece 1") is None
+        assert journal.get("piece 2") == {"points": [[0.2, 1 / 3]], "costs": [None, 2 / 7]}
+        journal.add("piece 1", {"points": [[0.1, 1 / 3]], "costs": [np.inf, 1 / 7]})
+    assert capsys.readouterr().err == f"{path}: 1 of 3 pieces are damaged and computed again\n"
+    assert sorted(path.read_bytes().splitlines()) == sorted(whole.splitlines())
+
+
+def test_a_damaged_first_line_costs_nothing(tmp_path):
+    path = filled(tmp_path, 3)
+    lines = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(b"".join([b'{"key": "jab"}\n', *lines[1:]]))
+    with Journal(tmp_path, "job") as journal:
+        assert len(journal) == 3
+    assert path.read_bytes() == b"".join(lines)
+    # Whose it is cannot be known.
+    before = b"".join([b'{"key": "jab"}\n', *(line.replace(b"0.", b"1.") for line in lines[1:])])
+    path.write_bytes(before)
+    with pytest.raises(InputError, match="none of its pieces can be read"):
+        Journal(tmp_path, "job")
+    assert path.read_bytes() == before
+
+
+def test_a_line_of_another_job_is_not_believed(tmp_path):
+    path = filled(tmp_path, 1)
+    with Journal(tmp_path / "other", "another job") as other:
+        other.add("piece 7", {})
+    path.write_bytes(path.read_bytes() + (tmp_path / "other" / NAME).read_bytes().splitlines(keepends=True)[1])
+    with Journal(tmp_path, "job") as journal:
+        assert journal.get("piece 7") is None and len(journal) == 1
+
+
+def test_a_full_disk_leaves_no_half_line(tmp_path, monkeypatch):
+    path = filled(tmp_path, 1)
+    whole = path.read_bytes()
+    with Journal(tmp_path, "job") as journal:
+
+        def full(_):
+            raise OSError(28, "No space left on device")
+
+        monkeypatch.setattr(os, "fsync", full)
+        with pytest.raises(OSError, match="No space left"):
+            journal.add("piece 1", {})
+    assert path.read_bytes() == whole
+
+
 def test_journal_of_another_job_is_refused_and_kept(tmp_path):
     path = filled(tmp_path, 1)
     before = path.read_bytes()

@@ -24,7 +24,9 @@ from bcfj_jax.io.stop import heeded
 if TYPE_CHECKING:
     import pyarrow as pa
 
-RESULTS, STATE = "results.parquet", "study.json"
+RESULTS, STATE, RUN, ENVIRONMENT = "results.parquet", "study.json", "run.toml", "environment.json"
+# How long to wait for another run of the study that begins the folder [s].
+_WAIT_S = 30.0
 # Computing [s] that is done in this process: two others would take as long, each of them starts for 2 to 3 s.
 _ALONE_S = 6.0
 # Computing over simulated time of a large model's points in a batch.
@@ -97,25 +99,33 @@ def prepare(found: Study, folder: Path) -> Store:
     Raises:
         InputError: if it holds another study, or is no folder.
     """
-    library("pyarrow")
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"--out {folder}", "this is not a folder", "name a folder")
-    said = folder / "run.toml"
-    if said.exists():
-        if specification.load(said).resolved != found.resolved:
-            raise InputError(f"--out {folder}", "holds another study", "name another folder: nothing is overwritten")
-        usercode.same_as(_code(folder), f"--out {folder}: the study there")
-    else:
-        outputs.open_folder(folder, "study", "", (RESULTS, STATE))
-        outputs.write_toml(said, found.resolved, "the study as it was run: every default, SI")
-        outputs.write_json(folder / "environment.json", outputs.environment(seed=found.seed))
+    for name in ("pyarrow", "filelock", *(["zarr"] if found.histories else [])):
+        library(name)
+    said = folder / RUN
+    # Several runs may share the folder; only one begins it.
+    with outputs.session():
+        outputs.open_folder(folder, "study", "", (RUN, ENVIRONMENT, RESULTS, STATE), goes_on=RUN, wait_s=_WAIT_S)
+        if said.exists():
+            if specification.load(said).resolved != found.resolved:
+                remedy = "name another folder: nothing is overwritten"
+                raise InputError(f"--out {folder}", "holds another study", remedy)
+            usercode.same_as(_code(folder), f"--out {folder}: the study there")
+        else:
+            outputs.write_json(folder / ENVIRONMENT, outputs.environment(seed=found.seed))
+            outputs.write_toml(said, found.resolved, "the study as it was run: every default, SI")
     return Store(folder, Blocks(found))
 
 
 def _code(folder: Path) -> list[dict[str, str]]:
     """The user's own files that a study was begun with, as ``usercode.record`` had them."""
-    kept = folder / "environment.json"
-    return json.loads(kept.read_text(encoding="utf-8")).get("code", []) if kept.exists() else []
+    path = folder / ENVIRONMENT
+    if not path.exists():
+        return []
+    try:
+        found = json.loads(path.read_bytes())["code"]
+        return [{"path": str(one["path"]), "sha256": str(one["sha256"])} for one in found]
+    except (ValueError, KeyError, TypeError, RecursionError):
+        raise InputError(str(path), "is damaged", "name another folder, or remove it if no --code was used") from None
 
 
 def compute(store: Store, workers: int | None, scheduler: str | None, progress: Callable[[int, int], None]) -> None:

@@ -50,8 +50,7 @@ def run(
     given = shown(load(what))
     todo = settings(given, only, derivatives)
     stem = given.source.stem if given.source else what
-    begun = out is not None and (out / JOURNAL).exists()
-    folder = out if out and begun else outputs.open_folder(out, "tradeoff", stem, FILES)
+    folder = outputs.open_folder(out, "tradeoff", stem, FILES, goes_on=JOURNAL)
     known = outputs.environment(data=[given.source] if given.source else [])
     key = key_of("tradeoff", given.resolved, derivatives, known["packages"], known["device"])
     with heeded(), Journal(folder, key) as journal:
