@@ -1,0 +1,1 @@
+"""``bcfj verify``: published numbers and closed forms beside what this installation computes."""
