@@ -26,7 +26,9 @@ def peak_derivative() -> float:
     @jax.jit
     def slopes(p: dict[str, Array]) -> dict[str, Array]:
         # At the time of the peak the force does not depend on time: its derivative is the peak's.
-        return jax.grad(lambda p: jnp.log(force_history(scene, p, jnp.array([0.0, half]), accuracy=1e-6)["contact"][1, 0]))(p)
+        return jax.grad(
+            lambda p: jnp.log(force_history(scene, p, jnp.array([0.0, half]), accuracy=1e-6)["contact"][1, 0])
+        )(p)
 
     found = slopes(params)
     logs = [float(found[name]) * float(params[name]) for name in ("stiffness", "mass", "approach_speed")]

@@ -11,7 +11,7 @@ from bcfj_jax.verification.check import LAST_DIGIT, Check, check, last_digits, r
 
 @check(
     "restitution that 11 laws deliver, 11 values each",
-    "first integral of m d'' = -F; table by DOP853; laws as named in bcfj_jax.contact.restitution",
+    "laws as published; exact relation, table by DOP853",
     0.51,
     LAST_DIGIT,
 )

@@ -207,9 +207,7 @@ def oblique_impact() -> float:
 
 def _at_rest(angle: float, deflection: float) -> tuple[np.ndarray, np.ndarray]:
     """Groove and window forces [N] of six balls, in equilibrium on linear contacts too stiff to change the geometry."""
-    scene = scenes.make(
-        "joint", law="hertz", friction=False, smoothing=False, head="fixed", fidelity="quasistatic"
-    )
+    scene = scenes.make("joint", law="hertz", friction=False, smoothing=False, head="fixed", fidelity="quasistatic")
     names = [contact.name for contact in scene.contacts]
     values = {f"{name}.stiffness": 1e14 if name in ("seat_cage", "head_cage") else 1e12 for name in names}
     values |= {f"clearance_{name}": 0.0 for name in names} | {"exponent": 1.0, "load_ramp": 1e-6}

@@ -16,22 +16,9 @@ import sys
 
 import numpy as np
 
+from bcfj_jax.verification import oracles
 from benchmarks.references import laws
 from benchmarks.references.solving import check, compiled, run
-
-# Final velocities over the first one's speed, by (number of spheres, exponent): physics.md, B3 and B3'.
-PRINTED = {
-    (10, 1.5): [
-        *(-0.071085017, -0.030273789, -0.015833397, -0.008885695, -0.005126583),
-        *(-0.002985978, -0.001737668, 0.002671955, 0.147390307, 0.985865866),
-    ],
-    (3, 1.5): [-0.070952354, 0.076403039, 0.994549315],
-    (4, 1.5): [-0.071085016, -0.029626196, 0.109738640, 0.990972573],
-    (5, 1.5): [-0.071085017, -0.030273764, -0.014463629, 0.127044986, 0.988777424],
-    (3, 1.0): [-0.1302617, 0.1502296, 0.9800321],
-    (5, 1.0): [-0.132279485, -0.075329170, -0.031010829, 0.296217750, 0.942401733],
-    (3, 2.0): [-0.0378804, 0.0393741, 0.9985063],
-}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,13 +97,13 @@ def final_velocities(chain: Chain, rtol: float = 1e-13, method: str = "DOP853") 
 def main() -> bool:
     """Compare with the printed velocities, and check momentum and energy."""
     held = True
-    for (count, exponent), printed in PRINTED.items():
+    for (count, exponent), printed in oracles.CHAIN.items():
         # Half a unit of the last printed digit, with a little room.
         allowed = 5.5e-8 if np.array(printed).round(7).tolist() == printed else 5.5e-10
         found = final_velocities(Chain(count, 1.0, 1.0, exponent))
         held &= check(f"N = {count}, n = {exponent}", found, printed, allowed)
     steel = Chain()
-    held &= check("N = 10, steel in SI", final_velocities(steel), PRINTED[10, 1.5], 5.5e-10)
+    held &= check("N = 10, steel in SI", final_velocities(steel), oracles.CHAIN[10, 1.5], 5.5e-10)
     states = simulate(steel, np.linspace(0.0, 12.0 * steel.duration, 400))
     total = energy(steel, states)
     held &= check("energy over its start", total / total[0], 1.0, 1e-10)

@@ -28,16 +28,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bcfj_jax.verification import oracles
 from benchmarks.references.laws import FRICTION, HELPERS, exact_chi, friction, normal, stored
 from benchmarks.references.solving import check, compiled, run
 
 START = (0.0, 0.0, 0.0, 150.0, -75.0, 0.0)
-# Time [s], theta_1 [rev], theta_2 [rad], theta_1', theta_2' [rad/s]; and the first touch [s]: physics.md, B4.
-PRINTED = [
-    (0.001, 0.0232510799, -0.0725963954, 139.1158758, -68.2762942),
-    (0.002, 0.0438940444, -0.1349492639, 120.4638817, -56.4733942),
-]
-FIRST_TOUCH = 0.002692503
 
 
 @dataclasses.dataclass(frozen=True)
@@ -240,13 +235,13 @@ def rigid_impact(
 def main() -> bool:
     """Compare the free motion with the printed numbers, and the compliant impact with the rigid one."""
     p = SliderGuide()
-    found = free(p, np.array([0.0, *(row[0] for row in PRINTED)]))[1:]
+    found = free(p, np.array([0.0, *(row[0] for row in oracles.SLIDER_GUIDE)]))[1:]
     turned = found[:, [0, 1, 3, 4]] / np.array([2.0 * math.pi, 1.0, 1.0, 1.0])
-    wanted = np.array(PRINTED)[:, 1:]
+    wanted = np.array(oracles.SLIDER_GUIDE)[:, 1:]
     held = check("theta_1 [rev], theta_2 at 1 and 2 ms", turned[:, :2], wanted[:, :2], 6e-11)
     held &= check("rates at 1 and 2 ms [rad/s]", turned[:, 2:], wanted[:, 2:], 6e-8)
     touch, at = first_touch(p)
-    held &= check("first touch [s]", touch, FIRST_TOUCH, 6e-10)
+    held &= check("first touch [s]", touch, oracles.SLIDER_GUIDE_TOUCH, 6e-10)
     held &= check("corners 1 and 2 touch [m]", gaps(p, at[None])[0, :2], 0.0, 1e-15)
     approach = -(p.crank * math.cos(at[0]) * at[3] + p.rod * math.cos(at[1]) * at[4])
     print(f"     first touch {touch * 1e3:.9f} ms, approach {-approach:.6f} m/s, energy {energy(p, at[None])[0]:.6f} J")

@@ -12,40 +12,24 @@ from hypothesis import strategies as st
 from oracles import agrees, family, impact, within
 
 from bcfj_jax import restitution
+from bcfj_jax.verification import oracles
 
 delivered = jax.jit(restitution.delivered_restitution)
 exact = jax.jit(restitution.exact)
 
 # The e delivered for an e asked for, every law of the family; the second column is the exact chi.
-COLUMNS = (
-    "hunt_crossley", "herbert_mcwhannell", "lee_wang", "lankarani_nikravesh", "gonthier", "zhiying_qishao",
-    "flores", "hu_guo", "carvalho_martins", "zhang", "safaeifar_farshidianfar",
-)  # fmt: skip
-TABLE = """
-.10 9.998159 .51583 .49070 .68666 .66527 .10099 .21747 .06944 .07407 .12894 .09541 .08888
-.20 4.919167 .54685 .50078 .71195 .67226 .20461 .26642 .15554 .16560 .21159 .19601 .19698
-.30 3.087082 .58129 .51997 .73900 .68422 .30422 .32670 .25621 .27066 .30397 .30166 .31376
-.40 2.082498 .61974 .55031 .76800 .70163 .39779 .39884 .36287 .37965 .40109 .40621 .42793
-.50 1.432751 .66296 .59362 .79920 .72524 .48774 .48261 .47044 .48774 .50017 .50810 .53616
-.60 .974872 .71195 .65107 .83287 .75615 .57728 .57690 .57728 .59362 .59997 .60764 .63831
-.70 .634828 .76800 .72268 .86934 .79597 .66958 .67957 .68318 .69730 .69997 .70569 .73502
-.80 .373146 .83287 .80698 .90902 .84710 .76800 .78736 .78854 .79920 .79999 .80314 .82707
-.90 .166482 .90902 .90089 .95237 .91318 .87644 .89592 .89392 .89990 .90000 .90094 .91519
-.95 .078927 .95237 .95011 .97561 .95351 .93593 .94886 .94683 .94999 .95000 .95026 .95798
-.99 .015151 .99010 .99000 .99502 .99015 .98678 .98995 .98934 .99000 .99000 .99001 .99165
-"""
-PRINTED = np.array([line.split() for line in TABLE.split("\n") if line]).T
+PRINTED = np.array(oracles.RESTITUTION).T
 ASKED = PRINTED[0].astype(float)
 
 
-@pytest.mark.parametrize("name", ["exact", *COLUMNS])
+@pytest.mark.parametrize("name", ["exact", *oracles.RESTITUTION_LAWS])
 def test_delivered_restitution(name):
     chi = np.asarray(restitution.FACTORS[name](ASKED))
     if name == "exact":
         assert all(map(agrees, chi, PRINTED[1]))
         printed = [f"{e:.5f}" for e in ASKED]
     else:
-        printed = PRINTED[2 + COLUMNS.index(name)]
+        printed = PRINTED[2 + oracles.RESTITUTION_LAWS.index(name)]
     found = np.asarray(delivered(chi))
     assert all(map(agrees, found, printed))
     by_motion = [impact(family(x, 1.5), 1.0, 1.0).restitution for x in chi]
@@ -54,7 +38,7 @@ def test_delivered_restitution(name):
 
 
 def test_every_factor_is_in_the_table():
-    assert set(restitution.FACTORS) == {"exact", *COLUMNS}
+    assert set(restitution.FACTORS) == {"exact", *oracles.RESTITUTION_LAWS}
     for name, factor in restitution.FACTORS.items():
         assert factor(1.0) == 0.0, name  # nothing lost where nothing shall be
         assert np.isfinite(factor(0.0)) and np.isfinite(jax.grad(factor)(0.0)), name
@@ -65,7 +49,7 @@ def test_every_factor_is_in_the_table():
 
 # --- closed forms of one impact
 
-EXPONENTS = (1.0, 1.1, 1.5, 2.0, 2.5, 3.0)
+EXPONENTS = tuple(oracles.UNDAMPED_DURATIONS)
 
 
 @pytest.mark.parametrize("chi", [0.0, 0.3, 2.0])
@@ -85,27 +69,16 @@ def test_impact_closed_forms(exponent, chi):
 def test_undamped_constants():
     durations = restitution.undamped_duration(1.0, np.array(EXPONENTS), 1.0, 1.0)
     durations /= restitution.undamped_penetration(1.0, np.array(EXPONENTS), 1.0, 1.0)
-    assert all(map(agrees, durations, ("3.141593", "3.095387", "2.943275", "2.804364", "2.701449", "2.622058")))
+    assert all(map(agrees, durations, oracles.UNDAMPED_DURATIONS.values()))
     unit = (1.0, 1.5, 1.0, 1.0)
     assert agrees(restitution.undamped_penetration(*unit), "1.0933621")
     assert agrees(restitution.undamped_peak(*unit), "1.1432626")
     assert agrees(restitution.undamped_duration(*unit), "3.2180655")
 
 
-# e, penetration, peak force, rate at the peak, duration over those of the undamped impact, exact chi, n = 1.5
-RATIOS = [
-    ".95 .979821 .972271 .06225 1.005385",
-    ".90 .959263 .949202 .12297 1.011621",
-    ".80 .916881 .917289 .23419 1.027241",
-    ".70 .872517 .903836 .32654 1.048450",
-    ".50 .775583 .929682 .45683 1.119791",
-    ".30 .658900 1.040902 .53814 1.286036",
-]
-
-
-@pytest.mark.parametrize("row", RATIOS)
+@pytest.mark.parametrize("row", oracles.DAMPED_RATIOS, ids=lambda row: row[0])
 def test_damped_ratios(row):
-    e, penetration, peak, rate, duration = row.split()
+    e, penetration, peak, rate, duration = row
     unit = (1.0, 1.5, 1.0, 1.0)
     chi = float(exact(float(e)))
     assert agrees(restitution.damped_penetration(chi, *unit) / restitution.undamped_penetration(*unit), penetration)

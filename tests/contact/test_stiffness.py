@@ -14,8 +14,9 @@ from scipy.special import ellipe, ellipk, lambertw
 from bcfj_jax import stiffness
 from bcfj_jax.contact.elliptic import associate_integrals
 from bcfj_jax.contact.restitution import undamped_duration, undamped_peak, undamped_penetration
+from bcfj_jax.verification import oracles
 
-STEEL = 113.0036e9  # E* [Pa] of E = 207 GPa, nu = 0.29 on itself
+STEEL = oracles.STEEL
 PIN = (STEEL, 0.03, 5e-5)  # E*, length, radius difference of the cylinder tests
 
 contact = jax.jit(stiffness.elliptic_contact)
@@ -54,24 +55,18 @@ def test_sphere_on_plane_is_the_limit_of_two_spheres_with_its_derivative():
 
 
 def test_sockets_and_ball_on_flat():
-    for clearance, printed in ((50e-6, "8.518e11"), (100e-6, "6.019e11"), (500e-6, "2.678e11")):
+    for clearance, printed in oracles.SOCKETS:
         assert agrees(stiffness.sphere_in_socket(STEEL, 0.04, 0.04 - clearance), printed)
-    assert agrees(stiffness.sphere_plane(STEEL, 0.008), "1.3476e10")
+    assert agrees(stiffness.sphere_plane(STEEL, 0.008), oracles.BALL_ON_FLAT)
 
 
-@pytest.mark.parametrize(
-    ("material", "radii", "density", "bodies", "speed", "printed"),
-    [  # Chung and Ooi 2011, tests 1 and 2: K, penetration, peak force, duration of the closed form
-        ((48e9, 0.2, 48e9, 0.2), (0.01, 0.01), 2800.0, 2, 20.0, (2.357023e9, 274.113e-6, 10.6969e3, 40.339e-6)),
-        ((70e9, 0.3, np.inf, 0.3), (0.1, np.inf), 2699.0, 1, 0.2, (3.243362e10, 49.717e-6, 11.3699e3, 731.66e-6)),
-    ],
-)
-def test_benchmarks_of_chung_and_ooi(material, radii, density, bodies, speed, printed):
-    k = stiffness.sphere_sphere(stiffness.effective_modulus(*material), *radii)
-    scene = (k, 1.5, density * 4.0 / 3.0 * np.pi * radii[0] ** 3 / bodies, speed)
+@pytest.mark.parametrize("case", oracles.CHUNG_OOI)
+def test_benchmarks_of_chung_and_ooi(case):
+    k = stiffness.sphere_sphere(stiffness.effective_modulus(*case.material), *case.radii)
+    scene = (k, 1.5, case.mass, case.speed)
     found = (k, undamped_penetration(*scene), undamped_peak(*scene), undamped_duration(*scene))
     # Printed to five or six digits (a digit 1 in front: half a unit is 2e-5 at worst).
-    assert np.allclose(found, printed, rtol=2e-5, atol=0.0)
+    assert np.allclose(found, case.closed, rtol=2e-5, atol=0.0)
 
 
 # --- cylinder in a cylindrical hole
@@ -209,18 +204,7 @@ def test_elliptic_contact_derivatives(ratio):
         assert figures_hess(at)[out, i, i] == within(second, 1e-8)
 
 
-# outer?, f, k, K, then d [um] and p [GPa] at 11.95 kN and at 39.84 kN; r = 8 mm, Rc = 35.8 mm, 45 deg
-RACES = [
-    (True, 0.505, "16.78 6.245e10 33.2 2.34 74.1 3.49"),
-    (True, 0.52, "7.439 3.782e10 46.4 3.09 103.5 4.62"),
-    (True, 0.54, "4.955 3.012e10 54.0 3.58 120.5 5.34"),
-    (False, 0.505, "20.23 6.019e10 34.0 2.71 75.9 4.05"),
-    (False, 0.52, "9.033 3.617e10 47.8 3.57 106.7 5.34"),
-    (False, 0.54, "6.045 2.865e10 55.8 4.12 124.6 6.15"),
-]
-
-
-@pytest.mark.parametrize(("outer", "conformity", "printed"), RACES)
+@pytest.mark.parametrize(("outer", "conformity", "printed"), oracles.RACES)
 def test_bcfj_races(outer, conformity, printed):
     race = stiffness.ball_in_groove(STEEL, 0.008, 0.0358, np.pi / 4, conformity, outer)
     found = [race.ellipticity, race.stiffness]

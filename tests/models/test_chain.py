@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from bcfj_jax import InputError, scenes, simulate
+from bcfj_jax.verification import oracles
 from benchmarks.references import chain as reference
 
 LADDER = [(3, 1.5), (4, 1.5), (5, 1.5), (10, 1.5), (3, 1.0), (5, 1.0), (3, 2.0)]
@@ -30,7 +31,7 @@ def test_published_velocities(count, exponent):
     _, _, run = struck(count, exponent)
     assert run.status == "ok"
     velocities = run.trajectory[-1, count:]
-    assert np.abs(velocities - reference.PRINTED[count, exponent]).max() < 1e-6
+    assert np.abs(velocities - oracles.CHAIN[count, exponent]).max() < 1e-6
     assert velocities.sum() == pytest.approx(1.0, abs=1e-12)
     assert all(force[-1, 0] == 0.0 for force in run.force.values())
 

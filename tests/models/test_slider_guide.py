@@ -12,6 +12,7 @@ from scipy.optimize import brentq
 
 from bcfj_jax import scenes, simulate
 from bcfj_jax.solve.measured_error import measured
+from bcfj_jax.verification import oracles
 from benchmarks.references import slider_guide as reference
 
 SCENE = scenes.slider_guide()
@@ -28,7 +29,7 @@ def test_free_motion_to_the_printed_digits():
     # Physics sheet, B4: crank [rev], rod [rad], their speeds [rad/s] at 1 and 2 ms.
     run = simulate(SCENE, PARAMS, np.array([0.0, 1e-3, 2e-3]), accuracy=1e-9)
     angles, rates = absolute(run)
-    for row, q, v in zip(reference.PRINTED, angles[1:], rates[1:], strict=True):
+    for row, q, v in zip(oracles.SLIDER_GUIDE, angles[1:], rates[1:], strict=True):
         assert abs(q[0] / (2.0 * np.pi) - row[1]) < 1e-10 and abs(q[1] - row[2]) < 1e-10
         assert np.abs(v[:2] - row[3:]).max() < 1e-7
     assert np.abs(angles[:, 2]).max() < 1e-12 and not np.any(run.force["guide"])
@@ -42,7 +43,7 @@ def test_first_touch():
     # Both corners of the upper side at once, to the last printed digit of 2.692503 ms.
     for corner in (0, 1):
         touch = brentq(lambda time, corner=corner: depth(time)[corner], 2.6e-3, 2.7e-3, xtol=1e-13)
-        assert abs(touch - reference.FIRST_TOUCH) < 6e-10
+        assert abs(touch - oracles.SLIDER_GUIDE_TOUCH) < 6e-10
     assert np.all(depth(2.69e-3) < 0.0)
 
 

@@ -19,14 +19,11 @@ from bcfj_jax.models.joint.kinematic import ball_loads, kinematic_readings, kine
 from bcfj_jax.models.joint.model import JointModel
 from bcfj_jax.models.joint.quasistatic import GROUND, quasistatic
 from bcfj_jax.models.joint.scene import CONTACTS, JointContact
+from bcfj_jax.verification import oracles
 
-E, RP = 4.5e-3, 35.5e-3
-# Physics sheet 5.4: contact angle, N, F_c, sum of F_c.
-UNDEFLECTED = [(30, 16901, 3681, 22.09e3), (35, 14733, 3035, 18.21e3), (40, 13147, 2533, 15.20e3)]
-UNDEFLECTED += [(45, 11951.1, 2125.4, 12.75e3)]
+E, RP = oracles.JOINT_OFFSET, oracles.JOINT_PITCH_RADIUS
 # Deflected by 10 degrees, phi = 0, 60, ..., 300.
-NORMAL = np.array([15221.3, 6198.3, 5868.7, 15018.1, 18403.3, 18334.8])
-CAGE = np.array([2921.5, 1791.1, 1695.9, 2882.5, 1746.5, 1740.0])
+NORMAL, CAGE = np.array(oracles.JOINT_DEFLECTED_GROOVES), np.array(oracles.JOINT_DEFLECTED_WINDOWS)
 # The sheet counts azimuths against the sense in which the head drives back.
 MIRROR = -np.arange(6) % 6
 
@@ -70,7 +67,7 @@ def turn(params):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize(("angle", "normal", "cage", "total"), UNDEFLECTED)
+@pytest.mark.parametrize(("angle", "normal", "cage", "total"), oracles.JOINT_UNDEFLECTED)
 def test_undeflected_joint_against_the_sheet(angle, normal, cage, total):
     params = rigid(angle, 0.0)
     _, touch = solved(LINEAR, params, [1.0])

@@ -1,0 +1,31 @@
+"""The verb that checks the installation against published numbers: verify."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from bcfj_jax.cli.base import DONE, app, ready, say, verb
+
+# The exit code where a check failed.
+FAILED = 1
+
+
+@verb(app)
+def verify(
+    only: Annotated[str, typer.Option(help="Names of checks, separated by commas; by default every check.")] = "",
+) -> int:
+    """Compute published numbers and closed forms on this machine, and compare: what, source, tolerance, deviation.
+
+    The exit code is 0 where every check passed, and 1 where one failed. The first run compiles programs and takes some
+    two minutes; later runs take less than one.
+    """
+    ready(None)
+    from bcfj_jax.verification import command
+    from calibration import verification
+
+    names = [name.strip() for name in only.split(",") if name.strip()]
+    rows = command.run(command.picked((*command.CHECKS, *verification.CHECKS), names), say)
+    typer.echo(command.table(rows))
+    return DONE if command.passed(rows) else FAILED
