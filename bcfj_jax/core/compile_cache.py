@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import stat
 from pathlib import Path
@@ -69,14 +70,19 @@ def _folder(given: str | None) -> Path | None:
         return None
     try:
         base = Path(given or platformdirs.user_cache_dir("bcfj-jax"))
+        if not (given or base.is_absolute()):  # "~/.cache" of a user without a home.
+            raise RuntimeError(f"the user's cache folder {base} has no absolute path")
         folder = base / f"jaxlib-{importlib.metadata.version('jaxlib')}"
         for part in (base, folder, folder / "xla", folder / "programs"):
-            part.mkdir(mode=0o700, parents=True, exist_ok=True)
+            _make_private(part)
             about = part.stat()
-            if hasattr(os, "getuid") and about.st_uid != os.getuid():
-                say_once(f"compiled programs are not kept: {part} belongs to another user; name a folder in BCFJ_CACHE")
+            others = hasattr(os, "getuid") and about.st_uid != os.getuid()
+            # Whoever could write there may have left programs of his own.
+            if others or (os.name == "posix" and stat.S_IMODE(about.st_mode) & 0o022):
+                why = "belongs to another user" if others else "can be written by other users"
+                say_once(f"compiled programs are not kept: {part} {why}; name a folder in BCFJ_CACHE")
                 return None
-            if stat.S_IMODE(about.st_mode) & 0o077:
+            if stat.S_IMODE(about.st_mode) & 0o055:
                 part.chmod(0o700)
             if not os.access(part, os.W_OK | os.X_OK):
                 raise PermissionError(13, "no permission to write", str(part))
@@ -85,3 +91,12 @@ def _folder(given: str | None) -> Path | None:
         say_once(f"compiled programs are not kept ({why}); name a folder in BCFJ_CACHE, or say BCFJ_CACHE=off")
         return None
     return folder
+
+
+def _make_private(folder: Path) -> None:
+    """Make a folder, and those above it that are missing, for the user alone, whatever the umask is."""
+    for part in reversed([folder, *folder.parents]):
+        with contextlib.suppress(FileExistsError):
+            if not part.exists():
+                part.mkdir(mode=0o700)
+                part.chmod(0o700)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -158,14 +158,24 @@ def _once(
 ) -> Descents:
     """A batch's outcome from the journal, or else worked out and put there."""
     known = journal.get(name) if journal is not None else None
-    if known is None:
+    if not _fits(known, points):
         check()
         made = work(blocks(points, size)[0])
         known = {name: values[: len(points)].tolist() for name, values in made._asdict().items()}
         if journal is not None:
             journal.add(name, known)
+    assert known is not None
     costs = [np.inf if cost is None else cost for cost in known["costs"]]
     return Descents(np.array(known["points"]), np.array(costs), np.array(known["converged"], dtype=bool))
+
+
+def _fits(known: Any, points: np.ndarray) -> bool:
+    """Whether what is kept is the outcome of so many points."""
+    try:
+        shapes = [np.shape(known[name]) for name in Descents._fields]
+        return shapes == [points.shape, points.shape[:1], points.shape[:1]]
+    except (TypeError, KeyError, ValueError):
+        return False
 
 
 def _descend(part: Model, points: np.ndarray, log_depth: float, leg: _Leg, before: Model | None) -> Descents:

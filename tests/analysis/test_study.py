@@ -14,8 +14,10 @@ from studies import STUDY
 from typer.testing import CliRunner
 
 import bcfj_jax as bj
+from bcfj_jax import InputError
 from bcfj_jax.analysis import features
 from bcfj_jax.analysis.studies.block import Blocks
+from bcfj_jax.analysis.studies.finished import read
 from bcfj_jax.analysis.studies.specification import from_table
 from bcfj_jax.analysis.studies.store import Store
 from bcfj_jax.cli import app
@@ -103,6 +105,48 @@ def test_a_block_that_is_broken_is_done_again_and_the_table_is_the_same(done, ha
     assert resumed.exit_code == 0, resumed.output
     assert digest(Path("out/results.parquet")) == before
     assert files[0].read_bytes() == content
+
+
+@pytest.mark.full
+def test_a_damaged_table_is_made_again_of_its_blocks_or_refused(done, capsys):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    path, before = Path("out/results.parquet"), digest(Path("out/results.parquet"))
+    whole = path.read_bytes()
+    table = parquet.read_table(path)
+    for harm in ("cut", "empty", "altered"):
+        if harm == "altered":
+            peak = table.column("contact.peak").to_numpy().copy()
+            peak[3] *= 1.001
+            at = table.column_names.index("contact.peak")
+            parquet.write_table(table.set_column(at, "contact.peak", [peak]), path)
+        else:
+            path.write_bytes(whole[: len(whole) // 2] if harm == "cut" else b"")
+        capsys.readouterr()
+        assert len(read("out").values) == 14
+        assert "results.parquet: " in capsys.readouterr().err
+        assert digest(path) == before
+    path.write_bytes(whole[:99])
+    block = next(iter(sorted(Path("out/blocks").glob("*.parquet"))))
+    parquet.write_table(parquet.read_table(block).slice(0, 1), block)
+    with pytest.raises(InputError, match=r"cannot be read \(ArrowInvalid\), and 1 of 4 blocks are missing.*resume"):
+        read("out")
+    assert bcfj("study", "run", "study.toml", "--out", "out", "--workers", 1).exit_code == 0
+    assert digest(path) == before
+    Path("out/environment.json").write_text('{"code": 3}')
+    refused = bcfj("study", "status", "study.toml", "--out", "out")
+    assert refused.exit_code == 2 and "environment.json: is damaged" in refused.stderr
+
+
+@pytest.mark.parametrize(
+    "name", ["../../x.parquet", "/tmp/x.parquet", "{}.zarr/../../x", "other.parquet", "", "{}.zarr/"]
+)
+def test_a_worker_writes_nothing_but_its_block(here, name):
+    store = Store(here / "out", Blocks(from_table({"scene": "impact", "vary": {"stiffness": {"values": [1e6, 1e7]}}})))
+    before = sorted(here.iterdir())
+    with pytest.raises(InputError, match="a worker"):
+        store.keep(0, {name.format(store.blocks.names[0]): b"x"})
+    assert [p for p in (here / "out").rglob("*") if p.is_file()] == []
+    assert sorted(p for p in here.iterdir() if p.name != "out") == before
 
 
 def test_what_is_finished_is_not_computed_again(done, monkeypatch):

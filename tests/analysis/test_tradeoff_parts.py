@@ -129,3 +129,23 @@ def test_solvers_by_name():
     how = plan(joint, "balanced", solver="rodas3")
     with pytest.raises(bj.InputError, match="'rodas3' has no derivatives"):
         bj.force_history(joint, joint.parameters(), [0.0, 1e-3], accuracy=how, mode="forward")
+
+
+@pytest.mark.parametrize("harm", ["", "cut", "altered", "another", "gone", "no digest"])
+def test_a_reference_that_is_damaged_is_not_restored(tmp_path, harm):
+    parts = [np.arange(12.0).reshape(2, 2, 3), np.zeros(2, int), np.ones(2), np.ones(2), np.ones(2)]
+    certificate = {"derivatives": {"error": None}}
+    truth = reference.Reference(reference.Measured(*parts), None, certificate)
+    path, digest = tmp_path / reference.NAME, reference.save(truth, tmp_path)
+    whole = path.read_bytes()
+    if harm == "gone":
+        path.unlink()
+    elif harm == "another":
+        np.savez_compressed(path, allow_pickle=False, force=np.zeros(3))
+    elif harm:
+        path.write_bytes(whole[:100] if harm == "cut" else whole[:60] + b"7" + whole[61:])
+    found = reference.restore(certificate, tmp_path, None if harm == "no digest" else digest)
+    assert (found is None) == bool(harm)
+    if found:
+        np.testing.assert_array_equal(found.truth.force, parts[0])
+        assert found.digest == digest

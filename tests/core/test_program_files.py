@@ -15,6 +15,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+import platformdirs
 import pytest
 
 import bcfj_jax as bj
@@ -209,6 +210,37 @@ def test_a_folder_of_another_user_is_not_used(tmp_path, monkeypatch, settings, c
     compile_cache.open_cache()
     assert programs.Settings.folder is None
     assert len(caplog.records) == 1 and "belongs to another user" in caplog.text
+
+
+def test_a_folder_that_others_can_write_is_not_used(tmp_path, monkeypatch, settings, caplog):
+    (tmp_path / "cache").mkdir()
+    (tmp_path / "cache").chmod(0o775)
+    monkeypatch.setenv("BCFJ_CACHE", str(tmp_path / "cache"))
+    compile_cache.open_cache()
+    compile_cache.open_cache()
+    assert programs.Settings.folder is None
+    assert len(caplog.records) == 1 and "can be written by other users" in caplog.text
+
+
+@pytest.mark.parametrize("mask", [0o000, 0o777])
+def test_a_folder_is_private_whatever_the_umask(tmp_path, monkeypatch, settings, mask):
+    monkeypatch.setenv("BCFJ_CACHE", str(tmp_path / "a" / "cache"))
+    before = os.umask(mask)
+    try:
+        compile_cache.open_cache()
+    finally:
+        os.umask(before)
+    made = [tmp_path / "a", *(p for p in (tmp_path / "a").rglob("*") if p.is_dir())]
+    assert len(made) == 5 and {p.stat().st_mode & 0o777 for p in made} == {0o700}
+
+
+def test_without_a_home_nothing_is_kept(tmp_path, monkeypatch, settings, caplog):
+    monkeypatch.delenv("BCFJ_CACHE")
+    monkeypatch.setattr(platformdirs, "user_cache_dir", lambda _: "~/.cache/bcfj-jax")
+    monkeypatch.chdir(tmp_path)
+    compile_cache.open_cache()
+    assert programs.Settings.folder is None and "no absolute path" in caplog.text
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("case", ["a file", "below a file", "read-only", "off"])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -15,10 +14,10 @@ import numpy as np
 from bcfj_jax.analysis.studies import api, local, pictures, specification
 from bcfj_jax.analysis.studies.block import Blocks, compute
 from bcfj_jax.analysis.studies.specification import Study
-from bcfj_jax.analysis.studies.store import Store, fault_of
+from bcfj_jax.analysis.studies.store import Store, facts_of, fault_of
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.progress import stage
-from bcfj_jax.io import outputs, report
+from bcfj_jax.io import report
 from bcfj_jax.io.stop import heeded
 from bcfj_jax.io.units import format_si
 
@@ -165,14 +164,11 @@ def take(store: Store, other: Path) -> int:
         source = other / "blocks" / store.path(block).name
         if store.finished(block) or not source.exists():
             continue
-        if fault_of(source, store.blocks.names[block], len(store.blocks.points(block))):
+        if fault := fault_of(source, store.blocks.names[block], len(store.blocks.points(block))):
+            sys.stderr.write(f"{source}: {fault}; it is not taken\n")
             continue
-        store.place.mkdir(parents=True, exist_ok=True)
-        forces = source.with_suffix(".zarr")
-        if forces.exists():
-            shutil.copytree(forces, store.path(block).with_suffix(".zarr"), dirs_exist_ok=True)
-        with outputs.atomic(store.path(block)) as temporary:
-            shutil.copyfile(source, temporary)
+        files = [f"{source.stem}.zarr/{part}" for part in facts_of(source).get("histories", {})]
+        store.keep(block, {name: (source.parent / name).read_bytes() for name in [*files, source.name]})
         count += 1
     return count
 

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from bcfj_jax.analysis.studies import specification
-from bcfj_jax.analysis.studies.api import RESULTS, Result
-from bcfj_jax.analysis.studies.extra import library
+from bcfj_jax.analysis.studies.api import RESULTS, Result, finish
+from bcfj_jax.analysis.studies.block import Blocks
 from bcfj_jax.analysis.studies.specification import Study
+from bcfj_jax.analysis.studies.store import Store, print_fault, read_whole
 from bcfj_jax.core.errors import InputError, nearest
 
 
@@ -47,6 +48,22 @@ class Finished(NamedTuple):
         return np.where(self.ok, self.columns[name], np.nan)
 
 
+def _table(folder: Path, study: Study) -> Any:
+    """``results.parquet``, made again of its blocks where it is damaged."""
+    path, remedy = folder / RESULTS, "say bcfj study resume"
+    if not path.exists():
+        raise InputError(str(folder), f"there is no {RESULTS}: the study is not finished", remedy)
+    table, fault = read_whole(path)
+    if table is not None:
+        return table
+    store = Store(folder, Blocks(study))
+    missing = sum(not store.finished(k) for k in range(len(store.blocks)))
+    if missing:
+        raise InputError(str(path), f"{fault}, and {missing} of {len(store.blocks)} blocks are missing", remedy)
+    print_fault(path, fault)
+    return finish(store).table
+
+
 Source = Finished | Result | Path | str
 
 
@@ -62,12 +79,7 @@ def read(source: Source) -> Finished:
     if not (folder / "run.toml").exists():
         raise InputError(str(folder), "there is no study", "name the folder of one: what --out said")
     study = specification.load(folder / "run.toml")
-    if isinstance(source, Result):
-        table = source.table
-    elif (folder / RESULTS).exists():
-        table = library("pyarrow.parquet").read_table(folder / RESULTS)
-    else:
-        raise InputError(str(folder), f"there is no {RESULTS}: the study is not finished", "say bcfj study resume")
+    table = source.table if isinstance(source, Result) else _table(folder, study)
     if table.num_rows != study.count:
         found = f"{table.num_rows} rows for {study.count} points"
         raise InputError(str(folder / RESULTS), found, "say bcfj study resume")

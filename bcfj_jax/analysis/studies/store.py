@@ -29,6 +29,7 @@ from bcfj_jax.analysis.studies.block import Blocks, Table
 from bcfj_jax.analysis.studies.extra import library
 from bcfj_jax.analysis.studies.specification import Study
 from bcfj_jax.core.errors import InputError
+from bcfj_jax.io.folder import inside
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -108,13 +109,19 @@ class Store:
         self._finished.add(block)
 
     def keep(self, block: int, files: Mapping[str, bytes]) -> None:
-        """Keep a block whose files were written elsewhere; on disk when this returns."""
+        """Keep a block whose files were written elsewhere; on disk when this returns.
+
+        Raises:
+            InputError: for a file that is not this block's.
+        """
         self.place.mkdir(parents=True, exist_ok=True)
         path = self.path(block)
         forces, temporary = path.with_suffix(".zarr"), self.place / f".{path.stem}.{os.getpid()}"
         try:
             for name, content in files.items():
-                target = temporary / name
+                target = inside(temporary, str(name), "a worker")
+                if str(name).split("/")[0] not in (path.name, forces.name) or not isinstance(content, bytes):
+                    raise InputError("a worker", f"sent {str(name)[:200]!r} for block {path.stem}", "end that worker")
                 target.parent.mkdir(parents=True, exist_ok=True)
                 target.write_bytes(content)
                 to_disk(target)
@@ -150,8 +157,8 @@ def arrow(study: Study, table: Table) -> pa.Table:
 def write_parquet(path: Path, table: pa.Table, facts: dict[str, Any] | None = None) -> None:
     """A Parquet file with checksums, whole or not at all: the same bytes for the same content."""
     parquet = library("pyarrow.parquet")
-    if facts is not None:
-        table = table.replace_schema_metadata({_FACTS: json.dumps(facts, sort_keys=True).encode()})
+    facts = {**(facts or {}), "digest": _content_digest(table, facts or {})}
+    table = table.replace_schema_metadata({_FACTS: json.dumps(facts, sort_keys=True).encode()})
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         parquet.write_table(table, temporary, write_page_checksum=True)
@@ -161,6 +168,16 @@ def write_parquet(path: Path, table: pa.Table, facts: dict[str, Any] | None = No
         temporary.unlink(missing_ok=True)
         raise
     to_disk(path.parent)
+
+
+def _content_digest(table: pa.Table, facts: Mapping[str, Any]) -> str:
+    """Of columns and facts, however they lie in a file."""
+    digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode())
+    for name, column in zip(table.column_names, table.columns, strict=True):
+        digest.update(f"{name}\n{column.type}\n".encode())
+        texts = str(column.type) == "string"
+        digest.update(json.dumps(column.to_pylist()).encode() if texts else column.to_numpy().tobytes())
+    return digest.hexdigest()
 
 
 def to_disk(path: Path) -> None:
@@ -178,21 +195,31 @@ def facts_of(path: Path) -> dict[str, Any]:
     return json.loads(metadata.get(_FACTS, b"{}"))
 
 
+def read_whole(path: Path) -> tuple[pa.Table | None, str]:
+    """The table of a file that ``write_parquet`` wrote; else None, and what is wrong with it."""
+    parquet = library("pyarrow.parquet")
+    try:
+        table = parquet.read_table(path, page_checksum_verification=True)
+        facts = facts_of(path)
+        digest = facts.pop("digest")
+        same = digest == _content_digest(table, facts)
+    except Exception as error:  # Whatever its reader makes of broken bytes.
+        return None, f"cannot be read ({type(error).__name__})"
+    return (table, "") if same else (None, "is not as it was written")
+
+
 def fault_of(path: Path, name: str, rows: int) -> str:
     """What is wrong with a block's file; "" if nothing."""
-    try:
-        table = library("pyarrow.parquet").read_table(path, page_checksum_verification=True)
-        facts = facts_of(path)
-    except InputError:
-        raise
-    except Exception as error:  # Whatever its reader makes of broken bytes.
-        return f"cannot be read ({type(error).__name__})"
+    table, fault = read_whole(path)
+    if table is None:
+        return fault
+    facts = facts_of(path)
     if facts.get("block") != name or table.num_rows != rows:
         return "is not what its name says"
-    where = path.with_suffix(".zarr")
     for part, digest in facts.get("histories", {}).items():
-        if not (where / part).exists() or _digest(where / part) != digest:
-            return f"{where.name}/{part} is missing or broken"
+        file = inside(path.with_suffix(".zarr"), part, str(path))
+        if not file.exists() or _digest(file) != digest:
+            return f"{file.parent.name}/{file.name} is missing or broken"
     return ""
 
 

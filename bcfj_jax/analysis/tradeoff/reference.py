@@ -8,6 +8,8 @@ other neighbours start.
 
 from __future__ import annotations
 
+import hashlib
+import io
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +20,6 @@ import numpy as np
 from bcfj_jax.analysis.tradeoff.measures import Measured, derivative_error, errors, measured, worst
 from bcfj_jax.analysis.tradeoff.settings import level, overlaid
 from bcfj_jax.analysis.tradeoff.trial import loaded, parameters, slopes, trial
-from bcfj_jax.core.errors import InputError
 from bcfj_jax.io.outputs import atomic
 from bcfj_jax.io.scenefile import SceneFile
 from bcfj_jax.io.stop import OutOfTime, within
@@ -57,12 +58,14 @@ class Reference(NamedTuple):
         truth: forces and what is compared of them; None where two methods could not be had.
         slopes: d(force)/d ln(parameter) (P, T, C, 3) [N], or None.
         certificate: methods, their differences, why there is no more; as ``tradeoff.json`` has it.
+        digest: of the file that keeps it; "" for one that is not kept.
         late: whether the time was over before all was done: then something still computes.
     """
 
     truth: Measured | None
     slopes: np.ndarray | None
     certificate: dict[str, Any]
+    digest: str = ""
     late: bool = False
 
     @property
@@ -94,7 +97,7 @@ def reference(
     dear = TANGENTS * (begin - left()) > left() / 3.0
     certificate |= {"derivatives": without}
     if truth is None:
-        return Reference(None, None, certificate, late)
+        return Reference(None, None, certificate, late=late)
     found = None
     if late or _still(given) or not names or not derivatives or dear:
         why = "no parameter to take them by" if not names else "fidelities without inertia have no solver"
@@ -103,7 +106,7 @@ def reference(
     else:
         say(f"reference derivatives by {', '.join(names)}")
         found, certificate["derivatives"], late = _slopes(given, names, left)
-    return Reference(truth, found, certificate, late)
+    return Reference(truth, found, certificate, late=late)
 
 
 def _still(given: SceneFile) -> bool:
@@ -229,28 +232,33 @@ def _slopes(
     return truth, said | {"methods": [first, nearest], "error": error}, late
 
 
-def save(found: Reference, folder: Path) -> None:
-    """Keep a reference's arrays beside the journal, which keeps its certificate."""
+def save(found: Reference, folder: Path) -> str:
+    """Keep a reference's arrays beside the journal, which keeps its certificate; the digest of the file."""
     assert found.truth is not None
     arrays = found.truth._asdict() | ({} if found.slopes is None else {"slopes": found.slopes})
-    with atomic(folder / NAME) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, allow_pickle=False, **arrays)
+    with atomic(folder / NAME) as temporary:
+        with temporary.open("wb") as file:
+            np.savez_compressed(file, allow_pickle=False, **arrays)
+        return hashlib.sha256(temporary.read_bytes()).hexdigest()
 
 
-def restore(certificate: dict[str, Any], folder: Path) -> Reference:
-    """A kept reference.
+def restore(certificate: Any, folder: Path, digest: Any) -> Reference | None:
+    """A kept reference; None where its file is not the one that ``save`` wrote, or not as it was.
 
-    Raises:
-        InputError: if the file is not what ``save`` wrote.
+    Args:
+        certificate, digest: as the journal has them.
+        folder: where the file is.
     """
     try:
-        with np.load(folder / NAME, allow_pickle=False) as kept:
+        content = (folder / NAME).read_bytes()
+        if hashlib.sha256(content).hexdigest() != digest:
+            return None
+        with np.load(io.BytesIO(content), allow_pickle=False) as kept:
             arrays = {name: kept[name] for name in kept.files}
         found = arrays.pop("slopes", None)
         # A journal has no word for what is not a number.
         slopes = certificate["derivatives"]
         error = float("nan") if slopes["error"] is None else slopes["error"]
-        return Reference(Measured(**arrays), found, certificate | {"derivatives": slopes | {"error": error}})
-    except (OSError, ValueError, TypeError) as error:
-        remedy = "name another folder, or remove journal.jsonl there to begin again"
-        raise InputError(str(folder / NAME), f"is missing or damaged ({error})", remedy) from error
+        return Reference(Measured(**arrays), found, certificate | {"derivatives": slopes | {"error": error}}, digest)
+    except (OSError, ValueError, TypeError, KeyError, EOFError):
+        return None

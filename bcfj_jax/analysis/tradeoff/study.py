@@ -129,24 +129,28 @@ def _certified(
     given: SceneFile, derivatives: bool, journal: Journal, clock: _Clock, say: Callable[[str], None]
 ) -> Reference:
     kept, folder = journal.get("reference"), journal.path.parent
-    if kept is not None:
-        return restore(kept, folder)
+    if isinstance(kept, dict):
+        whole = restore(kept.get("certificate"), folder, kept.get("file"))
+        if whole is not None:
+            return whole
+        say(f"{folder / references.NAME}: is missing or damaged; the reference is computed again")
     found = reference(given, clock.left, say, derivatives)
     parts = found.certificate["methods"], found.certificate["derivatives"]["methods"]
     clock.compiled(*([one.get("compile_s", 0.0) for one in part] for part in parts))
     if found.late:
         clock.stop()
     if found.truth is not None:
-        references.save(found, folder)
-        journal.add("reference", found.certificate)
+        found = found._replace(digest=references.save(found, folder))
+        journal.add("reference", {"certificate": found.certificate, "file": found.digest})
     return found
 
 
 def _row(given: SceneFile, setting: Setting, truth: Reference, journal: Journal, clock: _Clock) -> dict[str, Any]:
     """A setting's row, from the journal or else by running it; a failure is a row too."""
-    name = f"{setting.name} {setting.digest}"
+    # What was measured against another reference is no row of this study.
+    name = f"{setting.name} {setting.digest} {truth.digest}"
     kept = journal.get(name)
-    if kept is not None:
+    if isinstance(kept, dict) and set(kept) <= set(COLUMNS) and "status" in kept:
         return {key: float("nan") if value is None else value for key, value in kept.items()}
     if truth.truth is None:
         return {"status": NO_REFERENCE, "reason": truth.certificate["reason"]}
