@@ -35,7 +35,8 @@ import numpy as np
 from scipy.optimize import brentq
 
 from benchmarks.common import ROOT, markdown, save
-from benchmarks.robustness.mutations import of_toml
+from benchmarks.robustness import records
+from benchmarks.robustness.mutations import of_bytes, of_lines, of_toml
 
 HANG = 5.0
 # A message may list what is known; the value that it refuses is cut.
@@ -252,8 +253,39 @@ features = ["seat_cage.peak", "seat_ball.peak"]
 )
 
 
-def settings(count: int) -> dict[str, tuple[list[str], Callable, Callable, int]]:
-    """By target: good files, how one is read, what is done with what was accepted, and how many cases."""
+class Target(NamedTuple):
+    """A kind of file.
+
+    Attributes:
+        good: contents that are read without a fault.
+        mutate: how one is damaged.
+        suffix: of the damaged file's name.
+        read: how it is read.
+        then: what is done with what was accepted; a text says what is wrong with that.
+        count: number of cases.
+    """
+
+    good: list[bytes]
+    mutate: Callable[[np.random.Generator, bytes], bytes]
+    suffix: str
+    read: Callable[[Path], Any]
+    then: Callable[[Any], str]
+    count: int
+
+
+def nothing(found: Any) -> str:
+    """What was accepted is not looked at."""
+    del found
+    return ""
+
+
+def damaged_record(rng: np.random.Generator, good: bytes) -> bytes:
+    """A few bytes; of a text every other time a few of its lines."""
+    return of_lines(rng, good.decode()) if good.isascii() and rng.random() < 0.5 else of_bytes(rng, good)
+
+
+def targets(count: int, folder: Path) -> dict[str, Target]:
+    """Every kind of file; ``count`` cases of TOML files, a quarter of that of each format of data."""
     from bcfj_jax.analysis.studies import specification
     from bcfj_jax.io import scenefile
     from calibration import problemfile
@@ -263,15 +295,26 @@ def settings(count: int) -> dict[str, tuple[list[str], Callable, Callable, int]]
             return "points that are not finite"
         return ""
 
-    examples = ROOT / "examples"
-    problems = [(examples / name).read_text() for name in ("chung_ooi_fit.toml", "joint_fit.toml")]
+    def fitted(file: Path) -> Any:
+        problem = folder / f"of_{file.name}.toml"
+        problem.write_text(records.problem(file.name))
+        return problemfile.load(problem)
+
+    problems = [(ROOT / "examples" / name).read_text() for name in ("chung_ooi_fit.toml", "joint_fit.toml")]
     two_models = '[[model]]\nname = "Hertz"\nparameters = { exponent = 1.5 }\n[free]'
     problems.append(problems[0].replace("[free]", two_models))
-    return {
-        "scene": (good_scenes(), scenefile.load, Simulated(max(3, count // 50)), count),
-        "calibration": (problems, problemfile.load, lambda problem: "", count),
-        "study": (list(STUDIES), specification.load, drawn, count),
+    files = {
+        "scene": (good_scenes(), scenefile.load, Simulated(max(3, count // 50))),
+        "calibration": (problems, problemfile.load, nothing),
+        "study": (list(STUDIES), specification.load, drawn),
     }
+    found = {
+        name: Target([text.encode() for text in good], of_toml, ".toml", read, then, count)
+        for name, (good, read, then) in files.items()
+    }
+    for suffix, write in records.FORMATS.items():
+        found[suffix] = Target([write()], damaged_record, suffix, fitted, nothing, count // 4)
+    return found
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -289,15 +332,16 @@ def main(arguments: list[str] | None = None) -> int:
     with tempfile.TemporaryDirectory() as folder:
         for path in (ROOT / "examples").iterdir():
             shutil.copy(path, folder)
-        for target, (good, read, then, count) in settings(given.cases).items():
+        for target, how in targets(given.cases, Path(folder)).items():
             if given.only and target not in given.only.split(","):
                 continue
             ended: collections.Counter[str] = collections.Counter()
             slowest, said = 0.0, set()
-            for k in range(count):
+            for k in range(how.count):
                 rng = np.random.default_rng([given.seed, k, len(target)])
-                content = of_toml(rng, good[k % len(good)])
-                case = run_case(read, then, Path(folder) / f"{target}_case.toml", content)
+                content = how.mutate(rng, how.good[k % len(how.good)])
+                file = Path(folder) / f"{target.strip('.')}_case{how.suffix}"
+                case = run_case(how.read, how.then, file, content)
                 ended[case.outcome] += 1
                 slowest = max(slowest, case.seconds)
                 if case.outcome not in ("accepted", "refused"):
@@ -309,8 +353,8 @@ def main(arguments: list[str] | None = None) -> int:
                             f"--- {target} case {k} (seed {given.seed}): {case.outcome}\n{case.detail}", file=sys.stderr
                         )
             bad = sum(n for outcome, n in ended.items() if outcome not in ("accepted", "refused"))
-            runs, compared = getattr(then, "runs", 0), getattr(then, "compared", 0)
-            cells = [target, count, ended["accepted"], ended["refused"], bad, f"{slowest:.2f} s", runs, compared]
+            runs, compared = getattr(how.then, "runs", 0), getattr(how.then, "compared", 0)
+            cells = [target, how.count, ended["accepted"], ended["refused"], bad, f"{slowest:.2f} s", runs, compared]
             rows.append([str(cell) for cell in cells])
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024**2
     print(markdown(rows), f"\nhighest memory {memory:.2f} GB, faults {faults}")

@@ -107,11 +107,41 @@ _OF_A_LINE: tuple[Callable[[Rng, str], str], ...] = (
 )  # fmt: skip
 
 
-def of_toml(rng: Rng, text: str) -> bytes:
+CELLS = (
+    "", " ", "nan", "NaN", "inf", "-inf", "1e400", "1,5", "1.5.2", "--3", "0x12", "3 N", "#REF!", "=1+1", '"', '"a', "é",
+    "\x00", "9" * 400, "x" * 5000, "1_000", "1e5e5", "+", "12:30", "true",
+)  # fmt: skip
+
+
+def of_lines(rng: Rng, text: str) -> bytes:
+    """One to three changes of a table in text: a row twice, gone, elsewhere or cut; a cell of another kind; its ends."""
+    rows = text.splitlines()
+    for _ in range(int(rng.integers(1, 4))):
+        at = int(rng.integers(0, len(rows)))
+        cells = re.split(r"([,;\t])", rows[at])
+        match int(rng.integers(0, 7)):
+            case 0:
+                rows.insert(at, rows[int(rng.integers(0, len(rows)))])
+            case 1 if len(rows) > 1:
+                del rows[at]
+            case 2:
+                rows[at] = rows[at][: int(rng.integers(0, len(rows[at]) + 1))]
+            case 3:
+                rows[at] += _pick(rng, (",", ";", "\t", ",,,", " # note"))
+            case 4:
+                rows.insert(at, _pick(rng, ("# a comment", "", "sep=;", "[data]", "x" * 3000, ",,,")))
+            case _:
+                cells[2 * int(rng.integers(0, (len(cells) + 1) // 2))] = _pick(rng, CELLS)
+                rows[at] = "".join(cells)
+    ends = _pick(rng, ("\n", "\n", "\r\n", "\r"))
+    return (ends.join(rows) + ends).encode("utf-8", "surrogatepass")
+
+
+def of_toml(rng: Rng, good: bytes) -> bytes:
     """One to three changes of lines that hold something; in one of eight cases of bytes instead."""
     if rng.random() < 0.125:
-        return of_bytes(rng, text.encode())
-    lines = text.splitlines()
+        return of_bytes(rng, good)
+    lines = good.decode().splitlines()
     for _ in range(int(rng.integers(1, 4))):
         live = [k for k, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")]
         if not live:

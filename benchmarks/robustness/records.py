@@ -1,0 +1,94 @@
+"""One force record in every format that a calibration reads, written by each format's own library."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+TIME = np.linspace(0.0, 1.2, 61)
+FORCE = 100.0 * np.clip(np.sin(np.pi * TIME), 0.0, None)
+# Names of its columns in the calibration file of ``problem``.
+TIME_COLUMN, FORCE_COLUMN = "time [ms]", "force [N]"
+
+
+def problem(file: str) -> str:
+    """A calibration file of the record."""
+    return (
+        f'scene = "impact"\n[[experiment]]\nfile = "{file}"\ntime = "{TIME_COLUMN}"\n'
+        f'observe = {{ "contact.normal" = "{FORCE_COLUMN}" }}\nnoise = "1 N"\n[free.stiffness]\nlower = 1e6\nupper = 1e10\n'
+    )
+
+
+def _text(separator: str, comma: bool = False) -> bytes:
+    rows = [separator.join((TIME_COLUMN, FORCE_COLUMN))]
+    rows += [separator.join((f"{t:.3f}", f"{f:.6f}")) for t, f in zip(TIME, FORCE, strict=True)]
+    text = "\n".join(rows) + "\n"
+    return (text.replace(".", ",") if comma else text).encode()
+
+
+def _parquet() -> bytes:
+    import pyarrow
+    from pyarrow import parquet
+
+    buffer = io.BytesIO()
+    parquet.write_table(pyarrow.table({TIME_COLUMN: TIME, FORCE_COLUMN: FORCE}), buffer)
+    return buffer.getvalue()
+
+
+def _hdf5() -> bytes:
+    import h5py
+
+    buffer = io.BytesIO()
+    with h5py.File(buffer, "w") as file:
+        for name, values in (("time", TIME), ("force", FORCE)):
+            file.create_dataset(name, data=values).attrs["unit"] = "ms" if name == "time" else "N"
+    return buffer.getvalue()
+
+
+def _mat() -> bytes:
+    from scipy.io import savemat
+
+    buffer = io.BytesIO()
+    savemat(buffer, {"run": {"time": TIME, "force": FORCE, "units": {"time": "ms", "force": "N"}}})
+    return buffer.getvalue()
+
+
+def _tdms() -> bytes:
+    import nptdms
+
+    buffer = io.BytesIO()
+    with nptdms.TdmsWriter(buffer) as writer:
+        units = {"time": "ms", "force": "N"}
+        channels: list[Any] = [
+            nptdms.ChannelObject("run", name, values, {"unit_string": units[name]})
+            for name, values in (("time", TIME), ("force", FORCE))
+        ]
+        writer.write_segment(channels)
+    return buffer.getvalue()
+
+
+def _xlsx() -> bytes:
+    import openpyxl
+
+    book, buffer = openpyxl.Workbook(), io.BytesIO()
+    sheet: Any = book.active
+    sheet.append([TIME_COLUMN, FORCE_COLUMN])
+    for row in zip(TIME.tolist(), FORCE.tolist(), strict=True):
+        sheet.append(row)
+    book.save(buffer)
+    return buffer.getvalue()
+
+
+FORMATS: dict[str, Callable[[], bytes]] = {
+    ".csv": lambda: _text(","),
+    ".tsv": lambda: _text("\t"),
+    ".txt": lambda: _text(";", comma=True),
+    ".parquet": _parquet,
+    ".h5": _hdf5,
+    ".mat": _mat,
+    ".tdms": _tdms,
+    # ".xlsx": _xlsx,
+}
