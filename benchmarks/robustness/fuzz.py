@@ -35,7 +35,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from benchmarks.common import ROOT, markdown, save
-from benchmarks.robustness import records
+from benchmarks.robustness import kept, records
 from benchmarks.robustness.mutations import of_bytes, of_lines, of_toml
 
 HANG = 5.0
@@ -80,7 +80,8 @@ def limited(seconds: float) -> Iterator[None]:
 
 def message_fault(message: str, file: Path, content: bytes) -> str:
     """What is wrong with a refusal's words; "" for nothing."""
-    if file.name not in message:
+    # What is kept has a name of its own.
+    if file.name not in message and file.suffix != ".kept":
         return "does not name the file"
     if "; " not in message:
         return "gives no remedy"
@@ -314,6 +315,11 @@ def targets(count: int, folder: Path) -> dict[str, Target]:
     }
     for suffix, write in records.FORMATS.items():
         found[suffix] = Target([write()], damaged_record, suffix, fitted, nothing, count // 4)
+    for name, make in kept.KINDS.items():
+        place = folder / name
+        place.mkdir()
+        work = make(place)
+        found[name] = Target([work.content], of_bytes, ".kept", work.read, work.then, count // 4)
     return found
 
 
