@@ -14,6 +14,7 @@ from bcfj_jax.core.progress import stage
 from bcfj_jax.core.threads import ahead
 from bcfj_jax.io import outputs, report, scenefile, tables
 from bcfj_jax.io.journal import NAME, Journal, key_of
+from bcfj_jax.io.page import Page, Table, percent
 from bcfj_jax.io.plots import get_ready
 from bcfj_jax.io.stop import heeded
 from bcfj_jax.io.units import format_si
@@ -36,7 +37,7 @@ from calibration.uncertainty.law_miss import NEXT_RUN
 
 DONE, FAILED, NOT_IDENTIFIED, INTERRUPTED = 0, 3, 4, 5
 FILES = (
-    "fit.json", "fitted_scene.toml", "data.png", "fit.png", "force_penetration.png", "starts.png", "report.html",
+    "fit.json", "fitted_scene.toml", "data.png", "fit.png", "force_penetration.png", "starts.png", *report.FILES,
     "run.toml", "models.json", "environment.json", *plots_uncertainty.FILES,
 )  # fmt: skip
 _SO_FAR = "interrupted.json"
@@ -229,11 +230,11 @@ def _interval(thing: Any, unit: str) -> str:
     return format_si(value, unit) + (f", 95 % {_ends(thing.ci95, unit)}" if thing.ci95 else "")
 
 
-def _rows(result: Fit) -> list[list[str]]:
+def _rows(result: Fit, digits: int = 6) -> list[list[str]]:
     rows = []
     for name, p in result.parameters.items():
         ends = _ends(p.ci95, p.unit), MEANING.get(p.headline, ""), _ends(p.with_budget, p.unit)
-        rows.append([name, format_si(p.value, p.unit), *ends, _remark(p)])
+        rows.append([name, format_si(p.value, p.unit, digits), *ends, _remark(p)])
     return rows
 
 
@@ -341,33 +342,41 @@ def _draw(
 ) -> None:
     """Pictures, and the report that holds them."""
     from calibration.data import plot as dataplot
-    from calibration.report import plots
+    from calibration.report import page, plots
 
     problem, result = outcome.problem, outcome.fit
-    dataplot.data(understood, folder / "data.png")
-    plots.records(result, problem, folder / "fit.png")
-    plots.force_penetration(result, problem, folder / "force_penetration.png")
-    plots.starts(result, folder / "starts.png")
-    plots_uncertainty.draw(result, folder)
-    tables = [
-        ("Answers", [["question", "answer", "because"], *_answer_rows(result)]),
-        ("Parameters", [_HEAD, *_rows(result)]),
-        *([(_BUDGET, _budget_rows(result))] if result.systematic else []),
-        ("Intervals by what they allow for (* the headline)", _kinds(result)),
-        ("Tests", [["test", "value", "limit", "passed"], *[_test_row(t) for t in result.tests]]),
+    drawn = [
+        plots.records(result, problem, folder / "fit.png"),
+        plots.force_penetration(result, problem, folder / "force_penetration.png"),
+        dataplot.data(understood, folder / "data.png"),
+        plots.starts(result, folder / "starts.png"),
+        *plots_uncertainty.draw(result, folder),
     ]
     notes = [[record.name, note] for record in understood for note in record.notes]
-    tables.append(("Data", [["record", "what was understood"], *notes]))
+    found = [Table("Parameters", [_HEAD, *_rows(result)], "* in the table below marks the kind that is printed here.",
+                   (Table("Every kind of interval (* the one printed)", _kinds(result)),))]  # fmt: skip
+    answers = [["question", "answer", "because"], *_answer_rows(result)]
+    answers = answers if any(row[2] for row in answers[1:]) else [row[:2] for row in answers]
+    found.append(Table("The three questions behind the verdict", answers))
+    found += [page.block(heading, rows) for heading, rows in _explained(outcome, diagnosed)]
+    if result.systematic:
+        found.append(Table(_BUDGET, _budget_rows(result)))
     if result.held_out:
+        head = ["record", "largest error of the peak", "rms of the peak, where the force acts"]
         rows = [
-            [n, f"{e['max_error_of_peak']:.2%}", f"{e['rms_error_of_peak']:.2%}"] for n, e in result.held_out.items()
+            [n, percent(e["max_error_of_peak"]), percent(e["rms_error_of_peak"])] for n, e in result.held_out.items()
         ]
-        tables.append(
-            ("Held out", [["record", "largest error of the peak", "rms of the peak, where the force acts"], *rows])
-        )
-    tables += [*_comparisons(outcome), *_explained(outcome, diagnosed)]
-    pictures = [folder / name for name in FILES if name.endswith(".png") and (folder / name).exists()]
-    report.write(folder, f"Calibration of {path.name}", result.verdict, tables, pictures, result.reasons)
+        found.append(Table("Records that were held out", [head, *rows]))
+    found += [page.block(heading, rows) for heading, rows in _comparisons(outcome)]
+    folded = [
+        Table("Tests", [["test", "value", "limit", "passed"], *[_test_row(t) for t in result.tests]]),
+        Table("Data: what was understood of each record", [["record", "what was understood"], *notes]),
+    ]
+    shown = [one for one in drawn if one is not None]
+    report.write(folder, Page(
+        f"Calibration of {path.name}", page.verdict(result), tuple(shown[:2]), (*result.reasons, *result.notes),
+        tuple(found), tuple(shown[2:]), tuple(folded),
+    ))  # fmt: skip
 
 
 def _compared(outcome: Outcome) -> dict[str, Any]:

@@ -1,16 +1,37 @@
-"""``report.html``: one file that opens offline, the verdict first; and tables as text. Jinja2 loads on first use."""
+"""``report.html``: one file that opens offline, the verdict first; and tables as text. Jinja2 loads on first use.
+
+Beside it lies ``report.json``, the same page without its pictures, which are PNG files of the folder. ``rebuild`` makes
+the page again from both.
+"""
 
 from __future__ import annotations
 
 import base64
+import json
+import re
+import struct
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from importlib import resources
 from pathlib import Path
+from typing import Any
 
-from bcfj_jax.io.outputs import write_text
+from bcfj_jax.core.errors import InputError
+from bcfj_jax.io.outputs import write_json, write_text
+from bcfj_jax.io.page import SIGNS, Listing, Page, Picture, Rows, Table, brief, from_content
 from bcfj_jax.io.provenance import version
-from bcfj_jax.io.units import format_si
 
-Rows = Sequence[Sequence[str]]
+HTML, JSON = "report.html", "report.json"
+# What every report has; a command names them among the files that it writes.
+FILES = (HTML, JSON)
+_PNG = b"\x89PNG\r\n\x1a\n"
+# Files of the folder that a page has at its end, folded.
+_SHOWN = (
+    ("run.toml", "Input as it was run: every default, SI (run.toml)"),
+    ("environment.json", "Environment: versions, device, checksums of the data (environment.json)"),
+)
+_LONGEST = 40_000  # characters of such a file
+_ANIMATION = re.compile(r"<!-- animation: begin -->(.*)<!-- animation: end -->", re.DOTALL)
 
 
 def text(rows: Rows) -> str:
@@ -20,45 +41,102 @@ def text(rows: Rows) -> str:
     return "\n".join(line.rstrip() for line in lines)
 
 
-def solver_rows(stats: Mapping[str, float]) -> list[list[str]]:
-    """The table of what a solve cost: steps, wall time and compile time [s]."""
-    return [
-        ["", "value"],
+def solver_table(stats: Mapping[str, float], more: Sequence[Sequence[str]] = ()) -> Table:
+    """What a solve cost: steps, wall time and compile time [s]."""
+    rows = [
+        ["solver", "value"],
+        *more,
         ["steps accepted", str(stats["accepted"])],
         ["steps rejected", str(stats["rejected"])],
-        ["wall time", format_si(stats["wall_s"], "s")],
-        ["compile time", format_si(stats["compile_s"], "s")],
+        ["wall time", brief(stats["wall_s"], "s")],
+        ["compile time", brief(stats["compile_s"], "s")],
     ]
+    return Table("Solver", rows)
 
 
-def write(
-    folder: Path,
-    title: str,
-    verdict: str,
-    tables: Sequence[tuple[str, Rows]],
-    pictures: Sequence[Path],
-    warnings: Sequence[str] = (),
-) -> Path:
-    """Write ``report.html`` into a folder.
+def write(folder: Path, page: Page) -> Path:
+    """Write ``report.json`` and ``report.html`` into a folder that holds the page's pictures; the HTML file."""
+    write_json(folder / JSON, page.content())
+    path = folder / HTML
+    write_text(path, html(page, folder))
+    return path
+
+
+def html(page: Page, folder: Path, drawn: Path | None = None) -> str:
+    """The page as one file: pictures of the folder inside, none of which is fetched.
 
     Args:
-        folder: where to.
-        title, verdict: the heading, and the sentence below it.
-        tables: heading and rows of each; the first row holds the column titles.
-        pictures: PNG files, which are copied into the report.
-        warnings: what the reader must know before the numbers.
-
-    Returns:
-        The file written.
+        page: what to show; a picture that is not in the folder is left out, and a warning names it.
+        folder: of the results.
+        drawn: a folder whose pictures go before those of the folder.
     """
     import jinja2
 
-    loader = jinja2.PackageLoader("bcfj_jax.io", "templates")
-    page = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    inline = [(p.stem.replace("_", " "), base64.b64encode(p.read_bytes()).decode("ascii")) for p in pictures]
-    path = folder / "report.html"
-    content = page.get_template("report.html").render(
-        title=title, verdict=verdict, tables=tables, pictures=inline, warnings=list(warnings), version=version()
+    missing: list[str] = []
+
+    def inline(pictures: Sequence[Picture]) -> list[dict[str, Any]]:
+        found = []
+        for one in pictures:
+            places = [place / one.file for place in (drawn, folder) if place is not None]
+            data = next((p.read_bytes() for p in places if p.is_file()), b"")
+            if data[:8] != _PNG:
+                missing.append(one.file)
+                continue
+            width, height = struct.unpack(">II", data[16:24])
+            shown = {"title": one.title, "shows": one.shows, "width": width, "height": height}
+            found.append(shown | {"data": base64.b64encode(data).decode("ascii")})
+        return found
+
+    shown, more = inline(page.pictures), inline(page.more)
+    lost = [f"The picture {name} is no longer in the result folder." for name in missing]
+    if lost:
+        page = replace(page, warnings=(*page.warnings, *lost))
+    templates = jinja2.Environment(
+        loader=jinja2.PackageLoader("bcfj_jax.io", "templates"), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
-    write_text(path, content)
-    return path
+    style = resources.files("bcfj_jax.io").joinpath("templates", "report.css").read_text(encoding="utf-8")
+    return templates.get_template("report.html").render(
+        page=page, main_pictures=shown, more_pictures=more, folded=[*page.folded, *_files(folder)], version=version(),
+        sign=SIGNS[page.verdict.kind], style=_trusted(style), animation=_trusted(page.animation),
+    ).lstrip()  # fmt: skip
+
+
+def _trusted(text: str) -> Any:
+    """HTML and CSS of this package, which is not escaped."""
+    from markupsafe import Markup
+
+    return Markup(text)
+
+
+def _files(folder: Path) -> list[Listing]:
+    found = []
+    for name, title in _SHOWN:
+        if (folder / name).is_file():
+            content = (folder / name).read_text(encoding="utf-8", errors="replace")
+            cut = f"\n... {len(content) - _LONGEST} more characters in {name}" if len(content) > _LONGEST else ""
+            found.append(Listing(title, content[:_LONGEST] + cut))
+    return found
+
+
+def kept(folder: Path) -> Page:
+    """The page that a result folder keeps, with the animation of its ``report.html`` if that is still there.
+
+    Raises:
+        InputError: for a folder that is not there, holds no ``report.json``, or one that no command has written.
+    """
+    if not folder.is_dir():
+        raise InputError(str(folder), "there is no such folder", "name a folder that a command of bcfj has written")
+    path = folder / JSON
+    if not path.is_file():
+        results = sorted(p.name for p in folder.iterdir() if p.suffix in (".json", ".csv", ".parquet", ".md"))[:6]
+        holds = f"it holds {', '.join(results)}" if results else "it holds no results"
+        remedy = "name a folder that bcfj simulate, calibrate, sensitivity, study, tradeoff, design or reproduce wrote"
+        raise InputError(str(folder), f"there is no {JSON} in this folder; {holds}", remedy)
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(str(path), f"cannot be read: {error}", "run the command again in another folder") from None
+    page = from_content(content, str(path))
+    old = folder / HTML
+    scene = _ANIMATION.search(old.read_text(encoding="utf-8", errors="replace")) if old.is_file() else None
+    return replace(page, animation=scene[1]) if scene else page

@@ -133,6 +133,25 @@ class Choice(NamedTuple):
     reason: str
 
 
+class Orbit(NamedTuple):
+    """How far the centre of a contact's inner body is from that of its outer one, across the contact's axis.
+
+    Attributes:
+        x, y: (T,) [m].
+        clearance: radius of the circle within which the bodies do not touch [m].
+        what: the two bodies in words, "cage in seat".
+        axes: what x and y are called on a picture.
+        along: (T,) the same along the axis [m]; None where the bodies cannot move there.
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    clearance: float
+    what: str
+    axes: tuple[str, str] = ("x", "y")
+    along: np.ndarray | None = None
+
+
 class Coarser(NamedTuple):
     """A cheaper model of the same thing: its name, the options of the scene file that give it, what it leaves out."""
 
@@ -394,6 +413,11 @@ class AbstractModel(eqx.Module):
         """
         del params, run
         return {}, {}
+
+    def orbits(self, params: Params, run: Any) -> dict[str, Orbit]:
+        """By contact with a round clearance, where its inner body's centre is in it, of a run with its trajectory."""
+        del params, run
+        return {}
 
     # Parameters.
 

@@ -48,7 +48,8 @@ class Observed(AbstractModel):
         _of, ("check", "period", "coordinates", "neutral", "envelope", "settled_from")
     )
     recurs, pitch, pitch_before, turned = map(_of, ("recurs", "pitch", "pitch_before", "turned"))
-    choice_options, whole, coefficient, canonical = map(_of, ("choice_options", "whole", "coefficient", "canonical"))
+    choice_options, whole, orbits = map(_of, ("choice_options", "whole", "orbits"))
+    coefficient, canonical = map(_of, ("coefficient", "canonical"))
 
     def __getattr__(self, name: str) -> Any:
         # What a model's own code asks of it beyond the interface: its structure solves with it.

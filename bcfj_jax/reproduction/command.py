@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from bcfj_jax.io import outputs, report
+from bcfj_jax.io.page import BAD, FAIR, GOOD, Page, Picture, Table, Verdict
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint.scene import Joint
@@ -23,7 +24,7 @@ from bcfj_jax.reproduction.peaks import TARGETS
 from bcfj_jax.reproduction.record import ACCURACY, END, STEP, Record, record
 from bcfj_jax.solve.simulation import Run
 
-FILES = ("reproduce.json", "reproduce.md", "report.html", "environment.json", "run.toml", *pictures.FILES)
+FILES = ("reproduce.json", "reproduce.md", *report.FILES, "environment.json", "run.toml", *pictures.FILES)
 TITLE = "The paper's run beside the model"
 # Share of the clearances that the run with small ones keeps.
 TIGHT = 0.1
@@ -141,11 +142,62 @@ def _write(
     outputs.write_text(folder / "reproduce.md", tables.markdown(TITLE, said, notes, parts))
     shown = {name: runs[name] for name in (GIVEN, CALIBRATED) if name in runs}
     drawn = pictures.draw(folder, shown, runs.get(SMALL)) if GIVEN in runs else []
-    report.write(folder, TITLE, said, parts, drawn, notes)
+    report.write(folder, _page(found, records, measured, tests, parts, drawn, notes))
     figures = {row.id for row in CLAIMS if row.kind == FIGURE}
     brief = [main[0][:5]] + [row[:5] for row in main[1:] if row[0] in figures]
     brief = [[row[0], _short(row[1]), _short(row[2]), *row[3:]] for row in brief]
     return "\n\n".join([said, report.text(brief), *notes])
+
+
+def _page(
+    found: PeakFit,
+    records: Mapping[str, Record],
+    measured: Mapping[str, Mapping[str, Measured]],
+    tests: Mapping[str, Sequence[Inequality]],
+    parts: Sequence[tuple[str, Sequence[Sequence[str]]]],
+    drawn: Sequence[Picture],
+    notes: Sequence[str],
+) -> Page:
+    """The report: how many of the paper's claims the model reaches, and the table of them."""
+    first, *others = [Table(title, rows) for title, rows in parts]
+    name = CALIBRATED if CALIBRATED in measured else GIVEN
+    if name not in measured:
+        return Page(TITLE, Verdict(BAD, "Failed", verdict(found, records)), (), tuple(notes), (first, *others))
+    reached, missed, open_ = counts(measured[name])
+    total = len(reached) + len(missed) + len(open_)
+    held = [t.holds for t in tests[name]]
+    fitted = [id for id in reached if id in tables.FITTED_TO.split(", ")]
+    sentence = (
+        f"Of {total} claims with a number the {name} model reaches {len(reached)} within {ERROR:.0%} "
+        f"({len(fitted)} of them were fitted), misses {len(missed)}, and {len(open_)} cannot be decided; "
+        f"{held.count(True)} of {len(held)} qualitative claims hold, {held.count(None)} cannot be decided."
+    )
+    good = not missed and all(r.run.status == "ok" for r in records.values())
+    word = (
+        Verdict(GOOD, "Reached", sentence)
+        if good
+        else Verdict(FAIR if reached else BAD, "Partly reached" if reached else "Missed", sentence)
+    )
+    leading = sorted(drawn, key=lambda one: one.file not in pictures.LEADING)
+    return Page(
+        TITLE, word, tuple(leading[:2]), (verdict(found, records), *notes), (first, *others), tuple(leading[2:])
+    )  # fmt: skip
+
+
+def counts(found: Mapping[str, Measured]) -> tuple[list[str], list[str], list[str]]:
+    """Ids of the paper's figures that the model reaches within ``ERROR``, misses, and gives no number for."""
+    reached, missed, undecided = [], [], []
+    for row in CLAIMS:
+        if row.kind != FIGURE or not row.values:
+            continue
+        values = found[row.id].values if row.id in found else ()
+        if len(values) != len(row.values) or not np.all(np.isfinite(values)) or 0.0 in row.values:
+            undecided.append(row.id)
+        elif all(abs(v - p) <= ERROR * abs(p) for v, p in zip(values, row.values, strict=True)):
+            reached.append(row.id)
+        else:
+            missed.append(row.id)
+    return reached, missed, undecided
 
 
 def _short(text: str, most: int = 44) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 
 from bcfj_jax.analysis import features
 from bcfj_jax.io import plots
+from bcfj_jax.io.page import Picture, brief
 from bcfj_jax.reproduction.claims import claim
 from bcfj_jax.reproduction.measures import ORDER, WINDOW_AXIAL, WINDOW_NORMAL, resultant
 from bcfj_jax.solve.simulation import Run
@@ -25,12 +26,14 @@ FILES = (
     "no_clearance_fit.png",
     "small_clearances.png",
 )
+# What a reader looks for first: the peaks of the paper's points 1 and 4.
+LEADING = (FILES[0], FILES[3])
 _PARTS = ("normal", "axial", "tangential")
-_WIDE = 9.0
+_WIDE = 8.4
 _THIN = 0.9
 
 
-def draw(folder: Path, runs: dict[str, Run], tight: Run | None) -> list[Path]:
+def draw(folder: Path, runs: dict[str, Run], tight: Run | None) -> list[Picture]:
     """Write every picture there are runs for; runs by name ("as given", "calibrated"), the first of them leading."""
     written = [
         _guide(folder / FILES[0], runs, 1, "seat_cage", "Q20"),
@@ -63,11 +66,16 @@ def _paper(axis: Axes, id: str) -> None:
         axis.axhline(value / 1e3, label=name, color="#222222", linewidth=1.0, linestyle="--")
 
 
+def _printed(id: str) -> str:
+    """What the paper printed, in words."""
+    return f"paper, {id}: {claim(id).printed}"
+
+
 def _legend(axis: Axes, columns: int) -> None:
     axis.legend(ncols=columns, fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.2))
 
 
-def _guide(path: Path, runs: dict[str, Run], point: int, contact: str, id: str) -> Path:
+def _guide(path: Path, runs: dict[str, Run], point: int, contact: str, id: str) -> Picture:
     """Three components of a sphere in a sphere, the runs on top of each other."""
     with plots.style():
         drawing, axes = plots.figure(3, width=_WIDE, height=2.5)
@@ -79,10 +87,14 @@ def _guide(path: Path, runs: dict[str, Run], point: int, contact: str, id: str) 
                 _paper(axis, id)
         axes[0].legend(ncols=len(runs) + 1, fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 0.98))
         plots.save(drawing, path)
-    return path
+    tops = ", ".join(f"{name} {brief(float(np.max(run.force[contact][:, 0])), 'N')}" for name, run in runs.items())
+    shows = (
+        f"Normal, axial and tangential force of {contact} against time; highest normal force: {tops}; {_printed(id)}."
+    )
+    return Picture(path.name, f"Point {point}: {contact}", shows)
 
 
-def _balls(path: Path, runs: dict[str, Run], point: int, contact: str, id: str) -> Path:
+def _balls(path: Path, runs: dict[str, Run], point: int, contact: str, id: str) -> Picture:
     """Six balls on top of each other, a panel a run."""
     what = "normal force" if contact == "cage_ball" else "resultant"
     with plots.style():
@@ -98,10 +110,14 @@ def _balls(path: Path, runs: dict[str, Run], point: int, contact: str, id: str) 
             axis.set_ylim(bottom=1.12 * low / 1e3 if low < 0 else 0.0)
         _legend(axes[-1], 7)
         plots.save(drawing, path)
-    return path
+    tops = ", ".join(
+        f"{name} {brief(float(np.max(np.abs(run.force[contact][..., 0]))), 'N')}" for name, run in runs.items()
+    )
+    shows = f"The {what} of each ball in {contact} against time; highest normal force: {tops}; {_printed(id)}."
+    return Picture(path.name, f"Point {point}: {contact}", shows)
 
 
-def _smooth(path: Path, run: Run) -> Path:
+def _smooth(path: Path, run: Run) -> Picture:
     """Force of the cage on the seat, the polynomial "without clearance" over the paper's windows, and what is left."""
     with plots.style():
         drawing, axes = plots.figure(4, width=_WIDE, height=2.3)
@@ -119,10 +135,13 @@ def _smooth(path: Path, run: Run) -> Path:
                 axis.set_xlim(*window)
             above.legend(ncols=2, fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 0.98))
         plots.save(drawing, path)
-    return path
+    shows = (
+        f"Force of the cage on the seat in the paper's windows, a polynomial of order {ORDER}, and what it leaves over."
+    )
+    return Picture(path.name, "With and without clearance", shows)
 
 
-def _tight(path: Path, run: Run, tight: Run) -> Path:
+def _tight(path: Path, run: Run, tight: Run) -> Picture:
     """One turn with the clearances as given and with small ones, normal forces; ball 1 where there are six."""
     with plots.style():
         drawing, axes = plots.figure(len(run.force), width=_WIDE, height=2.2)
@@ -134,4 +153,11 @@ def _tight(path: Path, run: Run, tight: Run) -> Path:
             axis.set_xlim(0.0, min(0.8, run.times[-1]))
         axes[0].legend(ncols=2, fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 0.98))
         plots.save(drawing, path)
-    return path
+    tops = [
+        f"{name} {brief(float(np.max(np.abs(r.force['seat_cage'][:, 0]))), 'N')}"
+        for name, r in (("as given", run), ("a tenth", tight))
+    ]
+    shows = (
+        f"Normal forces with the clearances as given and with a tenth of them; highest of seat_cage: {', '.join(tops)}."
+    )
+    return Picture(path.name, "Small clearances", shows)

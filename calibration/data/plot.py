@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bcfj_jax.io.page import Picture
 from bcfj_jax.io.plots import COLOURS, engineering, label, panels
 from bcfj_jax.mechanism.channels import unit_of
 from calibration.data.inspection import TOUCHING
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-def data(records: list[Prepared], path: Path) -> None:
+def data(records: list[Prepared], path: Path) -> Picture | None:
     """Every channel of every record on a panel of its own; no picture of none.
 
     Args:
@@ -25,10 +26,13 @@ def data(records: list[Prepared], path: Path) -> None:
     """
     shown = [(record, observes) for record in records for observes in record.readings]
     if not shown:
-        return
+        return None
     with panels(len(shown), 2, path, 6.3, 2.8) as axes:
         for axis, (record, observes) in zip(axes, shown, strict=True):
             _panel(axis, record, observes)
+    kept = sum(int(np.isfinite(record.readings[observes].values).sum()) for record, observes in shown)
+    shows = f"{len(shown)} channel(s) as they were read: {kept} samples kept, with what was left out, gaps and windows."
+    return Picture(path.name, "The data as they were understood", shows)
 
 
 def reading_label(observes: str, prefix: str) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 
 from bcfj_jax import Run
 from bcfj_jax.analysis.simulation.pictures import loops
+from bcfj_jax.io.page import Picture
 from bcfj_jax.io.plots import COLOURS, engineering, figure, label, save, style
 from calibration.data.plot import reading_label
 from calibration.diagnostics.records import Record
@@ -20,14 +21,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-def records(fit: Fit, problem: Problem, path: Path) -> None:
+def records(fit: Fit, problem: Problem, path: Path) -> Picture | None:
     """Every record: data over the fitted history, and below it the residuals in standard deviations.
 
     No picture where features alone were fitted.
     """
     panels = [(record, channel) for record in fit.records for channel in record.data]
     if not panels:
-        return
+        return None
     columns = min(len(panels), 2)
     rows = -(-len(panels) // columns)
     runs = {record.name: _run(fit, problem, record) for record in fit.records if record.data}
@@ -40,6 +41,12 @@ def records(fit: Fit, problem: Problem, path: Path) -> None:
             row, column = divmod(k, columns)
             _panel(grid[2 * row, column], grid[2 * row + 1, column], record, channel, runs[record.name])
         save(drawing, path)
+    held = sum(record.held_out for record, _ in panels)
+    strips = np.concatenate([(r.data[c] - r.prediction[c]) / r.sigma[c] for r, c in panels])
+    inside = float(np.mean(np.abs(strips[np.isfinite(strips)]) <= 2.0))
+    shows = f"{len(panels)} record(s){f', {held} of them held out' if held else ''}: data, the fitted curve, and below each "
+    shows += f"the residuals in standard deviations; {100 * inside:.0f} % of them are within two."
+    return Picture(path.name, "Data and fit", shows)
 
 
 def _run(fit: Fit, problem: Problem, record: Record) -> Run:
@@ -75,17 +82,17 @@ def _panel(upper: Axes, lower: Axes, record: Record, channel: str, run: Run) -> 
     lower.sharex(upper)
 
 
-def force_penetration(fit: Fit, problem: Problem, path: Path) -> None:
+def force_penetration(fit: Fit, problem: Problem, path: Path) -> Picture | None:
     """The loop of the first fitted experiment at the fitted values, with the energy it dissipates.
 
     No picture of a scene without contacts.
     """
     if not problem.scene.members:
-        return
-    loops(_run(fit, problem, fit.records[0]), path)
+        return None
+    return loops(_run(fit, problem, fit.records[0]), path)
 
 
-def starts(fit: Fit, path: Path) -> None:
+def starts(fit: Fit, path: Path) -> Picture:
     """Waterfall: the cost at which each start ended, best first."""
     costs = np.array([row["chi2"] for row in fit.starts], dtype=float)
     with style():
@@ -101,3 +108,6 @@ def starts(fit: Fit, path: Path) -> None:
         axis.set_xlim(0.5, costs.size + 0.5)
         axis.set_ylim(5e-7, max(1.0, 2.0 * float(np.nanmax(costs) - np.nanmin(costs))))
         save(drawing, path)
+    best = int(np.count_nonzero(costs[good] - costs[good].min() <= 1e-3)) if good.any() else 0
+    shows = f"Cost at which each of {costs.size} starts of the search ended, best first: {best} reach the best, "
+    return Picture(path.name, "Where the search ended", f"{shows}{int((~good).sum())} failed.")

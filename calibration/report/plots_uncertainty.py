@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bcfj_jax.io.page import Picture
 from bcfj_jax.io.plots import COLOURS, engineering, figure, label, panels, save, style
 from calibration.fit import Fit
 from calibration.uncertainty.posterior import Posterior
@@ -21,18 +22,35 @@ FILES = ("profile.png", "posterior.png", "correlation.png", "residual_acf.png")
 _CEILING = 1.6
 
 
-def draw(fit: Fit, folder: Path) -> None:
+def draw(fit: Fit, folder: Path) -> list[Picture]:
     """Those of ``FILES`` that a fit has something for: profiles and draws where there are any."""
     units = {name: p.unit for name, p in fit.parameters.items()} | {"reference_force": "N"}
+    found = []
     if fit.evidence.profiles:
-        profiles(list(fit.evidence.profiles.values()), units, folder / "profile.png")
+        several = list(fit.evidence.profiles.values())
+        profiles(several, units, folder / FILES[0])
+        shows = (
+            f"Cost along each parameter, the others fitted again: {', '.join(f'{p.name} {p.shape}' for p in several)}."
+        )
+        found.append(Picture(FILES[0], "Profiles", shows))
     if fit.evidence.posterior is not None:
-        posterior(fit.evidence.posterior, units, folder / "posterior.png")
+        posterior(fit.evidence.posterior, units, folder / FILES[1])
+        shows = f"Draws from the posterior of {', '.join(fit.evidence.posterior.labels)}; 95 % shaded."
+        found.append(Picture(FILES[1], "Posterior", shows))
     if fit.correlation is not None and len(fit.labels) > 1:
         names = ["reference_force" if p.kind == "derived" else name for name, p in fit.parameters.items()]
-        correlation(fit.correlation, names, folder / "correlation.png")
+        correlation(fit.correlation, names, folder / FILES[2])
+        apart = np.abs(np.asarray(fit.correlation) - np.eye(len(names)))
+        i, k = np.unravel_index(int(np.argmax(apart)), apart.shape)
+        shows = (
+            f"Correlations of the estimates; the largest is {fit.correlation[i, k]:+.2f}, of {names[i]} and {names[k]}."
+        )
+        found.append(Picture(FILES[2], "Correlation of the estimates", shows))
     if series := residual_series(fit):
-        residual_acf(series, folder / "residual_acf.png")
+        residual_acf(series, folder / FILES[3])
+        shows = f"Autocorrelation of the residuals of {len(series)} channel(s) by lag, with the bounds of white noise."
+        found.append(Picture(FILES[3], "Memory of the residuals", shows))
+    return found
 
 
 def residual_series(fit: Fit) -> dict[str, np.ndarray]:

@@ -216,6 +216,6 @@ def test_command(tmp_path, monkeypatch):
     assert text.startswith("# ") and "not a prediction" in text and "GUESS" in text
     assert "Q39" in text and content["verdict"] in text
     page = (tmp_path / "out/report.html").read_text()
-    assert page.index(content["verdict"][:20]) < page.index("Q20") and "http" not in page.split("<body>")[1][:2000]
+    assert page.index("claims with a number") < page.index("Q20") and "http" not in page.split("<body>")[1][:2000]
     again = CliRunner().invoke(app, ["reproduce", "--out", "out"])
     assert again.exit_code == 2

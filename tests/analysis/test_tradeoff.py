@@ -122,7 +122,7 @@ def test_files_and_columns(done):
     assert {row["precision"] for row in done.rows} == {"float64"}
     assert set(done.json["recommended"]) == {"10 %", "5 %", "2 %", "1 %", "0.5 %", "0.1 %"}
     page = (done.out / "report.html").read_text()
-    assert page.index("settings ran") < page.index("<table>") < page.index("data:image/png;base64,")
+    assert page.index("a run") < page.index("data:image/png;base64,") < page.index("<table>")
     assert "Recommended settings" in done.stdout
 
 

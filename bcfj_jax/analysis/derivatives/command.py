@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 
 from bcfj_jax.analysis.derivatives import pictures
+from bcfj_jax.analysis.derivatives.certificate import BROKEN, TRUSTED
 from bcfj_jax.analysis.derivatives.names import complete, derivative_unit, feature_unit
 from bcfj_jax.analysis.derivatives.ranking import (
     LEGEND,
+    Ranking,
     certificate_rows,
     ranked_rows,
     ranking,
@@ -23,14 +25,14 @@ from bcfj_jax.core.programs import keep_asked
 from bcfj_jax.core.progress import stage
 from bcfj_jax.core.threads import ahead
 from bcfj_jax.io import outputs, plots, report
+from bcfj_jax.io.page import BAD, FAIR, GOOD, PLAIN, Page, Picture, Table, Verdict
 from bcfj_jax.io.scenefile import load, shown
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import is_reading, unit_of
 from bcfj_jax.mechanism.model import AbstractModel
 
 FILES = (
-    "sensitivity.csv", "certificate.json", "tornado.png", "histories.png", "report.html", "run.toml",
-    "environment.json",
+    "sensitivity.csv", "certificate.json", "tornado.png", "histories.png", *report.FILES, "run.toml", "environment.json",
 )  # fmt: skip
 
 
@@ -97,14 +99,61 @@ def run(
     again = [] if seen == [tables] else tables
     parts = [said(found), *_texts([*certificate, *again]), f"results in {folder}"]
     with stage("drawing"):
-        pictures.tornado(ranking(found, params), folder / "tornado.png")
-        pictures.bands(found, params, folder / "histories.png")
-    drawn = [folder / "tornado.png", folder / "histories.png"]
-    title, *costs = report.solver_rows(stats)
-    solver = [title, ["solves", str(stats["levels"])], *costs]
-    report.write(folder, f"Sensitivity of {stem}", said(found), [*certificate, *tables, ("Solver", solver)], drawn)
+        ranked = ranking(found, params)
+        drawn = (
+            pictures.tornado(ranked, folder / "tornado.png"),
+            pictures.bands(found, params, folder / "histories.png"),
+        )
+    report.write(folder, page(f"Sensitivity of {stem}", found, ranked, tables, drawn))
     keep_asked()
     return "\n\n".join(parts), found.status == "ok"
+
+
+def page(
+    title: str,
+    found: Sensitivity,
+    ranked: Ranking,
+    tables: Sequence[tuple[str, list[list[str]]]],
+    drawn: tuple[Picture, ...],
+) -> Page:
+    """The report: which parameter drives which feature, and how far the derivatives can be trusted.
+
+    Args:
+        title: its heading.
+        found, ranked: the derivatives, and the elasticities of the run's features.
+        tables: of features, as on the screen.
+        drawn: the pictures.
+    """
+    certificate = found.certificate
+    shown = [Table("Change of features per change of parameters" if k == 0 else head, rows, LEGEND if certificate else "")
+             for k, (head, rows) in enumerate(tables)]  # fmt: skip
+    if certificate:
+        note = "Pointwise and averaged: how far two tolerances differ, shares of the largest derivative. "
+        note += "Tangent growth: how much a small change grows over the run."
+        shown.append(Table("Certificate of the histories' derivatives", certificate_rows(certificate), note))
+    solver = report.solver_table(found.stats, [["solves", str(found.stats["levels"])]])
+    return Page(title, answer(found, ranked), drawn, tables=tuple(shown), folded=(solver,))
+
+
+def answer(found: Sensitivity, ranked: Ranking) -> Verdict:
+    """Which parameter drives which feature: the highest peak's where there are peaks, else the strongest of all."""
+    if found.status != "ok":
+        return Verdict(BAD, "Failed", said(found))
+    size = np.abs(np.where(ranked.apart > BROKEN, np.nan, ranked.elasticity))
+    known = [i for i in range(len(ranked.features)) if np.isfinite(size[i]).any()]
+    peaks = [i for i in known if ranked.features[i].endswith(".peak")] or known
+    sentence = "No feature has a derivative that two tolerances agree about."
+    if peaks:
+        row = max(peaks, key=lambda i: float(np.nanmax(size[i])))
+        column = int(np.nanargmax(size[row]))
+        value = f"{ranked.elasticity[row, column]:+.2g}"
+        sentence = f"{ranked.parameters[column]} drives {ranked.features[row]}: {value} % per %."
+    if found.certificate is None:
+        return Verdict(PLAIN, "Not certified", f"{sentence} {said(found)}")
+    verdicts = {check.verdict for check in found.certificate.parameters.values()}
+    kind = GOOD if verdicts == {TRUSTED} else BAD if not peaks else FAIR
+    word = "Trusted" if kind == GOOD else "Partly trusted" if kind == FAIR else "Not differentiable here"
+    return Verdict(kind, word, f"{sentence} {'' if kind == GOOD else said(found)}".strip())
 
 
 def _tables(found: Sensitivity, params: Any) -> list[tuple[str, list[list[str]]]]:

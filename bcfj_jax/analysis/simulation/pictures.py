@@ -1,17 +1,20 @@
-"""Pictures of a run: forces against time, and against penetration. Matplotlib is imported on first use."""
+"""Pictures of a run: forces against time, and against penetration. Matplotlib is imported on first use.
+
+Every function draws one PNG and gives the ``Picture`` of it, whose sentence holds the numbers that the drawing shows.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from bcfj_jax.analysis import features
-from bcfj_jax.io.outputs import channels
-from bcfj_jax.io.plots import Margins, engineering, figure, label, panels, save, style
+from bcfj_jax.io.page import Picture, brief, span
+from bcfj_jax.io.plots import COLOURS, Margins, engineering, figure, label, panels, save, style
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import Channel, quantity_of
 from bcfj_jax.solve.simulation import Run
@@ -21,50 +24,67 @@ if TYPE_CHECKING:
 
 # A contact of fewer samples is not resolved.
 FEW_SAMPLES = 10
+# A share of the peak force below which a contact does not carry, for what a loop shows.
+_CARRIES = 0.005
 
 
-def _members(run: Run) -> dict[str, dict[str, tuple[np.ndarray, np.ndarray]]]:
-    """Per contact, its members' penetration and normal force."""
-    grouped: dict[str, dict[str, tuple[np.ndarray, np.ndarray]]] = {}
-    for name in run.force:
-        force = channels({name: run.force[name]}, 1)
-        depth = channels({name: run.penetration[name]})
-        grouped[name] = {member: (depth[member], force[member][:, 0]) for member in force}
-    return grouped
+class Peak(NamedTuple):
+    """The highest force of a contact: value [N], time [s], the member's number from 1 (0 for a contact without)."""
+
+    force: float
+    time: float
+    member: int
+
+
+def peaks(run: Run) -> dict[str, Peak]:
+    """The highest normal force of every contact; NaN where nothing is known."""
+    found = {}
+    for name, history in run.force.items():
+        normal = history[..., 0].reshape(len(run.times), -1)
+        known = np.where(np.isfinite(normal), normal, -np.inf)
+        at, member = np.unravel_index(int(np.argmax(known)), known.shape)
+        value = float(known[at, member])
+        members = history.ndim == 3
+        found[name] = Peak(
+            value if np.isfinite(value) else math.nan, float(run.times[at]), int(member) + 1 if members else 0
+        )
+    return found
 
 
 def _caption(run: Run) -> str:
-    if run.status == "ok":
-        return ""
-    return f" (run failed at {format_si(run.failure_time, 's').replace(' u', ' µ')})"
+    return "" if run.status == "ok" else f" (run failed at {brief(run.failure_time, 's')})"
 
 
-def forces(run: Run, path: Path) -> None:
-    """Normal force against time, one panel a contact, members on top of each other."""
-    groups = _members(run)
+def forces(run: Run, path: Path) -> Picture:
+    """Normal force against time, one panel a contact; of members the first as a line, all as a band."""
     time_scale, time_prefix = engineering(run.times)
-    with style():
-        below = 0.85 if any(len(members) > 1 for members in groups.values()) else 0.55
-        drawing, axes = figure(len(groups), margins=Margins(below=below))
-        for axis, (name, members) in zip(axes, groups.items(), strict=True):
-            scale, prefix = engineering(np.concatenate([force for _, force in members.values()]))
-            for member, (_, force) in members.items():
-                axis.plot(run.times * time_scale, force * scale, label=member)
-            axis.set_title(f"{name}: normal force{_caption(run)}")
+    several = len(run.force) > 1
+    with panels(len(run.force), 2, path, 6.0 if several else 7.0, 2.6 if several else 3.2, Margins()) as axes:
+        for axis, (name, history) in zip(axes, run.force.items(), strict=True):
+            normal = history[..., 0]
+            scale, prefix = engineering(np.ravel(normal))
+            many = normal.ndim == 2
+            if many:
+                low, high = normal.min(axis=1) * scale, normal.max(axis=1) * scale
+                axis.fill_between(run.times * time_scale, low, high, color=COLOURS[0], alpha=0.22, linewidth=0)
+            first = normal[:, 0] if many else normal
+            axis.plot(run.times * time_scale, first * scale, linewidth=1.2)
+            members = f" (line: {name}_1, band: all {normal.shape[1]})" if many else ""
+            axis.set_title(f"{name}: normal force{members}{_caption(run)}")
             axis.set_xlabel(label("time", "s", time_prefix))
             axis.set_ylabel(label("force", "N", prefix))
             axis.set_xlim(run.times[0] * time_scale, run.times[-1] * time_scale)
-            if not any(np.nanmin(force, initial=0.0) < 0 for _, force in members.values()):
+            if not np.nanmin(normal, initial=0.0) < 0:
                 axis.set_ylim(bottom=0.0)
-            if len(members) > 1:
-                place = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.25)}
-                axis.legend(ncols=len(members), fontsize=8, columnspacing=1.2, handlelength=1.2, **place)
-        save(drawing, path)
+    top = peaks(run)
+    highest = "; ".join(f"{name} {brief(p.force, 'N')} at {brief(p.time, 's')}" for name, p in top.items())
+    return Picture(path.name, "Contact forces", f"Normal force against time. Highest: {highest}{_caption(run)}.")
 
 
-def readings(run: Run, channels: Sequence[Channel], path: Path) -> None:
+def readings(run: Run, channels: Sequence[Channel], path: Path) -> Picture:
     """Each reading against time, one panel a reading, members on top of each other."""
     time_scale, time_prefix = engineering(run.times)
+    said = []
     with style():
         drawing, axes = figure(len(channels), margins=Margins())
         for axis, one in zip(axes, channels, strict=True):
@@ -77,60 +97,174 @@ def readings(run: Run, channels: Sequence[Channel], path: Path) -> None:
             axis.set_xlim(run.times[0] * time_scale, run.times[-1] * time_scale)
             if len(lines) > 1:
                 axis.legend(lines, [f"{one.part}_{k + 1}" for k in range(len(lines))], ncols=len(lines), fontsize=8)
+            said.append(f"{one.name} {span(np.ravel(values), one.unit)}")
         save(drawing, path)
+    return Picture(path.name, "Readings", f"Readings against time: {'; '.join(said)}.")
 
 
-def loops(run: Run, path: Path) -> None:
-    """Normal force against penetration, one panel a contact; the area enclosed is the energy it took."""
-    groups = _members(run)
-    with panels(len(groups), 2, path, 6.0, 4.4, Margins()) as axes:
-        for axis, (name, members) in zip(axes, groups.items(), strict=True):
-            _loop(axis, members, f"{name}: force against penetration{_caption(run)}")
+# Force against penetration.
 
 
-def _loop(axis: Axes, members: dict[str, tuple[np.ndarray, np.ndarray]], title: str) -> None:
+class Loop(NamedTuple):
+    """One loading cycle of a contact: |normal force| [N] and penetration [m], (n,), of one member.
+
+    Attributes:
+        channel: name of the contact or of its member.
+        force, depth: along the cycle.
+        before, deep: the same of the whole run.
+        closed: whether the cycle begins and ends in the same state, so that the area is the energy it dissipates.
+    """
+
+    channel: str
+    force: np.ndarray
+    depth: np.ndarray
+    before: np.ndarray
+    deep: np.ndarray
+    closed: bool
+
+
+def loop(run: Run, name: str, peak: Peak, cycle: float = math.nan) -> Loop | None:
+    """The loading cycle of a contact's highest force; None where the contact never carries a force.
+
+    From apart to apart where the contact opens on both sides of its peak; else one ``cycle`` [s] of the load, the last of
+    the run; else the whole history.
+    """
+    index = (slice(None), peak.member - 1) if peak.member else slice(None)
+    force, depth = np.abs(run.force[name][..., 0][index]), run.penetration[name][index]
+    channel = f"{name}_{peak.member}" if peak.member else name
+    if not np.nanmax(force, initial=0.0) > 0.0:
+        return None
+    steady = math.isfinite(cycle) and 0.0 < cycle < run.times[-1] - run.times[0]
+    if steady:
+        last = run.times >= run.times[-1] - cycle * (1.0 + 1e-9)
+        first = int(np.argmax(last))
+        # One cycle ends where it began: the sample before it closes the loop.
+        return Loop(channel, force[first:], depth[first:], force, depth, True)
+    top = int(np.nanargmax(force))
+    idle = np.flatnonzero(~(force > _CARRIES * force[top]))
+    before, after = idle[idle < top], idle[idle > top]
+    if before.size and after.size:
+        part = slice(int(before[-1]), int(after[0]) + 1)
+        return Loop(channel, force[part], depth[part], force, depth, True)
+    if after.size and top and force[0] <= 0.05 * force[top]:
+        return Loop(channel, force[: after[0] + 1], depth[: after[0] + 1], force, depth, True)
+    return Loop(channel, force, depth, force, depth, False)
+
+
+def loops(
+    run: Run, path: Path, cycles: Mapping[str, float] | None = None, widths: Mapping[str, float] | None = None
+) -> Picture:
+    """Normal force against penetration over one loading cycle, one panel a contact; the area is the energy it takes.
+
+    Args:
+        run: what to draw.
+        path: of the PNG.
+        cycles: by contact, period of its load in steady motion [s], where it has one.
+        widths: by contact, the width of its regularisation [m], where it has one.
+    """
+    said = []
+    with panels(
+        len(run.force), 3 if len(run.force) > 4 else 2, path, 4.0 if len(run.force) > 1 else 6.0, 3.6, Margins()
+    ) as axes:
+        for axis, (name, peak) in zip(axes, peaks(run).items(), strict=True):
+            one = loop(run, name, peak, (cycles or {}).get(name, math.nan))
+            text = _loop(axis, one, (widths or {}).get(name, 0.0))
+            axis.set_title(f"{one.channel if one else name}{_caption(run)}")
+            said.append(f"{one.channel if one else name}: {text}")
+    cycle = "the contact with the highest force" if not cycles else "one loading cycle of each contact"
+    shows = (
+        f"Normal force against penetration: {cycle} in colour, arrows in the direction of time, the whole run in grey. "
+    )
+    shows += f"{'; '.join(said)}."
+    if any(force.ndim == 3 for force in run.force.values()):
+        shows += " The penetration is that of a contact's deepest face: where two faces carry, the curve has a kink."
+    return Picture(path.name, "Force against penetration", shows)
+
+
+def _loop(axis: Axes, one: Loop | None, width: float) -> str:
+    """Draw a loop; what it shows, in words."""
+    if one is None:
+        axis.text(0.5, 0.5, "no contact at any sample", transform=axis.transAxes, ha="center", va="center")
+        return "no contact at any sample"
     from matplotlib.patches import Polygon
 
-    depths = np.concatenate([depth for depth, _ in members.values()])
-    deepest = np.nanmax(depths, initial=0.0)
-    depth_scale, depth_prefix = engineering([deepest])
-    pushes = np.concatenate([force for _, force in members.values()])
-    force_scale, force_prefix = engineering(pushes)
-    axis.set_title(title)
+    force, depth = one.force, one.depth
+    top = float(np.nanmax(force))
+    bears = depth[force > _CARRIES * top]
+    least, deepest = float(np.min(bears, initial=0.0)), float(np.max(bears))
+    size = max(deepest, -least)
+    depth_scale, depth_prefix = engineering([size])
+    force_scale, force_prefix = engineering([top])
+    x, y = depth * depth_scale, force * force_scale
+    few = np.count_nonzero(force > _CARRIES * top) < FEW_SAMPLES
+    # Flights are far longer than contacts are deep: the surface's own neighbourhood.
+    near = one.deep >= least - 0.1 * size
+    axis.plot(np.where(near, one.deep, np.nan) * depth_scale, one.before * force_scale, color="#b0b0b0", linewidth=0.8)
+    axis.plot(x, y, marker="o" if few else "", linewidth=1.4)
+    # An artist: the limits are set below, and matplotlib need not look for them.
+    corners = np.column_stack([x, y])[np.isfinite(x) & np.isfinite(y)]
+    axis.add_artist(Polygon(corners, color=COLOURS[0], alpha=0.2, linewidth=0))
+    margin = 0.05 * (deepest - least) * depth_scale
+    axis.set_xlim(least * depth_scale - margin, deepest * depth_scale + margin)
+    axis.set_ylim(0.0, 1.06 * max(top, float(np.nanmax(one.before))) * force_scale)
     axis.set_xlabel(label("penetration", "m", depth_prefix))
     axis.set_ylabel(label("force", "N", force_prefix))
-    if deepest <= 0.0:
-        axis.text(0.5, 0.5, "no contact at any sample", transform=axis.transAxes, ha="center", va="center")
-        return
-    work, coarse = 0.0, False
-    for member, (depth, force) in members.items():
-        # Flights are far longer than contacts are deep: show the surface's own neighbourhood.
-        near = depth >= -0.04 * deepest
-        x = np.where(near, depth, np.nan) * depth_scale
-        pressed = depth > 0
-        few = np.count_nonzero(pressed) < FEW_SAMPLES
-        coarse = coarse or few
-        (line,) = axis.plot(x, force * force_scale, marker="o" if few else "", label=member)
-        corners = (np.append(depth[pressed], 0.0) * depth_scale, np.append(force[pressed], 0.0) * force_scale)
-        taken = float(features.dissipated_work(np.abs(force), depth))
-        if math.isfinite(taken):
-            # An artist: the limits are set below, and matplotlib need not look for them.
-            look = {"color": line.get_color(), "alpha": 0.15 / len(members), "linewidth": 0}
-            axis.add_artist(Polygon(np.column_stack(corners), **look))
-        work += taken
-    axis.set_xlim(-0.04 * deepest * depth_scale, 1.05 * deepest * depth_scale)
-    axis.set_ylim(bottom=0.0)
-    # Upper left is free: the force rises with the penetration.
-    text = "not resolved (too few samples)" if coarse else _dissipated(work, 1e-6 * deepest * np.nanmax(pushes))
-    axis.text(0.04, 0.95, f"dissipated: {text}", transform=axis.transAxes, ha="left", va="top")
-    if len(members) > 1:
-        axis.legend(fontsize=8, loc="center left")
+    if not few:
+        _arrows(axis, x, y)
+    taken = float(features.dissipated_work(force, depth))
+    if few:
+        text = "not resolved (too few samples)"
+    elif one.closed:
+        text = _taken(taken, 1e-5 * size * top)
+    else:
+        text = f"work of the contact: {brief(taken, 'J')}; the cycle is not closed"
+    axis.text(0.03, 0.97, text.partition(";")[0], transform=axis.transAxes, ha="left", va="top", fontsize=9)
+    at_zero = _at_zero(one.before, one.deep)
+    if width > 0.0 and at_zero > _CARRIES * top:
+        axis.axvline(0.0, color=COLOURS[5], linewidth=0.9, linestyle=":")
+        carried = f"{brief(at_zero, 'N')} at zero penetration"
+        text += f", {carried} because contact begins {brief(width, 'm')} early (smoothing)"
+        axis.text(
+            0.03, 0.87, f"{carried}\n(smoothing {brief(width, 'm')})", transform=axis.transAxes, fontsize=8, va="top"
+        )
+    return text
 
 
-def _dissipated(work: float, noise: float) -> str:
-    """The energy in words; below a millionth of the contact's own energy it is the integration's error."""
+def _at_zero(force: np.ndarray, depth: np.ndarray) -> float:
+    """Force where the surfaces just touch [N]: the largest at a crossing of zero penetration; 0 without one."""
+    cross = np.flatnonzero(((depth[:-1] <= 0.0) != (depth[1:] <= 0.0)) & np.isfinite(force[:-1] + force[1:]))
+    if not cross.size:
+        return 0.0
+    share = depth[cross] / (depth[cross] - depth[cross + 1])
+    return float(np.max(force[cross] + share * (force[cross + 1] - force[cross])))
+
+
+def _arrows(axis: Axes, x: np.ndarray, y: np.ndarray) -> None:
+    """The direction of time, once while the force rises and once while it falls."""
+    top, half, step = int(np.nanargmax(y)), 0.55 * (np.nanmin(y) + np.nanmax(y)), max(1, len(y) // 50)
+    look = {
+        "arrowstyle": "-|>",
+        "color": COLOURS[1],
+        "linewidth": 1.2,
+        "shrinkA": 0,
+        "shrinkB": 0,
+        "mutation_scale": 14,
+    }
+    for way in (-1, 1):
+        side = y[top::way]
+        under = np.flatnonzero(side <= half)
+        if under.size:
+            middle = top + way * int(under[0])
+            start, end = max(0, middle - step), min(len(y) - 1, middle + step)
+            axis.annotate("", (x[end], y[end]), (x[start], y[start]), arrowprops=look)
+
+
+def _taken(work: float, noise: float) -> str:
+    """The energy in words; below 1e-5 of force times depth it is the integration's error."""
     if not math.isfinite(work):
-        return "unknown, the run failed"
+        return "dissipated: unknown, the run failed"
     if abs(work) < noise:
-        return f"none (below {format_si(noise, 'J', 2)})".replace(" u", " µ")
-    return format_si(work, "J", 4).replace(" u", " µ")
+        return f"dissipated: none (below {format_si(noise, 'J', 2).replace(' u', ' µ')})"
+    if work < 0:
+        return f"gives back {brief(-work, 'J')} in this cycle"
+    return f"dissipated: {brief(work, 'J')}"

@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bcfj_jax.analysis import envelope, features, histories
-from bcfj_jax.analysis.simulation import pictures
+from bcfj_jax.analysis.simulation import page, pictures
 from bcfj_jax.io import outputs, report
+from bcfj_jax.io.page import Table
 from bcfj_jax.io.scenefile import SceneFile
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.readings import STATES
@@ -21,12 +22,12 @@ FILES = (
     "forces.csv",
     "contacts.csv",
     "summary.json",
-    "report.html",
+    *report.FILES,
     "run.toml",
     "environment.json",
 )
 # Of contacts, and of what [[read]] asks for.
-PICTURES, READINGS = ("forces.png", "force_penetration.png"), ("readings.csv", "readings.png")
+PICTURES, READINGS = (page.FORCES, page.LOOPS), ("readings.csv", page.READINGS)
 
 
 def files(given: SceneFile) -> tuple[str, ...]:
@@ -90,13 +91,6 @@ def _accuracy_json(accuracy: Accuracy) -> dict[str, Any]:
         "wall_s": accuracy.wall_s,
         "units": {"asked": "1", "measured": "1", "from": "s", "agree_until": "s", "wall_s": "s"},
     }
-
-
-def _accuracy_rows(accuracy: Accuracy) -> list[list[str]]:
-    rows = [["contact", "asked", "rms", "peak", "impulse"]]
-    for name, errors in measured_errors(accuracy).items():
-        rows.append([name, _percent(accuracy.asked, 6), *(_percent(errors[k], 2) for k in rows[0][2:])])
-    return rows
 
 
 # Contacts.
@@ -214,24 +208,23 @@ def _readings(given: SceneFile, run: Run) -> dict[str, np.ndarray]:
     return found
 
 
-def _readings_rows(given: SceneFile, run: Run) -> list[list[str]]:
+def _readings_rows(given: SceneFile, run: Run, digits: int = 6) -> list[list[str]]:
     """What [[read]] asks for, for people: least, largest and last value."""
     rows = [["reading", "least", "largest", "at the end"]]
     for head, column in _readings(given, run).items():
         name, _, unit = head.removesuffix("]").rpartition(" [")
         known = column[np.isfinite(column)]
         values = (known.min(), known.max(), column[-1]) if known.size else [float("nan")] * 3
-        rows.append([name, *(format_si(float(x), unit) for x in values)])
+        rows.append([name, *(format_si(float(x), unit, digits) for x in values)])
     return rows
 
 
 class Written(NamedTuple):
-    """What ``write`` has written, in words: the results, a sentence on the run, what to warn of, the report's tables."""
+    """What ``write`` has written: the results in words, what to warn of, and ``summary.json``."""
 
     text: str
-    said: str
     warnings: list[str]
-    tables: list[tuple[str, list[list[str]]]]
+    content: dict[str, Any]
 
 
 def write(folder: Path, given: SceneFile, run: Run, stem: str) -> Written:
@@ -251,25 +244,23 @@ def write(folder: Path, given: SceneFile, run: Run, stem: str) -> Written:
     for name, columns in extra.items():
         outputs.write_histories(folder / name, run.times, columns)
     content = summary(run, given.scene.traits.turning) | whole
-    outputs.write_json(folder / "summary.json", content | {"warnings": warnings})
-    tables = [("Contacts", _contacts(content["contacts"]))] if run.force else []
+    content |= {"warnings": warnings}
+    outputs.write_json(folder / "summary.json", content)
+    tables = [_contacts(content["contacts"])] if run.force else []
     if given.reads:
-        tables.append(("Readings", _readings_rows(given, run)))
+        tables.append(_readings_rows(given, run))
     said = f"{verdict(run)} {choice_sentence(run)}".strip()
     accuracy = "".join(f"{line}\n" for line in accuracy_sentences(run))
-    text = "\n\n".join([said, *(report.text(rows) for _, rows in tables)])
-    if run.accuracy:
-        tables.append(("Measured force error", _accuracy_rows(run.accuracy)))
-    tables += [("Input", _input_rows(given)), ("Solver", report.solver_rows(run.stats))]
-    return Written(f"{text}\n" + (f"\n{accuracy}" if accuracy else ""), said, warnings, tables)
+    text = "\n\n".join([said, *map(report.text, tables)])
+    return Written(f"{text}\n" + (f"\n{accuracy}" if accuracy else ""), warnings, content)
 
 
 def draw(folder: Path, given: SceneFile, run: Run, stem: str, written: Written) -> None:
     """The pictures of a run, and its report."""
-    if run.force:
-        pictures.forces(run, folder / PICTURES[0])
-        pictures.loops(run, folder / PICTURES[1])
-    if given.reads:
-        pictures.readings(run, given.reads, folder / READINGS[1])
-    drawn = [folder / name for name in files(given) if name.endswith(".png")]
-    report.write(folder, f"Simulation of {stem}", written.said, written.tables, drawn, written.warnings)
+    shown = page.drawn(folder, run, given.scene, given.params, given.reads, written.content["contacts"])
+    found = page.made(
+        f"Simulation of {stem}", run, given.scene, written.content, shown,
+        [Table("Input: values and what they mean", _input_rows(given))],
+        _readings_rows(given, run, 3) if given.reads else (), choice_sentence(run),
+    )  # fmt: skip
+    report.write(folder, found)

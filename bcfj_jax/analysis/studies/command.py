@@ -5,12 +5,13 @@ from __future__ import annotations
 import contextlib
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from bcfj_jax.analysis.derivatives.names import feature_unit
 from bcfj_jax.analysis.studies import api, local, pictures, specification
 from bcfj_jax.analysis.studies.block import Blocks, compute
 from bcfj_jax.analysis.studies.specification import Study
@@ -18,6 +19,7 @@ from bcfj_jax.analysis.studies.store import Store, facts_of, fault_of
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.progress import stage
 from bcfj_jax.io import report
+from bcfj_jax.io.page import BAD, FAIR, GOOD, Page, Picture, Table, Verdict, brief, span
 from bcfj_jax.io.stop import heeded
 from bcfj_jax.io.units import format_si
 
@@ -197,10 +199,68 @@ def write(result: api.Result, study: Study, stem: str) -> str:
         values = values[np.isfinite(values)]
         cells = [f"{x:.6g}" for x in (np.min(values), np.median(values), np.max(values))] if values.size else ["-"] * 3
         rows.append([name, *cells])
-    failures = [["reason", "points"], *([text, str(count)] for text, count in found["reasons"].items())]
-    tables = [("Results", rows)] + ([("Failures", failures)] if found["failed"] else [])
     with stage("drawing"):
         drawn = pictures.overview(study, result, result.folder)
-    report.write(result.folder, f"Study {stem}", said, tables, drawn)
+    report.write(result.folder, page(f"Study {stem}", result, study, drawn))
     more = [f"  {text}: {count}" for text, count in found["reasons"].items()]
     return "\n".join([said, *more, "", report.text(rows)])
+
+
+def page(title: str, result: api.Result, study: Study, drawn: Sequence[Picture]) -> Page:
+    """The report: which parameter moves which feature most, the range of every feature, and points that failed."""
+    good = result.column("status") == "ok"
+    rows = [["feature", "least", "median", "largest"]]
+    for feature in study.features:
+        values, unit = result.column(feature.name)[good], feature_unit(feature.name)
+        values = values[np.isfinite(values)]
+        ends = (np.min(values), np.median(values), np.max(values)) if values.size else [float("nan")] * 3
+        rows.append([feature.name, *(brief(float(x), unit) for x in ends)])
+    varied = [["parameter", "from", "to"]]
+    for name in study.names:
+        unit, values = study.given.scene.quantities[name].unit, result.column(name)
+        varied.append([name, brief(float(np.min(values)), unit), brief(float(np.max(values)), unit)])
+    tables = [Table("Features over all points", rows), Table("What was varied", varied)]
+    warnings = []
+    if found := result.failed:
+        share = f"{found} of {study.count} points failed; the features leave them out."
+        warnings.append(share)
+        reasons = [[text, str(count)] for text, count in result.state["reasons"].items()]
+        tables.append(Table("Failures", [["reason", "points"], *reasons]))
+    return Page(title, _answer(result, study, good), tuple(drawn), tuple(warnings), tuple(tables))
+
+
+def _answer(result: api.Result, study: Study, good: np.ndarray) -> Verdict:
+    """Which parameter moves which feature most, by the range of the feature over its median.
+
+    With several parameters the one whose ranks correlate most with the feature's.
+    """
+    count = f"{study.count} points"
+    if not good.any():
+        return Verdict(BAD, "Failed", f"None of {count} has a result.")
+    best, feature = -1.0, None
+    for one in study.features:
+        values = result.column(one.name)[good]
+        middle = float(np.nanmedian(np.abs(values))) if np.isfinite(values).any() else 0.0
+        spread = float(np.nanmax(values) - np.nanmin(values)) / middle if middle > 0 else -1.0
+        if spread > best:
+            best, feature = spread, one.name
+    kind, word = (FAIR, "Finished, with failures") if result.failed else (GOOD, "Finished")
+    if feature is None:
+        return Verdict(kind, word, f"{count}; no feature has a value.")
+    values = result.column(feature)[good]
+    extent = span(values, feature_unit(feature))
+    if pictures.together(study, result):
+        name = " and ".join(study.names)
+    else:
+        name = max(study.names, key=lambda n: _rank_correlation(result.column(n)[good], values))
+    what = "move" if " and " in name else "moves"
+    return Verdict(kind, word, f"{name} {what} {feature} most: {extent} over {count}.")
+
+
+def _rank_correlation(x: np.ndarray, y: np.ndarray) -> float:
+    """Size of Spearman's coefficient; 0 where one does not vary."""
+    known = np.isfinite(x) & np.isfinite(y)
+    ranks = [np.argsort(np.argsort(v[known])).astype(float) for v in (x, y)]
+    if np.count_nonzero(known) < 2 or np.ptp(x[known]) == 0 or np.ptp(y[known]) == 0:
+        return 0.0
+    return abs(float(np.corrcoef(*ranks)[0, 1]))

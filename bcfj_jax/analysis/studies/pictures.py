@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bcfj_jax.analysis.derivatives.names import UNITS, feature_unit
+from bcfj_jax.analysis.derivatives.names import feature_unit
 from bcfj_jax.analysis.studies.specification import Study
 from bcfj_jax.io import plots
-from bcfj_jax.io.outputs import atomic
+from bcfj_jax.io.page import Picture, span
 
 if TYPE_CHECKING:
     from bcfj_jax.analysis.studies.api import Result
@@ -26,85 +26,97 @@ def label(study: Study, name: str) -> str:
     return name if unit == "1" else f"{name} [{unit}]"
 
 
-def overview(study: Study, result: Result, folder: Path) -> list[Path]:
-    """``study.png``: one parameter: curves, a panel a kind of feature; a grid of two: maps; else clouds.
+def overview(study: Study, result: Result, folder: Path) -> list[Picture]:
+    """``study.png``: one parameter: curves, a panel a feature; a grid of two: maps; else clouds.
+
+    Parameters that were varied together, each rising or falling with the first, are one parameter.
 
     Returns:
-        The files drawn.
+        The picture drawn, if any.
     """
     good = result.column("status") == "ok"
     if not good.any() or not study.features:
         return []
-    if len(study.names) == 1:
-        found = _curves(study, result)
+    path, first = folder / NAME, study.names[0]
+    if together(study, result):
+        left_out = _curves(study, result, path)
+        beside = f" (with it {', '.join(study.names[1:])})" if study.names[1:] else ""
+        shows = f"Each feature against {first}{beside}, in its own unit"
     elif len(study.names) == 2 and study.kind == "grid" and min(axis.steps for axis in study.axes) >= _FEWEST:
-        found = _maps(study, result)
+        left_out = _maps(study, result, path)
+        shows = f"Each feature over {first} and {study.names[1]}"
     else:
-        found = _clouds(study, result, good)
-    with atomic(folder / NAME) as temporary:
-        found.savefig(temporary, format="png", dpi=110)
-    return [folder / NAME]
+        left_out = _clouds(study, result, good, path)
+        shows = "Each feature against each parameter"
+    ranges = "; ".join(
+        f"{f.name} {span(result.column(f.name)[good], feature_unit(f.name))}" for f in study.features[:6]
+    )
+    more = f" {left_out} more are in results.parquet." if left_out else ""
+    return [Picture(NAME, "The study", f"{shows}, {study.count} points: {ranges}.{more}")]
 
 
-def _panels(count: int, across: int, title: str) -> tuple[Any, list[Any]]:
-    from matplotlib.figure import Figure
-
-    rows = -(-count // across)
-    figure = Figure(figsize=(5.2 * across, 3.6 * rows + 0.4), layout="constrained")
-    figure.suptitle(title)
-    axes = figure.subplots(rows, across, squeeze=False).ravel()
-    for spare in axes[count:]:
-        spare.set_visible(False)
-    return figure, list(axes[:count])
+def together(study: Study, result: Result) -> bool:
+    """Whether one parameter was varied, or several that rise or fall strictly with the first."""
+    values = [result.column(name) for name in study.names]
+    order = np.argsort(values[0], kind="stable")
+    steps = [np.diff(x[order]) for x in values]
+    return len(values) == 1 or all(bool(np.all(d > 0) or np.all(d < 0)) for d in steps)
 
 
-def _curves(study: Study, result: Result) -> Any:
-    """Features against the one parameter, those of a kind together; failed points leave a gap."""
+def _scaled(study: Study, name: str, values: np.ndarray) -> tuple[np.ndarray, str]:
+    """A parameter's values as an axis shows them, and its label."""
+    unit = study.given.scene.quantities[name].unit
+    scale, prefix = plots.engineering(values, unit)
+    return values * scale, name if unit == "1" else plots.label(name, unit, prefix)
+
+
+def _curves(study: Study, result: Result, path: Path) -> int:
+    """Features against the one parameter, a panel each; failed points leave a gap. How many features are left out."""
     name = study.names[0]
-    x = result.column(name)
+    x, text = _scaled(study, name, result.column(name))
     order = np.argsort(x)
-    kinds = list(dict.fromkeys(f.kind for f in study.features))
-    with plots.style():
-        figure, panels = _panels(len(kinds), min(2, len(kinds)), f"{study.given.scene.kind}: {study.count} points")
-        for axes, kind in zip(panels, kinds, strict=True):
-            for feature in (f for f in study.features if f.kind == kind):
-                y = result.column(feature.name)
-                mark = "." if study.count < 60 else ""
-                axes.plot(x[order], y[order], marker=mark, lw=1.2, label=":".join(feature.contacts))
-            unit = UNITS[kind]
-            axes.set_ylabel(kind.replace("_", " ") + (f" [{unit}]" if unit != "1" else ""))
-            axes.set_xlabel(label(study, name))
+    shown = study.features[:_MOST]
+    across = 2 if len(shown) < 5 else 3
+    with plots.panels(len(shown), across, path, 4.4, 2.7, plots.Margins(0.85)) as panels:
+        for number, (axes, feature) in enumerate(zip(panels, shown, strict=True)):
+            unit = feature_unit(feature.name)
+            y = result.column(feature.name)
+            scale, prefix = plots.engineering(y[np.isfinite(y)], unit)
+            mark = "o" if study.count < 60 else ""
+            axes.plot(x[order], y[order] * scale, marker=mark, markersize=3, lw=1.3)
+            axes.set_title(feature.name)
+            if unit != "1":
+                axes.set_ylabel(f"[{prefix}{unit}]".replace("u", "µ"))
+            if number >= len(shown) - across:
+                axes.set_xlabel(text)
             if study.axes[0].scale == "log":
                 axes.set_xscale("log")
-            axes.legend(fontsize=8)
-    return figure
+    return len(study.features) - len(shown)
 
 
-def _maps(study: Study, result: Result) -> Any:
-    """Features over the two parameters of a grid; failed points stay white."""
+def _maps(study: Study, result: Result, path: Path) -> int:
+    """Features over the two parameters of a grid; failed points stay white. How many features are left out."""
     shape = tuple(axis.steps for axis in study.axes)
     x, y = (result.column(name).reshape(shape) for name in study.names)
     shown = study.features[:_MOST]
-    with plots.style():
-        figure, panels = _panels(len(shown), min(3, len(shown)), f"{study.given.scene.kind}: {study.count} points")
+    with plots.panels(len(shown), 3, path, 5.0, 3.6) as panels:
         for axes, feature in zip(panels, shown, strict=True):
             axes.grid(False)
-            drawn = axes.pcolormesh(x, y, result.column(feature.name).reshape(shape), shading="nearest")
+            drawn = axes.pcolormesh(x, y, result.column(feature.name).reshape(shape), shading="nearest", cmap="cividis")
             unit = feature_unit(feature.name)
-            figure.colorbar(drawn, ax=axes, label=unit if unit != "1" else None)
+            axes.figure.colorbar(drawn, ax=axes, label=unit if unit != "1" else None)
             axes.set(xlabel=label(study, study.names[0]), ylabel=label(study, study.names[1]), title=feature.name)
             for axis, scale in zip(study.axes, (axes.set_xscale, axes.set_yscale), strict=True):
                 scale(axis.scale)
-    return figure
+    return len(study.features) - len(shown)
 
 
-def _clouds(study: Study, result: Result, good: np.ndarray) -> Any:
-    """Every feature against every parameter."""
-    pairs = [(f, name) for f in study.features for name in study.names][:_MOST]
-    with plots.style():
-        figure, panels = _panels(len(pairs), min(3, len(pairs)), f"{study.given.scene.kind}: {study.count} points")
-        for axes, (feature, name) in zip(panels, pairs, strict=True):
+def _clouds(study: Study, result: Result, good: np.ndarray, path: Path) -> int:
+    """Every feature against every parameter. How many pairs are left out."""
+    pairs = [(f, name) for f in study.features for name in study.names]
+    with plots.panels(len(pairs[:_MOST]), 3, path, 4.6, 3.0) as panels:
+        for axes, (feature, name) in zip(panels, pairs[:_MOST], strict=True):
             axes.plot(result.column(name)[good], result.column(feature.name)[good], ".", ms=3)
             axes.set(xlabel=label(study, name), ylabel=feature.name)
             axes.set_xscale(next(axis.scale for axis in study.axes if axis.name == name))
-    return figure
+    return max(0, len(pairs) - _MOST)

@@ -17,12 +17,13 @@ from bcfj_jax.analysis.tradeoff.study import COLUMNS, NO_TIME, OK, Study, study
 from bcfj_jax.io import outputs, report
 from bcfj_jax.io.journal import NAME as JOURNAL
 from bcfj_jax.io.journal import Journal, key_of
+from bcfj_jax.io.page import BAD, FAIR, GOOD, Listing, Page, Table, Verdict, brief
 from bcfj_jax.io.scenefile import load, shown
 from bcfj_jax.io.stop import heeded
 from bcfj_jax.io.units import format_si
 
 DONE, FAILED, INTERRUPTED = 0, 3, 5
-FILES = ("tradeoff.csv", "tradeoff.json", "tradeoff.png", "report.html", "run.toml", "environment.json")
+FILES = ("tradeoff.csv", "tradeoff.json", "tradeoff.png", *report.FILES, "run.toml", "environment.json")
 # What tables, pictures and report take of the budget [s], at most a quarter of it.
 _REPORT_S = 4.0
 Rows = Sequence[Sequence[str]]
@@ -79,16 +80,26 @@ def write(folder: Path, found: Study, stem: str) -> str:
     tables += [("Reference", reference_rows(found)), ("Pareto front", rows_of(front))]
     pictures = []
     if any(np.isfinite(worst(row)) for row in found.rows if row["status"] == OK):
-        pictures.append(folder / "tradeoff.png")
-        tradeoff(found, advice, pictures[0], stem)
+        pictures.append(tradeoff(found, advice, folder / "tradeoff.png", stem))
     changes = {one["setting"]: one["change"] for one in advice.values() if one["setting"] and one["change"]}
     blocks = [
         (f"For {budgets}: set this, [accuracy] in place of yours", [["TOML"], *([x] for x in toml.splitlines())])
         for name, budgets in advise.shared(advice).items()
         if (toml := changes.get(name))
     ]
-    every = ("Every setting, dominated and failed ones too", rows_of(found.rows))
-    report.write(folder, f"Speed and accuracy of {stem}", said, [*tables, *blocks, every], pictures, doubts)
+    every = Table("Every setting, dominated and failed ones too", rows_of(found.rows))
+    sections = [
+        Table("Recommended settings", chosen),
+        *(Listing(head, "\n".join(row[0] for row in rows[1:])) for head, rows in blocks),
+        Table("Pareto front: no other setting is both faster and more accurate", rows_of(front), "", (every,))
+        if front
+        else every,
+        Table("Reference: what errors are measured against", reference_rows(found)),
+    ]
+    page = Page(
+        f"Speed and accuracy of {stem}", answer(advice, doubts, found), tuple(pictures), tuple(doubts), tuple(sections)
+    )
+    report.write(folder, page)
     parts = [said, *(f"warning: {doubt}" for doubt in doubts)]
     parts += [f"{head}\n{report.text(rows)}" for head, rows in tables if len(rows) > 1]
     parts += [f"{head}\n" + "\n".join(row[0] for row in rows[1:]) for head, rows in blocks]
@@ -111,6 +122,20 @@ def as_json(found: Study, advice: dict[str, Any], doubts: list[str]) -> dict[str
             for row, setting, error in zip(found.rows, found.settings, expected, strict=True)
         ],
     }
+
+
+def answer(advice: dict[str, Any], doubts: list[str], found: Study) -> Verdict:
+    """The recommended setting for each error budget."""
+    walls = {one["setting"]: one["wall_s"] for one in advice.values() if one["setting"]}
+    if not walls:
+        return Verdict(BAD, "No setting", verdict(advice, doubts, found))
+    parts = [
+        f"for {budgets}: {name}, {brief(walls[name], 's')} a run" for name, budgets in advise.shared(advice).items()
+    ]
+    kind, word = (FAIR, "Recommended, with doubts") if doubts else (GOOD, "Recommended")
+    if found.interrupted:
+        kind, word = FAIR, "Interrupted; recommended so far"
+    return Verdict(kind, word, f"{'; '.join(parts)}.")
 
 
 def verdict(advice: dict[str, Any], doubts: list[str], found: Study) -> str:

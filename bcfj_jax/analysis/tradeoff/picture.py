@@ -12,6 +12,7 @@ from bcfj_jax.analysis.tradeoff.advice import shared
 from bcfj_jax.analysis.tradeoff.measures import worst
 from bcfj_jax.analysis.tradeoff.study import OK, Study
 from bcfj_jax.io import plots
+from bcfj_jax.io.page import Picture, span
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,7 +22,7 @@ _MARKS = ("o", "s", "^", "D", "v", "P", "X", "*")
 _TOP, _LEAST = 10.0, 1e-12
 
 
-def tradeoff(study: Study, advice: Mapping[str, Mapping[str, Any]], path: Path, title: str) -> None:
+def tradeoff(study: Study, advice: Mapping[str, Mapping[str, Any]], path: Path, title: str) -> Picture:
     """Work-precision: one panel of values, one of derivatives where there are any."""
     slopes = any(np.isfinite(row["derivative_error"]) for row in study.rows)
     with plots.style():
@@ -44,6 +45,13 @@ def tradeoff(study: Study, advice: Mapping[str, Mapping[str, Any]], path: Path, 
             axes[1].set_title("derivatives of the forces, rms")
             axes[1].set_ylabel("error of derivatives [-]")
         plots.save(drawing, path)
+    known = {row["setting"]: worst(row) for row in study.rows if row["status"] == OK}
+    rings = [
+        f"{name} ({span([known[name]])}) for {budgets}" for name, budgets in shared(advice).items() if name in known
+    ]
+    shows = f"Worst error against wall time of {len(known)} settings"
+    shows += f"; recommended, with their error as a share: {'; '.join(rings)}." if rings else "; none is recommended."
+    return Picture(path.name, "Error against time", shows)
 
 
 def _panel(
@@ -88,5 +96,5 @@ def _chosen(axis: Axes, advice: Mapping[str, Mapping[str, Any]], walls: Mapping,
     for number, (name, budgets) in enumerate(shared(advice).items()):
         place = (walls[name], max(errors[name], _LEAST))
         label = "recommended, with the budgets it keeps" if not number else None
-        axis.plot(*place, "o", markersize=12, markerfacecolor="none", markeredgecolor="#c4001b", label=label)
-        axis.annotate(budgets, place, (9, 7), textcoords="offset points", fontsize=8, color="#c4001b")
+        axis.plot(*place, "o", markersize=12, markerfacecolor="none", markeredgecolor="#b84e00", label=label)
+        axis.annotate(budgets, place, (9, 7), textcoords="offset points", fontsize=8, color="#b84e00")

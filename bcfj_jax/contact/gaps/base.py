@@ -62,11 +62,13 @@ class AbstractGap(eqx.Module):
         quantities: what names of its own mean, beside those of ``core.quantities.CATALOGUE``.
         members: number of like contacts that ``faces`` gives side by side; 0 where its bodies decide.
         signed: whether the normal force that is read is the first face's less the second's, and not their sum.
+        round: whether b's marker is free within a circle about a's, of the radius ``clearance``, across a's z axis.
     """
 
     needs: ClassVar[tuple[str, ...]] = ()
     quantities: ClassVar[Mapping[str, Quantity]] = {}
     signed: ClassVar[bool] = False
+    round: ClassVar[bool] = False
 
     @property
     def members(self) -> int:

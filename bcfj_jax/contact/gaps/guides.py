@@ -123,6 +123,7 @@ class PinInBearing(AbstractGap):
         ends: whether the pin touches at both of its ends and not in one plane.
     """
 
+    round: ClassVar[bool] = True
     ends: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):

@@ -125,6 +125,7 @@ class SphereInSocket(AbstractGap):
     """
 
     needs: ClassVar[tuple[str, ...]] = ("clearance", "radius")
+    round: ClassVar[bool] = True
     axis_of: str = eqx.field(static=True, default="a")
 
     def __check_init__(self):

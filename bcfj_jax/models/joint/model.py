@@ -25,6 +25,7 @@ from bcfj_jax.mechanism.model import (
     Coarser,
     Flows,
     ModelTraits,
+    Orbit,
     Params,
     Reading,
     Solution,
@@ -37,6 +38,7 @@ from bcfj_jax.models.joint.checks import check_joint
 from bcfj_jax.models.joint.constants import constants
 from bcfj_jax.models.joint.energy import power, stored
 from bcfj_jax.models.joint.fidelity import adaptive, resolved
+from bcfj_jax.models.joint.guides import GUIDES
 from bcfj_jax.models.joint.kinematic import kinematic_readings, kinematic_states
 from bcfj_jax.models.joint.observe import BODIES, motions, observe, observe_at_rest, whole
 from bcfj_jax.models.joint.periodic import pitch_before, risen
@@ -284,6 +286,29 @@ class JointModel(Joint):
             for k, axis in enumerate("xyz")
         }
         return summary.of_the_whole(run.times, found), {_TABLE: columns}
+
+    def orbits(self, params: Params, run: Any) -> dict[str, Orbit]:
+        """The cage in the seat, across the seat's axis, and the head in the cage, across the head's; of motion only.
+
+        The joint's plane holds both axes.
+        """
+        scene = resolved(self, run.choice.fidelity) if run.choice else self
+        if not scene.in_motion or run.trajectory is None:
+            return {}
+        coupling = run.trajectory[:, 3 * scene.balls :][:, : scene.coupling]
+        place = {"seat": 0.0, "head": 0.0, "cage": 0.0}
+        place |= {body: coupling[:, at] for body in ("head", "cage") if (at := scene.slices.get(body)) is not None}
+        angle, found = float(params["joint_angle"]), {}
+        for name in scene.pilots:
+            outer, inner = GUIDES[name]
+            apart = np.broadcast_to(place[inner] - place[outer], (len(run.times), 3))
+            # The head's axis leans to +x.
+            tilt = angle if "head" in (outer, inner) else 0.0
+            x = math.cos(tilt) * apart[:, 0] - math.sin(tilt) * apart[:, 2]
+            z = math.sin(tilt) * apart[:, 0] + math.cos(tilt) * apart[:, 2]
+            axes = ("in the joint's plane", "across the joint's plane")
+            found[name] = Orbit(x, apart[:, 1], float(params[f"clearance_{name}"]), f"{inner} in {outer}", axes, z)
+        return found
 
 
 def joint(

@@ -1,0 +1,231 @@
+"""The report of a run: highest force and its error, tables by contact, pictures by what the model has."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bcfj_jax.analysis import features
+from bcfj_jax.analysis.simulation import pictures, views
+from bcfj_jax.analysis.simulation.views import Turning
+from bcfj_jax.core.errors import InputError
+from bcfj_jax.io import report
+from bcfj_jax.io.page import BAD, FAIR, GOOD, Page, Picture, Rows, Table, Verdict, brief, percent, span
+from bcfj_jax.mechanism.channels import Channel
+from bcfj_jax.mechanism.model import AbstractModel, Params
+from bcfj_jax.mechanism.readings import STATES
+from bcfj_jax.solve.simulation import Run
+
+FORCES, LOOPS, READINGS = "forces.png", "force_penetration.png", "readings.png"
+AROUND, ORBITS, STATE, ORDERS = (
+    "loads_around_axis.png",
+    "clearance_circle.png",
+    "contact_states.png",
+    "order_spectrum.png",
+)
+
+
+def turning(scene: AbstractModel, params: Params) -> Turning | None:
+    """The drive's turn and pitch; None for a model without a drive that turns."""
+    if not scene.traits.turning:
+        return None
+    try:
+        return Turning(*scene.full().period(params))
+    except InputError:
+        return None
+
+
+def widths(scene: AbstractModel, params: Params) -> dict[str, float]:
+    """By contact, the width of its regularisation [m], where it has one."""
+    found = {}
+    for contact in scene.contacts:
+        if f"{contact.name}.smoothing" in params or "smoothing" in params:
+            found[contact.name] = float(scene.coefficient(params, contact.name, "smoothing"))
+    return found
+
+
+def drawn(
+    folder: Path, run: Run, scene: AbstractModel, params: Params, reads: Sequence[Channel], contacts: Mapping[str, Any]
+) -> list[Picture]:
+    """Draw all pictures of a run, those that matter first.
+
+    Args:
+        folder: for the PNG files.
+        run: what was simulated; a run read from files has no trajectory, and no orbits.
+        scene, params: of what.
+        reads: what [[read]] asks for.
+        contacts: ``summary.json``'s, whose periods give the loading cycles in steady motion.
+    """
+    drive = turning(scene, params)
+    found: list[Picture | None] = []
+    many = {name for name, count in scene.members.items() if count and name in run.force}
+    cycles = {}
+    if drive and run.status == "ok":
+        firsts = {name: f"{name}_1" if name in many else name for name in run.force}
+        periods = {name: contacts.get(first, {}).get("period") for name, first in firsts.items()}
+        cycles = {name: float(p) for name, p in periods.items() if p is not None and math.isfinite(p)}
+    if run.force and many and run.status == "ok":
+        found.append(views.around(run, folder / AROUND, drive))
+    if run.force:
+        found.append(pictures.forces(run, folder / FORCES))
+        found.append(pictures.loops(run, folder / LOOPS, cycles, widths(scene, params)))
+    if reads:
+        found.append(pictures.readings(run, reads, folder / READINGS))
+    if orbits := scene.orbits(params, run):
+        found.append(views.orbits(run, orbits, folder / ORBITS, drive))
+    if run.state and (len(run.state) > 1 or many or any(contact.friction for contact in scene.contacts)):
+        found.append(views.states(run, folder / STATE, drive))
+    if drive and run.force and run.status == "ok":
+        found.append(views.orders(run, folder / ORDERS, drive))
+    return [one for one in found if one is not None]
+
+
+def verdict(run: Run, content: Mapping[str, Any]) -> Verdict:
+    """The highest force, where and when, and its measured error."""
+    if run.status != "ok":
+        at = f"The run ended at {brief(run.failure_time, 's')}: {run.reason}."
+        return Verdict(BAD, "Failed", at)
+    end = brief(float(run.times[-1]), "s")
+    top = {name: p for name, p in pictures.peaks(run).items() if math.isfinite(p.force)}
+    if not top:
+        return Verdict(GOOD, "Finished", f"The run reached {end}; it has no contact.")
+    name, peak = max(top.items(), key=lambda item: item[1].force)
+    if not peak.force > 0.0:
+        return Verdict(GOOD, "Finished", f"The run reached {end} without a contact at any sample.")
+    where = f"{name}_{peak.member}" if peak.member else name
+    said = f"Highest force {brief(peak.force, 'N')}, in {where} at {brief(peak.time, 's')}"
+    accuracy = content.get("accuracy")
+    if not accuracy:
+        return Verdict(GOOD, "Finished", f"{said}; its error was not measured.")
+    errors = accuracy["measured"].get(name, {})
+    worst = max((float(e) for e in errors.values() if e is not None), default=math.nan)
+    asked = accuracy["asked"]
+    text = f"{said}; measured error {percent(worst, 2)}, asked {percent(asked)}."
+    if not worst <= asked:
+        return Verdict(FAIR, "Finished, less accurate than asked", text)
+    return Verdict(GOOD, "Finished", text)
+
+
+def by_contact(
+    scene: AbstractModel, contacts: Mapping[str, Mapping[str, Any]]
+) -> list[tuple[str, list[Mapping[str, Any]]]]:
+    """By contact of the model, what is known of its members: a row of a table each."""
+    found = []
+    for name, count in scene.members.items():
+        members = [contacts[f"{name}_{k + 1}"] for k in range(count) if f"{name}_{k + 1}" in contacts]
+        members = members or ([contacts[name]] if name in contacts else [])
+        if members:
+            found.append((f"{name} (1 to {len(members)})" if len(members) > 1 else name, members))
+    return found
+
+
+def _rows(
+    groups: Sequence[tuple[str, list[Mapping[str, Any]]]], cell: Callable[[list[Any], str], str]
+) -> list[list[str]]:
+    """Features across and contacts down; the other way round for one or two contacts."""
+    known = [
+        (key, unit) for key, unit in features.UNITS.items() if any(key in one for _, group in groups for one in group)
+    ]
+    rows = [["contact", *(key.replace("_", " ") for key, _ in known)]]
+    for name, group in groups:
+        rows.append([name, *(cell([one.get(key) for one in group], unit) for key, unit in known)])
+    return _turned(rows) if len(groups) < 3 else rows
+
+
+def _turned(rows: list[list[str]]) -> list[list[str]]:
+    """Features down and contacts across."""
+    (_, *names), *rest = [list(row) for row in zip(*rows, strict=True)]
+    return [["feature", *names], *rest]
+
+
+def _cell(values: list[Any], unit: str) -> str:
+    return span([v for v in values if v is not None], unit)
+
+
+def _shares(groups: Sequence[tuple[str, list[Mapping[str, Any]]]]) -> Rows:
+    rows = [["contact", *STATES]]
+    for name, group in groups:
+        shares = [one.get("share_of_time", {}) for one in group]
+        cells = [span([100.0 * s[word] for s in shares if s.get(word) is not None]) for word in STATES]
+        rows.append([name, *(cell if cell == "-" else f"{cell} %" for cell in cells)])
+    return rows
+
+
+def tables(scene: AbstractModel, content: Mapping[str, Any]) -> list[Table]:
+    """Features and errors by contact, of members the range; the members themselves are folded."""
+    contacts = content["contacts"]
+    groups = by_contact(scene, contacts)
+    if not groups:
+        return []
+    many = any(len(group) > 1 for _, group in groups)
+    folded = []
+    if many:
+        each = [(name, [values]) for name, values in contacts.items()]
+        folded.append(Table(f"Each of the {len(each)} contacts", _rows(each, _cell)))
+    if all("share_of_time" in one for _, group in groups for one in group):
+        folded.append(Table("Share of the time in each state", _shares(groups)))
+    note = "Three significant digits; all digits: summary.json."
+    if many:
+        note = f"Of contacts with members the range over the members. {note}"
+    found = [Table("Contacts", _rows(groups, _cell), note, tuple(folded))]
+    if accuracy := content.get("accuracy"):
+        found.append(_accuracy(accuracy))
+    return found
+
+
+def _accuracy(accuracy: Mapping[str, Any]) -> Table:
+    rows = [["contact", "asked", "force history (rms)", "peak", "impulse"]]
+    for name, errors in accuracy["measured"].items():
+        rows.append([name, percent(accuracy["asked"]), *(percent(errors[k], 2) for k in ("rms", "peak", "impulse"))])
+    until = accuracy.get("agree_until")
+    note = "Against the same run at a tenth of the tolerance. Shares of each contact's peak force and impulse."
+    if until is not None and np.isfinite(until):
+        note += f" Both runs agree until {brief(until, 's')}; later forces differ by more than the error asked for."
+    return Table("Measured force error", rows, note)
+
+
+def whole_table(content: Mapping[str, Any]) -> list[Table]:
+    """What the summary says of the model as a whole: every group of numbers that is neither contacts nor solver."""
+    rows = [["quantity", "value"]]
+    for group, values in content.items():
+        if group in ("contacts", "accuracy", "solver", "units", "fidelity") or not isinstance(values, Mapping):
+            continue
+        units = values.get("units", {})
+        for key, value in values.items():
+            if isinstance(value, (int, float)):
+                unit = next((u for part, u in units.items() if part in key), "1")
+                unit = next(iter(units.values())) if unit == "1" and len(set(units.values())) == 1 else unit
+                rows.append([f"{group}: {key}".replace("_", " "), brief(float(value), unit)])
+    return [Table("The model as a whole", rows)] if len(rows) > 1 else []
+
+
+def made(
+    title: str, run: Run, scene: AbstractModel, content: Mapping[str, Any], shown: Sequence[Picture], more: Sequence[Table],
+    readings: Rows, choice: str = "",
+) -> Page:  # fmt: skip
+    """The page of a run.
+
+    Args:
+        title: its heading.
+        run, scene: what was simulated.
+        content: ``summary.json``.
+        shown: pictures, those that matter first.
+        more: tables to fold away.
+        readings: what [[read]] asks for, as rows; none without.
+        choice: which level of the model was chosen, in a sentence.
+    """
+    answer = verdict(run, content)
+    if choice:
+        answer = Verdict(answer.kind, answer.word, f"{answer.sentence} {choice}")
+    found = tables(scene, content)
+    if len(readings) > 1:
+        found.append(Table("Readings", readings))
+    return Page(
+        title=title, verdict=answer, pictures=tuple(shown[:2]), warnings=tuple(content.get("warnings", ())),
+        tables=tuple(found), more=tuple(shown[2:]),
+        folded=(*whole_table(content), *more, report.solver_table(run.stats)),
+    )  # fmt: skip

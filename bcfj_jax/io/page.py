@@ -1,0 +1,168 @@
+"""What a report says, the same for every command: verdict, pictures, warnings, tables, and what is folded away.
+
+``report`` turns a ``Page`` into ``report.html`` and keeps it as ``report.json``, from which ``bcfj report`` makes the page
+again. Numbers for people have three significant digits: ``brief`` and ``span``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from bcfj_jax.core.errors import InputError
+from bcfj_jax.io.units import engineering, format_si
+
+Rows = Sequence[Sequence[str]]
+# How a verdict is meant. It has a colour, and a sign for those who do not see the colour.
+GOOD, FAIR, BAD, PLAIN = "good", "fair", "bad", "plain"
+SIGNS = {GOOD: "✓", FAIR: "!", BAD: "✗", PLAIN: "→"}
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """One of ``SIGNS``, a word or two, and one sentence that answers the question."""
+
+    kind: str
+    word: str
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A PNG of the result folder: its name, a title, and a sentence that says what it shows, for who cannot see it."""
+
+    file: str
+    title: str
+    shows: str
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of text, the first with the column titles; the first column names the row. ``folded`` stand below, closed."""
+
+    title: str
+    rows: Rows
+    note: str = ""
+    folded: tuple[Table, ...] = ()
+
+
+@dataclass(frozen=True)
+class Listing:
+    """Text that is shown as it is, such as lines for an input file."""
+
+    title: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Page:
+    """One report.
+
+    Attributes:
+        title: its heading.
+        verdict: the answer.
+        pictures: those that matter, two at most.
+        warnings: what the reader must know before the numbers.
+        tables: tables and listings, by type of contact where there are contacts.
+        more: further pictures.
+        folded: members, input, solver; ``report`` adds the folder's run.toml and environment.json.
+        animation: HTML of an animation, written by this package: it is not escaped.
+    """
+
+    title: str
+    verdict: Verdict
+    pictures: tuple[Picture, ...] = ()
+    warnings: tuple[str, ...] = ()
+    tables: tuple[Table | Listing, ...] = ()
+    more: tuple[Picture, ...] = ()
+    folded: tuple[Table | Listing, ...] = ()
+    animation: str = ""
+
+    def content(self) -> dict[str, Any]:
+        """The page as ``report.json`` has it; the animation is left out."""
+        found = asdict(self)
+        del found["animation"]
+        return found
+
+
+def from_content(content: Mapping[str, Any], where: str) -> Page:
+    """The page of a ``report.json``.
+
+    Raises:
+        InputError: for a content that is no page.
+    """
+    try:
+        return Page(
+            title=_text(content["title"]),
+            verdict=_verdict(content["verdict"]),
+            pictures=_pictures(content["pictures"]),
+            warnings=tuple(map(_text, content["warnings"])),
+            tables=_blocks(content["tables"]),
+            more=_pictures(content["more"]),
+            folded=_blocks(content["folded"]),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        what = f"is not what a command of bcfj writes ({type(error).__name__}: {error})"
+        raise InputError(where, what[:200], "run the command again in another folder") from None
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise ValueError(f"{value!r} is no text")
+    return value
+
+
+def _verdict(value: Mapping[str, Any]) -> Verdict:
+    if value["kind"] not in SIGNS:
+        raise ValueError(f"no verdict '{value['kind']}'")
+    return Verdict(value["kind"], _text(value["word"]), _text(value["sentence"]))
+
+
+def _pictures(values: Iterable[Mapping[str, Any]]) -> tuple[Picture, ...]:
+    found = tuple(Picture(_text(v["file"]), _text(v["title"]), _text(v["shows"])) for v in values)
+    for one in found:
+        # A picture lies in the folder itself.
+        if "/" in one.file or "\\" in one.file or not one.file.endswith(".png"):
+            raise ValueError(f"'{one.file}' is no picture of the folder")
+    return found
+
+
+def _blocks(values: Iterable[Mapping[str, Any]]) -> tuple[Table | Listing, ...]:
+    return tuple(_table(v) if "rows" in v else Listing(_text(v["title"]), _text(v["text"])) for v in values)
+
+
+def _table(value: Mapping[str, Any]) -> Table:
+    rows = [[_text(cell) for cell in row] for row in value["rows"]]
+    return Table(_text(value["title"]), rows, _text(value["note"]), tuple(map(_table, value["folded"])))
+
+
+# Numbers for people.
+
+
+def brief(value: float | None, unit: str = "1", digits: int = 3) -> str:
+    """A value with three significant digits: (1709.03, "N") -> "1.71 kN"; "-" for None and NaN."""
+    if value is None or math.isnan(value):
+        return "-"
+    rounded = float(f"{value:.{digits}g}")
+    # Micro as it is printed; a unit never begins with u.
+    return format_si(rounded, unit).replace(" u", " µ")
+
+
+def span(values: Iterable[float], unit: str = "1", digits: int = 3) -> str:
+    """The range of some values, in one unit: "29.5 to 29.6 kN"; a single value where all read the same."""
+    known = [float(v) for v in values if v is not None and math.isfinite(v)]
+    if not known:
+        return "-"
+    low, high = (float(f"{v:.{digits}g}") for v in (min(known), max(known)))
+    if low == high:
+        return brief(high, unit, digits)
+    scale, prefix = engineering([low, high], unit)
+    ends = f"{low * scale:.{digits}g} to {high * scale:.{digits}g}"
+    return ends if unit == "1" else f"{ends} {prefix.replace('u', 'µ')}{unit}"
+
+
+def percent(share: float | None, digits: int = 3) -> str:
+    """A share in percent; "-" for None and NaN."""
+    return "-" if share is None or not math.isfinite(share) else f"{brief(100.0 * share, '1', digits)} %"

@@ -1,0 +1,37 @@
+"""The report of a fit: the verdict with what is known of the first parameter."""
+
+from __future__ import annotations
+
+from bcfj_jax.io.page import BAD, FAIR, GOOD, Listing, Rows, Table, Verdict, brief
+from calibration.fit import Fit, Parameter
+
+_KINDS = {"identified": GOOD, "adequate": GOOD, "not_identified": FAIR, "not_converged": BAD, "misfit": BAD}
+
+
+def verdict(result: Fit) -> Verdict:
+    """The verdict, and the first parameter with the interval that is printed."""
+    kind = _KINDS.get(result.verdict, BAD)
+    word = result.verdict.replace("_", " ")
+    shown = [(name, p) for name, p in result.parameters.items() if p.ci95] or list(result.parameters.items())
+    sentence = " ".join(filter(None, [_known(*shown[0]) if shown else "", _unknown(result)]))
+    return Verdict(kind, f"{word[0].upper()}{word[1:]}", sentence)
+
+
+def _known(name: str, p: Parameter) -> str:
+    value = f"{name} is {brief(p.value, p.unit, 4)}"
+    if not p.ci95:
+        return f"{value}, without an interval: the data do not determine it."
+    low, high = (brief(end, p.unit, 4) for end in p.ci95)
+    return f"{value}, with 95 % confidence {low} to {high}."
+
+
+def _unknown(result: Fit) -> str:
+    lost = [name for name, p in result.parameters.items() if not p.identifiable]
+    return f"Not determined by the data: {', '.join(lost)}." if lost else ""
+
+
+def block(heading: str, rows: Rows) -> Table | Listing:
+    """A table, or lines for an input file where there is one column."""
+    if len(rows[0]) == 1:
+        return Listing(heading, "\n".join(row[0] for row in rows))
+    return Table(heading, rows)
