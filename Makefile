@@ -7,7 +7,7 @@ PAGES := build/.installed-docs
 # A worker gets whole files, because the tests of a file share compiled programs and fixtures; tests/conftest.py orders them.
 PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
-.PHONY: demo test fast all-tests lint types docs bench clean
+.PHONY: demo test fast all-tests lint types docs bench dist dist-check pythons release clean
 
 demo: $(RUNTIME)
 	rm -rf build/demo
@@ -41,6 +41,22 @@ bench: $(RUNTIME)
 	$(BIN)/python -m benchmarks.calibration.demo
 	$(BIN)/python -m benchmarks.solve.times
 	$(BIN)/python -m benchmarks.solve.accuracy
+
+# What others install (docs/packaging.md): wheel and sdist; each tried in a fresh environment; every Python; a tag.
+dist: $(TOOLS)
+	rm -rf build/dist
+	$(BIN)/python -m build --outdir build/dist
+
+dist-check: dist
+	$(BIN)/python -m scripts.dist_check build/dist
+
+PYTHONS ?= python3.11 python3.12 python3.13
+VERSIONS ?= pinned,lowest,newest
+pythons:
+	$(PYTHON) -m scripts.pythons $(PYTHONS) --versions $(VERSIONS) --out build/pythons.json
+
+release: $(TOOLS)
+	$(BIN)/python -m scripts.release
 
 clean:
 	rm -rf .venv build

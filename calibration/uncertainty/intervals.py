@@ -58,10 +58,13 @@ def check_kind(kind: str) -> None:
     """Refuse a kind of interval that there is not.
 
     Raises:
-        InputError: naming those that there are.
+        InputError: naming those that there are; and where the library of one is not installed.
     """
     if kind not in KINDS:
         raise InputError("intervals", f"'{kind}'", f"use one of {', '.join(KINDS)}")
+    if kind == "posterior":
+        # Before the search, whose time would be lost.
+        posterior.needed()
 
 
 def revised(

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax import InputError
+from bcfj_jax.core.extras import library
 from bcfj_jax.solve.batched_jvp import with_jacobian
 from calibration.forward.losses import loss_of
 from calibration.forward.model import Model
@@ -60,6 +60,15 @@ class Posterior:
             return dict.fromkeys(self.labels)
         ends = np.quantile(self.draws, [0.025, 0.975], axis=(0, 1)).T
         return {name: (float(low), float(high)) for name, (low, high) in zip(self.labels, ends, strict=True)}
+
+
+def needed() -> Any:
+    """The sampler's library.
+
+    Raises:
+        InputError: where NumPyro is not installed.
+    """
+    return library("numpyro.infer", "intervals = posterior", "uq")
 
 
 def of_model(
@@ -117,10 +126,7 @@ def sample(
     Raises:
         InputError: where NumPyro is not installed.
     """
-    try:
-        from numpyro.infer import MCMC, NUTS
-    except ImportError:
-        raise InputError("posterior", "NumPyro is not installed", "pip install 'bcfj-jax[uq]'") from None
+    infer = needed()
     energy, chains = _energy(residuals, owners, loss), chains or Chains()
 
     def potential(z: Array) -> Array:
@@ -133,8 +139,8 @@ def sample(
     metric = covariance * np.outer(stretch, stretch)
     # Starts wider apart than the posterior, without which agreement of the chains would mean little.
     wide = np.random.default_rng(chains.seed).multivariate_normal(np.zeros(centre.size), 4.0 * metric, chains.count)
-    kernel = NUTS(potential_fn=potential, inverse_mass_matrix=jnp.asarray(metric), dense_mass=True)
-    sampler = MCMC(
+    kernel = infer.NUTS(potential_fn=potential, inverse_mass_matrix=jnp.asarray(metric), dense_mass=True)
+    sampler = infer.MCMC(
         kernel, num_warmup=chains.warmup, num_samples=chains.draws, num_chains=chains.count,
         chain_method="vectorized", progress_bar=False,
     )  # fmt: skip

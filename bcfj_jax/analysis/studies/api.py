@@ -13,7 +13,7 @@ import numpy as np
 from bcfj_jax.analysis.studies import local, specification, worker
 from bcfj_jax.analysis.studies.batch import has_history
 from bcfj_jax.analysis.studies.block import Blocks
-from bcfj_jax.analysis.studies.extra import library
+from bcfj_jax.analysis.studies.extra import library, needed
 from bcfj_jax.analysis.studies.specification import Study
 from bcfj_jax.analysis.studies.store import Store, facts_of, merge, write_parquet
 from bcfj_jax.core.errors import InputError
@@ -99,8 +99,7 @@ def prepare(found: Study, folder: Path) -> Store:
     Raises:
         InputError: if it holds another study, or is no folder.
     """
-    for name in ("pyarrow", "filelock", *(["zarr"] if found.histories else [])):
-        library(name)
+    needed(found.histories)
     said = folder / RUN
     # Several runs may share the folder; only one begins it.
     with outputs.session():

@@ -77,7 +77,7 @@ def run(store: Store, address: str, progress: Callable[[int], None]) -> None:
     from bcfj_jax.analysis.studies.local import Stopped, written
     from bcfj_jax.io.stop import check
 
-    distributed = library("distributed")
+    distributed = library("distributed", "cluster")
     from bcfj_jax.io import usercode
 
     study = (store.folder / "run.toml").read_text(encoding="utf-8")

@@ -1,21 +1,32 @@
-"""Libraries of the extra ``study``: imported where they are needed, and missed in words."""
+"""Libraries of the extra ``study``: imported where they are needed; before work begins, ``needed`` asks for all."""
 
 from __future__ import annotations
 
-import importlib
 from typing import Any
 
-from bcfj_jax.core.errors import InputError
+from bcfj_jax.core import extras
 
 
-def library(name: str) -> Any:
-    """A library of the extra ``study``.
+def library(name: str, extra: str = "study") -> Any:
+    """A library of the extra ``study``, or of another.
 
     Raises:
         InputError: if it is not installed.
     """
-    try:
-        return importlib.import_module(name)
-    except ImportError:
-        package = name.partition(".")[0]
-        raise InputError("bcfj study", f"needs {package}, which is not installed", "install bcfj-jax[study]") from None
+    return extras.library(name, "bcfj study", extra)
+
+
+def needed(histories: bool, scheduler: bool = False) -> None:
+    """Ask for every library that a run of a study imports sooner or later.
+
+    Args:
+        histories: whether the study keeps them.
+        scheduler: whether a Dask scheduler does the work.
+
+    Raises:
+        InputError: if one is not installed.
+    """
+    for name in ("pyarrow", "filelock", *(["zarr"] if histories else [])):
+        library(name)
+    if scheduler:
+        library("distributed", "cluster")

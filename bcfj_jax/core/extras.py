@@ -1,0 +1,36 @@
+"""Optional libraries: the extras of the package, what each is for, and a message where one is missing."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+from bcfj_jax.core.errors import InputError
+
+# What each extra is for, for users; the libraries stand in pyproject.toml.
+EXTRAS = {
+    "io": "measured data in Parquet, HDF5, MAT 7.3 and TDMS files",
+    "uq": "posteriors by NUTS (bcfj calibrate --intervals posterior)",
+    "study": "studies (bcfj study): tables on disk, sampling, global sensitivity",
+    "cluster": "studies by a Dask cluster (bcfj study run --scheduler)",
+    "petab": "PEtab 2 tables, in and out",
+}
+
+
+def library(name: str, where: str, extra: str) -> Any:
+    """A module of an optional library.
+
+    Args:
+        name: the module, as "pyarrow.parquet".
+        where: what asks for it, for the message.
+        extra: the extra that brings it.
+
+    Raises:
+        InputError: where the library is not installed; it names the extra to install and its purpose.
+    """
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        package = name.partition(".")[0]
+        remedy = f'pip install "bcfj-jax[{extra}]": {EXTRAS[extra]}'
+        raise InputError(where, f"needs {package}, which is not installed", remedy) from None

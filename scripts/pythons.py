@@ -1,0 +1,119 @@
+"""Test the package on several interpreters and library versions, each in a fresh environment outside the tree.
+
+    python -m scripts.pythons python3.11 python3.12 python3.13                 versions of constraints.txt, fast tier
+    python -m scripts.pythons python3.11 --versions pinned,lowest,newest      also the oldest and the newest allowed
+    python -m scripts.pythons python3.12 --tests tests/contact tests/solve     other tests
+
+``pinned`` is constraints.txt; ``newest`` what pip takes without it; ``lowest`` the lower bound of every requirement in
+pyproject.toml that the tests import, exactly. The package is installed as a wheel, so that no test imports the checkout. The
+outcome is a table, and JSON in the file that ``--out`` names; the exit code is 1 where a run failed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import shutil
+import sys
+import tempfile
+import tomllib
+from pathlib import Path
+
+from scripts import fresh
+
+FAST = ["-m", "not full and not slow", "--hypothesis-profile", "fast"]
+KINDS = ("pinned", "lowest", "newest")
+_SHOWN = ("jax", "diffrax", "equinox", "optax", "numpy", "scipy", "matplotlib", "pint", "pydantic", "typer")
+
+
+def lowest(project: dict) -> list[str]:
+    """Every requirement of the package and of its extras for users, at its lower bound: ``name==version``."""
+    extras = project["optional-dependencies"]
+    users = {name: wanted for name, wanted in extras.items() if name not in ("test", "bench", "docs")}
+    found = {}
+    for text in [*project["dependencies"], *(line for wanted in users.values() for line in wanted)]:
+        one = re.match(r"([A-Za-z0-9_.-]+)(?:\[[^]]*\])?>=([0-9.]+)", text)
+        if one:
+            found[one[1]] = one[2]
+        elif not text.startswith("bcfj-jax["):
+            raise ValueError(f"the requirement {text!r} has no lower bound")
+    return [f"{name}=={version}" for name, version in found.items()]
+
+
+def _copy(to: Path) -> Path:
+    """Tests and what they read beside the package, without the package."""
+    for name in ("tests", "benchmarks", "examples", "docs", "scripts"):
+        shutil.copytree(fresh.ROOT / name, to / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for path in fresh.ROOT.iterdir():
+        if path.is_file():
+            shutil.copy(path, to)
+    return to
+
+
+def tried(python: str, kind: str, tests: list[str], timeout: float) -> dict:
+    """Install and test in one environment: versions, counts of tests, seconds, and the end of what pytest said."""
+    project = tomllib.loads((fresh.ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    with tempfile.TemporaryDirectory() as place:
+        env = fresh.surroundings(Path(place), JAX_PLATFORMS="cpu")
+        bounds = Path(place) / "bounds.txt"
+        if kind == "pinned":
+            shutil.copy(fresh.ROOT / "constraints.txt", bounds)
+        else:
+            bounds.write_text("\n".join(lowest(project) if kind == "lowest" else []) + "\n", encoding="utf-8")
+        programs = fresh.environment(Path(place) / "venv", python, env, "-c", bounds, f"{fresh.ROOT}[test]")
+        listed = fresh.must([programs / "python", "-m", "pip", "list", "--format", "json"], Path(place), env)
+        installed = {one["name"].lower(): one["version"] for one in json.loads(listed.stdout)}
+        said = fresh.must([programs / "python", "-c", "import sys; print(sys.version.split()[0])"], Path(place), env)
+        work = Path(place) / "work"
+        work.mkdir()
+        _copy(work)
+        # The tests import the installed package: there is none beside them, which some tests read as text.
+        (work / "bcfj_jax").symlink_to(next((programs.parent / "lib").glob("python3*")) / "site-packages" / "bcfj_jax")
+        (work / "calibration").symlink_to((work / "bcfj_jax").readlink().parent / "calibration")
+        done = fresh.run([programs / "python", "-m", "pytest", "-p", "no:cacheprovider", *tests], work, env, timeout)
+    counts = {word: int(n) for n, word in re.findall(r"(\d+) (passed|failed|error|skipped|deselected)", done.stdout)}
+    return {
+        "python": said.stdout.strip(), "versions": kind, "installed": {n: installed.get(n, "") for n in _SHOWN},
+        "tests": tests, "exit_code": done.code, "counts": counts, "seconds": round(done.seconds, 1),
+        "end": "" if done.code == 0 else done.stdout[-6000:] + done.stderr[-2000:],
+    }  # fmt: skip
+
+
+def table(rows: list[dict]) -> str:
+    """The outcome as a table in Markdown."""
+    lines = ["| Python | versions | jax | diffrax | numpy | scipy | passed | failed | s |", "|---" * 9 + "|"]
+    for row in rows:
+        v, c = row["installed"], row["counts"]
+        bad = c.get("failed", 0) + c.get("error", 0)
+        verdict = str(bad) if row["exit_code"] == 0 or bad else f"exit code {row['exit_code']}"
+        cells = (row["python"], row["versions"], v["jax"], v["diffrax"], v["numpy"], v["scipy"])
+        lines.append(f"| {' | '.join(cells)} | {c.get('passed', 0)} | {verdict} | {row['seconds']:.0f} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Run every combination that was asked for."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("pythons", nargs="+", help="interpreters, by name or path")
+    parser.add_argument("--versions", default="pinned", help=f"of {', '.join(KINDS)}, separated by commas")
+    parser.add_argument("--tests", nargs="+", default=[], help="what pytest is given in place of the fast tier")
+    parser.add_argument("--out", type=Path, help="a JSON file to add the rows to")
+    parser.add_argument("--timeout", type=float, default=3600.0, help="seconds for the tests of one environment")
+    asked = parser.parse_args()
+    kinds = asked.versions.split(",")
+    if not set(kinds) <= set(KINDS):
+        sys.exit(f"--versions: use {', '.join(KINDS)}")
+    rows = []
+    for python in asked.pythons:
+        for kind in kinds:
+            rows.append(tried(python, kind, asked.tests or FAST, asked.timeout))
+            print(rows[-1]["end"], table(rows), sep="\n", flush=True)
+    if asked.out is not None:
+        kept = json.loads(asked.out.read_text(encoding="utf-8"))["rows"] if asked.out.exists() else []
+        asked.out.write_text(json.dumps({"rows": kept + rows}, indent=2) + "\n", encoding="utf-8")
+    sys.exit(any(row["exit_code"] for row in rows))
+
+
+if __name__ == "__main__":
+    main()
