@@ -1,4 +1,4 @@
-"""Verbs about files, which run nothing: validate, init."""
+"""Verbs about files, which run nothing: validate, init, report."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from bcfj_jax.cli.base import DONE, app, ready, verb
+from bcfj_jax.cli.base import DONE, app, ready, say, verb
 from bcfj_jax.cli.options import Code
 from bcfj_jax.core.errors import InputError
 
@@ -69,4 +69,28 @@ def init(
     path = (out or Path(".")) / f"{what}.toml"
     create(path, template(what))
     typer.echo(f"wrote {path}")
+    return DONE
+
+
+@verb(app)
+def report(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A folder that a command of bcfj has written.")],
+    code: Code = None,
+) -> int:
+    """Write report.html of a result folder again, as this version makes it.
+
+    report.html is replaced, as a whole. No other file is: of a run the pictures in the report are drawn again from its
+    CSV files, and a picture file that is missing is written. A run whose scene needs your own code takes --code.
+
+    Example: bcfj report results/simulate-joint
+    """
+    from bcfj_jax.io.report import kept
+
+    # A folder without results is refused before JAX is imported.
+    if not (folder / "summary.json").is_file():
+        kept(folder)
+    ready(code)
+    from bcfj_jax.analysis.reporting import rebuild
+
+    typer.echo(f"report: {rebuild(folder, say)}")
     return DONE

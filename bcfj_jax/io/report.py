@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from bcfj_jax.core.errors import InputError
+from bcfj_jax.io.opening import LARGEST_TOML, content
 from bcfj_jax.io.outputs import write_json, write_text
 from bcfj_jax.io.page import SIGNS, Listing, Page, Picture, Rows, Table, brief, from_content
 from bcfj_jax.io.provenance import version
@@ -112,9 +113,9 @@ def _files(folder: Path) -> list[Listing]:
     found = []
     for name, title in _SHOWN:
         if (folder / name).is_file():
-            content = (folder / name).read_text(encoding="utf-8", errors="replace")
-            cut = f"\n... {len(content) - _LONGEST} more characters in {name}" if len(content) > _LONGEST else ""
-            found.append(Listing(title, content[:_LONGEST] + cut))
+            text = (folder / name).read_text(encoding="utf-8", errors="replace")
+            cut = f"\n... {len(text) - _LONGEST} more characters in {name}" if len(text) > _LONGEST else ""
+            found.append(Listing(title, text[:_LONGEST] + cut))
     return found
 
 
@@ -132,11 +133,12 @@ def kept(folder: Path) -> Page:
         holds = f"it holds {', '.join(results)}" if results else "it holds no results"
         remedy = "name a folder that bcfj simulate, calibrate, sensitivity, study, tradeoff, design or reproduce wrote"
         raise InputError(str(folder), f"there is no {JSON} in this folder; {holds}", remedy)
+    again = "run the command again in another folder"
+    raw = content(path, LARGEST_TOML, str(path), again, again)
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(str(path), f"cannot be read: {error}", "run the command again in another folder") from None
-    page = from_content(content, str(path))
+        page = from_content(json.loads(raw), str(path))
+    except ValueError as error:
+        raise InputError(str(path), f"is no JSON: {error}", again) from None
     old = folder / HTML
     scene = _ANIMATION.search(old.read_text(encoding="utf-8", errors="replace")) if old.is_file() else None
     return replace(page, animation=scene[1]) if scene else page

@@ -27,6 +27,8 @@ AROUND, ORBITS, STATE, ORDERS = (
     "contact_states.png",
     "order_spectrum.png",
 )
+# Of the models that have what they show.
+VIEWS = (AROUND, ORBITS, STATE, ORDERS)
 
 
 def turning(scene: AbstractModel, params: Params) -> Turning | None:

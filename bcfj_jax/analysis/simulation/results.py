@@ -33,7 +33,8 @@ PICTURES, READINGS = (page.FORCES, page.LOOPS), ("readings.csv", page.READINGS)
 def files(given: SceneFile) -> tuple[str, ...]:
     """Names of the files that ``write`` may leave for a scene file."""
     drawn, asked = PICTURES if given.scene.contacts else (), READINGS if given.reads else ()
-    return (*FILES, *drawn, *given.scene.tables, *asked)
+    more = page.VIEWS if given.scene.contacts else ()
+    return (*FILES, *drawn, *more, *given.scene.tables, *asked)
 
 
 def choice_sentence(run: Run) -> str:
@@ -183,7 +184,8 @@ def _contacts(contacts: dict[str, dict[str, float]]) -> list[list[str]]:
 # The folder.
 
 
-def _input_rows(given: SceneFile) -> list[list[str]]:
+def input_rows(given: SceneFile) -> list[list[str]]:
+    """The scene file for people: a row an option or parameter, with its meaning."""
     resolved: dict[str, Any] = given.resolved
     rows = [["", "value", "meaning"]]
     rows += [[f"scene: {key}", str(value), ""] for key, value in resolved["scene"].items()]
@@ -260,7 +262,7 @@ def draw(folder: Path, given: SceneFile, run: Run, stem: str, written: Written) 
     shown = page.drawn(folder, run, given.scene, given.params, given.reads, written.content["contacts"])
     found = page.made(
         f"Simulation of {stem}", run, given.scene, written.content, shown,
-        [Table("Input: values and what they mean", _input_rows(given))],
+        [Table("Input: values and what they mean", input_rows(given))],
         _readings_rows(given, run, 3) if given.reads else (), choice_sentence(run),
     )  # fmt: skip
     report.write(folder, found)
