@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from bcfj_jax import InputError
+from bcfj_jax.core.extras import library
 from bcfj_jax.core.programs import keep_asked
 from bcfj_jax.core.progress import stage
 from bcfj_jax.core.threads import ahead
@@ -33,6 +34,7 @@ from calibration.selection.next_experiment import as_json as candidates_json
 from calibration.selection.next_experiment import table as candidates_table
 from calibration.uncertainty import intervals as uncertainty
 from calibration.uncertainty.estimates import REFERENCE
+from calibration.uncertainty.intervals import check_kind
 from calibration.uncertainty.law_miss import NEXT_RUN
 
 DONE, FAILED, NOT_IDENTIFIED, INTERRUPTED = 0, 3, 4, 5
@@ -65,6 +67,7 @@ def run(
         InputError: for bad input, before anything is written.
     """
     path = Path(path)
+    check_kind(intervals)
     problem = load(path)
     folder = outputs.open_folder(out, "calibrate", path.stem, (*FILES, _SO_FAR), goes_on=NAME)
     base = _base(path, problem)
@@ -114,6 +117,7 @@ def export_petab(path: Path, folder: Path) -> int:
     """
     from calibration.petab import export
 
+    library("petab.v2", "--export-petab", "petab")
     problem = load(path)
     print(export(problem, _base(Path(path), problem).resolved, folder))
     return DONE

@@ -105,7 +105,7 @@ def load(path: str | Path) -> Problem:
         InputError: for anything missing, unknown, of a wrong dimension or out of order, in it or in its data.
     """
     path = Path(path)
-    file = tables.validated(_File, tables.read(path), str(path))
+    file = _content(path)
     base = _scene(file, path)
     known = {**base.scene.quantities, **nuisances(o for entry in file.experiment for o in entry.observe)}
     one = base.scene.canonical
@@ -131,6 +131,17 @@ def load(path: str | Path) -> Problem:
     )
 
 
+def _content(path: Path) -> _File:
+    """A calibration file, checked; names may have a point without quotes: ``[free.seat_ball.stiffness]``."""
+    table = tables.read(path)
+    if isinstance(table.get("free"), dict):
+        table["free"] = tables.nested(table["free"], FreeTable)
+    for entry in table["experiment"] if isinstance(table.get("experiment"), list) else ():
+        if isinstance(entry, dict) and isinstance(entry.get("parameters"), dict):
+            entry["parameters"] = tables.flat(entry["parameters"])
+    return tables.validated(_File, table, str(path))
+
+
 def prepared(path: str | Path) -> list[Prepared]:
     """What was understood of each record that a calibration file reads, for people to look at.
 
@@ -138,7 +149,7 @@ def prepared(path: str | Path) -> list[Prepared]:
         InputError: as ``load``.
     """
     path = Path(path)
-    file = tables.validated(_File, tables.read(path), str(path))
+    file = _content(path)
     base = _scene(file, path)
     known = {**base.scene.quantities, **nuisances(o for entry in file.experiment for o in entry.observe)}
     one, records = base.scene.canonical, _records(file, path, base)
@@ -150,7 +161,7 @@ def prepared(path: str | Path) -> list[Prepared]:
 
 def sources(path: Path) -> list[Path]:
     """The data files a calibration file reads, for checksums."""
-    file = tables.validated(_File, tables.read(path), str(path))
+    file = _content(path)
     return [path.parent / name for name in dict.fromkeys(e.file for e in file.experiment if e.file)]
 
 

@@ -1,24 +1,34 @@
-"""The application, and what every verb does: exit codes, messages, getting ready for a file of the user's."""
+"""The application, and what every verb does: exit codes, messages, options that all have, getting ready for a file."""
 
 from __future__ import annotations
 
+import contextlib
 import functools
-from collections.abc import Callable
+import inspect
+import io
+import json
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
+from bcfj_jax.cli.options import CHANGES, asked
 from bcfj_jax.core.compile_cache import open_cache
+from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.progress import Waiting, stage
 
-DONE, BAD_INPUT, SIMULATION_FAILED, INTERRUPTED = 0, 2, 3, 5
+DONE, FAILED, BAD_INPUT, SIMULATION_FAILED, INTERRUPTED = 0, 1, 2, 3, 5
 
-EPILOG = (
+EXIT_CODES = (
     "Exit codes: 0 done, 2 bad input, 3 a simulation failed, 4 the calibration's verdict is neither 'identified' nor "
-    "'adequate', 5 interrupted and resumable, 130 or 143 interrupted by Ctrl-C or SIGTERM with nothing kept. Compiled "
-    "programs are kept per user between runs, in the folder that BCFJ_CACHE names (BCFJ_CACHE=off keeps none), by "
-    "default the system's cache folder for bcfj-jax."
+    "'adequate', 5 interrupted and resumable, 130 or 143 interrupted by Ctrl-C or SIGTERM with nothing kept."
+)
+EPILOG = (
+    f"{EXIT_CODES} Compiled programs are kept per user between runs, in the folder that BCFJ_CACHE "
+    "names (BCFJ_CACHE=off keeps none), by default the system's cache folder for bcfj-jax."
 )
 
 app = typer.Typer(
@@ -26,15 +36,43 @@ app = typer.Typer(
     help="Differentiable contact dynamics of the ball-cage flexible joint.",
     epilog=EPILOG,
     no_args_is_help=True,
-    add_completion=False,
+    add_completion=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
+# What every verb takes, beside its own.
+_SHARED: dict[str, Any] = {
+    "quiet": Annotated[bool, typer.Option("--quiet", "-q", help="No progress: warnings and errors alone.")],
+    "verbose": Annotated[bool, typer.Option("--verbose", "-v", help="Every stage of the work, with its time.")],
+    "as_json": Annotated[bool, typer.Option("--json", help="The result as one JSON document on stdout.")],
+}
+# The file of results whose content --json prints, by verb.
+_MAIN = {
+    "simulate": "summary.json", "sensitivity": "certificate.json", "tradeoff": "tradeoff.json",
+    "design": "design.json", "calibrate": "fit.json", "reproduce": "reproduce.json", "study run": "study.json",
+    "study resume": "study.json", "study merge": "study.json", "study indices": "indices.json",
+    "study surface": "surface.json",
+}  # fmt: skip
+_HEARD_ALWAYS = ("warning:", "error:", "interrupted", "stopped", "finished work")
+
+
+class Session:
+    """How the verb that runs was asked to speak, and what it has to say in JSON where no file of results has it."""
+
+    quiet = False
+    content: Mapping[str, Any] | None = None
+
 
 def say(text: str) -> None:
-    """A line of progress, a warning or an error, on stderr."""
-    typer.echo(text, err=True)
+    """A line of progress, a warning or an error, on stderr; of these ``--quiet`` leaves warnings and errors."""
+    if not Session.quiet or text.startswith(_HEARD_ALWAYS):
+        typer.echo(text, err=True)
+
+
+def result(content: Mapping[str, Any]) -> None:
+    """What ``--json`` prints of a verb that writes no file of results."""
+    Session.content = content
 
 
 def ready(files: list[Path] | None, what: str | Path = "") -> None:
@@ -56,22 +94,118 @@ def ready(files: list[Path] | None, what: str | Path = "") -> None:
             use_code(file)
 
 
-def verb(to: typer.Typer, name: str | None = None) -> Callable[[Callable[..., int]], Callable[..., None]]:
+Changed = Callable[[Mapping[str, Any], Sequence[Any]], contextlib.AbstractContextManager[None]]
+
+
+def verb(
+    to: typer.Typer,
+    name: str | None = None,
+    *,
+    example: str = "",
+    changed: Changed | None = None,
+    changes: Mapping[str, Any] = CHANGES,
+) -> Callable[[Callable[..., int]], Callable[..., None]]:
     """Make a function a verb: its return value is the exit code, its docstring the help.
 
-    Bad input becomes a message instead of a traceback.
+    Bad input becomes a message instead of a traceback. The verb gets ``--quiet``, ``--verbose`` and ``--json``.
+
+    Args:
+        to: the application, or a group of it.
+        name: as it is typed; by default the function's own.
+        example: command lines for the help.
+        changed: where the verb takes ``--set`` and what is short for it: from the verb's arguments and the changes to
+            a context within which its file reads as changed.
     """
 
     def added(function: Callable[..., int]) -> Callable[..., None]:
+        said = name or function.__name__
+        command = said if to is app else f"{to.info.name or 'study'} {said}"
+
         @functools.wraps(function)
-        def wrapped(*args: object, **options: object) -> None:
-            from bcfj_jax.io.guard import guarded
+        def wrapped(**options: Any) -> None:
+            quiet, verbose, as_json = (options.pop(key) for key in _SHARED)
+            wanted = {key: options.pop(key) for key in changes} if changed else {}
+            with _speaking(quiet, verbose):
+                code, document = _done(function, options, wanted, changed, as_json)
+            if as_json:
+                typer.echo(json.dumps(_plain({"command": command, "exit_code": code, **document}, command), indent=2))
+            raise typer.Exit(code)
 
-            raise typer.Exit(guarded(functools.partial(function, *args, **options), say))
-
-        return to.command(name, epilog=EPILOG)(wrapped)
+        more = {**_SHARED, **(changes if changed else {})}
+        signature = inspect.signature(function, eval_str=True)
+        parameters = [
+            *signature.parameters.values(),
+            *(inspect.Parameter(k, inspect.Parameter.KEYWORD_ONLY, default=_default(h), annotation=h)
+              for k, h in more.items()),
+        ]  # fmt: skip
+        # Typer reads options from the signature.
+        wrapped.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+        wrapped.__annotations__ = {p.name: p.annotation for p in parameters}
+        shown = "\n\n".join([f"Example: {line}" for line in example.splitlines()] + [EPILOG])
+        return to.command(name, epilog=shown)(wrapped)
 
     return added
+
+
+def _done(
+    function: Callable[..., int],
+    options: Mapping[str, Any],
+    wanted: Mapping[str, Any],
+    changed: Changed | None,
+    as_json: bool,
+) -> tuple[int, dict[str, Any]]:
+    """Run a verb: its exit code; and, for ``--json``, its error and what it would have printed."""
+    from bcfj_jax.io.guard import guarded
+
+    heard, document = io.StringIO(), {}
+    Session.content = None
+
+    def run() -> int:
+        try:
+            within = changed(options, asked(wanted)) if changed else contextlib.nullcontext()
+            with within:
+                return function(**options)
+        except InputError as error:
+            document["error"] = {"where": error.where, "found": error.found, "remedy": error.remedy}
+            raise
+
+    with contextlib.redirect_stdout(heard) if as_json else contextlib.nullcontext():
+        code = guarded(run, say)
+    return code, {**document, "text": heard.getvalue().rstrip("\n")}
+
+
+def _default(hint: Any) -> Any:
+    return False if hint.__args__[0] is bool else None
+
+
+@contextlib.contextmanager
+def _speaking(quiet: bool, verbose: bool) -> Iterator[None]:
+    """Stages are said late, or not at all, or each as it begins."""
+    before = Session.quiet, Waiting.say, Waiting.after
+    Session.quiet = quiet
+    Waiting.say = None if quiet else say
+    Waiting.after = 0.0 if verbose else before[2]
+    try:
+        yield
+    finally:
+        Session.quiet, Waiting.say, Waiting.after = before
+
+
+def _plain(document: dict[str, Any], command: str) -> dict[str, Any]:
+    """The document of ``--json``: exit code, files written, the content of the main one."""
+    if "bcfj_jax.io.outputs" in sys.modules:
+        from bcfj_jax.io.outputs import plain, written
+
+        document["files"] = [str(path) for path in dict.fromkeys(written)]
+        main = next((path for path in reversed(written) if path.name == _MAIN.get(command)), None)
+        if main is not None:
+            document["result"] = json.loads(main.read_text(encoding="utf-8"))
+        written.clear()
+    if Session.content is not None:
+        document["result"] = dict(Session.content)
+        if "bcfj_jax.io.outputs" in sys.modules:
+            document = plain(document)
+    return document
 
 
 def _show_version(wanted: bool) -> None:
@@ -89,4 +223,5 @@ def _common(
     ] = False,
 ) -> None:
     del version
-    Waiting.say = say
+    # A false alarm of XLA about every program from its cache, its advice on slow compilations, features of processors.
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")

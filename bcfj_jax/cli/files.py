@@ -12,7 +12,7 @@ from bcfj_jax.cli.options import Code
 from bcfj_jax.core.errors import InputError
 
 
-@verb(app)
+@verb(app, example="bcfj validate my_scene.toml")
 def validate(
     file: Annotated[Path, typer.Argument(help="A scene file, a calibration file or a study file.")], code: Code = None
 ) -> int:
@@ -40,7 +40,7 @@ def validate(
     return DONE
 
 
-@verb(app)
+@verb(app, example="bcfj init impact\nbcfj init calibration examples/chung_ooi_test1_curve.csv")
 def init(
     what: Annotated[
         str, typer.Argument(metavar="SCENE|calibration", help="A built-in scene's name, mechanism, or calibration.")

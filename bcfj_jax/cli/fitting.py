@@ -10,8 +10,8 @@ from typing import Annotated
 
 import typer
 
-from bcfj_jax.cli.base import app, ready, verb
-from bcfj_jax.cli.options import Code, Out
+from bcfj_jax.cli.base import DONE, Session, app, ready, verb
+from bcfj_jax.cli.options import SET_ALONE, Code, Dry, Out, of_problem
 
 
 def _unsaid() -> Callable[[logging.LogRecord], bool]:
@@ -25,7 +25,12 @@ def _unsaid() -> Callable[[logging.LogRecord], bool]:
     return new
 
 
-@verb(app)
+@verb(
+    app,
+    example="bcfj calibrate examples/chung_ooi_fit.toml --set free.exponent=[1,2] --starts 6",
+    changed=of_problem,
+    changes=SET_ALONE,
+)
 def calibrate(
     problem: Annotated[Path, typer.Argument(help="A calibration file.")],
     out: Out = None,
@@ -37,6 +42,7 @@ def calibrate(
     ] = False,
     export_petab: Annotated[Path | None, typer.Option(help="Write PEtab 2 tables there instead of fitting.")] = None,
     code: Code = None,
+    dry_run: Dry = False,
 ) -> int:
     """Fit parameters to measured forces: fit.json, pictures and report.html.
 
@@ -44,11 +50,27 @@ def calibrate(
     same --out goes on from there and finds the same fit; the journal is removed when the fit is written.
     """
     ready(code, problem)
+    if dry_run:
+        from bcfj_jax.cli import plan
+        from calibration import problemfile
+
+        given = problemfile.load(problem)
+        fitted = [e for e in given.experiments if not e.hold_out]
+        rows = [
+            ["scene", given.scene.kind],
+            ["records", f"{len(fitted)} to fit, {len(given.experiments) - len(fitted)} held out"],
+            ["samples", str(sum(e.samples for e in fitted))],
+            ["free", ", ".join(f.name for f in given.free)],
+            ["fits", f"{starts} starts, intervals by {intervals}"],
+        ]
+        plan.show(rows, out)
+        return DONE
     progress = logging.getLogger("calibration")
     progress.setLevel(logging.INFO)
     handler = logging.StreamHandler(sys.stderr)
     handler.addFilter(_unsaid())
-    progress.addHandler(handler)
+    if not Session.quiet:
+        progress.addHandler(handler)
     from calibration import command
 
     if export_petab is not None:

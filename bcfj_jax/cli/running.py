@@ -7,46 +7,79 @@ from typing import Annotated
 import typer
 
 from bcfj_jax.cli.base import DONE, SIMULATION_FAILED, app, ready, say, verb
-from bcfj_jax.cli.options import Code, Out, Scene
-from bcfj_jax.core.compile_cache import open_cache
+from bcfj_jax.cli.options import Code, Dry, Out, Scene, of_scene, split
 
 
-@verb(app)
+@verb(
+    app,
+    example="bcfj simulate joint --set clearance_seat_cage='80 um' --end '0.5 s' --level fast --out joint",
+    changed=of_scene,
+)
 def simulate(
     scene: Scene,
     measure_error: Annotated[bool, typer.Option(help="Whether to run once more, finer, to measure the error.")] = True,
     code: Code = None,
     out: Out = None,
+    dry_run: Dry = False,
 ) -> int:
     """Run a scene: forces.csv, summary.json with the measured force error, pictures and report.html."""
     ready(code, scene)
     from bcfj_jax.analysis.simulation import command
+    from bcfj_jax.cli import plan
 
-    good = command.run(scene, out, say, typer.echo, measure_error)
+    if dry_run:
+        return plan.of_scene(
+            "simulate", scene, out, [["runs", "2: one more measures the error" if measure_error else "1"]]
+        )
+    with plan.timed("simulate", scene):
+        good = command.run(scene, out, say, typer.echo, measure_error)
     return DONE if good else SIMULATION_FAILED
 
 
-@verb(app)
+@verb(
+    app,
+    example="bcfj sensitivity joint --wrt clearances --features seat_cage.peak\n"
+    "bcfj sensitivity impact --wrt stiffness,damping",
+    changed=of_scene,
+)
 def sensitivity(
     scene: Scene,
-    wrt: Annotated[str, typer.Option(help="Parameters to differentiate by, names separated by commas.")],
+    wrt: Annotated[
+        str,
+        typer.Option(
+            help="Parameters to differentiate by, separated by commas: names, patterns such as clearance_*, or a "
+            "group: clearances, stiffnesses, dampings, exponents, frictions, masses, all."
+        ),
+    ],
     features: Annotated[str, typer.Option(help="Features such as seat_ball.peak; by default every one.")] = "",
     certify: Annotated[bool, typer.Option(help="Whether to say how good the derivatives are.")] = True,
     budget: Annotated[float, typer.Option(min=0.0, help="Seconds for runs to compare the derivatives with.")] = 60.0,
     code: Code = None,
     out: Out = None,
+    dry_run: Dry = False,
 ) -> int:
     """Differentiate a run: sensitivity.csv, certificate.json, a ranked table, pictures and report.html."""
     ready(code, scene)
     from bcfj_jax.analysis.derivatives import command
+    from bcfj_jax.cli import plan
 
-    names, wanted = ([n.strip() for n in text.split(",") if n.strip()] for text in (wrt, features))
-    text, good = command.run(scene, names, wanted, certify, budget, out, say, typer.echo)
+    names, wanted = split(wrt), split(features)
+    if dry_run:
+        found, kept = command.checked(scene, names, wanted)
+        rows = [
+            ["derivatives", f"{len(found)}: {', '.join(found)}"],
+            ["features", str(len(kept))],
+            ["solves", "2 or more, each at a quarter of the tolerance before it" if certify else "1"],
+            ["comparisons", f"{budget:g} s at most" if certify else "none"],
+        ]
+        return plan.of_scene("sensitivity", scene, out, rows)
+    with plan.timed("sensitivity", scene):
+        text, good = command.run(scene, names, wanted, certify, budget, out, say, typer.echo)
     typer.echo(text)
     return DONE if good else SIMULATION_FAILED
 
 
-@verb(app)
+@verb(app, example="bcfj tradeoff impact --budget 120 --only tsit5,smoothing", changed=of_scene)
 def tradeoff(
     scene: Scene,
     only: Annotated[str, typer.Option(help="Groups of settings and solvers, such as tsit5,smoothing.")] = "",
@@ -54,6 +87,7 @@ def tradeoff(
     budget: Annotated[float, typer.Option(min=0.0, help="Seconds; what would not fit is left out.")] = 900.0,
     code: Code = None,
     out: Out = None,
+    dry_run: Dry = False,
 ) -> int:
     """Measure what accuracy costs on a scene: tradeoff.csv, a setting per error budget, pictures and report.html.
 
@@ -62,19 +96,31 @@ def tradeoff(
     """
     ready(code, scene)
     from bcfj_jax.analysis.tradeoff import command
+    from bcfj_jax.cli import plan
 
-    wanted = [name.strip() for name in only.split(",") if name.strip()]
+    wanted = split(only)
+    if dry_run:
+        from bcfj_jax.analysis.tradeoff.settings import settings
+        from bcfj_jax.io.scenefile import load, shown
+
+        count = len(settings(shown(load(scene)), wanted, derivatives))
+        return plan.of_scene("tradeoff", scene, out, [["settings", str(count)], ["time", f"{budget:g} s at most"]])
     text, found = command.run(scene, wanted, derivatives, budget, out, say)
     typer.echo(text)
     return found
 
 
-@verb(app)
-def reproduce(out: Out = None) -> int:
+@verb(app, example="bcfj reproduce --out paper")
+def reproduce(out: Out = None, dry_run: Dry = False) -> int:
     """Run the paper's case: its claims beside the model's values, as given and calibrated, with pictures."""
-    open_cache()
+    ready(None)
+    from bcfj_jax.cli import plan
     from bcfj_jax.reproduction import command
 
-    text, good = command.run(out, say)
+    if dry_run:
+        rows = [["runs", "3: as given, with small clearances, calibrated"], ["fits", "1, of equilibria"]]
+        return plan.of_scene("reproduce", "joint", out, rows)
+    with plan.timed("reproduce", "joint"):
+        text, good = command.run(out, say)
     typer.echo(text)
     return DONE if good else SIMULATION_FAILED

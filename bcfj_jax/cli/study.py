@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from bcfj_jax.cli.base import EPILOG, app, ready, say, verb
-from bcfj_jax.cli.options import Code
+from bcfj_jax.cli.options import Code, of_study
 
 studies = typer.Typer(help="Run a scene at many points of its parameters.", no_args_is_help=True, epilog=EPILOG)
 app.add_typer(studies, name="study")
@@ -16,8 +16,10 @@ app.add_typer(studies, name="study")
 StudyFile = Annotated[str, typer.Argument(metavar="STUDY", help="A study file, or a built-in study: clearance.")]
 StudyOut = Annotated[Path | None, typer.Option("--out", help="Folder of the study; by default results/study-NAME.")]
 Workers = Annotated[int | None, typer.Option(min=1, help="Processes on this machine; by default one a core.")]
-Others = Annotated[list[Path] | None, typer.Option("--from", help="Another folder of the same study.")]
-Dry = Annotated[bool, typer.Option("--dry-run", help="Count points, estimate time and disk; no more.")]
+Others = Annotated[
+    list[Path] | None, typer.Option("--from", help="Another folder of the same study; can be given again.")
+]
+Dry = Annotated[bool, typer.Option("--dry-run", help="Count points, estimate time and disk; write nothing.")]
 Scheduler = Annotated[str | None, typer.Option(help="Dask scheduler that shall do the work: tcp://HOST:PORT.")]
 
 
@@ -33,7 +35,12 @@ def _study(
     return found
 
 
-@verb(studies, "run")
+@verb(
+    studies,
+    "run",
+    example="bcfj study run clearance --set vary.clearance_seat_cage.steps=8 --dry-run",
+    changed=of_study,
+)
 def study_run(
     study: StudyFile, out: StudyOut = None, workers: Workers = None, scheduler: Scheduler = None, dry_run: Dry = False,
     code: Code = None,
@@ -42,7 +49,7 @@ def study_run(
     return _study(study, code, out, workers, scheduler, dry_run, False)
 
 
-@verb(studies, "resume")
+@verb(studies, "resume", example="bcfj study resume clearance --out results/study-clearance", changed=of_study)
 def study_resume(
     study: StudyFile, out: StudyOut = None, workers: Workers = None, scheduler: Scheduler = None, code: Code = None
 ) -> int:
@@ -50,7 +57,7 @@ def study_resume(
     return _study(study, code, out, workers, scheduler, False, True)
 
 
-@verb(studies, "status")
+@verb(studies, "status", example="bcfj study status clearance", changed=of_study)
 def study_status(study: StudyFile, out: StudyOut = None, code: Code = None) -> int:
     """Say what is finished, what failed and what is left (then the exit code is 5)."""
     ready(code, study)
@@ -61,7 +68,7 @@ def study_status(study: StudyFile, out: StudyOut = None, code: Code = None) -> i
     return found
 
 
-@verb(studies, "merge")
+@verb(studies, "merge", example="bcfj study merge STUDY.toml --out all --from first --from second", changed=of_study)
 def study_merge(study: StudyFile, out: StudyOut = None, other: Others = None, code: Code = None) -> int:
     """Take in blocks that were computed elsewhere, and write results.parquet when none is missing."""
     ready(code, study)
@@ -77,7 +84,7 @@ Seed = Annotated[int, typer.Option(min=0, help="Seed of the bootstrap.")]
 Slopes = Annotated[bool, typer.Option(help="Whether to use the study's derivatives, if it kept any.")]
 
 
-@verb(studies, "indices")
+@verb(studies, "indices", example="bcfj study indices STUDY.toml --feature seat_cage.peak", changed=of_study)
 def study_indices(
     study: StudyFile, out: StudyOut = None, feature: Features = None, seed: Seed = 0, code: Code = None
 ) -> int:
@@ -90,7 +97,7 @@ def study_indices(
     return found
 
 
-@verb(studies, "surface")
+@verb(studies, "surface", example="bcfj study surface STUDY.toml --feature seat_cage.peak", changed=of_study)
 def study_surface(
     study: StudyFile, out: StudyOut = None, feature: Features = None, derivatives: Slopes = True, code: Code = None
 ) -> int:

@@ -191,11 +191,11 @@ def _made(wanted: _Wanted, jitted: Any = None) -> Callable[..., Any]:
     """A program traced, kept and compiled."""
     path, begin = _path(wanted), time.perf_counter()
     of = type(wanted.static[0]).__name__ if wanted.static else ""
-    known = _seconds().get(f"{wanted.name} {of}")
+    known = seconds(f"{wanted.name} {of}")
     with stage(f"compiling '{wanted.name}'" + (f": {known:.0f} s the last time" if known else "")):
         jitted = jitted or _traced(wanted)[0]
         made = _compiled((_export(path, jitted, wanted.shapes) if path else None) or jitted, wanted)
-    _remember(f"{wanted.name} {of}", time.perf_counter() - begin)
+    remember(f"{wanted.name} {of}", time.perf_counter() - begin)
     return made
 
 
@@ -220,7 +220,13 @@ def _seconds() -> dict[str, float]:
     return {}
 
 
-def _remember(name: str, took: float) -> None:
+def seconds(name: str) -> float | None:
+    """How long something took the last time [s], where that was long enough to be kept; else None."""
+    return _seconds().get(name)
+
+
+def remember(name: str, took: float) -> None:
+    """Keep how long something took [s]: the compilation of a program, or a whole command."""
     if Settings.folder is not None and took > _LONG:
         with contextlib.suppress(OSError):
             _write(Settings.folder / _SECONDS, json.dumps({**_seconds(), name: round(took, 1)}).encode())

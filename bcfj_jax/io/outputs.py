@@ -25,6 +25,9 @@ from bcfj_jax.mechanism.readings import STATES
 if TYPE_CHECKING:
     from bcfj_jax.solve.simulation import Run
 
+# Every file that this process has written, in its order: ``bcfj --json`` lists them.
+written: list[Path] = []
+
 COMPONENTS = ("normal", "axial", "tangential")
 
 
@@ -41,6 +44,7 @@ def atomic(path: Path, place: Callable[[str, Path], None] = os.replace) -> Itera
         os.umask(mask)
         os.chmod(name, 0o666 & ~mask)
         place(name, path)
+        written.append(path)
     finally:
         Path(name).unlink(missing_ok=True)
 

@@ -28,7 +28,7 @@ from jax import Array
 from bcfj_jax.contact import laws
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.quantities import CATALOGUE, check_order, check_value
-from bcfj_jax.io import mechanismfile, tables, usercode
+from bcfj_jax.io import changes, mechanismfile, tables, usercode
 from bcfj_jax.io.scenetemplate import template as template
 from bcfj_jax.io.spheres import Spheres
 from bcfj_jax.io.units import quantity, toleranced
@@ -101,19 +101,30 @@ def load(what: str | Path) -> SceneFile:
     Raises:
         InputError: for a file that is missing, is no TOML, or holds anything that is not right.
     """
+    return from_table(content(what), None if str(what) in scenes.SCENES else Path(what))
+
+
+def content(what: str | Path) -> dict[str, Any]:
+    """What a scene file says, or the name of a built-in scene stands for, as ``--set`` has changed it; unchecked.
+
+    Raises:
+        InputError: for a file that is missing or no TOML.
+    """
     path = Path(what)
     if str(what) in scenes.SCENES:
-        return from_table({"scene": {"kind": str(what)}}, None)
+        return changes.applied(str(what), {"scene": {"kind": str(what)}})
     if path.suffix != ".toml" and not path.exists():
         names = ", ".join(scenes.SCENES)
         raise InputError(str(what), "no such file and no such scene", f"give a .toml file or a scene's name: {names}")
-    return from_table(tables.read(path), path)
+    return tables.read(path)
 
 
 def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
     """The scene that a file's content describes; errors as ``load``."""
-    where = str(source) if source else f"scene '{table['scene']['kind']}'"
-    file = tables.validated(_File, dict(table), where)
+    kind = table["scene"].get("kind", "") if isinstance(table.get("scene"), Mapping) else ""
+    where = str(source) if source else f"scene '{kind}'"
+    table = _plain(table)
+    file = tables.validated(_File, table, where)
     scene, made_of, spheres = _scene(file, where)
     values, tolerances = _values(scene, file.parameters, spheres, where)
     params = scene.parameters(values)
@@ -145,6 +156,12 @@ def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
     return SceneFile(scene, params, times, accuracy, resolved, source, steps, solver, free, reads, tolerances)
 
 
+def _plain(table: Mapping[str, Any]) -> dict[str, Any]:
+    """A file's content whose parameters go by their whole names: TOML makes tables of ``seat_ball.stiffness = 1``."""
+    own = table.get("parameters")
+    return {**table, "parameters": tables.flat(own)} if isinstance(own, Mapping) else dict(table)
+
+
 def shown(given: SceneFile) -> SceneFile:
     """A scene file whose scene has contacts; where it has none, its [[read]] tables stand in their place.
 
@@ -163,7 +180,7 @@ def shown(given: SceneFile) -> SceneFile:
 
 def model(table: Mapping[str, Any], where: str = "scene") -> AbstractModel:
     """The model that a file's content describes, whatever its parameters are; errors as ``load``."""
-    return _scene(tables.validated(_File, dict(table), where), where)[0]
+    return _scene(tables.validated(_File, _plain(table), where), where)[0]
 
 
 def quickest(given: SceneFile) -> SceneFile:

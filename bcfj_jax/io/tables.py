@@ -5,12 +5,14 @@ from __future__ import annotations
 import re
 import tomllib
 import typing
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
 import pydantic
 
 from bcfj_jax.core.errors import InputError, clip, nearest
+from bcfj_jax.io import changes
 from bcfj_jax.io.opening import LARGEST_TOML, content
 
 # Parts of a dotted key. The reader's time grows with their square.
@@ -26,7 +28,7 @@ class Table(pydantic.BaseModel):
 
 
 def read(path: Path) -> dict[str, Any]:
-    """The content of a TOML file.
+    """The content of a TOML file, with what the command line changed of it (``io.changes``).
 
     Raises:
         InputError: when there is no such file, it is no text or no TOML; the last with its line.
@@ -43,7 +45,7 @@ def read(path: Path) -> dict[str, Any]:
         if line.partition("=")[0].count(".") > _DEEPEST:
             raise InputError(f"{shown}, line {number}", f"a key of more than {_DEEPEST} parts", "write a shorter key")
     try:
-        return tomllib.loads(text)
+        table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         said, line = str(error), re.search(r"at line (\d+)", str(error))
         where = f"{shown}, line {line[1]}" if line else shown
@@ -52,6 +54,7 @@ def read(path: Path) -> dict[str, Any]:
         raise InputError(shown, "brackets inside brackets, too deep to be read", "write a flat table") from None
     except ValueError as error:  # An integer of more digits than Python converts, a date that does not exist.
         raise InputError(shown, f"not TOML: {clip(str(error))}", "write numbers as 4e10") from None
+    return changes.applied(path, table)
 
 
 def _bytes(path: Path, shown: str, right: str) -> bytes:
@@ -61,6 +64,32 @@ def _bytes(path: Path, shown: str, right: str) -> bytes:
         # The path is the place already.
         found = "there is no such file" if error.found.startswith("no file") else error.found
         raise InputError(shown, found.removeprefix(f"{shown} "), error.remedy) from None
+
+
+def flat(table: Mapping[str, Any], inside: str = "") -> dict[str, Any]:
+    """Parameters by name of a table in which a point in a name made a table: ``seat_ball.stiffness = 1e10``."""
+    found: dict[str, Any] = {}
+    for key, value in table.items():
+        name = f"{inside}{key}"
+        found.update(flat(value, f"{name}.") if isinstance(value, Mapping) and value else {name: value})
+    return found
+
+
+def nested(table: Mapping[str, Any], model: type[Table], inside: str = "") -> dict[str, Any]:
+    """As ``flat``, of tables by name: ``[free.seat_ball.stiffness]`` is the table of ``seat_ball.stiffness``.
+
+    Args:
+        table: the tables.
+        model: what one of them may hold; a table of nothing but other keys, all tables, is a part of a name.
+        inside: that part.
+    """
+    found: dict[str, Any] = {}
+    for key, value in table.items():
+        name, keys = f"{inside}{key}", [f.alias or n for n, f in model.model_fields.items()]
+        part = isinstance(value, Mapping) and value and not set(value) & set(keys)
+        part = part and all(isinstance(x, (Mapping, list)) for x in value.values())
+        found.update(nested(value, model, f"{name}.") if part else {name: value})
+    return found
 
 
 def validated(model: type[M], table: object, where: str, inside: str = "") -> M:

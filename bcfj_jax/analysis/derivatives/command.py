@@ -10,11 +10,12 @@ import numpy as np
 
 from bcfj_jax.analysis.derivatives import pictures
 from bcfj_jax.analysis.derivatives.certificate import BROKEN, TRUSTED
-from bcfj_jax.analysis.derivatives.names import complete, derivative_unit, feature_unit
+from bcfj_jax.analysis.derivatives.names import complete, default_features, derivative_unit, feature, feature_unit
 from bcfj_jax.analysis.derivatives.ranking import (
     LEGEND,
     Ranking,
     certificate_rows,
+    drivers,
     ranked_rows,
     ranking,
     said,
@@ -30,6 +31,7 @@ from bcfj_jax.io.scenefile import load, shown
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import is_reading, unit_of
 from bcfj_jax.mechanism.model import AbstractModel
+from bcfj_jax.mechanism.observed import observing
 
 FILES = (
     "sensitivity.csv", "certificate.json", "tornado.png", "histories.png", *report.FILES, "run.toml", "environment.json",
@@ -79,7 +81,7 @@ def run(
 
     def first(found: Sensitivity) -> None:
         seen.append(write(found))
-        show("\n\n".join([*_texts(seen[0]), "By two tolerances alone: " + said(found)]) + "\n")
+        show("\n\n".join([*_driven(found, params), *_texts(seen[0]), "By two tolerances alone: " + said(found)]) + "\n")
         say(f"comparing with central differences, for {budget:g} s at most")
 
     say(f"differentiating {what} by {', '.join(names)}: {len(given.times)} samples to {given.times[-1]:.6g} s")
@@ -97,7 +99,8 @@ def run(
     certificate = [("Certificate", certificate_rows(found.certificate))] if found.certificate else []
     # Shown already, unless the comparison has changed it.
     again = [] if seen == [tables] else tables
-    parts = [said(found), *_texts([*certificate, *again]), f"results in {folder}"]
+    parts = [*(_driven(found, params) if again else []), said(found), *_texts([*certificate, *again])]
+    parts.append(f"results in {folder}")
     with stage("drawing"):
         ranked = ranking(found, params)
         drawn = (
@@ -156,6 +159,15 @@ def answer(found: Sensitivity, ranked: Ranking) -> Verdict:
     return Verdict(kind, word, f"{sentence} {'' if kind == GOOD else said(found)}".strip())
 
 
+def checked(what: str, wrt: Sequence[str], features: Sequence[str]) -> tuple[tuple[str, ...], list[str]]:
+    """Full names of the parameters and the features that ``run`` would take; it raises what ``run`` would raise."""
+    given = shown(load(what))
+    _, names = complete(given.scene, given.params, wrt)
+    scene = observing(given.scene, list(features))
+    wanted = [feature(name, scene.members) for name in features] or default_features(scene.members)
+    return names, [one.name for one in wanted]
+
+
 def _tables(found: Sensitivity, params: Any) -> list[tuple[str, list[list[str]]]]:
     """Of the run's features, and of those of steady motion."""
     head = f"Percent change of features per percent change of parameters. {LEGEND if found.certificate else ''}".strip()
@@ -165,6 +177,10 @@ def _tables(found: Sensitivity, params: Any) -> list[tuple[str, list[list[str]]]
         head = f"The same of steady motion, over one turn of {turn}, whatever the start"
         tables.append((head, ranked_rows(found.steady.features, steady_ranking(found, params))))
     return tables
+
+
+def _driven(found: Sensitivity, params: Any) -> list[str]:
+    return ["\n".join(sentences)] if (sentences := drivers(found, params)) else []
 
 
 def _texts(tables: Sequence[tuple[str, list[list[str]]]]) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fnmatch
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -26,6 +27,41 @@ def feature_unit(name: str) -> str:
     return UNITS[kind].replace("N", unit_of(place)) if is_reading(place) else UNITS[kind]
 
 
+# Parameters that go by one name: patterns of their shared and of their contacts' own names.
+GROUPS: dict[str, tuple[str, ...]] = {
+    "clearances": ("clearance_*", "*.clearance"),
+    "stiffnesses": ("stiffness", "*.stiffness"),
+    "dampings": ("damping", "*.damping"),
+    "exponents": ("exponent", "*.exponent"),
+    "frictions": ("friction_*", "*.friction_*"),
+    "masses": ("mass", "*mass"),
+    "all": ("*",),
+}
+
+
+def expanded(scene: AbstractModel, params: Params, wrt: Sequence[str]) -> tuple[str, ...]:
+    """Names of parameters, in which a group (``clearances``) or a pattern (``clearance_*``) stands for all that have a
+    value here and may be differentiated by.
+
+    Raises:
+        InputError: for a group or pattern that stands for nothing.
+    """
+    found: list[str] = []
+    for name in wrt:
+        patterns = GROUPS.get(name, (name,) if set(name) & set("*?[") else ())
+        if not patterns or name in scene.quantities:
+            found.append(name)
+            continue
+        own = [p for p in scene.quantities if p in params and any(fnmatch.fnmatchcase(p, x) for x in patterns)]
+        if not own:
+            known = ", ".join(p for p in scene.quantities if p in params)
+            raise InputError(
+                "wrt", f"'{name}' stands for no parameter of the scene '{scene.kind}'", f"known here: {known}"
+            )
+        found += [p for p in own if p not in found]
+    return tuple(found)
+
+
 class Feature(NamedTuple):
     """One number of a run: its full name, its kind (of ``UNITS``) and the contact, or the pair, it is of."""
 
@@ -40,15 +76,17 @@ def complete(scene: AbstractModel, params: Params, wrt: Sequence[str]) -> tuple[
     A contact's own coefficient that the parameters leave to the shared one is given the shared value.
 
     Raises:
-        InputError: for no name, an unknown one (with the nearest) or a repeated one, and one without a value.
+        InputError: for no name, an unknown one (with the nearest) or a repeated one, and one without a value; as
+            ``expanded``, which says what groups and patterns are.
     """
-    names = tuple(map(scene.canonical, (wrt,) if isinstance(wrt, str) else wrt))
+    names = tuple(map(scene.canonical, expanded(scene, params, (wrt,) if isinstance(wrt, str) else wrt)))
     if not names:
         raise InputError("wrt", "no parameter", f"name one or more of {', '.join(scene.quantities)}")
     full = dict(params)
     for name in names:
         if name not in scene.quantities:
-            raise InputError("wrt", f"scene '{scene.kind}' has no parameter '{name}'", nearest(name, scene.quantities))
+            known = (*scene.quantities, *GROUPS)
+            raise InputError("wrt", f"scene '{scene.kind}' has no parameter '{name}'", nearest(name, known))
         if names.count(name) > 1:
             raise InputError("wrt", f"'{name}' is named twice", "name it once")
         shared = name.rpartition(".")[2]

@@ -96,6 +96,33 @@ def _cell(elasticity: float, apart: float) -> str:
     return f"({elasticity:+.3f} {error})" if small else f"({elasticity:+.1g} {error})"
 
 
+def drivers(found: Sensitivity, values: Mapping[str, Any]) -> list[str]:
+    """Which parameter drives each feature, in sentences: "clearance_seat_cage drives seat_cage.peak: -0.54 % per %".
+
+    Of three features at most: those that were asked for first; of more, the one that a parameter moves most. Where
+    motion becomes steady, its features are taken, which do not depend on the start. No sentence where nothing is known.
+    """
+    if found.steady is not None and not found.steady.reason:
+        ranked, kind = steady_ranking(found, values), "steady "
+    else:
+        ranked, kind = ranking(found, values), ""
+    known = {name: k for k, name in enumerate(ranked.features)}
+    wanted = [name for name in found.features if name in known]
+    sentences = []
+    for name in wanted if len(wanted) <= 3 else ranked.features[:1]:
+        row, apart = ranked.elasticity[known[name]], ranked.apart[known[name]]
+        size = np.where(np.isfinite(row), np.abs(row), -1.0)
+        first, *others = np.argsort(-size, kind="stable")
+        if size[first] <= 0.0:
+            continue
+        text = f"{ranked.parameters[first]} drives {kind}{name}: {row[first]:+.2g} % per %"
+        if others and size[others[0]] > 0.0:
+            text += f", then {ranked.parameters[others[0]]}: {row[others[0]]:+.2g}"
+        unsure = math.isfinite(apart[first]) and of_feature(float(apart[first])) == NOT
+        sentences.append(text + (", a size only: two tolerances differ by more than 10 %" if unsure else ""))
+    return sentences
+
+
 def certificate_rows(certificate: Certificate) -> list[list[str]]:
     """The certificate's table: a parameter a row."""
     rows = [["parameter", "verdict", "pointwise", "averaged", "tangent growth", "breaks down", "remark"]]

@@ -19,7 +19,8 @@ from bcfj_jax.analysis.studies.specification import Study
 from bcfj_jax.analysis.studies.store import Store, facts_of, fault_of
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.progress import stage
-from bcfj_jax.io import report
+from bcfj_jax.io import changes, report
+from bcfj_jax.io.changes import Change
 from bcfj_jax.io.page import BAD, FAIR, GOOD, Page, Picture, Table, Verdict, brief, span
 from bcfj_jax.io.stop import heeded
 from bcfj_jax.io.units import format_si
@@ -42,6 +43,18 @@ def find(what: str) -> tuple[Study, str]:
     if not what.endswith(".toml"):
         raise InputError(what, "no study file and no built-in study", nearest(what, list(known)))
     return specification.load(Path(what)), Path(what).stem
+
+
+@contextlib.contextmanager
+def changing(what: str, wanted: Sequence[Change]) -> Iterator[None]:
+    """Within, a study reads as changed: its own tables, and those of the scene that it varies.
+
+    Raises:
+        InputError: as ``changes.changing``, and for what is no study file.
+    """
+    path = {path.stem: path for path in BUILT_IN.glob("*.toml")}.get(what, Path(what))
+    with changes.changing_both(path, wanted, changes.STUDY):
+        yield
 
 
 def folder_of(out: Path | None, stem: str) -> Path:

@@ -142,7 +142,10 @@ def from_table(table: Mapping[str, Any], where: str = "study", beside: Path = Pa
     Raises:
         InputError: for anything that is not right, naming the key and what would be.
     """
-    file = tables.validated(_File, dict(table), where)
+    table = dict(table)
+    if isinstance(table.get("vary"), Mapping):
+        table["vary"] = tables.nested(table["vary"], _Axis)
+    file = tables.validated(_File, table, where)
     given, own_end = _scene(file.scene, where, beside)
     kind = file.design.kind
     if kind not in KINDS:

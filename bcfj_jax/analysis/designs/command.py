@@ -1,0 +1,185 @@
+"""``bcfj design``: a feature made least or most over free parameters, in a folder and in a table."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from bcfj_jax.analysis.derivatives.names import complete
+from bcfj_jax.analysis.designs import pictures
+from bcfj_jax.analysis.designs.api import design
+from bcfj_jax.analysis.designs.designfile import Question, load
+from bcfj_jax.analysis.designs.objective import objective
+from bcfj_jax.analysis.designs.result import FAILED, Design
+from bcfj_jax.analysis.designs.space import space
+from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.programs import keep_asked
+from bcfj_jax.core.progress import stage
+from bcfj_jax.core.quantities import Quantity
+from bcfj_jax.core.threads import ahead
+from bcfj_jax.io import outputs, plots, report
+from bcfj_jax.io.page import BAD, FAIR, GOOD, Page, Picture, Table, Verdict
+from bcfj_jax.io.units import format_si
+from bcfj_jax.mechanism.observed import observing
+
+FILES = ("design.json", "starts.png", "slices.png", *report.FILES, "run.toml", "environment.json")
+
+
+def vary(text: str) -> tuple[str, dict[str, Any]]:
+    """A free parameter as it is typed: "clearance_seat_cage=10um:200um", or with a tolerance "...=10um:200um:5um".
+
+    Raises:
+        InputError: for a text of another form.
+    """
+    name, equals, given = (part.strip() for part in text.partition("="))
+    ends = [part.strip() for part in given.split(":")]
+    if not (name and equals and len(ends) in (2, 3) and all(ends)):
+        raise InputError(
+            f"--vary {text[:200]}", "this is no NAME=LOWER:UPPER", "write --vary clearance_seat_cage=10um:200um"
+        )
+    return name, dict(zip(("lower", "upper", "tolerance"), map(_number, ends), strict=False))
+
+
+def _number(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def run(
+    what: str, more: Mapping[str, Any], out: Path | None, say: Callable[[str], None]
+) -> tuple[str, bool]:  # fmt: skip
+    """Find the design that a file, or a command line, asks for; write and describe it.
+
+    Args:
+        what, more: as ``designfile.load``.
+        out: folder for the results, None for one made up.
+        say: receives the progress.
+
+    Returns:
+        The results in words, and whether any start had a value.
+
+    Raises:
+        InputError: for bad input, and where something would be overwritten.
+    """
+    asked = load(what, more)
+    check(asked)
+    stem = Path(what).stem
+    folder = outputs.open_folder(out, "design", stem, FILES)
+    source = [p for p in (Path(what), asked.given.source) if p and p.suffix == ".toml"]
+    outputs.write_toml(folder / "run.toml", asked.resolved, f"{what}, every default, SI")
+    known = outputs.environment(seed=asked.search.seed, data=list(dict.fromkeys(source)))
+    outputs.write_json(folder / "environment.json", known)
+    if asked.note:
+        say(asked.note)
+    say(f"{sentence(asked)}: {asked.search.starts} starts, {len(asked.times)} times to {asked.times[-1]:.6g} s")
+    ahead(plots.get_ready)
+    found = found_of(asked)
+    outputs.write_json(folder / "design.json", found.content())
+    values, facts = value_rows(found), fact_rows(found)
+    drawn: list[Picture] = []
+    with stage("drawing"):
+        if found.status != FAILED:
+            pictures.starts(found, folder / "starts.png")
+            shows = f"The best value of every start so far against its evaluations; {found.agree} of {len(found.starts)} agree."
+            drawn.append(Picture("starts.png", "What every start came to", shows))
+        if found.slices:
+            pictures.slices(found, folder / "slices.png")
+            shows = "The objective along each parameter, the others at the optimum; bounds and tolerances are marked."
+            drawn.insert(0, Picture("slices.png", "The objective about the optimum", shows))
+    report.write(folder, page(f"Design of {stem}", found, asked.note, values, facts, drawn))
+    keep_asked()
+    parts = [f"{verdict(found)} {reason(found)}", report.text(values), report.text(facts), f"results in {folder}"]
+    return "\n\n".join(parts), found.status != FAILED
+
+
+def check(asked: Question) -> None:
+    """Refuse what ``design`` would refuse, before anything is written or compiled.
+
+    Raises:
+        InputError: for names, bounds and features that are not right.
+    """
+    given, names = asked.given, asked.objective
+    scene = observing(asked.scene, [names] if isinstance(names, str) else names)
+    objective(names, (), scene.members)
+    box = space(scene, given.params, asked.free)
+    scene.check(complete(scene, given.params, box.names)[0])
+
+
+def found_of(asked: Question) -> Design:
+    """The design that a question asks for."""
+    search = asked.search
+    return design(
+        asked.scene, asked.given.params, asked.times, asked.objective, asked.free, sense=asked.sense,
+        kappa=search.kappa, distribution=search.distribution, samples=search.samples, starts=search.starts,
+        iterations=search.iterations, max_steps=asked.given.max_steps, confirm="auto" if search.confirm else None,
+        certify=search.certify, seed=search.seed,
+    )  # fmt: skip
+
+
+def sentence(asked: Question) -> str:
+    """The question in a sentence."""
+    name = asked.objective if isinstance(asked.objective, str) else " + ".join(asked.objective)
+    return f"{'minimizing' if asked.sense == 'minimise' else 'maximizing'} {name} over {', '.join(asked.free)}"
+
+
+def verdict(found: Design) -> str:
+    """The outcome in a sentence."""
+    if found.status == FAILED:
+        return "No design was found."
+    before, after = (format_si(x, found.unit, 4) for x in (found.before, found.after))
+    share = f" ({100.0 * (found.after / found.before - 1.0):+.3g} %)" if found.before else ""
+    state = "" if found.status == "ok" else f" Status: {found.status}."
+    return f"{found.objective}: {before} before, {after} after{share}.{state}"
+
+
+def reason(found: Design) -> str:
+    """All that is to be said of the outcome, as a sentence."""
+    return f"{found.reason[:1].upper()}{found.reason[1:]}."
+
+
+def page(title: str, found: Design, note: str, values: report.Rows, facts: report.Rows, drawn: list[Picture]) -> Page:
+    """The report: what the objective became, by which values, and how far that is to be trusted."""
+    kind = GOOD if found.status == "ok" else BAD if found.status == FAILED else FAIR
+    answer = Verdict(kind, found.status[:1].upper() + found.status[1:], verdict(found))
+    tables = (Table("Design", values, reason(found)), Table("Objective", facts))
+    rows = [["search", "value"], *([name, f"{value:.4g}"] for name, value in found.stats.items())]
+    folded = (Table("Search", rows),)
+    return Page(title, answer, tuple(drawn), (note,) if note else (), tables, folded=folded)
+
+
+def value_rows(found: Design) -> list[list[str]]:
+    """Table of the free parameters: before, after, bounds."""
+    rows = [["parameter", "before", "after", "lower", "upper", "remark"]]
+    box = found.space
+    for k, (name, quantity) in enumerate(zip(box.names, box.quantities, strict=True)):
+        side = found.at_bound.get(name)
+        numbers = (found.before_values[name], found.values[name], float(box.lower[k]), float(box.upper[k]))
+        rows.append([name, *(_shown(x, quantity) for x in numbers), f"at its {side} bound" if side else ""])
+    return rows
+
+
+def fact_rows(found: Design) -> list[list[str]]:
+    """Table of the objective: before, after, the independent check, tolerances."""
+    rows = [["objective", "before", "after"], [found.objective, *_pair(found.before, found.after, found.unit)]]
+    if (check := found.confirmation) is not None:
+        rows.append([f"checked by the {check.how}", *_pair(check.before, check.after, found.unit)])
+    if (wide := found.robustness) is not None:
+        first = found.robustness_before.sampled_worst if found.robustness_before else math.nan
+        rows.append(["worst over the tolerances, by runs", *_pair(first, wide.sampled_worst, found.unit)])
+    return rows
+
+
+def _pair(first: float, second: float, unit: str) -> list[str]:
+    return [format_si(x, unit, 4) if math.isfinite(x) else "-" for x in (first, second)]
+
+
+def _shown(value: float, quantity: Quantity) -> str:
+    if not math.isfinite(value):
+        return "-"
+    if quantity.unit == "rad":
+        return f"{math.degrees(value):.4g} deg"
+    return format_si(value, quantity.unit, 4)

@@ -1,0 +1,169 @@
+"""Design files: what is made least or most, over which parameters; checked, in SI.
+
+scene        a scene file (beside this one), or a built-in scene's name
+[objective]  minimize (or maximize) = "seat_cage.peak", or weights by feature: { "a.peak" = 1.0, "b.peak" = 0.5 }
+[vary.NAME]  lower, upper, tolerance, relative, scale: as ``Free``; or NAME = ["10 um", "200 um"] under [vary]
+[search]     starts, kappa, distribution, samples, iterations, seed, confirm, certify: as ``design``
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pydantic
+
+from bcfj_jax.analysis.designs.space import Free
+from bcfj_jax.core.errors import InputError
+from bcfj_jax.io import scenefile, tables
+from bcfj_jax.io.scenefile import SceneFile
+from bcfj_jax.mechanism.model import AbstractModel
+
+# Instants of equilibrium that a pitch of a turning mechanism gets.
+_INSTANTS = 49
+
+
+class VaryTable(tables.Table):
+    """[vary.NAME]: bounds and tolerance, numbers in SI or texts with a unit."""
+
+    lower: Any
+    upper: Any
+    tolerance: Any = 0.0
+    relative: bool = False
+    scale: str = "linear"
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _pair(cls, given: Any) -> Any:
+        if isinstance(given, list) and len(given) in (2, 3):
+            return dict(zip(("lower", "upper", "tolerance"), given, strict=False))
+        return given
+
+
+class _Objective(tables.Table):
+    minimize: str | dict[str, float] | None = None
+    maximize: str | dict[str, float] | None = None
+
+
+class Search(tables.Table):
+    """[search]: options of ``design``, with its defaults."""
+
+    starts: int = pydantic.Field(default=8, ge=1, le=1000)
+    kappa: float = pydantic.Field(default=0.0, ge=0.0)
+    distribution: Literal["normal", "uniform"] = "normal"
+    samples: int = pydantic.Field(default=64, ge=1, le=100_000)
+    iterations: int = pydantic.Field(default=60, ge=1, le=100_000)
+    seed: int = pydantic.Field(default=0, ge=0)
+    confirm: bool = True
+    certify: bool = True
+
+
+class File(tables.Table):
+    """A design file."""
+
+    scene: str
+    objective: _Objective = _Objective()
+    vary: dict[str, VaryTable] = pydantic.Field(default_factory=dict)
+    search: Search = Search()
+
+
+@dataclass(frozen=True)
+class Question:
+    """A design ready to be found.
+
+    Attributes:
+        given: the scene file; scene, times: the model that is searched, and its times [s].
+        note: which model that is, where the file left it open; else "".
+        objective, sense: what is made least or most.
+        free: by name, as ``design`` takes it.
+        search: its options.
+    """
+
+    given: SceneFile
+    scene: AbstractModel
+    times: np.ndarray
+    note: str
+    objective: str | dict[str, float]
+    sense: Literal["minimise", "maximise"]
+    free: dict[str, Free]
+    search: Search
+
+    @property
+    def resolved(self) -> dict[str, Any]:
+        """The question with every default, as ``run.toml`` has it."""
+        return {
+            **self.given.resolved,
+            "design": {
+                ("minimize" if self.sense == "minimise" else "maximize"): self.objective,
+                "begin": float(self.times[0]), "end": float(self.times[-1]), "samples": len(self.times),
+                "vary": {name: one._asdict() for name, one in self.free.items()},
+                **self.search.model_dump(),
+            },
+        }  # fmt: skip
+
+
+def is_design(table: Mapping[str, Any]) -> bool:
+    """Whether a file's content is that of a design file."""
+    return "objective" in table
+
+
+def load(what: str, more: Mapping[str, Any]) -> Question:
+    """A design file, or a scene whose question ``more`` asks.
+
+    Args:
+        what: a design file, a scene file, or a built-in scene's name.
+        more: tables of a design file that stand in place of the file's own: ``objective``, ``vary``, ``search``.
+
+    Raises:
+        InputError: for anything that is not right, naming the key and what would be.
+    """
+    path = Path(what)
+    table = tables.read(path) if path.suffix == ".toml" else {}
+    if not is_design(table):
+        table = {"scene": what}
+        beside = Path(".")
+    else:
+        beside = path.parent
+    vary = {**tables.nested(table.get("vary", {}), VaryTable), **more.get("vary", {})}
+    search = {**table.get("search", {}), **more.get("search", {})}
+    table = {**table, "vary": vary, "search": search, "objective": more.get("objective") or table.get("objective", {})}
+    file = tables.validated(File, table, what)
+    asked = file.objective
+    if (asked.minimize is None) == (asked.maximize is None):
+        found = "nothing is to be minimized or maximized" if asked.minimize is None else "both are given"
+        raise InputError(f"{what}: [objective]", found, "give one: --minimize seat_cage.peak, or --maximize")
+    if not file.vary:
+        raise InputError(f"{what}: [vary]", "nothing is varied", "say --vary clearance_seat_cage=10um:200um")
+    scene = str(beside / file.scene) if file.scene.endswith(".toml") else file.scene
+    given = scenefile.load(scene)
+    model, times, note = searched(given, "end" in scenefile.content(scene).get("time", {}))
+    return Question(
+        given, model, times, note, asked.minimize or asked.maximize or "",
+        "minimise" if asked.maximize is None else "maximise",
+        {name: Free(**one.model_dump()) for name, one in file.vary.items()}, file.search,
+    )  # fmt: skip
+
+
+def searched(given: SceneFile, ends: bool) -> tuple[AbstractModel, np.ndarray, str]:
+    """The model that is searched and its times: of a scene with levels, which the file left open, equilibria.
+
+    Args:
+        given: the scene file.
+        ends: whether it says when the run ends.
+
+    Returns:
+        The model, times (T,) [s], and a sentence about both; "" for the scene as it is.
+    """
+    scene, levels = given.scene, given.scene.coarser()
+    if not (given.open and levels):
+        return scene, given.times, ""
+    level = levels[-1]
+    model = replace(scene, **level.options)
+    note = f"searching among equilibria ({level.physics}), as motion is chaotic over long times; the optimum is checked by motion"
+    if ends or not scene.recurs(given.params):
+        return model, given.times, note
+    begin, pitch = scene.settled_from(given.params), scene.period(given.params)[1]
+    return model, begin + np.linspace(0.0, pitch, _INSTANTS), f"{note}; over one pitch, {_INSTANTS} instants"

@@ -1,0 +1,72 @@
+"""What a verb would do: ``--dry-run`` checks everything, counts, estimates, and writes nothing."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import typer
+
+from bcfj_jax.cli.base import DONE, result
+from bcfj_jax.core import programs
+from bcfj_jax.core.errors import InputError
+from bcfj_jax.io import outputs, report, scenefile
+from bcfj_jax.io.units import format_si
+
+
+@contextlib.contextmanager
+def timed(command: str, scene: str) -> Iterator[None]:
+    """Keep how long a command took that ended well, for ``--dry-run``."""
+    begin = time.perf_counter()
+    yield
+    with contextlib.suppress(InputError):
+        programs.remember(_name(command, scenefile.load(scene)), time.perf_counter() - begin)
+
+
+def _name(command: str, given: scenefile.SceneFile) -> str:
+    return f"bcfj {command} {given.scene.kind}"
+
+
+def of_scene(command: str, scene: str, out: Path | None, rows: Sequence[Sequence[str]]) -> int:
+    """Show what a verb would do with a scene; the exit code.
+
+    Args:
+        command, scene, out: the verb and its arguments.
+        rows: what of it is the verb's own: a name and a text.
+
+    Raises:
+        InputError: for a scene that is not right, and a folder that cannot be used.
+    """
+    given = scenefile.load(scene)
+    took = programs.seconds(_name(command, given))
+    time_text = [] if any(row[0] == "time" for row in rows) else [
+        ["time", f"about {took:.0f} s, as the last time with such a scene" if took else
+         "unknown: no such run was timed on this machine; the first compiles its programs, which are then kept"]
+    ]  # fmt: skip
+    show(
+        [
+            ["scene", given.scene.kind],
+            ["parameters", str(len(given.params))],
+            ["contacts", ", ".join(contact.name for contact in given.scene.contacts) or "none"],
+            ["simulated", f"{format_si(float(given.times[-1]), 's')}, {len(given.times)} samples"],
+            ["accuracy", str(given.accuracy)],
+            *rows,
+            *time_text,
+        ],
+        out,
+    )
+    return DONE
+
+
+def show(rows: Sequence[Sequence[str]], out: Path | None) -> None:
+    """Print the table of a dry run, and keep it for ``--json``.
+
+    Raises:
+        InputError: for a folder that cannot be used.
+    """
+    if out is not None:
+        outputs.open_folder(out, "", "", [], lock=False)
+    typer.echo(report.text([["dry run", "nothing is written"], *rows]))
+    result({"dry_run": {row[0]: row[1] for row in rows}})

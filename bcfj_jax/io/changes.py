@@ -1,0 +1,207 @@
+"""Changes of the command line to what a file says: ``--set path=value``, and options that are short for one.
+
+A path's first word is a table of the file, or a key at its top: ``time.end=3 s``, ``scene.friction=true``. Any other
+path is a parameter of the scene: ``stiffness=4e10`` and ``seat_ball.stiffness=4e10`` are ``parameters.stiffness`` and
+``parameters.seat_ball.stiffness``. A table of a list goes by its name or its number, from 1: ``contact.stop.law=hertz``,
+``experiment.1.noise=2 %``.
+
+A change is made to the table that is read, before anything of it is checked: its errors are those of a file.
+``tables.read`` asks here for what was changed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+import re
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from bcfj_jax.core.errors import InputError, nearest
+
+# The tables of a file of each kind, and the keys at its top.
+SCENE = ("scene", "parameters", "time", "accuracy", "body", "contact", "load", "quantity", "read")
+STUDY = ("design", "vary", "results")
+CALIBRATION = ("scene", "experiment", "free", "loss", "accuracy", "adequate", "sensor", "model", "candidate")
+DESIGN = ("objective", "vary", "search")
+# Tables of tables, whose names may have a point: ``free.seat_ball.stiffness.lower``.
+_NAMED = ("free", "vary", "quantity")
+_KEYS = ("lower", "upper", "start", "scale", "each", "steps", "values", "unit", "default", "tolerance", "relative")
+# Of two keys that exclude each other the one that is set holds.
+_INSTEAD = {("accuracy", "level"): "force_error", ("accuracy", "force_error"): "level"}
+
+
+class Change(NamedTuple):
+    """One change: how the user wrote it ("--set stiffness=1e10"), the path's words, and the value."""
+
+    text: str
+    words: tuple[str, ...]
+    value: Any
+
+
+# What was changed, by the file or the built-in scene that it was changed of.
+_changed: dict[str, tuple[Change, ...]] = {}
+
+
+def parse(text: str) -> Change:
+    """A change from ``path=value``: a value is read as in TOML, and what is no TOML is a text.
+
+    Raises:
+        InputError: for a text without "=", and for an empty path or value.
+    """
+    path, equals, given = (part.strip() for part in text.partition("="))
+    words = tuple(word.strip().strip("\"'") for word in path.split("."))
+    if not equals or not all(words) or not given:
+        raise InputError(
+            f"--set {text[:200]}", "this is no path=value", "write --set stiffness=4e10, or time.end='3 s'"
+        )
+    return Change(f"--set {text}", words, value(given))
+
+
+def value(text: str) -> Any:
+    """What stands after "=": as in TOML; what is no TOML is a number as Python writes it, or a text."""
+    with contextlib.suppress(ValueError, RecursionError):
+        found = tomllib.loads(f"x = {text}")
+        if list(found) == ["x"] and isinstance(found["x"], (bool, int, float, str, list, dict)):
+            return found["x"]
+    with contextlib.suppress(ValueError):
+        return float(text)
+    return text
+
+
+@contextlib.contextmanager
+def changing(
+    what: str | Path, changes: Sequence[Change], tables: Sequence[str] = SCENE, inside: str = ""
+) -> Iterator[None]:
+    """Within, a file (or a built-in scene) reads as if it said what the changes say; run.toml then has them.
+
+    Args:
+        what: the file, or the scene's name.
+        changes: in their order.
+        tables: of a file of this kind.
+        inside: the table of the file that these tables are in.
+
+    Raises:
+        InputError: of what is checked within; where a change is to blame, it names the change in the file's place.
+    """
+    placed = [_placed(change, tables) for change in changes]
+    where = str(Path(what))
+    before = _changed.get(where, ())
+    _changed[where] = (*before, *(c._replace(words=(inside, *c.words)) if inside else c for c in placed))
+    try:
+        yield
+    except InputError as error:
+        blamed = next((k for k, change in enumerate(placed) if _about(error.where, change)), None)
+        if blamed is None:
+            raise
+        remedy = _table_meant(changes[blamed], tables) or error.remedy
+        raise InputError(changes[blamed].text[:200], error.found, remedy) from None
+    finally:
+        _changed[where] = before
+
+
+@contextlib.contextmanager
+def changing_both(path: Path, wanted: Sequence[Change], own: Sequence[str]) -> Iterator[None]:
+    """Within, a file and the scene that it names, or holds as a table, read as changed.
+
+    Args:
+        path: a study's or a design's file.
+        wanted: changes; those of a table in ``own`` are the file's, others the scene's.
+        own: tables of such a file.
+
+    Raises:
+        InputError: as ``changing``, and for what is no such file.
+    """
+    from bcfj_jax.io import tables
+
+    mine = [change for change in wanted if change.words[0] in own]
+    others = [change for change in wanted if change.words[0] not in own]
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(changing(path, mine, own))
+        scene = tables.read(path).get("scene") if others else None
+        if isinstance(scene, str):
+            beside = path.parent / scene
+            target = beside if scene.endswith(".toml") and beside.exists() else scene
+            stack.enter_context(changing(target, others))
+        elif scene is not None:
+            stack.enter_context(changing(path, others, inside="scene"))
+        yield
+
+
+def applied(what: str | Path, table: Mapping[str, Any]) -> dict[str, Any]:
+    """A file's content with what was changed of it."""
+    content = dict(table)
+    for change in _changed.get(str(Path(what)), ()):
+        content = _set(content, change.words, change)
+    return content
+
+
+def _placed(change: Change, tables: Sequence[str]) -> Change:
+    """The change with the words of its place in the file."""
+    first, *rest = change.words
+    if first not in tables:
+        if "parameters" not in tables:
+            raise InputError(change.text[:200], f"the file has no table '{first}'", nearest(first, tables))
+        return change._replace(words=("parameters", ".".join(change.words)))
+    if first == "parameters" and rest:
+        return change._replace(words=("parameters", ".".join(rest)))
+    if first in _NAMED and len(rest) > 1:
+        inner, last = (rest[:-1], rest[-1:]) if rest[-1] in _KEYS else (rest, [])
+        return change._replace(words=(first, ".".join(inner), *last))
+    return change
+
+
+def _set(table: dict[str, Any], words: tuple[str, ...], change: Change) -> dict[str, Any]:
+    """A copy of a table in which one place has another value."""
+    first, *rest = words
+    if not rest:
+        return {**table, first: change.value}
+    inner = table.get(first, {})
+    if isinstance(inner, list) and len(inner) == 2 and rest[0] in _KEYS:
+        inner = {"lower": inner[0], "upper": inner[1]}  # NAME = [lower, upper] under [free]
+    if isinstance(inner, list):
+        return {**table, first: _set_in_list(inner, rest, change)}
+    if not isinstance(inner, dict):
+        # A study's scene, or a pair of bounds: what is inside of it is not in this file.
+        found = f"'{first}' is {inner!r} in the file"[:200]
+        raise InputError(change.text[:200], found, "give its table in the file, or set it as a whole")
+    other = _INSTEAD.get((first, rest[0]))
+    inner = {key: value for key, value in inner.items() if key != other}
+    return {**table, first: _set(inner, tuple(rest), change)}
+
+
+def _set_in_list(entries: list[Any], words: Sequence[str], change: Change) -> list[Any]:
+    which, *rest = words
+    names = [str(entry.get("name", "")) if isinstance(entry, dict) else "" for entry in entries]
+    if which in names:
+        k = names.index(which)
+    elif which.isdigit() and 1 <= int(which) <= len(entries):
+        k = int(which) - 1
+    else:
+        known = [name or str(k + 1) for k, name in enumerate(names)]
+        raise InputError(change.text[:200], f"no entry '{which}'", nearest(which, known))
+    if not rest:
+        return [*entries[:k], change.value, *entries[k + 1 :]]
+    return [*entries[:k], _set(dict(entries[k]), tuple(rest), change), *entries[k + 1 :]]
+
+
+def _about(where: str, change: Change) -> bool:
+    """Whether an error's place is that of a change: "file: [time] end" or "[free.stiffness]" of what is inside."""
+    place, own = _words(where.rpartition(": ")[2]), _words(" ".join(change.words))
+    same = min(len(place), len(own))
+    return bool(place) and place[:same] == own[:same] and (same > 1 or len(place) == len(own))
+
+
+def _words(text: str) -> list[str]:
+    return re.findall(r"\w+", re.sub(r"(\w+)\.clearance\b", r"clearance_\1", text))
+
+
+def _table_meant(change: Change, tables: Sequence[str]) -> str:
+    """What to say where a table's name was misspelt; "" where it was not."""
+    first, *rest = change.words
+    if first in tables or not rest:
+        return ""
+    close = difflib.get_close_matches(first, tables, n=1, cutoff=0.75)
+    return f"did you mean '{'.'.join((*close, *rest))}'?" if close else ""
