@@ -4,8 +4,8 @@
     python -m scripts.pythons python3.11 --versions pinned,lowest,newest      also the oldest and the newest allowed
     python -m scripts.pythons python3.12 --tests tests/contact tests/solve     other tests
 
-``pinned`` is constraints.txt; ``newest`` what pip takes without it; ``lowest`` the lower bound of every requirement in
-pyproject.toml that the tests import, exactly. The package is installed as a wheel, so that no test imports the checkout. The
+``pinned`` is constraints.txt; ``newest`` what pip takes without it; ``lowest`` the lowest release that each direct requirement
+in pyproject.toml allows, found by uv. The package is installed as a wheel, so that no test imports the checkout. The
 outcome is a table, and JSON in the file that ``--out`` names; the exit code is 1 where a run failed.
 """
 
@@ -27,18 +27,22 @@ KINDS = ("pinned", "lowest", "newest")
 _SHOWN = ("jax", "diffrax", "equinox", "optax", "numpy", "scipy", "matplotlib", "pint", "pydantic", "typer")
 
 
-def lowest(project: dict) -> list[str]:
-    """Every requirement of the package and of its extras for users, at its lower bound: ``name==version``."""
-    extras = project["optional-dependencies"]
-    users = {name: wanted for name, wanted in extras.items() if name not in ("test", "bench", "docs")}
-    found = {}
-    for text in [*project["dependencies"], *(line for wanted in users.values() for line in wanted)]:
-        one = re.match(r"([A-Za-z0-9_.-]+)(?:\[[^]]*\])?>=([0-9.]+)", text)
-        if one:
-            found[one[1]] = one[2]
-        elif not text.startswith("bcfj-jax["):
-            raise ValueError(f"the requirement {text!r} has no lower bound")
-    return [f"{name}=={version}" for name, version in found.items()]
+def users_extras(project: dict) -> list[str]:
+    """Names of the extras that are not for those who change the code."""
+    return [name for name in project["optional-dependencies"] if name not in ("test", "bench", "docs")]
+
+
+def _lowest(place: Path, python: str, env: dict[str, str], project: dict) -> str:
+    """Exact versions, the lowest of every direct requirement of the package and of its extras for users, by uv."""
+    programs = fresh.environment(place / "uv", python, env, "uv")
+    extras = [word for name in users_extras(project) for word in ("--extra", name)]
+    resolve = ["pip", "compile", "--quiet", "--resolution", "lowest-direct", "--no-header", "--no-annotate", *extras]
+    resolved = fresh.must([programs / "uv", *resolve, "--python", python, "pyproject.toml"], fresh.ROOT, env).stdout
+    direct = {re.split(r"[<>=!\[ ]", text)[0].lower() for text in project["dependencies"]}
+    for name in users_extras(project):
+        direct |= {re.split(r"[<>=!\[ ]", text)[0].lower() for text in project["optional-dependencies"][name]}
+    # What they need in turn is left to pip: the extra for tests asks for newer versions of some of it.
+    return "\n".join(line for line in resolved.splitlines() if line.partition("==")[0].lower() in direct)
 
 
 def _copy(to: Path) -> Path:
@@ -60,7 +64,8 @@ def tried(python: str, kind: str, tests: list[str], timeout: float) -> dict:
         if kind == "pinned":
             shutil.copy(fresh.ROOT / "constraints.txt", bounds)
         else:
-            bounds.write_text("\n".join(lowest(project) if kind == "lowest" else []) + "\n", encoding="utf-8")
+            text = _lowest(Path(place), python, env, project) if kind == "lowest" else ""
+            bounds.write_text(f"{text}\n", encoding="utf-8")
         programs = fresh.environment(Path(place) / "venv", python, env, "-c", bounds, f"{fresh.ROOT}[test]")
         listed = fresh.must([programs / "python", "-m", "pip", "list", "--format", "json"], Path(place), env)
         installed = {one["name"].lower(): one["version"] for one in json.loads(listed.stdout)}
