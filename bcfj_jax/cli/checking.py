@@ -6,13 +6,10 @@ from typing import Annotated
 
 import typer
 
-from bcfj_jax.cli.base import DONE, app, ready, say, verb
-
-# The exit code where a check failed.
-FAILED = 1
+from bcfj_jax.cli.base import DONE, FAILED, app, ready, result, say, verb
 
 
-@verb(app)
+@verb(app, example="bcfj verify\nbcfj verify --only hertz_impact,chain --json")
 def verify(
     only: Annotated[str, typer.Option(help="Names of checks, separated by commas; by default every check.")] = "",
 ) -> int:
@@ -27,5 +24,6 @@ def verify(
 
     names = [name.strip() for name in only.split(",") if name.strip()]
     rows = command.run(command.picked((*command.CHECKS, *verification.CHECKS), names), say)
+    result(command.document(rows))
     typer.echo(command.table(rows))
     return DONE if command.passed(rows) else FAILED
