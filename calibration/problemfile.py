@@ -9,7 +9,8 @@ scene = "impact.toml"            a scene file (relative to this one) or a built-
                                  saturation = "10 kN" (or of each channel, as noise) drops samples at or beyond it;
                                  resample = "10 kHz" brings the record down to that rate; align = "onset" puts time 0
                                  where the first channel first exceeds a tenth of its peak; window = [from, to] keeps
-                                 those times (after aligning)
+                                 those times (after aligning); separator, decimal, encoding and header say how a text
+                                 is written where it is not to be found (``data.textfile``)
 loss = "linear"                  what a residual costs, as in ``Problem``
 accuracy = 1e-6                  error of the simulated forces as a share of their peak, likewise
 sensor = "free"                  time_offset and the zero of each unit are free within bounds that each record gives
@@ -32,6 +33,7 @@ import numpy as np
 import pydantic
 
 from bcfj_jax import InputError, nearest
+from bcfj_jax.core.errors import Faults
 from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.io import scenefile, tables
 from bcfj_jax.io.units import format_si, quantity, toleranced
@@ -42,6 +44,7 @@ from calibration.data.preparation import Prepared, Recipe, prepare
 from calibration.data.readers import read
 from calibration.data.sensor import Sensor
 from calibration.data.table import split
+from calibration.data.textfile import Stated
 from calibration.problem import ADEQUATE, NUISANCES, OFFSETS, Channel, Experiment, Free, Problem, nuisances, units_of
 
 
@@ -63,6 +66,10 @@ class _Experiment(tables.Table):
     window: list[Any] | None = None
     resample: Any = None
     saturation: Any = None
+    separator: str | None = None
+    decimal: str | None = None
+    encoding: str | None = None
+    header: int | list[int] | None = None
     bounds: dict[str, list[Any]] = {}
 
 
@@ -246,7 +253,7 @@ def _scene(file: _File, path: Path) -> scenefile.SceneFile:
 
 def _records(file: _File, path: Path, base: scenefile.SceneFile) -> list[tuple[int, _Experiment, Prepared | None]]:
     """Every record (None where an entry gives only features) with the number of its entry and the entry."""
-    records = []
+    records, broken = [], Faults()
     for k, entry in enumerate(file.experiment):
         where = f"{path}: [[experiment]] {k + 1}"
         if not entry.observe and not entry.features:
@@ -259,7 +266,8 @@ def _records(file: _File, path: Path, base: scenefile.SceneFile) -> list[tuple[i
         if entry.file is None or entry.time is None:
             missing = "file" if entry.file is None else "time"
             raise InputError(f"{where} {missing}", f"the key '{missing}' is missing", "it must be given to observe")
-        whole = read(path.parent / entry.file, f"{where} file", entry.table)
+        stated = Stated(entry.separator, entry.decimal, entry.encoding, entry.header)
+        whole = read(path.parent / entry.file, f"{where} file", entry.table, stated)
         # Where nothing turns, every record is of impacts: apart, in contact, apart.
         recipe = _recipe(entry, where, not base.scene.traits.turning, "force_offset" in file.free)
         recipe = replace(recipe, exact=file.sensor == "exact")
@@ -267,11 +275,18 @@ def _records(file: _File, path: Path, base: scenefile.SceneFile) -> list[tuple[i
         if isinstance(entry.hold_out, list) and (unknown := set(entry.hold_out) - {label for label, _ in parts}):
             runs = ", ".join(label for label, _ in parts)
             raise InputError(f"{where} hold_out", f"there is no run '{min(unknown)}'", f"the runs are: {runs}")
+        faults, said = Faults(whole.faults), whole.found
         for label, part in parts:
             name = label if entry.name is None else entry.name if len(parts) == 1 else f"{entry.name} {label}"
             # Results go by name, so that no two records may share one.
             name += f" ({k + 1})" if name in (r.name for _, _, r in records if r) else ""
-            records.append((k, entry, prepare(name, part, entry.time, entry.observe, recipe, where)))
+            with faults:
+                record = prepare(name, part, entry.time, entry.observe, recipe, where)
+                records.append((k, entry, replace(record, notes=(said, *record.notes) if said else record.notes)))
+                said = ""  # Of a file, not of each of its runs.
+        with broken:
+            faults.refuse(whole.name)
+    broken.refuse(str(path))
     return records
 
 

@@ -39,10 +39,38 @@ class InputError(ValueError):
         where, found, remedy = _short(where), _short(found), _short(remedy)
         super().__init__(f"{where}: {found}; {remedy}")
         self.where, self.found, self.remedy = where, found, remedy
+        self.faults: list[InputError] = []  # those that it lists, where it lists several
 
     def __reduce__(self) -> tuple:
         """So that one raised in a worker process arrives."""
         return type(self), (self.where, self.found, self.remedy)
+
+
+class Faults:
+    """Faults of one place, collected to be said in one message.
+
+    ``with faults:`` around a step keeps an ``InputError`` and goes on behind the block; ``refuse`` raises them all.
+    """
+
+    def __init__(self, faults: Iterable[InputError] = ()) -> None:
+        self.found = list(faults)
+
+    def __enter__(self) -> Faults:
+        return self
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> bool:
+        if isinstance(error, InputError):
+            self.found += error.faults or [error]
+        return isinstance(error, InputError)
+
+    def refuse(self, where: str) -> None:
+        """Raise what was found, each fault once.
+
+        Raises:
+            InputError: the fault itself where there is one, else all of them, a line each.
+        """
+        if self.found:
+            raise together(where, list({str(fault): fault for fault in self.found}.values()))
 
 
 def together(where: str, faults: Sequence[InputError]) -> InputError:
@@ -50,9 +78,10 @@ def together(where: str, faults: Sequence[InputError]) -> InputError:
     if len(faults) == 1:
         return faults[0]
     lines = [f"  {str(fault).removeprefix(where).lstrip(': ')}" for fault in faults]
-    return InputError(
-        where, f"{len(faults)} faults\n" + "\n".join(lines) + "\n", "correct them, then repeat the command"
-    )
+    said = f"{len(faults)} faults\n" + "\n".join(lines) + "\n"
+    error = InputError(where, said, "correct them, then repeat the command")
+    error.faults = list(faults)
+    return error
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

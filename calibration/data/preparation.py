@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from bcfj_jax import InputError
+from bcfj_jax.core.errors import Faults
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import unit_of
 from calibration.data.events import quantity, rest, rise, turning
@@ -102,9 +103,19 @@ def prepare(name: str, part: Table, time: str, observe: dict[str, str], recipe: 
         InputError: for a clock that does not go forward, a column that is constant or of the wrong sign, an impact
             that is not whole, and whatever leaves nothing to fit.
     """
-    clock = part.numbers(time, "s", f"{where} time", blank=False)
-    check_clock(clock, part, time)
-    raw = {o: _signed(part, header, unit_of(o), where) for o, header in observe.items()}
+    faults, raw = Faults(), {}
+    with faults:
+        clock = part.numbers(time, "s", f"{where} time", blank=False)
+        check_clock(clock, part, time)
+    for observes, header in observe.items():
+        with faults:
+            raw[observes] = _signed(part, header, unit_of(observes), where)
+    masked = {o: np.abs(values) >= recipe.saturation.get(o, np.inf) for o, values in raw.items()}
+    for observes, values in raw.items():
+        with faults:
+            zero = _zero(values, recipe)
+            check_channel(observes, values, masked[observes], zero, _place(part, observe[observes]))
+    faults.refuse(part.name)
     first_contact = _first_contact(clock, *next(iter(raw.items())), where) if recipe.align else None
     clock = clock - (first_contact or 0.0)
     breaks = jumps(clock)
@@ -113,10 +124,7 @@ def prepare(name: str, part: Table, time: str, observe: dict[str, str], recipe: 
         longest = format_si(float(np.diff(clock).max()), "s", 3)
         gaps = f"{breaks.size} gaps in time, the longest of" if breaks.size > 1 else "a gap in time of"
         notes.append(f"{gaps} {longest}; nothing is interpolated over {'them' if breaks.size > 1 else 'it'}")
-    masked = {o: np.abs(values) >= recipe.saturation.get(o, np.inf) for o, values in raw.items()}
     for observes, values in raw.items():
-        zero = _zero(values, recipe)
-        check_channel(observes, values, masked[observes], zero, _place(part, observe[observes]))
         notes += channel_notes(observes, values, masked[observes])
     times, values = clock, {o: np.where(masked[o], np.nan, v) for o, v in raw.items()}
     if recipe.resample is not None:

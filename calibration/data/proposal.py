@@ -12,8 +12,11 @@ from pathlib import Path
 import numpy as np
 
 from bcfj_jax import InputError
+from bcfj_jax.core.errors import Faults
 from bcfj_jax.io.units import column, scale_of
 from calibration.data.events import Event, contacts, rest, telling
+from calibration.data.inspection import check_clock
+from calibration.data.numbers import is_missing, is_number
 from calibration.data.table import RUN_COLUMNS, Table, split
 
 # Readings by the unit of their column, as scenes of one body have them; and names by which a column without a unit is one.
@@ -83,6 +86,7 @@ class Understood:
         runs: the column that numbers runs, and how many.
         records: every run, at most 50.
         rows: which value of a column of text its readings stand beside.
+        said: how the file is written, in words.
     """
 
     path: Path
@@ -101,27 +105,34 @@ def understood(table: Table) -> Understood:
     Raises:
         InputError: where there is no clock, no reading or no contact in it.
     """
-    found, where = _columns(table), str(table.path)
+    found, where, faults = _columns(table), table.name, Faults(table.faults)
     run = next((h for h in table.header if column(h)[0].lower() in RUN_COLUMNS), "")
     rows, table = _filtered(table, found.get("s", ""))
     parts = split(table, {}, where)
+    headers = ", ".join(h for h in table.header if h)
     if "s" not in found:
-        raise InputError(where, f"no column is a time: {', '.join(table.header)}", 'head one as "time [s]"')
-    time = found.pop("s")
+        faults.found.append(InputError(where, f"no column is a time: {headers}", 'head one as "time [s]"'))
+    time = found.pop("s", "")
     units = [u for u in ("N", "tangential", "m/s^2", "m/s", "m") if u in found]
-    units = [u for u in units if np.isfinite(table.numbers(found[u], _si(u), where, True)).sum() >= _FEWEST]
-    found = {u: found[u] for u in units}
-    if not set(found) & {"N", "m/s^2", "m/s", "m"}:
+    if not set(units) & {"N", "m/s^2", "m/s", "m"}:
         kinds = "no column is a force, a position, a velocity or an acceleration"
-        raise InputError(where, f"{kinds}: {', '.join(table.header)}", 'head one with its unit, as in "force [N]"')
-    raw = [
-        (
-            label,
-            part.numbers(time, "s", where, blank=False),
-            {u: part.numbers(found[u], _si(u), where, True) for u in units},
-        )
-        for label, part in parts[:_MOST_RUNS]
-    ]
+        remedy = 'head one with its unit, as in "force [N]"'
+        faults.found.append(InputError(where, f"{kinds}: {headers}", remedy))
+    raw = []
+    for label, part in parts[:_MOST_RUNS]:
+        readings: dict[str, np.ndarray] = {}
+        with faults:
+            clock = part.numbers(time, "s", where, blank=False) if time else np.arange(float(part.lines.size))
+            check_clock(clock, part, time)
+        for u in units:
+            with faults:
+                readings[u] = part.numbers(found[u], _si(u), where, True)
+        raw.append((label, clock, readings)) if not faults.found else None
+    faults.refuse(where)
+    units = [u for u in units if max(np.isfinite(r[u]).sum() for _, _, r in raw) >= _FEWEST]
+    found = {u: found[u] for u in units}
+    if not units:
+        raise InputError(where, f"no column of readings holds {_FEWEST} numbers", "give a record with readings")
     signs = _signs(raw, units)
     records = []
     for label, clock, readings in raw:
@@ -145,7 +156,7 @@ def _filtered(table: Table, time: str) -> tuple[dict[str, str], Table]:
     """Rows beside the one text that has a clock, where a column of text parts the table into curves."""
     if not time:
         return {}, table
-    timed = np.array([bool(text.strip()) and text != "nan" for text in table.texts(time, str(table.path))])
+    timed = np.array([not is_missing(text) for text in table.texts(time, str(table.path))])
     if timed.all():
         return {}, table
     for h, cells in zip(table.header, table.columns, strict=True):
@@ -205,12 +216,9 @@ def _unit(header: str) -> str | None:
 def _is_numeric(cells: np.ndarray) -> bool:
     if cells.dtype.kind in "iuf":
         return True
-    seen = [str(c).strip() for c in cells[:200] if str(c).strip()]
-    try:
-        [float(c) for c in seen]
-    except ValueError:
-        return False
-    return bool(seen)
+    seen = [c for c in cells[:: max(1, cells.size // 500)].tolist() if not is_missing(c)]
+    # A column of readings with some faults is one all the same, so that its faults can be named.
+    return sum(map(is_number, seen)) > 0.5 * len(seen)
 
 
 def _signs(raw: list[tuple[str, np.ndarray, dict[str, np.ndarray]]], units: list[str]) -> dict[str, float]:

@@ -1,6 +1,7 @@
 """Measured files of every kind become the same table: the extension says which library reads them.
 
-    .csv .txt     text, columns part at commas          .tsv .tab     text, columns part at tabs
+    .csv .txt .tsv .tab .dat .asc .prn   text; how it is written is found (``textfile``)
+    .xlsx .xlsm .xlsb .xls .ods          python-calamine; a sheet (``workbook``)
     .parquet .pq  pyarrow; field metadata ``unit``      .tdms         npTDMS; a group, ``unit_string``
     .h5 .hdf5     h5py; a group of 1-D datasets, or a compound dataset; attribute ``unit`` or ``units``
     .mat          SciPy up to version 7.2, h5py for 7.3; a struct of vectors, whose field ``units`` may be a struct
@@ -19,9 +20,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bcfj_jax import InputError, nearest
+from bcfj_jax.core.errors import clip
+from bcfj_jax.io import opening
 from bcfj_jax.io.units import column
-from calibration.data import table
+from calibration.data import textfile, workbook
 from calibration.data.table import Table
+from calibration.data.textfile import Stated
 
 UNIT_NAMES = ("unit", "units")
 
@@ -39,35 +43,42 @@ _Columns = dict[str, _Column]
 _Tables = dict[str, _Columns]
 
 
-def read(path: Path, where: str, inside: str | None = None) -> Table:
+def read(path: Path, where: str, inside: str | None = None, stated: Stated | None = None) -> Table:
     """The table in a file.
 
     Args:
         path: of a kind that the extension names.
         where: place in the problem file, for messages.
         inside: which table, in a file that can hold several; None: the only one, or what stands outside any group.
+        stated: how a text or a spreadsheet is written, where it is not to be found.
 
     Raises:
         InputError: when the file is missing, of an unknown or another kind, without such a table or without rows,
             when columns differ in length, or when its library is not installed.
     """
-    kind = path.suffix.lower()
-    if kind not in _READERS:
-        raise InputError(where, f"{path} is of no kind known here", f"known are {', '.join(sorted(_READERS))}")
-    if not path.is_file():
-        raise InputError(where, f"no file {path}", "give a path relative to the problem file")
-    reader = _READERS[kind]
-    if isinstance(reader, str):
+    kind, stated = path.suffix.lower(), stated or Stated()
+    stated.check(where)
+    if kind not in _KINDS:
+        raise InputError(where, f"{clip(str(path))} is of no kind known here", f"known are {', '.join(sorted(_KINDS))}")
+    opening.check(
+        path, opening.LARGEST_BINARY, where, "give a path relative to the problem file", "give a smaller file"
+    )
+    if kind in _TEXTS:
         if inside is not None:
             raise InputError(f"{where} table", f"{path} holds no tables inside", "take the key out")
-        return table.text(path, where, reader)
+        return textfile.read(path, where, stated)
+    if kind not in workbook.KINDS and (keys := [k for k, v in vars(stated).items() if v is not None]):
+        raise InputError(f"{where} {keys[0]}", f"{path} is no text", "take the key out")
     try:
-        return reader(path, where, inside)
+        if kind in workbook.KINDS:
+            opening.check(path, opening.LARGEST_TEXT, where, "", "write it as Parquet or HDF5")
+            return workbook.read(path, where, inside, stated, library("python_calamine", "python-calamine", where))
+        return _READERS[kind](path, where, inside)
     except InputError:
         raise
     # Libraries raise what they please on a broken file; to the user all of it is one thing.
     except Exception as error:
-        reason = f"{type(error).__name__}: {error}".splitlines()[0][:200]
+        reason = clip(f"{type(error).__name__}: {error}".splitlines()[0])
         remedy = "write the file again, or give it the extension of its kind"
         raise InputError(where, f"{path} cannot be read as {kind} ({reason})", remedy) from error
 
@@ -242,11 +253,8 @@ def _with_units(tables: _Tables) -> _Tables:
     return united
 
 
-_READERS: dict[str, str | Callable[[Path, str, str | None], Table]] = {
-    ".csv": "comma",
-    ".txt": "comma",
-    ".tsv": "tab",
-    ".tab": "tab",
+_TEXTS = (".csv", ".txt", ".tsv", ".tab", ".dat", ".asc", ".prn")
+_READERS: dict[str, Callable[[Path, str, str | None], Table]] = {
     ".parquet": _parquet,
     ".pq": _parquet,
     ".h5": _hdf5,
@@ -254,3 +262,4 @@ _READERS: dict[str, str | Callable[[Path, str, str | None], Table]] = {
     ".mat": _mat,
     ".tdms": _tdms,
 }
+_KINDS = (*_TEXTS, *workbook.KINDS, *_READERS)

@@ -1,0 +1,283 @@
+"""Where the table stands in a file: lines above it, its names, its units, its rows, its empty columns.
+
+Input is a list of rows of cells, texts from a text file or texts and numbers from a spreadsheet. The data are found
+first, as the rows with numbers. What stands above them is then names, units or a preamble.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from bcfj_jax import InputError
+from bcfj_jax.core.errors import clip
+from bcfj_jax.io.units import column, known
+from calibration.data.numbers import is_missing, is_number
+
+# Rows that are looked at to find the columns of numbers.
+_SAMPLE = 600
+# Units of one letter that are more often a name: t, F, x, v, a, f.
+_UNITS_OF_ONE_LETTER = frozenset("smNgVJWKh%°-")
+_QUOTED_ROWS = 5
+NO_NUMBERS = (
+    "a record has a column of times and one of readings; where columns part otherwise, give separator and decimal"
+)
+
+
+class Row(NamedTuple):
+    """A row: where it stands in the file, counted from 1, its cells, and whether it is a comment."""
+
+    line: int
+    cells: list[Any]
+    comment: bool = False
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What was found.
+
+    Attributes:
+        names: of the columns, with the unit in brackets where a row of units gives it.
+        rows: of data, each as long as ``names``.
+        kept: positions in the file of the columns that are kept, from 0.
+        named, united: lines of the names and of the units; empty where the file has none.
+        above: how many rows stand above the names.
+        faults: rows that do not fit.
+    """
+
+    names: tuple[str, ...]
+    rows: list[Row]
+    kept: tuple[int, ...]
+    named: tuple[int, ...] = ()
+    united: tuple[int, ...] = ()
+    above: int = 0
+    faults: list[InputError] = field(default_factory=list)
+
+
+def found(rows: Sequence[Row], name: str, counted: str, header: Any = None) -> Layout:
+    """The table in rows.
+
+    Args:
+        rows: all of a file but blank ones, comments included.
+        name: of the file, for messages.
+        counted: "line" or "row".
+        header: lines of the names as stated; 0: there are none; None: to be found.
+
+    Raises:
+        InputError: where no rows hold numbers, or the names that are stated are not there.
+    """
+    plain = [r for r in rows if not r.comment]
+    wide, numeric = _shape(plain)
+    stated = _stated(rows, header, name, counted)
+    begin = next((k for k, r in enumerate(plain) if wide and _is_data(r.cells, numeric)), None)
+    if begin is None:
+        raise _nothing(plain, name, counted)
+    if stated is not None:
+        names, units = stated
+        last = max((r.line for r in (*names, *units)), default=0)
+        begin = next((k for k, r in enumerate(plain) if r.line > last), len(plain)) if last else begin
+        above = sum(r.line < min(x.line for x in names) for r in rows) if names else begin
+    else:
+        names, units, begin, above = _above(plain, begin, numeric, wide)
+        if not names:
+            names, units = _commented(rows, plain[begin].line, wide)
+    data = plain[begin:]
+    if not data:
+        raise InputError(name, f"has no rows below {counted} {plain[-1].line}", "give a file with names and data")
+    titles = _titles(names, wide)
+    kept = _kept(titles, data, wide)
+    faults = _ragged(titles, data, kept, wide, name, counted, len(names[-1].cells) if names else 0)
+    marks = [_texts(row.cells, wide) for row in units]
+    titles = [_with_unit(t, next((m[j] for m in marks if m[j]), "")) for j, t in enumerate(titles)]
+    fitted = [r if len(r.cells) == len(kept) == wide else _fitted(r, kept) for r in data]
+    return Layout(
+        names=tuple(titles[j] for j in kept),
+        rows=fitted,
+        kept=tuple(kept),
+        named=tuple(r.line for r in names),
+        united=tuple(r.line for r in units),
+        above=above,
+        faults=faults,
+    )
+
+
+def _shape(rows: Sequence[Row]) -> tuple[int, list[int]]:
+    """How many cells a row of data has, and which columns hold numbers."""
+    some = rows if len(rows) <= _SAMPLE else [*rows[: _SAMPLE // 2], *rows[:: len(rows) // (_SAMPLE // 2)]]
+    numbered = [(r.cells, [is_number(c) for c in r.cells]) for r in some]
+    least = 2 if any(sum(flags) >= 2 for _, flags in numbered) else 1
+    counts = Counter(len(cells) for cells, flags in numbered if sum(flags) >= least)
+    if not counts:
+        return 0, []
+    wide = counts.most_common(1)[0][0]
+    chosen = [(cells, flags) for cells, flags in numbered if len(cells) == wide and any(flags)]
+    numeric = []
+    for j in range(wide):
+        given = sum(not is_missing(cells[j]) for cells, _ in chosen)
+        if given and sum(flags[j] for _, flags in chosen) >= 0.5 * given:
+            numeric.append(j)
+    return wide, numeric
+
+
+def _is_data(cells: Sequence[Any], numeric: list[int]) -> bool:
+    inside = [cells[j] for j in numeric if j < len(cells)]
+    numbers = sum(is_number(c) for c in inside)
+    return numbers >= min(2, len(numeric)) and all(is_number(c) or is_missing(c) for c in inside)
+
+
+def _is_text(cells: Sequence[Any]) -> bool:
+    """Whether a row can hold names or units: two texts at least, and no number."""
+    given = [c for c in cells if not (isinstance(c, str) and not c.strip()) and c is not None]
+    return bool(given) and len(given) >= min(2, len(cells)) and not any(is_number(c) for c in given)
+
+
+def _above(rows: Sequence[Row], begin: int, numeric: list[int], wide: int) -> tuple[list[Row], list[Row], int, int]:
+    """Rows of names, rows of units, where the data begin, and how many rows stand above the names."""
+    k = begin - 1
+    # A first row of data with a fault looks like no data; names stand above it all the same.
+    while k >= 0 and not _is_text(rows[k].cells):
+        k -= 1
+    if k < 0:
+        return [], [], begin, begin
+    first, united = k + 1, []
+    over = rows[k - 1] if k and _is_text(rows[k - 1].cells) else None
+    if over and len(over.cells) >= len(numeric):
+        if _is_units(rows[k].cells):
+            united, k = [rows[k]], k - 1
+        elif _is_units(over.cells) and not _is_units(rows[k].cells):
+            return [rows[k]], [over], first, k - 1
+    named = [rows[k]]
+    above = rows[k - 1] if k and _is_text(rows[k - 1].cells) and len(rows[k - 1].cells) >= len(numeric) else None
+    texts = _texts(rows[k].cells, wide)
+    lacking = [texts[j] for j in numeric if j < wide]
+    if above and (not all(lacking) or len(set(lacking)) < len(lacking)):
+        named = [above, rows[k]]
+        k -= 1
+    return named, united, first, k
+
+
+def _commented(rows: Sequence[Row], first: int, wide: int) -> tuple[list[Row], list[Row]]:
+    """Names, and units below them, in the last comments above the data, as numpy.savetxt writes them."""
+    fitting = [r for r in rows if r.comment and r.line < first and len(r.cells) == wide and _is_text(r.cells)]
+    if len(fitting) > 1 and _is_units(fitting[-1].cells):
+        return [fitting[-2]], [fitting[-1]]
+    return fitting[-1:], []
+
+
+def _is_units(cells: Sequence[Any]) -> bool:
+    """Whether all texts of a row are units."""
+    texts = [_bare(c) for c in cells if isinstance(c, str) and c.strip()]
+    if not texts:
+        return False
+    letters = [t for t in texts if len(t) == 1 and t not in _UNITS_OF_ONE_LETTER]
+    bracketed = all(c.strip()[0] in "[(" for c in cells if isinstance(c, str) and c.strip())
+    return (bracketed or not letters) and all(known(t) for t in texts)
+
+
+def _bare(cell: str) -> str:
+    text = cell.strip()
+    return text[1:-1].strip() if text[:1] + text[-1:] in ("[]", "()") else text
+
+
+def _texts(cells: Sequence[Any], wide: int) -> list[str]:
+    texts = [" ".join(str("" if c is None else c).split()) for c in cells[:wide]]
+    return texts + [""] * (wide - len(texts))
+
+
+def _titles(names: list[Row], wide: int) -> list[str]:
+    """One name a column: of one row, or of two where the second alone does not part the columns."""
+    if not names:
+        return [f"column {j + 1}" for j in range(wide)]
+    wide = max(wide, *(len(r.cells) for r in names))
+    last = _texts(names[-1].cells, wide)
+    if len(names) == 1:
+        return last
+    first = _texts(names[0].cells, wide)
+    for j in range(1, wide):
+        first[j] = first[j] or (first[j - 1] if last[j] else "")
+    return [" ".join(x for x in pair if x) for pair in zip(first, last, strict=True)]
+
+
+def _with_unit(title: str, mark: str) -> str:
+    unit = _bare(mark) if mark else ""
+    return f"{title} [{unit}]" if unit and column(title)[1] is None else title
+
+
+def _kept(titles: list[str], data: Sequence[Row], wide: int) -> list[int]:
+    """Columns but those without a name and without a cell, which separators at the ends of lines make."""
+    nameless = [j for j in range(max(wide, len(titles))) if j >= len(titles) or not titles[j]]
+    filled = {j for j in nameless if any(j < len(r.cells) and not is_missing(r.cells[j]) for r in data)}
+    return [j for j in range(wide) if j not in nameless or j in filled]
+
+
+def _fitted(row: Row, kept: list[int]) -> Row:
+    return row._replace(cells=[row.cells[j] if j < len(row.cells) else "" for j in kept])
+
+
+def _ragged(
+    titles: list[str], data: Sequence[Row], kept: list[int], wide: int, name: str, counted: str, named: int
+) -> list[InputError]:
+    """Rows with too many or too few cells, and names that do not fit the rows; ``named`` cells hold the names."""
+    columns = max((j + 1 for j, t in enumerate(titles) if t), default=0) if named else wide
+    filled = max((j for j in kept if j >= named), default=-1) + 1 if named else wide
+    if columns > wide or filled > max(columns, named):
+        halves = columns * 2 == wide and all(str(c).strip("+- ").isdigit() for r in data[:50] for c in r.cells)
+        found = f"the rows hold {_cells(wide)} under {columns} headers: '{clip(' | '.join(t for t in titles if t))}'"
+        remedy = f"give each column one name; {counted} {data[0].line} is the first of the rows"
+        if halves:
+            found += "; commas part both columns and decimals"
+            remedy = "export it with semicolons between columns, or with decimal points"
+        return [InputError(name, found, remedy)]
+    last = kept[-1] + 1 if kept else 0
+    short = [r for r in data if len(r.cells) < last]
+    long = [r for r in data if any(not is_missing(c) for c in r.cells[wide:])]
+    faults = []
+    for rows, remedy in ((short, "complete the row, or take it out"), (long, "take out what is too much")):
+        if rows:
+            shown = clip(" | ".join(map(str, rows[0].cells)), 80)
+            found = f"{_cells(len(rows[0].cells))} under {len(kept)} headers: '{shown}'{others(rows, counted)}"
+            faults.append(InputError(f"{name}: {counted} {rows[0].line}", found, remedy))
+    return faults
+
+
+def others(rows: Sequence[Row], counted: str) -> str:
+    """How many rows have the same fault as the first, and where the next few stand."""
+    if len(rows) < 2:
+        return ""
+    lines = ", ".join(str(r.line) for r in rows[1:_QUOTED_ROWS])
+    more = f" and {len(rows) - _QUOTED_ROWS} more" if len(rows) > _QUOTED_ROWS else ""
+    return f" ({len(rows)} such {counted}s: also {lines}{more})"
+
+
+def _cells(count: int) -> str:
+    return f"{count} cell{'s' if count != 1 else ''}"
+
+
+def _stated(rows: Sequence[Row], header: Any, name: str, counted: str) -> tuple[list[Row], list[Row]] | None:
+    """Rows of names and units that are stated by their lines."""
+    if header is None:
+        return None
+    lines = header if isinstance(header, list) else [header]
+    if lines == [0]:
+        return [], []
+    by_line = {r.line: r for r in rows}
+    named = [by_line[n] for n in lines if n in by_line]
+    if len(named) < len(lines):
+        raise InputError(name, f"header = {header}, and {counted} {lines[len(named)]} is blank or not there",
+                         f"count {counted}s from 1, or take header out")  # fmt: skip
+    below = next((r for r in rows if r.line > lines[-1]), None)
+    if len(named) > 1 and _is_units(named[-1].cells):
+        return named[:-1], named[-1:]
+    return named, [below] if below and _is_units(below.cells) else []
+
+
+def _nothing(rows: Sequence[Row], name: str, counted: str) -> InputError:
+    if not rows:
+        return InputError(name, "has no rows below a header", "give a file with a header and data")
+    if len(rows) == 1 or (all(_is_text(r.cells) for r in rows[:2]) and len(rows) < 3):
+        return InputError(name, "has no rows below a header", "give a file with a header and data")
+    middle = rows[len(rows) // 2]
+    shown = clip(" | ".join(map(str, middle.cells)), 80)
+    return InputError(name, f"no {counted} holds a number; {counted} {middle.line} reads '{shown}'", NO_NUMBERS)

@@ -1,0 +1,258 @@
+"""Text files as rigs write them: encoding, separator, decimal mark, preamble, names and units are found, and said.
+
+Nothing is assumed where two readings are possible: the message then names the key of [[experiment]] that settles it.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from bcfj_jax import InputError
+from bcfj_jax.core.errors import clip
+from bcfj_jax.io.opening import LARGEST_TEXT, content
+from calibration.data import numbers
+from calibration.data.decoding import decoded
+from calibration.data.layout import NO_NUMBERS, Layout, Row, found, others
+from calibration.data.table import Table
+
+SEPARATORS = {"tab": "\t", "semicolon": ";", "pipe": "|", "comma": ",", "blank": " "}
+_SAID = {"tab": "tabs", "semicolon": "semicolons", "pipe": "pipes", "comma": "commas", "blank": "blanks"}
+_COMMENTS = ("#", "%", "//", "!")
+# Blanks before and inside brackets, and about a slash.
+_BESIDE_A_UNIT = re.compile(r"\s+(?=[\[(])|(?<=[\[(])\s+|\s+(?=[\])])|\s*/\s*")
+# Lines on which a separator is tried, and lines over which a quoted cell may run.
+_SAMPLE, _LONGEST_CELL = 1000, 8
+
+
+@dataclass(frozen=True)
+class Stated:
+    """What a problem file says of how a data file is written; None: to be found.
+
+    Attributes:
+        separator: a key of ``SEPARATORS``, or the character.
+        decimal: "." or ",".
+        encoding: as Python names it, such as "utf-8" or "cp1252".
+        header: line of the names, or lines of names in two lines; 0: the file has no names.
+    """
+
+    separator: str | None = None
+    decimal: str | None = None
+    encoding: str | None = None
+    header: int | list[int] | None = None
+
+    def check(self, where: str) -> None:
+        """Refuse values that are none.
+
+        Raises:
+            InputError: naming the key.
+        """
+        if self.separator is not None and self.separator not in (*SEPARATORS, *SEPARATORS.values()):
+            raise InputError(f"{where} separator", f"'{clip(self.separator)}'", f"give one of {', '.join(SEPARATORS)}")
+        if self.decimal not in (None, ".", ","):
+            raise InputError(f"{where} decimal", f"'{clip(self.decimal)}'", 'give "." or ","')
+        lines = self.header if isinstance(self.header, list) else [self.header or 0]
+        if not 0 < len(lines) < 4 or any(n < 0 for n in lines) or lines != sorted(lines):
+            raise InputError(
+                f"{where} header", clip(self.header), "give the line of the names, or lines such as [3, 4]"
+            )
+
+
+def read(path: Path, where: str, stated: Stated) -> Table:
+    """The table in a text file; rows that do not fit are in its ``faults``.
+
+    Raises:
+        InputError: when it is missing, empty, no text, holds no rows of numbers, or may be read in two ways.
+    """
+    raw = content(path, LARGEST_TEXT, where, "give a path relative to the problem file", "write it as Parquet or HDF5")
+    text, encoding = decoded(raw, path, where, stated.encoding)
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    first, separator = _declared(lines)
+    if stated.separator is not None:
+        separator = next(k for k, v in SEPARATORS.items() if stated.separator in (k, v))
+    separator = separator or _separator(lines[first:], path)
+    rows, faults = _rows(lines, first, separator, str(path))
+    layout = found(rows, str(path), "line", stated.header)
+    decimals = [stated.decimal] * len(layout.names) if stated.decimal else _decimals(layout, separator, path)
+    marks = " and ".join(word for mark, word in ((".", "points"), (",", "commas")) if mark in decimals)
+    comments = sum(r.comment for r in rows if r.line not in layout.named)
+    how = f"{encoding} text, {_SAID[separator]}, decimal {marks}"
+    return table(path, layout, decimals, "line", [*faults, *layout.faults], how, comments)
+
+
+def table(
+    path: Path, layout: Layout, decimals: Sequence[str], counted: str, faults: Sequence[InputError], how: str, comments: int = 0,
+    inside: str = "",
+) -> Table:  # fmt: skip
+    """A layout as a table, with one sentence on what was found."""
+    lines = np.array([r.line for r in layout.rows])
+    columns = []
+    for j in range(len(layout.names)):
+        cells = np.empty(len(layout.rows), dtype=object)
+        cells[:] = [r.cells[j] for r in layout.rows]
+        columns.append(cells)
+    parts = [how]
+    for count, what in ((layout.above, f"{counted}@ above the names"), (comments, f"comment {counted}@")):
+        if count:
+            parts.append(f"{count} {what.replace('@', 's' if count > 1 else '')} left out")
+    parts.append(f"names in {_lines(layout.named, counted)}" if layout.named else "no names")
+    if layout.united:
+        parts.append(f"units in {_lines(layout.united, counted)}")
+    parts.append(f"{lines.size} rows, {counted}s {lines[0]} to {lines[-1]}")
+    named = ", ".join(name or "(no name)" for name in layout.names[:12])
+    parts.append(f"{len(layout.names)} columns: {clip(named)}{', ...' if len(layout.names) > 12 else ''}")
+    said = "; ".join(parts)
+    return Table(path, layout.names, tuple(columns), lines, counted, inside, tuple(decimals), tuple(faults), said)
+
+
+def _lines(lines: tuple[int, ...], counted: str) -> str:
+    return f"{counted} {lines[0]}" if len(lines) == 1 else f"{counted}s {' and '.join(map(str, lines))}"
+
+
+def _declared(lines: Sequence[str]) -> tuple[int, str | None]:
+    """Excel's first line "sep=;": where the table begins then, and the separator."""
+    match = re.fullmatch(r'\s*"?sep=(.)"?\s*', lines[0], re.IGNORECASE) if lines else None
+    named = {v: k for k, v in SEPARATORS.items()}
+    return (1, named.get(match[1])) if match else (0, None)
+
+
+def _is_comment(line: str, separator: str) -> bool:
+    start = line.lstrip()
+    return start.startswith(_COMMENTS) or (start.startswith(";") and separator != "semicolon")
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    """One line in cells."""
+    if separator == "blank":
+        line = line.replace("\t", " ").strip()
+        if '"' not in line:
+            return line.split()
+    sign = SEPARATORS[separator]
+    if '"' not in line:
+        return [cell.strip() for cell in line.split(sign)]
+    blank = separator == "blank"
+    return [
+        cell.strip() for cell in next(csv.reader([line], delimiter=sign, skipinitialspace=True)) if cell or not blank
+    ]
+
+
+def _separator(lines: Sequence[str], path: Path) -> str:
+    """The separator by which most lines become numbers.
+
+    Raises:
+        InputError: where none makes a number of any line.
+    """
+    full = [line for line in lines if line.strip()]
+    if len(full) > _SAMPLE:
+        half = _SAMPLE // 2
+        full = [*full[:half], *full[half :: max(1, (len(full) - half) // half)]]
+    for least in (2, 1):
+        scores = {separator: _score(full, separator, least) for separator in SEPARATORS}
+        best = max(scores, key=lambda k: scores[k])
+        if scores[best] > 0.0:
+            return best
+    if sum(not _is_comment(line, "comma") for line in full) < 2:
+        raise InputError(str(path), "has no rows below a header", "give a file with a header and data")
+    shown = clip(full[len(full) // 2].strip(), 80)
+    found = f"no line holds a number; the one in the middle reads '{shown}'"
+    raise InputError(str(path), found, NO_NUMBERS)
+
+
+def _score(lines: Sequence[str], separator: str, least: int) -> float:
+    """How much of the text is numbers, in lines of the most frequent number of cells with at least so many numbers."""
+    shares: dict[int, float] = {}
+    for line in lines:
+        if _is_comment(line, separator) or len(line) > 100_000:
+            continue
+        cells = _cells(line, separator)
+        given = [c for c in cells if not numbers.is_missing(c)]
+        count = sum(map(numbers.is_number, given))
+        if count >= least:
+            shares[len(cells)] = shares.get(len(cells), 0.0) + count / len(given)
+    return max(shares.values(), default=0.0)
+
+
+def _rows(lines: Sequence[str], first: int, separator: str, name: str) -> tuple[list[Row], list[InputError]]:
+    """Rows that hold something, comments in the cells that they would have as a row."""
+    rows, open_quotes = [], []
+    for number, line in _logical(lines, first):
+        comment = _is_comment(line, separator)
+        if line.count('"') % 2 and not comment:
+            open_quotes.append(Row(number, [line]))
+            line = line.replace('"', "")
+        if len(line) > 1_000_000:
+            raise InputError(f"{name}: line {number}", f"{len(line)} characters in one line", "give a file of rows")
+        cells = _cells(line.lstrip().lstrip("#%/!;") if comment else line, separator)
+        if any(cells):
+            rows.append(Row(number, cells, comment))
+    if separator == "blank":
+        rows = _glued(lines, rows)
+    faults = []
+    if open_quotes:
+        found = f"an opening quote without its end: '{clip(open_quotes[0].cells[0], 80)}'{others(open_quotes, 'line')}"
+        faults.append(InputError(f"{name}: line {open_quotes[0].line}", found, "close it, or take it out"))
+    return rows, faults
+
+
+def _logical(lines: Sequence[str], first: int) -> Iterable[tuple[int, str]]:
+    """Lines with their numbers; a quoted cell that runs over some lines is put into one."""
+    k = first
+    while k < len(lines):
+        line, number = lines[k], k + 1
+        k += 1
+        if '"' in line and line.count('"') % 2:
+            end = next((e for e in range(k, min(k + _LONGEST_CELL, len(lines))) if lines[e].count('"') % 2), None)
+            # A line between two open quotes that is a row of its own is no part of a cell.
+            if end is not None and not any(_is_row(lines[e]) for e in range(k, end + 1)):
+                line = " ".join([line, *lines[k : end + 1]])
+                k = end + 1
+        if line.strip():
+            yield number, line
+
+
+def _is_row(line: str) -> bool:
+    return sum(numbers.is_number(c) for c in re.split(r"[,;\t| ]+", line)) >= 2
+
+
+def _glued(lines: Sequence[str], rows: list[Row]) -> list[Row]:
+    """Names that hold blanks themselves: parted at runs of blanks, or a unit in brackets put to its name."""
+    widths = [len(r.cells) for r in rows if sum(map(numbers.is_number, r.cells)) >= 2]
+    wide = max(set(widths), key=widths.count) if widths else 0
+    fitted = []
+    for row in rows:
+        if len(row.cells) > wide and not any(map(numbers.is_number, row.cells)):
+            line = lines[row.line - 1].strip().lstrip("#%/!; ")
+            for cells in (re.split(r"\s{2,}|\t+", line), _BESIDE_A_UNIT.sub(_join, line).split()):
+                if len(cells) == wide:
+                    row = row._replace(cells=[c.replace("\0", " ") for c in cells])
+                    break
+        fitted.append(row)
+    return fitted
+
+
+def _join(match: re.Match) -> str:
+    return match[0].replace(" ", "\0") if match[0].strip() else "\0"
+
+
+def _decimals(layout: Layout, separator: str, path: Path) -> list[str]:
+    """The decimal mark of each column.
+
+    Raises:
+        InputError: where every number with a mark may be read in two ways.
+    """
+    sample = layout.rows[:: max(1, len(layout.rows) // 5000)]
+    columns = [[r.cells[j] for r in sample] for j in range(len(layout.names))]
+    marks = numbers.decimal_marks(columns)
+    if marks is not None:
+        return marks
+    cells = [(str(c), r.line) for r in sample for c in r.cells if "." in str(c) or "," in str(c)]
+    if separator == "comma" and not any("," in text for text, _ in cells):
+        return ["."] * len(columns)
+    text, line = cells[0]
+    either = f"'{text}' is {text.replace(',', '.')} or {re.sub('[.,]', '', text)}, and no number of the file says which"
+    raise InputError(f"{path}: line {line}", either, 'give decimal = "." or decimal = "," under [[experiment]]')
