@@ -5,6 +5,7 @@ What a record cannot tell, such as the mass, stands in the file as "? kg": ``bcf
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -18,6 +19,7 @@ from bcfj_jax.io.units import column, format_si, quantity
 from calibration import problemfile
 from calibration.data.proposal import Sizes, Understood, sizes, understood
 from calibration.data.readers import read
+from calibration.data.textfile import Stated
 
 _FILE = "or a scene file: another law, two stages"
 _SAID = {
@@ -59,7 +61,7 @@ class _Known(NamedTuple):
 
 def run(
     record: Path, out: Path | None, scene: str, mass: str | None, speed: str | None, table: str | None,
-    say: Callable[[str], None],
+    say: Callable[[str], None], stated: Stated | None = None,
 ) -> int:  # fmt: skip
     """Write RECORD's problem file; never over another.
 
@@ -70,11 +72,13 @@ def run(
         mass, speed: texts with units, where they are known.
         table: which table inside the file.
         say: prints.
+        stated: how the record is written, where it is not to be found; the problem file then says so, too.
 
     Raises:
         InputError: for a file that holds no clock, no reading or no contact, and where the problem file is there already.
     """
-    found = understood(read(record, "record", table))
+    stated = stated or Stated()
+    found = understood(read(record, "record", table, stated))
     kind = scene or _kind(found)
     if kind not in SCENES:
         raise InputError("--scene", f"no problem file is proposed for the scene '{kind}'", nearest(kind, SCENES))
@@ -82,7 +86,7 @@ def run(
              (("mass", "kg", mass), ("speed", "m/s", speed))]  # fmt: skip
     folder, name = out or Path("."), f"{record.stem}.toml"
     relative = Path(os.path.relpath(record, folder)).as_posix()
-    text, missing = _text(found, kind, given[0], given[1], relative, name)
+    text, missing = _text(found, kind, given[0], given[1], relative, name, stated)
     path = folder / name
     create(path, text)
     if not missing:
@@ -112,7 +116,7 @@ def _kind(found: Understood) -> str:
 
 
 def _text(
-    found: Understood, kind: str, mass: float | None, speed: float | None, file: str, name: str
+    found: Understood, kind: str, mass: float | None, speed: float | None, file: str, name: str, stated: Stated
 ) -> tuple[str, list[str]]:
     """The file, and the keys that are left to fill in."""
     s = sizes(found)
@@ -122,16 +126,18 @@ def _text(
     parameters, missing = _parameters(known, kind, elastic)
     lines = [
         f"# A contact law from {found.path.name}, proposed by bcfj init calibration. Next: bcfj calibrate {name}",
+        *([f"# Read as {found.said}."] if found.said else []),
         f"# Found: {_summary(found, s)}.",
         *(f"# {text}." for text in _other(found, kind)),
         *([f"# CHECK: {doubt}."] if doubt else []),
         _Line(f'scene = "{kind}"', _SAID[kind]),
         _Line('sensor = "free"', 'each record\'s clock and zero are found, too; "exact" holds them at 0'),
         "[[experiment]]",
-        _Line(f'file = "{file}"', f"every {found.runs[0]} is a record" if found.runs[0] else ""),
-        *([f'table = "{found.table}"'] if found.table else []),
-        f'time = "{found.time}"',
-        *(f'rows = {{ "{header}" = "{value}" }}' for header, value in found.rows.items()),
+        _Line(f"file = {_quoted(file)}", f"every {found.runs[0]} is a record" if found.runs[0] else ""),
+        *([f"table = {_quoted(found.table)}"] if found.table else []),
+        *(f"{key} = {_quoted(v) if isinstance(v, str) else v}" for key, v in vars(stated).items() if v is not None),
+        f"time = {_quoted(found.time)}",
+        *(f"rows = {{ {_quoted(header)} = {_quoted(value)} }}" for header, value in found.rows.items()),
         _observed(found, kind),
         _Line('noise = "estimate"', 'or what the sensor is known to: "0.1 N", "2 %"'),
         *_window(s, kind),
@@ -158,6 +164,11 @@ def _parameters(known: _Known, kind: str, elastic: bool) -> tuple[_Line | None, 
     origins = dict.fromkeys(origin for _, value, _, origin in entries if value is not None and origin)
     note = "FILL IN what is a question mark" if missing else "; ".join(origins)
     return (_Line(f"parameters = {{ {text} }}", note) if entries else None), missing
+
+
+def _quoted(text: str) -> str:
+    """A text of TOML: headers of measured files may hold quotes and backslashes."""
+    return json.dumps(text, ensure_ascii=False)
 
 
 def _summary(found: Understood, s: Sizes) -> str:
@@ -254,7 +265,7 @@ def _taken(columns: dict[str, str]) -> list[str]:
 
 def _observed(found: Understood, kind: str) -> _Line:
     columns = _columns(found, kind)
-    text = ", ".join(f'"{name}" = "{columns[name]}"' for name in _taken(columns))
+    text = ", ".join(f'"{name}" = {_quoted(columns[name])}' for name in _taken(columns))
     flipped = columns.get("contact.normal", "").startswith("-")
     return _Line(f"observe = {{ {text} }}", "its sign is flipped: a contact pushes" if flipped else "")
 

@@ -50,15 +50,21 @@ def init(
     scene: Annotated[str, typer.Option(help="Of a calibration: impact, bounce or oblique_impact.")] = "",
     mass: Annotated[str | None, typer.Option(help='Of a calibration, if it is known: "0.55 kg".')] = None,
     speed: Annotated[str | None, typer.Option(help='Of a calibration, if it is known: "0.86 m/s".')] = None,
-    table: Annotated[str | None, typer.Option(help="Which table of a record that holds several.")] = None,
+    table: Annotated[str | None, typer.Option(help="Which table or sheet of a record that holds several.")] = None,
+    separator: Annotated[str | None, typer.Option(help="Of a text: comma, semicolon, tab, pipe or blank.")] = None,
+    decimal: Annotated[str | None, typer.Option(help='Of a text: "." or ",".')] = None,
+    encoding: Annotated[str | None, typer.Option(help='Of a text: "utf-8", "cp1252", "utf-16".')] = None,
+    header: Annotated[int | None, typer.Option(help="Line of the columns' names; 0: there are none.")] = None,
 ) -> int:
     """Write a commented scene file to start from; or, from a measured RECORD, a calibration file."""
     if what == "calibration":
         if record is None:
             raise InputError("init calibration", "no record", "give a measured file: bcfj init calibration drop.csv")
         from calibration import init as proposal
+        from calibration.data.textfile import Stated
 
-        return proposal.run(record, out, scene, mass, speed, table, typer.echo)
+        stated = Stated(separator, decimal, encoding, header)
+        return proposal.run(record, out, scene, mass, speed, table, typer.echo, stated)
     if record is not None:
         raise InputError(
             "init", f"{record} after the scene '{what}'", "give one scene, or: bcfj init calibration RECORD"

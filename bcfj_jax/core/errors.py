@@ -60,7 +60,7 @@ class Faults:
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> bool:
         if isinstance(error, InputError):
-            self.found += error.faults or [error]
+            self.found.append(error)
         return isinstance(error, InputError)
 
     def refuse(self, where: str) -> None:
@@ -77,10 +77,10 @@ def together(where: str, faults: Sequence[InputError]) -> InputError:
     """Several faults of one place as one message, a line each; a single fault stays as it is."""
     if len(faults) == 1:
         return faults[0]
-    lines = [f"  {str(fault).removeprefix(where).lstrip(': ')}" for fault in faults]
-    said = f"{len(faults)} faults\n" + "\n".join(lines) + "\n"
-    error = InputError(where, said, "correct them, then repeat the command")
-    error.faults = list(faults)
+    single = [one for fault in faults for one in (fault.faults or [fault])]
+    lines = [f"  {str(fault).removeprefix(where).lstrip(': ')}" for fault in single]
+    error = InputError(where, f"{len(single)} faults", "\n".join(["correct them, then repeat the command:", *lines]))
+    error.faults = single
     return error
 
 

@@ -22,6 +22,9 @@ import numpy as np
 STIFFNESS, EXPONENT, DAMPING, MASS, SPEED = 9e4, 1.3, 0.15, 0.4, 1.2
 
 
+GERMAN = "Zeit [ms];Kraft [kN];Weg [mm]"
+
+
 class File(NamedTuple):
     """A file: its suffix, its content, and its headers of time and force, as a problem file names them."""
 
@@ -132,9 +135,11 @@ def files(r: Record) -> dict[str, File]:
         "comments with %": _text(r, head=("% rig 3, 4 kHz", "time [ms],force [kN],position [mm]")),
         "comments with //": _text(r, head=("// rig 3", "time [ms],force [kN],position [mm]")),
         "comments with ;": _text(r, head=("; rig 3; 4 kHz", "time [ms],force [kN],position [mm]")),
-        "names in a comment": _text(r, " ", head=("# time[ms] force[kN] position[mm]",), suffix=".txt", time="time", force="force"),
-        "preamble": _text(r, head=(*preamble, "Zeit [ms];Kraft [kN];Weg [mm]"), **bracket),
-        "preamble of full rows": _text(r, head=("Rig;3;", "Operator;Schmidt;", "Rate;4000;", "Zeit [ms];Kraft [kN];Weg [mm]"), **bracket),
+        "names in a comment": _text(
+            r, " ", head=("# time[ms] force[kN] position[mm]",), suffix=".txt", time="time", force="force"
+        ),
+        "preamble": _text(r, head=(*preamble, GERMAN), **bracket),
+        "preamble of full rows": _text(r, head=("Rig;3;", "Operator;Schmidt;", "Rate;4000;", GERMAN), **bracket),
         "row of units": _text(r, head=("Zeit;Kraft;Weg", "ms;kN;mm"), **german),
         "row of units in brackets": _text(r, head=("Zeit;Kraft;Weg", "[ms];[kN];[mm]"), **german),
         "row of units in parentheses": _text(r, head=("Time,Force,Travel", "(ms),(kN),(mm)"), time="Time", force="Force"),
@@ -151,8 +156,8 @@ def files(r: Record) -> dict[str, File]:
         "byte order mark": _text(r, encoding="utf-8-sig"),
         "UTF-16": _text(r, "\t", encoding="utf-16"),
         "UTF-16 without a mark": _text(r, "\t", encoding="utf-16-le"),
-        "Latin-1": _text(r, head=("Prüfer: Müller, µ-Halle", "Zeit [ms];Kraft [kN];Weg [mm]"), encoding="latin-1", **bracket),
-        "Windows-1252": _text(r, head=("# 20 °C – Halle 2", "Zeit [ms];Kraft [kN];Weg [mm]"), encoding="cp1252", **bracket),
+        "Latin-1": _text(r, head=("Prüfer: Müller, µ-Halle", GERMAN), encoding="latin-1", **bracket),
+        "Windows-1252": _text(r, head=("# 20 °C \u2013 Halle 2", GERMAN), encoding="cp1252", **bracket),
         "separators at the ends": _text(r, head=("time [ms],force [kN],position [mm],",), every="{},"),
         "empty tail": _text(r, ";", ",", tail=";;\n;;\n\n"),
         "blank lines": _text(r, every="{}\n", end="\n"),
@@ -167,14 +172,15 @@ def files(r: Record) -> dict[str, File]:
         "words for no number": _text(r, row=lambda c: (*c[:2], ("NaN", "#N/A", "-", "1.#QNAN", "")[len(c[2]) % 5])),
         "sep= of Excel": _text(r, ";", ",", head=("sep=;", "time [ms];force [kN];position [mm]")),
         "signs of typography": _text(r, "\t", row=lambda c: tuple(x.replace("-", "\u2212") for x in c)),
-        "index and remarks": _text(r, head=(",time [ms],force [kN],remark",), row=lambda c: (c[0][:1], *c[:2], "ok, 1".replace(",", ""))),
+        "index and remarks": _text(r, head=(",time [ms],force [kN],remark",), row=lambda c: ("1", *c[:2], "ok")),
         "thousands by commas": _in_newtons(r, ",", ".", ",", quoted=True),
         "thousands by points": _in_newtons(r, ".", ",", ";"),
         "thousands by blanks": _in_newtons(r, "\u202f", ",", ";"),
         "thousands by apostrophes": _in_newtons(r, "'", ".", ";"),
         "spreadsheet": _sheet([list(names), *map(list, numbers)]),
         "spreadsheet with preamble and units": _sheet(
-            [["Rig 3"], ["Rate", 4000], [], ["Zeit", "Kraft", "Weg"], ["ms", "kN", "mm"], *map(list, numbers)], True, "Zeit", "Kraft"
+            [["Rig 3"], ["Rate", 4000], [], ["Zeit", "Kraft", "Weg"], ["ms", "kN", "mm"], *map(list, numbers)],
+            True, "Zeit", "Kraft",
         ),
         "spreadsheet of texts": _sheet([list(names), *([c.replace(".", ",") for c in cells] for cells in r.rows)]),
     }  # fmt: skip
@@ -224,7 +230,9 @@ def main(chosen: list[str]) -> int:
             worst = max(abs(a / b - 1.0) for a, b in zip(values, first, strict=True))
             rows.append({"dialect": name, "verdict": fit.verdict, "stiffness": values[0], "exponent": values[1],
                          "damping": values[2], "deviation": worst, "wall_s": time.perf_counter() - begin})  # fmt: skip
-            print(f"{name:42s} {fit.verdict:12s} {values[0]:.6e} {values[1]:.6f} {values[2]:.6f} {worst:.1e}", flush=True)
+            print(
+                f"{name:42s} {fit.verdict:12s} {values[0]:.6e} {values[1]:.6f} {values[2]:.6f} {worst:.1e}", flush=True
+            )
     if not chosen:
         common.save("dialects", {"rows": rows})
     return 0 if all(row["verdict"] == rows[0]["verdict"] and row["deviation"] < 1e-6 for row in rows) else 1

@@ -27,12 +27,13 @@ def check_clock(clock: np.ndarray, part: Table, time: str) -> None:
         return
     k = int(late[0]) + 1
     same = clock[k] == clock[k - 1]
-    more = f", {part.counted}s {', '.join(str(part.lines[j + 1]) for j in late[1:5])}" if late.size > 1 else ""
-    more += f" and {late.size - 5} others" if late.size > 5 else ""
+    more = ", ".join(str(part.lines[j + 1]) for j in late[1:5]) + (
+        f" and {late.size - 5} more" if late.size > 5 else ""
+    )
     raise InputError(
         part.place(k, time),
         f"time {clock[k]:.9g} s {'stands twice' if same else f'follows {clock[k - 1]:.9g} s'}"
-        + (f" ({late.size} such rows{more})" if late.size > 1 else ""),
+        + (f" ({late.size} such {part.counted}s: also {more})" if late.size > 1 else ""),
         "times must increase: "
         + ("give the clock more digits, or take the repeated rows out" if same else "sort the rows")
         + ", or split the runs with rows = { column = [values] }",

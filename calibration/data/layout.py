@@ -21,9 +21,7 @@ _SAMPLE = 600
 # Units of one letter that are more often a name: t, F, x, v, a, f.
 _UNITS_OF_ONE_LETTER = frozenset("smNgVJWKh%°-")
 _QUOTED_ROWS = 5
-NO_NUMBERS = (
-    "a record has a column of times and one of readings; where columns part otherwise, give separator and decimal"
-)
+NO_NUMBERS = "a record has a column of times and one of readings; if it holds both, give separator, decimal or header"
 
 
 class Row(NamedTuple):

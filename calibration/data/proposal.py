@@ -97,6 +97,7 @@ class Understood:
     runs: tuple[str, int]
     records: list[Record]
     rows: dict[str, str] = field(default_factory=dict)
+    said: str = ""
 
 
 def understood(table: Table) -> Understood:
@@ -121,13 +122,14 @@ def understood(table: Table) -> Understood:
     raw = []
     for label, part in parts[:_MOST_RUNS]:
         readings: dict[str, np.ndarray] = {}
+        clock = np.arange(float(part.lines.size))
         with faults:
-            clock = part.numbers(time, "s", where, blank=False) if time else np.arange(float(part.lines.size))
+            clock = part.numbers(time, "s", where, blank=False) if time else clock
             check_clock(clock, part, time)
         for u in units:
             with faults:
                 readings[u] = part.numbers(found[u], _si(u), where, True)
-        raw.append((label, clock, readings)) if not faults.found else None
+        raw.append((label, clock, readings))
     faults.refuse(where)
     units = [u for u in units if max(np.isfinite(r[u]).sum() for _, _, r in raw) >= _FEWEST]
     found = {u: found[u] for u in units}
@@ -149,7 +151,8 @@ def understood(table: Table) -> Understood:
     shown = {u: ("-" if signs.get(u, 1.0) < 0 else "") + h for u, h in found.items()}
     known = {time, run, *found.values(), *rows}
     others = [h for h in table.header if h and h not in known]
-    return Understood(table.path, table.inside, time, shown, others, (run, len(parts) if run else 1), records, rows)
+    many = (run, len(parts) if run else 1)
+    return Understood(table.path, table.inside, time, shown, others, many, records, rows, table.found)
 
 
 def _filtered(table: Table, time: str) -> tuple[dict[str, str], Table]:

@@ -24,6 +24,7 @@ from calibration.data.table import Table
 SEPARATORS = {"tab": "\t", "semicolon": ";", "pipe": "|", "comma": ",", "blank": " "}
 _SAID = {"tab": "tabs", "semicolon": "semicolons", "pipe": "pipes", "comma": "commas", "blank": "blanks"}
 _COMMENTS = ("#", "%", "//", "!")
+DECIMAL = 'give decimal = "." or decimal = "," under [[experiment]], or --decimal of bcfj init calibration'
 # Blanks before and inside brackets, and about a slash.
 _BESIDE_A_UNIT = re.compile(r"\s+(?=[\[(])|(?<=[\[(])\s+|\s+(?=[\])])|\s*/\s*")
 # Lines on which a separator is tried, and lines over which a quoted cell may run.
@@ -255,4 +256,4 @@ def _decimals(layout: Layout, separator: str, path: Path) -> list[str]:
         return ["."] * len(columns)
     text, line = cells[0]
     either = f"'{text}' is {text.replace(',', '.')} or {re.sub('[.,]', '', text)}, and no number of the file says which"
-    raise InputError(f"{path}: line {line}", either, 'give decimal = "." or decimal = "," under [[experiment]]')
+    raise InputError(f"{path}: line {line}", either, DECIMAL)

@@ -162,7 +162,7 @@ BAD = {
     ),
     "own parameter that is no number": (
         swap("noise", "parameters = { mass = nan }\nnoise"),
-        ["p.toml: parameters of d", "mass = nan kg is out of range", "must be > 0"],
+        ["p.toml: [[experiment]] 1 parameters.mass", "nan is not a number", "give a mass"],
     ),
     "own parameter below 0": (
         swap("noise", "parameters = { mass = -1 }\nnoise"),

@@ -137,7 +137,7 @@ def test_messages_are_cut_and_faults_are_listed():
     one, two = InputError("d.csv: line 3", "a", "b"), InputError("d.csv: line 4", "c", "d")
     assert together("d.csv", [one]) is one
     assert str(together("d.csv", [one, two])).splitlines()[:3] == [
-        "d.csv: 2 faults",
+        "d.csv: 2 faults; correct them, then repeat the command:",
         "  line 3: a; b",
         "  line 4: c; d",
     ]
