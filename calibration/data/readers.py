@@ -13,7 +13,6 @@ A file may hold several tables: groups and structs, named by their path, as in "
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,6 +20,7 @@ import numpy as np
 
 from bcfj_jax import InputError, nearest
 from bcfj_jax.core.errors import clip
+from bcfj_jax.core.extras import library
 from bcfj_jax.io import opening
 from bcfj_jax.io.units import column
 from calibration.data import textfile, workbook
@@ -72,7 +72,7 @@ def read(path: Path, where: str, inside: str | None = None, stated: Stated | Non
     try:
         if kind in workbook.KINDS:
             opening.check(path, opening.LARGEST_TEXT, where, "", "write it as Parquet or HDF5")
-            return workbook.read(path, where, inside, stated, library("python_calamine", "python-calamine", where))
+            return workbook.read(path, where, inside, stated, library("python_calamine", where, "io"))
         return _READERS[kind](path, where, inside)
     except InputError:
         raise
@@ -81,18 +81,6 @@ def read(path: Path, where: str, inside: str | None = None, stated: Stated | Non
         reason = clip(f"{type(error).__name__}: {error}".splitlines()[0])
         remedy = "write the file again, or give it the extension of its kind"
         raise InputError(where, f"{path} cannot be read as {kind} ({reason})", remedy) from error
-
-
-def library(name: str, package: str, where: str, extra: str = "io") -> Any:
-    """A module of an optional library.
-
-    Raises:
-        InputError: when it is not installed, with the extra to install.
-    """
-    try:
-        return import_module(name)
-    except ImportError:
-        raise InputError(where, f"{package} is not installed", f'pip install "bcfj-jax[{extra}]"') from None
 
 
 def _chosen(tables: _Tables, path: Path, where: str, inside: str | None) -> Table:
@@ -144,7 +132,7 @@ def _text(value: object) -> str | None:
 
 
 def _parquet(path: Path, where: str, inside: str | None) -> Table:
-    parquet = library("pyarrow.parquet", "pyarrow", where)
+    parquet = library("pyarrow.parquet", where, "io")
     content = parquet.read_table(path)
     columns: _Columns = {}
     for field, chunks in zip(content.schema, content.columns, strict=True):
@@ -159,7 +147,7 @@ def _parquet(path: Path, where: str, inside: str | None) -> Table:
 
 
 def _tdms(path: Path, where: str, inside: str | None) -> Table:
-    nptdms = library("nptdms", "npTDMS", where)
+    nptdms = library("nptdms", where, "io")
     tables: _Tables = {}
     with nptdms.TdmsFile.read(path) as content:
         for group in content.groups():
@@ -178,7 +166,7 @@ def _tdms(path: Path, where: str, inside: str | None) -> Table:
 
 
 def _hdf5(path: Path, where: str, inside: str | None) -> Table:
-    h5py = library("h5py", "h5py", where)
+    h5py = library("h5py", where, "io")
     tables: _Tables = {}
 
     def visit(name: str, item: Any) -> None:
@@ -217,7 +205,7 @@ def _matlab_text(item: Any) -> _Column:
 
 
 def _mat(path: Path, where: str, inside: str | None) -> Table:
-    h5py = library("h5py", "h5py", where)
+    h5py = library("h5py", where, "io")
     if h5py.is_hdf5(path):
         return _hdf5(path, where, inside)
     from scipy.io import loadmat
