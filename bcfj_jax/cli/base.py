@@ -181,14 +181,18 @@ def _default(hint: Any) -> Any:
 @contextlib.contextmanager
 def _speaking(quiet: bool, verbose: bool) -> Iterator[None]:
     """Stages are said late, or not at all, or each as it begins."""
-    before = Session.quiet, Waiting.say, Waiting.after
+    before = Session.quiet, Waiting.say, Waiting.after, Waiting.bar
     Session.quiet = quiet
     Waiting.say = None if quiet else say
     Waiting.after = 0.0 if verbose else before[2]
+    if sys.stderr.isatty() and not verbose:
+        from bcfj_jax.cli.bars import Bars
+
+        Waiting.bar = Bars()
     try:
         yield
     finally:
-        Session.quiet, Waiting.say, Waiting.after = before
+        Session.quiet, Waiting.say, Waiting.after, Waiting.bar = before
 
 
 def _plain(document: dict[str, Any], command: str) -> dict[str, Any]:

@@ -204,7 +204,8 @@ def _compiled(call: Callable[..., Any], wanted: _Wanted) -> Callable[..., Any]:
 
     def run(*arguments: Any) -> Any:
         leaves = zip(jax.tree.leaves(arguments), wanted.shapes, strict=True)
-        return jax.device_get(compiled(*(np.asarray(x, s.dtype) if np.isscalar(x) else x for x, s in leaves)))
+        with stage(f"running '{wanted.name}'"):
+            return jax.device_get(compiled(*(np.asarray(x, s.dtype) if np.isscalar(x) else x for x, s in leaves)))
 
     return run
 

@@ -21,6 +21,7 @@ from bcfj_jax.analysis.derivatives.reverse import Gradient, gradient, reversed_c
 from bcfj_jax.analysis.derivatives.steady import Steady, prepared
 from bcfj_jax.analysis.derivatives.steady import steady as of_steady
 from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.progress import stage
 from bcfj_jax.core.quantities import increasing
 from bcfj_jax.core.status import OK, reason
 from bcfj_jax.core.threads import ahead, together
@@ -222,7 +223,8 @@ def _climb(scene, params, times, names, how: Plan, error: float, average: float,
     """
     # The first two are always compared.
     starts = [how, Plan(np.asarray(0.25 * how.tolerance), how.max_steps, how.tangents)][: 1 + min(levels, 1)]  # pyright: ignore[reportArgumentType]
-    first, *second = together(*(partial(level, scene, params, times, names, each) for each in starts))
+    with stage("solving with derivatives at two tolerances" if len(starts) > 1 else "solving with derivatives"):
+        first, *second = together(*(partial(level, scene, params, times, names, each) for each in starts))
     climbed = [first]
     values, width = _values(params, names), _width(times, average)
     while len(climbed) <= levels and climbed[-1].good:
@@ -233,7 +235,8 @@ def _climb(scene, params, times, names, how: Plan, error: float, average: float,
             good = plan(scene, "reference")
             tolerance = np.minimum(tolerance, good.tolerance)
             how = tighter = Plan(tolerance, how.max_steps, good.tangents)
-        climbed.append(second.pop() if second else level(scene, params, times, names, tighter))
+        with stage(f"solving with derivatives, tolerance {len(climbed) + 1} of {levels + 1} at most"):
+            climbed.append(second.pop() if second else level(scene, params, times, names, tighter))
         if not climbed[-1].good:
             break
         found = verdicts.between(times, climbed[-2], climbed[-1], values, width)
@@ -279,7 +282,7 @@ def _certificate(
             return forces(scene, new, every, how).reshape(len(times), -1)[:count]
 
         def along(what: str, way: np.ndarray, enough: float) -> Comparison:
-            with spend:
+            with spend, stage(f"comparing with {what}"):
                 compared = against(what, short, run, values, way, np.tensordot(way, slopes, 1), fine, width, enough)
             early = count < len(times) and not np.isfinite(compared.until)
             return compared._replace(what=f"{compared.what}, until {short[-1]:.4g} s") if early else compared

@@ -31,6 +31,7 @@ from bcfj_jax.analysis.designs.result import (
 from bcfj_jax.analysis.designs.space import Free, Space, space
 from bcfj_jax.analysis.designs.tolerance import DISTRIBUTIONS, robust, robustness
 from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.progress import stage
 from bcfj_jax.core.quantities import increasing
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.mechanism.observed import observing
@@ -113,12 +114,14 @@ def design(
     goal = robust(plain, kappa)
     given = np.array([float(full[name]) for name in box.names])
     before = plain.at(given[None])
-    ways = descend(goal, _starts(goal, box.unit(given), starts, seed), norms, iterations)
+    with stage(f"searching from {starts} starts"):
+        ways = descend(goal, _starts(goal, box.unit(given), starts, seed), norms, iterations)
     order = np.argsort([way.goal for way in ways], kind="stable")
     best = ways[int(order[0])]
     if not np.isfinite(best.goal):
         return _failed(plain, wanted, sense, box, given, before.true[0], ways)
-    refined = refine(goal, best.end)
+    with stage("refining the best"):
+        refined = refine(goal, best.end)
     if refined.values.reasons[0] or refined.values.goal[0] > best.goal + 1e-9 * abs(best.goal):
         refined = refined._replace(point=best.end, values=goal(best.end[None], np.inf), arrived=False)
     kink = None
@@ -136,7 +139,8 @@ def design(
     gain = sign * (first - after)
     agree, near = _agreement(ways, best)
     designs = full, {**full, **dict(zip(box.names, at, strict=True))}
-    checked = _confirmed(scene, confirm, designs, t, wanted, sign, gain, accuracy)
+    with stage("checking by independent runs"):
+        checked = _confirmed(scene, confirm, designs, t, wanted, sign, gain, accuracy)
     certificate = _certified(scene, designs[1], t, box, wanted, accuracy, max_steps) if certify else None
     wide = robustness(plain, refined.point, here, distribution, samples, seed, kink is not None)
     wide_before = None

@@ -27,8 +27,6 @@ from bcfj_jax.io.units import format_si
 
 DONE, FAILED, INTERRUPTED = 0, 3, 5
 BUILT_IN = Path(__file__).with_name("built_in")
-# Without a terminal: a line so often [s].
-_EVERY_S = 10.0
 
 
 def find(what: str) -> tuple[Study, str]:
@@ -83,8 +81,9 @@ def run(
     say(f"{study.count} points in {len(store.blocks)} blocks of {store.blocks.size}, in {folder}")
     with heeded():
         try:
-            with shown(study, store.blocks.size, say) as progress:
-                api.compute(store, workers, scheduler, progress)
+            size = store.blocks.size
+            with stage("computing points", study.count) as done:
+                api.compute(store, workers, scheduler, lambda n, _: done(min(n * size, study.count)))
             result = api.finish(store)
             with local.written():
                 text = write(result, study, stem)
@@ -95,35 +94,6 @@ def run(
             say(f"interrupted: {store.there()} of {len(store.blocks)} blocks are finished")
             return f"bcfj study resume {what} --out {folder}", INTERRUPTED
     return f"{text}\nresults in {folder}", FAILED if result.failed == study.count else DONE
-
-
-@contextlib.contextmanager
-def shown(study: Study, size: int, say: Callable[[str], None]) -> Iterator[Callable[[int, int], None]]:
-    """Progress in points: a bar on a terminal, else a line now and then. Rate and time left are of this call."""
-    begin, first, spoken = time.monotonic(), None, time.monotonic()
-    if sys.stderr.isatty():
-        from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-        columns = (BarColumn(), MofNCompleteColumn(), TextColumn("points"), TimeRemainingColumn())
-        with Progress(*columns, console=Console(stderr=True)) as bar:
-            task = bar.add_task("study", total=study.count)
-            yield lambda done, _: bar.update(task, completed=min(done * size, study.count))
-        return
-
-    def line(done: int, total: int) -> None:
-        nonlocal first, spoken
-        now = time.monotonic()
-        first = done if first is None else first
-        if now - spoken < _EVERY_S and done < total:
-            return
-        spoken = now
-        points, fresh = min(done * size, study.count), (done - first) * size
-        rate = fresh / (now - begin)
-        left = format_si((study.count - points) / rate, "s", 2) if rate else "unknown"
-        say(f"{points} of {study.count} points, {rate:.3g} a second, {left} left")
-
-    yield line
 
 
 def estimate(study: Study, workers: int | None) -> str:

@@ -1,0 +1,81 @@
+"""Stages as progress bars on a terminal, by rich: one live display, a line for each stage that takes long."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+from bcfj_jax.core.progress import Waiting
+
+
+class Bars:
+    """The display. It is there while a stage is shown; other lines on stderr appear above it."""
+
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
+        self.display: Any = None
+        self.live = 0
+
+    def __call__(self, text: str, total: int | None) -> Bar:
+        """A stage's bar; it appears once the stage takes long."""
+        return Bar(self, text, total)
+
+    def add(self, text: str, total: int | None, done: int) -> Any:
+        """Show one more stage; its key."""
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+        with self.lock:
+            if self.display is None:
+                columns = (
+                    SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(bar_width=20),
+                    TextColumn("{task.fields[count]}"), TimeElapsedColumn(),
+                )  # fmt: skip
+                self.display = Progress(*columns, console=Console(stderr=True), transient=True)
+                self.display.start()
+            self.live += 1
+            return self.display.add_task(text, total=total, completed=done, count=_count(done, total))
+
+    def update(self, key: Any, done: int, total: int | None) -> None:
+        """So many parts of a stage are done."""
+        with self.lock:
+            if self.display is not None:
+                self.display.update(key, completed=done, count=_count(done, total))
+
+    def remove(self, key: Any) -> None:
+        """A stage has ended."""
+        with self.lock:
+            self.display.remove_task(key)
+            self.live -= 1
+            if not self.live:
+                self.display.stop()
+                self.display = None
+
+
+def _count(done: int, total: int | None) -> str:
+    return "" if total is None else f"{done} of {total}"
+
+
+class Bar:
+    """One stage."""
+
+    def __init__(self, bars: Bars, text: str, total: int | None) -> None:
+        self.bars, self.text, self.total = bars, text, total
+        self.key: Any = None
+        self.done = 0
+
+    def tick(self, took: float) -> None:
+        """Appear once the stage takes long."""
+        if self.key is None and took >= Waiting.after:
+            self.key = self.bars.add(self.text, self.total, self.done)
+
+    def advance(self, done: int) -> None:
+        """So many parts are done."""
+        self.done = done
+        if self.key is not None:
+            self.bars.update(self.key, done, self.total)
+
+    def close(self) -> None:
+        """The stage has ended."""
+        if self.key is not None:
+            self.bars.remove(self.key)
