@@ -10,6 +10,9 @@ from typing import Any
 import numpy as np
 
 from bcfj_jax import InputError
+from bcfj_jax.core import presented
+from bcfj_jax.core.errors import quoted
+from bcfj_jax.core.quantities import whole
 from bcfj_jax.core.threads import ahead
 from bcfj_jax.io.journal import Journal
 from bcfj_jax.mechanism.channels import unit_of
@@ -69,7 +72,7 @@ class Optimum:
     series: list[Series] = field(default_factory=list)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Fit:
     """Outcome of a calibration; ``verdict`` first, then the answers behind it (``diagnostics.answers``).
 
@@ -98,9 +101,16 @@ class Fit:
     noise: dict[str, dict[str, float]]
     check: dict[str, Any]
     notes: list[str]
-    optimum: Optimum = field(repr=False)
+    optimum: Optimum
     systematic: Budget | None = None
-    evidence: Evidence = field(default_factory=Evidence, repr=False)
+    evidence: Evidence = field(default_factory=Evidence)
+
+    _view = "calibration.report.view"
+    __repr__ = presented.text
+    _repr_html_ = presented.html
+    to_pandas = presented.to_pandas
+    to_xarray = presented.to_xarray
+    plot = presented.plot
 
     def force_at(self, penetration: float) -> float:
         """Elastic force [N] of the fitted power law at a penetration [m]."""
@@ -131,8 +141,12 @@ def fit(
         AllStartsFailed: if no start's simulation succeeds.
         Interrupted: on Ctrl-C.
     """
-    if starts < 4:
+    if not isinstance(problem, Problem):
+        remedy = 'give a calibration.Problem, or calibration.load("problem.toml")'
+        raise InputError("calibration.fit", f"{quoted(problem)} is no problem", remedy)
+    if whole("starts", starts) < 4:
         raise InputError("starts", f"{starts}", "use at least 4: agreement of fewer proves nothing")
+    whole("seed", seed, least=0)
     check_kind(intervals)
     influence.refuse_data(problem)
     fitted = tuple(e for e in problem.experiments if not e.hold_out)

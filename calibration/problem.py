@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from bcfj_jax import InputError, check_value, nearest
-from bcfj_jax.analysis.derivatives.names import feature
-from bcfj_jax.core.quantities import Quantity, check_order
+from bcfj_jax.analysis.derivatives.names import UNITS, feature, feature_unit
+from bcfj_jax.core.errors import quoted
+from bcfj_jax.core.quantities import Quantity, check_order, real, scalar
+from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.channels import channel as reading
 from bcfj_jax.mechanism.channels import unit_of
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.mechanism.observed import observing
+from calibration import given
 from calibration.solver_budget import budget
 
 # Nuisance parameters of the measuring chain, of a force or whatever else x is read, t being the record's clock:
@@ -92,6 +95,7 @@ def nuisances(observed: Iterable[str]) -> dict[str, Quantity]:
 
 # Of the peak: what the laws of contact miss in published drop tests of steel and rubber (docs/calibration.md).
 ADEQUATE = 0.03
+_ADEQUATE = Quantity("adequate", "1", "share of the peak", 0.0, np.nextafter(1.0, 0.0))
 
 
 @dataclass(frozen=True)
@@ -116,6 +120,17 @@ class Channel:
     correlation: float | None = 0.0
     jitter: float = 0.0
 
+    def __post_init__(self) -> None:
+        remedy = 'name a reading of the scene, such as "contact.normal"'
+        where = f"channel {given.text('channel', self.observes, remedy)}"
+        changed: dict[str, Any] = {"values": given.readings(where, self.values)}
+        parts = (("sigma", unit_of(self.observes)), ("relative", "1"), ("correlation", "s"), ("jitter", "s"))
+        for name, unit in parts:
+            value = getattr(self, name)
+            if value is not None or name in ("relative", "jitter"):
+                changed[name] = given.plain(where, name, unit, value)
+        given.fill(self, changed)
+
     def deviation(self, readings: np.ndarray, times: np.ndarray) -> np.ndarray:
         """Standard deviation, SI, of the noise at readings and their times; to be estimated: 1 % of the largest value."""
         if self.sigma is None:
@@ -133,6 +148,11 @@ class Observation:
     feature: str
     value: float
     sigma: float
+
+    def __post_init__(self) -> None:
+        where = f"feature {given.text('feature', self.feature, 'name a feature, such as contact.peak')}"
+        unit = feature_unit(self.feature) if self.feature.rpartition(".")[2] in UNITS else "1"
+        given.fill(self, {key: given.plain(where, key, unit, getattr(self, key)) for key in ("value", "sigma")})
 
 
 @dataclass(frozen=True)
@@ -155,6 +175,22 @@ class Experiment:
     tolerances: dict[str, float] = field(default_factory=dict)
     bounds: dict[str, tuple[float, float]] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        where = f"experiment {given.text('experiment name', self.name, 'give it a name')}"
+        times = real(where, "times", self.times)
+        if times.ndim != 1 or not np.isfinite(times).all():
+            raise InputError(f"{where} times", quoted(self.times), "give a 1-D array of finite times [s] that increase")
+        channels = given.all_of(f"{where} channels", self.channels, Channel)
+        for channel in channels:
+            if channel.values.shape != times.shape:
+                found = f"{channel.values.size} values at {times.size} times"
+                raise InputError(f"{where} {channel.observes}", found, "give a value a time; nan where there is none")
+        changed: dict[str, Any] = {"times": times, "channels": channels}
+        changed["features"] = given.all_of(f"{where} features", self.features, Observation)
+        if self.span is not None:
+            changed["span"] = given.not_negative(where, "span", "s", self.span)
+        given.fill(self, changed)
+
     @property
     def samples(self) -> int:
         """Number of readings and features."""
@@ -176,6 +212,13 @@ class Free:
     start: float | None = None
     scale: Literal["log", "linear"] | None = None
     each: bool | None = None
+
+    def __post_init__(self) -> None:
+        name = given.text("free", self.name, "name a parameter")
+        if self.scale is not None and not (isinstance(self.scale, str) and self.scale in ("log", "linear")):
+            raise InputError(f"[free.{name}] scale", quoted(self.scale), "give 'log' or 'linear'")
+        if not isinstance(self.each, (bool, type(None))):
+            raise InputError(f"[free.{name}] each", quoted(self.each), "give True or False")
 
     @property
     def log(self) -> bool:
@@ -224,6 +267,10 @@ class Problem:
     tolerances: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        where = given.text("problem", self.where, "leave 'where' out")
+        parts = {"experiments": Experiment, "free": Free}
+        listed = {key: given.all_of(f"{where}: {key}", getattr(self, key), kind) for key, kind in parts.items()}
+        given.fill(self, {"scene": inputs.model(self.scene), **listed})
         # <contact>.clearance and clearance_<contact> are one parameter.
         one = self.scene.canonical
         object.__setattr__(self, "free", tuple(replace(f, name=one(f.name)) for f in self.free))
@@ -243,12 +290,18 @@ class Problem:
             )
         if not any(not e.hold_out for e in self.experiments):
             raise InputError(self.where, "no experiment to fit", "give at least one [[experiment]] without hold_out")
+        given.fill(
+            self,
+            {
+                "params": given.numbers(f"{self.where}: params", self.params, self.quantities),
+                "free": tuple(self._in_si(f) for f in self.free),
+            },
+        )
         for parameter in self.free:
             self._check_free(parameter)
-        if not 0.0 <= self.adequate < 1.0:
-            raise InputError(f"{self.where}: adequate", f"{self.adequate:g}", 'give a share of the peak, such as "3 %"')
-        if self.loss not in LOSSES:
-            raise InputError(f"{self.where}: loss", f"no loss '{self.loss}'", nearest(self.loss, LOSSES))
+        given.fill(self, {"adequate": scalar(f"{self.where}: adequate", _ADEQUATE, self.adequate)})
+        if not isinstance(self.loss, str) or self.loss not in LOSSES:
+            raise InputError(f"{self.where}: loss", f"no loss {quoted(self.loss)}", nearest(self.loss, LOSSES))
         # Of a contact with members one is observed: seat_ball_2.
         contacts = self.scene.members
         for experiment in self.experiments:
@@ -328,12 +381,17 @@ class Problem:
             remedy = "add [free.hum_sine] and [free.hum_cosine]"
             raise InputError(f"{self.where}: [free.hum_frequency]", "the hum has no size", remedy)
 
-    def _check_free(self, f: Free) -> None:
+    def _in_si(self, f: Free) -> Free:
+        """A free parameter with its bounds and its start as numbers."""
         where, known = f"{self.where}: [free.{f.name}]", self.quantities
         if f.name not in known:
             raise InputError(where, f"scene '{self.scene.kind}' has no parameter '{f.name}'", nearest(f.name, known))
-        for value in (f.lower, f.upper):
-            check_value(where, known[f.name], value)
+        power = inputs.exponent(self.scene, f.name, self.params, dict(self.scene.defaults))
+        parts = {key: getattr(f, key) for key in ("lower", "upper", "start") if getattr(f, key) is not None}
+        return replace(f, **{k: scalar(f"{where} {k}", known[f.name], x, power) for k, x in parts.items()})
+
+    def _check_free(self, f: Free) -> None:
+        where = f"{self.where}: [free.{f.name}]"
         if not f.lower < f.upper:
             raise InputError(where, f"lower = {f.lower:g} is not below upper = {f.upper:g}", "swap the bounds")
         if f.start is not None and not f.lower <= f.start <= f.upper:

@@ -17,8 +17,8 @@ LAYERS = {
         "cli", "__main__",
     ),
     "calibration": (
-        "solver_budget", "problem", "forward", "search", "noise", "diagnostics", "uncertainty", "fit", "verification", "data",
-        "problemfile", "init", "selection", "petab", "report", "command",
+        "solver_budget", "given", "problem", "forward", "search", "noise", "diagnostics", "uncertainty", "fit",
+        "verification", "data", "problemfile", "init", "selection", "petab", "report", "command",
     ),
 }  # fmt: skip
 # What is computed, without files, units, commands and pictures.

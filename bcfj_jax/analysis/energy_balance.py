@@ -18,13 +18,15 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.core.quantities import increasing
+from bcfj_jax.core.quantities import Quantity, increasing, scalar
+from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.model import AbstractModel, Flows, Params
 from bcfj_jax.solve.integrate import integrate
 from bcfj_jax.solve.plan import Plan, plan
 
 # Readings evaluated side by side.
 _CHUNK = 512
+_STEP = Quantity("step", "s", "longest panel of the quadrature", 0.0, open_low=True)
 
 
 class EnergyBalance(NamedTuple):
@@ -99,11 +101,11 @@ def balance(
     Raises:
         InputError: for a model that has no energy balance, and for times or a step that cannot be used.
     """
+    params = inputs.parameters(inputs.model(model), params, traced=False)
     t = increasing(times, 2)
     if t[0] < 0:
         raise InputError("times", f"times[0] = {t[0]:g}", "give times from 0 on: the run starts there")
-    if not step > 0:
-        raise InputError("step", f"{step:g} s", "give a step > 0")
+    step = scalar("balance", _STEP, step)
     how = accuracy if isinstance(accuracy, Plan) else plan(model, accuracy)
     instants, panels = _instants(t, step)
     found = jax.device_get(_flows(model, dict(params), jnp.asarray(instants), how))

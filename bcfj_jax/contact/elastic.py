@@ -1,7 +1,7 @@
 """Elastic parts of a contact law: a penetration in, a force out, no memory and no rate.
 
 A part names the coefficients it reads (``needs``); a contact's parameters are exactly those. To add
-one: a final module with ``needs`` and ``force``, and a line in ``ELASTIC``.
+one: a subclass of ``AbstractElastic`` that gives ``needs`` and ``force``; and a line in ``ELASTIC``.
 """
 
 from __future__ import annotations
@@ -10,17 +10,24 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from typing import ClassVar
 
-import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
+from bcfj_jax.contact.part import Part
 from bcfj_jax.core.numerics import positive, power, smooth_ramp
 
 Coefficients = Mapping[str, Array]
 
 
-class AbstractElastic(eqx.Module):
+class AbstractElastic(Part):
     """Force [N] against penetration [m]; 0 for no penetration, never negative."""
+
+    example: ClassVar[str] = """
+class Cubic(bj.laws.AbstractElastic):
+    needs = ("stiffness",)
+    def force(self, penetration, c):
+        return c["stiffness"] * jnp.maximum(penetration, 0.0) ** 3
+"""
 
     needs: ClassVar[tuple[str, ...]]
 

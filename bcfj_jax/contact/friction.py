@@ -5,7 +5,7 @@ velocity in the contact plane [m/s]. A law is thus a smooth function of v.v: the
 derivative at rest, is never formed. These laws creep under load at rest; ``LuGre`` alone sticks, for the price of
 a state.
 
-To add a law: a final module with ``needs`` and ``mobility``, and a line in ``FRICTION``.
+To add a law: a subclass of ``AbstractFriction`` that gives ``needs`` and ``mobility``; and a line in ``FRICTION``.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.contact.elastic import Coefficients
+from bcfj_jax.contact.part import Part
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.numerics import smooth_step
 
@@ -36,11 +37,18 @@ def _tanhc(square: Array) -> Array:
     return jnp.where(small, above / below, jnp.tanh(y) / y)
 
 
-class AbstractFriction(eqx.Module):
+class AbstractFriction(Part):
     """Friction coefficient mu(|v|) >= 0 of one contact, as a mobility smooth in v.v.
 
     ``bristles`` says whether the law carries a state; it then has the methods of ``LuGre``, and ``bond`` is its own.
     """
+
+    example: ClassVar[str] = """
+class Plain(bj.laws.AbstractFriction):
+    needs = ("friction_dynamic", "friction_speed")
+    def mobility(self, speed_squared, c):
+        return c["friction_dynamic"] / jnp.sqrt(speed_squared + c["friction_speed"] ** 2)
+"""
 
     needs: ClassVar[tuple[str, ...]]
     bristles: ClassVar[bool] = False

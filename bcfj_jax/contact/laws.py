@@ -25,7 +25,7 @@ from bcfj_jax.contact.normal import (
 )
 from bcfj_jax.contact.normal import regularised_force as regularised_force
 from bcfj_jax.contact.restitution import FACTORS
-from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.errors import InputError, nearest, quoted
 
 # Each with its own default elastic part: ``linear`` for ``kelvin_voigt`` and ``walton_braun``, ``power`` for the rest.
 LAWS: dict[str, AbstractLaw] = {
@@ -53,13 +53,13 @@ def make(law: str = "memory_free", elastic: str | None = None) -> AbstractLaw:
     Raises:
         InputError: for a name that is not known, with the nearest one that is.
     """
-    if law not in LAWS:
-        raise InputError("law", f"no law '{law}'", nearest(law, LAWS))
+    if not isinstance(law, str) or law not in LAWS:
+        raise InputError("law", f"no law {quoted(law)}", nearest(law, LAWS))
     found = LAWS[law]
     if elastic is None:
         return found
-    if elastic not in ELASTIC:
-        raise InputError("elastic", f"no elastic part '{elastic}'", nearest(elastic, ELASTIC))
+    if not isinstance(elastic, str) or elastic not in ELASTIC:
+        raise InputError("elastic", f"no elastic part {quoted(elastic)}", nearest(elastic, ELASTIC))
     if "elastic" not in (field.name for field in dataclasses.fields(found)):
         raise InputError(
             "elastic", f"the law '{law}' has no elastic part to replace by '{elastic}'", "leave elastic out"

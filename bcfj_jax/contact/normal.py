@@ -7,8 +7,8 @@ at zero, since a formula with damping turns tensile just before separation.
 A law may have states (relaxation, plastic deformation). They stand beside the coefficients, by their names. A state is 0
 where the surfaces have not touched; the contact integrates its rate and lets it go when apart (``regularised_rates``).
 
-To add a law: a final module with ``needs`` and ``force``, and a line in ``laws.LAWS``; with states also ``rates``,
-``sizes`` and ``stored``.
+To add a law: a subclass of ``AbstractLaw`` that gives ``needs`` and ``force`` (``AbstractLaw.example``), and a line in
+``laws.LAWS``; one with states also gives ``rates``, ``sizes`` and ``stored``.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from bcfj_jax.contact.elastic import BACKING, AbstractElastic, Coefficients, Linear, Power, backing
+from bcfj_jax.contact.part import Part
 from bcfj_jax.contact.restitution import LOWEST_RESTITUTION
 from bcfj_jax.core.numerics import positive, smooth_ramp, smooth_step
 
@@ -39,10 +40,16 @@ _CORNER = 1e-2
 _NODES, _WEIGHTS = (0.5 * (x + shift) for x, shift in zip(np.polynomial.legendre.leggauss(24), (1.0, 0.0), strict=True))
 
 
-class AbstractLaw(eqx.Module):
+class AbstractLaw(Part):
     """Normal force F(d, d') >= 0 of one contact; ``states`` names the numbers that the law remembers of it."""
 
     states: ClassVar[tuple[str, ...]] = ()
+    example: ClassVar[str] = """
+class Linear(bj.laws.AbstractLaw):
+    needs = ("stiffness",)
+    def force(self, penetration, rate, c):
+        return c["stiffness"] * jnp.maximum(penetration, 0.0)
+"""
 
     @property
     @abstractmethod

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 QUOTED = 200  # characters of a value that a message repeats
 _LONGEST_LINE, _LONGEST_MESSAGE = 1000, 8000
@@ -84,9 +84,30 @@ def together(where: str, faults: Sequence[InputError]) -> InputError:
     return error
 
 
-def nearest(name: str, known: Iterable[str]) -> str:
+def quoted(value: object) -> str:
+    """A value as it is written in Python, on one line, at most ``QUOTED`` characters of it."""
+    return clip(" ".join(clip(value if not isinstance(value, str) else repr(value), 2 * QUOTED).split()))
+
+
+def texts(where: str, given: object, remedy: str) -> tuple[str, ...]:
+    """Names as a tuple, of one name or several.
+
+    Raises:
+        InputError: for what is no text, and no sequence of texts.
+    """
+    names = (given,) if isinstance(given, str) else given
+    if not isinstance(names, Iterable) or isinstance(names, (bytes, Mapping)):
+        raise InputError(where, f"{quoted(given)} names nothing", remedy)
+    names = tuple(names)
+    wrong = [name for name in names if not isinstance(name, str)]
+    if wrong:
+        raise InputError(where, f"{quoted(wrong[0])} is not a name", remedy)
+    return names  # type: ignore[return-value]
+
+
+def nearest(name: object, known: Iterable[str]) -> str:
     """Say which of the known names was probably meant, or list them all."""
-    names, name = sorted(known), name[:QUOTED]
+    names, name = sorted(known), str(name)[:QUOTED]
     close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
     if close:
         return f"did you mean '{close[0]}'?"

@@ -6,14 +6,18 @@ Beside it what is refused of values, of values beside each other, and of times.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
-from typing import NamedTuple
+import operator
+from collections.abc import Collection, Iterable, Mapping
+from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from jax.core import Tracer
 from jax.typing import ArrayLike
 
-from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.errors import QUOTED, InputError, quoted
+from bcfj_jax.core.upward import upward
 
 
 class Quantity(NamedTuple):
@@ -141,18 +145,71 @@ _ORDERED = (
 ORDERED = frozenset(name for low, high, _ in _ORDERED for name in (low, high))
 
 
-def check_value(where: str, quantity: Quantity, value: ArrayLike) -> None:
-    """Refuse numbers outside the quantity's range; traced values cannot be looked at and pass.
+def check_value(where: str, quantity: Quantity, value: object) -> None:
+    """Refuse what is no number, and numbers outside the quantity's range; traced values cannot be looked at and pass.
 
     Raises:
         InputError: naming the place, the value and the range.
     """
     if isinstance(value, Tracer):
         return
-    for number in np.ravel(np.asarray(value, dtype=float)):
+    for number in np.ravel(real(where, quantity.name, value)):
         if not quantity.valid(float(number)):
             found = f"{quantity.name} = {quantity.text(float(number))} is out of range"
             raise InputError(where, found, f"{quantity.meaning} must be {quantity.range}")
+
+
+def real(where: str, name: str, value: object) -> np.ndarray:
+    """A number, or an array of numbers, as float64.
+
+    Raises:
+        InputError: for what is neither: texts, None, truth values, complex numbers, uneven lists, units of a library.
+    """
+    try:
+        if value is None or hasattr(value, "units") or hasattr(value, "unit"):
+            raise TypeError
+        array = np.asarray(value)
+        # Kind "V" is that of JAX's small floats; objects may be fractions, or whole numbers of many digits.
+        if array.dtype.kind not in "fiuVO" or any(isinstance(x, _NO_NUMBERS) for x in _objects(array)):
+            raise TypeError
+        return array.astype(np.float64, copy=False)
+    except (TypeError, ValueError, OverflowError):
+        remedy = 'give an SI number, or a text with a unit such as "20 um"'
+        raise InputError(where, f"{name} = {quoted(value)} is not a number", remedy) from None
+
+
+_NO_NUMBERS = (bool, str, bytes, type(None))
+
+
+def _objects(array: np.ndarray) -> Iterable[Any]:
+    return array.ravel() if array.dtype.kind == "O" else ()
+
+
+def number(where: str, quantity: Quantity, value: Any, exponent: float | None = None) -> Any:
+    """A value as the verbs take it: float64, SI, in range. The one place that says what a number is.
+
+    Args:
+        where: place, for the message.
+        quantity: what it is.
+        value: a number, a text with its unit, an array of numbers; or traced, which passes.
+        exponent: of the contact, where it is a stiffness: its unit depends on it.
+
+    Returns:
+        An array of NumPy, or of JAX where it was one.
+
+    Raises:
+        InputError: for what is no number of this unit, and a number out of range.
+    """
+    if isinstance(value, Tracer):
+        return jnp.asarray(value, dtype=jnp.float64)
+    if isinstance(value, str):
+        if len(value) > QUOTED:
+            raise InputError(where, f"{quantity.name} = {quoted(value)}", "give a number and its unit")
+        value = upward("quantity")(value, quantity.unit, f"{where} {quantity.name}".strip(), exponent=exponent)
+    check_value(where, quantity, value)
+    if isinstance(value, Array) and value.dtype == jnp.float64 and not value.weak_type:
+        return value
+    return real(where, quantity.name, value)
 
 
 def check_order(where: str, known: Collection[str], values: Mapping[str, ArrayLike]) -> None:
@@ -181,17 +238,63 @@ def check_order(where: str, known: Collection[str], values: Mapping[str, ArrayLi
                 raise InputError(where, found, f"give {keys[0]} <= {keys[1]}: {why}")
 
 
-def increasing(times: ArrayLike, fewest: int = 1) -> np.ndarray:
+def scalar(where: str, quantity: Quantity, value: Any, exponent: float | None = None) -> float:
+    """One number of ``number``, as a ``float``.
+
+    Raises:
+        InputError: as ``number``, and for several.
+    """
+    found = number(where, quantity, value, exponent)
+    if np.ndim(found):
+        raise InputError(where, f"{quantity.name} has shape {np.shape(found)}", "give one number")
+    return float(found)
+
+
+def increasing(times: object, fewest: int = 1) -> np.ndarray:
     """Times as checked numbers: (T,) float64 [s].
 
     Raises:
-        InputError: for fewer than ``fewest``, another shape, and times that are not finite or do not increase.
+        InputError: for what is no array of numbers, fewer than ``fewest``, another shape, and times that are not finite
+            or do not increase.
     """
-    t = np.asarray(times, dtype=float)
-    if t.ndim != 1 or t.size < fewest or not np.isfinite(t).all():
-        raise InputError("times", f"shape {t.shape}", f"give a 1-D array of {fewest} or more finite times [s]")
+    right = f"give a 1-D array of {fewest} or more finite times [s] that increase"
+    if isinstance(times, Tracer):
+        raise InputError("times", "are traced, and must be known here", "call this outside of jit, grad and vmap")
+    try:
+        t = real("times", "times", times)
+    except InputError:
+        raise InputError("times", f"{quoted(times)} is no array of numbers", right) from None
+    if t.ndim != 1 or t.size < fewest:
+        raise InputError("times", f"shape {t.shape}", right)
+    lost = np.flatnonzero(~np.isfinite(t))
+    if lost.size:
+        raise InputError("times", f"times[{lost[0]}] = {t[lost[0]]:g}", right)
     late = np.flatnonzero(np.diff(t) <= 0)
     if late.size:
         k = int(late[0])
         raise InputError("times", f"times[{k + 1}] = {t[k + 1]:g} follows {t[k]:g}", "times must increase")
     return t
+
+
+def instants(times: Any) -> Array:
+    """Times of a pure function: traced ones pass with one axis, others are ``increasing``."""
+    if not isinstance(times, Tracer):
+        return jnp.asarray(increasing(times))
+    if times.ndim != 1:
+        raise InputError("times", f"shape {times.shape}", "give a 1-D array of times [s]")
+    return jnp.asarray(times, dtype=jnp.float64)
+
+
+def whole(where: str, value: object, least: int = 1, most: int = 1_000_000_000) -> int:
+    """A whole number of some range, as an ``int``.
+
+    Raises:
+        InputError: for anything else.
+    """
+    try:
+        found = operator.index(value)  # type: ignore[arg-type]
+    except TypeError:
+        found = least - 1
+    if isinstance(value, (bool, np.bool_)) or not least <= found <= most:
+        raise InputError(where, quoted(value), f"give a whole number from {least} to {most}")
+    return found

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-OK, STEPS, NOT_FINITE, SOLVER, UNBALANCED, STEEP = range(6)
+OK, STEPS, NOT_FINITE, SOLVER, UNBALANCED, STEEP, NO_FORCE = range(7)
 _REASONS = {
     STEPS: "the step budget of {max_steps} steps was spent",
     NOT_FINITE: "the state stopped being finite",
     SOLVER: "the solver could not go on: forces that are not finite, or that jump",
     UNBALANCED: "no equilibrium was found",
     STEEP: "the derivatives stopped being finite",
+    NO_FORCE: "a contact force stopped being finite",
 }
 
 

@@ -27,11 +27,12 @@ from jax import Array
 
 from bcfj_jax.contact import laws
 from bcfj_jax.core.errors import InputError, nearest
-from bcfj_jax.core.quantities import CATALOGUE, check_order, check_value
+from bcfj_jax.core.quantities import check_order, check_value
 from bcfj_jax.io import changes, mechanismfile, tables, usercode
 from bcfj_jax.io.scenetemplate import template as template
 from bcfj_jax.io.spheres import Spheres
 from bcfj_jax.io.units import quantity, toleranced
+from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.channels import Channel
 from bcfj_jax.mechanism.model import AbstractModel, horizon
 from bcfj_jax.mechanism.observed import Observed
@@ -277,25 +278,17 @@ def _values(
         place, name = f"{where}: [parameters] {key}", scene.canonical(key)
         if name in given:
             raise InputError(place, f"'{name}' is given twice, by two names", "take one of them out")
-        given[name] = value
         if name in derived:
             raise InputError(place, f"'{name}' is given twice", "[scene.spheres] sets it too: take one of them out")
-        if name not in known:
-            # A right name in the wrong place is no misspelling: the law, or another option, does not read it.
-            hint = f"known here: {', '.join(sorted(known))}" if key in CATALOGUE else nearest(key, known)
-            raise InputError(place, f"scene '{scene.kind}' with these options has no parameter '{key}'", hint)
+        given |= inputs.named(scene, {key: value}, place)
     values = {name: value for name, value in derived.items() if name in known}
     tolerances: dict[str, float] = {}
     defaults = dict(scene.defaults)
     # Exponents first: the unit of a stiffness depends on its contact's, or else on the shared one.
-    for name in sorted(given, key=lambda name: not name.endswith("exponent")):
+    for name in sorted(given, key=inputs.exponents_first):
         place = f"{where}: [parameters] {name}"
-        contact = name.rpartition(".")[0]
-        own = f"{contact}.exponent" if contact else "exponent"
-        sources = [(d, key) for key in dict.fromkeys((own, "exponent")) for d in (values, defaults)]
-        # A law that reads no exponent is linear.
-        exponent = next((d[key] for d, key in sources if key in d), 1.0) if own in known else 1.0
-        values[name], tolerance = toleranced(given[name], known[name].unit, place, exponent=exponent)
+        power = inputs.exponent(scene, name, values, defaults)
+        values[name], tolerance = toleranced(given[name], known[name].unit, place, exponent=power)
         check_value(place, known[name], values[name])
         if tolerance is not None:
             tolerances[name] = tolerance

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.errors import InputError, nearest, quoted
 from bcfj_jax.core.numerics import smooth_rise
 from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.core.vectors import WORLD, ZERO, Axes, Number, Vector, add, cross, minus, plus, scale, times, turned
@@ -169,8 +169,8 @@ class Body(eqx.Module):
     members: int = eqx.field(static=True, default=0)
 
     def __check_init__(self):
-        where = f"body '{self.name}'"
-        if not self.name.isidentifier() or self.name == GROUND:
+        where = f"body {quoted(self.name)}"
+        if not isinstance(self.name, str) or not self.name.isidentifier() or self.name == GROUND:
             raise InputError(
                 where, "is no name for a body", "give a word of letters, digits and '_', other than 'ground'"
             )

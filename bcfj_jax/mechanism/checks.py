@@ -16,7 +16,7 @@ from bcfj_jax.contact.gaps import SphereInSocket, SphereOnSphere
 from bcfj_jax.core import programs
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.numerics import positive
-from bcfj_jax.core.quantities import check_order, check_value
+from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.bodies import GROUND
 from bcfj_jax.mechanism.loads import JointSpring
 
@@ -115,7 +115,7 @@ class _Recorder(Mapping):
             raise InputError(self.where, f"no parameter '{name}'", remedy)
         owners = [known.rpartition(".")[0] for known in self.scene.quantities if known.endswith(f".{name}")]
         missing = [owner for owner in owners if owner and f"{owner}.{name}" not in self.values_]
-        if name == "mass":
+        if name == "mass" and missing:
             remedy = f"a body needs one to be moved: give {missing[0]}.mass, or mass for every body without its own"
             raise InputError(f"{self.where} body '{missing[0]}' mass", f"{', '.join(missing)} without a mass", remedy)
         reads = f", which {', '.join(missing)} would read" if missing else ""
@@ -166,12 +166,7 @@ def check_values(scene: Mechanism, params: Params, where: str = "") -> None:
             the user's that raises, bodies that start deep inside each other.
     """
     where = where or f"scene '{scene.kind}'"
-    known = scene.quantities
-    for name, value in params.items():
-        if name not in known:
-            raise InputError(where, f"no parameter '{name}'", nearest(name, known))
-        check_value(where, known[name], value)
-    check_order(where, known, params)
+    inputs.values(scene, params, where)
     read = _read(scene, tuple(params), where)
     for quantity, _ in scene.own:
         if quantity.name not in read:

@@ -20,8 +20,9 @@ from bcfj_jax.contact import laws
 from bcfj_jax.contact.friction import AbstractFriction
 from bcfj_jax.contact.gaps import AbstractGap, Face, Frame
 from bcfj_jax.contact.normal import AbstractLaw, regularised_rates
+from bcfj_jax.contact.part import checked
 from bcfj_jax.contact.wrench import ContactForce
-from bcfj_jax.core.errors import InputError, origin
+from bcfj_jax.core.errors import InputError, origin, quoted
 from bcfj_jax.core.numerics import positive
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
 from bcfj_jax.core.vectors import WORLD, ZERO, Number
@@ -94,16 +95,16 @@ class Contact(eqx.Module):
             object.__setattr__(self, "law", laws.make(self.law, self.elastic))
             # The law has it now: a contact whose elastic part was named is the one that has it by default.
             object.__setattr__(self, "elastic", None)
-        where = f"contact '{self.name}'"
-        if not self.name.isidentifier():
+        where = f"contact {quoted(self.name)}"
+        if not isinstance(self.name, str) or not self.name.isidentifier():
             raise InputError(where, "is no name for a contact", "give a word of letters, digits and '_'")
         if len(self.between) != 2:
             raise InputError(f"{where} between", f"{list(self.between)}", "give the names of two bodies")
         if self.between[0] == self.between[1]:
             raise InputError(f"{where} between", f"'{self.between[0]}' with itself", "give two different bodies")
         if not isinstance(self.gap, AbstractGap):
-            raise InputError(
-                f"{where} gap", f"{self.gap!r} is no gap", "give one of bcfj_jax.gaps, or from_depth(function)"
+            checked(
+                f"{where} gap", self.gap, AbstractGap, "gap", "give one of bj.gaps, or bj.gaps.from_depth(function)"
             )
         if self.approach != "parameter" and not isinstance(self.approach, Approach):
             raise InputError(f"{where} approach", f"{self.approach!r}", 'give "parameter" or an Approach')
@@ -229,7 +230,7 @@ def _items(values: Any) -> tuple[tuple[str, Size], ...]:
 
 def _law(law: Any) -> AbstractLaw:
     # By its name it is made where the elastic part is known, too.
-    return law
+    return law if isinstance(law, str) else checked("contact law", law, AbstractLaw, "law", "give a law's name")
 
 
 def _places(at: Any) -> Any:

@@ -637,6 +637,12 @@ class Mechanism(AbstractModel):
                 found[c.name] = x, y
         return found
 
+    def require(self, params: Params, where: str = "") -> None:
+        """What the equations read and nobody gave."""
+        from bcfj_jax.mechanism.checks import names_read
+
+        names_read(self, params, where or f"scene '{self.kind}'")
+
     def period(self, params: Params) -> tuple[float, float]:
         """One turn of the first driven hinge."""
         for b in self._driven:

@@ -19,9 +19,10 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from bcfj_jax.contact.normal import AbstractLaw
-from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.programs import ask
-from bcfj_jax.core.quantities import Quantity, check_order, check_value
+from bcfj_jax.core.quantities import Quantity
+from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.structure import AbstractStructure, Dense
 
 Params = Mapping[str, Array]
@@ -290,6 +291,14 @@ class AbstractModel(eqx.Module):
         """
         del params, where
 
+    def require(self, params: Params, where: str = "") -> None:
+        """Refuse parameters among which one is missing. Nothing is computed, and traced values do.
+
+        Raises:
+            InputError: naming the parameter.
+        """
+        inputs.require_defaults(self, params, where or f"scene '{self.kind}'")
+
     def only_law(self) -> AbstractLaw | None:
         """The normal-force law of its one contact; None where there are several or none."""
         return None
@@ -426,25 +435,22 @@ class AbstractModel(eqx.Module):
         own = f"{owner}.{name}"
         return params[own] if own in params else params[name]
 
-    def parameters(self, values: Mapping[str, ArrayLike] | None = None, **more: ArrayLike) -> dict[str, Array]:
+    def parameters(
+        self, values: Mapping[str, ArrayLike | str] | None = None, **more: ArrayLike | str
+    ) -> dict[str, Array]:
         """The model's parameters as a pytree of float64 leaves, SI; those without a default only where given.
 
         Args:
             values: values by name (for names with a dot in them).
-            more: values by name. A value may be a number, an array (a batch for ``vmap``) or traced.
+            more: values by name. A value may be a number, a text with its unit ("20 um"), an array (a batch for
+                ``vmap``) or traced.
 
         Raises:
-            InputError: for a name the model does not have (with the nearest it has) and for a number
-                outside its quantity's range.
+            InputError: for a name the model does not have (with the nearest it has), for what is no number of the
+                parameter's unit, and for a number outside its range.
         """
-        known, where = self.quantities, f"scene '{self.kind}'"
-        given = {self.canonical(name): value for name, value in {**(values or {}), **more}.items()}
-        for name, value in given.items():
-            if name not in known:
-                raise InputError(where, f"no parameter '{name}' = {value}", nearest(name, known))
-            check_value(where, known[name], value)
-        defaults = dict(self.defaults)
-        check_order(where, known, {**defaults, **given})
+        known, defaults = self.quantities, dict(self.defaults)
+        given = inputs.values(self, inputs.merged(values, more))
         return {
             name: _array(given[name] if name in given else defaults[name])
             for name in known

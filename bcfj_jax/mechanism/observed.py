@@ -44,8 +44,8 @@ class Observed(AbstractModel):
     body_names, body_members, drive_coordinate, settled_when, tables = map(  # pyright: ignore[reportAssignmentType]
         _of, ("body_names", "body_members", "drive_coordinate", "settled_when", "tables")
     )
-    check, period, coordinates, neutral, envelope, settled_from = map(
-        _of, ("check", "period", "coordinates", "neutral", "envelope", "settled_from")
+    check, require, period, coordinates, neutral, envelope, settled_from = map(
+        _of, ("check", "require", "period", "coordinates", "neutral", "envelope", "settled_from")
     )
     recurs, pitch, pitch_before, turned = map(_of, ("recurs", "pitch", "pitch_before", "turned"))
     choice_options, whole, orbits = map(_of, ("choice_options", "whole", "orbits"))

@@ -15,7 +15,7 @@ from jax import Array
 
 from bcfj_jax.contact.gaps import SphereOnSphere
 from bcfj_jax.contact.restitution import undamped_duration
-from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.quantities import whole
 from bcfj_jax.mechanism.bodies import Body
 from bcfj_jax.mechanism.contacts import Contact
 from bcfj_jax.mechanism.mechanism import Mechanism
@@ -37,8 +37,7 @@ def chain(count: int = 10, law: str = "hertz", elastic: str | None = None, smoot
         count: number of spheres, 2 or more.
         law, elastic, smoothing: as ``impact``.
     """
-    if count < 2:
-        raise InputError("scene 'chain'", f"count = {count}", "give 2 spheres or more")
+    count = whole("scene 'chain' count", count, least=2, most=1000)
     spheres, contacts = [], []
     for i in range(1, count + 1):
         start = {"velocity": "approach_speed"} if i == 1 else {}

@@ -12,7 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.errors import InputError, nearest, quoted
+from bcfj_jax.core.quantities import whole
+from bcfj_jax.core.upward import upward
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve import named
 
@@ -59,8 +61,7 @@ def plan(
             switched JAX back to 32-bit numbers (``benchmarks/solve/precision.py`` says what they would cost).
     """
     check_bits()
-    if max_steps < 1:
-        raise InputError("max_steps", f"{max_steps}", "give 1 or more")
+    max_steps = whole("max_steps", max_steps)
     error, stiff = force_error(accuracy), model.traits.stiff
     named.check(solver, stiff)
     tangents = solver == "bdf" or (solver is None and stiff and error < _TANGENTS_BELOW)
@@ -82,15 +83,17 @@ def check_bits() -> None:
 
 
 def force_error(accuracy: str | float) -> float:
-    """Force error that a level or a number asks for, as a fraction of the peak.
+    """Force error that a level, a number or a text such as "1 %" asks for, as a fraction of the peak.
 
     Raises:
         InputError: for an unknown level and for an error outside 1e-9 to 0.5.
     """
-    if isinstance(accuracy, str):
+    if isinstance(accuracy, str) and not accuracy.strip()[:1].isdigit():
         if accuracy not in LEVELS:
-            raise InputError("accuracy", f"no level '{accuracy}'", nearest(accuracy, LEVELS))
+            raise InputError("accuracy", f"no level {quoted(accuracy)}", nearest(accuracy, LEVELS))
         return LEVELS[accuracy]
-    if not 1e-9 <= accuracy <= 0.5:
-        raise InputError("accuracy", f"force_error = {accuracy:g}", "give a fraction of the peak from 1e-9 to 0.5")
-    return accuracy
+    error = upward("quantity")(accuracy, "1", "accuracy") if isinstance(accuracy, str) else accuracy
+    if not isinstance(error, (int, float, np.number)) or not 1e-9 <= error <= 0.5:
+        right = f"give {', '.join(LEVELS)}, or a fraction of the peak from 1e-9 to 0.5"
+        raise InputError("accuracy", f"force_error = {quoted(accuracy)}", right)
+    return float(error)

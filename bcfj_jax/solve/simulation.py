@@ -14,12 +14,13 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from bcfj_jax.core.errors import InputError
+from bcfj_jax.core import presented
+from bcfj_jax.core.errors import InputError, quoted, texts
 from bcfj_jax.core.programs import program
-from bcfj_jax.core.quantities import increasing
-from bcfj_jax.core.status import OK, reason
+from bcfj_jax.core.quantities import increasing, instants
+from bcfj_jax.core.status import NO_FORCE, OK, reason
 from bcfj_jax.core.threads import together
-from bcfj_jax.mechanism import channels
+from bcfj_jax.mechanism import channels, inputs
 from bcfj_jax.mechanism.channels import Channel, channel
 from bcfj_jax.mechanism.model import AbstractModel, Choice, Params, Reading, Solution
 from bcfj_jax.mechanism.readings import contact_states
@@ -35,7 +36,7 @@ _BACKWARD = 1e-3
 
 
 class Run(NamedTuple):
-    """A finished simulation, as NumPy arrays.
+    """A finished simulation, as NumPy arrays; ``to_pandas()``, ``to_xarray()`` and ``plot()`` show them.
 
     Attributes:
         times: (T,) [s].
@@ -68,6 +69,13 @@ class Run(NamedTuple):
     choice: Choice | None = None
     accuracy: Accuracy | None = None
     readings: dict[str, np.ndarray] = {}
+
+    _view = "bcfj_jax.analysis.simulation.view"
+    __repr__ = presented.text
+    _repr_html_ = presented.html
+    to_pandas = presented.to_pandas
+    to_xarray = presented.to_xarray
+    plot = presented.plot
 
 
 def outcome(
@@ -130,12 +138,11 @@ def force_history(
     Returns:
         Per contact (T, 3) [N], or (T, k, 3) where the contact has k members: normal, axial, tangential.
     """
-    how = accuracy if isinstance(accuracy, Plan) else plan(scene, accuracy)
-    times = jnp.asarray(times, dtype=jnp.float64)
+    params, t, how = _given(scene, params, times, accuracy)
     if mode == "forward":
-        return _forces("forward", scene, params, times, how, True)
+        return _forces("forward", scene, params, t, how, True)
     if mode == "reverse":
-        return _forces("reverse", scene, params, times, how, True)
+        return _forces("reverse", scene, params, t, how, True)
     if mode == "auto":
 
         def way(mode: Way, differentiable: bool) -> Callable[[tuple], dict[str, Array]]:
@@ -145,8 +152,8 @@ def force_history(
             return _forces("reverse", scene, x[0], x[1], _backward(scene, x[2]), True)
 
         ways = way("forward", True), backward, way("forward", False)
-        return forward_and_reverse(*ways)((dict(params), times, how))
-    raise InputError("mode", f"no mode '{mode}'", "use auto, forward or reverse")
+        return forward_and_reverse(*ways)((params, t, how))
+    raise InputError("mode", f"no mode {quoted(mode)}", "use auto, forward or reverse")
 
 
 def reading_history(
@@ -171,15 +178,27 @@ def reading_history(
     Raises:
         InputError: for a reading that the model has not, with the nearest that it has.
     """
-    how = accuracy if isinstance(accuracy, Plan) else plan(scene, accuracy)
-    wanted = [channel(name, scene) for name in read]
+    params, t, how = _given(scene, params, times, accuracy)
+    wanted = _channels(scene, read)
     if mode not in ("forward", "reverse"):
-        raise InputError("mode", f"no mode '{mode}'", "use forward or reverse")
-    times = jnp.asarray(times, dtype=jnp.float64)
+        raise InputError("mode", f"no mode {quoted(mode)}", "use forward or reverse")
     how = how if mode == "forward" else _backward(scene, how)
     from bcfj_jax.solve.integrate import integrate
 
-    return channels.histories(scene, params, times, integrate(scene, params, times, how, mode, True).states, wanted)
+    return channels.histories(scene, params, t, integrate(scene, params, t, how, mode, True).states, wanted)
+
+
+def _given(
+    scene: AbstractModel, params: Params, times: ArrayLike, accuracy: str | float | Plan
+) -> tuple[dict[str, Array], Array, Plan]:
+    """What a pure function was given, checked where it is concrete."""
+    how = accuracy if isinstance(accuracy, Plan) else plan(inputs.model(scene), accuracy)
+    found = inputs.parameters(inputs.model(scene), params)
+    return {name: jnp.asarray(value) for name, value in found.items()}, instants(times), how
+
+
+def _channels(scene: AbstractModel, read: Sequence[str]) -> tuple[Channel, ...]:
+    return tuple(channel(name, scene) for name in texts("read", read, 'name readings, such as "contact.normal"'))
 
 
 def _run(
@@ -220,6 +239,7 @@ def simulate(
     """
     check_bits()
     values = increasing(times)
+    params = inputs.parameters(inputs.model(scene), params, traced=False)
     scene.check(params)
     scene = scene.suited(params, float(values[-1]), solver)
     tolerance = plan(scene, accuracy, max_steps, solver).tolerance
@@ -230,7 +250,7 @@ def simulate(
         run = lambda level, at: simulate(level, params, at, **same)  # noqa: E731
         return scene.choose(params, values, force_error(accuracy), run)
     # Values alone: one program, whether or not derivatives would need their own error controlled.
-    wanted = tuple(channel(name, scene) for name in read)
+    wanted = _channels(scene, read)
     as_asked, tenth = (Plan(t, max_steps, solver=solver) for t in (tolerance, 0.1 * tolerance))
     if not (measure_error and scene.traits.history):
         return timed(scene, params, values, as_asked, wanted)
@@ -275,7 +295,8 @@ def story(
     walls: dict[str, float],
 ) -> Run:
     """A run from what the program gave back, fetched to the host."""
-    failed = int(solution.code) != OK
+    code, end = _finite(solution, readings, times)
+    failed = code != OK
     # JAX gives dictionaries back in the order of their keys.
     readings = {contact.name: readings[contact.name] for contact in scene.contacts}
     return Run(
@@ -285,8 +306,8 @@ def story(
         rate={name: np.asarray(r.rate) for name, r in readings.items()},
         slip={name: np.asarray(r.slip) for name, r in readings.items() if r.slip is not None},
         status="failed" if failed else "ok",
-        reason=reason(int(solution.code), how.max_steps),
-        failure_time=float(solution.end) if failed else float("nan"),
+        reason=reason(code, how.max_steps),
+        failure_time=end if failed else float("nan"),
         stats={
             "accepted": int(solution.accepted),
             "rejected": int(solution.rejected),
@@ -294,3 +315,15 @@ def story(
             **walls,
         },
     )
+
+
+def _finite(solution: Solution, readings: dict[str, Reading], times: np.ndarray) -> tuple[int, float]:
+    """Status code and end [s] of a run; a good one has finite forces at every time."""
+    code, end = int(solution.code), float(solution.end)
+    if code == OK:
+        lost = np.zeros(len(times), bool)
+        for reading in readings.values():
+            lost |= ~np.isfinite(np.asarray(reading.force).reshape(len(times), -1)).all(axis=1)
+        if lost.any():
+            return NO_FORCE, float(times[np.argmax(lost)])
+    return code, end

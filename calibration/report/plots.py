@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-def records(fit: Fit, problem: Problem, path: Path) -> Picture | None:
+def records(fit: Fit, problem: Problem | None, path: Path) -> Picture | None:
     """Every record: data over the fitted history, and below it the residuals in standard deviations.
 
-    No picture where features alone were fitted.
+    The problem is read for records that hold features alone. No picture where features alone were fitted.
     """
     panels = [(record, channel) for record in fit.records for channel in record.data]
     if not panels:
@@ -49,10 +49,10 @@ def records(fit: Fit, problem: Problem, path: Path) -> Picture | None:
     return Picture(path.name, "Data and fit", shows)
 
 
-def _run(fit: Fit, problem: Problem, record: Record) -> Run:
+def _run(fit: Fit, problem: Problem | None, record: Record) -> Run:
     """The model alone, densely sampled, with a record's own parameters; the clock is the model's."""
     span = record.times - record.params["time_offset"]
-    if not span.size:  # features alone, of a run that starts with the model's clock
+    if not span.size and problem:  # features alone, of a run that starts with the model's clock
         span = next(np.array([0.0, e.span or 0.0]) for e in problem.experiments if e.name == record.name)
     times = np.linspace(min(0.0, span[0]), max(span[-1], span[0] + 1e-9), SAMPLES)
     return ran(fit.optimum.model, record.params, times, record.data)
@@ -82,12 +82,12 @@ def _panel(upper: Axes, lower: Axes, record: Record, channel: str, run: Run) -> 
     lower.sharex(upper)
 
 
-def force_penetration(fit: Fit, problem: Problem, path: Path) -> Picture | None:
+def force_penetration(fit: Fit, problem: Problem | None, path: Path) -> Picture | None:
     """The loop of the first fitted experiment at the fitted values, with the energy it dissipates.
 
     No picture of a scene without contacts.
     """
-    if not problem.scene.members:
+    if not fit.optimum.model.scene.members:
         return None
     return loops(_run(fit, problem, fit.records[0]), path)
 

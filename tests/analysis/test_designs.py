@@ -223,7 +223,7 @@ def test_undeflected_joint_takes_least_offset_and_steepest_flank():
         ({"kappa": -1.0}, "kappa"),
         ({"norms": (0.5,)}, "norms"),
         ({"distribution": "cauchy"}, "distribution"),
-        ({"starts": 0}, "search size"),
+        ({"starts": 0}, "starts"),
     ],
 )
 def test_bad_input_is_said(dashpot, change, where):

@@ -105,7 +105,7 @@ def test_what_is_wrong_with_an_exponent_is_said():
     scene = scenes.bounce()
     with pytest.raises(InputError, match="no period of its own"):
         nonlinear.scene_exponent(scene, scene.parameters(), 10)
-    with pytest.raises(InputError, match="times that are positive"):
+    with pytest.raises(InputError, match="must be > 0"):
         nonlinear.scene_exponent(scene, scene.parameters(), 10, interval=-1.0, settle=0.0)
     joint = scenes.joint()
     with pytest.raises(InputError, match="settle"):

@@ -177,7 +177,7 @@ def test_a_contact_takes_the_shared_value():
         ({"features": ("contact.delay",)}, "write <first>:<second>.delay"),
         ({"mode": "foward"}, "did you mean 'forward'"),
         ({"differences": "all"}, "differences: no differences 'all'"),
-        ({"average": 0.0}, "give an average > 0"),
+        ({"average": 0.0}, "average = 0 s is out of range"),
         ({"accuracy": "god"}, "accuracy: no level 'god'"),
     ],
 )

@@ -14,9 +14,10 @@ from bcfj_jax.analysis.derivatives.jacobian import channel_names, histories
 from bcfj_jax.analysis.derivatives.measures import vector as feature_vector
 from bcfj_jax.analysis.derivatives.names import Feature, complete
 from bcfj_jax.analysis.derivatives.names import feature as named
-from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.errors import InputError, texts
 from bcfj_jax.core.programs import program
-from bcfj_jax.core.quantities import increasing
+from bcfj_jax.core.quantities import increasing, real
+from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.plan import MAX_STEPS, Plan, plan
 
@@ -46,16 +47,18 @@ def hessian_vector(
         InputError: for a stiff model, whose implicit solver is differentiated once only; for unknown names; and for a
             vector that does not have one finite number a parameter.
     """
+    params = inputs.parameters(inputs.model(scene), params, traced=False)
     if scene.traits.stiff:
         found = "no second derivatives: it is stiff"
         raise InputError(f"scene '{scene.kind}'", found, "they are for models without friction, as impact and bounce")
     t = increasing(times)
     full, names = complete(scene, params, wrt)
     contacts = scene.members
-    wanted = named(feature, contacts)
+    (one,) = texts("feature", [feature], 'name one feature, such as "contact.mean"')
+    wanted = named(one, contacts)
     if wanted.kind in ("period", "delay"):
         raise InputError(f"feature '{feature}'", "no second derivatives", "take peak, mean, impulse or another")
-    v = np.asarray(vector, dtype=float)
+    v = real("vector", "vector", vector)
     if v.shape != (len(names),) or not np.isfinite(v).all():
         raise InputError("vector", f"shape {v.shape}", f"give {len(names)} finite number(s), one a parameter")
     arguments = (dict(full), t, plan(scene, accuracy, max_steps), v)

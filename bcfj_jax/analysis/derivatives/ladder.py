@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
@@ -11,8 +11,9 @@ from jax.typing import ArrayLike
 
 from bcfj_jax.analysis.derivatives.norms import norm
 from bcfj_jax.analysis.derivatives.sensitivity import Sensitivity, sensitivity
-from bcfj_jax.core.errors import InputError, nearest
-from bcfj_jax.core.quantities import check_value
+from bcfj_jax.core.errors import InputError, nearest, quoted
+from bcfj_jax.core.quantities import scalar
+from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.plan import MAX_STEPS
 
@@ -69,15 +70,18 @@ def smoothing_ladder(
     Raises:
         InputError: as ``sensitivity``; and for a knob the scene does not have, or a width out of range.
     """
+    params = inputs.parameters(inputs.model(scene), params, traced=False)
     if knob not in KNOBS:
-        raise InputError("knob", f"no knob '{knob}'", nearest(knob, KNOBS))
+        raise InputError("knob", f"no knob {quoted(knob)}", nearest(knob, KNOBS))
     if knob not in scene.quantities:
         raise InputError("knob", f"scene '{scene.kind}' with these options has no {knob}", "switch it on in the scene")
-    if len(values) == 0:
+    if isinstance(values, str) or not isinstance(values, Iterable):
+        raise InputError("values", quoted(values), f"give a list of values of {knob}")
+    widths = [scalar("values", scene.quantities[knob], value) for value in values]
+    if not widths:
         raise InputError("values", "no width", f"give values of {knob}")
-    check_value("values", scene.quantities[knob], np.asarray(values, dtype=float))
     found: list[tuple[float, Sensitivity]] = []
-    for value in sorted(map(float, values)):
+    for value in sorted(widths):
         at = {**params, knob: jnp.asarray(value)}
         options = {"accuracy": accuracy, "average": average, "levels": levels, "max_steps": max_steps}
         found.append((value, sensitivity(scene, at, times, wrt, mode="forward", differences="none", **options)))

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from jax import Array
 
-from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.errors import InputError, nearest, texts
 from bcfj_jax.mechanism.channels import is_reading, unit_of
 from bcfj_jax.mechanism.model import AbstractModel, Params
 
@@ -79,7 +79,8 @@ def complete(scene: AbstractModel, params: Params, wrt: Sequence[str]) -> tuple[
         InputError: for no name, an unknown one (with the nearest) or a repeated one, and one without a value; as
             ``expanded``, which says what groups and patterns are.
     """
-    names = tuple(map(scene.canonical, expanded(scene, params, (wrt,) if isinstance(wrt, str) else wrt)))
+    asked = texts("wrt", wrt, f"name one or more of {', '.join(scene.quantities)}")
+    names = tuple(map(scene.canonical, expanded(scene, params, asked)))
     if not names:
         raise InputError("wrt", "no parameter", f"name one or more of {', '.join(scene.quantities)}")
     full = dict(params)

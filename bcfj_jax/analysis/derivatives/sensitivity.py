@@ -20,19 +20,23 @@ from bcfj_jax.analysis.derivatives.names import feature as named
 from bcfj_jax.analysis.derivatives.reverse import Gradient, gradient, reversed_certificate, reversible
 from bcfj_jax.analysis.derivatives.steady import Steady, prepared
 from bcfj_jax.analysis.derivatives.steady import steady as of_steady
-from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core import presented
+from bcfj_jax.core.errors import InputError, nearest, quoted, texts
 from bcfj_jax.core.progress import stage
-from bcfj_jax.core.quantities import increasing
+from bcfj_jax.core.quantities import Quantity, increasing, scalar, whole
 from bcfj_jax.core.status import OK, reason
 from bcfj_jax.core.threads import ahead, together
+from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.mechanism.observed import observing
-from bcfj_jax.solve.plan import LEVELS, MAX_STEPS, Plan, check_bits, plan
+from bcfj_jax.solve.plan import MAX_STEPS, Plan, check_bits, force_error, plan
 from bcfj_jax.solve.simulation import compiled
 
 MODES = ("auto", "forward", "reverse")
 DIFFERENCES = ("direction", "each", "none")
 _MANY = 50
+_AVERAGE = Quantity("average", "s", "width of the moving average", 0.0, open_low=True)
+_BUDGET = Quantity("budget", "s", "time for central differences", 0.0)
 # Pitches of steady motion over which central differences are taken.
 _PITCHES = 4
 # Features that do not hang on where samples are, and samples in a turn that they need.
@@ -53,6 +57,7 @@ class Sensitivity(NamedTuple):
         status, reason, failure_time: as ``Run``.
         stats: steps, tolerance, wall_s and compile_s of all solves with derivatives, levels.
         steady: of the motion that the run settles to, where that was asked for and the model knows its pitch.
+        values: of the parameters of ``wrt`` [SI], at which the derivatives are taken.
     """
 
     times: np.ndarray
@@ -67,6 +72,14 @@ class Sensitivity(NamedTuple):
     failure_time: float
     stats: dict[str, float]
     steady: Steady | None = None
+    values: dict[str, float] = {}
+
+    _view = "bcfj_jax.analysis.derivatives.view"
+    __repr__ = presented.text
+    _repr_html_ = presented.html
+    to_pandas = presented.to_pandas
+    to_xarray = presented.to_xarray
+    plot = presented.plot
 
 
 def sensitivity(
@@ -114,10 +127,11 @@ def sensitivity(
     """
     check_bits()
     t = increasing(times)
+    params = inputs.parameters(inputs.model(scene), params, traced=False)
     scene.check(params)
     scene = scene.suited(params, float(t[-1]))
     full, names = complete(scene, params, wrt)
-    asked = (features,) if isinstance(features, str) else features
+    asked = texts("features", features, 'name features, such as "contact.peak"')
     scene = observing(scene, asked)
     contacts = scene.members
     if not contacts:
@@ -126,10 +140,10 @@ def sensitivity(
     wanted = [named(name, contacts) for name in asked] or default_features(contacts)
     for what, value, known in (("mode", mode, MODES), ("differences", differences, DIFFERENCES)):
         if value not in known:
-            raise InputError(what, f"no {what} '{value}'", nearest(value, known))
-    if not average > 0 or levels < 1:
-        found = f"average = {average:g} s, levels = {levels}"
-        raise InputError("certificate", found, "give an average > 0 and levels >= 1")
+            raise InputError(what, f"no {what} {quoted(value)}", nearest(value, known))
+    average = scalar("certificate", _AVERAGE, average)
+    levels = whole("levels", levels, most=100)
+    budget = None if budget is None else scalar("certificate", _BUDGET, budget)
     how = plan(scene, accuracy, max_steps)
     if mode == "reverse" or (mode == "auto" and len(names) > _MANY):
         able = reversible(wanted)
@@ -137,7 +151,7 @@ def sensitivity(
         plans = [how, Plan(how.tolerance * 0.25, max_steps, how.tangents)] if certify else [how]
         solved = [gradient(scene, full, t, names, each, able, contacts) for each in plans]
         return _reverse(t, names, _values(full, names), able, contacts, solved, max_steps)
-    error = LEVELS[accuracy] if isinstance(accuracy, str) else accuracy
+    error = force_error(accuracy)
     # Compiled beside the first solves.
     if steady and scene.recurs(full) and t[-1] >= scene.settled_from(full):
         ahead(partial(prepared, scene, full, names, max_steps))
@@ -167,6 +181,7 @@ def sensitivity(
             "compile_s": sum(r.compile_s for r in climbed),
             "levels": len(climbed),
         },
+        values={name: float(full[name]) for name in names},
     )
     if steady and not failed:
         end = last.value.state[-1] * np.asarray(last.scale)
@@ -400,4 +415,5 @@ def _reverse(
         slopes, reversed_certificate(names, values, wanted, solved) if len(solved) > 1 else None,
         "failed" if failed else "ok", reason(last.code, max_steps), last.end if failed else float("nan"),
         {**last.stats, **spent, "levels": len(solved)},
+        values=dict(zip(names, map(float, values), strict=True)),
     )  # fmt: skip

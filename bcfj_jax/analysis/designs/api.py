@@ -30,9 +30,10 @@ from bcfj_jax.analysis.designs.result import (
 )
 from bcfj_jax.analysis.designs.space import Free, Space, space
 from bcfj_jax.analysis.designs.tolerance import DISTRIBUTIONS, robust, robustness
-from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.errors import InputError, nearest, quoted, texts
 from bcfj_jax.core.progress import stage
-from bcfj_jax.core.quantities import increasing
+from bcfj_jax.core.quantities import Quantity, increasing, number, real, scalar, whole
+from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.mechanism.observed import observing
 from bcfj_jax.solve.plan import MAX_STEPS, plan
@@ -98,10 +99,15 @@ def design(
         InputError: for names, bounds, tolerances and options that are not right.
     """
     t = increasing(times, 2)
-    sign = _sign(sense, distribution, kappa, samples, starts, norms, iterations)
+    params = inputs.parameters(inputs.model(scene), params, traced=False)
+    kappa = scalar("kappa", _KAPPA, kappa)
+    sign = _sign(sense, distribution, samples, starts, norms, iterations)
     if scene.traits.open:
         raise InputError(f"scene '{scene.kind}' fidelity", f"'{scene.title}' is no model yet", "give one by name")
     asked = features if callable(objective) else [objective] if isinstance(objective, str) else objective
+    asked = texts(
+        "objective", list(asked) if isinstance(asked, Mapping) else asked, 'name features, such as "contact.peak"'
+    )
     scene = observing(scene, asked)
     wanted, box = _objective(objective, features, scene.members), space(scene, params, free)
     full = complete(scene, params, box.names)[0]
@@ -162,20 +168,22 @@ def design(
 
 _objective, _starts, _confirm = objective, starts, confirm
 
+_KAPPA = Quantity("kappa", "1", "weight of the linear worst change", 0.0)
+_NORM = Quantity("norms", "1", "exponent of a norm", 1.0, open_low=True)
 
-def _sign(sense: str, distribution: str, kappa: float, samples: int, starts: int, norms: Any, iterations: int) -> float:
+
+def _sign(sense: str, distribution: str, samples: int, starts: int, norms: Any, iterations: int) -> float:
     """1 for least, -1 for most; options that are not right raise ``InputError``."""
-    if sense not in SENSES:
-        raise InputError("sense", f"no sense '{sense}'", nearest(sense, SENSES))
+    if not isinstance(sense, str) or sense not in SENSES:
+        raise InputError("sense", f"no sense {quoted(sense)}", nearest(sense, SENSES))
     if distribution not in DISTRIBUTIONS:
-        raise InputError("distribution", f"no distribution '{distribution}'", nearest(distribution, DISTRIBUTIONS))
-    if not 0.0 <= kappa < np.inf:
-        raise InputError("kappa", f"{kappa:g}", "give a weight >= 0")
-    if min(samples, starts, iterations) < 1:
-        found = f"samples = {samples}, starts = {starts}, iterations = {iterations}"
-        raise InputError("search size", found, "give 1 or more of each")
-    if any(not q > 1.0 for q in norms or ()):
-        raise InputError("norms", f"{norms}", "give exponents above 1")
+        raise InputError(
+            "distribution", f"no distribution {quoted(distribution)}", nearest(distribution, DISTRIBUTIONS)
+        )
+    for what, count in (("samples", samples), ("starts", starts), ("iterations", iterations)):
+        whole(what, count)
+    for q in np.ravel(real("norms", "norms", [] if norms is None else norms)):
+        number("norms", _NORM, q)
     return SENSES[sense]
 
 

@@ -16,7 +16,7 @@ from bcfj_jax.analysis.derivatives.jacobian import Histories
 from bcfj_jax.analysis.designs.objective import Objective, measured
 from bcfj_jax.core.programs import program
 from bcfj_jax.mechanism.model import AbstractModel, Params
-from bcfj_jax.solve.plan import LEVELS
+from bcfj_jax.solve.plan import LEVELS, force_error
 from bcfj_jax.solve.simulation import Run, simulate
 
 # Share of the gain that must be seen again: with the same model, and with one that has more in it.
@@ -55,7 +55,7 @@ def independent(scene: AbstractModel) -> tuple[AbstractModel, str | None]:
 
 def tighter(accuracy: str | float) -> float:
     """Force error of the check: a tenth of the optimiser's, and no more than ``reference``."""
-    asked = LEVELS[accuracy] if isinstance(accuracy, str) else accuracy
+    asked = force_error(accuracy)
     return max(min(0.1 * asked, LEVELS["reference"]), _TIGHTEST)
 
 

@@ -24,7 +24,7 @@ from jax import Array
 from bcfj_jax.analysis.derivatives.jacobian import Histories, channel_names
 from bcfj_jax.analysis.derivatives.measures import vector
 from bcfj_jax.analysis.derivatives.names import UNITS, Feature, feature, feature_unit, members
-from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.errors import InputError, quoted, texts
 
 # Beside the features of ``derivatives``: the deepest penetration, and the greatest |F| where a force has two signs.
 OWN = {"peak_penetration": "m", "largest": "N"}
@@ -73,17 +73,18 @@ def objective(
     Raises:
         InputError: for a name that is not known, and a period, which is found on the host.
     """
+    features = texts("features", features, 'name features, such as "contact.peak"')
     if callable(asked):
         if not features:
             raise InputError("features", "none", "name the features that the objective reads")
-        names, weights, combine = tuple(features), (1.0,) * len(features), asked
+        names, weights, combine = features, (1.0,) * len(features), asked
         text, unit = getattr(asked, "__name__", "objective"), ""
         parts = tuple(_feature(name, contacts) for name in names)
     else:
-        table = {asked: 1.0} if isinstance(asked, str) else dict(asked)
+        table = {asked: 1.0} if isinstance(asked, str) else dict(asked) if isinstance(asked, Mapping) else {}
         plain = all(isinstance(w, (int, float, np.number)) and np.isfinite(w) for w in table.values())
-        if not table or not plain:
-            raise InputError("objective", f"{asked}", "give one feature or more, each with a finite weight")
+        if not table or not plain or not all(isinstance(name, str) for name in table):
+            raise InputError("objective", quoted(asked), "give one feature or more, each with a finite weight")
         names, weights, combine = tuple(table), tuple(float(w) for w in table.values()), None
         alone = len(names) == 1 and weights == (1.0,)
         # Known to be a feature's name from here on.

@@ -12,6 +12,7 @@ from bcfj_jax.analysis.designs.confirm import Confirmation
 from bcfj_jax.analysis.designs.descent import Path as Way
 from bcfj_jax.analysis.designs.space import Space
 from bcfj_jax.analysis.designs.tolerance import Robustness
+from bcfj_jax.core import presented
 from bcfj_jax.io import outputs
 
 OK, FAILED, NOT_CONFIRMED, NOT_TRUSTED, ALONE, ROUGH, NO_GAIN = (
@@ -77,6 +78,13 @@ class Design(NamedTuple):
     failures: dict[str, int]
     stats: dict[str, float]
     space: Space
+
+    _view = "bcfj_jax.analysis.designs.view"
+    __repr__ = presented.text
+    _repr_html_ = presented.html
+    to_pandas = presented.to_pandas
+    to_xarray = presented.to_xarray
+    plot = presented.plot
 
     def content(self) -> dict[str, Any]:
         """The design as ``design.json`` has it."""

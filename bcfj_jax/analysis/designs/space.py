@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bcfj_jax.core.errors import InputError, nearest
-from bcfj_jax.core.quantities import Quantity, check_value
-from bcfj_jax.io.units import quantity
+from bcfj_jax.core.errors import InputError, nearest, quoted, texts
+from bcfj_jax.core.quantities import Quantity, scalar
+from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.model import AbstractModel, Params
 
 SCALES = ("linear", "log")
@@ -90,10 +90,13 @@ def space(scene: AbstractModel, params: Params, free: Mapping[str, Free | Sequen
         InputError: for no parameter, an unknown one (with the nearest), bounds that are no range or leave the
             parameter's own, a negative tolerance, an unknown scale and a logarithmic one that reaches 0.
     """
+    if not isinstance(free, Mapping):
+        raise InputError("free", quoted(free), 'give bounds by name: {"stiffness": (1e9, 1e11)}')
     if not free:
         raise InputError("free", "no parameter", f"name one or more of {', '.join(scene.quantities)}")
+    texts("free", list(free), f"name one or more of {', '.join(scene.quantities)}")
     free = {scene.canonical(name): one for name, one in free.items()}
-    given = [one if isinstance(one, Free) else Free(*one) for one in free.values()]
+    given = [_fields(name, one) for name, one in free.items()]
     rows = [_one(scene, params, name, one) for name, one in zip(free, given, strict=True)]
     lower, upper, tolerance = (np.array([row[k] for row in rows], dtype=float) for k in range(3))
     return Space(
@@ -102,27 +105,27 @@ def space(scene: AbstractModel, params: Params, free: Mapping[str, Free | Sequen
     )  # fmt: skip
 
 
+def _fields(name: str, one: Any) -> Free:
+    """What was given for one parameter, as ``Free``."""
+    if isinstance(one, Free):
+        return one
+    if isinstance(one, str) or not isinstance(one, Sequence) or not 2 <= len(one) <= len(Free._fields):
+        raise InputError(f"free '{name}'", quoted(one), f"give ({', '.join(Free._fields)}), the first two at least")
+    return Free(*one)
+
+
 def _one(scene: AbstractModel, params: Params, name: str, given: Free) -> tuple[float, float, float]:
     where, known = f"free '{name}'", scene.quantities
     if name not in known:
         raise InputError(where, f"scene '{scene.kind}' has no such parameter", nearest(name, known))
     if given.scale not in SCALES:
-        raise InputError(f"{where} scale", f"no scale '{given.scale}'", nearest(given.scale, SCALES))
-    contact = name.rpartition(".")[0]
-    keys = [f"{contact}.exponent" if contact else "exponent", "exponent"]
-    exponent = next((float(params[key]) for key in keys if key in params), 1.0)
-
-    def number(value: float | str, end: str, unit: str) -> float:
-        return quantity(value, unit, f"{where} {end}", exponent=exponent)
-
-    lower, upper = (number(getattr(given, end), end, known[name].unit) for end in ("lower", "upper"))
-    tolerance = number(given.tolerance, "tolerance", "1" if given.relative else known[name].unit)
-    for end, value in (("lower", lower), ("upper", upper)):
-        check_value(f"{where} {end}", known[name], value)
+        raise InputError(f"{where} scale", f"no scale {quoted(given.scale)}", nearest(given.scale, SCALES))
+    power = inputs.exponent(scene, name, params)
+    lower, upper = (scalar(f"{where} {end}", known[name], getattr(given, end), power) for end in ("lower", "upper"))
+    half = Quantity("tolerance", "1" if given.relative else known[name].unit, "half width of a tolerance", 0.0)
+    tolerance = scalar(f"{where} tolerance", half, given.tolerance, power)
     if not lower < upper:
         raise InputError(where, f"lower = {lower:g} is not below upper = {upper:g}", "give lower < upper")
-    if not 0.0 <= tolerance < np.inf:
-        raise InputError(f"{where} tolerance", f"{tolerance:g}", "give a half width >= 0")
     if given.scale == "log" and lower <= 0.0:
         raise InputError(f"{where} lower", f"{lower:g} on a log scale", "give a lower bound > 0")
     return lower, upper, tolerance

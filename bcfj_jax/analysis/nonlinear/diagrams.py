@@ -18,7 +18,9 @@ from numpy.typing import ArrayLike
 
 from bcfj_jax.analysis.nonlinear.sections import Period, drive_period, impacts, revolutions_to_keep
 from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.quantities import real
 from bcfj_jax.core.status import OK, reason
+from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.model import AbstractModel, Params, Reading, Solution
 from bcfj_jax.solve.plan import MAX_STEPS, Plan, plan
 from bcfj_jax.solve.simulation import readings
@@ -170,9 +172,10 @@ def impact_bifurcation(
 
 def _batch(scene: AbstractModel, params: Params, name: str, values: ArrayLike) -> tuple[dict[str, Array], list[Params]]:
     """Parameters with leaves (P,), and one by one; ``name`` is a canonical one."""
+    params = inputs.parameters(inputs.model(scene), params, traced=False)
     if name not in params:
         raise InputError(f"scene '{scene.kind}'", f"no parameter '{name}'", nearest(name, params))
-    some = np.asarray(values, dtype=float)
+    some = real(name, "values", values)
     if some.ndim != 1 or some.size < 1:
         raise InputError(name, f"values of shape {some.shape}", "give a list of one or more")
     each: list[Params] = [scene.parameters({**params, name: value}) for value in some]

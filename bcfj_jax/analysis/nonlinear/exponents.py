@@ -22,6 +22,7 @@ from jax import Array
 from jax.flatten_util import ravel_pytree
 
 from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.quantities import whole
 
 Step = Callable[[Any], Any]
 Field = Callable[[Array, Array], Array]
@@ -69,9 +70,9 @@ def check_counts(iterations: int, transients: int, batches: int) -> None:
     Raises:
         InputError: for no iterations, negative transients, or more batches than iterations.
     """
-    if iterations < 1 or transients < 0:
-        raise InputError("iterations", f"{iterations} after {transients}", "give 1 or more, after 0 or more")
-    if batches < 0 or batches > iterations:
+    whole("iterations", iterations)
+    whole("transients", transients, least=0)
+    if whole("batches", batches, least=0) > iterations:
         raise InputError("batches", f"{batches} of {iterations} iterations", "give no more batches than iterations")
 
 

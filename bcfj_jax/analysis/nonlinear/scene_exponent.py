@@ -21,12 +21,19 @@ from jax import Array
 
 from bcfj_jax.analysis.nonlinear.exponents import Exponent, check_counts, from_growth
 from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.quantities import Quantity, scalar
 from bcfj_jax.core.status import OK, reason
+from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.integrate import Problem, code_of, controller, integrate, problem
 from bcfj_jax.solve.plan import MAX_STEPS, Plan, plan
 from bcfj_jax.solve.sdirk import Sdirk
 from bcfj_jax.solve.tangents import SdirkTangents
+
+_TIMES = (
+    Quantity("interval", "s", "time after which the tangent is shortened", 0.0, open_low=True),
+    Quantity("settle", "s", "time until the start is forgotten", 0.0),
+)
 
 
 def scene_exponent(
@@ -66,6 +73,7 @@ def scene_exponent(
         InputError: for a scene without a drive and no interval and settle given, for a joint that has no dynamics,
             for times that are not positive, and as ``simulate``.
     """
+    params = inputs.parameters(inputs.model(scene), params, traced=False)
     check_counts(intervals, 0, batches)
     if scene.traits.turning and (interval is None or settle is None):
         turn, pitch = scene.period(params)
@@ -73,8 +81,7 @@ def scene_exponent(
         settle = 5.0 * turn if settle is None else settle
     if interval is None or settle is None:
         raise InputError(f"scene '{scene.kind}'", "has no period of its own", "give interval and settle")
-    if not (interval > 0.0 and settle >= 0.0):
-        raise InputError("interval, settle", f"{interval:g} s, {settle:g} s", "give times that are positive")
+    interval, settle = (scalar("exponent", q, x) for q, x in zip(_TIMES, (interval, settle), strict=True))
     # One interval more, at least, passes without being counted.
     settled = scene.settled_from(params)
     if settle + interval < settled:

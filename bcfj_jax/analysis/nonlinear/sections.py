@@ -17,6 +17,8 @@ from numpy.typing import ArrayLike
 
 from bcfj_jax.analysis.features import contact_times
 from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.quantities import Quantity, scalar, whole
+from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.plan import MAX_STEPS
 from bcfj_jax.solve.simulation import simulate
@@ -67,15 +69,17 @@ def drive_period(scene: AbstractModel, params: Params, period: Period = None) ->
     return found
 
 
+_PHASE = Quantity("phase", "rad", "drive angle of the section", 0.0, math.nextafter(2.0 * math.pi, 0.0))
+
+
 def revolutions_to_keep(revolutions: int, transients: int, phase: float) -> np.ndarray:
     """Drive angles of the section over 2 pi, (N,): transients, transients + 1 .. revolutions, each plus the phase.
 
     Raises:
         InputError: for a phase outside [0, 2 pi), a negative number of transients, and for nothing to keep.
     """
-    if not 0.0 <= phase < 2.0 * math.pi:
-        raise InputError("phase", f"{phase:g} rad", "give 0 to below 2 pi")
-    if transients < 0 or revolutions < max(transients, 1):
+    phase = scalar("section", _PHASE, phase)
+    if whole("revolutions", revolutions) < max(whole("transients", transients, least=0), 1):
         found = f"{revolutions} with {transients} transients"
         raise InputError("revolutions", found, "give more revolutions than transients")
     first = max(transients, 0 if phase > 0.0 else 1)
@@ -108,6 +112,7 @@ def stroboscopic(
     Raises:
         InputError: ``drive_period``, ``revolutions_to_keep``, ``simulate``.
     """
+    params = inputs.parameters(inputs.model(scene), params, traced=False)
     times = revolutions_to_keep(revolutions, transients, phase) * drive_period(scene, params, period)
     run = simulate(scene, params, times, accuracy=accuracy, max_steps=max_steps)
     assert run.trajectory is not None

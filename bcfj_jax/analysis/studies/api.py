@@ -16,7 +16,9 @@ from bcfj_jax.analysis.studies.block import Blocks
 from bcfj_jax.analysis.studies.extra import library, needed
 from bcfj_jax.analysis.studies.specification import Study
 from bcfj_jax.analysis.studies.store import Store, facts_of, merge, write_parquet
-from bcfj_jax.core.errors import InputError
+from bcfj_jax.core import presented
+from bcfj_jax.core.errors import InputError, quoted
+from bcfj_jax.core.quantities import whole
 from bcfj_jax.core.threads import cores
 from bcfj_jax.io import outputs, usercode
 from bcfj_jax.io.stop import heeded
@@ -39,6 +41,13 @@ class Result(NamedTuple):
     folder: Path
     table: pa.Table
     state: dict[str, Any]
+
+    _view = "bcfj_jax.analysis.studies.view"
+    __repr__ = presented.text
+    _repr_html_ = presented.html
+    to_pandas = presented.to_pandas
+    to_xarray = presented.to_xarray
+    plot = presented.plot
 
     def column(self, name: str) -> np.ndarray:
         """A column (N,) by name."""
@@ -86,6 +95,12 @@ def study(
         InputError: for bad input, and a folder that holds another study.
         local.Stopped: if the disk is full, or workers die again and again. What is finished stays.
     """
+    for key, value, kinds in (("study", what, (str, Path, Mapping)), ("out", out, (str, Path))):
+        if not isinstance(value, kinds):
+            remedy = "give a file's name" + (", or its content as a table" if key == "study" else "")
+            raise InputError(key, quoted(value), remedy)
+    if workers is not None:
+        whole("workers", workers, most=4096)
     found = specification.from_table(what) if isinstance(what, Mapping) else specification.load(Path(what))
     store = prepare(found, Path(out))
     with heeded():

@@ -25,10 +25,10 @@ from bcfj_jax.analysis.derivatives.names import Feature, complete, feature
 from bcfj_jax.analysis.studies.design import DEFAULTS, DRAWN, KINDS, SCALES, Axis, Options, block_length, number, points
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.programs import program
-from bcfj_jax.core.quantities import CATALOGUE, check_value
+from bcfj_jax.core.quantities import CATALOGUE, scalar
 from bcfj_jax.io import scenefile, tables
 from bcfj_jax.io.scenefile import SceneFile
-from bcfj_jax.io.units import quantity
+from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.mechanism.observed import observing
 
@@ -293,9 +293,5 @@ def _axis(given: SceneFile, name: str, table: _Axis, kind: str, where: str) -> A
 
 
 def _value(given: SceneFile, name: str, value: Any, place: str) -> float:
-    contact, known = name.rpartition(".")[0], given.scene.quantities
-    keys = [f"{contact}.exponent" if contact else "exponent", "exponent"]
-    exponent = next((float(given.params[key]) for key in keys if key in given.params), 1.0)
-    found = quantity(value, known[name].unit, place, exponent=exponent)
-    check_value(place, known[name], found)
-    return found
+    power = inputs.exponent(given.scene, name, given.params)
+    return scalar(place, given.scene.quantities[name], value, power)

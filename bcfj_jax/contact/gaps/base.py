@@ -22,6 +22,7 @@ import jax
 import numpy as np
 from jax import Array
 
+from bcfj_jax.contact.part import Part
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.core.vectors import ZERO, Axes, Number, Vector, array, seen, subtract, turned
@@ -54,7 +55,7 @@ class Face(NamedTuple):
     gate: Number = 1.0
 
 
-class AbstractGap(eqx.Module):
+class AbstractGap(Part):
     """The geometry of one contact.
 
     Attributes:
@@ -64,6 +65,12 @@ class AbstractGap(eqx.Module):
         signed: whether the normal force that is read is the first face's less the second's, and not their sum.
         round: whether b's marker is free within a circle about a's, of the radius ``clearance``, across a's z axis.
     """
+
+    example: ClassVar[str] = """
+class Ground(bj.gaps.AbstractGap):
+    def faces(self, a, b, c):
+        return (bj.gaps.Face(depth=-b.place[2], normal=(0.0, 0.0, -1.0)),)
+"""
 
     needs: ClassVar[tuple[str, ...]] = ()
     quantities: ClassVar[Mapping[str, Quantity]] = {}

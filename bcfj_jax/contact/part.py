@@ -1,0 +1,54 @@
+"""What laws, elastic parts, friction laws and gaps have in common: one that is not complete says what is missing."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import equinox as eqx
+
+from bcfj_jax.core.errors import InputError, quoted
+
+
+class Part(eqx.Module):
+    """A part of a contact, which users may write themselves; ``example`` is the least that one needs."""
+
+    example: ClassVar[str] = ""
+
+    def __new__(cls, *args: Any, **more: Any) -> Any:
+        """Refuse a class that leaves a method out.
+
+        Raises:
+            InputError: naming class and method, with an example.
+        """
+        del args, more
+        missing = sorted(getattr(cls, "__abstractmethods__", ()))
+        if not hasattr(cls, "needs"):
+            missing.append("needs")
+        if missing:
+            found = f"it lacks {' and '.join(missing)}"
+            raise InputError(f"class {cls.__name__}", found, f"it needs at least:\n{cls.example}")
+        if isinstance(cls.needs, str):  # type: ignore[attr-defined]
+            remedy = f'give a tuple of names: needs = ("{cls.needs}",)'  # type: ignore[attr-defined]
+            raise InputError(f"class {cls.__name__}", "its needs are one text", remedy)
+        return super().__new__(cls)
+
+
+def checked(where: str, given: Any, kind: type[Part], what: str, by_name: str) -> Any:
+    """A part that was given as itself.
+
+    Args:
+        where: place, for the message.
+        given: what was given.
+        kind: the abstract class that it must be of.
+        what: what one of these is called.
+        by_name: what else may be given.
+
+    Raises:
+        InputError: for a class in the place of its object, and for anything else.
+    """
+    if isinstance(given, kind):
+        return given
+    remedy = f"{by_name}, or an object of a class such as:\n{kind.example}"
+    if isinstance(given, type) and issubclass(given, kind):
+        remedy = f"give an object of it: {given.__name__}()"
+    raise InputError(where, f"{quoted(given)} is no {what}", remedy)

@@ -1,0 +1,161 @@
+"""Results as text, as HTML for notebooks, as tables of pandas and xarray, and as figures: what all kinds share.
+
+What is particular to one kind of result is in the module that its class names as ``_view`` (``View``).
+"""
+
+from __future__ import annotations
+
+import importlib
+import io
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from html import escape
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+import numpy as np
+
+from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.io import plots, report
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Rows = Sequence[Sequence[str]]
+# Rows of a table that are shown.
+MOST_ROWS = 9
+
+
+class Told(NamedTuple):
+    """A result in short.
+
+    Attributes:
+        verdict: how it ended, in a few words: the first line.
+        lines: sentences below it.
+        rows: a table of texts, its first row the heads; empty for none.
+        after: sentences below the table.
+    """
+
+    verdict: str
+    lines: Sequence[str] = ()
+    rows: Rows = ()
+    after: Sequence[str] = ()
+
+
+class Dataset(NamedTuple):
+    """What becomes an ``xarray.Dataset``: per variable its dimensions, values and unit; coordinates likewise."""
+
+    variables: Mapping[str, tuple[tuple[str, ...], Any, str]]
+    coordinates: Mapping[str, tuple[tuple[str, ...], Any, str]]
+    attributes: Mapping[str, Any]
+
+
+class View(Protocol):
+    """What a result's ``_view`` module has."""
+
+    def told(self, found: Any) -> Told:
+        """The result in short."""
+        ...
+
+    def frame(self, found: Any) -> tuple[Mapping[str, Any], str]:
+        """Columns by their heads, and the head of the one that is the index; "" for none."""
+        ...
+
+    def dataset(self, found: Any) -> Dataset:
+        """Arrays with named dimensions."""
+        ...
+
+    def figures(self, found: Any) -> Mapping[str, Callable[[Any], Any]]:
+        """By name, what draws a picture to a path or a ``plots.Kept``; the first is drawn where none is named."""
+        ...
+
+
+def _view(found: Any) -> View:
+    return importlib.import_module(type(found)._view)  # type: ignore[return-value]
+
+
+def _short(rows: Rows) -> tuple[list[Sequence[str]], int]:
+    """A table's first rows, and how many are left out."""
+    left = max(0, len(rows) - 1 - MOST_ROWS)
+    return list(rows[: len(rows) - left]), left
+
+
+def text(found: Any) -> str:
+    """A result in at most 15 lines."""
+    told = _view(found).told(found)
+    rows, left = _short(told.rows)
+    lines = [f"{type(found).__name__}: {told.verdict}", *told.lines]
+    if rows:
+        lines += report.text([[str(cell) for cell in row] for row in rows]).splitlines()
+    if left:
+        lines.append(f"... and {left} more")
+    return "\n".join([*lines, *told.after])
+
+
+def html(found: Any) -> str:
+    """The same as HTML; all of it is escaped."""
+    told = _view(found).told(found)
+    rows, left = _short(told.rows)
+    parts = [f"<p><b>{escape(type(found).__name__)}: {escape(told.verdict)}</b></p>"]
+    parts += [f"<p>{escape(line)}</p>" for line in told.lines]
+    if rows:
+        head, *body = ("".join(f"<{tag}>{escape(str(cell))}</{tag}>" for cell in row) for tag, row in _tagged(rows))
+        lines = "".join(f"<tr>{row}</tr>" for row in body)
+        parts.append(f"<table><thead><tr>{head}</tr></thead><tbody>{lines}</tbody></table>")
+    parts += [f"<p>... and {left} more</p>"] if left else []
+    return "".join([*parts, *(f"<p>{escape(line)}</p>" for line in told.after)])
+
+
+def _tagged(rows: Rows) -> list[tuple[str, Sequence[str]]]:
+    return [("th" if k == 0 else "td", row) for k, row in enumerate(rows)]
+
+
+def _library(name: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        remedy = "install it: pip install 'bcfj-jax[table]'"
+        raise InputError(f"to_{name}", f"needs {name}, which is not installed", remedy) from None
+
+
+def frame(found: Any) -> Any:
+    """A result as a ``pandas.DataFrame``."""
+    pandas = _library("pandas")
+    columns, index = _view(found).frame(found)
+    made = pandas.DataFrame(dict(columns))
+    return made.set_index(index) if index else made
+
+
+def dataset(found: Any) -> Any:
+    """A result as an ``xarray.Dataset``."""
+    xarray = _library("xarray")
+    content = _view(found).dataset(found)
+
+    def made(parts: Mapping[str, tuple[tuple[str, ...], Any, str]]) -> dict[str, Any]:
+        return {
+            name: (dims, np.asarray(values), {"units": unit} if unit else {})
+            for name, (dims, values, unit) in parts.items()
+        }
+
+    return xarray.Dataset(made(content.variables), coords=made(content.coordinates), attrs=dict(content.attributes))
+
+
+def figure(found: Any, what: str = "") -> Figure:
+    """One of a result's pictures."""
+    known = _view(found).figures(found)
+    if not known:
+        raise InputError("plot", f"this {type(found).__name__} has nothing to draw", "see its status and reason")
+    if what and what not in known:
+        raise InputError("plot", f"no picture '{what}'", nearest(what, known))
+    kept = plots.Kept()
+    known[what or next(iter(known))](kept)
+    drawing = kept.drawing
+    assert drawing is not None
+    # Notebooks show a figure that pyplot has not made only if it says how.
+    drawing._repr_png_ = partial(_png, drawing)  # type: ignore[attr-defined]
+    return drawing
+
+
+def _png(drawing: Figure) -> bytes:
+    buffer = io.BytesIO()
+    drawing.savefig(buffer, format="png", dpi=110)
+    return buffer.getvalue()

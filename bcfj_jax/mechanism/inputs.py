@@ -1,0 +1,156 @@
+"""What a verb is given, checked once: a model, and the values of its parameters. Files and Python meet here.
+
+Concrete values are looked at: name, unit, type, shape, range. Traced values pass, so that jit, vmap and grad pay nothing
+when they run. What comes out is a table of float64 scalars, whatever went in: programs are kept by shapes and types, so
+the same numbers in another type would be another program.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jax import Array
+from jax.core import Tracer
+
+from bcfj_jax.core.errors import InputError, nearest, quoted
+from bcfj_jax.core.quantities import CATALOGUE, Quantity, check_order, number
+
+if TYPE_CHECKING:
+    from bcfj_jax.mechanism.model import AbstractModel
+
+
+def model(given: Any) -> AbstractModel:
+    """What was given as a model, if it is one.
+
+    Raises:
+        InputError: for anything else.
+    """
+    from bcfj_jax.mechanism.model import AbstractModel
+
+    if isinstance(given, AbstractModel):
+        return given
+    remedy = (
+        f"give bj.scenes.{given}()" if isinstance(given, str) and given.isidentifier() else "give bj.scenes.impact()"
+    )
+    if isinstance(given, type) or callable(given):
+        remedy = "call it: it makes the model"
+    elif isinstance(given, Mapping):
+        remedy = "the model comes first, then the parameters, then the times"
+    raise InputError("scene", f"{quoted(given)} is no model", remedy)
+
+
+def named(scene: AbstractModel, given: Any, where: str) -> dict[str, Any]:
+    """Values by the scene's own names of parameters; of two names of one parameter the last counts.
+
+    Raises:
+        InputError: for what is no table, and a name that the scene does not have, with the nearest that it has.
+    """
+    if not isinstance(given, Mapping):
+        raise InputError(where, f"{quoted(given)} is no table of parameters", "give scene.parameters(...)")
+    known, found = scene.quantities, {}
+    for key, value in given.items():
+        name = scene.canonical(key) if isinstance(key, str) else key
+        if not isinstance(name, str) or name not in known:
+            # A right name in the wrong place is no misspelling: the law, or another option, does not read it.
+            hint = f"known here: {', '.join(sorted(known))}" if name in CATALOGUE else nearest(key, known)
+            found_here = f"{scene.title} with these options has no parameter {quoted(key)} (= {quoted(value)})"
+            raise InputError(where, found_here, hint)
+        found[name] = value
+    return found
+
+
+def exponents_first(name: str) -> bool:
+    """Order in which values are read: the unit of a stiffness depends on the exponent."""
+    return not name.endswith("exponent")
+
+
+def exponent(scene: AbstractModel, name: str, *tables: Mapping[str, Any]) -> float | None:
+    """The exponent that goes with a parameter: its contact's, or the shared one; of a law without one 1.
+
+    None where it is traced, or one of many: then the unit itself says it.
+
+    Args:
+        scene: whose parameter.
+        name: of the parameter.
+        tables: values by name; the first that has one is taken.
+    """
+    contact = name.rpartition(".")[0]
+    own = f"{contact}.exponent" if contact else "exponent"
+    if own not in scene.quantities:
+        return 1.0
+    found = (table[key] for key in dict.fromkeys((own, "exponent")) for table in tables if key in table)
+    value = next(found, 1.0)
+    return None if isinstance(value, Tracer) or np.ndim(value) else float(value)
+
+
+def values(scene: AbstractModel, given: Any, where: str = "") -> dict[str, Any]:
+    """Values of some of the scene's parameters: float64, SI, each in its range; arrays stand for a batch.
+
+    Args:
+        scene: whose they are.
+        given: by name numbers, arrays, traced values, or texts with a unit such as "20 um".
+        where: place, for the message; by default the scene.
+
+    Raises:
+        InputError: as ``named``; for what is no number of the parameter's unit, and a number out of its range.
+    """
+    where = where or f"scene '{scene.kind}'"
+    by_name, defaults, found = named(scene, given, where), dict(scene.defaults), {}
+    for name in sorted(by_name, key=exponents_first):
+        quantity: Quantity = scene.quantities[name]
+        power = exponent(scene, name, found, defaults) if isinstance(by_name[name], str) else None
+        found[name] = number(where, quantity, by_name[name], power)
+    check_order(where, scene.quantities, {**defaults, **found})
+    return {name: found[name] for name in by_name}
+
+
+def parameters(scene: AbstractModel, given: Any, where: str = "", traced: bool = True) -> dict[str, Array]:
+    """All parameters of one run: ``values``, each a scalar, and none missing.
+
+    Args:
+        scene, given, where: as ``values``.
+        traced: whether traced values pass.
+
+    Raises:
+        InputError: as ``values``; for an array in the place of one number, and for a parameter without a value.
+    """
+    where = where or f"scene '{scene.kind}'"
+    found = values(scene, given, where)
+    for name, value in found.items():
+        if np.ndim(value):
+            remedy = "give one number; many runs are bj.study, or jax.vmap of bj.force_history"
+            raise InputError(where, f"{name} has shape {np.shape(value)}", remedy)
+        if isinstance(value, Tracer) and not traced:
+            remedy = "call this outside of jit, grad and vmap; bj.force_history and bj.reading_history go through them"
+            raise InputError(where, f"{name} is traced", remedy)
+    scene.require(found, where)
+    return found
+
+
+def require_defaults(scene: AbstractModel, given: Mapping[str, Any], where: str) -> None:
+    """Refuse parameters among which one with a default has no value, neither its own nor the shared one.
+
+    Raises:
+        InputError: naming it.
+    """
+    for name in dict(scene.defaults):
+        shared = name.rpartition(".")[2]
+        readers = [key for key in scene.quantities if key.endswith(f".{name}")]
+        if name in given or (shared != name and shared in given) or (readers and all(key in given for key in readers)):
+            continue
+        remedy = "scene.parameters() has every default; change it by {**params, name: value}"
+        raise InputError(where, f"the parameter '{name}' has no value", remedy)
+
+
+def merged(values: Any, more: Mapping[str, Any]) -> dict[str, Any]:
+    """Two tables as one; the second counts.
+
+    Raises:
+        InputError: where the first is no table.
+    """
+    if values is not None and not isinstance(values, Mapping):
+        remedy = 'give a table by names, or names: scene.parameters({"contact.mass": 1.0}), scene.parameters(mass=1.0)'
+        raise InputError("parameters", f"{quoted(values)} is no table", remedy)
+    return {**(values or {}), **more}
