@@ -12,9 +12,9 @@ import io
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -82,12 +82,14 @@ def _text(
     return File(suffix, (end.join(lines) + end + tail.replace("\n", end)).encode(encoding), time, force)
 
 
-def _sheet(rows: list[list[object]], notes: bool = False, time: str = "time [ms]", force: str = "force [kN]") -> File:
+def _sheet(
+    rows: Sequence[Sequence[object]], notes: bool = False, time: str = "time [ms]", force: str = "force [kN]"
+) -> File:
     import openpyxl
 
     book = openpyxl.Workbook()
     for cells in rows:
-        book.active.append(cells)
+        book.worksheets[0].append(cells)
     if notes:
         book.create_sheet("notes").append(["measured by hand"])
     file = io.BytesIO()
@@ -112,8 +114,8 @@ def _in_newtons(r: Record, mark: str, decimal: str, separator: str, quoted: bool
 def files(r: Record) -> dict[str, File]:
     """The dialects by name."""
     preamble = ("Messung: Fallversuch 7", "Datum;12.03.2024", "Kanal;Kraft;Weg", "Abtastrate [Hz];4000", "")
-    german = {"separator": ";", "decimal": ",", "time": "Zeit", "force": "Kraft"}
-    bracket = {**german, "time": "Zeit [ms]", "force": "Kraft [kN]"}
+    german: dict[str, Any] = {"separator": ";", "decimal": ",", "time": "Zeit", "force": "Kraft"}
+    bracket: dict[str, Any] = {**german, "time": "Zeit [ms]", "force": "Kraft [kN]"}
     numbers = [[float(c) for c in cells] for cells in r.rows]
     names = ["time [ms]", "force [kN]", "position [mm]"]
     found = {

@@ -7,6 +7,7 @@ nothing is assumed.
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Iterable, Sequence
 
@@ -80,14 +81,13 @@ def parsed(cells: Sequence[object], decimal: str = ".") -> tuple[np.ndarray, np.
     Infinite numbers are numbers here.
     """
     texts = [c.strip() if isinstance(c, str) else c for c in cells]
-    if all(isinstance(t, str) for t in texts):
-        plain = [(t.replace(",", ".") if decimal == "," and "." not in t else t) or "nan" for t in texts]
-        clean = decimal == "." or not any("." in t for t in texts)
+    strings = [t for t in texts if isinstance(t, str)]
+    if len(strings) == len(texts):
+        plain = [(t.replace(",", ".") if decimal == "," and "." not in t else t) or "nan" for t in strings]
+        clean = decimal == "." or not any("." in t for t in strings)
         if clean and not any("_" in t for t in plain):
-            try:
+            with contextlib.suppress(ValueError):
                 return np.array(plain, dtype=float), np.zeros(len(plain), dtype=bool)
-            except ValueError:
-                pass
     grouped = _grouped(texts, decimal)
     values, bad = np.full(len(texts), np.nan), np.zeros(len(texts), dtype=bool)
     for k, cell in enumerate(texts):

@@ -103,7 +103,7 @@ def prepare(name: str, part: Table, time: str, observe: dict[str, str], recipe: 
         InputError: for a clock that does not go forward, a column that is constant or of the wrong sign, an impact
             that is not whole, and whatever leaves nothing to fit.
     """
-    faults, raw = Faults(), {}
+    faults, raw, clock = Faults(), {}, np.zeros(part.lines.size)
     with faults:
         clock = part.numbers(time, "s", f"{where} time", blank=False)
         check_clock(clock, part, time)

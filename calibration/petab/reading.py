@@ -12,9 +12,9 @@ import numpy as np
 
 from bcfj_jax import InputError, nearest
 from bcfj_jax.analysis.derivatives.names import UNITS
+from bcfj_jax.core.extras import library
 from bcfj_jax.io import scenefile
 from bcfj_jax.mechanism.channels import is_reading
-from calibration.data.readers import library
 from calibration.problem import NUISANCES, OFFSETS, OWN, Channel, Experiment, Free, Observation, Problem
 
 
@@ -30,7 +30,7 @@ def load(path: str | Path, scene: str | Path | None = None) -> Problem:
             noise that is not normal, several periods, formulas that are not gain x output + offset.
     """
     path = Path(path)
-    v2 = library("petab.v2", "petab", str(path), "petab")
+    v2 = library("petab.v2", str(path), "petab")
     tables, config = _read(v2, path)
     extension = (config.extensions or {}).get("bcfj", {})
     models = list((config.model_files or {}).values())

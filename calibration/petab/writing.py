@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bcfj_jax import InputError
-from calibration.data.readers import library
+from bcfj_jax.core.extras import library
 from calibration.problem import NEUTRAL, Experiment, Free, Problem, offsets_of, size
 
 FILES = {
@@ -36,7 +36,7 @@ def export(problem: Problem, scene: dict[str, Any], folder: Path) -> Path:
     Raises:
         InputError: where PEtab is not installed, or its checks refuse the tables.
     """
-    v2 = library("petab.v2", "petab", str(folder), "petab")
+    v2 = library("petab.v2", str(folder), "petab")
     for e in problem.experiments:
         if any(c.jitter for c in e.channels):
             found = f"the noise of {e.name} depends on the slope of its readings"

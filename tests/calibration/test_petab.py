@@ -188,6 +188,6 @@ def test_the_command_writes_what_the_problem_file_says(tmp_path, monkeypatch):
 def test_without_petab_the_extra_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "petab.v2", None)
     one = replace(problem(), experiments=problem().experiments[:1])
-    with pytest.raises(InputError, match=r'petab is not installed; pip install "bcfj-jax\[petab\]"'):
+    with pytest.raises(InputError, match=r'needs petab, which is not installed; pip install "bcfj-jax\[petab\]"'):
         export(one, BASE.resolved, tmp_path / "out")
     assert not (tmp_path / "out").exists()
