@@ -24,6 +24,7 @@ sensor = "free"                  time_offset and the zero of each unit are free 
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -244,7 +245,7 @@ def _proposed(name: str, found: Sensor, file: _File, path: Path, known: dict[str
 
 def _scene(file: _File, path: Path) -> scenefile.SceneFile:
     beside = path.parent / file.scene
-    if file.scene.endswith(".toml") and not beside.exists():
+    if file.scene.endswith(".toml") and not os.path.exists(beside):
         raise InputError(f"{path}: scene", f"no file {beside}", "give a path relative to this file, or a scene's name")
     if not file.scene.endswith(".toml") and file.scene not in scenes.SCENES:
         raise InputError(f"{path}: scene", f"no scene '{file.scene}'", nearest(file.scene, scenes.SCENES))

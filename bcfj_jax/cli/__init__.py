@@ -13,6 +13,7 @@ import sys
 
 from bcfj_jax.cli.base import BAD_INPUT, DONE, INTERRUPTED, SIMULATION_FAILED, app
 from bcfj_jax.io.stop import SIGNALLED, heeded, last, leave
+from bcfj_jax.io.streams import be_patient
 
 __all__ = ["BAD_INPUT", "DONE", "INTERRUPTED", "SIMULATION_FAILED", "app", "main"]
 
@@ -23,6 +24,7 @@ for _module in ("running", "designing", "fitting", "study", "files", "checking")
 
 def main() -> None:
     """Entry point of the command ``bcfj``. Ctrl-C is heeded from here on: modules that load may swallow it."""
+    be_patient()
     try:
         with heeded(signal.SIGTERM):
             app()

@@ -16,9 +16,9 @@ from typing import Annotated, Any
 import typer
 
 from bcfj_jax.cli.options import CHANGES, asked
-from bcfj_jax.core.compile_cache import open_cache
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.progress import Waiting, stage
+from bcfj_jax.core.surroundings import get_ready
 
 DONE, FAILED, BAD_INPUT, SIMULATION_FAILED, INTERRUPTED = 0, 1, 2, 3, 5
 
@@ -86,7 +86,7 @@ def ready(files: list[Path] | None, what: str | Path = "") -> None:
 
         tables.read(Path(what))
     with stage("importing JAX"):
-        open_cache()
+        get_ready()
     if files:
         from bcfj_jax.io.usercode import use_code
 

@@ -14,6 +14,7 @@ _BYTES = 1 << 20
 # XLA writes a fused kernel in MLIR and lowers it in many passes, which is half of all compiling here. Its older writer
 # goes to LLVM at once. benchmarks/solve/kernels.py measures what both options change.
 _OLDER_WRITER = "xla_cpu_disable_new_fusion_emitters"
+_OPTIONS = f"{_LOOPS}={_BYTES},{_OLDER_WRITER}"
 
 
 def set_up() -> None:
@@ -27,7 +28,12 @@ def set_up() -> None:
         sys.modules["jax"].config.update("jax_enable_x64", True)
     else:
         os.environ["JAX_ENABLE_X64"] = "1"
-    flags, options = os.environ.get("XLA_FLAGS", ""), f"{_LOOPS}={_BYTES},{_OLDER_WRITER}"
+    flags = os.environ.get("XLA_FLAGS", "")
     if _LOOPS not in flags and _OLDER_WRITER not in flags:
-        with_extra = flags.replace(_EXTRA, f"{_EXTRA}{options},", 1)
-        os.environ["XLA_FLAGS"] = with_extra if _EXTRA in flags else f"{flags} {_EXTRA}{options}".strip()
+        with_extra = flags.replace(_EXTRA, f"{_EXTRA}{_OPTIONS},", 1)
+        os.environ["XLA_FLAGS"] = with_extra if _EXTRA in flags else f"{flags} {_EXTRA}{_OPTIONS}".strip()
+
+
+def own_flags(flags: str) -> str:
+    """What of XLA's options the user has set: all but ours."""
+    return flags.replace(f"{_EXTRA}{_OPTIONS}", "").strip()

@@ -19,6 +19,11 @@ def clip(value: object, most: int = QUOTED) -> str:
     return text if len(text) <= most else f"{text[: most - 30]}... ({len(text)} characters)"
 
 
+def escaped(text: str) -> str:
+    """A text whose control characters, and what is no character, are written as escapes; its lines stay."""
+    return "".join(x if x.isprintable() or x in "\n\t" else x.encode("unicode_escape").decode("ascii") for x in text)
+
+
 def _short(text: str) -> str:
     """A part of a message, no line of it and not all of it beyond what can be read."""
     if len(text) <= _LONGEST_LINE:

@@ -6,7 +6,7 @@ import errno
 import traceback
 from collections.abc import Callable
 
-from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.errors import InputError, escaped
 from bcfj_jax.io import stop
 from bcfj_jax.io.folder import Session, session
 
@@ -29,7 +29,7 @@ def guarded(verb: Callable[[], int], say: Callable[[str], None]) -> int:
         with session() as held:
             return verb()
     except InputError as error:
-        say(f"error: {error}")
+        say(f"error: {escaped(str(error))}")
         return BAD_INPUT
     except KeyboardInterrupt:
         if not held.kept:
@@ -37,7 +37,7 @@ def guarded(verb: Callable[[], int], say: Callable[[str], None]) -> int:
             return stop.SIGNALLED + stop.last()
         say("interrupted")
     except OSError as error:
-        say(f"error: {_refused(error)}")
+        say(f"error: {escaped(_refused(error))}")
     except MemoryError:
         say("error: not enough memory; ask for fewer samples, points or starts")
     except RecursionError as error:

@@ -18,7 +18,7 @@ from types import TracebackType
 from typing import Any
 
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.io import usercode
+from bcfj_jax.io import opening, usercode
 from bcfj_jax.io.outputs import atomic, plain
 
 NAME = "journal.jsonl"
@@ -66,7 +66,7 @@ class Journal:
     def _read(self) -> bool:
         if not self.path.exists():
             return False
-        lines = self.path.read_bytes().splitlines(keepends=True)
+        lines = opening.content(self.path, _LARGEST, str(self.path), _REMEDY, _REMEDY).splitlines(keepends=True)
         if not lines or lines == [lines[0].rstrip(b"\n")]:  # A crash while the first line was written.
             os.truncate(self.path, 0)
             return False

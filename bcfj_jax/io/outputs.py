@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bcfj_jax.core.errors import escaped
 from bcfj_jax.io.folder import already_there, unwritable
 from bcfj_jax.io.folder import inside as inside
 from bcfj_jax.io.folder import open_folder as open_folder
@@ -117,7 +118,8 @@ def write_toml(path: Path, content: Mapping[str, Any], comment: str = "") -> Non
     """A TOML file, atomically, under comment lines."""
     import tomli_w
 
-    head = "".join(f"# {line}\n" for line in comment.splitlines())
+    # A comment may not hold control characters, which a file's name may.
+    head = "".join(f"# {escaped(line)}\n" for line in comment.split("\n")) if comment else ""
     write_text(path, head + tomli_w.dumps(dict(content)))
 
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 import contextlib
 import inspect
 import math
+import os
 import typing
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -26,7 +27,7 @@ import pydantic
 from jax import Array
 
 from bcfj_jax.contact import laws
-from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.errors import InputError, clip, nearest
 from bcfj_jax.core.quantities import check_order, check_value
 from bcfj_jax.io import changes, mechanismfile, tables, usercode
 from bcfj_jax.io.scenetemplate import template as template
@@ -114,7 +115,7 @@ def content(what: str | Path) -> dict[str, Any]:
     path = Path(what)
     if str(what) in scenes.SCENES:
         return changes.applied(str(what), {"scene": {"kind": str(what)}})
-    if path.suffix != ".toml" and not path.exists():
+    if path.suffix != ".toml" and not os.path.exists(path):
         names = ", ".join(scenes.SCENES)
         raise InputError(str(what), "no such file and no such scene", f"give a .toml file or a scene's name: {names}")
     return tables.read(path)
@@ -123,7 +124,7 @@ def content(what: str | Path) -> dict[str, Any]:
 def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
     """The scene that a file's content describes; errors as ``load``."""
     kind = table["scene"].get("kind", "") if isinstance(table.get("scene"), Mapping) else ""
-    where = str(source) if source else f"scene '{kind}'"
+    where = str(source) if source else f"scene '{clip(kind)}'"
     table = _plain(table)
     file = tables.validated(_File, table, where)
     scene, made_of, spheres = _scene(file, where)

@@ -34,6 +34,7 @@ from bcfj_jax.contact.gaps import AbstractGap
 from bcfj_jax.contact.normal import AbstractLaw
 from bcfj_jax.core.errors import InputError, origin
 from bcfj_jax.core.quantities import Quantity
+from bcfj_jax.io import opening
 from bcfj_jax.models import scenes
 
 # The kind of scene whose parts a file lists; no function may have its name.
@@ -85,10 +86,8 @@ def use_code(path: str | Path, sha256: str = "") -> ModuleType:
             name that is taken.
     """
     path = Path(path)
-    try:
-        text = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"--code {path}", f"cannot be read ({error.strerror})", "name a Python file") from None
+    where, remedy = f"--code {path}", "name a Python file"
+    text = opening.content(path, opening.LARGEST_TOML, where, remedy, remedy)
     return _use(path.resolve(), text, str(path), sha256)
 
 

@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -14,12 +15,13 @@ from bcfj_jax import InputError
 from bcfj_jax.io import folder as folders
 from bcfj_jax.io.folder import LOCK, inside, open_folder, session
 from bcfj_jax.io.guard import guarded
-from bcfj_jax.io.outputs import create, write_text
+from bcfj_jax.io.outputs import create, write_text, write_toml
 
 FILES = ("a.csv", "b.json")
 # A process that holds a folder until it is allowed to end.
 HOLDER = """
 import sys
+import tomllib
 from pathlib import Path
 from bcfj_jax.io.folder import open_folder, session
 with session():
@@ -176,3 +178,16 @@ def test_the_lock_names_what_will_be_written(tmp_path):
         open_folder(tmp_path, "simulate", "x", FILES)
         assert json.loads((tmp_path / LOCK).read_text()) == {"verb": "bcfj simulate", "files": list(FILES)}
     assert not (tmp_path / LOCK).exists()
+
+
+@pytest.mark.parametrize("name", ["a\x01b", "a\nb", "a\x85b\u2028c", "\udce4"])
+def test_a_comment_of_any_characters_can_be_read_back(tmp_path, name):
+    write_toml(tmp_path / "a.toml", {"key": 1, "name": name.encode(errors="replace").decode()}, f"what {name} was")
+    assert tomllib.loads((tmp_path / "a.toml").read_text())["key"] == 1
+
+
+def test_messages_hold_no_control_characters(tmp_path):
+    said = []
+    fail = InputError("a\x1b[31m\0", "b", "c\nd")
+    assert guarded(lambda: run(tmp_path / "out", fail=fail), said.append) == 2
+    assert said == ["error: a\\x1b[31m\\x00: b; c\nd"]

@@ -429,7 +429,7 @@ def test_code_that_raises_within_a_model_is_refused_with_file_and_line(old, new,
 
 def test_a_file_that_is_not_there():
     done = bcfj("simulate", "s.toml", "--code", "none.py")
-    assert done.exit_code == 2 and "--code none.py: cannot be read" in done.stderr
+    assert done.exit_code == 2 and "--code none.py: no file none.py" in done.stderr
 
 
 def test_validate_says_what_every_kind_of_file_holds():

@@ -9,6 +9,7 @@ scene     a scene file (beside the study file), a built-in scene's name, or a ta
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -234,10 +235,14 @@ def _resolved_design(kind: str, size: int, options: Options) -> dict[str, Any]:
 def _scene(scene: Any, where: str, beside: Path) -> tuple[SceneFile, bool]:
     """The scene, and whether it leaves the end to each point's parameters."""
     if isinstance(scene, Mapping):
+        if "scene" not in scene:
+            found = "has a kind, as in a scene file" if "kind" in scene else "has no table scene"
+            remedy = "write [scene.scene], [scene.parameters] and so on, or scene = with a file or a name"
+            raise InputError(f"{where}: [scene]", found, remedy)
         table, given = scene, scenefile.from_table(scene, None)
     elif isinstance(scene, str):
         path = beside / scene
-        found = path if scene.endswith(".toml") and path.exists() else scene
+        found = path if scene.endswith(".toml") and os.path.exists(path) else scene
         given = scenefile.load(found)
         table = tables.read(Path(found)) if given.source else {}
     else:

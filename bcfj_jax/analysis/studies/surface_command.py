@@ -42,7 +42,8 @@ def run(what: str, out: Path | None, features: Sequence[str], derivatives: bool)
         raise next(iter(errors.values()))
     outputs.write_json(folder / JSON, {one.feature: content(one) for one in good})
     for one in good:
-        draw(one, found, folder / f"surface-{one.feature.replace(':', '-')}.png")
+        name = f"surface-{one.feature.replace(':', '-')}.png"
+        draw(one, found, outputs.inside(folder, name, f"feature {one.feature}"))
     refused = [f"{name}: no surface: {error.found}; {error.remedy}" for name, error in errors.items()]
     return "\n".join([table(good), *refused, f"results in {folder}"]), DONE
 

@@ -1,0 +1,86 @@
+"""A command in odd surroundings: a sentence in place of a traceback; output that nobody reads."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import BUILD
+
+import bcfj_jax
+from bcfj_jax.analysis.studies import specification
+from bcfj_jax.core import backend
+from bcfj_jax.core.errors import InputError
+
+
+def bcfj(*arguments, stdout=subprocess.PIPE, **variables):
+    environment = {
+        **{k: v for k, v in os.environ.items() if k not in ("XLA_FLAGS", "EQX_ON_ERROR", "JAX_ENABLE_X64")},
+        "PYTHONPATH": str(Path(bcfj_jax.__file__).parents[1]),
+        "BCFJ_CACHE": str(BUILD / "jax-cache"),
+        **variables,
+    }
+    command = [sys.executable, "-m", "bcfj_jax", *map(str, arguments)]
+    return subprocess.run(command, env=environment, stdout=stdout, stderr=subprocess.PIPE, text=True, check=False)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(
+    ("variables", "says"),
+    [
+        ({"JAX_PLATFORMS": "foo"}, "JAX_PLATFORMS=foo: JAX cannot start"),
+        ({"JAX_DISABLE_JIT": "1"}, "JAX_DISABLE_JIT: is set"),
+        ({"XLA_FLAGS": "--xla_foo=1"}, "Unknown flag in XLA_FLAGS: --xla_foo=1"),
+    ],
+)
+def test_what_jax_cannot_work_with_is_a_sentence(tmp_path, variables, says):
+    done = bcfj("simulate", "impact", "--out", tmp_path / "out", **variables)
+    assert done.returncode == 2 and says in done.stderr and "Traceback" not in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.full
+def test_output_that_nobody_reads_does_not_end_a_run(tmp_path):
+    readable, writable = os.pipe()
+    os.close(readable)
+    try:
+        done = bcfj(
+            "simulate", "impact", "--out", tmp_path / "out", stdout=writable, JAX_ENABLE_X64="0",
+            MPLBACKEND="module://matplotlib_inline.backend_inline", LC_ALL="C", COLUMNS="1",
+        )  # fmt: skip
+    finally:
+        os.close(writable)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "out" / "forces.png").exists() and (tmp_path / "out" / "report.html").exists()
+
+
+def test_options_of_xla_are_ours_or_the_users(monkeypatch):
+    monkeypatch.setenv("XLA_FLAGS", "")
+    backend.set_up()
+    assert backend.own_flags(os.environ["XLA_FLAGS"]) == ""
+    monkeypatch.setenv("XLA_FLAGS", "--xla_foo=1")
+    backend.set_up()
+    assert backend.own_flags(os.environ["XLA_FLAGS"]) == "--xla_foo=1"
+
+
+@pytest.mark.parametrize(
+    ("scene", "says"),
+    [
+        ({"kind": "impact"}, "has a kind, as in a scene file"),
+        ({}, "has no table scene"),
+        ({"scene": {}}, "kind"),
+        ({"scene": 3}, "3 is not accepted"),
+        ("x" * 5000, "no such file and no such scene"),
+        ("x" * 5000 + ".toml", "File name too long"),
+        ("a\0b.toml", "null"),
+        ({"scene": {"kind": "chain", "count": 10**400}}, "chain"),
+    ],
+    ids=["kind", "empty", "no kind", "number", "long name", "long file", "NUL", "many spheres"],
+)
+def test_a_study_of_no_scene_is_refused(scene, says):
+    with pytest.raises(InputError) as refused:
+        specification.from_table({"scene": scene, "vary": {"stiffness": {"values": [1e6]}}})
+    assert says in str(refused.value) and len(str(refused.value)) < 2000
