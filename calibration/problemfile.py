@@ -80,9 +80,9 @@ class FreeTable(tables.Table):
     NAME = [lower, upper] under [free] says no more than the bounds.
     """
 
-    lower: Any = None
-    upper: Any = None
-    start: Any = None
+    lower: tables.Number = None
+    upper: tables.Number = None
+    start: tables.Number = None
     scale: Literal["log", "linear"] | None = None
     each: bool | None = None
 
@@ -104,6 +104,12 @@ class _File(tables.Table):
     sensor: Literal["free", "exact"] = "free"
     model: list[dict[str, Any]] = []
     candidate: list[dict[str, Any]] = []
+
+
+def schema() -> dict[str, Any]:
+    """The JSON Schema of a calibration file."""
+    free = (dict[str, FreeTable | list[tables.Number]], ...)
+    return tables.published(pydantic.create_model("Calibration", __base__=_File, free=free), "calibration")
 
 
 def load(path: str | Path) -> Problem:

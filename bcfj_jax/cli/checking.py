@@ -1,4 +1,4 @@
-"""The verb that checks the installation against published numbers: verify."""
+"""The verbs that check the installation: verify, against published numbers; doctor, what there is and what to do."""
 
 from __future__ import annotations
 
@@ -27,3 +27,18 @@ def verify(
     result(command.document(rows))
     typer.echo(command.table(rows))
     return DONE if command.passed(rows) else FAILED
+
+
+@verb(app, example="bcfj doctor\nbcfj doctor --json")
+def doctor() -> int:
+    """Look at this installation: versions, devices, cores, the folder of compiled programs, extras; say what to do.
+
+    The exit code is 0 where nothing is wrong, and 1 where something is. Extras that are missing are no fault.
+    """
+    ready(None)
+    from bcfj_jax.io import doctor as examination
+
+    found = examination.examine()
+    result(examination.content(found))
+    typer.echo(examination.text(found))
+    return DONE if examination.healthy(found) else FAILED

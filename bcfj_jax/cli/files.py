@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import enum
+import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from bcfj_jax.cli.base import DONE, app, ready, say, verb
+from bcfj_jax.cli.base import DONE, app, ready, result, say, verb
 from bcfj_jax.cli.options import Code
 from bcfj_jax.core.errors import InputError
 
 
 @verb(app, example="bcfj validate my_scene.toml")
 def validate(
-    file: Annotated[Path, typer.Argument(help="A scene file, a calibration file or a study file.")], code: Code = None
+    file: Annotated[Path, typer.Argument(help="A scene, calibration, study or design file.")], code: Code = None
 ) -> int:
     """Check a file and say what it holds; nothing is run, and nothing is written."""
     ready(code, file)
@@ -25,19 +27,65 @@ def validate(
         from calibration import problemfile
 
         problem = problemfile.load(file)
-        free, records = [f.name for f in problem.free], len(problem.experiments)
+        kind, free, records = "calibration", [f.name for f in problem.free], len(problem.experiments)
         text = f"a calibration of {', '.join(free)} from {records} records, of the scene '{problem.scene.kind}'"
+    elif "objective" in content:
+        from bcfj_jax.analysis.designs import command, designfile
+
+        asked = designfile.load(str(file), {})
+        command.check(asked)
+        kind, text = "design", f"a design: {command.sentence(asked)}, of the scene '{asked.scene.kind}'"
     elif "vary" in content:
         from bcfj_jax.analysis.studies import specification
 
         study = specification.load(file)
+        kind = "study"
         text = f"a study of {', '.join(study.names)}: {study.count} points of the scene '{study.given.scene.kind}'"
     else:
         given = scenefile.load(file)
         contacts = ", ".join(contact.name for contact in given.scene.contacts) or "none"
-        text = f"a scene '{given.scene.kind}', {len(given.params)} parameters, contacts: {contacts}"
+        kind, text = "scene", f"a scene '{given.scene.kind}', {len(given.params)} parameters, contacts: {contacts}"
+    result({"file": str(file), "kind": kind, "text": text})
     typer.echo(f"{file} is {text}")
     return DONE
+
+
+class Kind(enum.StrEnum):
+    """Files that have a schema."""
+
+    scene = "scene"
+    calibration = "calibration"
+    study = "study"
+    design = "design"
+
+
+@verb(app, example="bcfj schema scene > scene.schema.json")
+def schema(kind: Annotated[Kind, typer.Argument(help="The kind of file.")]) -> int:
+    """Print the JSON Schema of a file, for editors and programs that write such files."""
+    ready(None)
+    content = schema_of(kind)
+    result(content)
+    typer.echo(json.dumps(content, indent=2))
+    return DONE
+
+
+def schema_of(kind: str) -> dict[str, Any]:
+    """The JSON Schema of a kind of file."""
+    if kind == "calibration":
+        from calibration import problemfile
+
+        return problemfile.schema()
+    if kind == "study":
+        from bcfj_jax.analysis.studies import specification
+
+        return specification.schema()
+    if kind == "design":
+        from bcfj_jax.analysis.designs import designfile
+
+        return designfile.schema()
+    from bcfj_jax.io import scenefile
+
+    return scenefile.schema()
 
 
 @verb(app, example="bcfj init impact\nbcfj init calibration examples/chung_ooi_test1_curve.csv")
@@ -78,7 +126,7 @@ def init(
     return DONE
 
 
-@verb(app)
+@verb(app, example="bcfj report results/simulate-joint")
 def report(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="A folder that a command of bcfj has written.")],
     code: Code = None,
@@ -87,8 +135,6 @@ def report(
 
     report.html is replaced, as a whole. No other file is: of a run the pictures in the report are drawn again from its
     CSV files, and a picture file that is missing is written. A run whose scene needs your own code takes --code.
-
-    Example: bcfj report results/simulate-joint
     """
     from bcfj_jax.io.report import kept
 

@@ -126,7 +126,7 @@ class Lines:
             self.heard = True
             self.say(self.text)
         elif self.total is None:
-            self.say(f"{self.text}: {_time(took)}")
+            self.say(f"{self.text} ({_time(took)} so far)")
             self.every *= 2.0
         elif self.done != self.spoken:
             self.spoken = self.done

@@ -20,7 +20,7 @@ import typing
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pydantic
@@ -29,7 +29,7 @@ from jax import Array
 from bcfj_jax.contact import laws
 from bcfj_jax.core.errors import InputError, clip, nearest
 from bcfj_jax.core.quantities import check_order, check_value
-from bcfj_jax.io import changes, mechanismfile, tables, usercode
+from bcfj_jax.io import changes, mechanismfile, mechanismtables, tables, usercode
 from bcfj_jax.io.scenetemplate import template as template
 from bcfj_jax.io.spheres import Spheres
 from bcfj_jax.io.units import quantity, toleranced
@@ -74,12 +74,12 @@ class SceneFile:
 
 
 class _Time(tables.Table):
-    end: Any = None
+    end: tables.Number = None
     samples: int | None = pydantic.Field(default=None, ge=2, le=10_000_000)
 
 
 class _Accuracy(tables.Table):
-    force_error: Any = None
+    force_error: tables.Number = None
     level: str | None = None
     max_steps: int = pydantic.Field(default=MAX_STEPS, ge=1, le=1_000_000_000)
     solver: str | None = None
@@ -95,6 +95,30 @@ class _File(tables.Table):
     load: list[Any] = pydantic.Field(default_factory=list)
     quantity: dict[str, Any] = pydantic.Field(default_factory=dict)
     read: list[Any] = pydantic.Field(default_factory=list)
+
+
+def schema() -> dict[str, Any]:
+    """The JSON Schema of a scene file: of every built-in scene, and of a mechanism's tables."""
+    kinds: list[Any] = [
+        pydantic.create_model(f"{kind} scene", __base__=_options(kind), kind=(Literal[kind], ...))
+        for kind in scenes.SCENES
+    ]
+    listed = Literal[mechanismfile.KIND]
+    kinds.append(pydantic.create_model("mechanism scene", __base__=mechanismtables.SceneTable, kind=(listed, ...)))
+    loads: list[Any] = [
+        pydantic.create_model(f"{kind} load", __base__=table, kind=(Literal[kind], ...))
+        for kind, table in mechanismtables.LOAD_TABLES.items()
+    ]
+    fields: dict[str, Any] = {
+        "scene": (typing.Union[tuple(kinds)], ...),  # noqa: UP007
+        "parameters": (dict[str, tables.Number], {}),
+        "body": (list[mechanismtables.BodyTable], []),
+        "contact": (list[mechanismtables.ContactTable], []),
+        "load": (list[typing.Union[(*loads, mechanismtables.OwnTable)]], []),
+        "quantity": (dict[str, mechanismtables.QuantityTable], {}),
+        "read": (list[mechanismtables.ReadTable], []),
+    }
+    return tables.published(pydantic.create_model("Scene", __base__=_File, **fields), "scene")
 
 
 def load(what: str | Path) -> SceneFile:

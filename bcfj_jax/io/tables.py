@@ -7,7 +7,7 @@ import tomllib
 import typing
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import pydantic
 
@@ -19,12 +19,28 @@ from bcfj_jax.io.opening import LARGEST_TOML, content
 _DEEPEST = 30
 
 M = TypeVar("M", bound="Table")
+# What a number may be written as; checked by ``units``, which knows the unit.
+Number = Annotated[Any, pydantic.WithJsonSchema({"type": ["number", "string"]})]
 
 
 class Table(pydantic.BaseModel):
     """A TOML table: unknown keys are errors, and a text is not a number or a truth value."""
 
     model_config = pydantic.ConfigDict(extra="forbid", strict=True, frozen=True, arbitrary_types_allowed=True)
+
+
+def published(model: type[Table], kind: str) -> dict[str, Any]:
+    """The JSON Schema of a file of one kind, from its model.
+
+    Names of parameters that have a point are quoted in it, as ``"seat_ball.stiffness"``; the loader needs no quotes.
+    """
+    schema = model.model_json_schema()
+    # Long notes for readers of the code do not help who writes a file.
+    for part in (schema, *schema.get("$defs", {}).values()):
+        if "description" in part:
+            part["description"] = part["description"].split("\n\n")[0].replace("``", "").replace("\n", " ")
+    head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "$id": f"bcfj-{kind}.schema.json"}
+    return {**head, **schema, "title": f"bcfj {kind} file"}
 
 
 def read(path: Path) -> dict[str, Any]:

@@ -29,9 +29,9 @@ _INSTANTS = 49
 class VaryTable(tables.Table):
     """[vary.NAME]: bounds and tolerance, numbers in SI or texts with a unit."""
 
-    lower: Any
-    upper: Any
-    tolerance: Any = 0.0
+    lower: tables.Number
+    upper: tables.Number
+    tolerance: tables.Number = 0.0
     relative: bool = False
     scale: str = "linear"
 
@@ -103,6 +103,13 @@ class Question:
                 **self.search.model_dump(),
             },
         }  # fmt: skip
+
+
+def schema() -> dict[str, Any]:
+    """The JSON Schema of a design file."""
+    return tables.published(
+        pydantic.create_model("Design", __base__=File, vary=(dict[str, VaryTable | list[tables.Number]], ...)), "design"
+    )
 
 
 def is_design(table: Mapping[str, Any]) -> bool:

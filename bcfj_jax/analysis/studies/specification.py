@@ -107,8 +107,8 @@ class _Design(tables.Table):
 
 
 class _Axis(tables.Table):
-    lower: Any = None
-    upper: Any = None
+    lower: tables.Number = None
+    upper: tables.Number = None
     steps: int | None = pydantic.Field(default=None, ge=1, le=MOST_POINTS)
     scale: str = "linear"
     values: list[Any] | None = None
@@ -125,6 +125,11 @@ class _File(tables.Table):
     design: _Design = _Design()
     vary: dict[str, _Axis]
     results: _Results = _Results()
+
+
+def schema() -> dict[str, Any]:
+    """The JSON Schema of a study file."""
+    return tables.published(_File, "study")
 
 
 def load(path: Path) -> Study:
