@@ -51,7 +51,7 @@ def arrow(axis: Any, start: Any, end: Any, colour: str = INK, text: str = "", at
     style = {"arrowstyle": "-|>", "color": colour, "lw": 1.6, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 13}
     axis.annotate("", end, start, arrowprops={**style, **more}, zorder=6)
     if text:
-        axis.text(*(at or end), text, color=colour, ha="center", va="center", zorder=7)
+        axis.text(*(end if at is None else at), text, color=colour, ha="center", va="center", zorder=7)
 
 
 def measure(axis: Any, start: Any, end: Any, text: str, at: Any, colour: str = RED) -> None:
