@@ -27,6 +27,7 @@ root_doc = "index"
 exclude_patterns = ["drawings"]
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 4
+highlight_language = "text"
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"
@@ -62,9 +63,16 @@ def bring(app: Any, page: str, text: list[str]) -> None:
 def plain(app: Any, what: str, name: str, thing: object, options: Any, lines: list[str]) -> None:
     """Docstrings are plain text with ``code``: |x|, a*b and a trailing x_ mean nothing else."""
     for number, line in enumerate(lines):
+        # One line for several arguments: "a, b: text". Napoleon would take the first for a type.
+        line = re.sub(r"^(\s+)(\w+(?:, \w+)+)(?=:(?: |$))", lambda m: m[1] + m[2].replace(", ", "/"), line)
         pieces = re.split(r"(``.*?``|:\w+(?::\w+)?:`.*?`)", line)
         marks = re.compile(r"(?<!\\)([|*]|_(?=\W|$))")
         lines[number] = "".join(p if at % 2 else marks.sub(r"\\\1", p) for at, p in enumerate(pieces))
+
+
+def left_out(app: Any, what: str, name: str, thing: object, skip: bool, options: Any) -> bool | None:
+    """Fields of a NamedTuple stand in the docstring of their class."""
+    return True if type(thing).__name__ == "_tuplegetter" else None
 
 
 def _formula(block: bool) -> Any:
@@ -82,4 +90,5 @@ def setup(app: Any) -> None:
     """What Sphinx calls: docstrings before napoleon reads their sections."""
     app.connect("source-read", bring)
     app.connect("autodoc-process-docstring", plain, priority=100)
+    app.connect("autodoc-skip-member", left_out)
     app.add_html_math_renderer("mathml", (_formula(False), None), (_formula(True), None))

@@ -50,7 +50,9 @@ def restitution() -> None:
         found = jax.vmap(lambda e, f=factor: bj.restitution.delivered_restitution(f(e)))(jnp.asarray(asked))
         axis.plot(asked, found, color=colour, ls=line, lw=2, label=name)
     axis.plot([0, 1], [0, 1], color=GREY, lw=0.8)
-    axis.set(xlabel="restitution asked for", ylabel="restitution delivered", xlim=(0, 1), ylim=(0, 1.02), aspect="equal")
+    axis.set(
+        xlabel="restitution asked for", ylabel="restitution delivered", xlim=(0, 1), ylim=(0, 1.02), aspect="equal"
+    )
     axis.legend(frameon=False, loc="lower right")
     save(figure, "restitution")
 

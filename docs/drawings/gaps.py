@@ -188,7 +188,9 @@ def ball_in_groove() -> None:
         turn = np.radians(np.linspace(-90, 12, 80))
         arc = np.column_stack([side * (radius + q) * np.cos(turn), (radius + q) * np.sin(turn)]) + centre
         left[side] = arc[(side * arc[:, 0] > 0)]
-    ground = np.vstack([left[1], [(3.1, left[1][-1][1]), (3.1, -2.4), (-3.1, -2.4), (-3.1, left[-1][-1][1])], left[-1][::-1]])
+    ground = np.vstack(
+        [left[1], [(3.1, left[1][-1][1]), (3.1, -2.4), (-3.1, -2.4), (-3.1, left[-1][-1][1])], left[-1][::-1]]
+    )
     axis.add_patch(Polygon(ground, fc=FIRST, ec=INK, lw=1.2))
     axis.add_patch(Circle((0, 0.06), radius - 0.05, fc=SECOND, ec=INK, lw=1.2))
     _marker(axis, (0, 0.06), B, "b", (0.25, 0.3))

@@ -111,9 +111,13 @@ def frames() -> None:
     axis.text(20, -20, "track radius", ha="center", va="center", color=GREEN)
     axis.plot([19, 17], [-18, -6.2], color=GREEN, lw=0.8)
     axis.text(46, -18.8, "ball 1 at time 0", ha="center", va="center", size=10)
-    axis.text(-56, -41, "dashed: circles of the ball centres,\nof the seat's tracks (blue) and the head's (green)", size=9.5)
+    axis.text(
+        -56, -41, "dashed: circles of the ball centres,\nof the seat's tracks (blue) and the head's (green)", size=9.5
+    )
     arrow(axis, 30 * head + (16, 6), 30 * head + (9, 3), ORANGE)
-    axis.text(*(30 * head + (26, 8)), "load: torque about\n-head axis, axial load", ha="center", va="center", color="#9a6700")
+    axis.text(
+        *(30 * head + (26, 8)), "load: torque about\n-head axis, axial load", ha="center", va="center", color="#9a6700"
+    )
     measure(axis, (0, 0), PITCH * across, "pitch_radius", (4, -14.5), RED)
     axis.plot([5, 10], [-12.5, -2.4], color=RED, lw=0.8)
     save(figure, "joint_frames")
