@@ -27,6 +27,7 @@ from bcfj_jax.contact.wrench import ContactForce, press
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.programs import program
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
+from bcfj_jax.core.shapes import Drawing
 from bcfj_jax.core.status import OK
 from bcfj_jax.core.vectors import (
     ZERO,
@@ -58,6 +59,7 @@ from bcfj_jax.mechanism.model import (
     Orbit,
     Params,
     Reading,
+    Scenery,
     Solution,
 )
 
@@ -516,6 +518,24 @@ class Mechanism(AbstractModel):
 
     def _index(self, body: Body, key: str) -> int:
         return next(i for i, (name, own, _) in enumerate(self._placed) if name == body.name and own == key)
+
+    def drawing(
+        self, params: Params, size: float = 1.0, travel: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None
+    ) -> Drawing:
+        """``scenery.drawing``."""
+        from bcfj_jax.mechanism.scenery import drawing
+
+        return drawing(self, params, size, travel)
+
+    def carriers(self) -> dict[str, str]:
+        """The second body, or the first where that is the ground."""
+        return {c.name: c.between[0] if c.between[1] == GROUND else c.between[1] for c in self.contacts}
+
+    def scenery(self, t: Array, y: Array, params: Params) -> Scenery:
+        """``scenery.scenery``."""
+        from bcfj_jax.mechanism.scenery import scenery
+
+        return scenery(self, t, y, params)
 
     def flows(self, t: Array, y: Array, prepared: Params) -> Flows:
         """Power of drives and loads, what friction and damping take, kinetic and elastic energy.

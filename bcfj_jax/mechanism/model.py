@@ -22,6 +22,7 @@ from bcfj_jax.contact.normal import AbstractLaw
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.programs import ask
 from bcfj_jax.core.quantities import Quantity
+from bcfj_jax.core.shapes import Drawing
 from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.structure import AbstractStructure, Dense
 
@@ -67,6 +68,38 @@ class BodyMotion(NamedTuple):
     spin_rate: Array | None = None
     angle: Array | None = None
     drive: Array | None = None
+
+
+class Pose(NamedTuple):
+    """Where a body is drawn: (..., 3) its origin [m], (..., 3, 3) its axes as columns; a body with members has (k, ...)."""
+
+    place: Array
+    axes: Array
+
+
+class Arrow(NamedTuple):
+    """The force of a contact as it is drawn: (..., 3) where it acts [m], (..., 3) the force on ``body`` [N], world axes."""
+
+    point: Array
+    force: Array
+
+
+class Scenery(NamedTuple):
+    """What moves in a drawing, in one state.
+
+    Attributes:
+        poses: by body.
+        ideal: by body, where it would be if every contact just closed without play or penetration; what a viewer
+            exaggerates is the difference.
+        arrows: by contact; a contact with members has (k, 3).
+        offsets: by contact, (3,) marker of its second body in the axes of the first, from the marker of the first [m]; by
+            body that slides, (3,) its place in the axes of its parent, from the joint's place.
+    """
+
+    poses: dict[str, Pose]
+    ideal: dict[str, Pose]
+    arrows: dict[str, Arrow]
+    offsets: dict[str, Array]
 
 
 class Flows(NamedTuple):
@@ -276,6 +309,32 @@ class AbstractModel(eqx.Module):
         """Every body's motion in one state."""
         del t, y, prepared
         return {}
+
+    def drawing(
+        self, params: Params, size: float = 1.0, travel: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None
+    ) -> Drawing:
+        """What the model looks like; nothing by default, and then there is no ``scenery`` either. On the host.
+
+        Args:
+            params: as ever, as NumPy numbers.
+            size: of the whole scene [m]; what has no size of its own (rods, points, planes) is drawn by it.
+            travel: by contact and sliding body, least and greatest ``Scenery.offsets`` (3,) of a run.
+        """
+        del params, size, travel
+        return Drawing()
+
+    def carriers(self) -> dict[str, str]:
+        """By contact the body that its arrow is drawn on."""
+        return {}
+
+    def scenery(self, t: Array, y: Array, params: Params) -> Scenery:
+        """What moves in the drawing, in one state. Pure."""
+        raise InputError("drawing", f"scene '{self.kind}' cannot be drawn", "give a mechanism")
+
+    def level(self, fidelity: str) -> AbstractModel:
+        """The model of a level that ``choose`` chose, by its ``Choice.fidelity``."""
+        del fidelity
+        return self
 
     def flows(self, t: Array, y: Array, prepared: Any) -> Flows:
         """The energy balance in one state."""

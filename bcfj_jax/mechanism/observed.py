@@ -50,6 +50,7 @@ class Observed(AbstractModel):
     recurs, pitch, pitch_before, turned = map(_of, ("recurs", "pitch", "pitch_before", "turned"))
     choice_options, whole, orbits = map(_of, ("choice_options", "whole", "orbits"))
     coefficient, canonical = map(_of, ("coefficient", "canonical"))
+    drawing, carriers, scenery, level = map(_of, ("drawing", "carriers", "scenery", "level"))
 
     def __getattr__(self, name: str) -> Any:
         # What a model's own code asks of it beyond the interface: its structure solves with it.

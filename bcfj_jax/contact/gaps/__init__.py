@@ -16,6 +16,7 @@ from bcfj_jax.contact.gaps.base import Coefficients as Coefficients
 from bcfj_jax.contact.gaps.base import Face as Face
 from bcfj_jax.contact.gaps.base import Frame as Frame
 from bcfj_jax.contact.gaps.base import FromDepth as FromDepth
+from bcfj_jax.contact.gaps.base import Look as Look
 from bcfj_jax.contact.gaps.base import from_depth as from_depth
 from bcfj_jax.contact.gaps.guides import PinInBearing as PinInBearing
 from bcfj_jax.contact.gaps.guides import PinInSlot as PinInSlot

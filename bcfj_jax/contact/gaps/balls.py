@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -9,8 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.contact.gaps.base import ROUND, AbstractGap, Coefficients, Face, Frame, direction, one_of
+from bcfj_jax.contact.gaps.base import ROUND, AbstractGap, Coefficients, Drawn, Face, Frame, Look, direction, one_of
 from bcfj_jax.contact.gaps.guides import between
+from bcfj_jax.core import shapes
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.numerics import smooth_step
 from bcfj_jax.core.vectors import Vector, add, cross, dot, length, plus, scale, subtract, times, turned, unit
@@ -52,6 +54,11 @@ class BallBetweenPlanes(AbstractGap):
         """Outward: from a's marker to the ball's centre."""
         del c
         return subtract(b.place, a.place)
+
+    def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
+        """The ball."""
+        del look
+        return (), (shapes.ball(c["ball_radius"]),)
 
 
 class BallInGroove(AbstractGap):
@@ -137,6 +144,56 @@ class BallInGroove(AbstractGap):
         """Along the track."""
         place, across = self._place(a, b, c)
         return unit(cross(place, across))
+
+    def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
+        """The tracks, forty degrees to either side of the pitch circle, and the ball."""
+        del look
+        outer = self.side == "outer"
+        radius, lean = (
+            float(np.hypot(c["pitch_radius"], c["offset"])),
+            float(np.arctan2(c["offset"], c["pitch_radius"])),
+        )
+        lean = -lean if outer else lean
+        flank = c["ball_radius"] * (2.0 * c["conformity"] - 1.0) if self.section == "gothic" else 0.0
+        gothic = (flank, c["contact_angle"]) if self.section == "gothic" else None
+        arc = groove(c["ball_radius"], radius, c["clearance"], self.side, gothic, (lean - 0.7, lean + 0.7))
+        found = []
+        for i in range(self.tracks or 1):
+            cosine, sine = np.cos(2.0 * np.pi * i / (self.tracks or 1)), np.sin(2.0 * np.pi * i / (self.tracks or 1))
+            turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+            found.append(arc.moved((0.0, 0.0, c["offset"] if outer else -c["offset"]), turn))
+        return tuple(found), (shapes.ball(c["ball_radius"]),)
+
+
+def groove(
+    ball: float,
+    radius: float,
+    clearance: float,
+    side: str,
+    gothic: tuple[float, float] | None,
+    span: tuple[float, float],
+) -> shapes.Mesh:
+    """The surface of a track, from its centre, in the plane of x and z; x is along the middle of the arc.
+
+    Args:
+        ball, radius: of the ball and of the centre circle [m].
+        clearance: normal to a flank [m].
+        side: "outer" or "inner".
+        gothic: flank [m] and contact angle [rad] of a gothic section; None for a circular one.
+        span: angles between which it is drawn, in the track's plane, from x towards z [rad].
+    """
+    kappa = 1.0 if side == "outer" else -1.0
+    turn = np.linspace(-1.2, 1.2, 11)
+    flank, angle = gothic or (0.0, 0.0)
+    way = np.stack([kappa * np.cos(turn), np.sin(turn)], axis=1)
+    centre = -flank * np.stack([np.full_like(turn, kappa * np.cos(angle)), np.sign(turn) * np.sin(angle)], axis=1)
+    section = centre + (ball + flank + clearance) * way
+    outline, slack = section + [radius, 0.0], clearance * way
+    # Its outside is the side of the ball.
+    order = slice(None, None, -1) if side == "outer" else slice(None)
+    mesh = shapes.revolved(outline[order], slack[order], *span, pieces=48)
+    # Turned about y: x stays, the angle grows towards z.
+    return mesh.moved(axes=np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]))
 
 
 def _torus(aside: Any, outward: Any, across: Vector, radial: Vector, tube: Array, ball: Array, flank: float) -> Face:

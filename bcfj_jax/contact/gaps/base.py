@@ -25,6 +25,7 @@ from jax import Array
 from bcfj_jax.contact.part import Part
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.quantities import Quantity
+from bcfj_jax.core.shapes import Mesh
 from bcfj_jax.core.vectors import ZERO, Axes, Number, Vector, array, seen, subtract, turned
 
 Coefficients = Mapping[str, Array]
@@ -53,6 +54,33 @@ class Face(NamedTuple):
     normal: Vector
     lever: Vector = ZERO
     gate: Number = 1.0
+
+
+class Look(NamedTuple):
+    """What a gap is drawn by.
+
+    Attributes:
+        size: of the whole scene [m], for what has no size of its own.
+        low, high: (3,) least and greatest place of b's marker in a's axes from a's marker, in a run [m].
+    """
+
+    size: float
+    low: np.ndarray
+    high: np.ndarray
+
+    @property
+    def middle(self) -> np.ndarray:
+        """Middle of the travel."""
+        return 0.5 * (self.low + self.high)
+
+    @property
+    def half(self) -> np.ndarray:
+        """Half of the travel."""
+        return 0.5 * (self.high - self.low)
+
+
+# Meshes on a, and on b, each in the body's axes and from its marker.
+Drawn = tuple[tuple[Mesh, ...], tuple[Mesh, ...]]
 
 
 class AbstractGap(Part):
@@ -98,6 +126,11 @@ class Ground(bj.gaps.AbstractGap):
         """
         del b, c
         return a.axes[2]
+
+    def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
+        """What it looks like; nothing by default. ``c`` holds numbers. On the host."""
+        del c, look
+        return (), ()
 
 
 class FromDepth(AbstractGap):

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import equinox as eqx
 import numpy as np
 
-from bcfj_jax.contact.gaps.base import ROUND, AbstractGap, Coefficients, Face, Frame, direction, yes_or_no
+from bcfj_jax.contact.gaps.base import ROUND, AbstractGap, Coefficients, Drawn, Face, Frame, Look, direction, yes_or_no
 from bcfj_jax.contact.gaps.spheres import Direction, in_plane
+from bcfj_jax.core import shapes
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.vectors import ZERO, Number, Vector, add, dot, length, negative, scale, subtract, times, turned
 
@@ -45,6 +47,17 @@ def _across(way: Direction) -> Direction:
     return (-way[1] if way[1] else 0.0, way[0], 0.0)
 
 
+def _walls(
+    axes: np.ndarray, apart: float, clearance: float, half: Any, middle: Any = (0.0, 0.0, 0.0)
+) -> tuple[shapes.Mesh, ...]:
+    """Two walls whose inner faces are ``apart`` from the middle along the y axis of ``axes``; ``half`` of a wall [m]."""
+    found = []
+    for sign in (1.0, -1.0):
+        wall = shapes.box(half).moved((0.0, sign * (apart + half[1]), 0.0))
+        found.append(shapes.with_slack(wall, (0.0, sign * clearance, 0.0)).moved(middle, axes))
+    return tuple(found)
+
+
 class TwoSidedStop(AbstractGap):
     """A point of b between two stops of a:  d = +-p . e - clearance,  n = +-e,  p from a's marker to b's.
 
@@ -72,6 +85,17 @@ class TwoSidedStop(AbstractGap):
         """In the stop's plane (class docstring)."""
         del b, c
         return in_plane(a.axes, self.axis)
+
+    def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
+        """Two walls on a bar, and a block between them: as thick as the walls are drawn farther apart."""
+        size, way = look.size, np.array(self.axis)
+        # The y axis of these is along e.
+        axes = shapes.frame(way, (0.0, 1.0, 0.0) if abs(way[1]) < 0.7 else (1.0, 0.0, 0.0))[:, [1, 2, 0]]
+        thick, tall = 0.05 * size, 0.14 * size
+        walls = _walls(axes, c["clearance"] + thick, c["clearance"], (tall, 0.015 * size, tall))
+        bar = shapes.box((0.3 * tall, c["clearance"] + thick, 0.012 * size)).moved(-tall * axes[:, 2], axes)
+        block = shapes.box((0.6 * tall, thick, 0.6 * tall)).moved(0.1 * tall * axes[:, 2], axes)
+        return (*walls, bar), (block,)
 
 
 class PinInSlot(AbstractGap):
@@ -102,6 +126,14 @@ class PinInSlot(AbstractGap):
         """Along the slot."""
         del b, c
         return turned(a.axes, self.axis)
+
+    def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
+        """Two walls and a pin."""
+        axes, radius = shapes.frame((0.0, 0.0, 1.0), self.axis), c["radius"]
+        half = (np.abs(axes[:, 0]) @ look.half + 1.5 * radius, 0.3 * radius, 0.8 * radius)
+        middle = (look.middle @ axes[:, 0]) * axes[:, 0]
+        walls = _walls(axes, radius + c["clearance"], c["clearance"], half, middle)
+        return walls, (shapes.cylinder(radius, 1.2 * radius),)
 
 
 class PinInBearing(AbstractGap):
@@ -149,6 +181,16 @@ class PinInBearing(AbstractGap):
         normal = scale(1.0 / distance, across)
         return (Face(distance - c["clearance"], normal, add(arm, scale(c["radius"], normal))),)
 
+    def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
+        """A ring and a pin."""
+        del look
+        radius, hole = c["radius"], c["radius"] + c["clearance"]
+        long = c["half_length"] if self.ends else 0.7 * radius
+        ring = shapes.cylinder(1.4 * hole, 0.75 * long, hole, c["clearance"])
+        pin = shapes.cylinder(radius, long)
+        # A mark shows how the pin turns.
+        return (ring,), (pin, shapes.box((0.45 * radius, 0.1 * radius, 1.04 * long)).moved((0.45 * radius, 0.0, 0.0)))
+
 
 class SliderInGuide(AbstractGap):
     """Four corners of a block of b between two parallel walls of a guide of a, side by side as 4 members.
@@ -193,3 +235,11 @@ class SliderInGuide(AbstractGap):
         """Along the guide."""
         del b, c
         return turned(a.axes, self.axis)
+
+    def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
+        """Two rails as long as the block travels, and the block."""
+        axes, long, wide = shapes.frame((0.0, 0.0, 1.0), self.axis), c["half_length"], c["half_width"]
+        half = (np.abs(axes[:, 0]) @ look.half + 1.3 * long, 0.2 * wide, 0.6 * wide)
+        middle = (look.middle @ axes[:, 0]) * axes[:, 0]
+        walls = _walls(axes, wide + c["clearance"], c["clearance"], half, middle)
+        return walls, (shapes.box((long, wide, 0.5 * wide)),)

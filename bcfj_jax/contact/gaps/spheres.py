@@ -2,11 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import equinox as eqx
+import numpy as np
 
-from bcfj_jax.contact.gaps.base import ROUND, AbstractGap, Coefficients, Face, Frame, direction, one_of, yes_or_no
+from bcfj_jax.contact.gaps.base import (
+    ROUND,
+    AbstractGap,
+    Coefficients,
+    Drawn,
+    Face,
+    Frame,
+    Look,
+    direction,
+    one_of,
+    yes_or_no,
+)
+from bcfj_jax.core import shapes
 from bcfj_jax.core.vectors import Axes, Number, Vector, dot, length, negative, scale, subtract, turned
 
 Direction = tuple[float, float, float]
@@ -60,6 +74,26 @@ class PointOnPlane(AbstractGap):
         del b, c
         return in_plane(a.axes, self.axis)
 
+    def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
+        """A plate, and a ball that the model gives no radius, its lowest point the point of contact."""
+        radius = max(0.16 * look.size, 4.0 * self._deepest(c, look))
+        ball = shapes.ball(radius).moved(radius * np.array(self.axis))
+        return (self._plate(c, look, max(1.5 * radius, 0.3 * look.size)),), (ball,)
+
+    def _deepest(self, c: Mapping[str, float], look: Look) -> float:
+        """Greatest depth of b's marker below the plane [m]."""
+        up = np.array(self.axis)
+        lowest = look.middle @ up - np.abs(up) @ look.half
+        return max(0.0, -float(lowest) - (c["clearance"] if self.clearance else 0.0))
+
+    def _plate(self, c: Mapping[str, float], look: Look, least: float) -> shapes.Mesh:
+        up, thick = np.array(self.axis), max(0.03 * look.size, 0.8 * self._deepest(c, look))
+        axes = shapes.frame(up)
+        half = np.maximum(np.abs(axes[:, :2]).T @ look.half + 0.5 * least, least)
+        below = c["clearance"] if self.clearance else 0.0
+        middle = look.middle - (look.middle @ up + below + thick) * up
+        return shapes.box((*half, thick)).moved(middle, axes)
+
 
 class SphereOnPlane(PointOnPlane):
     """A sphere of b on a plane of a:  d = radius - p . e - clearance,  n = -e,  p from a's marker to b's.
@@ -84,6 +118,10 @@ class SphereOnPlane(PointOnPlane):
         down = negative(up)
         return (Face(c["radius"] - _above(a, b, up, c, self.clearance), down, scale(c["radius"], down)),)
 
+    def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
+        """A plate and a sphere."""
+        return (self._plate(c, look, max(1.4 * c["radius"], 0.3 * look.size)),), (shapes.ball(c["radius"]),)
+
 
 class SphereOnSphere(AbstractGap):
     """Two spheres, centres at the markers:  d = radius_a + radius_b - |p|,  n = -p/|p|,  p from a's centre to b's.
@@ -105,6 +143,11 @@ class SphereOnSphere(AbstractGap):
         distance = length(apart, ROUND)
         normal = scale(-1.0 / distance, apart)
         return (Face(c["radius_a"] + c["radius_b"] - distance, normal, scale(c["radius_b"], normal)),)
+
+    def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
+        """Two spheres."""
+        del look
+        return (shapes.ball(c["radius_a"]),), (shapes.ball(c["radius_b"]),)
 
 
 class SphereInSocket(AbstractGap):
@@ -142,3 +185,11 @@ class SphereInSocket(AbstractGap):
         """The z axis of a or of b."""
         del c
         return b.axes[2] if self.axis_of == "b" else a.axes[2]
+
+    def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
+        """A bowl, open along z of a, and a sphere."""
+        del look
+        angle = np.linspace(0.35, -0.5 * np.pi, 16)
+        ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        bowl = shapes.revolved(c["radius"] * ring, c["clearance"] * ring)
+        return (bowl,), (shapes.ball(c["radius"] - c["clearance"]),)

@@ -18,6 +18,7 @@ from jax.typing import ArrayLike
 
 from bcfj_jax.contact import laws as normal_laws
 from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.shapes import Drawing
 from bcfj_jax.core.status import OK, UNBALANCED
 from bcfj_jax.mechanism.model import (
     AbstractModel,
@@ -28,10 +29,11 @@ from bcfj_jax.mechanism.model import (
     Orbit,
     Params,
     Reading,
+    Scenery,
     Solution,
 )
 from bcfj_jax.mechanism.structure import AbstractStructure
-from bcfj_jax.models.joint import envelope, summary, system
+from bcfj_jax.models.joint import drawing, envelope, summary, system
 from bcfj_jax.models.joint.arrowhead import Arrowhead
 from bcfj_jax.models.joint.batched_newton import origin
 from bcfj_jax.models.joint.checks import check_joint
@@ -154,6 +156,23 @@ class JointModel(Joint):
     def motions(self, t: Array, y: Array, prepared: Any) -> dict[str, BodyMotion]:
         """``observe.motions``."""
         return motions(self, prepared, t, y)
+
+    def drawing(self, params: Params, size: float = 1.0, travel: Any = None) -> Drawing:
+        """``drawing.drawing``: the joint has sizes of its own."""
+        del size, travel
+        return drawing.drawing(self, params)
+
+    def carriers(self) -> dict[str, str]:
+        """``drawing.carriers``."""
+        return drawing.carriers(self)
+
+    def scenery(self, t: Array, y: Array, params: Params) -> Scenery:
+        """``drawing.scenery``."""
+        return drawing.scenery(self, self.observe(t, y, self.prepare(params)), y, params)
+
+    def level(self, fidelity: str) -> AbstractModel:
+        """``fidelity.resolved``."""
+        return resolved(self, fidelity)
 
     def flows(self, t: Array, y: Array, prepared: Any) -> Flows:
         """``energy.power`` and ``energy.stored``."""

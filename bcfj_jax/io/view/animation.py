@@ -1,0 +1,310 @@
+"""From a run to an animation: shapes, poses over time, force arrows, and how much play is exaggerated.
+
+A body is drawn at  ideal + s (true - ideal): ``ideal`` is its pose with every contact just closed (``mechanism.model.
+Scenery``), and s the exaggeration. At s = 1 that is the true pose.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jax import Array
+
+from bcfj_jax.core.programs import program
+from bcfj_jax.core.shapes import Drawing, Mesh, joined
+from bcfj_jax.mechanism.model import AbstractModel, Params, Scenery
+from bcfj_jax.solve.simulation import Run
+
+# Frames of an animation; frames from which the size of a scene is taken.
+FRAMES, _SIZED = 300, 24
+# Share of the scene's size at which play is plain to see, and which the largest displacement is exaggerated to.
+_SEEN, _WANTED = 0.012, 0.03
+# Rotation that an exaggerated body may have against its ideal pose [rad].
+_TURN = 0.5
+# A force below this share of the largest is not drawn; length of the longest arrow over the size of the scene.
+LEAST, ARROW = 5e-3, 0.22
+# Directions in which the extent of a mesh is taken.
+_WAYS = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if x or y or z], float)
+
+
+class Track(NamedTuple):
+    """A body, or one of its members, over F frames.
+
+    Attributes:
+        name: as "ball 2".
+        place, quaternion: (F, 3) [m], (F, 4) scalar first: the ideal pose.
+        shift, turn: (F, 3) true place less ideal [m]; rotation vector from the ideal to the true axes [rad], world.
+    """
+
+    name: str
+    place: np.ndarray
+    quaternion: np.ndarray
+    shift: np.ndarray
+    turn: np.ndarray
+
+
+class Force(NamedTuple):
+    """The force of a contact, or of one of its members: (F, 3) point from its body's place [m], (F, 3) force [N].
+
+    ``track`` is the body's, -1 for the ground.
+    """
+
+    contact: str
+    member: int
+    track: int
+    lever: np.ndarray
+    force: np.ndarray
+
+
+class Animation(NamedTuple):
+    """All that is drawn.
+
+    Attributes:
+        title: what it is of.
+        parts: (track, mesh, tone); track -1 is the ground.
+        tracks, forces, times: over F frames; [s].
+        samples: of the run that the frames were taken from.
+        centre: (3,) middle of the scene [m].
+        half: (3,) half of its extent to the right, upwards and towards the eye [m].
+        eye, up: from where to look, and which way is up.
+        exaggeration, most: of displacements by default, and at most; both 1 where play is seen as it is.
+        notes: what a viewer must know, in sentences.
+    """
+
+    title: str
+    parts: list[tuple[int, Mesh, str]]
+    tracks: list[Track]
+    forces: list[Force]
+    times: np.ndarray
+    samples: int
+    centre: np.ndarray
+    half: np.ndarray
+    eye: tuple[float, float, float]
+    up: tuple[float, float, float]
+    exaggeration: float
+    most: float
+    notes: list[str]
+
+    @property
+    def size(self) -> float:
+        """Greatest length of the scene [m]."""
+        return 2.0 * float(self.half.max())
+
+    @property
+    def peak(self) -> float:
+        """Largest force [N]."""
+        return max((float(np.linalg.norm(f.force, axis=1).max()) for f in self.forces), default=0.0)
+
+
+def chosen_frames(run: Run, count: int = FRAMES) -> np.ndarray:
+    """Samples that are shown: of each of ``count`` equal spells the one with the greatest force.
+
+    A contact shorter than a spell is therefore seen. Samples of a failed run end at the failure.
+    """
+    assert run.trajectory is not None
+    good = np.flatnonzero(np.isfinite(run.trajectory).all(axis=1))
+    last = int(good[-1]) + 1 if good.size else 0
+    if last <= count:
+        return np.arange(last)
+    active = np.zeros(last)
+    for force in run.force.values():
+        size = np.linalg.norm(force[:last], axis=-1).reshape(last, -1).max(axis=1)
+        active = np.maximum(active, size / max(float(np.nanmax(size, initial=0.0)), 1e-300))
+    active = np.where(active > 0.01, active, 0.0)
+    edges = np.linspace(0, last, count + 1).astype(int)
+    found = np.array([a + int(np.argmax(active[a:b])) for a, b in zip(edges, edges[1:], strict=False)])
+    return np.unique(np.concatenate([[0], found[1:-1], [last - 1]]))
+
+
+def _scenery(model: AbstractModel, params: Params, times: Array, states: Array) -> Scenery:
+    return jax.vmap(lambda t, y: model.scenery(t, y, params))(times, states)
+
+
+def animation(model: AbstractModel, params: Params, run: Run, title: str = "", count: int = FRAMES) -> Animation | None:
+    """The animation of a run; None for a model that cannot be drawn, and a run that ended at once.
+
+    Args:
+        model, params: what was simulated.
+        run: ``simulate``'s, with its trajectory.
+        title: what it is of; by default the model's.
+        count: of frames, at most.
+    """
+    numbers = {name: np.asarray(value, float) for name, value in params.items()}
+    model = model.level(run.choice.fidelity) if run.choice else model
+    if run.trajectory is None or not model.drawing(numbers, 1.0).shapes:
+        return None
+    picked = chosen_frames(run, count)
+    if picked.size < 2:
+        return None
+    # As many as were asked for, so that one program serves every run.
+    full = np.concatenate([picked, np.full(max(0, min(count, len(run.times)) - picked.size), picked[-1])])
+    arguments = (dict(params), np.maximum(run.times[full], 0.0), run.trajectory[full])
+    quick = {"xla_backend_optimization_level": 0}
+    found = program("scenery", _scenery, (model,), arguments, quick)[0](*arguments)
+    found = jax.tree.map(lambda x: np.asarray(x)[: picked.size], found)
+    tracks, index = _tracks(model, found)
+    forces = _forces(model, found, index)
+    travel = {name: (x.min(axis=0), x.max(axis=0)) for name, x in found.offsets.items()}
+    # By what has a size, and by what moves.
+    size = 2.0 * float(_bounds(_parts(model.drawing(numbers, 1e-9, travel), index), tracks, np.eye(3))[1].max())
+    drawing = model.drawing(numbers, size, travel)
+    parts = _parts(drawing, index)
+    centre, half = _bounds(parts, tracks, home(drawing.eye, drawing.up), forces)
+    exaggeration, most = _exaggeration(tracks, size)
+    samples = int(np.isfinite(run.trajectory).all(axis=1).sum())
+    return Animation(
+        title or model.title, parts, tracks, forces, run.times[picked], samples, centre, half, drawing.eye, drawing.up,
+        exaggeration, most, list(drawing.notes),
+    )  # fmt: skip
+
+
+def _tracks(model: AbstractModel, found: Scenery) -> tuple[list[Track], dict[str, list[int]]]:
+    """Tracks, and by body the indices of its own."""
+    tracks: list[Track] = []
+    index: dict[str, list[int]] = {"ground": [-1]}
+    for name in found.poses:
+        true, ideal = found.poses[name], found.ideal[name]
+        members = model.body_members.get(name, 0) if true.place.ndim > 2 else 0
+        index[name] = []
+        for k in range(members or 1):
+            pick = (slice(None), k) if members else (slice(None),)
+            at, axes = ideal.place[pick], ideal.axes[pick]
+            turn = rotation_vector(np.einsum("fij,fkj->fik", true.axes[pick], axes))
+            index[name].append(len(tracks))
+            label = f"{name} {k + 1}" if members else name
+            tracks.append(Track(label, at, quaternion(axes), true.place[pick] - at, turn))
+    return tracks, index
+
+
+def _forces(model: AbstractModel, found: Scenery, index: dict[str, list[int]]) -> list[Force]:
+    forces = []
+    carriers = model.carriers()
+    for contact in model.contacts:
+        if contact.name not in found.arrows:
+            continue
+        arrow, carrier = found.arrows[contact.name], carriers[contact.name]
+        members = arrow.force.shape[1] if arrow.force.ndim > 2 else 0
+        for k in range(members or 1):
+            point, force = (x[:, k] if members else x for x in (arrow.point, arrow.force))
+            track = index[carrier][k if len(index[carrier]) > 1 else 0]
+            place = 0.0
+            if track >= 0:
+                own = found.poses[carrier].place
+                place = own[:, k] if own.ndim > 2 else own
+            forces.append(Force(contact.name, k + 1 if members else 0, track, point - place, force))
+    return forces
+
+
+def _parts(drawing: Drawing, index: dict[str, list[int]]) -> list[tuple[int, Mesh, str]]:
+    """Meshes of one body and one tone joined; the same mesh for each member."""
+    groups: dict[tuple[str, str], list[Mesh]] = {}
+    for shape in drawing.shapes:
+        groups.setdefault((shape.body, shape.tone), []).append(shape.mesh)
+    whole = {key: joined(meshes) for key, meshes in groups.items()}
+    return [(track, mesh, tone) for (body, tone), mesh in whole.items() for track in index[body]]
+
+
+def home(eye: tuple[float, float, float], up: tuple[float, float, float]) -> np.ndarray:
+    """(3, 3) columns: to the right, upwards and towards the eye."""
+    way = np.asarray(eye, float) / np.linalg.norm(eye)
+    right = np.cross(up, way)
+    right = right / np.linalg.norm(right)
+    return np.stack([right, np.cross(way, right), way], axis=1)
+
+
+def _bounds(
+    parts: list[tuple[int, Mesh, str]], tracks: list[Track], axes: np.ndarray, forces: list[Force] = []
+) -> tuple[np.ndarray, np.ndarray]:
+    """Middle, in world axes, and half edges of the box along ``axes`` that holds the scene and its arrows at some frames."""
+    corners = []
+    for track, mesh, _ in parts:
+        # Extreme points of a mesh stand for it.
+        extreme = mesh.points[np.unique(np.argmax(mesh.points @ _WAYS.T, axis=0))]
+        if track < 0:
+            corners.append(extreme)
+            continue
+        t = tracks[track]
+        for k in np.unique(np.linspace(0, len(t.place) - 1, _SIZED).astype(int)):
+            place, turn = posed(t, int(k))
+            corners.append(extreme @ turn.T + place)
+    points = np.concatenate(corners)
+    size = float(np.ptp(points, axis=0).max())
+    for force in forces:
+        k = int(np.argmax(np.linalg.norm(force.force, axis=1)))
+        at = force.lever[k] + (posed(tracks[force.track], k)[0] if force.track >= 0 else 0.0)
+        tail = at - ARROW * size * force.force[k] / max(float(np.linalg.norm(force.force[k])), 1e-300)
+        points = np.concatenate([points, tail[None]])
+    seen = points @ axes
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    return axes @ (0.5 * (low + high)), 0.5 * (high - low)
+
+
+def posed(track: Track, k: int, exaggeration: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """Place (3,) [m] and axes (3, 3) of a body as it is drawn at a frame."""
+    place = track.place[k] + exaggeration * track.shift[k]
+    return place, rotation(exaggeration * track.turn[k]) @ matrix(track.quaternion[k])
+
+
+def _exaggeration(tracks: list[Track], size: float) -> tuple[float, float]:
+    shift = max((float(np.linalg.norm(t.shift, axis=1).max()) for t in tracks), default=0.0)
+    turn = max((float(np.linalg.norm(t.turn, axis=1).max()) for t in tracks), default=0.0)
+    if not 0.0 < shift < _SEEN * size:
+        return 1.0, 1.0
+    most = min(20.0 * _WANTED * size / shift, _TURN / max(turn, 1e-12))
+    return _tidy(min(_WANTED * size / shift, most)), max(_tidy(most), 1.0)
+
+
+def _tidy(factor: float) -> float:
+    """The greatest of 1, 2, 5, 10, 20 ... that is not above a factor."""
+    power = 10.0 ** np.floor(np.log10(max(factor, 1.0)))
+    return float(max(d * power for d in (1.0, 2.0, 5.0) if d * power <= max(factor, 1.0) * (1.0 + 1e-12)))
+
+
+# Rotations.
+
+
+def quaternion(axes: np.ndarray) -> np.ndarray:
+    """(F, 4) of matrices (F, 3, 3), scalar first; neighbours in one half-space."""
+    m = axes
+    trace = np.einsum("fii->f", m)
+    diagonal = np.stack([trace, m[:, 0, 0], m[:, 1, 1], m[:, 2, 2]], axis=1)
+    squares = 0.25 * np.stack([1.0 + trace, *(1.0 - trace + 2.0 * m[:, i, i] for i in range(3))], axis=1)
+    best = np.argmax(diagonal, axis=1)
+    rows = np.arange(len(m))
+    a = 0.25 * np.stack([m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]], axis=1)
+    b = 0.25 * (m + np.swapaxes(m, 1, 2))
+    # w x_i is a_i, and x_i x_j is b_ij: the row of the greatest component, over it.
+    table = np.zeros((len(m), 4, 4))
+    table[:, 0, 0], table[:, 0, 1:], table[:, 1:, 0], table[:, 1:, 1:] = squares[:, 0], a, a, b
+    table[:, [1, 2, 3], [1, 2, 3]] = squares[:, 1:]
+    q = table[rows, best] / np.sqrt(squares[rows, best])[:, None]
+    flips = np.where(np.sum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0)
+    return q * np.cumprod(np.concatenate([[1.0], flips]))[:, None]
+
+
+def rotation_vector(axes: np.ndarray) -> np.ndarray:
+    """(F, 3) of matrices (F, 3, 3), of at most half a turn."""
+    q = quaternion(axes)
+    q = np.where(q[:, :1] < 0, -q, q)
+    size = np.linalg.norm(q[:, 1:], axis=1, keepdims=True)
+    return q[:, 1:] * np.where(size > 1e-12, 2.0 * np.arctan2(size, q[:, :1]) / np.where(size > 0, size, 1.0), 2.0)
+
+
+def matrix(q: np.ndarray) -> np.ndarray:
+    """(3, 3) of a unit quaternion."""
+    w, x, y, z = q
+    return np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ])  # fmt: skip
+
+
+def rotation(vector: np.ndarray) -> np.ndarray:
+    """(3, 3) of a rotation vector [rad]."""
+    angle = float(np.linalg.norm(vector))
+    half = 0.5 * angle
+    share = np.sin(half) / angle if angle > 0 else 0.5
+    return matrix(np.concatenate([[np.cos(half)], share * np.asarray(vector)]))

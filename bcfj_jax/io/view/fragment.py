@@ -1,0 +1,251 @@
+"""The interactive figure of a run as a piece of HTML: it needs no network, and shows a still picture without scripts."""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+import json
+from importlib import resources
+from typing import Any
+
+import numpy as np
+
+from bcfj_jax.core.shapes import Mesh
+from bcfj_jax.io.units import engineering
+from bcfj_jax.io.view import painter
+from bcfj_jax.io.view.animation import ARROW, LEAST, Animation
+
+# Seconds that a run takes to be played; width and height of the still picture.
+LASTS, STILL = 12.0, (720, 450)
+_STEPS = (1, 2, 5)
+
+_STYLE = """
+.bcfj-view{margin:1rem 0;color:#1b1f23;background:#fff;font:inherit;max-width:60rem}
+.bcfj-view .stage{position:relative;border:1px solid #c9ced3;border-radius:4px;aspect-ratio:16/10;overflow:hidden}
+.bcfj-view .stage>*{position:absolute;inset:0;width:100%;height:100%;display:block}
+.bcfj-view img{object-fit:contain}
+.bcfj-view canvas{visibility:hidden;touch-action:pan-y;cursor:grab}
+.bcfj-view.bcfj-live canvas{visibility:visible}
+.bcfj-view.bcfj-live img,.bcfj-view .controls,.bcfj-view .legend+.keys{display:none}
+.bcfj-view.bcfj-live .controls{display:block}
+.bcfj-view.bcfj-live .keys{display:block!important}
+.bcfj-view :focus-visible{outline:3px solid #1f5fa8;outline-offset:-3px}
+.bcfj-view .row{display:flex;flex-wrap:wrap;gap:.4rem .9rem;align-items:center;margin:.5rem 0}
+.bcfj-view .row label{display:flex;gap:.4rem;align-items:center}
+.bcfj-view .wide{flex:1 1 14rem}.bcfj-view .wide input{flex:1;min-width:6rem}
+.bcfj-view button{font:inherit;padding:.3rem .9rem;border:1px solid #5b636b;border-radius:4px;background:#f4f6f8;color:#1b1f23;min-width:5.5rem}
+.bcfj-view fieldset{border:0;margin:0;padding:0;display:flex;flex-wrap:wrap;gap:.2rem .9rem}
+.bcfj-view legend{float:left;margin-right:.9rem;padding:0}
+.bcfj-view .bar{height:.7rem;border-radius:2px;min-width:10rem;max-width:22rem}
+.bcfj-view .ticks{display:flex;justify-content:space-between;max-width:22rem;font-size:.85em}
+.bcfj-view figcaption,.bcfj-view .keys{font-size:.9em;color:#3d444b;margin:.4rem 0}
+@media print{.bcfj-view .controls,.bcfj-view.bcfj-live .controls,.bcfj-view.bcfj-live .keys{display:none!important}}
+""".replace("\n", "")
+
+
+def script() -> str:
+    """The viewer's own text."""
+    return resources.files("bcfj_jax.io.view").joinpath("viewer.js").read_text(encoding="utf-8")
+
+
+class _Blob:
+    """Arrays one after another in one text."""
+
+    def __init__(self) -> None:
+        self.parts: list[bytes] = []
+        self.size = 0
+
+    def put(self, values: np.ndarray, kind: str, scale: float | None = None) -> list[Any]:
+        """Add an array; the entry that finds it: kind, offset, length, scale.
+
+        Kinds: "f" float32, "h" int16 and "b" int8 in units of ``scale`` (by default so that the largest fits), "H" uint16.
+        """
+        if kind in "hb":
+            top = 32767 if kind == "h" else 127
+            scale = scale or (float(np.abs(values).max(initial=0.0)) or 1.0) / top
+            values = np.round(values / scale)
+        raw = np.ascontiguousarray(values, {"f": "<f4", "h": "<i2", "b": "i1", "H": "<u2"}[kind]).tobytes()
+        entry = [kind, self.size, int(values.size), *([scale] if kind in "hb" else [])]
+        raw += b"\0" * (-len(raw) % 4)
+        self.parts.append(raw)
+        self.size += len(raw)
+        return entry
+
+    def text(self) -> str:
+        """All of them."""
+        return base64.b64encode(b"".join(self.parts)).decode("ascii")
+
+
+def _mesh(blob: _Blob, mesh: Mesh) -> dict[str, Any]:
+    """A mesh with every point once: places in 16 bits of its size, normals and slack in 8."""
+    scale = (float(np.abs(mesh.points).max()) or 1.0) / 32767
+    rows = [np.round(mesh.points / scale), np.round(127.0 * mesh.normals)]
+    wide = 0.0
+    if mesh.slack is not None and mesh.slack.any():
+        wide = float(np.abs(mesh.slack).max()) / 127.0
+        rows.append(np.round(mesh.slack / wide))
+    table = np.concatenate(rows, axis=1).astype(np.int16)
+    once, index = np.unique(table, axis=0, return_inverse=True)
+    if len(once) > 65535:
+        raise ValueError(f"a mesh of {len(once)} points has too many for the viewer")
+    four = np.zeros((len(once), 1), np.int16)
+    found = {
+        "p": [*blob.put(once[:, :3], "H"), scale],
+        "n": blob.put(np.concatenate([once[:, 3:6], four], axis=1), "b", 1.0),
+        "t": blob.put(index.reshape(-1)[mesh.triangles].ravel(), "H"),
+    }
+    found["p"][0] = "h"
+    if wide:
+        found["k"] = [*blob.put(np.concatenate([once[:, 6:9], four], axis=1), "b", 1.0)[:3], wide]
+    return found
+
+
+def _rows(blob: _Blob, values: np.ndarray, kind: str) -> list[Any]:
+    """A table over frames; one row of what does not change."""
+    still = np.all(values == values[0])
+    return blob.put((values[:1] if still else values).ravel(), kind)
+
+
+def _unit(largest: float, unit: str) -> list[Any]:
+    """Factor, unit and decimals of a number on the screen."""
+    factor, prefix = engineering([largest or 1.0])
+    return [factor, f"{prefix.replace('u', 'µ')}{unit}", 2]
+
+
+def content(of: Animation) -> dict[str, Any]:
+    """What ``viewer.js`` reads."""
+    blob = _Blob()
+    kept: dict[tuple[bytes, bytes], int] = {}
+    meshes: list[dict[str, Any]] = []
+    parts = []
+    for track, mesh, tone in of.parts:
+        key = (mesh.points.tobytes(), b"" if mesh.slack is None else mesh.slack.tobytes())
+        if key not in kept:
+            kept[key] = len(meshes)
+            meshes.append(_mesh(blob, mesh))
+        body = "ground" if track < 0 else of.tracks[track].name.split(" ")[0]
+        parts.append({"track": track, "mesh": kept[key], "tone": tone, "body": body})
+    tracks = [
+        {
+            "name": t.name, "p": _rows(blob, t.place, "h"), "q": _rows(blob, t.quaternion, "h"),
+            "d": _rows(blob, t.shift, "h"), "r": _rows(blob, t.turn, "h"),
+        }
+        for t in of.tracks
+    ]  # fmt: skip
+    forces = [
+        {"contact": f.contact, "track": f.track, "p": _rows(blob, f.lever, "h"), "f": _rows(blob, f.force, "h")}
+        for f in of.forces
+    ]
+    times = blob.put(of.times, "f")
+    return {
+        "meshes": meshes, "parts": parts, "tracks": tracks, "forces": forces, "times": times,
+        "start": strongest(of), "exaggeration": of.exaggeration, "steps": steps(of), "lasts": LASTS,
+        "eye": list(of.eye), "up": list(of.up), "centre": of.centre.tolist(), "half": of.half.tolist(), "size": of.size,
+        "arrow": ARROW * of.size, "peak": of.peak or 1.0, "least": LEAST,
+        "clock": _unit(float(np.abs(of.times).max()), "s"), "newton": _unit(of.peak, "N"),
+        "tones": painter.TONES, "colours": painter.COLOURS, "blob": blob.text(),
+    }  # fmt: skip
+
+
+def strongest(of: Animation) -> int:
+    """The frame with the largest force; the middle one without forces."""
+    sizes = [np.linalg.norm(f.force, axis=1) for f in of.forces]
+    return int(np.argmax(np.max(sizes, axis=0))) if sizes and of.peak > 0 else len(of.times) // 2
+
+
+def steps(of: Animation) -> list[float]:
+    """Exaggerations to choose from: 1, 2, 5, 10 ... up to the most."""
+    found, power = [], 1.0
+    while power <= of.most:
+        found += [d * power for d in _STEPS if d * power <= of.most * (1.0 + 1e-9)]
+        power *= 10.0
+    return found
+
+
+def _legend(of: Animation) -> str:
+    if not of.peak > 0:
+        return ""
+    stops = ",".join("rgb({:.0f},{:.0f},{:.0f})".format(*(255.0 * x for x in c)) for c in painter.COLOURS)
+    factor, unit, _ = _unit(of.peak, "N")
+    ticks = "".join(f"<span>{of.peak * factor * share:.3g}</span>" for share in (0.0, 0.25, 1.0))
+    return (
+        f'<div class="legend"><div class="bar" role="img" aria-label="Colours of the arrows, from 0 to '
+        f'{of.peak * factor:.3g} {unit}" style="background:linear-gradient(90deg,{stops})"></div>'
+        f'<div class="ticks" aria-hidden="true">{ticks}</div>Force on an arrow [{unit}]; its length and its colour grow '
+        "with the square root of the force.</div>"
+    )
+
+
+def _sentences(of: Animation) -> list[str]:
+    found = []
+    if of.samples > len(of.times):
+        found.append(
+            f"Shown are {len(of.times)} of {of.samples} samples: of each spell of time the one with the largest force."
+        )
+    span = float(of.times[-1] - of.times[0])
+    found.append(f"The run of {_span(span)} is played in {LASTS:.0f} s.")
+    if of.exaggeration > 1.0:
+        found.append(
+            f"Clearances, and displacements from where the mechanism would be without them, are drawn "
+            f"{of.exaggeration:g} times as large as they are."
+        )
+    else:
+        found.append("Everything is drawn true to scale.")
+    return [*found, *of.notes]
+
+
+def _span(seconds: float) -> str:
+    factor, unit, _ = _unit(seconds, "s")
+    return f"{seconds * factor:.4g} {unit}"
+
+
+def still(of: Animation) -> bytes:
+    """The picture at the largest force, PNG."""
+    picture = painter.paint(of, strongest(of), STILL)
+    stream = io.BytesIO()
+    picture.quantize(64, method=2, dither=0).save(stream, format="PNG", compress_level=6)
+    return stream.getvalue()
+
+
+def _boxes(of: Animation) -> str:
+    contacts = list(dict.fromkeys(f.contact for f in of.forces))
+    bodies = list(dict.fromkeys(of.tracks[t].name.split(" ")[0] if t >= 0 else "ground" for t, *_ in of.parts))
+    found = ""
+    for title, letter, names in (("Forces of", "c", contacts), ("Bodies", "b", bodies)):
+        if len(names) > 1:
+            each = "".join(
+                f'<label><input type="checkbox" value="{letter}{html.escape(n)}" checked>{html.escape(n.replace("_", " "))}'
+                "</label>"
+                for n in names[:12]
+            )
+            found += f'<div class="row"><fieldset><legend>{title}</legend>{each}</fieldset></div>'
+    return found
+
+
+def fragment(of: Animation) -> str:
+    """One ``<figure>`` with picture, controls, caption, data and script; several may stand on one page."""
+    title = html.escape(of.title)
+    data = json.dumps(content(of), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    image = base64.b64encode(still(of)).decode("ascii")
+    scale = ""
+    if of.most > 1.0:
+        scale = (
+            '<div class="row"><label class="wide">Clearances are drawn <output data-bcfj="words"></output>'
+            '<input type="range" min="0" step="1" data-bcfj="scale"></label></div>'
+        )
+    caption = html.escape(" ".join(_sentences(of)))
+    return (
+        f'<figure class="bcfj-view" role="group" aria-label="Animation of {title}"><style>{_STYLE}</style>'
+        f'<div class="stage"><img alt="{title} at its largest force" src="data:image/png;base64,{image}">'
+        f'<canvas tabindex="0" role="application" aria-label="{title} in three dimensions: arrow keys turn it, plus and '
+        'minus zoom, space plays, Home resets the view"></canvas></div>'
+        '<div class="controls"><div class="row"><button type="button" data-bcfj="play">Play</button>'
+        '<label class="wide">Time<input type="range" min="0" step="1" data-bcfj="time"></label>'
+        '<output data-bcfj="clock" aria-live="off"></output>'
+        f'<button type="button" data-bcfj="home">Reset view</button></div>{scale}{_boxes(of)}</div>{_legend(of)}'
+        '<p class="keys">Drag to turn, Shift and drag to move, pinch to zoom; click the picture, then the wheel zooms. '
+        "Keys: arrows turn, + and - zoom, space plays, comma and full stop step, Home resets.</p>"
+        f"<figcaption>{caption}</figcaption>"
+        f'<script type="application/json">{data}</script><script>{script()}</script></figure>\n'
+    )

@@ -1,0 +1,235 @@
+"""What a mechanism looks like, and what moves in it: from its bodies, joints and gaps, whatever they are.
+
+A contact is drawn as its gap says (``AbstractGap.drawn``); a body as bars between its joints and contacts; an ideal joint
+as a pin or a bar along which it slides. A mechanism says neither how thick a bar is nor how large a point: these are
+fractions of the scene's size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from bcfj_jax.contact.gaps import Frame, Look
+from bcfj_jax.core import shapes
+from bcfj_jax.core.shapes import Drawing, Shape
+from bcfj_jax.core.vectors import add, array, scale, seen, subtract, turned
+from bcfj_jax.mechanism import sizes
+from bcfj_jax.mechanism.bodies import GROUND, JOINTS, Body, Part
+from bcfj_jax.mechanism.contacts import Contact
+from bcfj_jax.mechanism.model import Arrow, Params, Pose, Scenery
+
+if TYPE_CHECKING:
+    from bcfj_jax.mechanism.mechanism import Mechanism
+
+# Of the scene's size: radius of a bar, of a line along which something slides, of a pin.
+_BAR, _LINE, _PIN = 0.013, 0.004, 0.024
+# Newton steps to the state in which every contact just closes; its matrix is singular where contacts are redundant.
+_STEPS, _SINGULAR = 4, 1e-10
+_NOTES = (
+    "Bars, plates and points have no size in the model: they are drawn by the size of the scene.",
+    "Bodies are drawn undeformed: they overlap by their penetration.",
+)
+
+
+def drawing(m: Mechanism, params: Params, size: float, travel: Mapping[str, Any] | None) -> Drawing:
+    """``AbstractModel.drawing`` of a mechanism."""
+    p: Any = {name: np.asarray(value) for name, value in params.items()}
+    still = (np.zeros(3), np.zeros(3))
+    found: list[Shape] = []
+    for c in m.contacts:
+        low, high = (travel or {}).get(c.name, still)
+        values = {name: float(np.max(x)) for name, x in c.coefficients(p).items()}
+        drawn = c.gap.drawn(values, Look(size, np.asarray(low), np.asarray(high)))
+        for which, (body, meshes) in enumerate(zip(c.between, drawn, strict=True)):
+            place = np.array([float(np.max(x)) for x in c.marker(which, p)])
+            tone = "ground" if body == GROUND else ("other", "body")[which]
+            found += [Shape(body, mesh.moved(place), tone) for mesh in meshes]
+    found = _once(found)
+    for b in m.ordered:
+        found += _joint(m, b, p, size, [s for s in found if s.body == b.name], (travel or {}).get(b.name, still))
+        found += _bars(m, b, p, size)
+    return Drawing((*found, *_ground(m, p, size)), notes=_NOTES)
+
+
+def _ground(m: Mechanism, p: Params, size: float) -> list[Shape]:
+    """A line between the places on the ground about which bodies turn."""
+    points = [_at(b, p) for b in m.ordered if b.parent == GROUND and b.joint == "hinge"]
+    points += [
+        np.array([float(np.max(x)) for x in c.marker(i, p)])
+        for c in m.contacts
+        for i, name in enumerate(c.between)
+        if name == GROUND and m.turning(c.between[1 - i])
+    ]
+    ends = [(a, c) for a, c in zip(points, points[1:], strict=False) if np.linalg.norm(c - a) > 1e-3 * size]
+    return [Shape(GROUND, shapes.rod(a, c, _LINE * size), "ground") for a, c in ends]
+
+
+def _once(found: list[Shape]) -> list[Shape]:
+    """Without shapes that another one equals: a ball that touches two others is drawn once."""
+    kept: list[Shape] = []
+    for shape in found:
+        same = (s for s in kept if s.body == shape.body and np.array_equal(s.mesh.points, shape.mesh.points))
+        if not any(same):
+            kept.append(shape._replace(tone="ball") if _round(shape) else shape)
+    return kept
+
+
+def _round(shape: Shape) -> bool:
+    size = np.linalg.norm(shape.mesh.points - shape.mesh.points.mean(axis=0), axis=1)
+    return len(size) > 200 and bool(np.ptp(size) < 0.1 * size.max())
+
+
+def _number(size: Any, part: str, key: str, p: Params) -> float:
+    return float(np.max(sizes.length(size, part, key, p)))
+
+
+def _at(b: Body, p: Params) -> np.ndarray:
+    """Place of a body's joint in its parent's axes [m]."""
+    return np.array([_number(s, b.name, f"at_{k}", p) for k, s in zip("xyz", b.at, strict=True)])
+
+
+def _basis(b: Body, p: Params) -> np.ndarray:
+    """The joint's axes as columns in those of the parent, n last."""
+    n = np.array(sizes.axis(b.axis, b.name))
+    if b.tilt is None:
+        return shapes.frame(n)
+    k, angle = np.array(sizes.axis(b.tilt[0], b.name)), _number(b.tilt[1], b.name, "tilt", p)
+    skew = np.array([[0.0, -k[2], k[1]], [k[2], 0.0, -k[0]], [-k[1], k[0], 0.0]])
+    return (np.eye(3) + np.sin(angle) * skew + (1.0 - np.cos(angle)) * skew @ skew) @ shapes.frame(n)
+
+
+def _joint(m: Mechanism, b: Body, p: Params, size: float, own: list[Shape], travel: Any) -> list[Shape]:
+    """Its ideal joint on the parent: a pin about a hinge's axis; a line along a slide, with a block where arms hang on it."""
+    place, basis, (kind, *_) = _at(b, p), _basis(b, p), (*JOINTS[b.joint], ("", "", 0))
+    if b.joint == "hinge":
+        tone = "ground" if b.parent == GROUND else "other"
+        return [Shape(b.parent, shapes.cylinder(_PIN * size, 2.2 * _PIN * size).moved(place, basis), tone)]
+    if b.joint != "slide":
+        return []
+    along, tone = basis[:, 2], "ground" if b.parent == GROUND else "other"
+    met = {other for c in m.contacts if b.name in c.between for other in c.between if other != b.name}
+    arms = {c.name for c in m.bodies if c.parent == b.name} | met
+    if not any(m.turning(name) for name in arms):
+        low, high = (np.asarray(x) @ along for x in travel)
+        ends = (place + (low - 0.2 * size) * along, place + (high + 0.2 * size) * along)
+        return [Shape(b.parent, shapes.rod(*ends, _LINE * size), tone)]
+    # A slider: the block holds what it carries, between two rails.
+    points = np.concatenate([s.mesh.points for s in own]) if own else np.zeros((1, 3))
+    half = np.maximum(np.abs(points).max(axis=0), 2.0 * _PIN * size)
+    across = np.cross((0.0, 0.0, 1.0) if abs(along[2]) < 0.7 else (1.0, 0.0, 0.0), along)
+    wide = float(np.abs(across) @ half)
+    axes = shapes.frame(np.cross(along, across), along)
+    low, high = sorted(float(np.asarray(x) @ along) for x in travel)
+    middle, reach = place + 0.5 * (low + high) * along, 0.5 * (high - low) + 1.9 * wide
+    back = -axes[:, 2] * (float(np.abs(axes[:, 2]) @ half) + 0.1 * wide)
+    parts = [Shape(b.name, shapes.box((1.5 * wide, 1.28 * wide, 0.1 * wide)).moved(back, axes), "other")]
+    for sign in (-1.0, 1.0):
+        pad = shapes.box((1.5 * wide, 0.16 * wide, 0.55 * wide))
+        parts.append(Shape(b.name, pad.moved(sign * 1.12 * wide * across, axes), "other"))
+        rail = shapes.box((reach, 0.1 * wide, 0.7 * wide))
+        parts.append(Shape(b.parent, rail.moved(middle + sign * 1.4 * wide * across, axes), tone))
+    return parts
+
+
+def _bars(m: Mechanism, b: Body, p: Params, size: float) -> list[Shape]:
+    """Bars of a body that turns, from end to end of what hangs on it and touches it."""
+    if not m.turning(b.name):
+        return []
+    points = [np.zeros(3)] if b.joint in ("hinge", "spherical") else []
+    points += [_at(c, p) for c in m.bodies if c.parent == b.name]
+    points += [
+        np.array([float(np.max(x)) for x in c.marker(i, p)])
+        for c in m.contacts
+        for i, name in enumerate(c.between)
+        if name == b.name
+    ]
+    spread = np.ptp(np.stack(points), axis=0) if points else np.zeros(3)
+    if not spread.any():
+        return []
+    order = sorted(points, key=lambda x: float(x[int(np.argmax(spread))]))
+    pairs = [(a, c) for a, c in zip(order, order[1:], strict=False) if np.linalg.norm(c - a) > 1e-3 * spread.max()]
+    return [Shape(b.name, shapes.rod(a, c, _BAR * size), "body") for a, c in pairs]
+
+
+def scenery(m: Mechanism, t: Array, y: Array, p: Params) -> Scenery:
+    """``AbstractModel.scenery`` of a mechanism."""
+    now = m.instant(t, y, p)
+    arrows, offsets = {}, {}
+    for c in m.contacts:
+        first, second = _frames(m, c, now.bodies.parts, p)
+        # The first member stands for all.
+        offsets[c.name] = array(seen(first.axes, subtract(second.place, first.place))).reshape(-1, 3)[0]
+        faces = now.faces[c.name]
+        shape = (m.members[c.name],) if m.members[c.name] else ()
+        points = [_spread(add(second.place, face.lever), shape) for face, _ in faces]
+        force = sum(_spread(touch.force, shape) for _, touch in faces)
+        normals = [jnp.broadcast_to(jnp.asarray(touch.normal, float), shape) for _, touch in faces]
+        best = jnp.argmax(jnp.stack(normals), axis=0)
+        point = jnp.take_along_axis(jnp.stack(points), best[None, ..., None], axis=0)[0]
+        arrows[c.name] = Arrow(point, force if c.between[1] != GROUND else -force)
+    for b in m.ordered:
+        if b.joint == "slide":
+            part, parent = now.bodies.parts[b.name], now.bodies.parts[b.parent]
+            i, j, k = (sizes.length(s, b.name, f"at_{x}", p) for x, s in zip("xyz", b.at, strict=True))
+            moved = subtract(seen(parent.axes, subtract(part.place, parent.place)), (i, j, k))
+            offsets[b.name] = array(moved).reshape(-1, 3)[0]
+    return Scenery(_poses(m, now.bodies.parts), _poses(m, _closed(m, t, y, p)), arrows, offsets)
+
+
+def _frames(m: Mechanism, c: Contact, parts: Mapping[str, Part], p: Params) -> list[Frame]:
+    found = []
+    for which, name in enumerate(c.between):
+        part = parts[name]
+        found.append(Frame(add(part.place, turned(part.axes, c.marker(which, p))), part.axes))
+    return found
+
+
+def _spread(v: Any, shape: tuple[int, ...]) -> Array:
+    return jnp.stack([jnp.broadcast_to(jnp.asarray(x, jnp.float64), shape) for x in v], -1)
+
+
+def _poses(m: Mechanism, parts: Mapping[str, Part]) -> dict[str, Pose]:
+    found = {}
+    for b in m.ordered:
+        part, shape = parts[b.name], (b.members,) if b.members else ()
+        found[b.name] = Pose(_spread(part.place, shape), jnp.stack([_spread(x, shape) for x in part.axes], -1))
+    return found
+
+
+def _closed(m: Mechanism, t: Array, y: Array, p: Params) -> Mapping[str, Part]:
+    """Bodies in the nearest state in which every contact just closes: no play, no penetration. Drives keep their places."""
+    count = sum(k or 1 for *_, k in m._placed)
+    rest = y[count:]
+
+    def moving(places: Array) -> Mapping[str, Part]:
+        from bcfj_jax.mechanism.equations import apart
+
+        at, rates = [k for *_, k in m._placed], [k for *_, k in m._free]
+        numbers = apart(jnp.concatenate([places, rest])[: count + sum(k or 1 for k in rates)], [*at, *rates])
+        return m.moving(t, list(numbers[: len(at)]), list(numbers[len(at) :]), p).parts
+
+    def off(places: Array) -> Array:
+        parts = moving(places)
+        found = []
+        for c in m.contacts:
+            values = c.coefficients(p)
+            for face in c.gap.faces(*_frames(m, c, parts, p), values):
+                play = values["clearance"] if "clearance" in c.gap.needs else 0.0
+                found.append(array(scale(face.depth + play, face.normal)).ravel())
+        return jnp.concatenate(found)
+
+    places = y[:count]
+    if not count or not m.contacts:
+        return moving(places)
+    for _ in range(_STEPS):
+        miss, slope = off(places), jax.jacfwd(off)(places)
+        square = slope @ slope.T
+        square = square + _SINGULAR * (jnp.trace(square) + 1e-300) * jnp.eye(miss.size)
+        places = places - slope.T @ jnp.linalg.solve(square, miss)
+    return moving(jnp.where(jnp.all(jnp.isfinite(places)), places, y[:count]))
