@@ -8,6 +8,7 @@ fractions of the scene's size.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -20,7 +21,7 @@ from bcfj_jax.core import shapes
 from bcfj_jax.core.shapes import Drawing, Shape
 from bcfj_jax.core.vectors import add, array, scale, seen, subtract, turned
 from bcfj_jax.mechanism import sizes
-from bcfj_jax.mechanism.bodies import GROUND, JOINTS, Body, Part
+from bcfj_jax.mechanism.bodies import GROUND, Body, Part
 from bcfj_jax.mechanism.contacts import Contact
 from bcfj_jax.mechanism.model import Arrow, Params, Pose, Scenery
 
@@ -66,7 +67,7 @@ def _ground(m: Mechanism, p: Params, size: float) -> list[Shape]:
         for i, name in enumerate(c.between)
         if name == GROUND and m.turning(c.between[1 - i])
     ]
-    ends = [(a, c) for a, c in zip(points, points[1:], strict=False) if np.linalg.norm(c - a) > 1e-3 * size]
+    ends = [(a, c) for a, c in pairwise(points) if np.linalg.norm(c - a) > 1e-3 * size]
     return [Shape(GROUND, shapes.rod(a, c, _LINE * size), "ground") for a, c in ends]
 
 
@@ -106,7 +107,7 @@ def _basis(b: Body, p: Params) -> np.ndarray:
 
 def _joint(m: Mechanism, b: Body, p: Params, size: float, own: list[Shape], travel: Any) -> list[Shape]:
     """Its ideal joint on the parent: a pin about a hinge's axis; a line along a slide, with a block where arms hang on it."""
-    place, basis, (kind, *_) = _at(b, p), _basis(b, p), (*JOINTS[b.joint], ("", "", 0))
+    place, basis = _at(b, p), _basis(b, p)
     if b.joint == "hinge":
         tone = "ground" if b.parent == GROUND else "other"
         return [Shape(b.parent, shapes.cylinder(_PIN * size, 2.2 * _PIN * size).moved(place, basis), tone)]
@@ -153,7 +154,7 @@ def _bars(m: Mechanism, b: Body, p: Params, size: float) -> list[Shape]:
     if not spread.any():
         return []
     order = sorted(points, key=lambda x: float(x[int(np.argmax(spread))]))
-    pairs = [(a, c) for a, c in zip(order, order[1:], strict=False) if np.linalg.norm(c - a) > 1e-3 * spread.max()]
+    pairs = [(a, c) for a, c in pairwise(order) if np.linalg.norm(c - a) > 1e-3 * spread.max()]
     return [Shape(b.name, shapes.rod(a, c, _BAR * size), "body") for a, c in pairs]
 
 
@@ -227,9 +228,12 @@ def _closed(m: Mechanism, t: Array, y: Array, p: Params) -> Mapping[str, Part]:
     places = y[:count]
     if not count or not m.contacts:
         return moving(places)
-    for _ in range(_STEPS):
+
+    def step(_: Any, places: Array) -> Array:
         miss, slope = off(places), jax.jacfwd(off)(places)
         square = slope @ slope.T
         square = square + _SINGULAR * (jnp.trace(square) + 1e-300) * jnp.eye(miss.size)
-        places = places - slope.T @ jnp.linalg.solve(square, miss)
+        return places - slope.T @ jnp.linalg.solve(square, miss)
+
+    places = jax.lax.fori_loop(0, _STEPS, step, places)
     return moving(jnp.where(jnp.all(jnp.isfinite(places)), places, y[:count]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -265,4 +266,12 @@ def draw(folder: Path, given: SceneFile, run: Run, stem: str, written: Written) 
         [Table("Input: values and what they mean", input_rows(given))],
         _readings_rows(given, run, 3) if given.reads else (), choice_sentence(run),
     )  # fmt: skip
-    report.write(folder, found)
+    report.write(folder, replace(found, animation=animated(given, run, f"Simulation of {stem}")))
+
+
+def animated(given: SceneFile, run: Run, title: str) -> str:
+    """The report's section with the run in motion; "" for a model that cannot be drawn."""
+    from bcfj_jax.io.view import animation, fragment
+
+    found = animation.animation(given.scene, given.params, run, title)
+    return "" if found is None else f"<section><h2>In motion</h2>{fragment.fragment(found)}</section>"

@@ -6,6 +6,8 @@ Scenery``), and s the exaggeration. At s = 1 that is the true pose.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import jax
@@ -17,8 +19,10 @@ from bcfj_jax.core.shapes import Drawing, Mesh, joined
 from bcfj_jax.mechanism.model import AbstractModel, Params, Scenery
 from bcfj_jax.solve.simulation import Run
 
-# Frames of an animation; frames from which the size of a scene is taken.
-FRAMES, _SIZED = 300, 24
+# Frames of an animation, and the least that are worth one; frames from which the size of a scene is taken.
+FRAMES, _FEWEST, _SIZED = 300, 40, 24
+# What the motion may take in a report [bytes], and what a body's and a force's frame do.
+_BYTES, _BODY, _FORCE = 250e3, 26, 12
 # Share of the scene's size at which play is plain to see, and which the largest displacement is exaggerated to.
 _SEEN, _WANTED = 0.012, 0.03
 # Rotation that an exaggerated body may have against its ideal pose [rad].
@@ -114,7 +118,7 @@ def chosen_frames(run: Run, count: int = FRAMES) -> np.ndarray:
         active = np.maximum(active, size / max(float(np.nanmax(size, initial=0.0)), 1e-300))
     active = np.where(active > 0.01, active, 0.0)
     edges = np.linspace(0, last, count + 1).astype(int)
-    found = np.array([a + int(np.argmax(active[a:b])) for a, b in zip(edges, edges[1:], strict=False)])
+    found = np.array([a + int(np.argmax(active[a:b])) for a, b in pairwise(edges)])
     return np.unique(np.concatenate([[0], found[1:-1], [last - 1]]))
 
 
@@ -123,7 +127,7 @@ def _scenery(model: AbstractModel, params: Params, times: Array, states: Array) 
 
 
 def animation(model: AbstractModel, params: Params, run: Run, title: str = "", count: int = FRAMES) -> Animation | None:
-    """The animation of a run; None for a model that cannot be drawn, and a run that ended at once.
+    """The animation of a run; None for a model that cannot be drawn, a run that ended at once, and hundreds of bodies.
 
     Args:
         model, params: what was simulated.
@@ -135,8 +139,11 @@ def animation(model: AbstractModel, params: Params, run: Run, title: str = "", c
     model = model.level(run.choice.fidelity) if run.choice else model
     if run.trajectory is None or not model.drawing(numbers, 1.0).shapes:
         return None
+    bodies = sum(model.body_members.get(name, 0) or 1 for name in model.body_names)
+    forces = sum(members or 1 for members in model.members.values())
+    count = min(count, int(_BYTES / (_BODY * bodies + _FORCE * forces + 1)))
     picked = chosen_frames(run, count)
-    if picked.size < 2:
+    if picked.size < 2 or count < min(_FEWEST, len(run.times)):
         return None
     # As many as were asked for, so that one program serves every run.
     full = np.concatenate([picked, np.full(max(0, min(count, len(run.times)) - picked.size), picked[-1])])
@@ -145,17 +152,17 @@ def animation(model: AbstractModel, params: Params, run: Run, title: str = "", c
     found = program("scenery", _scenery, (model,), arguments, quick)[0](*arguments)
     found = jax.tree.map(lambda x: np.asarray(x)[: picked.size], found)
     tracks, index = _tracks(model, found)
-    forces = _forces(model, found, index)
+    arrows = _forces(model, found, index)
     travel = {name: (x.min(axis=0), x.max(axis=0)) for name, x in found.offsets.items()}
     # By what has a size, and by what moves.
     size = 2.0 * float(_bounds(_parts(model.drawing(numbers, 1e-9, travel), index), tracks, np.eye(3))[1].max())
     drawing = model.drawing(numbers, size, travel)
     parts = _parts(drawing, index)
-    centre, half = _bounds(parts, tracks, home(drawing.eye, drawing.up), forces)
+    centre, half = _bounds(parts, tracks, home(drawing.eye, drawing.up), arrows)
     exaggeration, most = _exaggeration(tracks, size)
     samples = int(np.isfinite(run.trajectory).all(axis=1).sum())
     return Animation(
-        title or model.title, parts, tracks, forces, run.times[picked], samples, centre, half, drawing.eye, drawing.up,
+        title or model.title, parts, tracks, arrows, run.times[picked], samples, centre, half, drawing.eye, drawing.up,
         exaggeration, most, list(drawing.notes),
     )  # fmt: skip
 
@@ -164,7 +171,8 @@ def _tracks(model: AbstractModel, found: Scenery) -> tuple[list[Track], dict[str
     """Tracks, and by body the indices of its own."""
     tracks: list[Track] = []
     index: dict[str, list[int]] = {"ground": [-1]}
-    for name in found.poses:
+    # JAX gives dictionaries back in the order of their keys.
+    for name in [*model.body_names, *(n for n in found.poses if n not in model.body_names)]:
         true, ideal = found.poses[name], found.ideal[name]
         members = model.body_members.get(name, 0) if true.place.ndim > 2 else 0
         index[name] = []
@@ -215,7 +223,7 @@ def home(eye: tuple[float, float, float], up: tuple[float, float, float]) -> np.
 
 
 def _bounds(
-    parts: list[tuple[int, Mesh, str]], tracks: list[Track], axes: np.ndarray, forces: list[Force] = []
+    parts: list[tuple[int, Mesh, str]], tracks: list[Track], axes: np.ndarray, forces: Sequence[Force] = ()
 ) -> tuple[np.ndarray, np.ndarray]:
     """Middle, in world axes, and half edges of the box along ``axes`` that holds the scene and its arrows at some frames."""
     corners = []

@@ -20,33 +20,14 @@ from bcfj_jax.io.view.animation import ARROW, LEAST, Animation
 LASTS, STILL = 12.0, (720, 450)
 _STEPS = (1, 2, 5)
 
-_STYLE = """
-.bcfj-view{margin:1rem 0;color:#1b1f23;background:#fff;font:inherit;max-width:60rem}
-.bcfj-view .stage{position:relative;border:1px solid #c9ced3;border-radius:4px;aspect-ratio:16/10;overflow:hidden}
-.bcfj-view .stage>*{position:absolute;inset:0;width:100%;height:100%;display:block}
-.bcfj-view img{object-fit:contain}
-.bcfj-view canvas{visibility:hidden;touch-action:pan-y;cursor:grab}
-.bcfj-view.bcfj-live canvas{visibility:visible}
-.bcfj-view.bcfj-live img,.bcfj-view .controls,.bcfj-view .legend+.keys{display:none}
-.bcfj-view.bcfj-live .controls{display:block}
-.bcfj-view.bcfj-live .keys{display:block!important}
-.bcfj-view :focus-visible{outline:3px solid #1f5fa8;outline-offset:-3px}
-.bcfj-view .row{display:flex;flex-wrap:wrap;gap:.4rem .9rem;align-items:center;margin:.5rem 0}
-.bcfj-view .row label{display:flex;gap:.4rem;align-items:center}
-.bcfj-view .wide{flex:1 1 14rem}.bcfj-view .wide input{flex:1;min-width:6rem}
-.bcfj-view button{font:inherit;padding:.3rem .9rem;border:1px solid #5b636b;border-radius:4px;background:#f4f6f8;color:#1b1f23;min-width:5.5rem}
-.bcfj-view fieldset{border:0;margin:0;padding:0;display:flex;flex-wrap:wrap;gap:.2rem .9rem}
-.bcfj-view legend{float:left;margin-right:.9rem;padding:0}
-.bcfj-view .bar{height:.7rem;border-radius:2px;min-width:10rem;max-width:22rem}
-.bcfj-view .ticks{display:flex;justify-content:space-between;max-width:22rem;font-size:.85em}
-.bcfj-view figcaption,.bcfj-view .keys{font-size:.9em;color:#3d444b;margin:.4rem 0}
-@media print{.bcfj-view .controls,.bcfj-view.bcfj-live .controls,.bcfj-view.bcfj-live .keys{display:none!important}}
-""".replace("\n", "")
+
+def _text(name: str) -> str:
+    return resources.files("bcfj_jax.io.view").joinpath(name).read_text(encoding="utf-8")
 
 
 def script() -> str:
     """The viewer's own text."""
-    return resources.files("bcfj_jax.io.view").joinpath("viewer.js").read_text(encoding="utf-8")
+    return _text("viewer.js")
 
 
 class _Blob:
@@ -236,7 +217,7 @@ def fragment(of: Animation) -> str:
         )
     caption = html.escape(" ".join(_sentences(of)))
     return (
-        f'<figure class="bcfj-view" role="group" aria-label="Animation of {title}"><style>{_STYLE}</style>'
+        f'<figure class="bcfj-view" role="group" aria-label="Animation of {title}"><style>{_text("viewer.css")}</style>'
         f'<div class="stage"><img alt="{title} at its largest force" src="data:image/png;base64,{image}">'
         f'<canvas tabindex="0" role="application" aria-label="{title} in three dimensions: arrow keys turn it, plus and '
         'minus zoom, space plays, Home resets the view"></canvas></div>'

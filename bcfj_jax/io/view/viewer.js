@@ -209,7 +209,11 @@
         part(tip, head, head, 2.7 * r);
       });
     }
+    // From outside one sees through a track to its ball.
+    gl.enable(gl.CULL_FACE);
+    gl.cullFace(gl.BACK);
     bodies(true);
+    gl.disable(gl.CULL_FACE);
     arrows(1);
     // What a body hides of an arrow shines through.
     gl.depthFunc(gl.GREATER);

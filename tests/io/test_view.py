@@ -1,0 +1,279 @@
+"""The animation of a run: what is drawn against kinematics and forces, and the interactive figure."""
+
+from __future__ import annotations
+
+import json
+import re
+from html.parser import HTMLParser
+from itertools import pairwise
+
+import jax
+import numpy as np
+import pytest
+
+import bcfj_jax as bj
+from bcfj_jax.core import shapes
+from bcfj_jax.io.view import animation, fragment, painter
+from bcfj_jax.models.joint.start import nominal
+
+pytestmark = pytest.mark.full
+
+
+@pytest.fixture(scope="module")
+def crank():
+    scene = bj.scenes.slider_crank()
+    params = scene.parameters()
+    run = bj.simulate(scene, params, np.linspace(0.0, 0.012, 401))
+    return scene, params, run, animation.animation(scene, params, run, "A slider-crank", 60)
+
+
+def picked(of, run):
+    """Samples that the frames are."""
+    return np.searchsorted(run.times, of.times)
+
+
+def test_shapes_face_outwards_and_have_their_sizes():
+    for mesh in (
+        shapes.ball(0.5),
+        shapes.cylinder(0.3, 0.2, 0.1),
+        shapes.box((0.1, 0.2, 0.3)),
+        shapes.rod((1, 2, 3), (2, 2, 5), 0.1),
+    ):
+        a, b, c = (mesh.points[mesh.triangles[:, k]] for k in range(3))
+        area = np.cross(b - a, c - a)
+        assert np.all(np.sum(area * mesh.normals[mesh.triangles[:, 0]], axis=1) > 0)
+        assert np.allclose(np.linalg.norm(mesh.normals, axis=1), 1.0)
+        # Gauss: a closed surface has no resultant area, and its volume is positive.
+        assert np.allclose(area.sum(axis=0), 0.0, atol=1e-12)
+        assert np.sum(a * area) > 0
+    ball = shapes.ball(0.5, 60)
+    corners = ball.points[ball.triangles]
+    volume = np.einsum("mi,mi->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
+    assert volume == pytest.approx(4.0 / 3.0 * np.pi * 0.125, rel=0.01)
+
+
+def test_turns_and_their_vectors():
+    rng = np.random.default_rng(3)
+    vectors = rng.normal(size=(40, 3))
+    vectors[0], vectors[1] = 0.0, (np.pi - 1e-9, 0.0, 0.0)
+    matrices = np.stack([animation.rotation(v) for v in vectors])
+    assert np.allclose(np.einsum("fij,fkj->fik", matrices, matrices), np.eye(3))
+    again = np.stack([animation.rotation(v) for v in animation.rotation_vector(matrices)])
+    assert np.allclose(again, matrices, atol=1e-9)
+    for q, m in zip(animation.quaternion(matrices), matrices, strict=True):
+        assert np.allclose(animation.matrix(q), m)
+
+
+def test_a_body_is_drawn_where_it_is_and_an_arrow_is_the_force(crank):
+    scene, params, run, of = crank
+    at = picked(of, run)
+    moved = jax.jit(jax.vmap(lambda t, y: scene.motions(t, y, params)))(run.times[at], run.trajectory[at])
+    for track in of.tracks:
+        motion, body = moved[track.name], scene.body(track.name)
+        for k in (0, len(at) // 2, len(at) - 1):
+            place, axes = animation.posed(track, k)
+            arm = (0.5 * float(params["rod_length"]), 0.0, 0.0) if body.name == "rod" else (0.0, 0.0, 0.0)
+            assert np.allclose(place + axes @ arm, motion.place[k], atol=1e-12)
+            if motion.axes is not None:
+                assert np.allclose(axes, motion.axes[k], atol=1e-9)
+    read = jax.jit(jax.vmap(lambda t, y: scene.observe(t, y, params)))(run.times[at], run.trajectory[at])["journal"]
+    (force,) = of.forces
+    assert np.allclose(force.force, read.world, rtol=1e-9, atol=1e-9 * of.peak)
+    # The arrow is on the pin, a radius away from its centre, against the force.
+    k = int(np.argmax(np.linalg.norm(force.force, axis=1)))
+    rod = of.tracks[force.track]
+    place, axes = animation.posed(rod, k)
+    pin = place + axes @ [float(params["rod_length"]), 0.0, 0.0]
+    lever = place + force.lever[k] - pin
+    assert np.linalg.norm(lever) == pytest.approx(float(params["radius"]), rel=1e-9)
+    assert lever @ force.force[k] == pytest.approx(-float(params["radius"]) * of.peak, rel=1e-6)
+
+
+def test_the_ideal_mechanism_has_no_play(crank):
+    _, params, _, of = crank
+    by_name = {t.name: t for t in of.tracks}
+    for k in (0, 20, 45):
+        rod, slider = (animation.posed(by_name[name], k, 0.0) for name in ("rod", "slider"))
+        pin = rod[0] + rod[1] @ [float(params["rod_length"]), 0.0, 0.0]
+        assert np.allclose(pin, slider[0], atol=1e-9)
+        # What is exaggerated is the play: s times as far apart.
+        s = 20.0
+        apart = [animation.posed(by_name[n], k, s)[0] - animation.posed(by_name[n], k, 0.0)[0] for n in by_name]
+        assert np.allclose(apart, [s * t.shift[k] for t in of.tracks])
+    assert of.exaggeration in fragment.steps(of) and of.exaggeration > 1.0
+
+
+def test_play_that_is_seen_is_not_exaggerated():
+    scene = bj.scenes.bounce()
+    run = bj.simulate(scene, scene.parameters(), np.linspace(0.0, 0.3, 301))
+    of = animation.animation(scene, scene.parameters(), run, count=50)
+    assert of.exaggeration == of.most == 1.0
+    assert "true to scale" in fragment.fragment(of)
+    # The shortest contact is among the frames: each spell of time shows its largest force.
+    assert of.peak == pytest.approx(np.abs(run.force["contact"]).max(), rel=1e-12)
+    assert len(of.times) <= 52 and of.times[0] == 0.0 and of.times[-1] == run.times[-1]
+
+
+def test_a_failed_run_is_shown_up_to_its_failure(crank):
+    scene, params, run, _ = crank
+    broken = np.array(run.trajectory)
+    broken[100:] = np.nan
+    of = animation.animation(scene, params, run._replace(trajectory=broken), count=60)
+    assert of.times[-1] == run.times[99] and of.samples == 100
+    assert animation.animation(scene, params, run._replace(trajectory=np.full_like(broken, np.nan)), count=60) is None
+
+
+@pytest.fixture(scope="module")
+def joint():
+    scene = bj.scenes.joint()
+    params = scene.parameters()
+    times = np.linspace(0.0, 0.06, 31)
+    states = np.array(jax.jit(jax.vmap(lambda t: nominal(scene, params, params["drive_speed"] * t)))(times))
+    # Balls and head off their ideal places: some contacts press.
+    states[:, :18] += 1e-5 * np.sin(np.arange(18))
+    states[:, 18] += 2e-5
+    run = bj.simulate(bj.scenes.impact(), bj.scenes.impact().parameters(), np.array([0.0, 1e-6]))
+    run = run._replace(times=times, trajectory=states, force={"seat_ball": np.ones((31, 6, 3))})
+    return scene, params, run, animation.animation(scene, params, run, "The joint", 31)
+
+
+def test_the_joint_is_drawn_where_it_is(joint):
+    scene, params, run, of = joint
+    prepared = jax.jit(scene.prepare)(params)
+    at = picked(of, run)
+    both = jax.jit(jax.vmap(lambda t, y: (scene.motions(t, y, prepared), scene.observe(t, y, prepared))))
+    moved, read = both(run.times[at], run.trajectory[at])
+    names = {t.name: t for t in of.tracks}
+    assert list(names) == ["seat", "head", "cage", *(f"ball {k}" for k in range(1, 7))]
+    for k in (0, len(at) - 1):
+        for i in range(6):
+            assert np.allclose(animation.posed(names[f"ball {i + 1}"], k)[0], moved["ball"].place[k, i], atol=1e-12)
+        for name in ("seat", "head"):
+            place, axes = animation.posed(names[name], k)
+            assert np.allclose(place, moved[name].place[k], atol=1e-12)
+            assert np.allclose(axes, moved[name].axes[k], atol=1e-9)
+        # The ideal balls are in the middles of the cage's windows.
+        cage, cage_axes = animation.posed(names["cage"], k, 0.0)
+        for i in range(6):
+            arm = cage_axes.T @ (animation.posed(names[f"ball {i + 1}"], k, 0.0)[0] - cage)
+            assert abs(arm[2]) < 1e-9
+            assert np.cos(np.arctan2(arm[1], arm[0]) - np.pi / 3.0 * i) > np.cos(0.02)
+    for force in of.forces:
+        world = np.asarray(read[force.contact].world)
+        world = world[:, force.member - 1] if force.member else world
+        assert np.allclose(force.force, world, rtol=1e-9, atol=1e-6)
+    assert {f.contact for f in of.forces} == {c.name for c in scene.contacts}
+
+
+def test_the_figure_of_a_joint_keeps_its_size(joint):
+    of = joint[3]
+    # As many frames as a report shows.
+    longer = lambda x: np.resize(x, (animation.FRAMES, *x.shape[1:]))  # noqa: E731
+    tracks = [
+        t._replace(**{k: longer(getattr(t, k)) for k in ("place", "quaternion", "shift", "turn")}) for t in of.tracks
+    ]
+    forces = [f._replace(lever=longer(f.lever), force=longer(f.force)) for f in of.forces]
+    text = fragment.fragment(of._replace(tracks=tracks, forces=forces, times=longer(of.times)))
+    whole = len(text.encode())
+    assert whole < 400_000
+    assert "windows are drawn where the balls are" in text
+
+
+class Outline(HTMLParser):
+    """Open elements and their attributes; what closes nothing is an error."""
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.found = [], []
+
+    def handle_starttag(self, tag, attrs):
+        self.found.append((tag, dict(attrs)))
+        if tag not in ("img", "input", "meta"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+def test_the_figure_stands_alone(crank):
+    of = crank[3]
+    text = fragment.fragment(of)
+    assert text == fragment.fragment(of)
+    assert len(fragment.script().encode()) <= 30_000
+    assert len(text.encode()) < 150_000
+    assert not re.search(r"https?:|//[a-z]+\.[a-z]|@import|\burl\(|\beval\b|new Function|console\.", text)
+    page = Outline()
+    page.feed(text)
+    assert not page.open
+    tags = [tag for tag, _ in page.found]
+    assert tags.count("canvas") == tags.count("img") == 1
+    # No name of its own that a second figure on the page would have, too.
+    assert not any("id" in attrs for _, attrs in page.found)
+    canvas = next(attrs for tag, attrs in page.found if tag == "canvas")
+    assert canvas["tabindex"] == "0" and canvas["aria-label"]
+    assert all(attrs.get("alt") for tag, attrs in page.found if tag == "img")
+    assert f"{of.exaggeration:g} times as large" in text
+    assert f"{len(of.times)} of {of.samples} samples" in text
+
+
+def test_the_data_of_a_figure_are_those_of_the_run(crank):
+    import base64
+
+    of = crank[3]
+    data = fragment.content(of)
+    raw = base64.b64decode(data["blob"])
+    kinds = {"f": "<f4", "h": "<i2", "b": "i1", "H": "<u2"}
+
+    def values(entry, width):
+        kind, offset, length, *scale = entry
+        found = np.frombuffer(raw, kinds[kind], length, offset).astype(float).reshape(-1, width)
+        return found * (scale[0] if scale else 1.0)
+
+    for track, entry in zip(of.tracks, data["tracks"], strict=True):
+        assert np.allclose(values(entry["p"], 3), track.place, atol=of.size / 32767)
+        assert np.allclose(values(entry["d"], 3), track.shift, atol=np.abs(track.shift).max() / 32767 + 1e-15)
+    assert np.allclose(values(data["forces"][0]["f"], 3), of.forces[0].force, atol=of.peak / 32767)
+    assert np.allclose(values(data["times"], 1)[:, 0], of.times, rtol=1e-6)
+    for part in data["parts"]:
+        mesh = data["meshes"][part["mesh"]]
+        triangles = values(mesh["t"], 3)
+        assert triangles.max() < mesh["p"][2] / 3
+    assert json.loads(json.dumps(data)) is not None
+
+
+def test_a_title_cannot_break_out_of_the_figure(crank):
+    of = crank[3]._replace(title='</script><script>alert(1)</script>"')
+    text = fragment.fragment(of)
+    assert "alert(1)</script>" not in text
+
+
+def test_the_still_picture_shows_the_arrow(crank):
+    of = crank[3]
+    k = fragment.strongest(of)
+    picture = np.asarray(painter.paint(of, k, (320, 200)), float) / 255.0
+    dark = np.array(painter.COLOURS[-1])
+    none = of._replace(forces=[])
+    without = np.asarray(painter.paint(none, k, (320, 200)), float) / 255.0
+    seen, others = ((np.abs(x - dark).max(axis=2) < 0.25).sum() for x in (picture, without))
+    assert seen > others + 50
+
+
+def test_colours_of_forces_darken_with_every_step():
+    linear = [
+        np.where(np.array(c) > 0.04045, ((np.array(c) + 0.055) / 1.055) ** 2.4, np.array(c) / 12.92)
+        for c in painter.COLOURS
+    ]
+    bright = [x @ [0.2126, 0.7152, 0.0722] for x in linear]
+    assert all(a > 1.3 * b for a, b in pairwise(bright))
+
+
+def test_a_model_without_shapes_has_no_animation():
+    class Bare:
+        def level(self, name):
+            return self
+
+        def drawing(self, params, size=1.0, travel=None):
+            return shapes.Drawing()
+
+    run = bj.simulate(bj.scenes.impact(), bj.scenes.impact().parameters(), np.array([0.0, 1e-6]))
+    assert animation.animation(Bare(), {}, run) is None  # pyright: ignore[reportArgumentType]
