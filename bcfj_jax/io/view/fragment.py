@@ -218,7 +218,7 @@ def fragment(of: Animation) -> str:
     caption = html.escape(" ".join(_sentences(of)))
     return (
         f'<figure class="bcfj-view" role="group" aria-label="Animation of {title}"><style>{_text("viewer.css")}</style>'
-        f'<div class="stage"><img alt="{title} at its largest force" src="data:image/png;base64,{image}">'
+        f'<div class="stage"><img alt="{title}: a still picture at the largest force." src="data:image/png;base64,{image}">'
         f'<canvas tabindex="0" role="application" aria-label="{title} in three dimensions: arrow keys turn it, plus and '
         'minus zoom, space plays, Home resets the view"></canvas></div>'
         '<div class="controls"><div class="row"><button type="button" data-bcfj="play">Play</button>'
