@@ -41,6 +41,7 @@ def rebuild(folder: Path, say: Callable[[str], None] = lambda text: None) -> Pat
                 if page is None:
                     title = f"Simulation of {given.scene.kind}"
                     page = runs.page_of(title, fresh, run, given, known, results.input_rows(given))
+                    page = replace(page, animation=report.animation(folder))
                     write_json(folder / report.JSON, page.content())
             except InputError as error:
                 if page is None:

@@ -139,6 +139,11 @@ def kept(folder: Path) -> Page:
         page = from_content(json.loads(raw), str(path))
     except ValueError as error:
         raise InputError(str(path), f"is no JSON: {error}", again) from None
+    return replace(page, animation=animation(folder))
+
+
+def animation(folder: Path) -> str:
+    """The animation in a folder's ``report.html``; "" without."""
     old = folder / HTML
     scene = _ANIMATION.search(old.read_text(encoding="utf-8", errors="replace")) if old.is_file() else None
-    return replace(page, animation=scene[1]) if scene else page
+    return scene[1] if scene else ""
