@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import contextlib
 import difflib
+import os
 import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
@@ -123,7 +124,7 @@ def changing_both(path: Path, wanted: Sequence[Change], own: Sequence[str]) -> I
         scene = tables.read(path).get("scene") if others else None
         if isinstance(scene, str):
             beside = path.parent / scene
-            target = beside if scene.endswith(".toml") and beside.exists() else scene
+            target = beside if scene.endswith(".toml") and os.path.exists(beside) else scene
             stack.enter_context(changing(target, others))
         elif scene is not None:
             stack.enter_context(changing(path, others, inside="scene"))

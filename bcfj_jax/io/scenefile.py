@@ -141,7 +141,9 @@ def content(what: str | Path) -> dict[str, Any]:
         return changes.applied(str(what), {"scene": {"kind": str(what)}})
     if path.suffix != ".toml" and not os.path.exists(path):
         names = ", ".join(scenes.SCENES)
-        raise InputError(str(what), "no such file and no such scene", f"give a .toml file or a scene's name: {names}")
+        raise InputError(
+            clip(str(what)), "no such file and no such scene", f"give a .toml file or a scene's name: {names}"
+        )
     return tables.read(path)
 
 

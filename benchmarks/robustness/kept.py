@@ -103,12 +103,12 @@ def reference(folder: Path) -> Kept:
     truth = Measured(rng.normal(size=(40, 1, 3)), np.zeros(1, int), np.ones(1), np.ones(1), np.ones(1))
     certificate = {"errors": {}, "derivatives": {"error": 0.1}}
     (folder / "reference").mkdir()
-    kept.save(kept.Reference(truth, None, certificate), folder / "reference")
+    digest = kept.save(kept.Reference(truth, None, certificate), folder / "reference")
     content = (folder / "reference" / kept.NAME).read_bytes()
 
     def read(file: Path) -> Any:
         (folder / "reference" / kept.NAME).write_bytes(file.read_bytes())
-        return _quietly(lambda: kept.restore(certificate, folder / "reference"))
+        return _quietly(lambda: kept.restore(certificate, folder / "reference", digest))
 
     def then(found: Any) -> str:
         if found is None:

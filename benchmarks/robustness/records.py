@@ -90,5 +90,5 @@ FORMATS: dict[str, Callable[[], bytes]] = {
     ".h5": _hdf5,
     ".mat": _mat,
     ".tdms": _tdms,
-    # ".xlsx": _xlsx,
+    ".xlsx": _xlsx,
 }
