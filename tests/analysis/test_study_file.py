@@ -130,7 +130,7 @@ def test_blocks_take_every_point_once_the_costly_first():
         (("contact.peak", "contact.impulse"), r"'contact.impulse' is there twice"),
         (("[results]", "[results]\nhistory = true"), r"unknown key 'history'.*histories"),
         (("[results]", '[results]\nderivatives = ["masss"]'), r"no parameter 'masss'.*mass"),
-        (('scene = "impact"', 'scene = "impcat"'), r"no such scene"),
+        (('scene = "impact"', 'scene = "impcat"'), r"scene: no file and no scene .impcat.; did you mean .impact"),
         (("values = [0.0, 0.1]", "values = []"), r"values: is empty"),
         (("values = [0.0, 0.1]", "values = [0.1]\nlower = 0.0"), r"values and bounds are both given"),
     ],

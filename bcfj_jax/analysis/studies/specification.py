@@ -24,7 +24,7 @@ from jax import Array
 
 from bcfj_jax.analysis.derivatives.names import Feature, complete, feature
 from bcfj_jax.analysis.studies.design import DEFAULTS, DRAWN, KINDS, SCALES, Axis, Options, block_length, number, points
-from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.errors import InputError, clip, nearest
 from bcfj_jax.core.programs import program
 from bcfj_jax.core.quantities import CATALOGUE, scalar
 from bcfj_jax.io import scenefile, tables
@@ -32,6 +32,7 @@ from bcfj_jax.io.scenefile import SceneFile
 from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.mechanism.observed import observing
+from bcfj_jax.models import scenes
 
 MOST_POINTS = 100_000_000
 
@@ -248,6 +249,9 @@ def _scene(scene: Any, where: str, beside: Path) -> tuple[SceneFile, bool]:
     elif isinstance(scene, str):
         path = beside / scene
         found = path if scene.endswith(".toml") and os.path.exists(path) else scene
+        if scene not in scenes.SCENES and not os.path.exists(found):
+            hint = nearest(scene, scenes.SCENES)
+            raise InputError(f"{where}: scene", f"no file and no scene '{clip(scene)}'", f"{hint} Or give a .toml file")
         given = scenefile.load(found)
         table = tables.read(Path(found)) if given.source else {}
     else:
