@@ -51,7 +51,7 @@ MEANING = {
     "discrepancy": "the law misses a shape of the contact",
     NEXT_RUN: "the estimate of one more run by itself",
 }
-_BUDGET = "Errors of the sensor and of fixed values that residuals do not show, and what they move each estimate by"
+_BUDGET = "Errors of the sensor and of fixed values that residuals do not show: how far each moves the estimates"
 _HEAD = ["parameter", "value", "95 % interval", "which allows for", "with the errors below", "remark"]
 
 

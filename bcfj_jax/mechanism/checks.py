@@ -199,9 +199,9 @@ def _check_start(scene: Mechanism, params: dict[str, Array], where: str) -> None
 
 
 def _check_regularisation(scene: Mechanism, params: dict[str, Array], where: str) -> None:
-    """Refuse a body that the contact regularisation throws out, under a law whose damping goes by the approach speed.
+    """Refuse a body that the contact regularisation pushes away before it has arrived.
 
-    Such a law is rigid to a body that leaves at more than its stated approach speed.
+    A law whose damping goes by the approach speed is rigid to a body that leaves faster than that.
     """
     needing = [c for c in scene.contacts if c.smoothing and "approach_speed" in c.law.needs]
     widths = {c.name: float(scene.coefficient(params, c.name, "smoothing")) for c in needing}
@@ -210,7 +210,8 @@ def _check_regularisation(scene: Mechanism, params: dict[str, Array], where: str
     apart, out = asked(_stored_energy, scene, params)
     for name, width in widths.items():
         if width > 0.0 and bool(out[name]):
-            found = f"a smoothing of {width:g} m throws out the body, which starts {-float(apart[name]):g} m away"
+            gap = -float(apart[name])
+            found = f"with {width:g} m the contact pushes the body away before it has arrived: it starts {gap:g} m away"
             remedy = "give less smoothing, a start further away, or a law without restitution (memory_free)"
             raise InputError(f"{where} smoothing", found, remedy)
 

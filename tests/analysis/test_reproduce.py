@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 from conftest import BUILD
+from pages import check
 from typer.testing import CliRunner
 
 from bcfj_jax import scenes
@@ -215,6 +216,7 @@ def test_command(tmp_path, monkeypatch):
     text = (tmp_path / "out/reproduce.md").read_text()
     assert text.startswith("# ") and "not a prediction" in text and "GUESS" in text
     assert "Q39" in text and content["verdict"] in text
+    check(tmp_path / "out/report.html")
     page = (tmp_path / "out/report.html").read_text()
     assert page.index("claims with a number") < page.index("Q20") and "http" not in page.split("<body>")[1][:2000]
     again = CliRunner().invoke(app, ["reproduce", "--out", "out"])

@@ -9,6 +9,7 @@ import jax
 import numpy as np
 import pytest
 from conftest import BUILD
+from pages import check
 from typer.testing import CliRunner
 
 import bcfj_jax as bj
@@ -242,7 +243,9 @@ def test_command_line(here):
     peak = certificate["features"]["contact.peak"]
     assert peak["derivatives"]["mass"] > 0
     assert certificate["features"]["contact.period"]["value"] is None
+    check(here / "out/report.html")
     page = (here / "out/report.html").read_text()
+    assert "mass drives contact.peak: +" in page
     assert page.index("Trusted") < page.index("data:image/png;base64,") < page.index("<table>")
     assert bcfj("impact", "--wrt", "mass", "--out", "out").exit_code == 2
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pages import check
 from studies import STUDY
 from typer.testing import CliRunner
 
@@ -70,6 +71,7 @@ def test_the_table_is_what_single_runs_give_and_others_read_it(done):
     said = json.loads(Path("out/study.json").read_text())
     assert (said["status"], said["points"], said["left"], said["failed"]) == ("finished", 14, 0, 0)
     assert {"study.png", "report.html", "run.toml", "environment.json"} <= set(os.listdir("out"))
+    check(Path("out/report.html"))
 
 
 def test_the_stiffest_undamped_impact_is_that_of_energy(done):

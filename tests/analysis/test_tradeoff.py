@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from conftest import BUILD
+from pages import check
 from scipy.integrate import solve_ivp
 from typer.testing import CliRunner
 
@@ -121,6 +122,7 @@ def test_files_and_columns(done):
     assert {row["status"] for row in done.rows} == {"ok"}
     assert {row["precision"] for row in done.rows} == {"float64"}
     assert set(done.json["recommended"]) == {"10 %", "5 %", "2 %", "1 %", "0.5 %", "0.1 %"}
+    check(done.out / "report.html")
     page = (done.out / "report.html").read_text()
     assert page.index("a run") < page.index("data:image/png;base64,") < page.index("<table>")
     assert "Recommended settings" in done.stdout

@@ -9,6 +9,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from pages import check
 from scipy.signal import lsim
 
 from bcfj_jax import InputError, scenes, simulate
@@ -208,6 +209,7 @@ def test_the_command_says_what_would_explain(force, tmp_path, monkeypatch):
     assert code == command.DONE, json.loads(Path("out/fit.json").read_text())["reasons"]
     found = json.loads(Path("out/fit.json").read_text())["diagnosis"]
     assert found["named"] == ["hum"] and found["fits"][0]["confirmed"]
+    check(Path("out/report.html"))
     assert "What would explain the miss" in Path("out/report.html").read_text()
     Path("q.toml").write_text(text + found["suspects"][0]["lines"])
     assert fit(load("q.toml"), starts=4).law.answer == "consistent"

@@ -14,6 +14,7 @@ import numpy as np
 import platformdirs
 import pytest
 from conftest import BUILD
+from pages import check
 from typer.testing import CliRunner
 
 from bcfj_jax.analysis.simulation import pictures, results
@@ -75,6 +76,7 @@ def test_chung_ooi(name, peak, end, here):
     assert len(rows) == 2002
     assert max(float(row[1]) for row in rows[1:]) == contact["peak"]
 
+    check(here / "out/report.html")
     page = (here / "out/report.html").read_text()
     assert page.index("Highest force") < page.index("data:image/png;base64,") < page.index("<table>")
     assert "http" not in page
@@ -141,6 +143,7 @@ def test_failed_simulation_says_why_and_still_writes(here):
     rows = rows_of(here / "out/forces.csv")
     assert rows[-1][1] == ""
     assert float(rows[2][1]) > 0
+    check(here / "out/report.html")
     assert "Failed." in (here / "out/report.html").read_text()
     assert {p.name for p in (here / "out").iterdir()} == FILES
 

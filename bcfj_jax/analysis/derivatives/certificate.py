@@ -9,7 +9,7 @@ have errors of their own, which a second step a quarter as long measures, and on
 |---|---|
 | ``trusted`` | the pointwise difference is at most 3 % |
 | ``averaged only`` | that of the moving average is at most 10 % |
-| ``not differentiable here`` | else; or chaotic: tangents grow by more than 1e6 and levels disagree |
+| ``not differentiable here`` | larger differences, or chaotic motion: tangents grow by more than 1e6 and levels disagree |
 
 A feature's derivative has its own verdict, by the difference of that number between the levels: at most 3 %, at most
 10 %, more. It may be good where the history's is not. Where a run beside fails, or the budget ends, the verdict is that

@@ -36,6 +36,8 @@ from bcfj_jax.mechanism.observed import observing
 FILES = (
     "sensitivity.csv", "certificate.json", "tornado.png", "histories.png", *report.FILES, "run.toml", "environment.json",
 )  # fmt: skip
+# Rows of the report's tables that are not folded.
+_MOST_ROWS = 12
 
 
 def run(
@@ -128,14 +130,25 @@ def page(
         drawn: the pictures.
     """
     certificate = found.certificate
-    shown = [Table("Change of features per change of parameters" if k == 0 else head, rows, LEGEND if certificate else "")
-             for k, (head, rows) in enumerate(tables)]  # fmt: skip
+    shown = [
+        _strongest(
+            head if k else "Percent change of features per percent change of parameters", rows, bool(certificate)
+        )
+        for k, (head, rows) in enumerate(tables)
+    ]
     if certificate:
         note = "Pointwise and averaged: how far two tolerances differ, shares of the largest derivative. "
         note += "Tangent growth: how much a small change grows over the run."
         shown.append(Table("Certificate of the histories' derivatives", certificate_rows(certificate), note))
     solver = report.solver_table(found.stats, [["solves", str(found.stats["levels"])]])
     return Page(title, answer(found, ranked), drawn, tables=tuple(shown), folded=(solver,))
+
+
+def _strongest(title: str, rows: list[list[str]], certified: bool) -> Table:
+    """The table with its strongest rows; the others are folded."""
+    most = _MOST_ROWS + 1
+    rest = (Table(f"{len(rows) - most} weaker features", [rows[0], *rows[most:]]),) if len(rows) > most + 2 else ()
+    return Table(title, rows[:most] if rest else rows, LEGEND if certified else "", rest)
 
 
 def answer(found: Sensitivity, ranked: Ranking) -> Verdict:

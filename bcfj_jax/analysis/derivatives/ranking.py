@@ -76,8 +76,8 @@ def ranked_rows(features: Mapping[str, float], ranked: Ranking) -> list[list[str
 
 
 LEGEND = (
-    "A number alone is trusted: two tolerances agree within 3 %, or 0.0003. ±: how far they are apart. "
-    "In brackets: by more than 10 %, or 0.001: a size only. 0: less than 0.0001. -: none."
+    "Without a mark: two tolerances agree within 3 % (a small number within 0.0003). ±: how far they are apart. "
+    "In brackets: they differ by more than 10 % (0.001), so that only the size is known. 0: below 0.0001. -: no derivative."
 )
 
 
