@@ -29,7 +29,7 @@ FILES = (
 # What a reader looks for first: the peaks of the paper's points 1 and 4.
 LEADING = (FILES[0], FILES[3])
 _PARTS = ("normal", "axial", "tangential")
-_WIDE = 8.4
+_WIDE = 7.2
 _THIN = 0.9
 
 

@@ -245,7 +245,7 @@ def test_command_line(here):
     assert certificate["features"]["contact.period"]["value"] is None
     check(here / "out/report.html")
     page = (here / "out/report.html").read_text()
-    assert "mass drives contact.peak: +" in page
+    assert "exponent drives contact.peak: -" in page
     assert page.index("Trusted") < page.index("data:image/png;base64,") < page.index("<table>")
     assert bcfj("impact", "--wrt", "mass", "--out", "out").exit_code == 2
 
