@@ -64,8 +64,9 @@ class Bar:
         self.key: Any = None
         self.done = 0
 
-    def tick(self, took: float) -> None:
+    def tick(self, took: float, last: bool) -> None:
         """Appear once the stage takes long."""
+        del last
         if self.key is None and took >= Waiting.after:
             self.key = self.bars.add(self.text, self.total, self.done)
 

@@ -18,8 +18,8 @@ _TICK = 0.05
 class Shown(Protocol):
     """A stage as it is shown: how long it has taken, how much of it is done, and that it has ended."""
 
-    def tick(self, took: float) -> None:
-        """So long it has taken [s]. Called now and then, by another thread."""
+    def tick(self, took: float, last: bool) -> None:
+        """So long it has taken [s]; whether no stage began after it. Called now and then, by another thread."""
 
     def advance(self, done: int) -> None:
         """So many parts are done."""
@@ -99,8 +99,9 @@ class _Clock:
                 while not self.stages:
                     self.known.wait()
                 now = time.monotonic()
-                for shown, begin in list(self.stages.values()):
-                    shown.tick(now - begin)
+                every = list(self.stages.values())
+                for number, (shown, begin) in enumerate(every, 1):
+                    shown.tick(now - begin, number == len(every))
             time.sleep(_TICK)
 
 
@@ -116,15 +117,17 @@ class Lines:
         self.done, self.first, self.spoken = 0, 0, 0
         self.heard = False
         if not Waiting.after:
-            self.tick(0.0)
+            self.tick(0.0, True)
 
-    def tick(self, took: float) -> None:
-        """Say what is due."""
+    def tick(self, took: float, last: bool) -> None:
+        """Say what is due; of stages without a count, the last one speaks for all."""
         if took < self.next:
             return
         if not self.heard:
             self.heard = True
             self.say(self.text)
+        elif self.total is None and not last:
+            return
         elif self.total is None:
             self.say(f"{self.text} ({_time(took)} so far)")
             self.every *= 2.0

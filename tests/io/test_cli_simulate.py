@@ -184,7 +184,7 @@ def test_unresolved_contacts_are_warned_of(here):
     Path("coarse.toml").write_text('[scene]\nkind = "bounce"\n[time]\nsamples = 1001\n')
     done = bcfj("simulate", "coarse.toml", "--out", "out")
     assert done.exit_code == 0
-    assert "warning: contact: the shortest contact has 1 sample(s) only" in done.stderr
+    assert "warning: contact: the shortest contact has only 1 sample," in done.stderr
     assert "raise [time] samples" in json.loads((here / "out/summary.json").read_text())["warnings"][0]
 
 

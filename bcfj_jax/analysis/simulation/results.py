@@ -155,15 +155,18 @@ def resolution_warnings(run: Run) -> list[str]:
     if not (run.force or run.readings):
         found.append("the scene has no contact: name what is to be seen in [[read]] tables")
     missed = {name: count for name, count in missed.items() if count}
+    more = f"raise [time] samples, or say --samples {10 * (len(run.times) - 1) + 1}"
     if missed:
+        count = sum(missed.values())
+        short = "1 short contact falls" if count == 1 else f"{count} short contacts fall"
         found.append(
-            f"{_several(missed)}: contacts that lie between two samples: {sum(missed.values())}; peak, mean, impulse "
-            "and work leave them out: raise [time] samples"
+            f"{_several(missed)}: {short} between two samples, and peak, mean, impulse and work leave that out; {more}"
         )
     if shortest:
+        least = min(shortest.values())
         found.append(
-            f"{_several(shortest)}: the shortest contact has {min(shortest.values())} sample(s) only; peak, impulse "
-            "and work are coarse: raise [time] samples"
+            f"{_several(shortest)}: the shortest contact has only {least} sample{'' if least == 1 else 's'}, so that "
+            f"its peak, impulse and work are coarse; {more}"
         )
     return found
 
