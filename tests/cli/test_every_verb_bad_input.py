@@ -84,8 +84,12 @@ VERBS = ("simulate", "sensitivity", "tradeoff", "design")
 # Good input.
 
 
-@pytest.mark.full
-@pytest.mark.parametrize("scene", SCENES)
+def marked(scene: str):
+    """The scenes of the full tier; the others are slow."""
+    return pytest.param(scene, marks=pytest.mark.full if scene in ("impact", "joint") else pytest.mark.slow)
+
+
+@pytest.mark.parametrize("scene", map(marked, SCENES))
 def test_every_verb_plans_every_scene(scene, here):
     before = state(here)
     for verb in VERBS:
@@ -102,9 +106,10 @@ def test_every_verb_plans_every_scene(scene, here):
     [
         ("validate", "s.toml"), ("validate", "study.toml"), ("validate", "design.toml"), ("validate", "p.toml"),
         ("calibrate", "p.toml", "--dry-run"), ("design", "design.toml", "--dry-run"),
-        ("study", "run", "study.toml", "--dry-run"), ("doctor",), ("schema", "study"), ("reproduce", "--dry-run"),
+        pytest.param(("study", "run", "study.toml", "--dry-run"), marks=pytest.mark.slow, id="study dry"),
+        ("doctor",), ("schema", "study"), ("reproduce", "--dry-run"),
     ],
-    ids=" ".join,
+    ids=lambda x: " ".join(x),
 )  # fmt: skip
 def test_verbs_that_write_nothing(command, here):
     before = state(here)
