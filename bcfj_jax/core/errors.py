@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import difflib
 import os
+import re
 from collections.abc import Iterable, Mapping, Sequence
 
 QUOTED = 200  # characters of a value that a message repeats
 _LONGEST_LINE, _LONGEST_MESSAGE = 1000, 8000
+_LONG_QUOTE = re.compile(rf"'([^'\n]{{{QUOTED + 1},}})'")
 
 
 def clip(value: object, most: int = QUOTED) -> str:
@@ -25,7 +27,10 @@ def escaped(text: str) -> str:
 
 
 def _short(text: str) -> str:
-    """A part of a message, no line of it and not all of it beyond what can be read."""
+    """A part of a message: no quoted value, no line of it and not all of it beyond what can be read."""
+    if len(text) <= QUOTED:
+        return text
+    text = _LONG_QUOTE.sub(lambda found: f"'{clip(found[1])}'", text)
     if len(text) <= _LONGEST_LINE:
         return text
     return clip("\n".join(clip(line, _LONGEST_LINE) for line in text.split("\n")), _LONGEST_MESSAGE)

@@ -306,7 +306,7 @@ def targets(count: int, folder: Path) -> dict[str, Target]:
     two_models = '[[model]]\nname = "Hertz"\nparameters = { exponent = 1.5 }\n[free]'
     problems.append(problems[0].replace("[free]", two_models))
     files = {
-        "scene": (good_scenes(), scenefile.load, Simulated(max(3, count // 50))),
+        "scene": (good_scenes(), scenefile.load, Simulated(count // 100)),
         "calibration": (problems, problemfile.load, nothing),
         "study": (list(STUDIES), specification.load, drawn),
     }
@@ -324,8 +324,16 @@ def targets(count: int, folder: Path) -> dict[str, Target]:
     return found
 
 
+def cases(name: str, how: Target, folder: Path, seed: int) -> Iterator[tuple[int, Case]]:
+    """The cases of one kind of file, one after the other; each can be made again from the seed and its number."""
+    for k in range(how.count):
+        rng = np.random.default_rng([seed, k, len(name)])
+        content = how.mutate(rng, how.good[k % len(how.good)])
+        yield k, run_case(how.read, how.then, folder / f"{name.strip('.')}_case{how.suffix}", content)
+
+
 def main(arguments: list[str] | None = None) -> int:
-    """Run the cases, print the table, say every fault once; the number of faults."""
+    """Run the cases, print the table, say every fault once; whether there are any."""
     options = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     options.add_argument("--cases", type=int, default=2000)
     options.add_argument("--only", default="")
@@ -336,30 +344,24 @@ def main(arguments: list[str] | None = None) -> int:
 
     bj.use_cache()
     rows, faults = [["files", "cases", "accepted", "refused", "faults", "slowest to read", "simulated", "compared"]], 0
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
         for path in (ROOT / "examples").iterdir():
             shutil.copy(path, folder)
-        for target, how in targets(given.cases, Path(folder)).items():
+        for target, how in targets(given.cases, folder).items():
             if given.only and target not in given.only.split(","):
                 continue
             ended: collections.Counter[str] = collections.Counter()
             slowest, said = 0.0, set()
-            for k in range(how.count):
-                rng = np.random.default_rng([given.seed, k, len(target)])
-                content = how.mutate(rng, how.good[k % len(how.good)])
-                file = Path(folder) / f"{target.strip('.')}_case{how.suffix}"
-                case = run_case(how.read, how.then, file, content)
+            for k, case in cases(target, how, folder, given.seed):
                 ended[case.outcome] += 1
                 slowest = max(slowest, case.seconds)
-                if case.outcome not in ("accepted", "refused"):
-                    faults += 1
-                    key = (case.outcome, case.detail.strip().splitlines()[-1][:80])
-                    if key not in said:
-                        said.add(key)
-                        print(
-                            f"--- {target} case {k} (seed {given.seed}): {case.outcome}\n{case.detail}", file=sys.stderr
-                        )
+                key = (case.outcome, case.detail.strip().splitlines()[-1][:80] if case.detail.strip() else "")
+                if case.outcome not in ("accepted", "refused") and key not in said:
+                    said.add(key)
+                    print(f"--- {target} case {k} (seed {given.seed}): {case.outcome}\n{case.detail}", file=sys.stderr)
             bad = sum(n for outcome, n in ended.items() if outcome not in ("accepted", "refused"))
+            faults += bad
             runs, compared = getattr(how.then, "runs", 0), getattr(how.then, "compared", 0)
             cells = [target, how.count, ended["accepted"], ended["refused"], bad, f"{slowest:.2f} s", runs, compared]
             rows.append([str(cell) for cell in cells])
