@@ -2,7 +2,7 @@
 
     python -m scripts.pythons python3.11 python3.12 python3.13                 versions of constraints.txt, fast tier
     python -m scripts.pythons python3.11 --versions pinned,lowest,newest      also the oldest and the newest allowed
-    python -m scripts.pythons python3.12 --tests tests/contact tests/solve     other tests
+    python -m scripts.pythons python3.12 --tests "tests/contact tests/solve"    other tests
 
 ``pinned`` is constraints.txt; ``newest`` what pip takes without it; ``lowest`` the lowest release that each direct requirement
 in pyproject.toml allows, found by uv. The package is installed as a wheel, so that no test imports the checkout. The
@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import re
+import shlex
 import shutil
 import sys
 import tempfile
@@ -102,7 +103,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("pythons", nargs="+", help="interpreters, by name or path")
     parser.add_argument("--versions", default="pinned", help=f"of {', '.join(KINDS)}, separated by commas")
-    parser.add_argument("--tests", nargs="+", default=[], help="what pytest is given in place of the fast tier")
+    parser.add_argument("--tests", default=shlex.join(FAST), help="what pytest is given, in one word")
     parser.add_argument("--out", type=Path, help="a JSON file to add the rows to")
     parser.add_argument("--timeout", type=float, default=3600.0, help="seconds for the tests of one environment")
     asked = parser.parse_args()
@@ -112,7 +113,7 @@ def main() -> None:
     rows = []
     for python in asked.pythons:
         for kind in kinds:
-            rows.append(tried(python, kind, asked.tests or FAST, asked.timeout))
+            rows.append(tried(python, kind, shlex.split(asked.tests), asked.timeout))
             print(rows[-1]["end"], table(rows), sep="\n", flush=True)
     if asked.out is not None:
         kept = json.loads(asked.out.read_text(encoding="utf-8"))["rows"] if asked.out.exists() else []

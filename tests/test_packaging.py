@@ -20,7 +20,7 @@ from bcfj_jax._version import __version__
 from bcfj_jax.cli import app
 from bcfj_jax.core.extras import EXTRAS, library
 from calibration.uncertainty.intervals import check_kind
-from scripts import pythons, release
+from scripts import first_run, pythons, release
 
 ROOT = Path(__file__).resolve().parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -179,3 +179,27 @@ def test_a_release_is_refused(tree, file, text, git, said):
 
 def test_the_tree_is_ready_but_for_git():
     assert release.problems(ROOT, "main", "", []) == []
+
+
+# --- the first run
+
+
+def test_the_commands_of_a_page_are_found_without_comments():
+    page = "# A\n\n```\nmake demo    # sets up\n.venv/bin/bcfj simulate joint\nresults in r\n```\n\n```python\nmake = 1\n```\n"
+    assert first_run.commands(page) == ["make demo", ".venv/bin/bcfj simulate joint"]
+
+
+def test_readme_and_start_page_have_commands_and_each_target_exists():
+    found = [line for page in first_run.PAGES for line in first_run.commands((ROOT / page).read_text(encoding="utf-8"))]
+    assert {"make demo", "make test"} <= set(found)
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    assert all(f"\n{line.split()[1]}:" in makefile for line in found if line.startswith("make "))
+
+
+def test_a_bare_machine_sees_python_and_make_and_nothing_else(tmp_path):
+    env = first_run.machine(tmp_path, sys.executable)
+    tool = f"{env['PATH']}/sh"
+    for command, good in (("python3 -c 'import sys'", True), ("make --version", True), ("git --version", False)):
+        done = subprocess.run([tool, "-c", command], env=env, capture_output=True, check=False)
+        assert (done.returncode == 0) == good, command
+    assert not list((tmp_path / "home").iterdir())
