@@ -64,7 +64,7 @@ def warnings(scene: AbstractModel, params: Params, times: np.ndarray) -> list[st
     for name, value in numbers.items():
         low, high = box.get(name, (-np.inf, np.inf))
         if not low <= value <= high:
-            found.append(f"{MEANING[name]} is {value:.3g}, tried from {low:.3g} to {high:.3g}")
+            found.append(f"{MEANING[name]} is {value:.3g}, measured from {low:.3g} to {high:.3g}")
     found += untried
     begin = scene.settled_from(params)
     if begin > 0.0 and times[-1] <= begin:
@@ -100,4 +100,6 @@ def of_the_start(
             )
     if not found:
         return []
-    return [f"no error is promised of peaks before {scene.settled_when} ({format_si(begin, 's')}): {'; '.join(found)}"]
+    return [
+        f"the force error is not promised for peaks before {scene.settled_when} ({format_si(begin, 's')}): {'; '.join(found)}"
+    ]

@@ -75,7 +75,9 @@ class Drive(eqx.Module):
             if len(self.table[0]) < 3 or np.any(np.diff(self.table[0]) <= 0):
                 raise InputError(f"{where} table", "needs three or more times that increase", "give more points")
         if self.kind == "function" and self.function is None:
-            raise InputError(where, "a drive of kind 'function' without one", "give function = (t, params) -> position")
+            raise InputError(
+                where, "a drive of kind 'function' needs a function", "give function = (t, params) -> position"
+            )
 
     def needs(self, body: str, turns: bool) -> dict[str, tuple[Quantity, float | None]]:
         """Its parameters."""
@@ -172,21 +174,23 @@ class Body(eqx.Module):
         where = f"body {quoted(self.name)}"
         if not isinstance(self.name, str) or not self.name.isidentifier() or self.name == GROUND:
             raise InputError(
-                where, "is no name for a body", "give a word of letters, digits and '_', other than 'ground'"
+                where, "is not a valid name of a body", "give a word of letters, digits and '_', other than 'ground'"
             )
         if self.joint not in JOINTS:
             raise InputError(f"{where} joint", f"no joint '{self.joint}'", nearest(self.joint, JOINTS))
         if self.parent == self.name:
-            raise InputError(f"{where} parent", "hangs on itself", f"give another body, or '{GROUND}'")
+            raise InputError(f"{where} parent", "the body is its own parent", f"give another body, or '{GROUND}'")
         sizes.axis(self.axis, f"{where} axis")
         if self.drive is not None and self.joint not in ("slide", "hinge"):
-            found = f"a drive moves one coordinate, a joint '{self.joint}' has {len(JOINTS[self.joint])}"
+            found = f"a drive moves one coordinate, and the joint '{self.joint}' has {len(JOINTS[self.joint])}"
             raise InputError(f"{where} drive", found, "drive a slide or a hinge")
         if self.joint == "sphere" and (any(self.center) or isinstance(self.inertia, tuple)):
-            found = "a sphere whose attitude nobody follows has its centre of mass in the middle and one inertia"
+            found = "joint = 'sphere' needs its centre of mass in the middle and one inertia, since its rotation is not computed"
             raise InputError(f"{where} joint", found, "give joint = 'free'")
         if self.members and (self.parent != GROUND or self.drive is not None):
-            raise InputError(f"{where} members", "like bodies hang on the ground and have no drive", "leave one out")
+            raise InputError(
+                f"{where} members", "bodies with members need the ground as parent, and no drive", "leave one out"
+            )
         for key, _ in self.start:
             if key not in (*self.coordinates, *self.rates):
                 known = (*self.coordinates, *self.rates)

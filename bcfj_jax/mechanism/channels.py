@@ -156,7 +156,7 @@ def _component(c: Channel, vector: Any, bodies: Mapping[str, BodyMotion]) -> Arr
     axes = bodies[c.frame].axes if c.frame else None
     if c.frame and axes is None and bodies[c.frame].spin is not None:
         raise InputError(
-            f"reading '{c.name}'", f"'{c.frame}' turns, and its attitude is not known", "take another body's axes"
+            f"reading '{c.name}'", f"the rotation of '{c.frame}' is not computed", "use the axes of another body"
         )
     if axes is None:
         return vector[..., k]

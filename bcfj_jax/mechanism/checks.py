@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 # Bodies that overlap at the start by so many times the penetration that is to be expected were not placed there.
 _DEEP = 20.0
 # Of joint "sphere".
-_SPHERE, _FREE = "sphere, whose attitude nobody follows", "give it joint = 'free', or let the other body carry that"
+_SPHERE, _FREE = "sphere: its rotation is not computed", "give it joint = 'free', or put this part on the other body"
 
 
 def check_structure(scene: Mechanism) -> None:
@@ -42,7 +42,7 @@ def check_structure(scene: Mechanism) -> None:
     bodies: dict[str, str] = {}
     for b in scene.bodies:
         if b.name in bodies:
-            found = f"body '{b.name}' hangs on '{bodies[b.name]}' and on '{b.parent}': joints alone would close a loop"
+            found = f"body '{b.name}' has the parents '{bodies[b.name]}' and '{b.parent}', so joints alone would close a loop"
             remedy = "give it one parent, and close the loop by a contact with clearance or a bush"
             raise InputError(f"{where} body '{b.name}'", found, remedy)
         bodies[b.name] = b.parent
@@ -52,21 +52,25 @@ def check_structure(scene: Mechanism) -> None:
                 f"{where} body '{b.name}' parent", f"no body '{b.parent}'", nearest(b.parent, [*bodies, GROUND])
             )
         if b.parent != GROUND and scene.body(b.parent).members:
-            raise InputError(f"{where} body '{b.name}' parent", f"'{b.parent}' has members", "members carry nothing")
+            raise InputError(
+                f"{where} body '{b.name}' parent", f"'{b.parent}' has members", "give a parent without members"
+            )
         if b.parent != GROUND and scene.body(b.parent).joint == "sphere":
             raise InputError(f"{where} body '{b.name}' parent", f"'{b.parent}' is a {_SPHERE}", _FREE)
         chain, at = [b.name], b.parent
         while at != GROUND:
             if at in chain:
-                found = f"the tree goes round: {' on '.join([*chain, at])}"
-                raise InputError(f"{where} body '{b.name}' parent", found, f"hang one of them on '{GROUND}'")
+                found = f"the parents form a circle: {' on '.join([*chain, at])}"
+                raise InputError(f"{where} body '{b.name}' parent", found, f"give one of them the parent '{GROUND}'")
             chain.append(at)
             at = bodies[at]
     names: dict[str, str] = dict.fromkeys(bodies, "body")
     for part, what in [(c, "contact") for c in scene.contacts] + [(x, "load") for x in scene.loads]:
         if part.name in names and not (what == "load" and part.name == "gravity" and names[part.name] != "load"):
             raise InputError(
-                f"{where} {what}", f"the name '{part.name}' is a {names[part.name]}'s", "give another name"
+                f"{where} {what}",
+                f"the name '{part.name}' already belongs to a {names[part.name]}",
+                "give another name",
             )
         names[part.name] = what
     known = [*bodies, GROUND]
@@ -83,8 +87,8 @@ def check_structure(scene: Mechanism) -> None:
         counts = {scene.body(b).members for b in c.between if b != GROUND and scene.body(b).members}
         counts |= {c.gap.members} if c.gap.members else set()
         if len(counts) > 1:
-            found = f"{sorted(counts)} members side by side"
-            raise InputError(f"{where} contact '{c.name}'", found, "give the bodies and the gap as many members")
+            found = f"the bodies and the gap have different numbers of members: {sorted(counts)}"
+            raise InputError(f"{where} contact '{c.name}'", found, "give all of them the same number")
     for load in scene.loads:
         for body in load.touches:
             if body not in known:
@@ -116,9 +120,9 @@ class _Recorder(Mapping):
         owners = [known.rpartition(".")[0] for known in self.scene.quantities if known.endswith(f".{name}")]
         missing = [owner for owner in owners if owner and f"{owner}.{name}" not in self.values_]
         if name == "mass" and missing:
-            remedy = f"a body needs one to be moved: give {missing[0]}.mass, or mass for every body without its own"
-            raise InputError(f"{self.where} body '{missing[0]}' mass", f"{', '.join(missing)} without a mass", remedy)
-        reads = f", which {', '.join(missing)} would read" if missing else ""
+            remedy = f"a body that moves needs a mass: give {missing[0]}.mass, or mass for all bodies"
+            raise InputError(f"{self.where} body '{missing[0]}' mass", f"no mass for {', '.join(missing)}", remedy)
+        reads = f"; it is read by {', '.join(missing)}" if missing else ""
         beside = f", or {missing[0]}.{name}" if missing else ""
         raise InputError(self.where, f"the parameter '{name}' has no value{reads}", f"give {name}{beside}")
 
@@ -170,7 +174,7 @@ def check_values(scene: Mechanism, params: Params, where: str = "") -> None:
     read = _read(scene, tuple(params), where)
     for quantity, _ in scene.own:
         if quantity.name not in read:
-            remedy = "name it where a size or a coefficient is read from it, or take it out"
+            remedy = "use its name in a size or a coefficient, or remove the parameter"
             raise InputError(where, f"nothing reads the parameter '{quantity.name}'", remedy)
     if any(isinstance(x, Tracer) or np.ndim(x) for x in params.values()):
         return
@@ -185,7 +189,9 @@ def _check_start(scene: Mechanism, params: dict[str, Array], where: str) -> None
         deepest = float(np.max(depth))
         if not np.isfinite(deepest):
             raise InputError(
-                f"{where} contact '{name}'", f"the penetration at time 0 is {deepest}", "mend its gap or its sizes"
+                f"{where} contact '{name}'",
+                f"the penetration at time 0 is {deepest}",
+                "correct the gap of this contact, or the sizes of its bodies",
             )
         deep += [name] if deepest > _DEEP * float(expected) and deepest > 1e-9 else []
     # Bodies that are held in balance, such as a ball with preload, start as deep as they like.
@@ -194,7 +200,9 @@ def _check_start(scene: Mechanism, params: dict[str, Array], where: str) -> None
         if float(thrown[name]) > _DEEP * float(speed):
             a, b = scene.contact(name).between
             found = f"'{a}' and '{b}' start {float(depths[name]):.3g} m inside each other"
-            remedy = f"place them apart, or no deeper than their load presses them (some {float(expected):.2g} m)"
+            remedy = (
+                f"move them apart, or reduce the penetration to what their load causes (about {float(expected):.2g} m)"
+            )
             raise InputError(f"{where} contact '{name}'", found, remedy)
 
 
@@ -212,7 +220,7 @@ def _check_regularisation(scene: Mechanism, params: dict[str, Array], where: str
         if width > 0.0 and bool(out[name]):
             gap = -float(apart[name])
             found = f"with {width:g} m the contact pushes the body away before it has arrived: it starts {gap:g} m away"
-            remedy = "give less smoothing, a start further away, or a law without restitution (memory_free)"
+            remedy = "reduce smoothing, start further away, or use a law without restitution (memory_free)"
             raise InputError(f"{where} smoothing", found, remedy)
 
 

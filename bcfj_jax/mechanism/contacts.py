@@ -97,7 +97,7 @@ class Contact(eqx.Module):
             object.__setattr__(self, "elastic", None)
         where = f"contact {quoted(self.name)}"
         if not isinstance(self.name, str) or not self.name.isidentifier():
-            raise InputError(where, "is no name for a contact", "give a word of letters, digits and '_'")
+            raise InputError(where, "is not a valid name of a contact", "give a word of letters, digits and '_'")
         if len(self.between) != 2:
             raise InputError(f"{where} between", f"{list(self.between)}", "give the names of two bodies")
         if self.between[0] == self.between[1]:
@@ -110,7 +110,7 @@ class Contact(eqx.Module):
             raise InputError(f"{where} approach", f"{self.approach!r}", 'give "parameter" or an Approach')
         for name, _ in self.values:
             if name not in (*self.reads, "clearance", "smoothing"):
-                found = f"no coefficient '{name}' is read by its gap, law and friction"
+                found = f"its gap, law and friction read no coefficient '{name}'"
                 raise InputError(f"{where} values", found, f"they read {', '.join(self.reads)}")
 
     @property
@@ -274,11 +274,11 @@ def raised(where: str, error: Exception) -> InputError:
         return error
     at, said = origin(error), f"{error}".splitlines()
     found = f"its code raised {type(error).__name__}{f' in {at}' if at else ''}: {said[0] if said else ''}".rstrip(": ")
-    remedy = "mend that code"
+    remedy = "correct that code"
     if isinstance(error, jax.errors.TracerArrayConversionError):
-        remedy = "use jax.numpy in place of numpy: numbers are traced"
+        remedy = "use jax.numpy in place of numpy: JAX traces the numbers"
     elif isinstance(error, jax.errors.ConcretizationTypeError):
-        remedy = "use jnp.where in place of 'if', and jnp.maximum in place of 'max': numbers are traced"
+        remedy = "use jnp.where in place of 'if', and jnp.maximum in place of 'max': JAX traces the numbers"
     elif isinstance(error, KeyError):
-        remedy = "name what it reads in 'needs'"
+        remedy = "list the coefficients that it reads in 'needs'"
     return InputError(where, found, remedy)

@@ -672,7 +672,7 @@ class Mechanism(AbstractModel):
                     raise InputError(f"{b.name} drive", f"{speed:g} rad/s", "give a speed other than 0")
                 return 2.0 * np.pi / speed, 2.0 * np.pi / speed
         if self._driven:
-            found = f"no drive of it turns: {', '.join(b.name for b in self._driven)}"
+            found = f"none of its drives turns: {', '.join(b.name for b in self._driven)}"
             raise InputError(f"scene '{self.kind}'", found, "give the period, or interval and settle")
         return super().period(params)
 

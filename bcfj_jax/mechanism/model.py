@@ -287,7 +287,9 @@ class AbstractModel(eqx.Module):
             near: the second of these of an earlier call for the same number of times, or ``origin``'s.
             rates: whether velocities are wanted; those of a search cost a second derivative where it is differentiated.
         """
-        raise InputError(f"scene '{self.kind}'", "has a history: it is integrated", "this is a defect: report it")
+        raise InputError(
+            f"scene '{self.kind}'", "has a history: it is integrated", "this is an error in bcfj-jax: please report it"
+        )
 
     # What instruments read.
 
@@ -382,7 +384,7 @@ class AbstractModel(eqx.Module):
         Raises:
             InputError: for a model without a drive that turns.
         """
-        raise InputError(f"scene '{self.kind}'", "has no drive, so no revolution", "take impacts, of a run")
+        raise InputError(f"scene '{self.kind}'", "has no drive, so it has no revolution", "take impacts, of a run")
 
     def coordinates(self) -> dict[str, tuple[int, int]]:
         """By name, where a coordinate and its velocity are in the flat state."""
@@ -400,11 +402,11 @@ class AbstractModel(eqx.Module):
 
     def pitch(self, params: Params) -> Array:
         """Time [s] in which steady motion repeats itself, its members renumbered: the second of ``period``. Pure."""
-        raise InputError(f"scene '{self.kind}'", "has no pitch", "this is a defect: report it")
+        raise InputError(f"scene '{self.kind}'", "has no pitch", "this is an error in bcfj-jax: please report it")
 
     def pitch_before(self, params: Params, state: Array) -> Array:
         """State of steady motion a ``pitch`` before this one. Pure."""
-        raise InputError(f"scene '{self.kind}'", "has no pitch", "this is a defect: report it")
+        raise InputError(f"scene '{self.kind}'", "has no pitch", "this is an error in bcfj-jax: please report it")
 
     def turned(self, params: Params) -> int:
         """Which member is a pitch ago where the first is now, counted from it: what it does is done a pitch later."""

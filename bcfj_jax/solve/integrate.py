@@ -110,8 +110,10 @@ def integrate(
     times, traits = jnp.maximum(times, 0.0), model.traits
     if traits.open:
         names = ", ".join(level.name for level in model.coarser())
-        remedy = f"give one of {names}: simulate alone chooses, and its run says what"
-        raise InputError(f"scene '{model.kind}' fidelity", f"'{model.title}' is no model yet", remedy)
+        remedy = f"give one of {names}; only simulate can choose, and its run names the choice"
+        raise InputError(
+            f"scene '{model.kind}' fidelity", f"'{model.title}' leaves the choice of the model open", remedy
+        )
     if not traits.history:
         return model.instants(params, times)[0]
     if differentiable and how.solver in named.VALUES_ONLY:

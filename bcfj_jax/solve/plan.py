@@ -78,7 +78,7 @@ def check_bits() -> None:
     """
     if jnp.result_type(float) != jnp.float64:
         raise InputError(
-            "jax_enable_x64", "is off: numbers would have 32 bits", "leave it as importing bcfj_jax set it"
+            "jax_enable_x64", "is off, so numbers would have 32 bits", "do not change it after importing bcfj_jax"
         )
 
 

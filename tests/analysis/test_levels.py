@@ -118,12 +118,12 @@ def test_a_joint_beyond_the_envelope_is_reported():
     (wide,) = stated(parameters={"clearance_seat_ball": 60e-6})
     assert "a ball's clearance over the width of contact regularisation is 3," in wide
     (own,) = stated(parameters={"seat_cage.exponent": 2.5})
-    assert "exponent is 2.5, tried from 1.5 to 1.5" in own
+    assert "exponent is 2.5, measured from 1.5 to 1.5" in own
     (other,) = stated(spin=True)
     assert "options other than the defaults" in other
     (short,) = stated(end=0.1)
     # The ramp's 50 ms and a sixth of a turn at 100 r/min.
-    assert "before the load has risen and a ball's pitch has passed (150 ms)" in short
+    assert "before the load has risen and the drive has turned on by one ball (150 ms)" in short
     (still,) = stated(parameters={"drive_speed": 0.0})
     assert "pitch has passed" in still
     assert stated(friction=False) and stated(contacts=("seat_ball", "head_ball"), cage="fixed")

@@ -127,7 +127,7 @@ def test_blocks_take_every_point_once_the_costly_first():
         (("[vary.stiffness]", "[vary.clearance_seat_cage]"), r"no parameter 'clearance_seat_cage'"),
         (('scale = "log"', 'scale = "ln"'), r"no scale 'ln'"),
         (("contact.peak", "contact.peek"), r"no feature 'peek'.*peak"),
-        (("contact.peak", "contact.impulse"), r"'contact.impulse' is there twice"),
+        (("contact.peak", "contact.impulse"), r"'contact.impulse' is listed twice"),
         (("[results]", "[results]\nhistory = true"), r"unknown key 'history'.*histories"),
         (("[results]", '[results]\nderivatives = ["masss"]'), r"no parameter 'masss'.*mass"),
         (('scene = "impact"', 'scene = "impcat"'), r"scene: no file and no scene .impcat.; did you mean .impact"),

@@ -359,7 +359,7 @@ ROD = '[[body]]\nname = "rod"\njoint = "hinge"\nparent = "slider"\n'
 BAD = {
     "a loop of ideal joints": ("[[contact]]", f"{ROD}[[contact]]", ["[[body]] 4 'rod'", "close a loop", "a bush"]),
     "two parents": ('parent = "crank"', 'parent = ["crank", "slider"]', ["[[body]] 2 'rod' parent", "close a loop"]),
-    "a body without mass": ('"rod.mass" = "0.21 kg"\n', "", ["[[body]] 2 'rod' mass", "without a mass", "rod.mass"]),
+    "a body without mass": ('"rod.mass" = "0.21 kg"\n', "", ["[[body]] 2 'rod' mass", "no mass for", "rod.mass"]),
     "a mass of nothing": ('"rod.mass" = "0.21 kg"', '"rod.mass" = 0', ["rod.mass = 0 kg is out of range"]),
     "itself": ('["slider", "rod"]', '["rod", "rod"]', ["[[contact]] 1 'journal' between", "'rod' with itself"]),
     "deep": ('"17 cm"', '"16 cm"', ["[[contact]] 1 'journal'", "'slider' and 'rod' start 0.0095 m inside each other"]),

@@ -244,7 +244,7 @@ BAD = [
     (JOINT + "[parameters]\nseat_inertia = 1\n", ["[parameters] seat_inertia", "with these options", "known here:"]),
     (JOINT + "friction = false\n[parameters]\nfriction_static = 0.1\n", ["friction_static", "known here:"]),
     (JOINT + '[parameters]\nball_radius = "4 mm"\n', ["ball_radius", "0.004 m", "both tracks", "more than 0.0045 m"]),
-    (JOINT + '[parameters]\npitch_radius = "45 mm"\n', ["pitch_radius", "short of the head's track", "or less"]),
+    (JOINT + '[parameters]\npitch_radius = "45 mm"\n', ["pitch_radius", "away from the head's track", "or less"]),
     (JOINT + '[parameters]\nhead_radius = "41 mm"\n', ["seat_radius", "does not enclose the head"]),
     (JOINT + '[parameters]\nclearance_seat_cage = "10 mm"\n', ["clearance_seat_cage", "a wall of", "give smaller"]),
     (JOINT + "balls = 14\n", ["balls", "14 balls", "overlap", "give fewer"]),

@@ -334,7 +334,7 @@ def test_loads_drives_elastic_parts_and_scenes_of_ones_own():
 def test_the_joint_reads_coefficients_of_a_law_of_ones_own():
     bj.use_code("my.py")
     Path("j.toml").write_text('[scene]\nkind = "joint"\nlaws = { cage_ball = "Rubber" }\n')
-    with pytest.raises(InputError, match=r"'hardening' has no value, which cage_ball would read"):
+    with pytest.raises(InputError, match=r"'hardening' has no value; it is read by cage_ball"):
         load("j.toml")
     Path("j.toml").write_text(Path("j.toml").read_text() + '[parameters]\n"cage_ball.hardening" = "1 N/mm^3"\n')
     given = load("j.toml")

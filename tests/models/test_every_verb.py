@@ -237,7 +237,9 @@ def test_periods_that_are_not_there_are_asked_for():
         lambda: nonlinear.bifurcation(scene, params, "rate", [20.0], 4, transients=1),
         lambda: nonlinear.scene_exponent(scene, params, 10, settle=1.0),
     ):
-        with pytest.raises(InputError, match=r"no drive of it turns: table; give the period, or interval and settle"):
+        with pytest.raises(
+            InputError, match=r"none of its drives turns: table; give the period, or interval and settle"
+        ):
             ask()
     with pytest.raises(InputError, match="period: -1 s"):
         nonlinear.stroboscopic(scene, params, 4, transients=1, period=-1.0)

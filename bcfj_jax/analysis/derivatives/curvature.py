@@ -49,8 +49,8 @@ def hessian_vector(
     """
     params = inputs.parameters(inputs.model(scene), params, traced=False)
     if scene.traits.stiff:
-        found = "no second derivatives: it is stiff"
-        raise InputError(f"scene '{scene.kind}'", found, "they are for models without friction, as impact and bounce")
+        found = "its equations are stiff: no second derivatives"
+        raise InputError(f"scene '{scene.kind}'", found, "take a model without friction, such as impact or bounce")
     t = increasing(times)
     full, names = complete(scene, params, wrt)
     contacts = scene.members

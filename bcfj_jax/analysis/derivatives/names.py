@@ -55,9 +55,7 @@ def expanded(scene: AbstractModel, params: Params, wrt: Sequence[str]) -> tuple[
         own = [p for p in scene.quantities if p in params and any(fnmatch.fnmatchcase(p, x) for x in patterns)]
         if not own:
             known = ", ".join(p for p in scene.quantities if p in params)
-            raise InputError(
-                "wrt", f"'{name}' stands for no parameter of the scene '{scene.kind}'", f"known here: {known}"
-            )
+            raise InputError("wrt", f"'{name}' names no parameter of the scene '{scene.kind}'", f"known here: {known}")
         found += [p for p in own if p not in found]
     return tuple(found)
 

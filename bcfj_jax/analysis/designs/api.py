@@ -103,7 +103,9 @@ def design(
     kappa = scalar("kappa", _KAPPA, kappa)
     sign = _sign(sense, distribution, samples, starts, norms, iterations)
     if scene.traits.open:
-        raise InputError(f"scene '{scene.kind}' fidelity", f"'{scene.title}' is no model yet", "give one by name")
+        raise InputError(
+            f"scene '{scene.kind}' fidelity", f"'{scene.title}' leaves the choice of the model open", "give one by name"
+        )
     asked = features if callable(objective) else [objective] if isinstance(objective, str) else objective
     asked = texts(
         "objective", list(asked) if isinstance(asked, Mapping) else asked, 'name features, such as "contact.peak"'

@@ -85,8 +85,8 @@ def scene_exponent(
     # One interval more, at least, passes without being counted.
     settled = scene.settled_from(params)
     if settle + interval < settled:
-        found = f"{settle:g} s, while the load rises for {settled - interval:g} s"
-        raise InputError("settle", found, "settle for longer")
+        found = f"{settle:g} s, but the load rises for {settled - interval:g} s"
+        raise InputError("settle", found, "give a longer settle")
     scene.check(params)
     tolerance = plan(scene, accuracy, max_steps).tolerance
     turning = -(-intervals // 10)

@@ -80,7 +80,7 @@ def revolutions_to_keep(revolutions: int, transients: int, phase: float) -> np.n
     """
     phase = scalar("section", _PHASE, phase)
     if whole("revolutions", revolutions) < max(whole("transients", transients, least=0), 1):
-        found = f"{revolutions} with {transients} transients"
+        found = f"{revolutions} revolutions, of which {transients} are transients"
         raise InputError("revolutions", found, "give more revolutions than transients")
     first = max(transients, 0 if phase > 0.0 else 1)
     return np.arange(first, revolutions + 1) + phase / (2.0 * math.pi)

@@ -153,7 +153,7 @@ def resolution_warnings(run: Run) -> list[str]:
             shortest[name] = int(lengths.min())
     found = []
     if not (run.force or run.readings):
-        found.append("the scene has no contact: name what is to be seen in [[read]] tables")
+        found.append("the scene has no contact; name readings in [[read]] tables")
     missed = {name: count for name, count in missed.items() if count}
     more = f"raise [time] samples, or say --samples {10 * (len(run.times) - 1) + 1}"
     if missed:

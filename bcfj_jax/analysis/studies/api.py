@@ -70,7 +70,11 @@ class Result(NamedTuple):
             at = np.flatnonzero(group["point"][:] == point)
             if at.size:
                 return group["time"][int(at[0])], group["force"][int(at[0])]
-        raise InputError(f"point {point}", "no forces of it are kept", "say histories = true, and give a point it has")
+        raise InputError(
+            f"point {point}",
+            "the study keeps no forces of it",
+            "give a point of the study, and histories = true in its file",
+        )
 
 
 def study(

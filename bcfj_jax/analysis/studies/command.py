@@ -208,7 +208,7 @@ def page(title: str, result: api.Result, study: Study, drawn: Sequence[Picture])
     tables = [Table("Features over all points", rows), Table("What was varied", varied)]
     warnings = []
     if found := result.failed:
-        share = f"{found} of {study.count} points failed; the features leave them out."
+        share = f"{found} of {study.count} points failed; the features do not include them."
         warnings.append(share)
         reasons = [[text, str(count)] for text, count in result.state["reasons"].items()]
         tables.append(Table("Failures", [["reason", "points"], *reasons]))

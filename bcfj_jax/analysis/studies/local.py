@@ -69,7 +69,7 @@ def run(store: Store, workers: int, progress: Callable[[int], None]) -> None:
                     continue
                 del team[number]
                 if code == INTERRUPTED:
-                    raise Stopped("a worker could not write; it has said why")
+                    raise Stopped("a worker could not write; its message stands above")
                 if code == BAD_INPUT:
                     raise Stopped("a worker could not read the study")
                 if code != DONE:

@@ -85,19 +85,19 @@ def indices(source: Source, feature: str, seed: int = 0) -> Indices:
     study, y = found.study, found.feature(feature)
     where = f"feature '{feature}'"
     if study.kind not in METHODS:
-        remedy = "use design saltelli or morris, or on points that are there latin_hypercube or sobol"
-        raise InputError(where, f"a {study.kind} has no distribution that indices could be over", remedy)
+        remedy = "use the design saltelli, morris, latin_hypercube or sobol"
+        raise InputError(where, f"points of a {study.kind} have no distribution, which indices need", remedy)
     length = block_length(study.kind, len(study.names), study.options)
     kept = whole_blocks(y, length)
     blocks, left = len(y) // length, int(np.count_nonzero(kept)) // length
     called = {"saltelli": "blocks", "morris": "trajectories"}.get(study.kind, "points")
     if left < FEWEST[study.kind] or left < _SHARE_LEFT * blocks:
         need = max(FEWEST[study.kind], int(np.ceil(_SHARE_LEFT * blocks)))
-        lack = f"{left} of {blocks} {called} are without a failed or undefined point, {need} are needed"
+        lack = f"only {left} of {blocks} {called} have no failed or undefined point; {need} are needed"
         raise InputError(where, lack, "draw more, or narrow the ranges to where runs do not fail")
     y, shares = y[kept], found.shares[kept]
     if np.ptp(y) <= _NOTHING * np.max(np.abs(y)):
-        raise InputError(where, f"is {y[0]:.6g} at every point", "there is nothing to share out")
+        raise InputError(where, f"is {y[0]:.6g} at every point", "vary parameters that change it")
     values, pairs, dummy = _estimate(found, shares, y, seed)
     failed = int(np.count_nonzero(~found.ok))
     undefined = int(np.count_nonzero(found.ok & ~np.isfinite(found.feature(feature))))

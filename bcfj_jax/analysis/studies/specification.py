@@ -162,10 +162,12 @@ def from_table(table: Mapping[str, Any], where: str = "study", beside: Path = Pa
         raise InputError(f"{where}: [vary]", "nothing is varied", f"vary one of {', '.join(given.scene.quantities)}")
     axes = tuple(_axis(given, name, one, kind, where) for name, one in file.vary.items())
     if len({axis.name for axis in axes}) < len(axes):
-        raise InputError(f"{where}: [vary]", "one parameter is varied twice, by two names", "take one of them out")
+        raise InputError(f"{where}: [vary]", "one parameter is varied twice, under two names", "remove one of them")
     if kind == "list" and len({axis.steps for axis in axes}) > 1:
         found = ", ".join(f"{axis.name}: {axis.steps}" for axis in axes)
-        raise InputError(f"{where}: [vary]", f"values of a list side by side: {found}", "give as many of each")
+        raise InputError(
+            f"{where}: [vary]", f"lists of different lengths: {found}", "give every parameter the same number of values"
+        )
     options = Options(file.design.second_order or False, file.design.levels or DEFAULTS.levels)
     count = number(kind, axes, block_length(kind, len(axes), options) * size)
     if count > MOST_POINTS:
@@ -177,7 +179,7 @@ def from_table(table: Mapping[str, Any], where: str = "study", beside: Path = Pa
         wanted = [f"{name}.{what}" for name in given.scene.members]
     if len(set(wanted)) < len(wanted):
         twice = next(name for name in wanted if wanted.count(name) > 1)
-        raise InputError(f"{where}: [results] features", f"'{twice}' is there twice", "name it once")
+        raise InputError(f"{where}: [results] features", f"'{twice}' is listed twice", "name it once")
     slopes = tuple(file.results.derivatives)
     try:
         given = replace(given, scene=observing(given.scene, wanted))
@@ -221,13 +223,17 @@ def _size(design: _Design, where: str) -> int:
     for key in ("points", "samples", "trajectories", "second_order", "levels"):
         if getattr(design, key) is None or key in (own, _OPTIONS.get(kind)):
             continue
-        found = f"a {kind} has as many as its axes say" if key == "points" and own is None else f"no key of a {kind}"
+        found = (
+            f"a {kind} gets its number of points from its axes"
+            if key == "points" and own is None
+            else f"no key of a {kind}"
+        )
         remedy = f"say {own}" if own and key in _SIZES.values() else "take it out"
         raise InputError(f"{where}: [design] {key}", found, remedy)
     if own is None:
         return 0
     if getattr(design, own) is None:
-        raise InputError(f"{where}: [design] {own}", f"missing for {kind}", f"say how many {own} to draw")
+        raise InputError(f"{where}: [design] {own}", f"missing for {kind}", f"give the number of {own}")
     if design.levels is not None and design.levels % 2:
         raise InputError(f"{where}: [design] levels", f"{design.levels} is odd", "give an even number (Morris 1991)")
     return getattr(design, own)
@@ -297,7 +303,7 @@ def _axis(given: SceneFile, name: str, table: _Axis, kind: str, where: str) -> A
     if drawn and table.steps is not None:
         raise InputError(f"{place} steps", f"a {kind} has no steps", f"say [design] {_SIZES[kind]} in place of it")
     if not drawn and table.steps is None:
-        raise InputError(f"{place} steps", "missing", "say how many values the grid takes of it")
+        raise InputError(f"{place} steps", "missing", "give the number of values of the grid")
     lower, upper = (_value(given, name, getattr(table, end), f"{place} {end}") for end in ("lower", "upper"))
     if not lower < upper:
         raise InputError(place, f"lower = {lower:g} is not below upper = {upper:g}", "give lower < upper")

@@ -126,10 +126,10 @@ def fit(source: Source, feature: str, derivatives: bool = True) -> Surface:
         raise InputError(where, f"{y.size} usable points of {kept.size}", f"{least} are needed: draw more")
     if rows > MOST:
         remedy = "say derivatives=False" if y.size <= MOST and directions else "make a study of fewer points"
-        raise InputError(where, f"{rows} values and derivatives, more than the {MOST} that are affordable", remedy)
+        raise InputError(where, f"{rows} values and derivatives, more than the limit of {MOST}", remedy)
     offset, scale = np.mean(y), np.std(y)
     if scale <= 1e-12 * np.max(np.abs(y)):
-        raise InputError(where, f"is {y[0]:.6g} at every point", "there is nothing to interpolate")
+        raise InputError(where, f"is {y[0]:.6g} at every point", "vary parameters that change it")
     observed = np.concatenate([(y - offset)[:, None], slopes], axis=1).ravel() / scale
     arguments = likeliest(x, observed, directions), x, observed
     fitted, (error, spread) = program("kriging", _krige, (directions,), arguments)[0](*arguments)

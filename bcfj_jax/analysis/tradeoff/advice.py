@@ -125,7 +125,7 @@ def file(setting: Setting, budget: str) -> str:
 def doubts(reference: Reference | None) -> list[str]:
     """What to know of the reference before its numbers are believed."""
     if reference is None:
-        return ["the study was cut off before there was a reference"]
+        return ["the study ended before its reference was computed"]
     certificate = reference.certificate
     if reference.truth is None:
         return [f"no reference: {certificate['reason']}"]

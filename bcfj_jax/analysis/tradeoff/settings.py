@@ -139,7 +139,7 @@ def settings(given: SceneFile, only: Sequence[str] = (), derivatives: bool = Tru
     if given.scene.traits.open:
         option, value = next(iter(given.scene.choice_options().items()))
         remedy = f"give {given.scene.coarser()[-1].name}: all are tried"
-        raise InputError(f"[scene] {option}", f"'{value}' is no model to compare with", remedy)
+        raise InputError(f"[scene] {option}", f"'{value}' leaves the choice of the model open", remedy)
     every = _every(given)
     known = dict.fromkeys([s.group for s in every] + [s.ladder for s in every if s.group == "tolerance"])
     for name in only:

@@ -220,7 +220,7 @@ def direction(axis: Any) -> tuple[float, float, float]:
         if not (0.0 < size < np.inf):
             raise ValueError
     except (TypeError, ValueError):
-        found = f"axis {axis!r} is no direction"
+        found = f"axis {axis!r} is not a direction"
         raise InputError(
             "gap, option 'axis'", found, "give x, y or z, with a minus or without, or three numbers"
         ) from None

@@ -37,14 +37,14 @@ class _Range(NamedTuple):
 
 
 _LENGTH = _Range(0.0, math.inf, False, "m", "give a length > 0")
-_PLAY = _Range(0.0, math.inf, True, "m", "give a clearance >= 0: parts that overlap do not assemble")
+_PLAY = _Range(0.0, math.inf, True, "m", "give a clearance >= 0: parts that overlap cannot be assembled")
 _RANGES = {
     **dict.fromkeys(("seat_radius", "head_radius", "ball_radius", "pitch_radius"), _LENGTH),
     "offset": _Range(-math.inf, math.inf, False, "m", "give a finite length"),
-    "clearance_cage_ball": _PLAY._replace(remedy="a window smaller than the ball does not take it: give one >= 0"),
-    "contact_angle": _Range(0.0, 0.5 * math.pi, False, "rad", "give an angle between 0 and 90 deg, without the ends"),
-    "conformity": _Range(0.5, math.inf, False, "", "a groove must be wider than the ball: give a ratio > 0.5"),
-    "joint_angle": _Range(0.0, 0.5 * math.pi, True, "rad", "the axes must not reach 90 deg: give 0 to below 90 deg"),
+    "clearance_cage_ball": _PLAY._replace(remedy="give a clearance >= 0: a ball does not fit into a smaller window"),
+    "contact_angle": _Range(0.0, 0.5 * math.pi, False, "rad", "give an angle above 0 and below 90 deg"),
+    "conformity": _Range(0.5, math.inf, False, "", "give a ratio > 0.5: a groove is wider than the ball"),
+    "joint_angle": _Range(0.0, 0.5 * math.pi, True, "rad", "give 0 or more and less than 90 deg"),
     "balls": _Range(1.0, math.inf, True, "", "give a whole number >= 1"),
 }
 
@@ -118,13 +118,13 @@ def check_joint(scene: Joint, params: Params, where: str = "scene 'joint'") -> N
         for name in contact.needs:
             # Of a law of the user's own: every other coefficient has a default.
             if name not in params and f"{contact.name}.{name}" not in params:
-                found = f"the parameter '{name}' has no value, which {contact.name} would read"
+                found = f"the parameter '{name}' has no value; it is read by {contact.name}"
                 raise InputError(where, found, f"give {name}, or {contact.name}.{name}")
     values = {name: float(value) for name, value in params.items() if _single(value)}
     check_geometry(values | {"balls": scene.balls}, where)
     if scene.fidelity == "kinematic" and scene.track == "gothic" and values.get("offset") == 0.0:
         remedy = "give an offset, or fidelity = 'quasistatic' or 'dynamic'"
-        raise InputError(f"{where} offset", "0 m, for which load sharing has no closed form", remedy)
+        raise InputError(f"{where} offset", "0 m: there is no closed form for load sharing without an offset", remedy)
 
 
 def check_geometry(values: Mapping[str, float], where: str = "scene 'joint'") -> None:

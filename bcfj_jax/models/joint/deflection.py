@@ -38,7 +38,9 @@ def reaches_seat(seat_radius: float, ball_radius: float, pitch: float, offset: f
     short = seat_radius - ball_radius - distances(pitch, offset, angle)[0]
     if short < 0.0:
         return None
-    found = f"{shown(pitch)} keeps a ball {shown(short)} short of the seat's track beyond {shown(seat_radius)}"
+    found = (
+        f"{shown(pitch)} leaves a ball {shown(short)} away from the seat's track, which begins at {shown(seat_radius)}"
+    )
     return Fault("pitch_radius", found, f"give about {shown(pitch + short)} or more, or a larger ball_radius")
 
 
@@ -47,7 +49,9 @@ def reaches_head(head_radius: float, ball_radius: float, pitch: float, offset: f
     short = distances(pitch, offset, angle)[1] - ball_radius - head_radius
     if short < 0.0:
         return None
-    found = f"{shown(pitch)} keeps a ball {shown(short)} short of the head's track within {shown(head_radius)}"
+    found = (
+        f"{shown(pitch)} leaves a ball {shown(short)} away from the head's track, which ends at {shown(head_radius)}"
+    )
     return Fault("pitch_radius", found, f"give about {shown(pitch - short)} or less, or a larger ball_radius")
 
 
@@ -64,7 +68,7 @@ def apart(balls: float, ball_radius: float, pitch: float, offset: float, angle: 
     chord = 2.0 * (math.hypot(pitch, rise) - rise) / math.hypot(1.0, h) * math.sin(math.pi / balls)
     if chord > 2.0 * ball_radius:
         return None
-    found = f"{balls:g} balls of ball_radius = {shown(ball_radius)} overlap, centres {shown(chord)} apart"
+    found = f"{balls:g} balls of ball_radius = {shown(ball_radius)} overlap: their centres are {shown(chord)} apart"
     return Fault("balls", found, "give fewer or smaller balls, or a larger pitch_radius")
 
 
@@ -76,7 +80,9 @@ def on_window(
     cage = seat_radius - outside
     if pole < cage:
         return None
-    found = f"{shown(pitch)} takes a ball out of its window: poles {shown(pole)} out, the cage {shown(cage)}"
+    found = (
+        f"{shown(pitch)} moves a ball out of its window: its poles are at {shown(pole)}, the cage ends at {shown(cage)}"
+    )
     return Fault("pitch_radius", found, f"give about {shown(pitch + cage - pole)} or less, or a larger seat_radius")
 
 
@@ -102,9 +108,7 @@ def mouth_open(
     need, limit = min(contact_height(ball_radius, pitch, offset, alpha, angle)), seat_radius * math.cos(angle)
     if need < limit:
         return None
-    found = (
-        f"{shown(angle, 'rad')} swings the head's shaft into the seat, whose mouth must lie beyond the balls' contacts"
-    )
+    found = f"{shown(angle, 'rad')} turns the head's shaft into the seat. The seat's mouth must be beyond the balls' contacts"
     found += f", {shown(need)} from the centre, and within seat_radius cos(joint_angle) = {shown(limit)}"
     return Fault("joint_angle", found, "give a larger seat_radius")
 

@@ -177,7 +177,7 @@ class JointModel(Joint):
     def flows(self, t: Array, y: Array, prepared: Any) -> Flows:
         """``energy.power`` and ``energy.stored``."""
         if not self.in_motion:
-            remedy = "give a joint with fidelity = 'dynamic': nothing else has inertia"
+            remedy = "give fidelity = 'dynamic': the other models have no inertia"
             raise InputError("balance", f"scene 'joint', {self.fidelity}", remedy)
         flow = power(self, prepared, t, y)._asdict()
         given = {name: flow.pop(name) for name in ("drive", "hold")}
@@ -267,7 +267,7 @@ class JointModel(Joint):
     @property
     def settled_when(self) -> str:
         """As ``settled_from``."""
-        return "the load has risen and a ball's pitch has passed"
+        return "the load has risen and the drive has turned on by one ball"
 
     def full(self) -> AbstractModel:
         """Its motion."""
@@ -392,11 +392,15 @@ def joint(
             raise InputError(f"{where} laws", f"{name}: no law '{value}'", nearest(value, normal_laws.LAWS))
     missing = [name for name in GROOVES if name not in names]
     if missing:
-        raise InputError(f"{where} contacts", f"without {missing[0]}", "balls need both tracks to carry torque")
+        raise InputError(
+            f"{where} contacts", f"without {missing[0]}", "give it: balls need both tracks to carry torque"
+        )
     if cage == "fixed" and "seat_cage" in names:
-        raise InputError(f"{where} contacts", "seat_cage with a fixed cage", "leave it out: the two never touch")
+        raise InputError(
+            f"{where} contacts", "seat_cage with a fixed cage", "remove it: seat and fixed cage never touch"
+        )
     if cage == "free" and fidelity == "quasistatic" and not set(PILOTS) & set(names):
-        found = "nothing but the windows holds a free cage: it has no equilibrium"
+        found = "only the windows hold the free cage, so it has no equilibrium"
         raise InputError(f"{where} contacts", found, f"add {' or '.join(PILOTS)}, or give cage = 'fixed'")
     ordered = [name for name in CONTACTS if name in names]
     made = tuple(

@@ -40,7 +40,7 @@ class JointContact(eqx.Module):
 
     def __check_init__(self):
         if self.law.states:
-            found = f"the law {type(self.law).__name__} has a state, which the joint's contacts do not keep"
+            found = f"the law {type(self.law).__name__} has a state; contacts of the joint cannot keep one"
             raise InputError(f"scene 'joint' {self.name}", found, "give a law without a state, such as memory_free")
 
     @property

@@ -63,7 +63,7 @@ JOINT = '[scene]\nkind = "joint"\n'
 BAD = [
     (JOINT + "[parameters]\nclearance_seat_ball = -1e-5\n", ["[parameters] clearance_seat_ball", "-1e-05 m", ">= 0"]),
     (JOINT + '[parameters]\nball_radius = "4 mm"\n', ["ball_radius", "0.004 m", "does not reach both tracks"]),
-    (JOINT + '[parameters]\npitch_radius = "45 mm"\n', ["pitch_radius", "short of the head's track", "or less"]),
+    (JOINT + '[parameters]\npitch_radius = "45 mm"\n', ["pitch_radius", "away from the head's track", "or less"]),
     (JOINT + "track = 3\n", ["[scene] track", "3 is"]),
     (JOINT + '[parameters]\njoint_angle = "80 deg"\n', ["joint_angle", "80 deg", "into the seat", "at most"]),
     (JOINT + "[parameters]\nfriction_dynamic = 0.2\n", ["friction_dynamic = 0.2", "friction_static = 0.12", "<="]),
