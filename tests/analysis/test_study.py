@@ -240,7 +240,7 @@ def test_a_point_that_no_joint_has_is_a_row_with_its_reason(here):
     }
     result = bj.study(table, here / "out", workers=1)
     assert result.column("status").tolist() == ["ok", "failed"]
-    assert "takes a ball out of its window" in result.column("reason")[1]
+    assert "moves a ball out of its window" in result.column("reason")[1]
 
 
 @pytest.mark.full

@@ -114,7 +114,7 @@ def test_blocks_take_every_point_once_the_costly_first():
     [
         (('kind = "grid"', 'kind = "gird"'), r"\[design\] kind: no design 'gird'; .*grid"),
         (('kind = "grid"', 'kind = "sobol"'), r"points: missing for sobol"),
-        (('kind = "grid"', 'kind = "grid"\npoints = 3'), r"points: a grid has as many"),
+        (('kind = "grid"', 'kind = "grid"\npoints = 3'), r"points: a grid gets its number of points"),
         (('kind = "grid"', 'kind = "saltelli"'), r"samples: missing for saltelli"),
         (('kind = "grid"', 'kind = "saltelli"\npoints = 64'), r"points: no key of a saltelli; say samples"),
         (('kind = "grid"', 'kind = "morris"\ntrajectories = 9\nlevels = 5'), r"levels: 5 is odd"),

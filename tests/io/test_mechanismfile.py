@@ -367,7 +367,7 @@ BAD = {
     "own that nobody reads": (
         "[[contact]]", '[quantity.wear]\nunit = "m"\ndefault = 0\n[[contact]]', ["nothing reads the parameter 'wear'"]
     ),
-    "a cycle": ('name = "crank"', 'name = "crank"\nparent = "rod"', ["'crank' parent", "goes round: crank on rod on crank"]),
+    "a cycle": ('name = "crank"', 'name = "crank"\nparent = "rod"', ["'crank' parent", "form a circle: crank on rod on crank"]),
     "unit of a length": ('"60 mm"', '"60 ms"', ["[[body]] 2 'rod' center[0]", "'60 ms'", "converts to m"]),
     "unit of a mass": ('"0.30 kg"', '"0.30 N"', ["[[body]] 1 'crank' mass", "'0.30 N'", '"16.7 g"']),
     "unit of a speed": ('"500 rad/s"', '"500 m/s"', ["[[body]] 1 'crank' drive.speed", "'500 m/s'"]),
@@ -409,7 +409,7 @@ BAD = {
     "a reading": ("[time]", '[[read]]\nof = "journal.nrmal"\n[time]', ["[[read]] 1 of", "mean 'normal'?"]),
     "a frame": ("[time]", '[[read]]\nof = "rod.place.x"\nframe = "krank"\n[time]', ["[[read]] 1 frame", "mean 'crank'?"]),
     "a parameter": ("radius =", "radios =", ["[parameters] radios", "mean 'radius'?"]),
-    "a name given twice": ('name = "journal"', 'name = "rod"', ["the name 'rod' is a body's"]),
+    "a name given twice": ('name = "journal"', 'name = "rod"', ["the name 'rod' already belongs to a body"]),
     "no kind of load": ("[[contact]]", '[[load]]\nname = "f"\n[[contact]]', ["[[load]] 1 'f' kind", "is missing"]),
     "bounds": ('unit = "m"\ndefault = "50', 'unit = "m"\nlower = 1\ndefault = "50', ["[quantity.crank_length] default"]),
     "a default in words": ('default = "50 mm"', 'default = "short"', ["[quantity.crank_length] default", "'short'"]),
