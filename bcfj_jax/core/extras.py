@@ -13,6 +13,7 @@ EXTRAS = {
     "uq": "posteriors by NUTS (bcfj calibrate --intervals posterior)",
     "study": "studies (bcfj study): tables on disk, sampling, global sensitivity",
     "cluster": "studies by a Dask cluster (bcfj study run --scheduler)",
+    "table": "results as tables and labelled arrays: to_pandas(), to_xarray()",
     "petab": "PEtab 2 tables, in and out",
 }
 
