@@ -17,6 +17,7 @@ from bcfj_jax import InputError, nearest
 from bcfj_jax.io.outputs import create
 from bcfj_jax.io.units import column, format_si, quantity
 from calibration import problemfile
+from calibration.data.inspection import clock_note
 from calibration.data.proposal import Sizes, Understood, sizes, understood
 from calibration.data.readers import read
 from calibration.data.textfile import Stated
@@ -89,20 +90,29 @@ def run(
     text, missing = _text(found, kind, given[0], given[1], relative, name, stated)
     path = folder / name
     create(path, text)
-    if not missing:
-        try:
-            for one in problemfile.prepared(path):
-                say(f"{one.name}: {'; '.join(one.notes)}")
-            problemfile.load(path)
-        except InputError:
-            path.unlink()
-            raise
+    if missing:
+        for one in found.records[:1]:
+            say(
+                f"{record}: {found.said}; {clock_note(one.clock)}"
+                if found.said
+                else f"{record}: {clock_note(one.clock)}"
+            )
+        say(f"wrote {path}")
+        marks = "the question mark" if len(missing) == 1 else "the question marks"
+        say(
+            f"the record does not give {' and '.join(missing)}: write {'it' if len(missing) == 1 else 'them'} in {path} in place "
+            f"of {marks}, then: bcfj calibrate {path}"
+        )
+        return 0
+    try:
+        for one in problemfile.prepared(path):
+            say(f"{one.name}: {'; '.join(one.notes)}")
+        problemfile.load(path)
+    except InputError:
+        path.unlink()
+        raise
     say(f"wrote {path}")
-    say(
-        f"fill in {' and '.join(missing)} there, then: bcfj calibrate {path}"
-        if missing
-        else f"next: bcfj calibrate {path}"
-    )
+    say(f"next: bcfj calibrate {path}")
     return 0
 
 

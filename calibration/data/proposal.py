@@ -6,6 +6,7 @@ lies between J/2 and J over it, the depth is about v T/3.2 (half a sine), and K 
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -22,13 +23,23 @@ from calibration.data.table import RUN_COLUMNS, Table, split
 # Readings by the unit of their column, as scenes of one body have them; and names by which a column without a unit is one.
 _KINDS = ("s", "N", "m/s^2", "m/s", "m")
 _NAMES = {
-    "s": ("time", "t", "zeit", "clock", "seconds"),
-    "N": ("force", "load", "f", "fn", "fz", "fx", "fy", "kraft", "normal"),
-    "m/s^2": ("acceleration", "accel", "acc", "a", "az", "ax", "ay"),
-    "m/s": ("velocity", "speed", "v", "vel"),
+    "s": ("time", "t", "zeit", "clock", "seconds", "temps", "tiempo", "messzeit"),
+    "N": ("force", "load", "f", "fn", "fz", "fx", "fy", "kraft", "normal", "normalkraft", "fuerza"),
+    "m/s^2": ("acceleration", "accel", "acc", "a", "az", "ax", "ay", "beschleunigung"),
+    "m/s": ("velocity", "speed", "v", "vel", "geschwindigkeit"),
     "m": ("position", "displacement", "x", "y", "z", "height", "place", "weg"),
 }
-_TANGENTIAL = ("tangential", "friction", "shear", "ft", "lateral")
+_TANGENTIAL = {
+    "tangential",
+    "friction",
+    "shear",
+    "ft",
+    "lateral",
+    "tangentialkraft",
+    "reibkraft",
+    "reibungskraft",
+    "querkraft",
+}
 _MOST_RUNS = 50
 # Readings that are a channel.
 _FEWEST = 3
@@ -194,7 +205,7 @@ def _columns(table: Table) -> dict[str, str]:
     # A column named as what it is goes before another of its unit; a second force is a tangential one only by its name.
     for h in sorted(stated, key=lambda h: _name(h) not in _NAMES[stated[h]]):
         unit = stated[h]
-        unit = "tangential" if unit == "N" and any(w in _name(h) for w in _TANGENTIAL) else unit
+        unit = "tangential" if unit == "N" and _TANGENTIAL & set(re.split(r"[\W\d_]+", _name(h))) else unit
         found.setdefault(unit, h)
     for h in numeric:
         if h not in stated and column(h)[1] is None:

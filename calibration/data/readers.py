@@ -60,9 +60,8 @@ def read(path: Path, where: str, inside: str | None = None, stated: Stated | Non
     stated.check(where)
     if kind not in _KINDS:
         raise InputError(where, f"{clip(str(path))} is of no kind known here", f"known are {', '.join(sorted(_KINDS))}")
-    opening.check(
-        path, opening.LARGEST_BINARY, where, "give a path relative to the problem file", "give a smaller file"
-    )
+    missing = "give the path of a measured file" if where == "record" else "give a path relative to the problem file"
+    opening.check(path, opening.LARGEST_BINARY, where, missing, "give a smaller file")
     if kind in _TEXTS:
         if inside is not None:
             raise InputError(f"{where} table", f"{path} holds no tables inside", "take the key out")
@@ -71,7 +70,7 @@ def read(path: Path, where: str, inside: str | None = None, stated: Stated | Non
         raise InputError(f"{where} {keys[0]}", f"{path} is no text", "take the key out")
     try:
         if kind in workbook.KINDS:
-            opening.check(path, opening.LARGEST_TEXT, where, "", "write it as Parquet or HDF5")
+            opening.check(path, opening.LARGEST_TEXT, where, missing, "write it as Parquet or HDF5")
             return workbook.read(path, where, inside, stated, library("python_calamine", where, "io"))
         return _READERS[kind](path, where, inside)
     except InputError:
