@@ -12,8 +12,8 @@ from pathlib import Path
 from bcfj_jax.core.errors import InputError, clip
 
 MEGABYTE = 1 << 20
-# Tables of text are held as Python texts, some ten times their size.
-LARGEST_TEXT, LARGEST_TOML, LARGEST_BINARY = 200 * MEGABYTE, 2 * MEGABYTE, 16384 * MEGABYTE
+# Tables of text are held as Python texts, some twenty times their size: at most 1.5 GB.
+LARGEST_TEXT, LARGEST_TOML, LARGEST_BINARY = 64 * MEGABYTE, 2 * MEGABYTE, 16384 * MEGABYTE
 
 
 def check(path: Path, largest: int, where: str, missing: str, remedy: str) -> None:

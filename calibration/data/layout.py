@@ -88,8 +88,11 @@ def found(rows: Sequence[Row], name: str, counted: str, header: Any = None) -> L
     kept = _kept(titles, data, wide)
     faults = _ragged(titles, data, kept, wide, name, counted, len(names[-1].cells) if names else 0)
     marks = [_texts(row.cells, wide) for row in units]
-    titles = [_with_unit(t, next((m[j] for m in marks if m[j]), "")) for j, t in enumerate(titles)]
-    fitted = [r if len(r.cells) == len(kept) == wide else _fitted(r, kept) for r in data]
+    titles = [_with_unit(t, next((m[j] for m in marks if j < wide and m[j]), "")) for j, t in enumerate(titles)]
+    # Rows that do not fit are faults already; their cells would be named a second time.
+    last = kept[-1] + 1 if kept else 0
+    whole = [r for r in data if len(r.cells) >= last and all(map(is_missing, r.cells[wide:]))] or data
+    fitted = [r if len(r.cells) == len(kept) == wide else _fitted(r, kept) for r in whole]
     return Layout(
         names=tuple(titles[j] for j in kept),
         rows=fitted,

@@ -6,14 +6,17 @@ Values are read as they were last calculated; formulas and macros are not run.
 from __future__ import annotations
 
 import datetime
+import zipfile
 from pathlib import Path
 from typing import Any
 
 from bcfj_jax import InputError, nearest
+from bcfj_jax.io.opening import MEGABYTE
 from calibration.data import numbers, textfile
-from calibration.data.layout import Layout, Row, found
+from calibration.data.layout import Layout, Row
 from calibration.data.table import Table
 
+_LARGEST = 256 * MEGABYTE
 KINDS = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 
 
@@ -23,6 +26,12 @@ def read(path: Path, where: str, inside: str | None, stated: textfile.Stated, ca
     Raises:
         InputError: where no sheet holds rows of numbers, several do, or the one that is named is not there.
     """
+    if zipfile.is_zipfile(path):
+        with zipfile.ZipFile(path) as archive:
+            size = sum(part.file_size for part in archive.infolist())
+        if size > _LARGEST:
+            large = f"{path} unpacks to {size / MEGABYTE:.3g} MB, more than the {_LARGEST / MEGABYTE:.3g} MB read here"
+            raise InputError(where, large, "write it as Parquet or HDF5")
     with calamine.CalamineWorkbook.from_path(str(path)) as book:
         if inside is not None and inside not in book.sheet_names:
             raise InputError(f"{where} table", f"no sheet '{inside}' in {path}", nearest(inside, book.sheet_names))

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import random
+import time
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +14,7 @@ from bcfj_jax import InputError
 from benchmarks.calibration.dialects import File, files, record, write
 from calibration import fit, load
 from calibration.data.numbers import decimal_marks, parsed
+from calibration.data.proposal import understood
 from calibration.data.readers import read
 from calibration.data.textfile import Stated
 from calibration.problemfile import prepared
@@ -171,6 +175,58 @@ def test_two_broken_files_are_named_together(tmp_path):
         load(one)
 
 
+JUNK = [
+    b"",
+    b"\0",
+    b'"',
+    b";",
+    b",",
+    b"\n",
+    b"\r",
+    b"\xff",
+    b"NaN",
+    b"1e999",
+    b"#",
+    b"=",
+    b"\t",
+    b"[",
+    b"9" * 30,
+    b"\xc3",
+    b" " * 500,
+]
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("seed", range(80))
+def test_a_damaged_file_is_read_or_refused(seed, tmp_path):
+    """Never a traceback, never slow: bytes are put in, taken out, changed, repeated, or the end is cut off."""
+    draw = random.Random(seed)
+    file = FILES[draw.choice(sorted(FILES))]
+    raw = bytearray(file.content)
+    for _ in range(draw.choice([1, 2, 5, 30])):
+        at, size, kind = draw.randrange(len(raw) + 1), draw.randrange(1, 60), draw.randrange(5)
+        if kind == 0:
+            raw[at:at] = draw.choice(JUNK)
+        elif kind == 1:
+            del raw[at : at + size]
+        elif kind == 2:
+            raw[at : at + 1] = bytes([draw.randrange(256)])
+        elif kind == 3:
+            raw[at:at] = raw[at // 2 : at // 2 + size]
+        elif draw.random() < 0.3:
+            del raw[at:]
+    path = tmp_path / f"d{file.suffix}"
+    path.write_bytes(raw)
+    start = time.process_time()
+    try:
+        understood(read(path, "record"))
+    except InputError as error:
+        said = str(error)
+    else:
+        said = ""
+    assert len(said) < 3000 and time.process_time() - start < 2.0
+
+
 @pytest.mark.parametrize(
     ("stated", "lines", "wanted"),
     [
@@ -191,6 +247,29 @@ def test_what_is_stated_holds(stated, lines, wanted, tmp_path):
     names = table.header if stated.header != 0 else ("column 1 [s]", "column 2 [N]")
     found = [table.numbers(name, unit, "here", False).tolist() for name, unit in zip(names, ("s", "N"), strict=True)]
     assert found == wanted
+
+
+def test_a_spreadsheet_of_zeros_is_refused_before_it_is_unpacked(tmp_path):
+    with zipfile.ZipFile(tmp_path / "d.xlsx", "w", zipfile.ZIP_DEFLATED) as archive, archive.open("a.xml", "w") as part:
+        for _ in range(300):
+            part.write(b"\0" * (1 << 20))
+    with pytest.raises(InputError, match="unpacks to 300 MB, more than the 256 MB"):
+        read(tmp_path / "d.xlsx", "here")
+
+
+def test_a_spreadsheet_with_two_tables_asks_which(tmp_path):
+    import openpyxl
+
+    book = openpyxl.Workbook()
+    for sheet in (book.worksheets[0], book.create_sheet("second")):
+        for row in (("t [s]", "F [N]"), (0.0, 1.5), (1.0, "2,5")):
+            sheet.append(row)
+    book.save(tmp_path / "d.xlsx")
+    with pytest.raises(InputError, match=r"2 sheets with numbers; choose with table = .*'Sheet', 'second'"):
+        read(tmp_path / "d.xlsx", "here")
+    with pytest.raises(InputError, match=r"no sheet 'secnd' in .*; did you mean 'second'\?"):
+        read(tmp_path / "d.xlsx", "here", "secnd")
+    assert read(tmp_path / "d.xlsx", "here", "second").numbers("F", "N", "here", False).tolist() == [1.5, 2.5]
 
 
 def test_latin_letters_of_a_stated_encoding(tmp_path):

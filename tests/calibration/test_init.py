@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import tomllib
 from pathlib import Path
 
@@ -190,10 +191,41 @@ def test_what_cannot_be_proposed_is_said(columns, options, words, here):
     assert not Path("d.toml").exists()
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_the_file_calibrates_at_once(here):
     drop()
     written("drop.csv")
     done = CliRunner().invoke(app, ["calibrate", "drop.toml", "--starts", "4", "--out", "fit"])
     assert done.exit_code == 0, done.output
     assert "verdict: identified" in done.stdout
+
+
+LAB = Path(__file__).resolve().parents[2] / "examples" / "lab_drop.csv"
+
+
+def test_a_german_lab_file_is_understood_and_what_it_lacks_is_asked_for(here):
+    """Semicolons, decimal commas, Latin-1, a preamble: one message says so, and the next says what to fill in."""
+    Path("lab_drop.csv").write_bytes(LAB.read_bytes())
+    done = init("lab_drop.csv")
+    for said in (
+        "Latin-1 text, semicolons, decimal commas", "2 comment lines left out", "2 columns: Zeit [ms], Kraft [kN]",
+        "400 samples over 39.9 ms", "does not give mass: write it in lab_drop.toml in place of the question mark",
+    ):  # fmt: skip
+        assert said in done.output
+    text = Path("lab_drop.toml").read_text(encoding="utf-8")
+    Path("lab_drop.toml").write_text(text.replace("? kg", "0,5 kg"), encoding="utf-8")
+    done = CliRunner().invoke(app, ["calibrate", "lab_drop.toml"])
+    assert done.exit_code == 2 and 'write "0.5 kg"' in done.output
+
+
+@pytest.mark.full
+def test_a_german_lab_file_goes_to_a_verdict_in_two_commands(here):
+    Path("lab_drop.csv").write_bytes(LAB.read_bytes())
+    assert init("lab_drop.csv", "--mass", "0.5 kg").exit_code == 0
+    done = CliRunner().invoke(app, ["calibrate", "lab_drop.toml", "--starts", "4", "--out", "fit"])
+    assert done.exit_code == 0, done.output
+    assert "verdict: identified" in done.stdout
+    found = json.loads(Path("fit/fit.json").read_text(encoding="utf-8"))["parameters"]
+    for name, true in (("stiffness", 8e5), ("exponent", 1.4), ("approach_speed", 1.1)):
+        low, high = found[name]["ci95"]
+        assert low < true < high, name
