@@ -13,7 +13,7 @@ from typing import Any
 from bcfj_jax import InputError, nearest
 from bcfj_jax.io.opening import MEGABYTE
 from calibration.data import numbers, textfile
-from calibration.data.layout import Layout, Row
+from calibration.data.layout import Layout, Row, found
 from calibration.data.table import Table
 
 _LARGEST = 256 * MEGABYTE
