@@ -357,7 +357,7 @@ def _draw(
         *plots_uncertainty.draw(result, folder),
     ]
     notes = [[record.name, note] for record in understood for note in record.notes]
-    found = [Table("Parameters", [_HEAD, *_rows(result)], "* in the table below marks the kind that is printed here.",
+    found = [Table("Parameters", [_HEAD, *_rows(result, 4)], "* in the table below marks the kind that is printed here.",
                    (Table("Every kind of interval (* the one printed)", _kinds(result)),))]  # fmt: skip
     answers = [["question", "answer", "because"], *_answer_rows(result)]
     answers = answers if any(row[2] for row in answers[1:]) else [row[:2] for row in answers]

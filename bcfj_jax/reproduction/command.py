@@ -160,6 +160,7 @@ def _page(
 ) -> Page:
     """The report: how many of the paper's claims the model reaches, and the table of them."""
     first, *others = [Table(title, rows) for title, rows in parts]
+    first = _folded(first, f"{tables.AS_GIVEN} {tables.CALIBRATED}")
     name = CALIBRATED if CALIBRATED in measured else GIVEN
     if name not in measured:
         return Page(TITLE, Verdict(BAD, "Failed", verdict(found, records)), (), tuple(notes), (first, *others))
@@ -178,10 +179,20 @@ def _page(
         if good
         else Verdict(FAIR if reached else BAD, "Partly reached" if reached else "Missed", sentence)
     )
+    # What is said of the columns stands below the table.
+    warnings = [note for note in notes if note not in (tables.AS_GIVEN, tables.CALIBRATED)]
     leading = sorted(drawn, key=lambda one: one.file not in pictures.LEADING)
     return Page(
-        TITLE, word, tuple(leading[:2]), (verdict(found, records), *notes), (first, *others), tuple(leading[2:])
+        TITLE, word, tuple(leading[:2]), (verdict(found, records), *warnings), (first, *others), tuple(leading[2:])
     )  # fmt: skip
+
+
+def _folded(claims: Table, note: str) -> Table:
+    """The claims that the paper's simulation gave; inputs and statements are folded."""
+    head, *rows = claims.rows
+    figures = {row.id for row in CLAIMS if row.kind == FIGURE}
+    rest = Table("Inputs and statements of the paper", [head, *(row for row in rows if row[0] not in figures)])
+    return Table(claims.title, [head, *(row for row in rows if row[0] in figures)], note, (rest,))
 
 
 def counts(found: Mapping[str, Measured]) -> tuple[list[str], list[str], list[str]]:

@@ -19,7 +19,7 @@ FITTED_TO = "Q20, Q21, Q23, Q26, Q27"
 AS_GIVEN = (
     "As given: the scene's defaults, nothing fitted. The paper states speed, torque, angle, friction and exponent; the "
     "others are sizes of the same group's joint, derived from them, or guesses marked GUESS in "
-    "bcfj_jax/joint/defaults.py."
+    "bcfj_jax/models/joint/defaults.py."
 )
 CALIBRATED = (
     f"Calibrated: {len(UNKNOWNS)} unknowns fitted to {FITTED_TO}; not a prediction for these rows. They were fitted in "

@@ -58,12 +58,16 @@ def bands(found: Sensitivity, values: Mapping[str, Any], path: Path) -> Picture:
     The change of a parameter is the least of ``_CHANGES`` that one can see. A parameter whose verdict is ``not
     differentiable here`` has no band.
     """
-    scale_t, prefix_t = engineering(found.times)
+    # Of steady motion one turn: over many, a band is as thin as a line.
+    turn = found.steady.turn if found.steady is not None and not found.steady.reason else 0.0
+    part = found.times >= found.times[-1] - 1.0001 * turn if turn else slice(None)
+    times = found.times[part]
+    scale_t, prefix_t = engineering(times)
     said = []
     several = len(found.force) > 1
     with panels(len(found.force), 2, path, 6.2 if several else 9.5, 3.0 if several else 3.6) as axes:
         for axis, (name, force) in zip(axes, found.force.items(), strict=True):
-            pick = (lambda x: x[:, 0, 0]) if force.ndim == 3 else (lambda x: x[:, 0])
+            pick = (lambda x: x[part, 0, 0]) if force.ndim == 3 else (lambda x: x[part, 0])
             line = pick(force)
             scale, prefix = engineering(line, unit_of(name))
             top = float(np.nanmax(np.abs(line), initial=0.0))
@@ -75,9 +79,9 @@ def bands(found: Sensitivity, values: Mapping[str, Any], path: Path) -> Picture:
                 move = np.clip(change * np.abs(slopes[p]), 0.0, 10.0 * top)
                 low, high = (line - move) * scale, (line + move) * scale
                 text = f"{p} ± {100 * change:g} %"
-                axis.fill_between(found.times * scale_t, low, high, color=COLOURS[k + 1], alpha=0.35, lw=0, label=text)
+                axis.fill_between(times * scale_t, low, high, color=COLOURS[k + 1], alpha=0.35, lw=0, label=text)
                 shown.append(f"{text}: at most {brief(float(np.max(move)), unit_of(name))}")
-            axis.plot(found.times * scale_t, line * scale, color=COLOURS[0], linewidth=1.2)
+            axis.plot(times * scale_t, line * scale, color=COLOURS[0], linewidth=1.2)
             read = is_reading(name)
             called = name if read or force.ndim == 2 else f"{name}_1"
             axis.set_title(called if read else f"{called}: normal force")
@@ -87,4 +91,5 @@ def bands(found: Sensitivity, values: Mapping[str, Any], path: Path) -> Picture:
                 axis.legend(fontsize=8, loc="best")
             said.append(f"{called}: {', '.join(shown) or 'no derivative'}")
     title = "What a change of a parameter does to the histories"
-    return Picture(path.name, title, f"Histories with bands, to first order. {'; '.join(said)}.")
+    when = "over the last turn" if turn else "over the run"
+    return Picture(path.name, title, f"Histories with bands {when}, to first order. {'; '.join(said)}.")

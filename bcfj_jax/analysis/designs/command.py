@@ -20,7 +20,7 @@ from bcfj_jax.core.progress import stage
 from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.core.threads import ahead
 from bcfj_jax.io import outputs, plots, report
-from bcfj_jax.io.page import BAD, FAIR, GOOD, Page, Picture, Table, Verdict
+from bcfj_jax.io.page import BAD, FAIR, GOOD, Page, Picture, Table, Verdict, brief
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.observed import observing
 
@@ -144,7 +144,17 @@ def reason(found: Design) -> str:
 def page(title: str, found: Design, note: str, values: report.Rows, facts: report.Rows, drawn: list[Picture]) -> Page:
     """The report: what the objective became, by which values, and how far that is to be trusted."""
     kind = GOOD if found.status == "ok" else BAD if found.status == FAILED else FAIR
-    answer = Verdict(kind, found.status[:1].upper() + found.status[1:], verdict(found))
+    word = "Improved" if found.status == "ok" else found.status[:1].upper() + found.status[1:]
+    sentence = verdict(found)
+    if found.status != FAILED:
+        change = f" ({100.0 * (found.after / found.before - 1.0):+.3g} %)" if found.before else ""
+        ends = f"{brief(found.before, found.unit)} to {brief(found.after, found.unit)}"
+        quantities = dict(zip(found.space.names, found.space.quantities, strict=True))
+        place = ", ".join(
+            f"{name} {_shown(x, quantities[name]).replace(' u', ' µ')}" for name, x in found.values.items()
+        )
+        sentence = f"{found.objective} goes from {ends}{change}, at {place}."
+    answer = Verdict(kind, word, sentence)
     tables = (Table("Design", values, reason(found)), Table("Objective", facts))
     rows = [["search", "value"], *([name, f"{value:.4g}"] for name, value in found.stats.items())]
     folded = (Table("Search", rows),)
