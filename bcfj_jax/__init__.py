@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from bcfj_jax.core.quantities import Quantity as Quantity
     from bcfj_jax.core.quantities import check_value as check_value
     from bcfj_jax.io.usercode import use_code as use_code
+    from bcfj_jax.io.view.export import animate as animate
     from bcfj_jax.mechanism import loads as loads
     from bcfj_jax.mechanism.bodies import Body as Body
     from bcfj_jax.mechanism.bodies import Drive as Drive
@@ -69,6 +70,7 @@ _PUBLIC = {
     "Mechanism": "mechanism.mechanism",
     "AbstractModel": "mechanism.model",
     "use_code": "io.usercode",
+    "animate": "io.view.export",
     **{name: "solve.simulation" for name in ("Run", "force_history", "reading_history", "simulate")},
     **{name: "analysis.derivatives.sensitivity" for name in ("Sensitivity", "sensitivity")},
     "study": "analysis.studies.api",

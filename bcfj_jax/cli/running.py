@@ -18,6 +18,10 @@ from bcfj_jax.cli.options import Code, Dry, Out, Scene, of_scene, split
 def simulate(
     scene: Scene,
     measure_error: Annotated[bool, typer.Option(help="Whether to run once more, finer, to measure the error.")] = True,
+    animate: Annotated[
+        str,
+        typer.Option(help="Also write animation.html, .glb, .mp4 or .gif: html, gltf, mp4 or gif, several by commas."),
+    ] = "",
     code: Code = None,
     out: Out = None,
     dry_run: Dry = False,
@@ -27,12 +31,13 @@ def simulate(
     from bcfj_jax.analysis.simulation import command
     from bcfj_jax.cli import plan
 
+    movies = command.movies(split(animate))
     if dry_run:
         return plan.of_scene(
             "simulate", scene, out, [["runs", "2: one more measures the error" if measure_error else "1"]]
         )
     with plan.timed("simulate", scene):
-        good = command.run(scene, out, say, typer.echo, measure_error)
+        good = command.run(scene, out, say, typer.echo, measure_error, movies)
     return DONE if good else SIMULATION_FAILED
 
 

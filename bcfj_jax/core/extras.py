@@ -14,6 +14,7 @@ EXTRAS = {
     "study": "studies (bcfj study): tables on disk, sampling, global sensitivity",
     "cluster": "studies by a Dask cluster (bcfj study run --scheduler)",
     "table": "results as tables and labelled arrays: to_pandas(), to_xarray()",
+    "animation": "movies of a run in MP4 (bcfj simulate --animate mp4)",
     "petab": "PEtab 2 tables, in and out",
 }
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from html.parser import HTMLParser
 from itertools import pairwise
 
@@ -13,7 +14,8 @@ import pytest
 
 import bcfj_jax as bj
 from bcfj_jax.core import shapes
-from bcfj_jax.io.view import animation, fragment, painter
+from bcfj_jax.core.errors import InputError
+from bcfj_jax.io.view import animation, fragment, gltf, movie, painter
 from bcfj_jax.models.joint.start import nominal
 
 pytestmark = pytest.mark.full
@@ -277,3 +279,94 @@ def test_a_model_without_shapes_has_no_animation():
 
     run = bj.simulate(bj.scenes.impact(), bj.scenes.impact().parameters(), np.array([0.0, 1e-6]))
     assert animation.animation(Bare(), {}, run) is None  # pyright: ignore[reportArgumentType]
+
+
+def test_gltf_reads_back(crank):
+    of = crank[3]
+    data = gltf.glb(of)
+    assert data == gltf.glb(of)
+    content, binary = gltf.read(data)
+    assert len(binary) == -(-content["buffers"][0]["byteLength"] // 4) * 4
+    width = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+
+    def values(index):
+        accessor = content["accessors"][index]
+        view = content["bufferViews"][accessor["bufferView"]]
+        assert view["byteOffset"] % 4 == 0 and view["byteOffset"] + view["byteLength"] <= len(binary)
+        assert view["byteLength"] == 4 * accessor["count"] * width[accessor["type"]]
+        kind = {5126: "<f4", 5125: "<u4"}[accessor["componentType"]]
+        found = np.frombuffer(binary, kind, view["byteLength"] // 4, view["byteOffset"]).reshape(accessor["count"], -1)
+        assert np.allclose(found.min(axis=0), accessor["min"]) and np.allclose(found.max(axis=0), accessor["max"])
+        return found
+
+    names = {node["name"]: i for i, node in enumerate(content["nodes"])}
+    assert {"ground", "crank", "rod", "slider", "force journal"} <= set(names)
+    children = [c for node in content["nodes"] for c in node.get("children", [])]
+    assert sorted([*children, *content["scenes"][0]["nodes"]]) == list(range(len(content["nodes"])))
+    for mesh in content["meshes"]:
+        (part,) = mesh["primitives"]
+        points, normals = (values(part["attributes"][key]) for key in ("POSITION", "NORMAL"))
+        assert len(points) == len(normals) and np.allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-6)
+        assert values(part["indices"]).max() < len(points)
+        assert part["material"] < len(content["materials"])
+    (moving,) = content["animations"]
+    keyed = {}
+    for channel in moving["channels"]:
+        sampler = moving["samplers"][channel["sampler"]]
+        clock = values(sampler["input"])[:, 0]
+        assert np.all(np.diff(clock) > 0) and clock[0] == 0.0 and clock[-1] == pytest.approx(12.0)
+        target = channel["target"]
+        keyed[content["nodes"][target["node"]]["name"], target["path"]] = values(sampler["output"])
+        assert len(keyed[content["nodes"][target["node"]]["name"], target["path"]]) == len(of.times)
+    assert len(keyed) == 2 * 3 + 3
+    rod = next(t for t in of.tracks if t.name == "rod")
+    for k in (0, 30):
+        place, axes = animation.posed(rod, k, of.exaggeration)
+        assert np.allclose(keyed["rod", "translation"][k], place, atol=1e-7)
+        x, y, z, w = keyed["rod", "rotation"][k]
+        assert np.allclose(animation.matrix(np.array([w, x, y, z])), axes, atol=1e-6)
+        # The arrow's axis is along the force.
+        x, y, z, w = keyed["force journal", "rotation"][k]
+        size = np.linalg.norm(of.forces[0].force[k])
+        if size > animation.LEAST * of.peak:
+            assert np.allclose(animation.matrix(np.array([w, x, y, z]))[:, 2], of.forces[0].force[k] / size, atol=1e-6)
+    with pytest.raises(ValueError, match="glTF"):
+        gltf.read(data[:-4])
+
+
+def test_movies(crank, tmp_path, monkeypatch):
+    from PIL import Image
+
+    monkeypatch.setattr(movie, "_GIF", (4, 12))
+    monkeypatch.setattr(movie, "_MP4", (6, 25))
+    scene, params, run, _ = crank
+    path = bj.animate(scene, params, run, tmp_path / "a.gif")
+    with Image.open(path) as found:
+        assert found.size == movie.SIZE and getattr(found, "n_frames", 1) == 4
+    mp4 = bj.animate(scene, params, run, tmp_path / "a.mp4").read_bytes()
+    assert mp4[4:8] == b"ftyp" and len(mp4) > 2000
+    page = bj.animate(scene, params, run, tmp_path / "a.html", "A < B").read_text()
+    assert "<title>A &lt; B</title>" in page and "<canvas" in page
+    with pytest.raises(InputError, match="already"):
+        bj.animate(scene, params, run, tmp_path / "a.gif")
+    with pytest.raises(InputError, match="no format"):
+        bj.animate(scene, params, run, tmp_path / "a.avi")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.gif", "a.html", "a.mp4"]
+
+
+def test_a_missing_extra_is_said_before_the_run(tmp_path, monkeypatch):
+    from typer.testing import CliRunner
+
+    from bcfj_jax.cli import app
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    done = CliRunner().invoke(app, ["simulate", "impact", "--animate", "mp4", "--out", "out"])
+    assert done.exit_code == 2 and 'pip install "bcfj-jax[animation]"' in done.stderr
+    assert not (tmp_path / "out").exists()
+    done = CliRunner().invoke(app, ["simulate", "impact", "--animate", "avi", "--out", "out"])
+    assert done.exit_code == 2 and "no format 'avi'" in done.stderr
+    done = CliRunner().invoke(app, ["simulate", "impact", "--animate", "gltf,html", "--out", "out"])
+    assert done.exit_code == 0
+    gltf.read((tmp_path / "out" / "animation.glb").read_bytes())
+    assert "<canvas" in (tmp_path / "out" / "animation.html").read_text()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from bcfj_jax.analysis.simulation import results
@@ -15,8 +15,24 @@ from bcfj_jax.io.scenefile import load, quickest
 from bcfj_jax.solve.simulation import simulate
 
 
+def movies(words: Sequence[str]) -> tuple[str, ...]:
+    """Names of the files with the run in motion, by the formats that ``--animate`` names.
+
+    Raises:
+        InputError: for a format that is not known, or whose extra is not installed.
+    """
+    from bcfj_jax.io.view import export
+
+    return tuple(f"animation{export.checked(word)}" for word in dict.fromkeys(words))
+
+
 def run(
-    what: str, out: Path | None, say: Callable[[str], None], show: Callable[[str], None], measure_error: bool = True
+    what: str,
+    out: Path | None,
+    say: Callable[[str], None],
+    show: Callable[[str], None],
+    measure_error: bool = True,
+    animations: Sequence[str] = (),
 ) -> bool:
     """Simulate a scene file and write what ``results.files`` names: the numbers first, then the pictures.
 
@@ -25,6 +41,7 @@ def run(
         out: folder for the results, None for one made up.
         say: receives the progress and the warnings.
         measure_error: whether the run is made once more, ten times finer, to measure its force error.
+        animations: files beside, as ``movies`` names them.
 
     Returns:
         Whether the run reached its end.
@@ -34,7 +51,7 @@ def run(
     """
     given = quickest(load(what))
     stem = given.source.stem if given.source else what
-    folder = open_folder(out, "simulate", stem, results.files(given))
+    folder = open_folder(out, "simulate", stem, (*results.files(given), *animations))
     say(f"simulating {what}: {len(given.times)} samples to {given.times[-1]:.6g} s")
     ahead(get_ready)
     found = simulate(
@@ -48,6 +65,9 @@ def run(
     if found.status != "ok":
         say(f"error: {results.verdict(found)}")
     with stage("drawing"):
-        results.draw(folder, given, found, stem, written)
+        results.draw(folder, given, found, stem, written, animations)
+    for name in animations:
+        if not (folder / name).exists():
+            say(f"warning: {name} was not written: this scene, or this run, has nothing to draw")
     keep_asked()
     return found.status == "ok"

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,9 @@ from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.readings import STATES
 from bcfj_jax.solve.measured_error import FACTOR, Accuracy
 from bcfj_jax.solve.simulation import Run
+
+if TYPE_CHECKING:
+    from bcfj_jax.io.view.animation import Animation
 
 FILES = (
     "forces.csv",
@@ -261,20 +264,24 @@ def write(folder: Path, given: SceneFile, run: Run, stem: str) -> Written:
     return Written(f"{text}\n" + (f"\n{accuracy}" if accuracy else ""), warnings, content)
 
 
-def draw(folder: Path, given: SceneFile, run: Run, stem: str, written: Written) -> None:
-    """The pictures of a run, and its report."""
+def draw(folder: Path, given: SceneFile, run: Run, stem: str, written: Written, animations: Sequence[str] = ()) -> None:
+    """The pictures of a run, its report, and files with the run in motion (``io.view.export``)."""
     shown = page.drawn(folder, run, given.scene, given.params, given.reads, written.content["contacts"])
     found = page.made(
         f"Simulation of {stem}", run, given.scene, written.content, shown,
         [Table("Input: values and what they mean", input_rows(given))],
         _readings_rows(given, run, 3) if given.reads else (), choice_sentence(run),
     )  # fmt: skip
-    report.write(folder, replace(found, animation=animated(given, run, f"Simulation of {stem}")))
+    from bcfj_jax.io.view import animation, export
+
+    moving = animation.animation(given.scene, given.params, run, f"Simulation of {stem}")
+    report.write(folder, replace(found, animation="" if moving is None else _section(moving)))
+    for name in animations if moving is not None else ():
+        export.write(moving, folder / name)
 
 
-def animated(given: SceneFile, run: Run, title: str) -> str:
-    """The report's section with the run in motion; "" for a model that cannot be drawn."""
-    from bcfj_jax.io.view import animation, fragment
+def _section(moving: Animation) -> str:
+    """The report's section with the run in motion."""
+    from bcfj_jax.io.view import fragment
 
-    found = animation.animation(given.scene, given.params, run, title)
-    return "" if found is None else f"<section><h2>In motion</h2>{fragment.fragment(found)}</section>"
+    return f"<section><h2>In motion</h2>{fragment.fragment(moving)}</section>"

@@ -88,7 +88,7 @@ def _rows(blob: _Blob, values: np.ndarray, kind: str) -> list[Any]:
     return blob.put((values[:1] if still else values).ravel(), kind)
 
 
-def _unit(largest: float, unit: str) -> list[Any]:
+def unit_of(largest: float, unit: str) -> list[Any]:
     """Factor, unit and decimals of a number on the screen."""
     factor, prefix = engineering([largest or 1.0])
     return [factor, f"{prefix.replace('u', 'µ')}{unit}", 2]
@@ -124,7 +124,7 @@ def content(of: Animation) -> dict[str, Any]:
         "start": strongest(of), "exaggeration": of.exaggeration, "steps": steps(of), "lasts": LASTS,
         "eye": list(of.eye), "up": list(of.up), "centre": of.centre.tolist(), "half": of.half.tolist(), "size": of.size,
         "arrow": ARROW * of.size, "peak": of.peak or 1.0, "least": LEAST,
-        "clock": _unit(float(np.abs(of.times).max()), "s"), "newton": _unit(of.peak, "N"),
+        "clock": unit_of(float(np.abs(of.times).max()), "s"), "newton": unit_of(of.peak, "N"),
         "tones": painter.TONES, "colours": painter.COLOURS, "blob": blob.text(),
     }  # fmt: skip
 
@@ -148,7 +148,7 @@ def _legend(of: Animation) -> str:
     if not of.peak > 0:
         return ""
     stops = ",".join("rgb({:.0f},{:.0f},{:.0f})".format(*(255.0 * x for x in c)) for c in painter.COLOURS)
-    factor, unit, _ = _unit(of.peak, "N")
+    factor, unit, _ = unit_of(of.peak, "N")
     ticks = "".join(f"<span>{of.peak * factor * share:.3g}</span>" for share in (0.0, 0.25, 1.0))
     return (
         f'<div class="legend"><div class="bar" role="img" aria-label="Colours of the arrows, from 0 to '
@@ -177,7 +177,7 @@ def _sentences(of: Animation) -> list[str]:
 
 
 def _span(seconds: float) -> str:
-    factor, unit, _ = _unit(seconds, "s")
+    factor, unit, _ = unit_of(seconds, "s")
     return f"{seconds * factor:.4g} {unit}"
 
 

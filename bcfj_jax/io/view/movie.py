@@ -1,0 +1,83 @@
+"""An animation as a movie: GIF by Pillow, MP4 by ffmpeg (extra ``animation``)."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.extras import library
+from bcfj_jax.core.progress import stage
+from bcfj_jax.io.outputs import atomic
+from bcfj_jax.io.view import painter
+from bcfj_jax.io.view.animation import Animation
+from bcfj_jax.io.view.fragment import unit_of
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+# Pictures, and pictures a second; width and height [pixels].
+_GIF, _MP4 = (80, 12), (200, 25)
+SIZE = (640, 400)
+
+
+def needed(suffix: str) -> None:
+    """Refuse a movie whose library is missing, before anything is computed.
+
+    Raises:
+        InputError: naming the extra.
+    """
+    if suffix == ".mp4":
+        library("imageio_ffmpeg", "animation .mp4", "animation")
+
+
+def write(of: Animation, path: Path) -> None:
+    """Write a GIF or an MP4, by the path's suffix.
+
+    Raises:
+        InputError: for an MP4 without the extra ``animation``.
+    """
+    needed(path.suffix)
+    with stage(f"drawing {path.name}"), atomic(path) as temporary:
+        if path.suffix == ".gif":
+            count, rate = _GIF
+            first, *others = [p.quantize(64, dither=0) for p in pictures(of, count)]
+            later = {"append_images": others, "duration": round(1000 / rate), "loop": 0}
+            first.save(temporary, format="GIF", save_all=True, optimize=False, **later)
+            return
+        _encoded(of, temporary)
+
+
+def _encoded(of: Animation, path: Path) -> None:
+    count, rate = _MP4
+    # JAX warns of a fork with a hook, which imageio_ffmpeg's own writer is.
+    program = library("imageio_ffmpeg", "animation .mp4", "animation").get_ffmpeg_exe()
+    given = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{SIZE[0]}x{SIZE[1]}", "-r", str(rate), "-i", "-"]
+    made = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-movflags", "+faststart", "-f", "mp4", str(path)]
+    command = [program, "-y", "-loglevel", "error", *given, *made]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as running:
+        assert running.stdin is not None and running.stderr is not None
+        for picture in pictures(of, count):
+            running.stdin.write(picture.tobytes())
+        running.stdin.close()
+        said = running.stderr.read().decode(errors="replace").strip()
+    if running.returncode:
+        raise InputError("animation .mp4", f"ffmpeg failed: {said[:200]}", "write a GIF instead")
+
+
+def pictures(of: Animation, count: int) -> Iterator[Image]:
+    """Pictures at equal steps of time, each of the frame nearest to it, with time and exaggeration written below."""
+    from PIL import ImageDraw
+
+    factor, unit, digits = unit_of(float(np.abs(of.times).max()), "s")
+    scale = "true to scale" if of.exaggeration == 1.0 else f"clearances x {of.exaggeration:g}"
+    for t in np.linspace(of.times[0], of.times[-1], count):
+        k = int(np.argmin(np.abs(of.times - t)))
+        picture = painter.paint(of, k, SIZE)
+        text = f"{of.title}   {of.times[k] * factor:.{digits}f} {unit}   {scale}"
+        ImageDraw.Draw(picture).text((10, SIZE[1] - 22), text, fill=(27, 31, 35), font_size=14)
+        yield picture
