@@ -89,7 +89,7 @@ def marked(scene: str):
     return pytest.param(scene, marks=pytest.mark.full if scene in ("impact", "joint") else pytest.mark.slow)
 
 
-@pytest.mark.parametrize("scene", map(marked, SCENES))
+@pytest.mark.parametrize("scene", [marked(name) for name in SCENES])
 def test_every_verb_plans_every_scene(scene, here):
     before = state(here)
     for verb in VERBS:
