@@ -15,6 +15,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING
 
+from bcfj_jax._version import __version__ as __version__
 from bcfj_jax.core import backend as _backend
 
 _backend.set_up()

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
+from jaxtyping import Float
 
 from bcfj_jax import InputError, check_value, nearest
 from bcfj_jax.analysis.derivatives.names import UNITS, feature, feature_unit
@@ -114,7 +115,7 @@ class Channel:
     """
 
     observes: str
-    values: np.ndarray
+    values: Float[np.ndarray, " T"]
     sigma: float | None
     relative: float = 0.0
     correlation: float | None = 0.0
@@ -165,7 +166,7 @@ class Experiment:
     """
 
     name: str
-    times: np.ndarray
+    times: Float[np.ndarray, " T"]
     channels: tuple[Channel, ...]
     hold_out: bool = False
     fixed: dict[str, float] = field(default_factory=dict)
@@ -207,9 +208,9 @@ class Free:
     """
 
     name: str
-    lower: float
-    upper: float
-    start: float | None = None
+    lower: float | str
+    upper: float | str
+    start: float | str | None = None
     scale: Literal["log", "linear"] | None = None
     each: bool | None = None
 

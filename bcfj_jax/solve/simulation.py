@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
+from jaxtyping import Float, Int
 
 from bcfj_jax.core import presented
 from bcfj_jax.core.errors import InputError, quoted, texts
@@ -55,20 +56,20 @@ class Run(NamedTuple):
         readings: by name (T,), or (T, k) over members, what ``read`` asked for (``mechanism.channels``).
     """
 
-    times: np.ndarray
-    force: dict[str, np.ndarray]
-    penetration: dict[str, np.ndarray]
-    rate: dict[str, np.ndarray]
-    slip: dict[str, np.ndarray]
+    times: Float[np.ndarray, " T"]
+    force: dict[str, Float[np.ndarray, "T ... 3"]]
+    penetration: dict[str, Float[np.ndarray, "T ..."]]
+    rate: dict[str, Float[np.ndarray, "T ..."]]
+    slip: dict[str, Float[np.ndarray, "T ..."]]
     status: str
     reason: str
     failure_time: float
     stats: dict[str, float]
-    state: dict[str, np.ndarray] = {}
-    trajectory: np.ndarray | None = None
+    state: dict[str, Int[np.ndarray, "T ..."]] = {}
+    trajectory: Float[np.ndarray, "T n"] | None = None
     choice: Choice | None = None
     accuracy: Accuracy | None = None
-    readings: dict[str, np.ndarray] = {}
+    readings: dict[str, Float[np.ndarray, "T ..."]] = {}
 
     _view = "bcfj_jax.analysis.simulation.view"
     __repr__ = presented.text
@@ -116,11 +117,11 @@ def _backward(model: AbstractModel, how: Plan) -> Plan:
 def force_history(
     scene: AbstractModel,
     params: Params,
-    times: ArrayLike,
+    times: Float[ArrayLike, " T"],
     *,
     accuracy: str | float | Plan = "balanced",
     mode: Mode = "auto",
-) -> dict[str, Array]:
+) -> dict[str, Float[Array, "T ... 3"]]:
     """Contact-force histories as a pure function of parameters and times.
 
     jit, vmap, jvp, jacfwd and grad go through. Step-size control is never differentiated. A failed run
@@ -159,12 +160,12 @@ def force_history(
 def reading_history(
     scene: AbstractModel,
     params: Params,
-    times: ArrayLike,
+    times: Float[ArrayLike, " T"],
     read: Sequence[str],
     *,
     accuracy: str | float | Plan = "balanced",
     mode: Literal["forward", "reverse"] = "forward",
-) -> dict[str, Array]:
+) -> dict[str, Float[Array, "T ..."]]:
     """Histories of any readings (``mechanism.channels``) as a pure function of parameters and times.
 
     Args:
@@ -212,7 +213,7 @@ def _run(
 def simulate(
     scene: AbstractModel,
     params: Params,
-    times: ArrayLike,
+    times: Float[ArrayLike, " T"],
     *,
     accuracy: str | float = "balanced",
     max_steps: int = MAX_STEPS,

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
+from jaxtyping import Float
 
 from bcfj_jax.analysis.derivatives.jacobian import channel_names, histories
 from bcfj_jax.analysis.derivatives.measures import vector as feature_vector
@@ -25,14 +26,14 @@ from bcfj_jax.solve.plan import MAX_STEPS, Plan, plan
 def hessian_vector(
     scene: AbstractModel,
     params: Params,
-    times: ArrayLike,
+    times: Float[ArrayLike, " T"],
     feature: str,
     wrt: Sequence[str],
-    vector: ArrayLike,
+    vector: Float[ArrayLike, " P"],
     *,
     accuracy: str | float = "reference",
     max_steps: int = MAX_STEPS,
-) -> np.ndarray:
+) -> Float[np.ndarray, " P"]:
     """Hessian of a feature times a vector, sum_j d2f/(dp_i dp_j) v_j, (P,) in SI units; forward over forward.
 
     A peak is that of the parabola through the greatest sample and its neighbours: a fixed sample would leave out that

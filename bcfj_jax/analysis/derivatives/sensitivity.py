@@ -9,6 +9,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jax.typing import ArrayLike
+from jaxtyping import Float
 
 from bcfj_jax.analysis.derivatives import certificate as verdicts
 from bcfj_jax.analysis.derivatives.certificate import Certificate, Check, Comparison
@@ -60,10 +61,10 @@ class Sensitivity(NamedTuple):
         values: of the parameters of ``wrt`` [SI], at which the derivatives are taken.
     """
 
-    times: np.ndarray
+    times: Float[np.ndarray, " T"]
     wrt: tuple[str, ...]
-    force: dict[str, np.ndarray]
-    derivative: dict[str, dict[str, np.ndarray]]
+    force: dict[str, Float[np.ndarray, "T ... 3"]]
+    derivative: dict[str, dict[str, Float[np.ndarray, "T ... 3"]]]
     features: dict[str, float]
     feature_derivatives: dict[str, dict[str, float]]
     certificate: Certificate | None
@@ -85,7 +86,7 @@ class Sensitivity(NamedTuple):
 def sensitivity(
     scene: AbstractModel,
     params: Params,
-    times: ArrayLike,
+    times: Float[ArrayLike, " T"],
     wrt: Sequence[str],
     *,
     accuracy: str | float = "balanced",

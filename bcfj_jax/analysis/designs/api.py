@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 from jax.typing import ArrayLike
+from jaxtyping import Float
 
 from bcfj_jax.analysis.derivatives.certificate import NOT, Certificate
 from bcfj_jax.analysis.derivatives.names import FEATURES, complete
@@ -48,7 +49,7 @@ _SLICE = 25
 def design(
     scene: AbstractModel,
     params: Params,
-    times: ArrayLike,
+    times: Float[ArrayLike, " T"],
     objective: str | Mapping[str, float] | Combine,
     free: Mapping[str, Free | Sequence[Any]],
     *,
