@@ -21,6 +21,9 @@ from bcfj_jax.mechanism.observed import observing
 from calibration import given
 from calibration.solver_budget import budget
 
+# A number, SI, or a text with its unit, which a ``Problem`` makes a number of.
+Number = Any
+
 # Nuisance parameters of the measuring chain, of a force or whatever else x is read, t being the record's clock:
 #   reading(t) = gain b(R[L[x]](t - time_offset)) + force_offset + drift t + hum_sine sin(w t) + hum_cosine cos(w t),
 # L a sensor of first order, y' = 2 pi bandwidth (x - y); R one of second order, y'' + 2 z v y' + v^2 y = v^2 x with
@@ -208,9 +211,9 @@ class Free:
     """
 
     name: str
-    lower: float | str
-    upper: float | str
-    start: float | str | None = None
+    lower: Number
+    upper: Number
+    start: Number | None = None
     scale: Literal["log", "linear"] | None = None
     each: bool | None = None
 

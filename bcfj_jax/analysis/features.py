@@ -33,6 +33,7 @@ UNITS = {
     "impulse": "N s",
     "dissipated_work": "J",
     "contact_fraction": "1",
+    "contact_count": "1",
     "contact_start": "s",
     "contact_end": "s",
     "peak_penetration": "m",
@@ -214,11 +215,13 @@ def contact_interval(times: ArrayLike, penetration: ArrayLike, rate: ArrayLike) 
 
 
 def summary(times: ArrayLike, force: ArrayLike, penetration: ArrayLike, rate: ArrayLike) -> dict[str, float]:
-    """The features that ``UNITS`` names, of one contact, in these units; start and end are those of the first contact,
-    the period is ``contact_interval``.
+    """The features that ``UNITS`` names, of one contact, in these units.
+
+    The surfaces touch ``contact_count`` times: first from ``contact_start`` on, last until ``contact_end``, which is NaN
+    where they still touch at the end of the history. The period is ``contact_interval``.
     """
     contacts = contact_times(times, penetration, rate)
-    start, end = contacts[0] if contacts else (float("nan"), float("nan"))
+    start, end = (contacts[0][0], contacts[-1][1]) if contacts else (float("nan"), float("nan"))
     return {
         "peak": float(peak(force)),
         "mean": float(mean(times, force)),
@@ -227,6 +230,7 @@ def summary(times: ArrayLike, force: ArrayLike, penetration: ArrayLike, rate: Ar
         # A reading that is signed, of a contact with two sides, is negative where the other side presses.
         "dissipated_work": float(dissipated_work(np.abs(force), penetration)),
         "contact_fraction": float(contact_fraction(times, penetration)),
+        "contact_count": float(len(contacts)),
         "contact_start": start,
         "contact_end": end,
         "peak_penetration": float(peak(penetration)),

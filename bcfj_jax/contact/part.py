@@ -21,12 +21,12 @@ class Part(eqx.Module):
             InputError: naming class and method, with an example.
         """
         del args, more
-        missing = sorted(getattr(cls, "__abstractmethods__", ()))
+        missing: list[str] = sorted(getattr(cls, "__abstractmethods__", ()))
         if not hasattr(cls, "needs"):
             missing.append("needs")
         if missing:
             found = f"it lacks {' and '.join(missing)}"
-            raise InputError(f"class {cls.__name__}", found, f"it needs at least:\n{cls.example}")
+            raise InputError(f"class {cls.__name__}", found, f"it needs at least:\n{cls.example.strip()}")
         if isinstance(cls.needs, str):  # type: ignore[attr-defined]
             remedy = f'give a tuple of names: needs = ("{cls.needs}",)'  # type: ignore[attr-defined]
             raise InputError(f"class {cls.__name__}", "its needs are one text", remedy)
@@ -48,7 +48,7 @@ def checked(where: str, given: Any, kind: type[Part], what: str, by_name: str) -
     """
     if isinstance(given, kind):
         return given
-    remedy = f"{by_name}, or an object of a class such as:\n{kind.example}"
+    remedy = f"{by_name}, or an object of a class such as:\n{kind.example.strip()}"
     if isinstance(given, type) and issubclass(given, kind):
         remedy = f"give an object of it: {given.__name__}()"
     raise InputError(where, f"{quoted(given)} is no {what}", remedy)

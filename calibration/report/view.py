@@ -10,6 +10,7 @@ import numpy as np
 
 from bcfj_jax.io.show import Dataset, Told
 from bcfj_jax.io.units import format_si
+from bcfj_jax.mechanism.channels import unit_of
 from calibration.fit import Fit
 from calibration.report import plots
 
@@ -72,7 +73,8 @@ def dataset(found: Fit) -> Dataset:
         coordinates[time] = ((time,), record.times, "s")
         for channel in record.data:
             for what in ("data", "prediction", "sigma"):
-                variables[f"{record.name} {channel} {what}"] = ((time,), getattr(record, what)[channel], "")
+                values = np.broadcast_to(getattr(record, what)[channel], record.times.shape)
+                variables[f"{record.name} {channel} {what}"] = ((time,), values, unit_of(channel))
     return Dataset(variables, coordinates, {"verdict": found.verdict, "seed": found.seed})
 
 

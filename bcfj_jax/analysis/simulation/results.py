@@ -22,6 +22,8 @@ from bcfj_jax.solve.simulation import Run
 if TYPE_CHECKING:
     from bcfj_jax.io.view.animation import Animation
 
+# Of peak force times deepest penetration: work that the integral's rounding is.
+_ROUNDING = 1e-6
 FILES = (
     "forces.csv",
     "contacts.csv",
@@ -174,6 +176,31 @@ def resolution_warnings(run: Run) -> list[str]:
     return found
 
 
+def work_warnings(run: Run) -> list[str]:
+    """Contacts whose dissipated work is below 0, and why: no contact makes energy."""
+    if run.status != "ok":
+        return []
+    penetration, given_back, coarse = outputs.channels(run.penetration), [], []
+    for name, force in outputs.channels(run.force, 1).items():
+        pushed, depth = np.abs(force[:, 0]), penetration[name]
+        work = float(features.dissipated_work(pushed, depth))
+        if work < -_ROUNDING * float(pushed.max() * np.abs(depth).max()):
+            # The integral of F dd ends below 0 where less is stored at the end than at the start.
+            (given_back if depth[0] > max(depth[-1], 0.0) else coarse).append(name)
+    found = []
+    if given_back:
+        found.append(
+            f"{_several(given_back)}: the dissipated work is below 0: the run begins with the contact pressed, and the "
+            "elastic energy that was stored then has come out"
+        )
+    if coarse:
+        found.append(
+            f"{_several(coarse)}: the dissipated work is below 0, which no contact does: the samples do not resolve the "
+            "force against the penetration: raise [time] samples"
+        )
+    return found
+
+
 def _several(names: Iterable[str]) -> str:
     first, *more = names
     return f"{first} and {len(more)} more" if len(more) > 2 else ", ".join([first, *more])
@@ -238,7 +265,7 @@ class Written(NamedTuple):
 
 def write(folder: Path, given: SceneFile, run: Run, stem: str) -> Written:
     """Write the numbers of a run: of ``files`` all but pictures and report, less tables that the level does not have."""
-    warnings = resolution_warnings(run)
+    warnings = resolution_warnings(run) + work_warnings(run)
     warnings += envelope.warnings(given.scene, given.params, run.times)
     warnings += envelope.of_the_start(given.scene, given.params, run.times, run.force)
     source = str(given.source) if given.source else f"the built-in scene '{stem}'"

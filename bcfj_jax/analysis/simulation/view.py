@@ -70,7 +70,7 @@ def _share(found: Run, name: str) -> float:
 
 
 def _percent(share: float) -> str:
-    return f"{100.0 * share:.2g} %" if math.isfinite(share) else "-"
+    return f"{100.0 * share:.{_DIGITS}g} %" if math.isfinite(share) else "-"
 
 
 def frame(found: Run) -> tuple[dict[str, Any], str]:

@@ -1,0 +1,119 @@
+"""Results in Python: text, HTML, tables, labelled arrays and figures of every kind of result."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+from problems import PROBLEM, SCENE, TABLE
+
+import bcfj_jax as bj
+import calibration
+
+TIMES = np.linspace(0.0, 60e-6, 61)
+
+
+@pytest.fixture(scope="module")
+def shown(tmp_path_factory):
+    """One result of every kind."""
+    scene = bj.scenes.impact()
+    params, folder = scene.parameters(), tmp_path_factory.mktemp("shown")
+    for name, text in (("p.toml", PROBLEM), ("s.toml", SCENE), ("d.csv", TABLE)):
+        (folder / name).write_text(text)
+    study = {
+        "scene": {"scene": {"kind": "impact"}, "time": {"samples": 61}},
+        "vary": {"mass": {"lower": 1.0, "upper": 2.0, "steps": 2}, "damping": {"values": [0.0, 0.1, 0.2]}},
+        "results": {"features": ["contact.peak"]},
+    }
+    options = {"starts": 2, "confirm": None, "certify": False, "iterations": 20}
+    return {
+        "run": bj.simulate(scene, params, TIMES, measure_error=True),
+        "sensitivity": bj.sensitivity(scene, params, TIMES, ("stiffness", "damping"), differences="none"),
+        "study": bj.study(study, folder / "study", workers=1),
+        "design": bj.design(scene, params, TIMES, "contact.peak", {"damping": (0.0, "0.5 s/m")}, **options),
+        "fit": calibration.fit(calibration.load(folder / "p.toml"), starts=4, systematic=False),
+    }
+
+
+KINDS = ("run", "sensitivity", "study", "design", "fit")
+pytestmark = pytest.mark.full
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_result_is_told_in_a_few_lines(shown, kind):
+    told = repr(shown[kind])
+    assert len(told.splitlines()) <= 15
+    assert max(map(len, told.splitlines())) < 300
+    assert "array(" not in told
+    page = shown[kind]._repr_html_()
+    assert page.startswith("<p><b>") and page.count("<tr>") == page.count("</tr>") > 1
+
+
+def test_the_verdict_comes_first(shown):
+    first = {kind: repr(found).splitlines()[0] for kind, found in shown.items()}
+    assert first["run"] == "Run: ok, reached 60 us"
+    assert first["sensitivity"] == "Sensitivity: trusted"
+    assert "6 points of scene 'impact', 0 failed" in first["study"]
+    assert first["design"] == f"Design: {shown['design'].status}"
+    assert first["fit"] == f"Fit: {shown['fit'].verdict}"
+
+
+def test_a_failed_run_says_when_and_why():
+    scene = bj.scenes.impact()
+    found = bj.simulate(scene, scene.parameters(), TIMES, max_steps=3)
+    assert repr(found).startswith("Run: failed at ") and "step budget" in repr(found)
+    assert len(found.to_pandas()) == len(TIMES)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_figures_open_no_window_and_write_no_file(shown, kind, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    figure = shown[kind].plot()
+    assert figure._repr_png_().startswith(b"\x89PNG")
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(bj.InputError, match="no picture 'portrait'"):
+        shown[kind].plot("portrait")
+
+
+def test_tables_hold_the_numbers(shown):
+    run, table = shown["run"], shown["run"].to_pandas()
+    np.testing.assert_array_equal(table["contact.normal [N]"], run.force["contact"][:, 0])
+    np.testing.assert_array_equal(table.index, TIMES)
+    slopes = shown["sensitivity"].to_pandas().set_index(["feature", "parameter"])
+    found = shown["sensitivity"].feature_derivatives["stiffness"]["contact.peak"]
+    assert slopes.loc[("contact.peak", "stiffness"), "derivative"] == found
+    assert slopes.loc[("contact.impulse", "stiffness"), "unit"] == "N s"
+    assert list(shown["study"].to_pandas()["status"]) == ["ok"] * 6
+    assert shown["design"].to_pandas().loc["damping", "upper"] == 0.5
+    fit = shown["fit"]
+    for name, one in fit.parameters.items():
+        assert fit.to_pandas().loc[name, "value"] == one.value
+
+
+def test_labelled_arrays_hold_the_numbers(shown):
+    run, data = shown["run"], shown["run"].to_xarray()
+    normal = data["contact.force"].sel(component="normal")
+    np.testing.assert_array_equal(normal, run.force["contact"][:, 0])
+    assert normal.attrs["units"] == "N" and data.attrs["status"] == "ok"
+    slopes = shown["sensitivity"].to_xarray()
+    assert slopes["contact.derivative"].dims == ("parameter", "time", "component")
+    grid = shown["study"].to_xarray()
+    assert dict(grid.sizes) == {"mass": 2, "damping": 3}
+    assert float(grid["contact.peak"].sel(mass=2.0, damping=0.1)) > float(
+        grid["contact.peak"].sel(mass=1.0, damping=0.1)
+    )
+    assert shown["design"].to_xarray()["damping"].attrs["units"] == "s/m"
+    assert shown["fit"].to_xarray().sizes["parameter"] == len(shown["fit"].parameters)
+
+
+@pytest.mark.parametrize(("library", "method"), [("pandas", "to_pandas"), ("xarray", "to_xarray")])
+def test_a_missing_library_is_named_with_what_installs_it(shown, library, method, monkeypatch):
+    monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(bj.InputError, match=rf"needs {library}.*pip install 'bcfj-jax\[table\]'"):
+        getattr(shown["run"], method)()
+
+
+def test_a_run_is_still_a_tuple(shown):
+    times, force, *_ = shown["run"]
+    assert times is shown["run"].times and force is shown["run"].force

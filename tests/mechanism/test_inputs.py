@@ -1,0 +1,128 @@
+"""What verbs take: values of any type and unit become the same run; traced values pass; messages name the place."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import bcfj_jax as bj
+from bcfj_jax.core import programs
+from bcfj_jax.core.quantities import whole
+from bcfj_jax.core.status import OK
+from bcfj_jax.core.upward import NAMES, upward
+from bcfj_jax.mechanism.model import Reading, Solution
+from bcfj_jax.solve.plan import Plan
+from bcfj_jax.solve.simulation import story
+
+SCENE = bj.scenes.impact()
+PARAMS = SCENE.parameters(mass=0.5)
+TIMES = np.linspace(0.0, 60e-6, 61)
+
+
+@pytest.fixture(scope="module")
+def usual():
+    return bj.simulate(SCENE, PARAMS, TIMES)
+
+
+@pytest.mark.parametrize(
+    "mass", [0.5, "0.5 kg", "500 g", np.float32(0.5), np.array(0.5), jnp.asarray(0.5, jnp.float32), jnp.asarray(0.5)]
+)
+def test_whatever_a_number_is_the_run_is_the_same_and_nothing_compiles(usual, mass):
+    traced = len(programs.traced)
+    found = bj.simulate(SCENE, {**PARAMS, "mass": mass}, TIMES)
+    assert len(programs.traced) == traced
+    np.testing.assert_array_equal(found.force["contact"], usual.force["contact"])
+
+
+def test_whole_numbers_and_lists_of_times_are_taken(usual):
+    assert bj.simulate(SCENE, {**PARAMS, "mass": 1}, TIMES.tolist()).status == "ok"
+    assert bj.simulate(SCENE, PARAMS, jnp.asarray(TIMES, jnp.float64), accuracy="1 %").status == usual.status
+
+
+def test_units_are_those_of_the_parameter():
+    params = SCENE.parameters(stiffness="20 GN/m^1.5", clearance_contact="20 um", approach_speed="1 m/s")
+    assert [float(params[name]) for name in ("stiffness", "clearance_contact")] == [2e10, 2e-5]
+    with pytest.raises(bj.InputError, match="scene 'impact' clearance_contact: '20 kg'"):
+        SCENE.parameters(clearance_contact="20 kg")
+
+
+def test_a_contacts_own_name_overrides_what_is_there():
+    other = bj.scenes.backlash()
+    assert "clearance_stop" in other.parameters()
+    run = bj.simulate(other, {**other.parameters(), "stop.clearance": "1 um"}, [0.0, 1e-5])
+    assert run.status == "ok"
+
+
+def test_traced_values_pass():
+    def peak(mass):
+        return bj.force_history(SCENE, {**PARAMS, "mass": mass}, TIMES)["contact"][:, 0].max()
+
+    value, slope = jax.value_and_grad(peak)(0.5)
+    assert np.isfinite(value) and slope > 0
+    many = jax.jit(jax.vmap(peak))(jnp.array([0.5, 0.6]))
+    assert float(many[0]) == pytest.approx(float(value)) and many[1] > many[0]
+    with pytest.raises(bj.InputError, match=r"bj\.force_history"):
+        jax.jit(lambda mass: bj.simulate(SCENE, {**PARAMS, "mass": mass}, TIMES).times)(0.5)
+
+
+def test_the_message_names_what_is_missing_and_what_is_near():
+    less = {name: value for name, value in PARAMS.items() if name != "mass"}
+    for verb in (bj.simulate, bj.force_history):
+        with pytest.raises(bj.InputError, match="'mass' has no value"):
+            verb(SCENE, less, TIMES)
+        with pytest.raises(bj.InputError, match="did you mean 'stiffness'"):
+            verb(SCENE, {**PARAMS, "stifness": 1.0}, TIMES)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_run_whose_force_is_not_finite_has_failed(bad):
+    force = np.zeros((4, 3))
+    force[2:, 0] = bad
+    readings = {"contact": Reading(force, np.zeros(4), np.zeros(4))}
+    solution = Solution(np.zeros((4, 2)), np.asarray(OK), np.asarray(3.0), np.asarray(9), np.asarray(0))
+    walls = {"wall_s": 0.0, "compile_s": 0.0}
+    run = story(SCENE, np.arange(4.0), solution, readings, Plan(np.asarray(1e-3)), walls)
+    assert (run.status, run.failure_time) == ("failed", 2.0)
+    assert run.reason == "a contact force stopped being finite"
+
+
+def test_a_law_that_lacks_something_says_what_and_shows_one():
+    class Lawless(bj.laws.AbstractLaw):
+        """Nothing."""
+
+    class One(bj.laws.AbstractElastic):
+        """A text where names are wanted."""
+
+        needs = "stiffness"
+
+        def force(self, penetration, c):
+            """Nothing."""
+            return penetration
+
+    with pytest.raises(bj.InputError, match=r"class Lawless: it lacks force and needs; .*\nclass Linear"):
+        Lawless()
+    with pytest.raises(bj.InputError, match=r'needs = \("stiffness",\)'):
+        One()
+    with pytest.raises(bj.InputError, match=r"give an object of it: MemoryFree\(\)"):
+        bj.Contact("c", ("ground", "b"), bj.gaps.PointOnPlane("x"), bj.laws.MemoryFree)
+
+
+@pytest.mark.parametrize("kind", ["AbstractLaw", "AbstractElastic", "AbstractFriction"])
+def test_the_examples_of_messages_are_right(kind):
+    known = {"bj": bj, "jnp": jnp}
+    exec(getattr(bj.laws, kind).example, known)
+    (made,) = [x for x in known.values() if isinstance(x, type) and issubclass(x, getattr(bj.laws, kind))]
+    made()
+
+
+def test_what_is_used_of_upper_layers_is_there():
+    assert all(callable(upward(name)) for name in NAMES)
+
+
+def test_whole_numbers():
+    assert whole("n", np.int64(3)) == 3
+    for bad in (True, 0, 1.0, "1", None, 10**12):
+        with pytest.raises(bj.InputError, match="whole number"):
+            whole("n", bad)
