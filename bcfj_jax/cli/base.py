@@ -200,8 +200,10 @@ def _plain(document: dict[str, Any], command: str) -> dict[str, Any]:
     if "bcfj_jax.io.outputs" in sys.modules:
         from bcfj_jax.io.outputs import plain, written
 
-        document["files"] = [str(path) for path in dict.fromkeys(written)]
-        main = next((path for path in reversed(written) if path.name == _MAIN.get(command)), None)
+        # Of a run that was interrupted, what was written is taken back.
+        there = [path for path in dict.fromkeys(written) if path.exists()]
+        document["files"] = [str(path) for path in there]
+        main = next((path for path in reversed(there) if path.name == _MAIN.get(command)), None)
         if main is not None:
             document["result"] = json.loads(main.read_text(encoding="utf-8"))
         written.clear()

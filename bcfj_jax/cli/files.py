@@ -108,6 +108,7 @@ def init(
     if what == "calibration":
         if record is None:
             raise InputError("init calibration", "no record", "give a measured file: bcfj init calibration drop.csv")
+        ready(None)
         from calibration import init as proposal
         from calibration.data.textfile import Stated
 
@@ -117,6 +118,7 @@ def init(
         raise InputError(
             "init", f"{record} after the scene '{what}'", "give one scene, or: bcfj init calibration RECORD"
         )
+    ready(None)
     from bcfj_jax.io.outputs import create
     from bcfj_jax.io.scenetemplate import template
 

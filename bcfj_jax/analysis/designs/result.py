@@ -119,9 +119,10 @@ class Design(NamedTuple):
         from bcfj_jax.analysis.designs import pictures
 
         names = ("design.json", "starts.png", "slices.png")
-        where = outputs.open_folder(Path(folder), "design", "", names)
-        outputs.write_json(where / names[0], self.content())
-        pictures.starts(self, where / names[1])
-        if self.slices:
-            pictures.slices(self, where / names[2])
+        with outputs.session():
+            where = outputs.open_folder(Path(folder), "design", "", names)
+            outputs.write_json(where / names[0], self.content())
+            pictures.starts(self, where / names[1])
+            if self.slices:
+                pictures.slices(self, where / names[2])
         return where

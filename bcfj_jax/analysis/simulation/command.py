@@ -9,10 +9,14 @@ from bcfj_jax.analysis.simulation import results
 from bcfj_jax.core.programs import keep_asked
 from bcfj_jax.core.progress import stage
 from bcfj_jax.core.threads import ahead
+from bcfj_jax.io.folder import LEAST_FREE
 from bcfj_jax.io.outputs import open_folder
 from bcfj_jax.io.plots import get_ready
 from bcfj_jax.io.scenefile import load, quickest
 from bcfj_jax.solve.simulation import simulate
+
+# Of a contact's sample in both tables [bytes].
+_BYTES = 100
 
 
 def movies(words: Sequence[str]) -> tuple[str, ...]:
@@ -51,7 +55,9 @@ def run(
     """
     given = quickest(load(what))
     stem = given.source.stem if given.source else what
-    folder = open_folder(out, "simulate", stem, (*results.files(given), *animations))
+    channels = sum(max(1, members) for members in given.scene.members.values())
+    size = LEAST_FREE + _BYTES * channels * len(given.times)
+    folder = open_folder(out, "simulate", stem, (*results.files(given), *animations), size=size)
     say(f"simulating {what}: {len(given.times)} samples to {given.times[-1]:.6g} s")
     ahead(get_ready)
     found = simulate(

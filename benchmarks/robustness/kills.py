@@ -1,0 +1,164 @@
+"""Verbs that are stopped by TERM, INT or KILL at random moments: resumed to equal results, or nothing is left.
+
+    python -m benchmarks.robustness.kills [--trials 100] [--only calibrate,study,...]
+writes results/kills.json. A verb is run undisturbed first. A trial starts it in a folder of its own and sends a signal at
+a random moment of its time. Then
+
+where work is kept    (calibrate, tradeoff, study) the exit code is 5, or that of a run that had ended, or by a signal
+                      where the process had not begun or was killed; the same command ends with equal results
+where nothing is      (sensitivity, design, reproduce) after TERM and INT the folder is gone and the exit code is 143 or
+                      130; after KILL the same command in the same folder ends with equal results
+
+Equal means equal numbers: times and dates are left out. An INT or TERM that comes while Python starts ends the process
+by the signal, with nothing written.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import hashlib
+import json
+import random
+import shutil
+import signal
+import tempfile
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from bcfj_jax.io.journal import NAME
+from benchmarks.common import markdown, save
+from benchmarks.robustness.running import EXAMPLE, STUDY, ended, files, last_line, start
+
+SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGKILL)
+# Keys whose values are of a run, not of its result.
+_TIMES = ("wall_s", "compile_s", "written", "solver", "spent_s", "seconds", "runs")
+
+
+class Verb(NamedTuple):
+    """What is run, where its result is, and whether it keeps finished work."""
+
+    words: list[str]
+    result: str
+    keeps: bool
+
+
+def verbs(place: Path) -> dict[str, Verb]:
+    study = place / "study.toml"
+    study.write_text(STUDY.format(steps=150))
+    return {
+        "calibrate": Verb(["calibrate", str(EXAMPLE), "--starts", "24"], "fit.json", True),
+        "tradeoff": Verb(["tradeoff", "impact", "--only", "tsit5", "--no-derivatives"], "tradeoff.csv", True),
+        "study": Verb(["study", "run", str(study), "--workers", "2"], "results.parquet", True),
+        "sensitivity": Verb(["sensitivity", "impact", "--wrt", "stiffness", "--budget", "2"], "sensitivity.csv", False),
+        "design": Verb(
+            ["design", "impact", "--minimize", "contact.peak", "--vary", "damping=0.1:1", "--starts", "2"],
+            "design.json", False,
+        ),
+        "reproduce": Verb(["reproduce"], "reproduce.json", False),
+    }  # fmt: skip
+
+
+def without_times(content: Any) -> Any:
+    if isinstance(content, dict):
+        return {key: without_times(value) for key, value in content.items() if key not in _TIMES}
+    return [without_times(value) for value in content] if isinstance(content, list) else content
+
+
+def outcome(verb: Verb, folder: Path) -> str:
+    """Digest of a result."""
+    path = folder / verb.result
+    if not path.exists():
+        return "none"
+    if path.suffix == ".json":
+        text = json.dumps(without_times(json.loads(path.read_text())), sort_keys=True)
+    elif verb.result == "tradeoff.csv":
+        with path.open(newline="") as file:
+            kept = ("setting", "force_rms_error", "peak_error", "impulse_error", "status", "steps")
+            text = json.dumps([[row[name] for name in kept] for row in csv.DictReader(file)])
+    else:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def trial(
+    name: str, verb: Verb, place: Path, how: signal.Signals, moment: float, good: tuple[int, str]
+) -> dict[str, Any]:
+    """One run that is stopped; how it ended, and what came of it."""
+    out = place / "out"
+    words = [*verb.words, "--out", str(out)]
+    job = start(words, place)
+    time.sleep(moment)
+    job.send_signal(how)
+    code, _, err = ended(job)
+    left, traces = files(out), err.count("Traceback")
+    row: dict[str, Any] = {
+        "verb": name,
+        "signal": how.name,
+        "moment_s": round(moment, 2),
+        "code": code,
+        "left": len(left),
+    }
+    row["said"] = last_line(err.replace(f"{place}/", ""))
+    finished = code == good[0]
+    stopped = code == -how or (how != signal.SIGKILL and code == (5 if verb.keeps and left else 128 + how))
+    row["clean"] = (
+        traces == 0 and (finished or stopped) and not any(".bcfj-run" in x for x in left if how != signal.SIGKILL)
+    )
+    if not verb.keeps and how != signal.SIGKILL and not finished:
+        row["clean"] = row["clean"] and not out.exists()
+        row["same"] = None
+    elif outcome(verb, out) == good[1] and not (out / NAME).exists():
+        # It had ended, or was at its very end.
+        row["same"] = True
+    else:
+        code, _, err = ended(start(words, place))
+        row["again"], row["same"] = code, code == good[0] and outcome(verb, out) == good[1]
+        if not row["same"]:
+            row["said"] = last_line(err.replace(f"{place}/", ""))
+    shutil.rmtree(out, ignore_errors=True)
+    return row
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--trials", type=int, default=100)
+    parser.add_argument("--only", default="calibrate,tradeoff,study,sensitivity,design,reproduce")
+    parser.add_argument("--warm", type=int, default=2, help="undisturbed runs, the last of which is the measure")
+    given = parser.parse_args()
+    draw, rows, lasts, good = random.Random(0), [], {}, {}
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder)
+        known = {name: verb for name, verb in verbs(place).items() if name in given.only.split(",")}
+        for name, verb in known.items():
+            for _ in range(given.warm):  # The first compiles.
+                shutil.rmtree(place / "out", ignore_errors=True)
+                begin = time.perf_counter()
+                code, _, err = ended(start([*verb.words, "--out", str(place / "out")], place))
+                lasts[name] = time.perf_counter() - begin
+            good[name] = code, outcome(verb, place / "out")
+            if code not in (0, 4):
+                raise SystemExit(f"{name}: exit code {code}: {err}")
+            shutil.rmtree(place / "out")
+            print(f"{name}: {lasts[name]:.1f} s undisturbed, exit code {code}", flush=True)
+        for number in range(given.trials):
+            name = list(known)[number % len(known)]
+            how = SIGNALS[number // len(known) % len(SIGNALS)]
+            rows.append(trial(name, known[name], place, how, draw.uniform(0.1, lasts[name]), good[name]))
+            print(rows[-1], flush=True)
+    table = [
+        ["verb", "stopped", "by a sentence or silently, right exit code", "nothing left, or equal results", "both"]
+    ]
+    for name in known:
+        of = [row for row in rows if row["verb"] == name]
+        right = sum(row["clean"] for row in of), sum(row["same"] is not False for row in of)
+        table.append(
+            [name, str(len(of)), *map(str, right), str(sum(r["clean"] and r["same"] is not False for r in of))]
+        )
+    save("kills", {"undisturbed_s": lasts, "trials": rows})
+    print(markdown(table))
+
+
+if __name__ == "__main__":
+    main()

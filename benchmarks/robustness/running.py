@@ -1,0 +1,78 @@
+"""The command ``bcfj`` as a process of its own, for what other processes, signals and surroundings do to it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+from benchmarks.common import ROOT
+
+# A shell's background jobs, and what they start, ignore Ctrl-C; a user's do not.
+_COMMAND = (
+    "import runpy, signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+    "runpy.run_module('bcfj_jax', run_name='__main__', alter_sys=True)"
+)
+IMPACT = '[scene]\nkind = "impact"\n'
+STUDY = """\
+scene = "impact"
+[design]
+kind = "grid"
+[vary.stiffness]
+lower = 1e6
+upper = 1e8
+steps = {steps}
+scale = "log"
+[vary.damping]
+values = [0.0, 0.1]
+[results]
+features = ["contact.peak", "contact.impulse"]
+"""
+EXAMPLE = ROOT / "examples" / "chung_ooi_fit.toml"
+
+
+def environment(variables: Mapping[str, str | None] | None = None) -> dict[str, str]:
+    """The variables of a process: ours, with some set and, by None, some taken away."""
+    found: dict[str, str | None] = {
+        **{k: v for k, v in os.environ.items() if k not in ("XLA_FLAGS", "JAX_ENABLE_X64", "EQX_ON_ERROR")},
+        "BCFJ_CACHE": str(ROOT / "build" / "jax-cache"),
+        "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
+        **(variables or {}),
+    }
+    return {name: value for name, value in found.items() if value is not None}
+
+
+def start(
+    arguments: list[str], cwd: Path, variables: Mapping[str, str | None] | None = None, umask: int = -1,
+    stdout: int = subprocess.PIPE,
+) -> subprocess.Popen[str]:  # fmt: skip
+    """A command that runs."""
+    return subprocess.Popen(
+        [sys.executable, "-c", _COMMAND, *arguments], cwd=cwd, env=environment(variables), umask=umask,
+        stdin=subprocess.DEVNULL, stdout=stdout, stderr=subprocess.PIPE, text=True, errors="replace",
+    )  # fmt: skip
+
+
+def ended(job: subprocess.Popen[str], seconds: float = 600.0) -> tuple[int, str, str]:
+    """Exit code (None's place is 124 for a hang), output and errors of a command."""
+    try:
+        out, err = job.communicate(timeout=seconds)
+    except subprocess.TimeoutExpired:
+        job.kill()
+        out, err = job.communicate()
+        return 124, out or "", err
+    return job.returncode, out or "", err
+
+
+def files(folder: Path) -> list[str]:
+    """Names of the files below a folder."""
+    return sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()) if folder.exists() else []
+
+
+def last_line(text: str) -> str:
+    """The last line that is an error, else the last one, at most 160 characters of it."""
+    lines = [line for line in text.splitlines() if line.strip()]
+    wrong = [line for line in lines if line.startswith(("error:", "interrupted", "stopped:"))]
+    return (wrong or lines or [""])[-1][:160]
