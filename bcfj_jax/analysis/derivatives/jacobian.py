@@ -16,7 +16,7 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.core.programs import program
-from bcfj_jax.core.status import OK, STEEP
+from bcfj_jax.core.status import NO_FORCE, OK, STEEP
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.plan import Plan, Way
 
@@ -103,6 +103,8 @@ def level(scene: AbstractModel, params: Params, times: np.ndarray, wrt: tuple[st
     derivative = Histories(*(np.stack([part[name] for name in wrt]) for part in slopes))
     # A force that is 0 has a derivative of 0, whatever the state's is.
     finite = np.isfinite(derivative.force).all(axis=(0, 2, 3)) & np.isfinite(derivative.state).all(axis=(0, 2))
+    if code == OK and not np.isfinite(value.force).all():
+        code, end = NO_FORCE, times[np.argmin(np.isfinite(value.force).all(axis=(1, 2)))]
     if code == OK and not finite.all():
         code, end = STEEP, times[np.argmin(finite)]
     return Level(

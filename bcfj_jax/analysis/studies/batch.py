@@ -21,12 +21,13 @@ from bcfj_jax.analysis.derivatives.names import Feature, members
 from bcfj_jax.analysis.features import contact_interval
 from bcfj_jax.analysis.histories import delay, settled_period
 from bcfj_jax.core.programs import program
-from bcfj_jax.core.status import OK, reason
+from bcfj_jax.core.status import NO_FORCE, OK, reason
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve.plan import Plan
 from bcfj_jax.solve.simulation import readings
 
 # What grows with the duration where the samples' times are those of a run that takes one second.
+_OF_FORCE = ("peak", "mean", "impulse")
 _PER_SECOND = ("impulse", "period", "delay")
 # A period and a delay are sought on the host.
 HOST = ("period", "delay")
@@ -113,6 +114,10 @@ def run(
             ]
         if feature.kind in _PER_SECOND:
             values[:, k] *= ends
+    # A peak or a mean that is not finite is that of a force that is not.
+    sums = [k for k, feature in enumerate(wanted) if feature.kind in _OF_FORCE]
+    lost = ~np.isfinite(values[:, sums]).all(axis=1)
+    code = np.where((code == OK) & lost, NO_FORCE, code)
     values[code != OK] = np.nan
     reasons = [reason(one, how.max_steps) for one in code]
     return Batch(values, reasons, end, steps, int(np.max(rounds)), force if forces else nothing, compile_s)
