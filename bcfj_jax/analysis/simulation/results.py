@@ -303,8 +303,9 @@ def draw(folder: Path, given: SceneFile, run: Run, stem: str, written: Written, 
 
     moving = animation.animation(given.scene, given.params, run, f"Simulation of {stem}")
     report.write(folder, replace(found, animation="" if moving is None else _section(moving)))
-    for name in animations if moving is not None else ():
-        export.write(moving, folder / name)
+    if moving is not None:
+        for name in animations:
+            export.write(moving, folder / name)
 
 
 def _section(moving: Animation) -> str:
