@@ -15,7 +15,6 @@ import contextlib
 import difflib
 import os
 import re
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -63,6 +62,8 @@ def parse(text: str) -> Change:
 
 def value(text: str) -> Any:
     """What stands after "=": as in TOML; what is no TOML is a number as Python writes it, or a text."""
+    import tomllib
+
     with contextlib.suppress(ValueError, RecursionError):
         found = tomllib.loads(f"x = {text}")
         if list(found) == ["x"] and isinstance(found["x"], (bool, int, float, str, list, dict)):
