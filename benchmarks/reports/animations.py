@@ -23,10 +23,16 @@ from bcfj_jax.models.scenes import SCENES
 from bcfj_jax.solve.simulation import simulate
 
 WIDTHS = (1280, 390)
-_BROWSER = (
-    "--headless --no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --hide-scrollbars "
-    "--enable-logging=stderr --virtual-time-budget=5000"
-).split()
+_BROWSER = [
+    "--headless",
+    "--no-sandbox",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--hide-scrollbars",
+    "--enable-logging=stderr",
+    "--virtual-time-budget=5000",
+]
 
 
 def made(name: str) -> animation.Animation:
