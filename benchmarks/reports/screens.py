@@ -42,6 +42,9 @@ VERBS: dict[str, list[str]] = {
 # Wider than the screen, but for what scrolls in a box of its own.
 _WIDE = "document.documentElement.scrollWidth > window.innerWidth + 1"
 _UNFOLD = "document.querySelectorAll('details').forEach(d => { d.open = true; })"
+# Chromium's own, where WebGL has no graphics card: it copies every picture to the page. The pages read no pixels.
+_DRIVER = "GPU stall due to ReadPixels"
+_FOLD = "document.querySelectorAll('details').forEach(d => { d.open = false; })"
 _AXE = (
     "axe.run(document, {resultTypes: ['violations', 'incomplete']}).then(found => found.violations.map(one => "
     "({id: one.id, impact: one.impact, help: one.help, nodes: one.nodes.length, first: one.nodes[0].html.slice(0, 160)})))"
@@ -142,19 +145,24 @@ async def look(browser: Browser, page: Path, width: int, axe: str, picture: Path
     await browser.until("Page.loadEventFired")
     await asyncio.sleep(0.5)
     wide = bool(await browser.evaluate(_WIDE))
+    await browser.evaluate(_UNFOLD)
+    await asyncio.sleep(1.0)
+    wide = wide or bool(await browser.evaluate(_WIDE))
+    # Before the photograph, which reads pixels back.
+    events = list(browser.events)
+    await browser.evaluate(_FOLD)
     shot = await browser.ask("Page.captureScreenshot", format="png", captureBeyondViewport=True)
     picture.write_bytes(base64.b64decode(shot["data"]))
     await browser.evaluate(_UNFOLD)
     await asyncio.sleep(0.5)
-    wide = wide or bool(await browser.evaluate(_WIDE))
     messages, requests = [], []
-    for event in browser.events:
+    for event in events:
         params = event.get("params", {})
         if event.get("method") == "Runtime.consoleAPICalled":
             messages.append(" ".join(str(a.get("value", a.get("description"))) for a in params["args"]))
         elif event.get("method") == "Runtime.exceptionThrown":
             messages.append(str(params["exceptionDetails"].get("text")))
-        elif event.get("method") == "Log.entryAdded":
+        elif event.get("method") == "Log.entryAdded" and _DRIVER not in params["entry"]["text"]:
             messages.append(params["entry"]["text"])
         elif event.get("method") == "Network.requestWillBeSent":
             url = params["request"]["url"]

@@ -27,6 +27,8 @@ AROUND, ORBITS, STATE, ORDERS = (
     "contact_states.png",
     "order_spectrum.png",
 )
+# Features that a table of several contacts leaves to the table of each.
+_ASIDE = ("contact_count", "contact_start", "contact_end")
 # Of the models that have what they show.
 VIEWS = (AROUND, ORBITS, STATE, ORDERS)
 
@@ -126,12 +128,13 @@ def by_contact(
 
 
 def _rows(
-    groups: Sequence[tuple[str, list[Mapping[str, Any]]]], cell: Callable[[list[Any], str], str]
+    groups: Sequence[tuple[str, list[Mapping[str, Any]]]],
+    cell: Callable[[list[Any], str], str],
+    without: Sequence[str] = (),
 ) -> list[list[str]]:
     """Features across and contacts down; the other way round for one or two contacts."""
-    known = [
-        (key, unit) for key, unit in features.UNITS.items() if any(key in one for _, group in groups for one in group)
-    ]
+    there = {key for _, group in groups for one in group for key in one} - set(without)
+    known = [(key, unit) for key, unit in features.UNITS.items() if key in there]
     rows = [["contact", *(key.replace("_", " ") for key, _ in known)]]
     for name, group in groups:
         rows.append([name, *(cell([one.get(key) for one in group], unit) for key, unit in known)])
@@ -165,7 +168,7 @@ def tables(scene: AbstractModel, content: Mapping[str, Any]) -> list[Table]:
         return []
     many = any(len(group) > 1 for _, group in groups)
     folded = []
-    if many:
+    if many or len(groups) > 2:
         each = [(name, [values]) for name, values in contacts.items()]
         folded.append(Table(f"Each of the {len(each)} contacts", _rows(each, _cell)))
     if all("share_of_time" in one for _, group in groups for one in group):
@@ -173,7 +176,9 @@ def tables(scene: AbstractModel, content: Mapping[str, Any]) -> list[Table]:
     note = "Three significant digits; all digits: summary.json."
     if many:
         note = f"Of contacts with members the range over the members. {note}"
-    found = [Table("Contacts", _rows(groups, _cell), note, tuple(folded))]
+    # Of several contacts what fits on a screen.
+    without = _ASIDE if len(groups) > 2 else ()
+    found = [Table("Contacts", _rows(groups, _cell, without), note, tuple(folded))]
     if accuracy := content.get("accuracy"):
         found.append(_accuracy(accuracy))
     return found

@@ -217,7 +217,7 @@ def fragment(of: Animation) -> str:
         )
     caption = html.escape(" ".join(_sentences(of)))
     return (
-        f'<figure class="bcfj-view" role="group" aria-label="Animation of {title}"><style>{_text("viewer.css")}</style>'
+        f'<figure class="bcfj-view" aria-label="Animation of {title}"><style>{_text("viewer.css")}</style>'
         f'<div class="stage"><img alt="{title}: a still picture at the largest force." src="data:image/png;base64,{image}">'
         f'<canvas tabindex="0" role="application" aria-label="{title} in three dimensions: arrow keys turn it, plus and '
         'minus zoom, space plays, Home resets the view"></canvas></div>'
