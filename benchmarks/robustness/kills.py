@@ -147,6 +147,7 @@ def main() -> None:
             how = SIGNALS[number // len(known) % len(SIGNALS)]
             rows.append(trial(name, known[name], place, how, draw.uniform(0.1, lasts[name]), good[name]))
             print(rows[-1], flush=True)
+            save("kills", {"undisturbed_s": lasts, "trials": rows})
     table = [
         ["verb", "stopped", "by a sentence or silently, right exit code", "nothing left, or equal results", "both"]
     ]
@@ -156,7 +157,6 @@ def main() -> None:
         table.append(
             [name, str(len(of)), *map(str, right), str(sum(r["clean"] and r["same"] is not False for r in of))]
         )
-    save("kills", {"undisturbed_s": lasts, "trials": rows})
     print(markdown(table))
 
 
