@@ -52,7 +52,7 @@ CASES = {
     "JAX_DEBUG_NANS=maybe": Case({"JAX_DEBUG_NANS": "maybe"}),
     "EQX_ON_ERROR=breakpoint": Case({"EQX_ON_ERROR": "breakpoint"}),
     "XLA_FLAGS=--xla_foo": Case({"XLA_FLAGS": "--xla_foo"}),
-    "no TERM, LC_ALL=C, name not ASCII": Case({"TERM": None, "LC_ALL": "C", "LANG": None}, name="schräg µ.toml"),
+    "no TERM; LC_ALL=C; name not ASCII": Case({"TERM": None, "LC_ALL": "C", "LANG": None}, name="schräg µ.toml"),
     "name of no characters": Case(name=os.fsdecode(b"odd\xff\xe4.toml")),
     "nobody reads the output": Case(reader=False),
 }
@@ -144,7 +144,7 @@ def main() -> None:
         table.append(
             [title, *(f"{c['code']}{'' if c['good'] else ' NOT GOOD' if c['good'] is False else ''}" for c in cells)]
         )
-    save("surroundings", {"cases": rows})
+        save("surroundings", {"cases": rows})
     print(markdown(table))
 
 
