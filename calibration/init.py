@@ -30,7 +30,7 @@ _SAID = {
 }
 SCENES, _ALIGN = tuple(_SAID), "onset"
 _GRAVITY = 9.81
-# Depth of a half sine over speed and duration; a restitution where nothing tells it.
+# Depth of a half sine over speed and duration; a restitution where no reading gives it.
 _DEPTH, _USUAL = 3.2, 0.7
 # Restitution from the impulse above which no damping is searched.
 _ELASTIC = 0.98
@@ -172,7 +172,7 @@ def _parameters(known: _Known, kind: str, elastic: bool) -> tuple[_Line | None, 
     missing = [key for key, value, *_ in entries if value is None]
     text = ", ".join(f'{k} = "{"?" if value is None else f"{value:.4g}"} {unit}"' for k, value, unit, _ in entries)
     origins = dict.fromkeys(origin for _, value, _, origin in entries if value is not None and origin)
-    note = "FILL IN what is a question mark" if missing else "; ".join(origins)
+    note = "FILL IN the question marks" if missing else "; ".join(origins)
     return (_Line(f"parameters = {{ {text} }}", note) if entries else None), missing
 
 

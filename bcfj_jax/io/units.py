@@ -145,7 +145,11 @@ def _factor(unit_text: str, si_unit: str, where: str, exponent: float | None, gi
     given = clip(given)
     target = parse(si_unit)
     if unit.dimensionality != target.dimensionality:
-        wrong = "has a unit" if si_unit == "1" else f"is not in a unit that converts to {si_unit}"
+        wrong = (
+            "has a unit, and a plain number is wanted"
+            if si_unit == "1"
+            else f"is not in a unit that converts to {si_unit}"
+        )
         raise InputError(where, f"'{given}' {wrong}", right)
     if si_unit in ("rad/s", "Hz"):
         unit = _turning(unit_text, unit, si_unit, where, given)
@@ -186,7 +190,7 @@ def _stiffness_factor(unit_text: str, where: str, exponent: float | None, given:
         raise InputError(
             where,
             f"'{given}' is in force over length^{found:g}, but the contact's exponent is {exponent:g}",
-            f"K of F = K d^n is in N/m^n, so the same number in another unit is another contact; give {remedy} "
+            f"the unit of K in F = K d^n is N/m^n, so K cannot be converted to another exponent; give {remedy} "
             f"or set exponent = {found:g}",
         )
     size = float(registry().Quantity(1.0, unit).to_base_units().magnitude)

@@ -137,5 +137,7 @@ def check_contact(times: np.ndarray, values: np.ndarray, zero: float, cut: bool,
         return []
     found = f"the force is largest at its {edge} sample ({format_si(force[peak], 'N')} at {format_si(at[peak], 's')})"
     if not cut:
-        raise InputError(place, f"{found}: the record is shorter than a contact", "record from before it to after it")
+        raise InputError(
+            place, f"{found}: the record is shorter than a contact", "record from before the contact to after it"
+        )
     return [f"{found}; the window cuts the contact"]

@@ -185,5 +185,7 @@ def _inside(times: np.ndarray, window: tuple[float, float] | None, name: str, wh
         return np.ones(times.size, dtype=bool)
     keep = (times >= window[0]) & (times <= window[1])
     if np.count_nonzero(keep) < 3:
-        raise InputError(f"{where} window", f"{np.count_nonzero(keep)} samples of {name} lie in it", "widen the window")
+        raise InputError(
+            f"{where} window", f"{np.count_nonzero(keep)} samples of {name} lie in the window", "widen the window"
+        )
     return keep

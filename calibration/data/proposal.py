@@ -274,7 +274,7 @@ class Sizes:
     """What the first contacts say: peak [N], impulse [N s], duration [s], samples in contact, step [s], contacts a run.
 
     Of records without a force, peak and impulse are per mass. ``speed`` and ``restitution`` from a velocity or position,
-    ``mass`` from the impulse over the change of the speed, or from force over acceleration; None where nothing tells.
+    ``mass`` from the impulse over the change of the speed, or from force over acceleration; None where no reading gives them.
     """
 
     peak: float

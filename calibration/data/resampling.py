@@ -36,7 +36,7 @@ def resampled(
     step = float(np.median(np.diff(clock)))
     if rate * step > 1.0:
         found = f"{format_si(rate, 'Hz')} is above the {format_si(1.0 / step, 'Hz')} of the record"
-        raise InputError(f"{where} resample", found, "a higher rate adds samples but no knowledge; give a lower one")
+        raise InputError(f"{where} resample", found, "a higher rate adds samples but no information; give a lower one")
     times = clock[0] + np.arange(int((clock[-1] - clock[0]) * rate + 1e-9) + 1) / rate
     sections = butter(_ORDER, min(2.0 * _EDGE * rate * step, 0.99), output="sos")
     piece = np.searchsorted(jumps, np.arange(clock.size))

@@ -114,7 +114,7 @@ def _clock(
     ends = free[moving] if several else (params.get(moving, 0.0),) * 2
     first, last = (scene.first_touch({**params, **({moving: x} if moving else {})}) for x in ends)
     if first is None or last is None:
-        return f"when the scene '{scene.kind}' first touches is known only from a run"
+        return f"the time of the first contact of scene '{scene.kind}' follows only from a simulation"
     lower = event.before - event.step - _BEFORE[quantity(observes)] * event.duration - last
     upper = event.begin + event.step + _AFTER * event.duration - first
     if moving and not several:

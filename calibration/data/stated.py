@@ -73,7 +73,7 @@ def noise(stated: object, observes: str, values: np.ndarray, where: str) -> Nois
     if not (least > 0 and math.isfinite(sum(sigmas + shares + jitters))):
         raise InputError(where, f"noise = {stated} gives a deviation of {least:g}", _RIGHT)
     if not sigmas and not shares:
-        raise InputError(where, f"noise = {stated} is none where the reading does not change", _RIGHT)
+        raise InputError(where, f"noise = {stated} is zero where the reading does not change", _RIGHT)
     # Independent parts add in their squares.
     return Noise(math.hypot(*sigmas), math.hypot(*shares), math.hypot(*jitters))
 

@@ -118,7 +118,7 @@ BAD = {
     "saturation's unit": (swap("noise", 'saturation = "1 V"\nnoise'), ["saturation", "'1 V'", "converts to N"]),
     "rate": (
         swap("noise", 'resample = "20 kHz"\nnoise'),
-        ["[[experiment]] 1 resample", "20 kHz is above the 10 kHz", "no knowledge"],
+        ["[[experiment]] 1 resample", "20 kHz is above the 10 kHz", "no information"],
     ),
     "rate of a short record": (
         swap("noise", 'resample = "5 kHz"\nnoise'),

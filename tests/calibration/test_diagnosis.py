@@ -179,7 +179,7 @@ def test_noise_of_a_clock_and_of_steps_is_read():
     channel = Channel("contact.normal", values, sigma, jitter=jitter)
     slow = channel.deviation(values, np.arange(11.0) * 1e-6)
     np.testing.assert_allclose(slow, np.hypot(sigma, 2e-6 * 10.0 / 1e-6))
-    with pytest.raises(InputError, match="is none where the reading does not change"):
+    with pytest.raises(InputError, match="is zero where the reading does not change"):
         stated.noise("2 us of clock", "contact.normal", values, "noise")
 
 
