@@ -99,15 +99,13 @@ class _File(tables.Table):
 
 def schema() -> dict[str, Any]:
     """The JSON Schema of a scene file: of every built-in scene, and of a mechanism's tables."""
-    kinds: list[Any] = [
-        pydantic.create_model(f"{kind} scene", __base__=_options(kind), kind=(Literal[kind], ...))
-        for kind in scenes.SCENES
-    ]
-    listed = Literal[mechanismfile.KIND]
-    kinds.append(pydantic.create_model("mechanism scene", __base__=mechanismtables.SceneTable, kind=(listed, ...)))
-    loads: list[Any] = [
-        pydantic.create_model(f"{kind} load", __base__=table, kind=(Literal[kind], ...))
-        for kind, table in mechanismtables.LOAD_TABLES.items()
+    made: Any = pydantic.create_model
+    literal: Any = Literal
+    tables_of = {kind: _options(kind) for kind in scenes.SCENES} | {mechanismfile.KIND: mechanismtables.SceneTable}
+    kinds = [made(f"{kind} scene", __base__=base, kind=(literal[kind], ...)) for kind, base in tables_of.items()]
+    loads = [
+        made(f"{kind} load", __base__=base, kind=(literal[kind], ...))
+        for kind, base in mechanismtables.LOAD_TABLES.items()
     ]
     fields: dict[str, Any] = {
         "scene": (typing.Union[tuple(kinds)], ...),  # noqa: UP007

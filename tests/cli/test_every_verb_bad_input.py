@@ -201,6 +201,10 @@ FILES: MappingProxyType[str, bytes] = MappingProxyType(
         "parameters are a list": b'parameters = [1]\n[scene]\nkind = "impact"\n',
         "two values": b'[scene]\nkind = "impact"\n[parameters]\nmass = [1, 2]\n',
         "a parameter twice": b'[scene]\nkind = "impact"\n[parameters]\nmass = 1\nmass = 2\n',
+        "a design of nothing": b'scene = "impact"\nobjective = 3\n',
+        "a design over a number": b'scene = "impact"\nvary = 3\nsearch = 3\n[objective]\nminimize = "contact.peak"\n',
+        "a study over a list": b'scene = "impact"\nvary = [1]\n',
+        "records that are a number": b'scene = "impact"\nexperiment = 3\nfree = 3\n',
         "a huge number": b'[scene]\nkind = "impact"\n[parameters]\nmass = 1e400\n',
     }
 )

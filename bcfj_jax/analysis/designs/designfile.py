@@ -128,15 +128,19 @@ def load(what: str, more: Mapping[str, Any]) -> Question:
         InputError: for anything that is not right, naming the key and what would be.
     """
     path = Path(what)
-    table = tables.read(path) if path.suffix == ".toml" else {}
+    table: dict[str, Any] = tables.read(path) if path.suffix == ".toml" else {}
     if not is_design(table):
         table = {"scene": what}
         beside = Path(".")
     else:
         beside = path.parent
-    vary = {**tables.nested(table.get("vary", {}), VaryTable), **more.get("vary", {})}
-    search = {**table.get("search", {}), **more.get("search", {})}
-    table = {**table, "vary": vary, "search": search, "objective": more.get("objective") or table.get("objective", {})}
+    # What is no table is left as it is, and refused below.
+    vary, search = table.get("vary", {}), table.get("search", {})
+    vary = {**tables.nested(vary, VaryTable), **more.get("vary", {})} if isinstance(vary, Mapping) else vary
+    search = {**search, **more.get("search", {})} if isinstance(search, Mapping) else search
+    wanted = table.get("objective", {})
+    wanted = more.get("objective") or wanted if isinstance(wanted, Mapping) else wanted
+    table = {**table, "vary": vary, "search": search, "objective": wanted}
     file = tables.validated(File, table, what)
     asked = file.objective
     if (asked.minimize is None) == (asked.maximize is None):
