@@ -169,7 +169,7 @@ def scenery(m: Mechanism, t: Array, y: Array, p: Params) -> Scenery:
         faces = now.faces[c.name]
         shape = (m.members[c.name],) if m.members[c.name] else ()
         points = [_spread(add(second.place, face.lever), shape) for face, _ in faces]
-        force = sum(_spread(touch.force, shape) for _, touch in faces)
+        force = jnp.sum(jnp.stack([_spread(touch.force, shape) for _, touch in faces]), axis=0)
         normals = [jnp.broadcast_to(jnp.asarray(touch.normal, float), shape) for _, touch in faces]
         best = jnp.argmax(jnp.stack(normals), axis=0)
         point = jnp.take_along_axis(jnp.stack(points), best[None, ..., None], axis=0)[0]
@@ -220,7 +220,8 @@ def _closed(m: Mechanism, t: Array, y: Array, p: Params) -> Mapping[str, Part]:
         found = []
         for c in m.contacts:
             values = c.coefficients(p)
-            for face in c.gap.faces(*_frames(m, c, parts, p), values):
+            first, second = _frames(m, c, parts, p)
+            for face in c.gap.faces(first, second, values):
                 play = values["clearance"] if "clearance" in c.gap.needs else 0.0
                 found.append(array(scale(face.depth + play, face.normal)).ravel())
         return jnp.concatenate(found)

@@ -74,8 +74,12 @@ def main() -> None:
     given = parser.parse_args()
     open_cache()
     if given.picture:
+        from PIL import Image
+
         found = made("joint")
-        painter.paint(found, fragment.strongest(found), (900, 560)).quantize(96, dither=0).save(given.picture)
+        painter.paint(found, fragment.strongest(found), (900, 560)).quantize(96, dither=Image.Dither.NONE).save(
+            given.picture
+        )
     for name in SCENES if given.folder else ():
         given.folder.mkdir(parents=True, exist_ok=True)
         page = given.folder / f"{name}.html"

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -135,7 +135,7 @@ def animation(model: AbstractModel, params: Params, run: Run, title: str = "", c
         title: what it is of; by default the model's.
         count: of frames, at most.
     """
-    numbers = {name: np.asarray(value, float) for name, value in params.items()}
+    numbers: Any = {name: np.asarray(value, float) for name, value in params.items()}
     model = model.level(run.choice.fidelity) if run.choice else model
     if run.trajectory is None or not model.drawing(numbers, 1.0).shapes:
         return None
@@ -167,7 +167,7 @@ def animation(model: AbstractModel, params: Params, run: Run, title: str = "", c
     )  # fmt: skip
 
 
-def _tracks(model: AbstractModel, found: Scenery) -> tuple[list[Track], dict[str, list[int]]]:
+def _tracks(model: AbstractModel, found: Any) -> tuple[list[Track], dict[str, list[int]]]:
     """Tracks, and by body the indices of its own."""
     tracks: list[Track] = []
     index: dict[str, list[int]] = {"ground": [-1]}
@@ -186,7 +186,7 @@ def _tracks(model: AbstractModel, found: Scenery) -> tuple[list[Track], dict[str
     return tracks, index
 
 
-def _forces(model: AbstractModel, found: Scenery, index: dict[str, list[int]]) -> list[Force]:
+def _forces(model: AbstractModel, found: Any, index: dict[str, list[int]]) -> list[Force]:
     forces = []
     carriers = model.carriers()
     for contact in model.contacts:

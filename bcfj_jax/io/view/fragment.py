@@ -183,9 +183,13 @@ def _span(seconds: float) -> str:
 
 def still(of: Animation) -> bytes:
     """The picture at the largest force, PNG."""
+    from PIL import Image
+
     picture = painter.paint(of, strongest(of), STILL)
     stream = io.BytesIO()
-    picture.quantize(64, method=2, dither=0).save(stream, format="PNG", compress_level=6)
+    picture.quantize(64, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(
+        stream, format="PNG", compress_level=6
+    )
     return stream.getvalue()
 
 

@@ -41,11 +41,13 @@ def write(of: Animation, path: Path) -> None:
     Raises:
         InputError: for an MP4 without the extra ``animation``.
     """
+    from PIL import Image
+
     needed(path.suffix)
     with stage(f"drawing {path.name}"), atomic(path) as temporary:
         if path.suffix == ".gif":
             count, rate = _GIF
-            first, *others = [p.quantize(64, dither=0) for p in pictures(of, count)]
+            first, *others = [p.quantize(64, dither=Image.Dither.NONE) for p in pictures(of, count)]
             later = {"append_images": others, "duration": round(1000 / rate), "loop": 0}
             first.save(temporary, format="GIF", save_all=True, optimize=False, **later)
             return
