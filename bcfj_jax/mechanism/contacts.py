@@ -229,8 +229,9 @@ def _items(values: Any) -> tuple[tuple[str, Size], ...]:
 
 
 def _law(law: Any) -> AbstractLaw:
-    # By its name it is made where the elastic part is known, too.
-    return law if isinstance(law, str) else checked("contact law", law, AbstractLaw, "law", "give a law's name")
+    if isinstance(law, str):  # By its name it is made where the elastic part is known, too.
+        return law  # pyright: ignore[reportReturnType]
+    return checked("contact law", law, AbstractLaw, "law", "give a law's name")
 
 
 def _places(at: Any) -> Any:

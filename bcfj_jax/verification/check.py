@@ -62,8 +62,8 @@ def carried_out(asked: Check) -> Row:
     except Exception as raised:  # a check that cannot run has not passed, whatever stopped it
         deviation, error = float("nan"), f"{type(raised).__name__}: {raised}"
     took = time.perf_counter() - begin
-    head = asked[: asked._fields.index("tolerance")]
-    return Row(*head, asked.measure, asked.tolerance, deviation, deviation <= asked.tolerance, took, error)
+    about = (asked.name, asked.what, asked.source, asked.measure, asked.tolerance)
+    return Row(*about, deviation, deviation <= asked.tolerance, took, error)
 
 
 def relative(found: Any, expected: Any) -> float:

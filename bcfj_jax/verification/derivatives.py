@@ -60,9 +60,9 @@ def energy() -> float:
     """Largest gap of the balance over the largest work."""
     drop = scenes.bounce()
     crank = scenes.slider_crank(friction=True)
-    worst = balance(drop, drop.parameters(), [0.0, 0.3], 1e-5, step=2e-5).closure
+    worst = balance(drop, drop.parameters(), np.array([0.0, 0.3]), 1e-5, step=2e-5).closure
     params = crank.parameters(friction_static=0.1, friction_dynamic=0.05)
-    return float(np.maximum(worst, balance(crank, params, [0.0, 3e-3], 1e-5, step=5e-7).closure))
+    return float(np.maximum(worst, balance(crank, params, np.array([0.0, 3e-3]), 1e-5, step=5e-7).closure))
 
 
 @check("20 000 small matrix products in one batch", "NumPy; the jax error jax-ml/jax#39103", 1e-12, ABSOLUTE)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -34,9 +35,9 @@ def _top(values: np.ndarray) -> float:
     return float(b - (a - c) ** 2 / (8.0 * (a - 2.0 * b + c)))
 
 
-def _strike(law: str, end: float, elastic: str | None = None, **values: float) -> _Struck:
+def _strike(law: str, end: float, values: Mapping[str, float]) -> _Struck:
     """Run ``impact`` until ``end`` [s], which is after the contact."""
-    scene = scenes.impact(law, elastic, smoothing=False)
+    scene = scenes.impact(law, smoothing=False)
     params = scene.parameters(values)
     times = np.linspace(0.0, end, _SAMPLES)
     run = simulate(scene, params, times, accuracy=_FINE)
@@ -67,7 +68,7 @@ def hertz_impact() -> float:
     for exponent in (1.0, 1.5, 2.5):
         values = _UNIT | {"exponent": exponent, "stiffness": 10.0 ** (3 + 4 * exponent)}
         expected = _undamped(**values)
-        worst = max(worst, relative(_strike("hertz", 1.3 * expected.duration, **values), expected))
+        worst = max(worst, relative(_strike("hertz", 1.3 * expected.duration, values), expected))
     return worst
 
 
@@ -78,7 +79,7 @@ def chung_ooi_peak() -> float:
     for case in oracles.CHUNG_OOI:
         end = 1.3 * case.closed[3]
         values = {"stiffness": case.closed[0], "exponent": 1.5, "mass": case.mass, "approach_speed": case.speed}
-        found.append(_strike("hertz", end, **values).peak)
+        found.append(_strike("hertz", end, values).peak)
     return relative(found, [case.published_peak for case in oracles.CHUNG_OOI])
 
 
@@ -91,7 +92,7 @@ def restitution_by_motion() -> float:
         for row in rows:
             values = _UNIT | {"exponent": 1.5, "restitution": float(row[0])}
             end = 2.5 * _undamped(1.5, **_UNIT).duration
-            worst = max(worst, relative(_strike(law, end, **values).restitution, float(row[column])))
+            worst = max(worst, relative(_strike(law, end, values).restitution, float(row[column])))
     return worst
 
 
@@ -101,7 +102,7 @@ def damped_impact() -> float:
     still = _undamped(1.5, **_UNIT)
     worst = 0.0
     for e, depth, peak, _, duration in oracles.DAMPED_RATIOS:
-        hit = _strike("exact", 2.0 * still.duration, **_UNIT, exponent=1.5, restitution=float(e))
+        hit = _strike("exact", 2.0 * still.duration, _UNIT | {"exponent": 1.5, "restitution": float(e)})
         found = (hit.restitution, hit.penetration / still.penetration, hit.peak / still.peak)
         expected = (float(e), float(depth), float(peak))
         worst = max(worst, relative((*found, hit.duration / still.duration), (*expected, float(duration))))
@@ -115,7 +116,7 @@ def hunt_crossley() -> float:
     for exponent in (1.0, 1.5, 2.2):
         values = _UNIT | {"exponent": exponent, "stiffness": 10.0 ** (3 + 4 * exponent)}
         end = 2.0 * _undamped(**values).duration
-        found = _strike("memory_free", end, **values, damping=0.8).restitution
+        found = _strike("memory_free", end, {**values, "damping": 0.8}).restitution
         worst = max(worst, relative(found, oracles.HUNT_CROSSLEY))
     return worst
 
@@ -128,7 +129,7 @@ def adams_impact() -> float:
         n, expected = float(exponent), [float(x) for x in printed]
         values = {"stiffness": 1e5 * 1e3**n, "exponent": n, "dashpot": 1e3 * float(dashpot), "damping_depth": 1e-4}
         values |= {"mass": float(mass), "approach_speed": float(speed)}
-        worst = max(worst, relative(_strike("adams_impact", 1.3 * expected[1], **values)[:4], expected))
+        worst = max(worst, relative(_strike("adams_impact", 1.3 * expected[1], values)[:4], expected))
     return worst
 
 
@@ -138,7 +139,7 @@ def kelvin_voigt() -> float:
     worst = 0.0
     for ratio, pushing, _ in oracles.KELVIN_VOIGT:
         values = {"stiffness": 1e6, "mass": 1.0, "approach_speed": 1.0, "dashpot": 2e3 * ratio}
-        worst = max(worst, relative(_strike("kelvin_voigt", 2e-2, **values).restitution, float(pushing)))
+        worst = max(worst, relative(_strike("kelvin_voigt", 2e-2, values).restitution, float(pushing)))
     return worst
 
 

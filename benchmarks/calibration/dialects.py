@@ -89,7 +89,7 @@ def _sheet(
 
     book = openpyxl.Workbook()
     for cells in rows:
-        book.worksheets[0].append(cells)
+        book.worksheets[0].append(list(cells))  # pyright: ignore[reportArgumentType]
     if notes:
         book.create_sheet("notes").append(["measured by hand"])
     file = io.BytesIO()

@@ -128,7 +128,7 @@ def closed_peak(mass: float, speed: float, stiffness: float, exponent: float, da
         return stiffness * depth**n
 
     # The peak's rate u v0: (1 - u) - n u/(n + 1) = ln((1 + chi)/(1 + chi u))/chi.
-    u = brentq(
+    u: Any = brentq(
         lambda u: (1.0 - u) - n * u / (n + 1.0) - (np.log1p(chi) - np.log1p(chi * u)) / chi, 0.0, 1.0, xtol=1e-15
     )
     depth = (n * mass * speed**2 * u / (chi * stiffness)) ** (1.0 / (n + 1.0))

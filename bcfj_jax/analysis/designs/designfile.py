@@ -135,7 +135,8 @@ def load(what: str, more: Mapping[str, Any]) -> Question:
     else:
         beside = path.parent
     # What is no table is left as it is, and refused below.
-    vary, search = table.get("vary", {}), table.get("search", {})
+    vary: Any = table.get("vary", {})
+    search: Any = table.get("search", {})
     vary = {**tables.nested(vary, VaryTable), **more.get("vary", {})} if isinstance(vary, Mapping) else vary
     search = {**search, **more.get("search", {})} if isinstance(search, Mapping) else search
     wanted = table.get("objective", {})

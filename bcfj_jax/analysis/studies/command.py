@@ -249,4 +249,4 @@ def _rank_correlation(x: np.ndarray, y: np.ndarray) -> float:
     ranks = [np.argsort(np.argsort(v[known])).astype(float) for v in (x, y)]
     if np.count_nonzero(known) < 2 or np.ptp(x[known]) == 0 or np.ptp(y[known]) == 0:
         return 0.0
-    return abs(float(np.corrcoef(ranks[0], ranks[1])[0, 1]))
+    return abs(float(np.corrcoef(np.stack(ranks))[0, 1]))
