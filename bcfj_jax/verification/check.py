@@ -85,5 +85,5 @@ def of_largest(found: Any, expected: Any) -> float:
 def last_digits(found: Iterable[float], printed: Iterable[str]) -> float:
     """Largest difference in units of each number's last printed digit; 0.5 is perfect rounding."""
     pairs = list(zip(found, printed, strict=True))
-    units = [10.0 ** Decimal(text).as_tuple().exponent for _, text in pairs]
+    units = [10.0 ** int(Decimal(text).as_tuple().exponent) for _, text in pairs]
     return float(np.max([abs(float(x) - float(text)) / unit for (x, text), unit in zip(pairs, units, strict=True)]))
