@@ -113,7 +113,12 @@ def _spokes(axis, start: np.ndarray, top: float, unit: str) -> None:
     for ring in rings[:-1]:
         r = ring[0, 0]
         axis.text(
-            *_polar(np.asarray(np.pi / len(start)), np.asarray(r)), f"{r:g}", fontsize=7, color="#4d4d4d", ha="center", va="center"
+            *_polar(np.asarray(np.pi / len(start)), np.asarray(r)),
+            f"{r:g}",
+            fontsize=7,
+            color="#4d4d4d",
+            ha="center",
+            va="center",
         )
     axis.text(0.01, 0.99, f"[{unit}]".replace("u", "µ"), transform=axis.transAxes, fontsize=8, va="top")
     axis.set(xlim=(-1.28 * top, 1.28 * top), ylim=(-1.28 * top, 1.28 * top), aspect="equal")
