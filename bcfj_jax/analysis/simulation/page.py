@@ -160,6 +160,13 @@ def _shares(groups: Sequence[tuple[str, list[Mapping[str, Any]]]]) -> Rows:
     return rows
 
 
+def contact_rows(scene: AbstractModel, contacts: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
+    """Features of every contact, of its members the range, with three digits."""
+    groups = by_contact(scene, contacts)
+    # Of several contacts what fits on a screen.
+    return _rows(groups, _cell, _ASIDE if len(groups) > 2 else ())
+
+
 def tables(scene: AbstractModel, content: Mapping[str, Any]) -> list[Table]:
     """Features and errors by contact, of members the range; the members themselves are folded."""
     contacts = content["contacts"]
@@ -176,9 +183,7 @@ def tables(scene: AbstractModel, content: Mapping[str, Any]) -> list[Table]:
     note = "Three significant digits; all digits: summary.json."
     if many:
         note = f"Of contacts with members the range over the members. {note}"
-    # Of several contacts what fits on a screen.
-    without = _ASIDE if len(groups) > 2 else ()
-    found = [Table("Contacts", _rows(groups, _cell, without), note, tuple(folded))]
+    found = [Table("Contacts", contact_rows(scene, contacts), note, tuple(folded))]
     if accuracy := content.get("accuracy"):
         found.append(_accuracy(accuracy))
     return found

@@ -206,15 +206,6 @@ def _several(names: Iterable[str]) -> str:
     return f"{first} and {len(more)} more" if len(more) > 2 else ", ".join([first, *more])
 
 
-def _contacts(contacts: dict[str, dict[str, float]]) -> list[list[str]]:
-    """Rows for people: features down, contacts across; the other way round where there are many."""
-    rows = [["", *contacts]]
-    for name, unit in features.UNITS.items():
-        values = (format_si(contact[name], unit) for contact in contacts.values())
-        rows.append([name.replace("_", " "), *values])
-    return [list(row) for row in zip(*rows, strict=True)] if len(contacts) > 3 else rows
-
-
 # The folder.
 
 
@@ -282,12 +273,13 @@ def write(folder: Path, given: SceneFile, run: Run, stem: str) -> Written:
     content = summary(run, given.scene.traits.turning) | whole
     content |= {"warnings": warnings}
     outputs.write_json(folder / "summary.json", content)
-    tables = [_contacts(content["contacts"])] if run.force else []
+    tables = [page.contact_rows(given.scene, content["contacts"])] if run.force else []
     if given.reads:
         tables.append(_readings_rows(given, run))
-    said = f"{verdict(run)} {choice_sentence(run)}".strip()
+    answer = page.verdict(run, content)
+    said = f"{answer.word}. {answer.sentence} {choice_sentence(run)}".strip() if run.status == "ok" else verdict(run)
     accuracy = "".join(f"{line}\n" for line in accuracy_sentences(run))
-    text = "\n\n".join([said, *map(report.text, tables)])
+    text = "\n\n".join([said, *map(report.text, tables), *(["All digits: summary.json."] if run.force else [])])
     return Written(f"{text}\n" + (f"\n{accuracy}" if accuracy else ""), warnings, content)
 
 
