@@ -109,7 +109,7 @@ def run(
             pictures.tornado(ranked, folder / "tornado.png"),
             pictures.bands(found, params, folder / "histories.png"),
         )
-    report.write(folder, page(f"Sensitivity of {stem}", found, ranked, tables, drawn))
+    report.write(folder, page(f"Sensitivity of {stem}", found, ranked, drivers(found, params), tables, drawn))
     keep_asked()
     return "\n\n".join(parts), found.status == "ok"
 
@@ -118,6 +118,7 @@ def page(
     title: str,
     found: Sensitivity,
     ranked: Ranking,
+    sentences: Sequence[str],
     tables: Sequence[tuple[str, list[list[str]]]],
     drawn: tuple[Picture, ...],
 ) -> Page:
@@ -126,6 +127,7 @@ def page(
     Args:
         title: its heading.
         found, ranked: the derivatives, and the elasticities of the run's features.
+        sentences: which parameter drives which feature, as on the screen.
         tables: of features, as on the screen.
         drawn: the pictures.
     """
@@ -141,7 +143,7 @@ def page(
         note += "Tangent growth: how much a small change grows over the run."
         shown.append(Table("Certificate of the histories' derivatives", certificate_rows(certificate), note))
     solver = report.solver_table(found.stats, [["solves", str(found.stats["levels"])]])
-    return Page(title, answer(found, ranked), drawn, tables=tuple(shown), folded=(solver,))
+    return Page(title, answer(found, ranked, sentences), drawn, tables=tuple(shown), folded=(solver,))
 
 
 def _strongest(title: str, rows: list[list[str]], certified: bool) -> Table:
@@ -151,23 +153,18 @@ def _strongest(title: str, rows: list[list[str]], certified: bool) -> Table:
     return Table(title, rows[:most] if rest else rows, LEGEND if certified else "", rest)
 
 
-def answer(found: Sensitivity, ranked: Ranking) -> Verdict:
-    """Which parameter drives which feature: the highest peak's where there are peaks, else the strongest of all."""
+def answer(found: Sensitivity, ranked: Ranking, sentences: Sequence[str]) -> Verdict:
+    """Which parameter drives which feature (``ranking.drivers``), and whether to trust it."""
     if found.status != "ok":
         return Verdict(BAD, "Failed", said(found))
-    size = np.abs(np.where(ranked.apart > BROKEN, np.nan, ranked.elasticity))
-    known = [i for i in range(len(ranked.features)) if np.isfinite(size[i]).any()]
-    peaks = [i for i in known if ranked.features[i].endswith(".peak")] or known
-    sentence = "No feature has a derivative that two tolerances agree about."
-    if peaks:
-        row = max(peaks, key=lambda i: float(np.nanmax(size[i])))
-        column = int(np.nanargmax(size[row]))
-        value = f"{ranked.elasticity[row, column]:+.2g}"
-        sentence = f"{ranked.parameters[column]} drives {ranked.features[row]}: {value} % per %."
+    sentence = (
+        f"{'; '.join(sentences)}." if sentences else "No feature has a derivative that two tolerances agree about."
+    )
     if found.certificate is None:
         return Verdict(PLAIN, "Not certified", f"{sentence} {said(found)}")
+    known = np.isfinite(np.where(ranked.apart > BROKEN, np.nan, ranked.elasticity)).any() or bool(sentences)
     verdicts = {check.verdict for check in found.certificate.parameters.values()}
-    kind = GOOD if verdicts == {TRUSTED} else BAD if not peaks else FAIR
+    kind = GOOD if verdicts == {TRUSTED} else FAIR if known else BAD
     word = "Trusted" if kind == GOOD else "Partly trusted" if kind == FAIR else "Not differentiable here"
     return Verdict(kind, word, f"{sentence} {'' if kind == GOOD else said(found)}".strip())
 

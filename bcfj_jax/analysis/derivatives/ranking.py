@@ -99,7 +99,7 @@ def _cell(elasticity: float, apart: float) -> str:
 def drivers(found: Sensitivity, values: Mapping[str, Any]) -> list[str]:
     """Which parameter drives each feature, in sentences: "clearance_seat_cage drives seat_cage.peak: -0.54 % per %".
 
-    Of three features at most: those that were asked for first; of more, the one that a parameter moves most. Where
+    Of three features at most: those that were asked for first; of more, the peak that a parameter moves most. Where
     motion becomes steady, its features are taken, which do not depend on the start. No sentence where nothing is known.
     """
     if found.steady is not None and not found.steady.reason:
@@ -109,7 +109,8 @@ def drivers(found: Sensitivity, values: Mapping[str, Any]) -> list[str]:
     known = {name: k for k, name in enumerate(ranked.features)}
     wanted = [name for name in found.features if name in known]
     sentences = []
-    for name in wanted if len(wanted) <= 3 else ranked.features[:1]:
+    peaks = [name for name in ranked.features if name.endswith(".peak")]
+    for name in wanted if len(wanted) <= 3 else (peaks or ranked.features)[:1]:
         row, apart = ranked.elasticity[known[name]], ranked.apart[known[name]]
         size = np.where(np.isfinite(row), np.abs(row), -1.0)
         first, *others = np.argsort(-size, kind="stable")
