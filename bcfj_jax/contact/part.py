@@ -29,7 +29,7 @@ class Part(eqx.Module):
             raise InputError(f"class {cls.__name__}", found, f"it needs at least:\n{cls.example.strip()}")
         if isinstance(cls.needs, str):  # type: ignore[attr-defined]
             remedy = f'give a tuple of names: needs = ("{cls.needs}",)'  # type: ignore[attr-defined]
-            raise InputError(f"class {cls.__name__}", "its needs are one text", remedy)
+            raise InputError(f"class {cls.__name__} needs", f"'{cls.needs}' is one text", remedy)  # type: ignore[attr-defined]
         return super().__new__(cls)
 
 

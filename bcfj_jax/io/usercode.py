@@ -258,6 +258,9 @@ def _part(module: ModuleType, name: str, value: Any, shown: str) -> tuple[Mutabl
                 return registry, value
             try:
                 made = value()
+            except InputError as error:
+                place = f"{shown} {error.where.removeprefix('class ')}"
+                raise InputError(place, error.found, error.remedy) from None
             except TypeError:
                 return None  # It needs arguments: objects of it may have names of their own.
             _check(made, called, f"{shown} {name}")
