@@ -68,7 +68,8 @@ def warnings(scene: AbstractModel, params: Params, times: np.ndarray) -> list[st
     found += untried
     begin = scene.settled_from(params)
     if begin > 0.0 and times[-1] <= begin:
-        found.append(f"the run ends before {scene.settled_when} ({format_si(begin, 's')})")
+        when = format_si(begin, "s") if np.isfinite(begin) else "never, because the drive does not turn"
+        found.append(f"the run ends before {scene.settled_when} ({when})")
     if not found:
         return []
     return [f"the promised force error is not guaranteed here (docs/envelope.md): {'; '.join(found)}"]

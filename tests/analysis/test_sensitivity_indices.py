@@ -92,7 +92,11 @@ def broken(whole: Finished, bad: np.ndarray) -> Finished:
 @pytest.mark.parametrize(
     ("design", "bad", "said"),
     [
-        ('kind = "saltelli"\nsamples = 64', np.arange(0, 33 * 5, 5), r"31 of 64 blocks are without .*, 32 are needed"),
+        (
+            'kind = "saltelli"\nsamples = 64',
+            np.arange(0, 33 * 5, 5),
+            r"only 31 of 64 blocks have no failed .*; 32 are needed",
+        ),
         ('kind = "saltelli"\nsamples = 16', np.zeros(0, int), r"16 of 16 blocks"),
         ('kind = "morris"\ntrajectories = 6', np.arange(0, 12, 4), r"3 of 6 trajectories .* 4 are needed"),
         ('kind = "sobol"\npoints = 64', np.zeros(0, int), r"64 of 64 points .* 100 are needed"),
@@ -115,7 +119,7 @@ def test_what_cannot_be_shared_out_is_refused():
 def test_a_grid_has_no_distribution():
     study = from_table({"scene": "impact", "vary": {"stiffness": {"values": [1e6, 1e7]}}})
     whole = Finished(study, study.points, {"contact.peak": np.array([1.0, 2.0])}, np.ones(2, bool))
-    with pytest.raises(InputError, match="a grid has no distribution"):
+    with pytest.raises(InputError, match="points of a grid have no distribution"):
         sensitivity.indices(whole, "contact.peak")
 
 

@@ -65,6 +65,6 @@ def test_a_law_stated_by_restitution_has_the_first_speed():
 
 
 def test_a_row_needs_two():
-    with pytest.raises(InputError, match="give 2 spheres or more"):
+    with pytest.raises(InputError, match="give a whole number from 2"):
         scenes.chain(1)
     assert scenes.chain(3) == scenes.chain(3) and scenes.chain(3) != scenes.chain(4)

@@ -98,7 +98,8 @@ def test_a_pendulum_is_simulated_and_its_readings_are_drawn():
     files = {path.name for path in Path("out").iterdir()}
     assert {"readings.png", "readings.csv", "report.html"} <= files and not files & set(results.PICTURES)
     assert Path("out/readings.png").read_bytes()[:4] == b"\x89PNG"
-    assert Path("out/report.html").read_text().count("data:image/png") == 1
+    # The readings, and the still picture of the animation.
+    assert Path("out/report.html").read_text().count("data:image/png") == 2
     assert re.search(r"bob.angle: asked 1 %, measured \S+e-\d+ %", done.stdout)
     # Small swings about -pi/2: T = 2 pi sqrt((I + m l^2)/(m g l)).
     with Path("out/readings.csv").open(newline="") as file:
