@@ -1,8 +1,8 @@
 """Attacks on the Python API: every verb with every kind of bad value, and what may come of it.
 
 An attack is refused by an ``InputError`` that names a place, a finding and a remedy; or the run fails with a reason. It
-never ends "ok" with a force that is not finite, and never in an error from below. ``table()`` makes them; the test runs a
-sample, ``benchmarks/api_attacks.py`` all and prints what came of each.
+never ends "ok" with a force that is not finite, and never in an error from below. ``table()`` makes them;
+``test_attacks.py`` runs all.
 """
 
 from __future__ import annotations
