@@ -169,8 +169,14 @@ def test_bad_options_of_every_verb(verb, here):
         assert state(here) == before, name
 
 
-@pytest.mark.full
-@pytest.mark.parametrize("scene", [name for name in SCENES if name != "impact"])
+@pytest.mark.parametrize(
+    "scene",
+    [
+        pytest.param(name, marks=pytest.mark.full if name == "joint" else pytest.mark.slow)
+        for name in SCENES
+        if name != "impact"
+    ],
+)
 def test_bad_options_of_every_scene(scene, here):
     before = state(here)
     parameter = some(scene)[0]
