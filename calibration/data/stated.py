@@ -80,7 +80,12 @@ def noise(stated: object, observes: str, values: np.ndarray, where: str) -> Nois
 
 def correlation(stated: object, where: str) -> float | None:
     """Time [s] over which noise remembers itself; None: to be estimated."""
-    return None if stated == "estimate" else quantity(stated, "s", where)
+    if stated == "estimate":
+        return None
+    time = quantity(stated, "s", where)
+    if not 0.0 <= time < math.inf:
+        raise InputError(where, f"a correlation time of {time:g} s", "give a finite time, 0 or more")
+    return time
 
 
 def features(stated: dict[str, Any], deviation: object, where: str) -> tuple[Observation, ...]:

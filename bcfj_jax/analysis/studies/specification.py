@@ -251,7 +251,10 @@ def _scene(scene: Any, where: str, beside: Path) -> tuple[SceneFile, bool]:
             found = "has a kind, as in a scene file" if "kind" in scene else "has no table scene"
             remedy = "write [scene.scene], [scene.parameters] and so on, or scene = with a file or a name"
             raise InputError(f"{where}: [scene]", found, remedy)
-        table, given = scene, scenefile.from_table(scene, None)
+        try:
+            table, given = scene, scenefile.from_table(scene, None)
+        except InputError as error:
+            raise InputError(f"{where}: {error.where}", error.found, error.remedy) from None
     elif isinstance(scene, str):
         path = beside / scene
         found = path if scene.endswith(".toml") and os.path.exists(path) else scene
@@ -261,7 +264,7 @@ def _scene(scene: Any, where: str, beside: Path) -> tuple[SceneFile, bool]:
         given = scenefile.load(found)
         table = tables.read(Path(found)) if given.source else {}
     else:
-        raise InputError(f"{where}: scene", f"{scene!r}", "give a scene file, or the name of a built-in scene")
+        raise InputError(f"{where}: scene", clip(scene), "give a scene file, or the name of a built-in scene")
     return given, "end" not in table.get("time", {})
 
 
