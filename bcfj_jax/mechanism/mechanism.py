@@ -15,7 +15,6 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -25,7 +24,6 @@ from bcfj_jax.contact.gaps import Face, Frame
 from bcfj_jax.contact.normal import IMPERFECT, AbstractLaw, Imperfect, regularised_energy, regularised_force
 from bcfj_jax.contact.wrench import ContactForce, press
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.core.programs import program
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
 from bcfj_jax.core.shapes import Drawing
 from bcfj_jax.core.status import OK
@@ -627,35 +625,10 @@ class Mechanism(AbstractModel):
         check_values(self, params, where)
 
     def orbits(self, params: Params, run: Any) -> dict[str, Orbit]:
-        """Of contacts whose gap is round, without members: the second body's marker seen from the first's."""
-        names = [c.name for c in self.contacts if c.gap.round and not self.members[c.name]]
-        if not names or run.trajectory is None:
-            return {}
-        arguments = (dict(params), run.times, run.trajectory)
-        apart = program("orbits", _orbits, (self,), arguments, {"xla_backend_optimization_level": 0})[0](*arguments)
-        found = {}
-        for name in names:
-            contact = self.contact(name)
-            outer, inner = contact.between
-            x, y = apart[name]
-            clearance = float(contact.coefficients(params)["clearance"])
-            axes = (f"x of {outer}", f"y of {outer}")
-            found[name] = Orbit(np.asarray(x), np.asarray(y), clearance, f"{inner} in {outer}", axes)
-        return found
+        """``orbits.orbits``."""
+        from bcfj_jax.mechanism.orbits import orbits
 
-    def _apart(self, t: Array, y: Array, p: Params) -> dict[str, tuple[Array, Array]]:
-        """By contact with a round gap, its markers' distance [m] along the first body's x and y axes."""
-        parts, found = self.instant(t, y, p, laws=False).bodies.parts, {}
-        for c in self.contacts:
-            if c.gap.round and not self.members[c.name]:
-                places = [
-                    add(parts[name].place, turned(parts[name].axes, c.marker(which, p)))
-                    for which, name in enumerate(c.between)
-                ]
-                apart, axes = subtract(places[1], places[0]), parts[c.between[0]].axes
-                x, y = (jnp.asarray(dot(axes[k], apart)) for k in (0, 1))
-                found[c.name] = x, y
-        return found
+        return orbits(self, params, run)
 
     def require(self, params: Params, where: str = "") -> None:
         """What the equations read and nobody gave."""
@@ -736,7 +709,3 @@ def _deepest(touching: list[tuple[Face, ContactForce]]) -> tuple[Number, Number,
     best = jnp.argmax(depths, axis=0, keepdims=True)
     depth, rate, slip = (jnp.take_along_axis(x, best, 0)[0] for x in (depths, rates, slips))
     return depth, rate, slip
-
-
-def _orbits(model: Mechanism, params: Params, times: Array, states: Array) -> dict[str, tuple[Array, Array]]:
-    return jax.vmap(lambda t, y: model._apart(t, y, params))(times, states)

@@ -1,0 +1,57 @@
+"""Paths in the clearance: the centre of a pin, a ball or a cage seen from what it moves in."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from bcfj_jax.core.programs import program
+from bcfj_jax.core.vectors import add, dot, subtract, turned
+from bcfj_jax.mechanism.model import Orbit, Params
+
+if TYPE_CHECKING:
+    from bcfj_jax.mechanism.mechanism import Mechanism
+
+
+def orbits(model: Mechanism, params: Params, run: Any) -> dict[str, Orbit]:
+    """Of contacts whose gap is round, without members: the second body's marker seen from the first's."""
+    names = _round(model)
+    if not names or run.trajectory is None:
+        return {}
+    arguments = (dict(params), run.times, run.trajectory)
+    apart = program("orbits", _paths, (model,), arguments, {"xla_backend_optimization_level": 0})[0](*arguments)
+    found = {}
+    for name in names:
+        contact = model.contact(name)
+        outer, inner = contact.between
+        x, y = apart[name]
+        clearance = float(contact.coefficients(params)["clearance"])
+        axes = (f"x of {outer}", f"y of {outer}")
+        found[name] = Orbit(np.asarray(x), np.asarray(y), clearance, f"{inner} in {outer}", axes)
+    return found
+
+
+def _round(model: Mechanism) -> list[str]:
+    return [c.name for c in model.contacts if c.gap.round and not model.members[c.name]]
+
+
+def _paths(model: Mechanism, params: Params, times: Array, states: Array) -> dict[str, tuple[Array, Array]]:
+    return jax.vmap(lambda t, y: _apart(model, t, y, params))(times, states)
+
+
+def _apart(model: Mechanism, t: Array, y: Array, p: Params) -> dict[str, tuple[Array, Array]]:
+    """By contact with a round gap, its markers' distance [m] along the first body's x and y axes."""
+    parts, found = model.instant(t, y, p, laws=False).bodies.parts, {}
+    for name in _round(model):
+        c = model.contact(name)
+        places = [
+            add(parts[body].place, turned(parts[body].axes, c.marker(which, p))) for which, body in enumerate(c.between)
+        ]
+        apart, axes = subtract(places[1], places[0]), parts[c.between[0]].axes
+        along_x, along_y = (jnp.asarray(dot(axes[k], apart)) for k in (0, 1))
+        found[name] = along_x, along_y
+    return found
