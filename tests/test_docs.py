@@ -192,7 +192,7 @@ def run_commands(block: Block) -> None:
 
 # Tutorials and how-to pages whose commands are cheap; the others run in the slow tier.
 CHEAP = ("data_files", "units", "resume")
-GUIDES = [*(page for page in PAGES if page.parent.name in ("tutorials", "howto")), ROOT / "docs" / "results.md"]
+GUIDES = [page for page in PAGES if page.parent.name in ("tutorials", "howto")]
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from typing import Any
 
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.io.opening import LARGEST_TOML, content
-from bcfj_jax.io.outputs import write_json, write_text
+from bcfj_jax.io.outputs import inside, write_json, write_text
 from bcfj_jax.io.page import SIGNS, Listing, Page, Picture, Rows, Table, brief, from_content
 from bcfj_jax.io.provenance import version
 
@@ -72,6 +72,9 @@ def html(page: Page, folder: Path, drawn: Path | None = None) -> str:
         page: what to show; a picture that is not in the folder is left out, and a warning names it.
         folder: of the results.
         drawn: a folder whose pictures go before those of the folder.
+
+    Raises:
+        InputError: for a picture whose name leaves the folder.
     """
     import jinja2
 
@@ -80,7 +83,7 @@ def html(page: Page, folder: Path, drawn: Path | None = None) -> str:
     def inline(pictures: Sequence[Picture]) -> list[dict[str, Any]]:
         found = []
         for one in pictures:
-            places = [place / one.file for place in (drawn, folder) if place is not None]
+            places = [inside(place, one.file, str(folder / JSON)) for place in (drawn, folder) if place is not None]
             data = next((p.read_bytes() for p in places if p.is_file()), b"")
             if data[:8] != _PNG:
                 missing.append(one.file)

@@ -97,11 +97,16 @@ def test_what_is_no_page_is_refused(tmp_path, content, says):
         report.kept(tmp_path)
 
 
-def test_a_page_cannot_name_files_elsewhere(tmp_path):
-    content = page_in(tmp_path).content()
-    content["pictures"] = [{"file": "../secret.png", "title": "x", "shows": "x."}]
-    with pytest.raises(InputError, match="no picture of the folder"):
-        from_content(content, "report.json")
+@pytest.mark.parametrize("name", ["../secret.png", "/secret.png", "a/../../secret.png", "c:secret.png", "..\\secret.png"])
+def test_a_page_cannot_show_files_elsewhere(tmp_path, name):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    picture(tmp_path, "secret.png")
+    page = replace(page_in(folder), more=(Picture(name, "x", "x."),))
+    with pytest.raises(InputError, match=r"report.json.* may leave its folder"):
+        report.html(page, folder)
+    with pytest.raises(InputError, match="no PNG"):
+        from_content(page.content() | {"more": [{"file": "fit.json", "title": "x", "shows": "x."}]}, "report.json")
 
 
 def test_a_folder_without_results_is_refused(tmp_path):
