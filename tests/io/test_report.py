@@ -97,7 +97,9 @@ def test_what_is_no_page_is_refused(tmp_path, content, says):
         report.kept(tmp_path)
 
 
-@pytest.mark.parametrize("name", ["../secret.png", "/secret.png", "a/../../secret.png", "c:secret.png", "..\\secret.png"])
+@pytest.mark.parametrize(
+    "name", ["../secret.png", "/secret.png", "a/../../secret.png", "c:secret.png", "..\\secret.png"]
+)
 def test_a_page_cannot_show_files_elsewhere(tmp_path, name):
     folder = tmp_path / "run"
     folder.mkdir()
