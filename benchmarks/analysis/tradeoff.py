@@ -5,7 +5,7 @@ scene, their error against the study's own truth; of the joint against CVODES (`
 the load has risen. A study goes on where it was cut off (build/tradeoff).
 
     python -m benchmarks.analysis.tradeoff [SCENE ...] [--budget 900] [--drawn]
-        writes results/tradeoff_SCENE.json, docs/images/tradeoff.png the table in docs/accuracy.md; --drawn measures nothing
+        writes results/tradeoff_SCENE.json, docs/images/tradeoff.png and a table of docs/accuracy.md; --drawn measures nothing
 """
 
 from __future__ import annotations

@@ -141,7 +141,7 @@ def main() -> None:
     rows = [{"asked": e, "impact": impact_errors(e), "bounce": bounce_errors(e)} for e in ERRORS]
     save("accuracy", {"rows": rows, "bounces": BOUNCES})
     put_in_readme("accuracy", table(load("accuracy")), "docs/accuracy.md")
-    print(table(load("accuracy")), "docs/accuracy.md")
+    print(table(load("accuracy")))
 
 
 if __name__ == "__main__":

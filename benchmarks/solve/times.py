@@ -95,7 +95,7 @@ def main() -> None:
             cached.append(one_process(cache))
     save("times", {"cold": median(cold), "cached": median(cached), "processes": PROCESSES})
     put_in_readme("times", table(load("times")), "docs/accuracy.md")
-    print(table(load("times")), "docs/accuracy.md")
+    print(table(load("times")))
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ import numpy as np
 from bcfj_jax import InputError
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import unit_of
+from calibration.data.layout import others
 from calibration.data.table import Table
 
 # A step of the clock that much above all but the longest tenth of the steps is a gap.
@@ -27,13 +28,10 @@ def check_clock(clock: np.ndarray, part: Table, time: str) -> None:
         return
     k = int(late[0]) + 1
     same = clock[k] == clock[k - 1]
-    more = ", ".join(str(part.lines[j + 1]) for j in late[1:5]) + (
-        f" and {late.size - 5} more" if late.size > 5 else ""
-    )
     raise InputError(
         part.place(k, time),
         f"time {clock[k]:.9g} s {'stands twice' if same else f'follows {clock[k - 1]:.9g} s'}"
-        + (f" ({late.size} such {part.counted}s: also {more})" if late.size > 1 else ""),
+        + others(part.lines[late + 1].tolist(), part.counted),
         "times must increase: "
         + ("give the clock more digits, or take the repeated rows out" if same else "sort the rows")
         + ", or split the runs with rows = { column = [values] }",

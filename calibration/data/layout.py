@@ -238,18 +238,18 @@ def _ragged(
     for rows, remedy in ((short, "complete the row, or take it out"), (long, "take out what is too much")):
         if rows:
             shown = clip(" | ".join(map(str, rows[0].cells)), 80)
-            found = f"{_cells(len(rows[0].cells))} under {len(kept)} headers: '{shown}'{others(rows, counted)}"
+            lines = [row.line for row in rows]
+            found = f"{_cells(len(rows[0].cells))} under {len(kept)} headers: '{shown}'{others(lines, counted)}"
             faults.append(InputError(f"{name}: {counted} {rows[0].line}", found, remedy))
     return faults
 
 
-def others(rows: Sequence[Row], counted: str) -> str:
+def others(lines: Sequence[int], counted: str) -> str:
     """How many rows have the same fault as the first, and where the next few stand."""
-    if len(rows) < 2:
+    if len(lines) < 2:
         return ""
-    lines = ", ".join(str(r.line) for r in rows[1:_QUOTED_ROWS])
-    more = f" and {len(rows) - _QUOTED_ROWS} more" if len(rows) > _QUOTED_ROWS else ""
-    return f" ({len(rows)} such {counted}s: also {lines}{more})"
+    more = f" and {len(lines) - _QUOTED_ROWS} more" if len(lines) > _QUOTED_ROWS else ""
+    return f" ({len(lines)} such {counted}s: also {', '.join(map(str, lines[1:_QUOTED_ROWS]))}{more})"
 
 
 def _cells(count: int) -> str:

@@ -92,24 +92,37 @@ class Table:
             InputError: for a cell that is no finite number (a blank or NaN one is NaN where ``blank`` allows it).
         """
         position = self.index(name, where)
-        header, cells = self.header[position], self.columns[position]
-        decimal = self.decimals[position] if self.decimals else "."
+        header = self.header[position]
         unit = column(header)[1] or column(name)[1]
         scale = 1.0 if unit is None else scale_of(unit, si_unit, f"{self.name}: column '{header}'")
-        if cells.dtype.kind in "iufb":
-            values, bad = cells.astype(float), np.zeros(cells.size, dtype=bool)
-        elif cells.dtype.kind in "OUS":
-            values, bad = parsed(cells.tolist(), decimal)
-        else:
-            found = f"column '{header}' holds {cells.dtype}, no numbers"
-            raise InputError(self.name, found, "store it as numbers, a time as the time since the start")
+        values, bad = self._parsed(position)
         wrong = np.flatnonzero(bad | np.isinf(values) | (np.isnan(values) if not blank else False))
         if wrong.size:
-            self._refuse(header, cells, wrong, blank, decimal)
+            self._refuse(position, wrong, blank)
         return values * scale
 
-    def _refuse(self, header: str, cells: np.ndarray, wrong: np.ndarray, blank: bool, decimal: str) -> None:
+    def holds(self, name: str, value: object, where: str) -> np.ndarray:
+        """Which rows, (N,) of truth values, hold a value in a column: a text, or a number however it is written."""
+        if isinstance(value, (int, float)):
+            return self._parsed(self.index(name, where))[0] == value
+        return np.array([text == str(value) for text in self.texts(name, where)], dtype=bool)
+
+    def _decimal(self, position: int) -> str:
+        return self.decimals[position] if self.decimals else "."
+
+    def _parsed(self, position: int) -> tuple[np.ndarray, np.ndarray]:
+        """Numbers (N,) of a column as they are written, and which of its cells (N,) are none."""
+        cells = self.columns[position]
+        if cells.dtype.kind in "iufb":
+            return cells.astype(float), np.zeros(cells.size, dtype=bool)
+        if cells.dtype.kind in "OUS":
+            return parsed(cells.tolist(), self._decimal(position))
+        found = f"column '{self.header[position]}' holds {cells.dtype}, no numbers"
+        raise InputError(self.name, found, "store it as numbers, a time as the time since the start")
+
+    def _refuse(self, position: int, wrong: np.ndarray, blank: bool) -> None:
         """Name the cells that are no numbers: the first, the next few, and how many there are."""
+        header, cells, decimal = self.header[position], self.columns[position], self._decimal(position)
         first = str(cells[wrong[0]])
         found = f"'{clip(first)}' is not a finite number"
         if wrong.size > 1:
@@ -135,14 +148,6 @@ class Table:
         return replace(self, columns=tuple(c[keep] for c in self.columns), lines=self.lines[keep])
 
 
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
 def split(table: Table, rows: Mapping[str, object], where: str) -> list[tuple[str, Table]]:
     """The experiments in a table, each with its name.
 
@@ -163,16 +168,10 @@ def split(table: Table, rows: Mapping[str, object], where: str) -> list[tuple[st
             (f"{label} {name} {value}".strip() if len(values) > 1 or choice is None or name in unasked else label, part)
             for label, whole in parts
             for value in values
-            for part in [whole.where(np.array([_same(t, value) for t in whole.texts(name, where)], dtype=bool))]
+            for part in [whole.where(whole.holds(name, value, where))]
         ]
         for value in values:
-            if not any(_same(t, value) for t in found):
-                there = ", ".join(list(dict.fromkeys(found))[:8])
-                raise InputError(f"{where}: rows", f"no row has {name} = {value}", f"values there: {there}")
+            if not table.holds(name, value, where).any():
+                there = ", ".join(clip(text, 40) for text in list(dict.fromkeys(found))[:8])
+                raise InputError(f"{where}: rows", f"no row has {name} = {clip(value)}", f"values there: {there}")
     return [(label or table.path.stem, part) for label, part in parts if part.lines.size]
-
-
-def _same(text: str, value: object) -> bool:
-    if isinstance(value, (int, float)):
-        return _is_number(text) and float(text) == float(value)
-    return text == str(value)

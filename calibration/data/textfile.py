@@ -79,7 +79,7 @@ def read(path: Path, where: str, stated: Stated) -> Table:
     separator = separator or _separator(lines[first:], path)
     rows, faults = _rows(lines, first, separator, str(path))
     layout = found(rows, str(path), "line", stated.header)
-    decimals = [stated.decimal] * len(layout.names) if stated.decimal else _decimals(layout, separator, path)
+    decimals = decimal_marks(layout, stated, str(path), "line", commas_part=separator == "comma")
     marks = " and ".join(word for mark, word in ((".", "points"), (",", "commas")) if mark in decimals)
     comments = sum(r.comment for r in rows if r.line not in layout.named)
     how = f"{encoding} text, {_SAID[separator]}, decimal {marks}"
@@ -184,7 +184,7 @@ def _rows(lines: Sequence[str], first: int, separator: str, name: str) -> tuple[
     for number, line in _logical(lines, first):
         comment = _is_comment(line, separator)
         if line.count('"') % 2 and not comment:
-            open_quotes.append(Row(number, [line]))
+            open_quotes.append((number, line))
             line = line.replace('"', "")
         if len(line) > 1_000_000:
             raise InputError(f"{name}: line {number}", f"{len(line)} characters in one line", "give a file of rows")
@@ -195,8 +195,10 @@ def _rows(lines: Sequence[str], first: int, separator: str, name: str) -> tuple[
         rows = _glued(lines, rows)
     faults = []
     if open_quotes:
-        found = f"an opening quote without its end: '{clip(open_quotes[0].cells[0], 80)}'{others(open_quotes, 'line')}"
-        faults.append(InputError(f"{name}: line {open_quotes[0].line}", found, "close it, or take it out"))
+        number, text = open_quotes[0]
+        more = others([number for number, _ in open_quotes], "line")
+        found = f"an opening quote without its end: '{clip(text, 80)}'{more}"
+        faults.append(InputError(f"{name}: line {number}", found, "close it, or take it out"))
     return rows, faults
 
 
@@ -240,20 +242,25 @@ def _join(match: re.Match) -> str:
     return match[0].replace(" ", "\0") if match[0].strip() else "\0"
 
 
-def _decimals(layout: Layout, separator: str, path: Path) -> list[str]:
-    """The decimal mark of each column.
+def decimal_marks(
+    layout: Layout, stated: Stated, name: str, counted: str, commas_part: bool = False
+) -> list[str]:  # fmt: skip
+    """The decimal mark of each column; of a table whose cells commas part, that of bare points is a point.
 
     Raises:
         InputError: where every number with a mark may be read in two ways.
     """
+    if stated.decimal:
+        return [stated.decimal] * len(layout.names)
     sample = layout.rows[:: max(1, len(layout.rows) // 5000)]
     columns = [[r.cells[j] for r in sample] for j in range(len(layout.names))]
     marks = numbers.decimal_marks(columns)
     if marks is not None:
         return marks
-    cells = [(str(c), r.line) for r in sample for c in r.cells if "." in str(c) or "," in str(c)]
-    if separator == "comma" and not any("," in text for text, _ in cells):
+    marked = [(c, r.line) for r in sample for c in r.cells if isinstance(c, str) and ("." in c or "," in c)]
+    cells = [(text, line) for text, line in marked if numbers.is_number(text)]
+    if commas_part and not any("," in text for text, _ in cells):
         return ["."] * len(columns)
     text, line = cells[0]
     either = f"'{text}' is {text.replace(',', '.')} or {re.sub('[.,]', '', text)}, and no number of the file says which"
-    raise InputError(f"{path}: line {line}", either, DECIMAL)
+    raise InputError(f"{name}: {counted} {line}", either, DECIMAL)

@@ -13,7 +13,7 @@ from typing import Any
 from bcfj_jax import InputError, nearest
 from bcfj_jax.io.opening import MEGABYTE
 from calibration.data import numbers, textfile
-from calibration.data.layout import Layout, Row, found
+from calibration.data.layout import Row, found
 from calibration.data.table import Table
 
 _LARGEST = 256 * MEGABYTE
@@ -46,16 +46,13 @@ def read(path: Path, where: str, inside: str | None, stated: textfile.Stated, ca
         sheets = filled or dict(list(sheets.items())[:1])
     name, rows = next(iter(sheets.items()))
     layout = found(rows, f"{path}: {name}", "row", stated.header)
-    columns = [[r.cells[j] for r in layout.rows[:5000]] for j in range(len(layout.names))]
-    marks = (
-        [stated.decimal] * len(columns) if stated.decimal else numbers.decimal_marks(columns) or ["."] * len(columns)
-    )
-    return textfile.table(path, _without_dates(layout), marks, "row", layout.faults, f"sheet '{name}'", inside=name)
+    marks = textfile.decimal_marks(layout, stated, f"{path}: {name}", "row")
+    return textfile.table(path, layout, marks, "row", layout.faults, f"sheet '{name}'", inside=name)
 
 
 def _rows(sheet: Any) -> list[Row]:
     cells = sheet.to_python(skip_empty_area=False)
-    numbered = (Row(k, [c.strip() if isinstance(c, str) else c for c in row]) for k, row in enumerate(cells, 1))
+    numbered = (Row(k, list(map(_plain, row))) for k, row in enumerate(cells, 1))
     return [r for r in numbered if any(not numbers.is_missing(c) for c in r.cells)]
 
 
@@ -63,12 +60,10 @@ def _holds_numbers(cells: list[Any]) -> bool:
     return sum(map(numbers.is_number, cells)) >= 2
 
 
-def _without_dates(layout: Layout) -> Layout:
-    """Dates and times of day as texts, durations as seconds."""
-    for row in layout.rows:
-        for j, cell in enumerate(row.cells):
-            if isinstance(cell, datetime.timedelta):
-                row.cells[j] = cell.total_seconds()
-            elif isinstance(cell, (datetime.date, datetime.time)):
-                row.cells[j] = cell.isoformat()
-    return layout
+def _plain(cell: Any) -> Any:
+    """A cell as a text or a number: dates and times of day as texts, durations as seconds."""
+    if isinstance(cell, str):
+        return cell.strip()
+    if isinstance(cell, datetime.timedelta):
+        return cell.total_seconds()
+    return cell.isoformat() if isinstance(cell, (datetime.date, datetime.time)) else cell

@@ -5,17 +5,20 @@ from __future__ import annotations
 import random
 import time
 import zipfile
-from pathlib import Path
+from datetime import timedelta
 
 import numpy as np
 import pytest
 
 from bcfj_jax import InputError
+from bcfj_jax.io.opening import MEGABYTE
 from benchmarks.calibration.dialects import File, files, record, write
 from calibration import fit, load
+from calibration.data import workbook
 from calibration.data.numbers import decimal_marks, parsed
 from calibration.data.proposal import understood
 from calibration.data.readers import read
+from calibration.data.table import split
 from calibration.data.textfile import Stated
 from calibration.problemfile import prepared
 
@@ -233,27 +236,31 @@ def test_a_damaged_file_is_read_or_refused(seed, tmp_path):
         (Stated(decimal=","), ("t [s];F [N]", "1.000;2,000", "2.000;3,500"), [[1000.0, 2000.0], [2.0, 3.5]]),
         (Stated(decimal="."), ("t [s];F [N]", "1.000;2.000", "2.000;3.500"), [[1.0, 2.0], [2.0, 3.5]]),
         (Stated(separator="pipe"), ("t [s]|F [N]", "1,5|2", "2,5|3"), [[1.5, 2.5], [2.0, 3.0]]),
-        (Stated(separator=";", header=2), ("a;b", "t [s];F [N]", "c;d", "1;2", "2;3"), [[1.0, 2.0], [2.0, 3.0]]),
+        (Stated(separator=";", header=2), ("a;b", "t [s];F [N]", "1;2", "2;3"), [[1.0, 2.0], [2.0, 3.0]]),
         (Stated(header=[1, 2]), ("clock,cell", "t,F", "s,N", "1,2", "2,3"), [[1.0, 2.0], [2.0, 3.0]]),
         (Stated(header=0), ("1,2", "2,3"), [[1.0, 2.0], [2.0, 3.0]]),
     ],
 )
 def test_what_is_stated_holds(stated, lines, wanted, tmp_path):
-    Path(tmp_path / "d.csv").write_text("\n".join(lines), encoding="utf-8")
+    (tmp_path / "d.csv").write_text("\n".join(lines), encoding="utf-8")
     table = read(tmp_path / "d.csv", "here", None, stated)
-    if stated.header == 2:  # The line below the names is then data, and no number.
-        assert table.lines.tolist() == [3, 4, 5]
-        return
     names = table.header if stated.header != 0 else ("column 1 [s]", "column 2 [N]")
     found = [table.numbers(name, unit, "here", False).tolist() for name, unit in zip(names, ("s", "N"), strict=True)]
     assert found == wanted
 
 
-def test_a_spreadsheet_of_zeros_is_refused_before_it_is_unpacked(tmp_path):
-    with zipfile.ZipFile(tmp_path / "d.xlsx", "w", zipfile.ZIP_DEFLATED) as archive, archive.open("a.xml", "w") as part:
-        for _ in range(300):
-            part.write(b"\0" * (1 << 20))
-    with pytest.raises(InputError, match="unpacks to 300 MB, more than the 256 MB"):
+def test_rows_below_stated_names_are_data(tmp_path):
+    (tmp_path / "d.csv").write_text("a;b\nt [s];F [N]\nc;d\n1;2\n2;3\n", encoding="utf-8")
+    table = read(tmp_path / "d.csv", "here", None, Stated(header=2))
+    with pytest.raises(InputError, match=r"line 3, column 't \[s\]': 'c'"):
+        table.numbers("t", "s", "here", False)
+
+
+def test_a_spreadsheet_of_zeros_is_refused_before_it_is_unpacked(tmp_path, monkeypatch):
+    monkeypatch.setattr(workbook, "_LARGEST", MEGABYTE)
+    with zipfile.ZipFile(tmp_path / "d.xlsx", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("a.xml", bytes(3 * MEGABYTE))
+    with pytest.raises(InputError, match="unpacks to 3 MB, more than the 1 MB"):
         read(tmp_path / "d.xlsx", "here")
 
 
@@ -270,6 +277,35 @@ def test_a_spreadsheet_with_two_tables_asks_which(tmp_path):
     with pytest.raises(InputError, match=r"no sheet 'secnd' in .*; did you mean 'second'\?"):
         read(tmp_path / "d.xlsx", "here", "secnd")
     assert read(tmp_path / "d.xlsx", "here", "second").numbers("F", "N", "here", False).tolist() == [1.5, 2.5]
+
+
+def test_a_spreadsheet_of_texts_and_durations(tmp_path):
+    """A duration is a time in seconds; a text that is 1.234 or 1234 is not taken for either."""
+    import openpyxl
+
+    book = openpyxl.Workbook()
+    for row in (
+        ("t [s]", "F [N]", "remark"),
+        (timedelta(seconds=1), "1,234", "o.k."),
+        (timedelta(seconds=2), "2,500", ""),
+    ):
+        book.worksheets[0].append(row)
+    book.save(tmp_path / "d.xlsx")
+    with pytest.raises(InputError, match=r"d.xlsx: Sheet: row 2: '1,234' is 1.234 or 1234.*--decimal"):
+        read(tmp_path / "d.xlsx", "here")
+    table = read(tmp_path / "d.xlsx", "here", None, Stated(decimal=","))
+    assert table.numbers("t", "s", "here", False).tolist() == [1.0, 2.0]
+    assert table.numbers("F", "N", "here", False).tolist() == [1.234, 2.5]
+
+
+def test_rows_are_chosen_by_numbers_however_they_are_written(tmp_path):
+    (tmp_path / "d.csv").write_text("Winkel;Zeit [s];Kraft [N]\n0,50;1;2\n0,50;2;3,5\n1,00;1;4\n", encoding="utf-8")
+    table = read(tmp_path / "d.csv", "here")
+    ((_, part),) = split(table, {"Winkel": 0.5}, "here")
+    assert part.numbers("Kraft", "N", "here", False).tolist() == [2.0, 3.5]
+    assert [name for name, _ in split(table, {"Winkel": ["0,50", 1]}, "here")] == ["Winkel 0,50", "Winkel 1"]
+    with pytest.raises(InputError, match=r"here: rows: no row has Winkel = 0.7; values there: 0,50, 1,00"):
+        split(table, {"Winkel": 0.7}, "here")
 
 
 def test_latin_letters_of_a_stated_encoding(tmp_path):
