@@ -20,8 +20,6 @@ import numpy as np
 
 # Of the law F = K d^n (1 + a d') that made the record.
 STIFFNESS, EXPONENT, DAMPING, MASS, SPEED = 9e4, 1.3, 0.15, 0.4, 1.2
-
-
 GERMAN = "Zeit [ms];Kraft [kN];Weg [mm]"
 
 
@@ -118,7 +116,7 @@ def files(r: Record) -> dict[str, File]:
     bracket: dict[str, Any] = {**german, "time": "Zeit [ms]", "force": "Kraft [kN]"}
     numbers = [[float(c) for c in cells] for cells in r.rows]
     names = ["time [ms]", "force [kN]", "position [mm]"]
-    found = {
+    return {
         "comma": _text(r),
         "semicolon, decimal comma": _text(r, ";", ","),
         "semicolon, decimal point": _text(r, ";"),
@@ -186,7 +184,6 @@ def files(r: Record) -> dict[str, File]:
         ),
         "spreadsheet of texts": _sheet([list(names), *([c.replace(".", ",") for c in cells] for cells in r.rows)]),
     }  # fmt: skip
-    return found
 
 
 PROBLEM = """scene = "impact"
@@ -237,7 +234,9 @@ def main(chosen: list[str]) -> int:
             )
     if not chosen:
         common.save("dialects", {"rows": rows})
-    return 0 if all(row["verdict"] == rows[0]["verdict"] and row["deviation"] < 1e-6 for row in rows) else 1
+    if not rows:
+        raise SystemExit(f"no dialect {', '.join(chosen)}; known are: {', '.join(files(record()))}")
+    return 0 if all(row["verdict"] == "identified" and row["deviation"] < 1e-6 for row in rows) else 1
 
 
 if __name__ == "__main__":

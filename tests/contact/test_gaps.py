@@ -1,148 +1,19 @@
-"""Gaps against geometry in NumPy and searched surfaces; their normals, points of contact and rates; the joint's own."""
+"""Gaps against geometry in NumPy and searched surfaces: penetration, normal, point of contact, rate, derivatives."""
 
 from __future__ import annotations
 
 import functools
-from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from joints import made, unit
+from gap_cases import BALL, BLOCK, CASES, GOTHIC, ZERO, R, found, frame, look, numbers, placed, rate, stacked, turned
+from joints import unit
 from scipy.optimize import minimize
 
-from bcfj_jax.contact.gaps import GAPS, AbstractGap, Face, Frame, from_depth, make_gap
-from bcfj_jax.core.errors import InputError
-from bcfj_jax.core.quantities import CATALOGUE, Quantity
-from bcfj_jax.core.vectors import WORLD, array, seen, subtract
-from bcfj_jax.models.joint import contacts
-
-R, C = 8e-3, 4e-5  # a ball and a clearance [m]
-BALL = {"clearance": 13e-6, "ball_radius": R, "pitch_radius": 0.0355, "offset": 4.5e-3}
-GOTHIC = {**BALL, "contact_angle": np.radians(40.0), "conformity": 0.52}
-BLOCK = {"clearance": 1e-3, "half_length": 0.05, "half_width": 0.025}
-
-
-class Case(NamedTuple):
-    """A gap by name, its options and sizes, and where b's marker may be in a's axes: middle, spread [m]."""
-
-    name: str
-    options: dict[str, Any]
-    sizes: dict[str, float]
-    middle: Any
-    spread: Any
-
-    @property
-    def gap(self) -> AbstractGap:
-        return make_gap(self.name, **self.options)
-
-    def place(self, rng: np.random.Generator) -> np.ndarray:
-        """In a's axes: (3,), or (k, 3) for a gap of k tracks."""
-        if self.name != "ball_in_groove":
-            return np.asarray(self.middle) + self.spread * rng.normal(size=3)
-        return np.squeeze([self.track(i) + self.spread * rng.normal(size=3) for i in range(self.gap.members or 1)])
-
-    def track(self, i: int, turn: float = 0.7) -> np.ndarray:
-        """A point of the centre circle of track i: physics sheet 5.2."""
-        f = 2 * np.pi * i / max(self.gap.members, 1)
-        e = self.sizes["offset"] * (1 if self.options.get("side", "outer") == "outer" else -1)
-        out, up = np.array([np.cos(f), np.sin(f), 0.0]), np.array([0.0, 0.0, 1.0])
-        return e * up + np.hypot(self.sizes["pitch_radius"], e) * (np.cos(turn) * out - np.sin(turn) * up)
-
-
-def _grooves():
-    for side in ("outer", "inner"):
-        for section, sizes in (("gothic", GOTHIC), ("circular", BALL)):
-            for tracks in (0, 6):
-                options = {"side": side, "section": section, "tracks": tracks}
-                yield f"groove-{side}-{section}-{tracks}", Case("ball_in_groove", options, sizes, None, 5e-5)
-
-
-ZERO = np.zeros(3)
-CASES = {
-    "point": Case("point_on_plane", {}, {}, ZERO, 1e-3),
-    "stop": Case("point_on_plane", {"axis": "-x", "clearance": True}, {"clearance": C}, ZERO, 1e-3),
-    "sphere": Case("sphere_on_plane", {}, {"radius": R}, (0.1, 0.2, R), 1e-3),
-    "slope": Case(
-        "sphere_on_plane", {"axis": (0.6, 0.0, 0.8), "clearance": True}, {"radius": R, "clearance": C}, ZERO, R
-    ),
-    "spheres": Case("sphere_on_sphere", {}, {"radius_a": 0.02, "radius_b": R}, (0.01, 0.02, -0.02), 1e-3),
-    "socket": Case("sphere_in_socket", {}, {"clearance": C, "radius": 0.04}, ZERO, C),
-    "socket-of-b": Case("sphere_in_socket", {"axis_of": "b"}, {"clearance": C, "radius": 0.04}, ZERO, C),
-    "bearing": Case("pin_in_bearing", {}, {"clearance": 5e-4, "radius": 9.5e-3}, (0, 0, 0.01), 5e-4),
-    "ends": Case(
-        "pin_in_bearing", {"ends": True}, {"clearance": 5e-4, "radius": 9.5e-3, "half_length": 0.02}, (0, 0, 0.01), 5e-4
-    ),
-    "slot": Case("pin_in_slot", {}, {"clearance": C, "radius": R}, (0.02, 0, 0.01), C),
-    "slot-y": Case("pin_in_slot", {"axis": "y"}, {"clearance": C, "radius": R}, (0, 0.1, 0), C),
-    "slot-oblique": Case("pin_in_slot", {"axis": (0.6, 0.8, 0)}, {"clearance": C, "radius": R}, ZERO, C),
-    "slider": Case("slider_in_guide", {}, BLOCK, (0.4, 0, 0.01), 1e-3),
-    "slider-y": Case("slider_in_guide", {"axis": [0.0, -1.0, 0.0]}, BLOCK, (0.4, 0, 0.01), 1e-3),
-    "stops": Case("two_sided_stop", {"axis": "x"}, {"clearance": C}, ZERO, C),
-    "window": Case("ball_between_planes", {}, {"clearance": C, "ball_radius": R}, (0.03, 0.01, 0), C),
-    **dict(_grooves()),
-}
-
-
-def turned(angle: float, axis: np.ndarray) -> np.ndarray:
-    """Rotation matrix by an angle about a unit axis (Rodrigues)."""
-    cross = np.cross(np.eye(3), axis)
-    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
-
-
-def vector(x) -> tuple:
-    """(..., 3) by components."""
-    return tuple(jnp.asarray(x)[..., i] for i in range(3))
-
-
-def frame(place, axes) -> Frame:
-    """A frame from (..., 3) and a rotation matrix whose columns are the axes."""
-    return Frame(vector(place), tuple(vector(np.asarray(axes)[:, i]) for i in range(3)))
-
-
-def numbers(sizes: dict) -> dict:
-    return {name: jnp.asarray(x, dtype=float) for name, x in sizes.items()}
-
-
-def placed(case: Case, seed: int):
-    """Matrices and places of a and b: b's axes some 10 degrees off a's, for a slider; at random for the rest."""
-    rng = np.random.default_rng(seed)
-    axes = turned(rng.uniform(0, 3), unit(rng))
-    tilt = turned(0.1 * rng.normal() if "slider" in case.name else rng.uniform(0, 3), unit(rng))
-    if "slider" in case.name:
-        way = case.gap.axis
-        tilt = tilt @ np.column_stack([way, np.cross([0, 0, 1], way), [0, 0, 1]])
-    start = rng.normal(size=3)
-    return axes, start, axes @ tilt, start + case.place(rng) @ axes.T
-
-
-def stacked(gap: AbstractGap, a: Frame, b: Frame, c) -> tuple[jax.Array, ...]:
-    """Depth (f, ...), normal and lever (f, ..., 3), gate (f, ...), of all faces."""
-    faces = gap.faces(a, b, c)
-    depth = jnp.stack([jnp.asarray(face.depth) for face in faces])
-    shape = depth.shape[1:]
-    wide = [[jnp.broadcast_to(array(v), (*shape, 3)) for v in (face.normal, face.lever)] for face in faces]
-    normal, lever = (jnp.stack(x) for x in zip(*wide, strict=True))
-    return depth, normal, lever, jnp.stack([jnp.broadcast_to(jnp.asarray(face.gate), shape) for face in faces])
-
-
-found = jax.jit(stacked, static_argnums=0)
-
-
-@functools.partial(jax.jit, static_argnums=0)
-def rate(gap: AbstractGap, a: Frame, b: Frame, moves: tuple, c):
-    """Penetrations, and their rates by differentiation, while the frames move at ``moves``."""
-    return jax.jvp(lambda a, b: stacked(gap, a, b, c), (a, b), moves)
-
-
-def look(case: Case, seed: int):
-    """A case at random: a and b as matrices, and its faces as NumPy."""
-    where = placed(case, seed)
-    axes, start, other, place = where
-    parts = found(case.gap, frame(start, axes), frame(place, other), numbers(case.sizes))
-    return where, [np.asarray(x) for x in parts]
-
+from bcfj_jax.contact.gaps import GAPS, Frame, make_gap
+from bcfj_jax.core.vectors import WORLD, array
 
 every = pytest.mark.parametrize("key", CASES)
 
@@ -376,11 +247,10 @@ def test_axial_directions():
     }
 
 
-@every
+# The normal of a sphere on a sphere, or in one, points everywhere.
+@pytest.mark.parametrize("key", [k for k in CASES if CASES[k].name not in ("sphere_on_sphere", "sphere_in_socket")])
 def test_axial_direction_is_not_the_normal(key):
     case = CASES[key]
-    if case.name in ("sphere_on_sphere", "sphere_in_socket"):
-        pytest.skip("its normal points everywhere")
     (axes, start, other, place), (_, normal, _, _) = look(case, 3)
     axial = np.asarray(array(case.gap.axial(frame(start, axes), frame(place, other), numbers(case.sizes))))
     axial = axial / np.linalg.norm(axial, axis=-1, keepdims=True)
@@ -464,150 +334,3 @@ def test_what_is_zero_leaves_the_program():
         for face in CASES[key].gap.faces(a, b, numbers(CASES[key].sizes)):
             assert isinstance(face.normal[2], float) and face.normal[2] == 0.0, key
             assert isinstance(face.lever[2], float) and face.lever[2] == 0.0, key
-
-
-# --- the joint's own
-
-
-@pytest.mark.parametrize("section", ["gothic", "circular"])
-@pytest.mark.parametrize("ground", [True, False])
-def test_balls_in_grooves_are_those_of_the_joint(section, ground):
-    _, params, c = made(track=section)
-    rng = np.random.default_rng(11)
-    grooves = jax.jit(contacts.grooves)
-    for race, (side, name) in enumerate((("outer", "seat"), ("inner", "head"))):
-        options = {"tracks": 6, "side": side, "section": section}
-        gap = make_gap("ball_in_groove", **options)
-        coefficients = {key: params[f"clearance_{name}_ball" if key == "clearance" else key] for key in gap.needs}
-        sizes = {key: float(x) for key, x in coefficients.items()}
-        axes = np.eye(3) if ground else turned(rng.uniform(0, 3), unit(rng))
-        start = ZERO if ground else 1e-4 * rng.normal(size=3)
-        balls = start + Case("ball_in_groove", options, sizes, None, 5e-5).place(rng) @ axes.T
-        depth, normal, lever, gate = found(gap, frame(start, axes), frame(balls, np.eye(3)), coefficients)
-        f = 2 * np.pi * np.arange(6) / 6
-        across = (np.cos(f) * axes[:, [1]] - np.sin(f) * axes[:, [0]]).T
-        place = balls - start - float(c.groove.offset[race]) * axes[:, 2]
-        both = [jnp.broadcast_to(jnp.asarray(x)[:, None], (6, 2, 3)) for x in (place, across)]
-        at = grooves(c.groove, *both)
-        penetration, way, arm = (np.asarray(x)[:, race].swapaxes(0, 1) for x in (at.penetration, at.normal, at.lever))
-        assert np.allclose(depth, penetration, rtol=0, atol=1e-15)
-        # Rounding of the places, some 1e-17 m, over the distance whose direction the normal is.
-        distance = penetration + float(c.groove.flank + c.groove.clearance[race])
-        error = np.abs(normal - way).max(-1)
-        assert np.all(error <= 1e-14 + 3e-17 / distance), np.max(error * distance)
-        assert np.allclose(lever, arm[..., None] * way, rtol=0, atol=1e-14)
-        along = np.cross(place, across)
-        axial = array(gap.axial(frame(start, axes), frame(balls, np.eye(3)), coefficients))
-        assert np.allclose(axial, along / np.linalg.norm(along, axis=-1, keepdims=True), rtol=0, atol=1e-14)
-        wanted = 1.0 if at.gate is None else np.asarray(at.gate)[:, race].T
-        assert np.allclose(gate, wanted, rtol=0, atol=1e-11)
-
-
-def test_balls_in_windows_are_those_of_the_joint():
-    rng = np.random.default_rng(12)
-    axes, start = turned(1.3, unit(rng)), rng.normal(size=3)
-    balls = start + 0.03 * unit(rng, 6)
-    sizes = numbers({"clearance": 1e-5, "ball_radius": R})
-    gap = make_gap("ball_between_planes")
-    depth, normal, lever, _ = found(gap, frame(start, axes), frame(balls, np.eye(3)), sizes)
-    at = contacts.windows(jnp.asarray(1e-5), jnp.asarray(R), jnp.asarray(balls - start), jnp.asarray(axes[:, 2]))
-    assert np.allclose(depth.T, at.penetration, rtol=0, atol=1e-14)
-    assert np.allclose(np.swapaxes(normal, 0, 1), at.normal, rtol=0, atol=1e-14)
-    assert np.allclose(np.swapaxes(lever, 0, 1), at.lever[..., None] * at.normal, rtol=0, atol=1e-14)
-    # Either sign: the first face's force less the second's; its axial reference is outward.
-    outward = array(gap.axial(frame(start, axes), frame(balls, np.eye(3)), sizes))
-    assert gap.signed and np.allclose(outward, balls - start)
-
-
-def test_pilots_are_those_of_the_joint():
-    rng = np.random.default_rng(13)
-    start = 1e-3 * rng.normal(size=3)
-    for clearance, hollow in ((5e-5, 0.04), (7e-5, 0.031)):
-        inner = start + 6e-5 * unit(rng, 5)
-        sizes = numbers({"clearance": clearance, "radius": hollow})
-        parts = found(make_gap("sphere_in_socket"), frame(start, np.eye(3)), frame(inner, np.eye(3)), sizes)
-        depth, normal, lever, _ = parts
-        at = contacts.pilots(jnp.full(5, clearance), jnp.full(5, hollow), jnp.asarray(inner - start))
-        assert np.allclose(depth[0], at.penetration[:, 0], rtol=0, atol=1e-14)
-        assert np.allclose(normal[0], at.normal[:, 0], rtol=0, atol=1e-14)
-        assert np.allclose(lever[0], at.lever * at.normal[:, 0], rtol=0, atol=1e-14)
-
-
-# --- one of your own
-
-
-class PinOnCam(AbstractGap):
-    """A pin of b on a round cam of a, off its axis: fifteen lines or fewer."""
-
-    needs = ("cam_radius", "throw", "radius")
-    quantities = {
-        q.name: q for q in (Quantity("cam_radius", "m", "radius of the cam", 0.0), Quantity("throw", "m", "e"))
-    }
-
-    def faces(self, a: Frame, b: Frame, c) -> tuple[Face, ...]:
-        x, y, _ = seen(a.axes, subtract(b.place, a.place))
-        distance = jnp.hypot(x - c["throw"], y)
-        n = tuple(-((x - c["throw"]) * e + y * f) / distance for e, f in zip(*a.axes[:2], strict=True))
-        return (Face(c["cam_radius"] + c["radius"] - distance, n, tuple(c["radius"] * e for e in n)),)
-
-
-def test_a_gap_of_ones_own():
-    sizes = {"cam_radius": 0.03, "throw": 0.01, "radius": 5e-3}
-    simple = from_depth(lambda r, c: c["cam_radius"] + c["radius"] - jnp.hypot(r[0] - c["throw"], r[1]), tuple(sizes))
-    rng = np.random.default_rng(14)
-    axes, start = turned(0.7, unit(rng)), rng.normal(size=3)
-    local = np.array([0.04, 0.02, 0.01]) + 1e-3 * rng.normal(size=(5, 3))
-    a, b = frame(start, axes), frame(start + local @ axes.T, np.eye(3))
-    one, two = (found(gap, a, b, numbers(sizes)) for gap in (PinOnCam(), simple))
-    assert np.allclose(one[0], 0.035 - np.hypot(local[:, 0] - 0.01, local[:, 1]), rtol=0, atol=1e-14)
-    assert np.allclose(one[0], two[0], rtol=0, atol=1e-15) and np.allclose(one[1], two[1], rtol=0, atol=1e-12)
-    assert np.allclose(one[2], 5e-3 * np.asarray(one[1])) and np.all(two[2] == 0.0)
-    # Each member with a throw of its own; alone, without members.
-    throws = {**sizes, "throw": 0.01 * np.linspace(0.9, 1.1, 5)}
-    many = found(simple, a, b, numbers(throws))
-    last = found(simple, a, frame(start + axes @ local[4], np.eye(3)), numbers({**sizes, "throw": 0.011}))
-    assert np.allclose(many[0][:, 4], last[0]) and np.allclose(many[1][:, 4], last[1])
-    assert simple.needs == tuple(sizes) and PinOnCam().quantities["throw"].unit == "m"
-    assert PinOnCam().members == 0 and not PinOnCam().signed
-
-
-# --- by name
-
-
-def test_gaps_by_name():
-    assert len(GAPS) == 10
-    for name, kind in GAPS.items():
-        gap = make_gap(name)
-        assert type(gap) is kind and hash(gap) == hash(make_gap(name)) and gap == make_gap(name)
-        assert set(gap.needs) <= set(CATALOGUE) | set(gap.quantities)
-        for need in CASES:
-            case = CASES[need]
-            if case.name == name:
-                assert set(case.gap.needs) == set(case.sizes)
-                assert all(CATALOGUE[key].valid(x) for key, x in case.sizes.items())
-    assert make_gap("sphere_on_plane", axis=[0, 3, 4]) == make_gap("sphere_on_plane", axis=(0.0, 0.6, 0.8))
-
-
-@pytest.mark.parametrize(
-    ("name", "options", "said"),
-    [
-        ("pin_in_bering", {}, "gap: no gap 'pin_in_bering'; did you mean 'pin_in_bearing'?"),
-        ("ball_in_groove", {"track": 6}, "gap 'ball_in_groove': no option 'track'; did you mean 'tracks'?"),
-        ("sphere_on_sphere", {"radius": 1.0}, "no option 'radius'; known here: nothing"),
-        ("ball_in_groove", {"side": "outter"}, "did you mean 'outer'?"),
-        ("ball_in_groove", {"tracks": -1}, "give a whole number >= 0"),
-        ("ball_in_groove", {"tracks": True}, "give a whole number >= 0"),
-        ("sphere_on_plane", {"axis": "w"}, "no axis 'w'"),
-        ("sphere_on_plane", {"axis": [0, 0, 0]}, "give x, y or z"),
-        ("sphere_on_plane", {"axis": [0, 1]}, "give x, y or z"),
-        ("sphere_on_plane", {"axis": 3}, "give x, y or z"),
-        ("sphere_on_plane", {"clearance": 1e-3}, "give true or false"),
-        ("pin_in_slot", {"axis": "z"}, "is not across z"),
-        ("pin_in_bearing", {"ends": "both"}, "give true or false"),
-        ("sphere_in_socket", {"axis_of": "c"}, "no axis_of 'c'"),
-    ],
-)
-def test_what_is_refused(name, options, said):
-    with pytest.raises(InputError, match="gap") as refused:
-        make_gap(name, **options)
-    assert said in str(refused.value)
