@@ -2,11 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import equinox as eqx
 
 from bcfj_jax.core.errors import InputError, quoted
+
+
+def complete(cls: type, missing: Sequence[str], example: str) -> None:
+    """Refuse a class that leaves something out.
+
+    Raises:
+        InputError: naming the class and what it lacks, with an example.
+    """
+    if missing:
+        found = f"it lacks {' and '.join(sorted(missing))}"
+        raise InputError(f"class {cls.__name__}", found, f"it needs at least:\n{example.strip()}")
 
 
 class Part(eqx.Module):
@@ -21,12 +33,8 @@ class Part(eqx.Module):
             InputError: naming class and method, with an example.
         """
         del args, more
-        missing: list[str] = sorted(getattr(cls, "__abstractmethods__", ()))
-        if not hasattr(cls, "needs"):
-            missing.append("needs")
-        if missing:
-            found = f"it lacks {' and '.join(missing)}"
-            raise InputError(f"class {cls.__name__}", found, f"it needs at least:\n{cls.example.strip()}")
+        needs = [] if hasattr(cls, "needs") else ["needs"]
+        complete(cls, [*getattr(cls, "__abstractmethods__", ()), *needs], cls.example)
         if isinstance(cls.needs, str):  # type: ignore[attr-defined]
             remedy = f'give a tuple of names: needs = ("{cls.needs}",)'  # type: ignore[attr-defined]
             raise InputError(f"class {cls.__name__} needs", f"'{cls.needs}' is one text", remedy)  # type: ignore[attr-defined]

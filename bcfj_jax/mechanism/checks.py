@@ -18,7 +18,7 @@ from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.numerics import positive
 from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.bodies import GROUND
-from bcfj_jax.mechanism.loads import JointSpring
+from bcfj_jax.mechanism.loads import JointSpring, checked
 
 if TYPE_CHECKING:
     from bcfj_jax.mechanism.mechanism import Mechanism
@@ -64,6 +64,8 @@ def check_structure(scene: Mechanism) -> None:
                 raise InputError(f"{where} body '{b.name}' parent", found, f"give one of them the parent '{GROUND}'")
             chain.append(at)
             at = bodies[at]
+    for load in scene.loads:
+        checked(f"{where} load", load)
     names: dict[str, str] = dict.fromkeys(bodies, "body")
     for part, what in [(c, "contact") for c in scene.contacts] + [(x, "load") for x in scene.loads]:
         if part.name in names and not (what == "load" and part.name == "gravity" and names[part.name] != "load"):

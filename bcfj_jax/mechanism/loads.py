@@ -7,12 +7,14 @@ To add one in a file of your own: ``Load(name, function)`` with a function (t, b
 # take ``name`` for the first field of every load.
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
+from bcfj_jax.contact.part import complete
+from bcfj_jax.core.errors import InputError, nearest, quoted
 from bcfj_jax.core.numerics import smooth_rise
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
 from bcfj_jax.core.vectors import (
@@ -75,7 +77,24 @@ class AbstractLoad(eqx.Module):
         name: unique; its numbers are ``<name>.<key>``.
     """
 
+    example: ClassVar[str] = """
+class Pull(bj.loads.AbstractLoad):
+    name: str = eqx.field(static=True, default="pull")
+
+    def actions(self, t, bodies, p):
+        return [bj.loads.Action("mass", force=(-10.0, 0.0, 0.0))]
+"""
     name: eqx.AbstractVar[str]
+
+    def __new__(cls, *args: Any, **more: Any) -> Any:
+        """Refuse a class that leaves something out.
+
+        Raises:
+            InputError: naming class and what it lacks, with an example.
+        """
+        del args, more
+        complete(cls, [*getattr(cls, "__abstractmethods__", ()), *getattr(cls, "__abstractvars__", ())], cls.example)
+        return super().__new__(cls)
 
     @abstractmethod
     def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
@@ -350,6 +369,37 @@ class Load(AbstractLoad):
     def parameters(self) -> dict[str, tuple[Quantity, float | None]]:
         """As given."""
         return {quantity.name: (quantity, default) for quantity, default in self.quantities}
+
+
+def checked(where: str, given: Any) -> AbstractLoad:
+    """A load that was given as itself.
+
+    Raises:
+        InputError: for a class in the place of its object, a function, and anything else.
+    """
+    if isinstance(given, AbstractLoad):
+        return given
+    remedy = f"give a load of bj.loads, or an object of a class such as:\n{AbstractLoad.example.strip()}"
+    if isinstance(given, type) and issubclass(given, AbstractLoad):
+        remedy = f"give an object of it: {given.__name__}(...)"
+    elif callable(given):
+        name = getattr(given, "__name__", "function")
+        remedy = f'give it a name: bj.Load("my_load", {name})'
+    raise InputError(where, f"{quoted(given)} is no load", remedy)
+
+
+def checked_action(where: str, given: Any, bodies: Mapping[str, Part]) -> Action:
+    """An action of a user's load.
+
+    Raises:
+        InputError: for what is no ``Action``, and for a body that is not there.
+    """
+    if not isinstance(given, Action):
+        remedy = 'return a list such as [bj.loads.Action("mass", force=(0.0, -10.0, 0.0))]'
+        raise InputError(where, f"{quoted(given)} is no Action", remedy)
+    if given.body not in bodies:
+        raise InputError(where, f"acts on {quoted(given.body)}, which is no body", nearest(str(given.body), bodies))
+    return given
 
 
 LOADS: dict[str, type[AbstractLoad]] = {

@@ -47,7 +47,7 @@ from bcfj_jax.mechanism import equations, sizes
 from bcfj_jax.mechanism.bodies import GROUND, STILL, Body, Part, carried, quaternion_rate
 from bcfj_jax.mechanism.contacts import Contact, raised
 from bcfj_jax.mechanism.equations import Equations, flat
-from bcfj_jax.mechanism.loads import AbstractLoad, JointSpring, Moving
+from bcfj_jax.mechanism.loads import AbstractLoad, JointSpring, Moving, checked_action
 from bcfj_jax.mechanism.model import (
     IMPLICIT_SOLVERS,
     AbstractModel,
@@ -391,7 +391,8 @@ class Mechanism(AbstractModel):
             actions = load.actions(t, now.bodies, p)
         except Exception as error:
             raise raised(f"load '{load.name}'", error) from error
-        for action in actions:
+        for given in actions:
+            action = checked_action(f"load '{load.name}'", given, now.bodies.parts)
             part = now.bodies.parts[action.body]
             found.act(part, turned(part.axes, action.at), action.force, action.torque)
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from bcfj_jax import InputError
+from bcfj_jax.core.extras import library
 from calibration.diagnostics import fit_tests
 from calibration.forward.model import Model
 from calibration.solver_budget import budget
@@ -64,7 +65,7 @@ def check_kind(kind: str) -> None:
         raise InputError("intervals", f"'{kind}'", f"use one of {', '.join(KINDS)}")
     if kind == "posterior":
         # Before the search, whose time would be lost.
-        posterior.needed()
+        library(posterior.LIBRARY, "intervals = posterior", "uq")
 
 
 def revised(

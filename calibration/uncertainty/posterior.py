@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +23,8 @@ from calibration.forward.model import Model
 
 # Gelman and Rubin's statistic above which chains have not mixed.
 WORST_RHAT = 1.01
+# The sampler's.
+LIBRARY = "numpyro.infer"
 
 
 class Chains(NamedTuple):
@@ -60,15 +62,6 @@ class Posterior:
             return dict.fromkeys(self.labels)
         ends = np.quantile(self.draws, [0.025, 0.975], axis=(0, 1)).T
         return {name: (float(low), float(high)) for name, (low, high) in zip(self.labels, ends, strict=True)}
-
-
-def needed() -> Any:
-    """The sampler's library.
-
-    Raises:
-        InputError: where NumPyro is not installed.
-    """
-    return library("numpyro.infer", "intervals = posterior", "uq")
 
 
 def of_model(
@@ -126,7 +119,7 @@ def sample(
     Raises:
         InputError: where NumPyro is not installed.
     """
-    infer = needed()
+    infer = library(LIBRARY, "intervals = posterior", "uq")
     energy, chains = _energy(residuals, owners, loss), chains or Chains()
 
     def potential(z: Array) -> Array:

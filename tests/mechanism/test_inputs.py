@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -107,6 +108,39 @@ def test_a_law_that_lacks_something_says_what_and_shows_one():
         One()
     with pytest.raises(bj.InputError, match=r"give an object of it: MemoryFree\(\)"):
         bj.Contact("c", ("ground", "b"), bj.gaps.PointOnPlane("x"), bj.laws.MemoryFree)
+
+
+def test_a_load_that_lacks_something_says_what_and_shows_one():
+    class Idle(bj.loads.AbstractLoad):
+        """Nothing."""
+
+    class Nameless(bj.loads.AbstractLoad):
+        """No name."""
+
+        def actions(self, t, bodies, p):
+            """Nothing."""
+            return []
+
+    with pytest.raises(bj.InputError, match=r"class Idle: it lacks actions and name; .*\nclass Pull"):
+        Idle()
+    with pytest.raises(bj.InputError, match=r"class Nameless: it lacks name; "):
+        Nameless()
+    known = {"bj": bj, "eqx": eqx}
+    exec(bj.loads.AbstractLoad.example, known)
+    bodies = [bj.Body("mass", joint="slide")]
+    made = bj.Mechanism("pulled", bodies, loads=[known["Pull"]()], given={"mass.mass": 2.0})
+    assert bj.simulate(made, made.parameters(), [0.0, 1.0]).status == "ok"
+    for bad, found in (
+        (known["Pull"], r"give an object of it: Pull\("),
+        (lambda t, bodies, p: [], r'bj.Load\("my_load", '),
+        ("gravity", r"'gravity' is no load; .*\nclass Pull"),
+    ):
+        with pytest.raises(bj.InputError, match=found):
+            bj.Mechanism("pulled", bodies, loads=[bad])
+    for bad, found in ((lambda *_: [(1.0, 0.0)], "is no Action"), (lambda *_: [bj.loads.Action("mas")], "'mas'.*mass")):
+        wrong = bj.Mechanism("pulled", bodies, loads=[bj.Load("mine", bad)], given={"mass.mass": 2.0})
+        with pytest.raises(bj.InputError, match=rf"load 'mine'.*{found}"):
+            bj.simulate(wrong, wrong.parameters(), [0.0, 1.0])
 
 
 @pytest.mark.parametrize("kind", ["AbstractLaw", "AbstractElastic", "AbstractFriction"])

@@ -13,11 +13,11 @@ import numpy as np
 from bcfj_jax.analysis.studies import local, specification, worker
 from bcfj_jax.analysis.studies.batch import has_history
 from bcfj_jax.analysis.studies.block import Blocks
-from bcfj_jax.analysis.studies.extra import library, needed
 from bcfj_jax.analysis.studies.specification import Study
 from bcfj_jax.analysis.studies.store import Store, facts_of, merge, write_parquet
 from bcfj_jax.core import presented
 from bcfj_jax.core.errors import InputError, quoted
+from bcfj_jax.core.extras import library
 from bcfj_jax.core.quantities import whole
 from bcfj_jax.core.threads import cores
 from bcfj_jax.io import outputs, usercode
@@ -64,7 +64,7 @@ class Result(NamedTuple):
         Raises:
             InputError: for a point the study does not have, or a study without histories.
         """
-        zarr = library("zarr")
+        zarr = library("zarr", "bcfj study", "study")
         for path in sorted((self.folder / "blocks").glob("*.zarr")):
             group = zarr.open_group(path, mode="r")
             at = np.flatnonzero(group["point"][:] == point)
@@ -110,6 +110,22 @@ def study(
     with heeded():
         compute(store, workers, scheduler, progress)
     return finish(store)
+
+
+def needed(histories: bool, scheduler: bool = False) -> None:
+    """Ask for every library that a run of a study imports sooner or later.
+
+    Args:
+        histories: whether the study keeps them.
+        scheduler: whether a Dask scheduler does the work.
+
+    Raises:
+        InputError: if one is not installed.
+    """
+    for name in ("pyarrow", "filelock", *(["zarr"] if histories else [])):
+        library(name, "bcfj study", "study")
+    if scheduler:
+        library("distributed", "bcfj study", "cluster")
 
 
 def prepare(found: Study, folder: Path) -> Store:

@@ -73,11 +73,11 @@ def run(store: Store, address: str, progress: Callable[[int], None]) -> None:
         InputError: if Dask is not installed.
         local.Stopped: if the scheduler stays away, or a block cannot be computed.
     """
-    from bcfj_jax.analysis.studies.extra import library
     from bcfj_jax.analysis.studies.local import Stopped, written
+    from bcfj_jax.core.extras import library
     from bcfj_jax.io.stop import check
 
-    distributed = library("distributed", "cluster")
+    distributed = library("distributed", "bcfj study", "cluster")
     from bcfj_jax.io import usercode
 
     study = (store.folder / "run.toml").read_text(encoding="utf-8")

@@ -14,7 +14,6 @@ import numpy as np
 from bcfj_jax.analysis.derivatives.names import feature_unit
 from bcfj_jax.analysis.studies import api, local, pictures, specification
 from bcfj_jax.analysis.studies.block import Blocks, compute
-from bcfj_jax.analysis.studies.extra import needed
 from bcfj_jax.analysis.studies.specification import Study
 from bcfj_jax.analysis.studies.store import Store, facts_of, fault_of
 from bcfj_jax.core.errors import InputError, nearest
@@ -74,7 +73,7 @@ def run(
     if resuming and not (folder / "run.toml").exists():
         raise InputError(f"--out {folder}", "there is no study to resume", "say run, or name its folder")
     # A dry run refuses what the run would refuse.
-    needed(study.histories, scheduler is not None)
+    api.needed(study.histories, scheduler is not None)
     if dry:
         return estimate(study, workers), DONE
     store = api.prepare(study, folder)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bcfj_jax.analysis.studies.extra import library
+from bcfj_jax.core.extras import library
 
 KINDS = ("grid", "list", "latin_hypercube", "sobol", "saltelli", "morris")
 DRAWN = ("latin_hypercube", "sobol", "saltelli", "morris")
@@ -113,9 +113,11 @@ def _in_blocks(kind: str, axes: Sequence[Axis], blocks: int, seed: int, options:
         # As for the Sobol sequence.
         warnings.simplefilter("ignore")
         if kind == "saltelli":
-            sample = library("SALib.sample.sobol").sample
+            sample = library("SALib.sample.sobol", "bcfj study", "study").sample
             return sample(box, blocks, calc_second_order=options.second_order, seed=seed)
-        return library("SALib.sample.morris").sample(box, blocks, num_levels=options.levels, seed=seed)
+        return library("SALib.sample.morris", "bcfj study", "study").sample(
+            box, blocks, num_levels=options.levels, seed=seed
+        )
 
 
 def number(kind: str, axes: Sequence[Axis], count: int) -> int:

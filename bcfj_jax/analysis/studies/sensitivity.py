@@ -23,9 +23,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bcfj_jax.analysis.studies.design import block_length, unit_box
-from bcfj_jax.analysis.studies.extra import library
 from bcfj_jax.analysis.studies.finished import Finished, Source, read
 from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.extras import library
 
 # Fewest blocks, or points where there are none, from which an estimate and its interval mean something: of Saltelli's
 # blocks enough for a bootstrap, of trajectories as many as Morris used (Campolongo: 10), of points several for each of
@@ -140,15 +140,17 @@ def _estimate(
     common: dict[str, Any] = {"num_resamples": _RESAMPLES, "conf_level": 0.95, "seed": seed + 1}
     if study.kind == "saltelli":
         second = study.options.second_order
-        got = library("SALib.analyze.sobol").analyze(box, y, calc_second_order=second, **common)
+        got = library("SALib.analyze.sobol", "bcfj study", "study").analyze(box, y, calc_second_order=second, **common)
         pairs = {name: np.asarray(got[name]) for name in ("S2", "S2_conf") if second}
         return {name: np.asarray(got[name]) for name in ("S1", "S1_conf", "ST", "ST_conf")}, pairs, np.nan
     if study.kind == "morris":
         levels = study.options.levels
-        got = library("SALib.analyze.morris").analyze(box, shares, y, num_levels=levels, **common)
+        got = library("SALib.analyze.morris", "bcfj study", "study").analyze(
+            box, shares, y, num_levels=levels, **common
+        )
         # SALib masks what groups leave out; there are none.
         return {name: np.array(got[name], float) for name in ("mu", "mu_star", "mu_star_conf", "sigma")}, {}, np.nan
-    got = library("SALib.analyze.rbd_fast").analyze(box, shares, y, **common)
+    got = library("SALib.analyze.rbd_fast", "bcfj study", "study").analyze(box, shares, y, **common)
     pawn, dummy = _pawn(shares, y, seed)
     return {"S1": np.array(got["S1"]), "S1_conf": np.array(got["S1_conf"]), "pawn": pawn}, {}, dummy
 
@@ -159,5 +161,5 @@ def _pawn(shares: np.ndarray, y: np.ndarray, seed: int) -> tuple[np.ndarray, flo
     columns = np.concatenate([shares, dummies], axis=1)
     names = [str(k) for k in range(columns.shape[1])]
     box = {"num_vars": len(names), "names": names, "bounds": [[0.0, 1.0]] * len(names)}
-    median = np.asarray(library("SALib.analyze.pawn").analyze(box, columns, y, S=10)["median"])
+    median = np.asarray(library("SALib.analyze.pawn", "bcfj study", "study").analyze(box, columns, y, S=10)["median"])
     return median[: shares.shape[1]], float(np.mean(median[shares.shape[1] :]))

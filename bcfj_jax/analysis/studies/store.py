@@ -26,9 +26,9 @@ import numpy as np
 
 from bcfj_jax.analysis.derivatives.jacobian import channel_names
 from bcfj_jax.analysis.studies.block import Blocks, Table
-from bcfj_jax.analysis.studies.extra import library
 from bcfj_jax.analysis.studies.specification import Study
 from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.extras import library
 from bcfj_jax.io.folder import inside
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ class Store:
     @contextmanager
     def claimed(self, block: int) -> Iterator[bool]:
         """Whether this process alone has the block, within."""
-        filelock = library("filelock")
+        filelock = library("filelock", "bcfj study", "study")
         locks = self.folder / "locks"
         locks.mkdir(parents=True, exist_ok=True)
         lock = filelock.FileLock(locks / f"{self.blocks.names[block]}.lock")
@@ -135,7 +135,9 @@ class Store:
 
     def read(self, block: int) -> pa.Table:
         """A finished block's table."""
-        return library("pyarrow.parquet").read_table(self.path(block), page_checksum_verification=True)
+        return library("pyarrow.parquet", "bcfj study", "study").read_table(
+            self.path(block), page_checksum_verification=True
+        )
 
 
 def print_fault(path: Path, fault: str) -> None:
@@ -147,7 +149,7 @@ def print_fault(path: Path, fault: str) -> None:
 
 def arrow(study: Study, table: Table) -> pa.Table:
     """A block's table as the contract has it: point, varied parameters, features, status, reason."""
-    pyarrow = library("pyarrow")
+    pyarrow = library("pyarrow", "bcfj study", "study")
     columns = {"point": table.point.astype(np.int64)}
     columns |= {name: table.values[:, k] for k, name in enumerate(study.names)}
     columns |= {name: table.results[:, k] for k, name in enumerate(study.columns)}
@@ -156,7 +158,7 @@ def arrow(study: Study, table: Table) -> pa.Table:
 
 def write_parquet(path: Path, table: pa.Table, facts: dict[str, Any] | None = None) -> None:
     """A Parquet file with checksums, whole or not at all: the same bytes for the same content."""
-    parquet = library("pyarrow.parquet")
+    parquet = library("pyarrow.parquet", "bcfj study", "study")
     facts = {**(facts or {}), "digest": _content_digest(table, facts or {})}
     table = table.replace_schema_metadata({_FACTS: json.dumps(facts, sort_keys=True).encode()})
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
@@ -191,13 +193,13 @@ def to_disk(path: Path) -> None:
 
 def facts_of(path: Path) -> dict[str, Any]:
     """What a block's file says of itself."""
-    metadata = library("pyarrow.parquet").read_schema(path).metadata or {}
+    metadata = library("pyarrow.parquet", "bcfj study", "study").read_schema(path).metadata or {}
     return json.loads(metadata.get(_FACTS, b"{}"))
 
 
 def read_whole(path: Path) -> tuple[pa.Table | None, str]:
     """The table of a file that ``write_parquet`` wrote; else None, and what is wrong with it."""
-    parquet = library("pyarrow.parquet")
+    parquet = library("pyarrow.parquet", "bcfj study", "study")
     try:
         table = parquet.read_table(path, page_checksum_verification=True)
         facts = facts_of(path)
@@ -229,7 +231,7 @@ def _digest(path: Path) -> str:
 
 def _write_forces(path: Path, study: Study, table: Table) -> dict[str, str]:
     """Forces (n, T, C, 3) [N], times (n, T) [s] and points (n,) as a Zarr group; digests of its files."""
-    zarr = library("zarr")
+    zarr = library("zarr", "bcfj study", "study")
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     shutil.rmtree(temporary, ignore_errors=True)
     try:
@@ -253,7 +255,7 @@ def _write_forces(path: Path, study: Study, table: Table) -> dict[str, str]:
 
 def merge(store: Store) -> pa.Table:
     """All finished blocks as one table, in the order of the points."""
-    pyarrow = library("pyarrow")
+    pyarrow = library("pyarrow", "bcfj study", "study")
     parts = [store.read(k).replace_schema_metadata(None) for k in range(len(store.blocks)) if store.finished(k)]
     whole = pyarrow.concat_tables(parts).combine_chunks()
     return whole.sort_by("point")
