@@ -15,7 +15,7 @@ from bcfj_jax.core.progress import stage
 from bcfj_jax.core.threads import ahead
 from bcfj_jax.io import outputs, report, scenefile, tables
 from bcfj_jax.io.journal import NAME, Journal, key_of
-from bcfj_jax.io.page import Page, Table, percent
+from bcfj_jax.io.page import Page, Table, bounded, brief, percent
 from bcfj_jax.io.plots import get_ready
 from bcfj_jax.io.stop import heeded
 from bcfj_jax.io.units import format_si
@@ -155,7 +155,7 @@ def text(result: Fit) -> str:
     if result.reference:
         lines += [
             "",
-            f"force at {format_si(result.reference.penetration, 'm')}: {_interval(result.reference, 'N')}"
+            f"force at {brief(result.reference.penetration, 'm')}: {_interval(result.reference, 'N')}"
             + (
                 f", with the errors below {_ends(result.reference.with_budget, 'N')}"
                 if result.reference.with_budget
@@ -221,24 +221,23 @@ def _moved(move: float, result: Fit, name: str) -> str:
 
 
 def _ends(ends: tuple[float, float] | None, unit: str) -> str:
-    # The ends of an interval are no better known than to a few digits.
-    return f"{format_si(ends[0], unit, 4)} to {format_si(ends[1], unit, 4)}" if ends else "none"
+    return " to ".join(bounded(ends, ends, unit)) if ends else "none"
 
 
 def _sizes(by_unit: dict[str, float]) -> str:
-    return " and ".join(format_si(value, unit) for unit, value in by_unit.items()) or "0 N"
+    return " and ".join(brief(value, unit) for unit, value in by_unit.items()) or "0 N"
 
 
 def _interval(thing: Any, unit: str) -> str:
     value = thing.force if hasattr(thing, "force") else thing.value
-    return format_si(value, unit) + (f", 95 % {_ends(thing.ci95, unit)}" if thing.ci95 else "")
+    return bounded([value], thing.ci95 or (), unit)[0] + (f", 95 % {_ends(thing.ci95, unit)}" if thing.ci95 else "")
 
 
-def _rows(result: Fit, digits: int = 6) -> list[list[str]]:
+def _rows(result: Fit) -> list[list[str]]:
     rows = []
     for name, p in result.parameters.items():
         ends = _ends(p.ci95, p.unit), MEANING.get(p.headline, ""), _ends(p.with_budget, p.unit)
-        rows.append([name, format_si(p.value, p.unit, digits), *ends, _remark(p)])
+        rows.append([name, *bounded([p.value], p.ci95 or (), p.unit), *ends, _remark(p)])
     return rows
 
 
@@ -357,7 +356,7 @@ def _draw(
         *plots_uncertainty.draw(result, folder),
     ]
     notes = [[record.name, note] for record in understood for note in record.notes]
-    found = [Table("Parameters", [_HEAD, *_rows(result, 4)], "* in the table below marks the kind that is printed here.",
+    found = [Table("Parameters", [_HEAD, *_rows(result)], "* in the table below marks the kind that is printed here.",
                    (Table("Every kind of interval (* the one printed)", _kinds(result)),))]  # fmt: skip
     answers = [["question", "answer", "because"], *_answer_rows(result)]
     answers = answers if any(row[2] for row in answers[1:]) else [row[:2] for row in answers]

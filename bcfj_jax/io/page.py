@@ -146,7 +146,18 @@ def brief(value: float | None, unit: str = "1", digits: int = 3) -> str:
         return "-"
     rounded = float(f"{value:.{digits}g}")
     # Micro as it is printed; a unit never begins with u.
-    return format_si(rounded, unit).replace(" u", " µ")
+    return format_si(rounded, unit, max(digits, 6)).replace(" u", " µ")
+
+
+def bounded(values: Sequence[float], ends: Sequence[float], unit: str = "1") -> list[str]:
+    """Values that an interval bounds: three significant digits, or as many as show the interval's width with two.
+
+    1.50481 within 1.48421 and 1.52607 -> "1.505", with its ends "1.484" and "1.526".
+    """
+    size, width = max((abs(x) for x in ends), default=0.0), abs(ends[-1] - ends[0]) if len(ends) > 1 else 0.0
+    known = 0.0 < width < size < math.inf
+    digits = min(max(3, 2 + math.floor(math.log10(size)) - math.floor(math.log10(width))), 12) if known else 3
+    return [brief(x, unit, digits) for x in values]
 
 
 def span(values: Iterable[float], unit: str = "1", digits: int = 3) -> str:

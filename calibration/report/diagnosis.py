@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from bcfj_jax.io.units import format_si
+from bcfj_jax.io.page import bounded
 from calibration.fit import Fit, Parameter
 from calibration.selection.choice import DECISIVE
 from calibration.selection.diagnosis import SEEN, Diagnosis, Trial
@@ -53,8 +53,8 @@ def values(d: Diagnosis, plain: Fit) -> list[list[str]]:
 
 
 def _value(p: Parameter) -> str:
-    ends = f" ({format_si(p.ci95[0], p.unit)} to {format_si(p.ci95[1], p.unit)})" if p.ci95 else ""
-    return format_si(p.value, p.unit) + ends
+    ends = f" ({' to '.join(bounded(p.ci95, p.ci95, p.unit))})" if p.ci95 else ""
+    return bounded([p.value], p.ci95 or (), p.unit)[0] + ends
 
 
 def sentence(d: Diagnosis) -> str:

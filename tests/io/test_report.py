@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +27,7 @@ from bcfj_jax.io.page import (
     Picture,
     Table,
     Verdict,
+    bounded,
     brief,
     from_content,
     percent,
@@ -189,6 +191,10 @@ def test_the_first_colours_differ_for_everyone(matrix):
 def test_numbers_have_three_digits_and_one_unit():
     assert brief(1709.03, "N") == "1.71 kN" and brief(999.7, "N") == "1 kN" and brief(-2.3456e-5, "m") == "-23.5 µm"
     assert brief(None, "N") == "-" == brief(float("nan")) and brief(123456.0) == "123000"
+    assert bounded([1.50481, 1.48421, 1.52607], (1.48421, 1.52607)) == ["1.505", "1.484", "1.526"]
+    assert bounded([2.4452e9, 1e9], (2.072e9, 2.885e9)) == ["2.45e+09", "1e+09"]
+    assert bounded([1.23456], ()) == ["1.23"] == bounded([1.23456], (1.0, math.inf))
+    assert bounded([1234.5678901], (1234.567, 1234.569), "N") == ["1.2345679 kN"]
     assert span([29504.0, 29571.0], "N") == "29.5 to 29.6 kN" and span([29.5, 29.51]) == "29.5"
     assert span([0.31, 1.21], "J") == "0.31 to 1.21 J"
     assert span([None, float("nan")], "N") == "-"  # pyright: ignore[reportArgumentType]

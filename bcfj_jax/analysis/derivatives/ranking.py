@@ -11,6 +11,7 @@ import numpy as np
 from bcfj_jax.analysis.derivatives.certificate import AVERAGED, LEAST, NOT, TRUSTED, Certificate, of_feature
 from bcfj_jax.analysis.derivatives.names import feature_unit
 from bcfj_jax.analysis.derivatives.sensitivity import Sensitivity
+from bcfj_jax.io.page import brief
 from bcfj_jax.io.units import format_si
 
 
@@ -70,7 +71,7 @@ def ranked_rows(features: Mapping[str, float], ranked: Ranking) -> list[list[str
     """The table: features down with their values, parameters across."""
     rows = [["% per %", "value", *ranked.parameters]]
     for name, *lines in zip(ranked.features, ranked.elasticity, ranked.apart, strict=True):
-        value = format_si(features[name], feature_unit(name), 5)
+        value = brief(features[name], feature_unit(name))
         rows.append([name, value, *(_cell(x, apart) for x, apart in zip(*lines, strict=True))])
     return rows
 
@@ -129,7 +130,7 @@ def certificate_rows(certificate: Certificate) -> list[list[str]]:
     rows = [["parameter", "verdict", "pointwise", "averaged", "tangent growth", "breaks down", "remark"]]
     for name, check in certificate.parameters.items():
         figures = (_percent(check.pointwise), _percent(check.average), _plain(check.growth))
-        rows.append([name, check.verdict, *figures, format_si(check.breakdown, "s", 4), check.remark])
+        rows.append([name, check.verdict, *figures, brief(check.breakdown, "s"), check.remark])
     return rows
 
 

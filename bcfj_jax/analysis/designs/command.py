@@ -130,7 +130,7 @@ def verdict(found: Design) -> str:
     """The outcome in a sentence."""
     if found.status == FAILED:
         return "No design was found."
-    before, after = (format_si(x, found.unit, 4) for x in (found.before, found.after))
+    before, after = (brief(x, found.unit) for x in (found.before, found.after))
     share = f" ({100.0 * (found.after / found.before - 1.0):+.3g} %)" if found.before else ""
     state = "" if found.status == "ok" else f" Status: {found.status}."
     return f"{found.objective}: {before} before, {after} after{share}.{state}"
@@ -184,7 +184,7 @@ def fact_rows(found: Design) -> list[list[str]]:
 
 
 def _pair(first: float, second: float, unit: str) -> list[str]:
-    return [format_si(x, unit, 4) if math.isfinite(x) else "-" for x in (first, second)]
+    return [brief(x, unit) if math.isfinite(x) else "-" for x in (first, second)]
 
 
 def _shown(value: float, quantity: Quantity) -> str:

@@ -182,7 +182,7 @@ def write(result: api.Result, study: Study, stem: str) -> str:
     for name in study.columns:
         values = result.column(name)[good]
         values = values[np.isfinite(values)]
-        cells = [f"{x:.6g}" for x in (np.min(values), np.median(values), np.max(values))] if values.size else ["-"] * 3
+        cells = [brief(x) for x in (np.min(values), np.median(values), np.max(values))] if values.size else ["-"] * 3
         rows.append([name, *cells])
     with stage("drawing"):
         drawn = pictures.overview(study, result, result.folder)
