@@ -56,31 +56,43 @@ def _copy(to: Path) -> Path:
     return to
 
 
-def tried(python: str, kind: str, tests: list[str], timeout: float) -> dict:
-    """Install and test in one environment: versions, counts of tests, seconds, and the end of what pytest said."""
+def tried(python: str, kind: str, tests: list[str], timeout: float, keep: Path | None = None) -> dict:
+    """Install and test in one environment: versions, counts of tests, seconds, and the end of what pytest said.
+
+    The environment is removed afterwards, or stays in a new folder of ``keep``, to run a failed test there again.
+    """
+    if keep is not None:
+        keep.mkdir(parents=True, exist_ok=True)
+    place = Path(tempfile.mkdtemp(prefix=f"{kind}-", dir=keep)).resolve()
+    try:
+        return _tried(place, python, kind, tests, timeout)
+    finally:
+        if keep is None:
+            shutil.rmtree(place, ignore_errors=True)
+
+
+def _tried(place: Path, python: str, kind: str, tests: list[str], timeout: float) -> dict:
     project = tomllib.loads((fresh.ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    with tempfile.TemporaryDirectory() as place:
-        env = fresh.surroundings(Path(place), JAX_PLATFORMS="cpu")
-        bounds = Path(place) / "bounds.txt"
-        if kind == "pinned":
-            shutil.copy(fresh.ROOT / "constraints.txt", bounds)
-        else:
-            text = _lowest(Path(place), python, env, project) if kind == "lowest" else ""
-            bounds.write_text(f"{text}\n", encoding="utf-8")
-        programs = fresh.environment(Path(place) / "venv", python, env, "-c", bounds, f"{fresh.ROOT}[test]")
-        listed = fresh.must([programs / "python", "-m", "pip", "list", "--format", "json"], Path(place), env)
-        installed = {one["name"].lower(): one["version"] for one in json.loads(listed.stdout)}
-        said = fresh.must([programs / "python", "-c", "import sys; print(sys.version.split()[0])"], Path(place), env)
-        work = Path(place) / "work"
-        work.mkdir()
-        _copy(work)
-        # The tests import the installed package: there is none beside them, which some tests read as text.
-        (work / "bcfj_jax").symlink_to(next((programs.parent / "lib").glob("python3*")) / "site-packages" / "bcfj_jax")
-        (work / "calibration").symlink_to((work / "bcfj_jax").readlink().parent / "calibration")
-        # Old libraries use what newer ones below them deprecate; that is no fault of the package.
-        lenient = ["-W", "default::DeprecationWarning"] if kind == "lowest" else []
-        pytest = [programs / "python", "-m", "pytest", "-p", "no:cacheprovider", *lenient]
-        done = fresh.run([*pytest, *tests], work, env, timeout)
+    env = fresh.surroundings(place, JAX_PLATFORMS="cpu")
+    bounds = place / "bounds.txt"
+    if kind == "pinned":
+        shutil.copy(fresh.ROOT / "constraints.txt", bounds)
+    else:
+        bounds.write_text(f"{_lowest(place, python, env, project) if kind == 'lowest' else ''}\n", encoding="utf-8")
+    programs = fresh.environment(place / "venv", python, env, "-c", bounds, f"{fresh.ROOT}[test]")
+    listed = fresh.must([programs / "python", "-m", "pip", "list", "--format", "json"], place, env)
+    installed = {one["name"].lower(): one["version"] for one in json.loads(listed.stdout)}
+    said = fresh.must([programs / "python", "-c", "import sys; print(sys.version.split()[0])"], place, env)
+    work = place / "work"
+    work.mkdir()
+    _copy(work)
+    # The tests import the installed package: there is none beside them, which some tests read as text.
+    (work / "bcfj_jax").symlink_to(next((programs.parent / "lib").glob("python3*")) / "site-packages" / "bcfj_jax")
+    (work / "calibration").symlink_to((work / "bcfj_jax").readlink().parent / "calibration")
+    # Old libraries use what newer ones below them deprecate; that is no fault of the package.
+    lenient = ["-W", "default::DeprecationWarning"] if kind == "lowest" else []
+    pytest = [programs / "python", "-m", "pytest", "-p", "no:cacheprovider", *lenient]
+    done = fresh.run([*pytest, *tests], work, env, timeout)
     counts = {word: int(n) for n, word in re.findall(r"(\d+) (passed|failed|error|skipped|deselected)", done.stdout)}
     return {
         "python": said.stdout.strip(), "versions": kind, "installed": {n: installed.get(n, "") for n in _SHOWN},
@@ -109,6 +121,7 @@ def main() -> None:
     parser.add_argument("--tests", default=shlex.join(FAST), help="what pytest is given, in one word")
     parser.add_argument("--out", type=Path, help="a JSON file to add the rows to")
     parser.add_argument("--timeout", type=float, default=3600.0, help="seconds for the tests of one environment")
+    parser.add_argument("--keep", type=Path, help="a folder to leave the environments in")
     asked = parser.parse_args()
     kinds = asked.versions.split(",")
     if not set(kinds) <= set(KINDS):
@@ -116,7 +129,7 @@ def main() -> None:
     rows = []
     for python in asked.pythons:
         for kind in kinds:
-            rows.append(tried(python, kind, shlex.split(asked.tests), asked.timeout))
+            rows.append(tried(python, kind, shlex.split(asked.tests), asked.timeout, asked.keep))
             print(rows[-1]["end"], table(rows), sep="\n", flush=True)
     if asked.out is not None:
         kept = json.loads(asked.out.read_text(encoding="utf-8"))["rows"] if asked.out.exists() else []
