@@ -3,6 +3,7 @@
     python -m scripts.pythons python3.11 python3.12 python3.13                 versions of constraints.txt, fast tier
     python -m scripts.pythons python3.11 --versions pinned,lowest,newest      also the oldest and the newest allowed
     python -m scripts.pythons python3.12 --tests "tests/contact tests/solve"    other tests
+    python -m scripts.pythons python3.13 --versions newest --keep ~/tried       leaves the environment, and uses it again
 
 ``pinned`` is constraints.txt; ``newest`` what pip takes without it; ``lowest`` the lowest release that each direct requirement
 in pyproject.toml allows, found by uv. The package is installed as a wheel, so that no test imports the checkout. The
@@ -59,19 +60,19 @@ def _copy(to: Path) -> Path:
 def tried(python: str, kind: str, tests: list[str], timeout: float, keep: Path | None = None) -> dict:
     """Install and test in one environment: versions, counts of tests, seconds, and the end of what pytest said.
 
-    The environment is removed afterwards, or stays in a new folder of ``keep``, to run a failed test there again.
+    The environment is removed afterwards. In a folder ``keep`` it stays and is used again, with the package installed anew.
     """
+    asked = [python, "-c", "import sys; print(sys.version.split()[0])"]
+    version = fresh.must(asked, fresh.ROOT, fresh.surroundings(Path(tempfile.gettempdir()))).stdout.strip()
     if keep is not None:
-        keep.mkdir(parents=True, exist_ok=True)
-    place = Path(tempfile.mkdtemp(prefix=f"{kind}-", dir=keep)).resolve()
-    try:
-        return _tried(place, python, kind, tests, timeout)
-    finally:
-        if keep is None:
-            shutil.rmtree(place, ignore_errors=True)
+        place = keep.resolve() / f"{version}-{kind}"
+        place.mkdir(parents=True, exist_ok=True)
+        return _tried(place, python, version, kind, tests, timeout)
+    with tempfile.TemporaryDirectory() as name:
+        return _tried(Path(name), python, version, kind, tests, timeout)
 
 
-def _tried(place: Path, python: str, kind: str, tests: list[str], timeout: float) -> dict:
+def _tried(place: Path, python: str, version: str, kind: str, tests: list[str], timeout: float) -> dict:
     project = tomllib.loads((fresh.ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     env = fresh.surroundings(place, JAX_PLATFORMS="cpu")
     bounds = place / "bounds.txt"
@@ -79,11 +80,17 @@ def _tried(place: Path, python: str, kind: str, tests: list[str], timeout: float
         shutil.copy(fresh.ROOT / "constraints.txt", bounds)
     else:
         bounds.write_text(f"{_lowest(place, python, env, project) if kind == 'lowest' else ''}\n", encoding="utf-8")
-    programs = fresh.environment(place / "venv", python, env, "-c", bounds, f"{fresh.ROOT}[test]")
+    programs = place / "venv" / "bin"
+    if programs.exists():
+        fresh.must(
+            [programs / "python", "-m", "pip", "install", "--no-deps", "--force-reinstall", fresh.ROOT], place, env
+        )
+    else:
+        fresh.environment(place / "venv", python, env, "-c", bounds, f"{fresh.ROOT}[test]")
     listed = fresh.must([programs / "python", "-m", "pip", "list", "--format", "json"], place, env)
     installed = {one["name"].lower(): one["version"] for one in json.loads(listed.stdout)}
-    said = fresh.must([programs / "python", "-c", "import sys; print(sys.version.split()[0])"], place, env)
     work = place / "work"
+    shutil.rmtree(work, ignore_errors=True)
     work.mkdir()
     _copy(work)
     # The tests import the installed package: there is none beside them, which some tests read as text.
@@ -95,7 +102,7 @@ def _tried(place: Path, python: str, kind: str, tests: list[str], timeout: float
     done = fresh.run([*pytest, *tests], work, env, timeout)
     counts = {word: int(n) for n, word in re.findall(r"(\d+) (passed|failed|error|skipped|deselected)", done.stdout)}
     return {
-        "python": said.stdout.strip(), "versions": kind, "installed": {n: installed.get(n, "") for n in _SHOWN},
+        "python": version, "versions": kind, "installed": {n: installed.get(n, "") for n in _SHOWN},
         "tests": tests, "exit_code": done.code, "counts": counts, "seconds": round(done.seconds, 1),
         "end": "" if done.code == 0 else done.stdout[-6000:] + done.stderr[-2000:],
     }  # fmt: skip
@@ -121,7 +128,7 @@ def main() -> None:
     parser.add_argument("--tests", default=shlex.join(FAST), help="what pytest is given, in one word")
     parser.add_argument("--out", type=Path, help="a JSON file to add the rows to")
     parser.add_argument("--timeout", type=float, default=3600.0, help="seconds for the tests of one environment")
-    parser.add_argument("--keep", type=Path, help="a folder to leave the environments in")
+    parser.add_argument("--keep", type=Path, help="a folder where environments stay, to be used again")
     asked = parser.parse_args()
     kinds = asked.versions.split(",")
     if not set(kinds) <= set(KINDS):
