@@ -365,7 +365,10 @@ def main(arguments: list[str] | None = None) -> int:
             runs, compared = getattr(how.then, "runs", 0), getattr(how.then, "compared", 0)
             cells = [target, how.count, ended["accepted"], ended["refused"], bad, f"{slowest:.2f} s", runs, compared]
             rows.append([str(cell) for cell in cells])
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024**2
+    # With that of the processes that read files in its stead.
+    memory = (
+        max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)) / 1024**2
+    )
     print(markdown(rows), f"\nhighest memory {memory:.2f} GB, faults {faults}")
     if given.keep:
         save("fuzz", {"seed": given.seed, "rows": rows, "memory_gb": memory, "faults": faults})

@@ -12,9 +12,8 @@ A file may hold several tables: groups and structs, named by their path, as in "
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,24 +22,10 @@ from bcfj_jax.core.errors import clip
 from bcfj_jax.core.extras import library
 from bcfj_jax.io import opening
 from bcfj_jax.io.units import column
-from calibration.data import textfile, workbook
+from calibration.data import isolated, textfile, workbook
+from calibration.data.child import UNIT_NAMES, Column, Columns, Tables, vector
 from calibration.data.table import Table
 from calibration.data.textfile import Stated
-
-UNIT_NAMES = ("unit", "units")
-
-
-class _Column(NamedTuple):
-    """A column that is there: its unit, its number of values, and how to read them."""
-
-    unit: str | None
-    size: int
-    values: Callable[[], Any]
-
-
-# The columns of a table by name, and the tables of a file by path; "" is what stands outside any group.
-_Columns = dict[str, _Column]
-_Tables = dict[str, _Columns]
 
 
 def read(path: Path, where: str, inside: str | None = None, stated: Stated | None = None) -> Table:
@@ -82,7 +67,7 @@ def read(path: Path, where: str, inside: str | None = None, stated: Stated | Non
         raise InputError(where, f"{path} cannot be read as {kind} ({reason})", remedy) from error
 
 
-def _chosen(tables: _Tables, path: Path, where: str, inside: str | None) -> Table:
+def _chosen(tables: Tables, path: Path, where: str, inside: str | None) -> Table:
     """The table that is meant, its columns read and checked for one length."""
     tables = {name: columns for name, columns in tables.items() if columns}
     if not tables:
@@ -114,32 +99,16 @@ def _chosen(tables: _Tables, path: Path, where: str, inside: str | None) -> Tabl
     return Table(path, tuple(header), arrays, lines, "row", wanted if len(tables) > 1 or inside else "")
 
 
-def _vector(values: np.ndarray, unit: object = None) -> _Column | None:
-    """An array as a column, or None for what is none: a matrix, a reference, a complex number."""
-    if values.dtype.kind not in "iufbOSUMm" or (values.ndim and max(values.shape) != values.size):
-        return None
-    if values.dtype.kind == "O" and not all(isinstance(v, str) for v in values.flat):
-        return None
-    return _Column(_text(unit), values.size, lambda: values)
-
-
-def _text(value: object) -> str | None:
-    """A text in any of the forms in which files hold one."""
-    value = value.item() if isinstance(value, np.ndarray) and value.size == 1 else value
-    value = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
-    return str(value).strip() or None if isinstance(value, str) else None
-
-
 def _parquet(path: Path, where: str, inside: str | None) -> Table:
     parquet = library("pyarrow.parquet", where, "io")
     content = parquet.read_table(path)
-    columns: _Columns = {}
+    columns: Columns = {}
     for field, chunks in zip(content.schema, content.columns, strict=True):
         metadata = {k.decode().lower(): v for k, v in (field.metadata or {}).items()}
         values = np.asarray(chunks.to_numpy())
         if values.dtype.kind == "O":
             values = np.array(["" if v is None else v for v in values], dtype=object)
-        found = _vector(values, next((metadata[k] for k in UNIT_NAMES if k in metadata), None))
+        found = vector(values, next((metadata[k] for k in UNIT_NAMES if k in metadata), None))
         if found:
             columns[field.name] = found
     return _chosen({"": columns}, path, where, inside)
@@ -147,106 +116,36 @@ def _parquet(path: Path, where: str, inside: str | None) -> Table:
 
 def _tdms(path: Path, where: str, inside: str | None) -> Table:
     nptdms = library("nptdms", where, "io")
-    tables: _Tables = {}
+    tables: Tables = {}
     with nptdms.TdmsFile.read(path) as content:
         for group in content.groups():
-            columns: _Columns = {}
+            columns: Columns = {}
             for channel in group.channels():
-                found = _vector(np.asarray(channel[:]), channel.properties.get("unit_string"))
+                found = vector(np.asarray(channel[:]), channel.properties.get("unit_string"))
                 if found:
                     columns[channel.name] = found
             # A waveform has its clock in its properties instead of in a channel.
             waves = [c for c in group.channels() if "wf_increment" in c.properties and len(c)]
             clocks = {(c.properties["wf_increment"], c.properties.get("wf_start_offset", 0.0)) for c in waves}
             if "time" not in {column(name)[0].lower() for name in columns} and len(clocks) == 1:
-                columns["time"] = _Column("s", len(waves[0]), waves[0].time_track)
+                columns["time"] = Column("s", len(waves[0]), waves[0].time_track)
             tables[group.name] = columns
     return _chosen(tables, path, where, inside)
 
 
-def _hdf5(path: Path, where: str, inside: str | None) -> Table:
-    h5py = library("h5py", where, "io")
-    tables: _Tables = {}
-
-    def visit(name: str, item: Any) -> None:
-        # MATLAB keeps the content of cells and objects in groups of these names.
-        if name.startswith("#") or not isinstance(item, h5py.Dataset):
-            return
-        unit = next((item.attrs[k] for k in UNIT_NAMES if k in item.attrs), None)
-        if item.dtype.names:
-            tables[name] = {field: _Column(None, item.size, _part(item, field)) for field in item.dtype.names}
-            return
-        parent, _, own = name.rpartition("/")
-        found = _matlab_text(item) if item.attrs.get("MATLAB_class") == b"char" else _dataset(item, unit)
-        if found:
-            tables.setdefault(parent, {})[own] = found
-
-    with h5py.File(path, "r") as file:
-        file.visititems(visit)
-        return _chosen(_with_units(tables), path, where, inside)
-
-
-def _part(item: Any, field: str) -> Callable[[], Any]:
-    return lambda: item[field]
-
-
-def _dataset(item: Any, unit: object) -> _Column | None:
-    if item.shape is None or (item.ndim and max(item.shape) != item.size):
-        return None
-    if item.dtype.kind == "O":
-        return _Column(_text(unit), item.size, lambda: item.asstr()[()]) if item.dtype.metadata else None
-    return _Column(_text(unit), item.size, lambda: item[()]) if item.dtype.kind in "iufbS" else None
-
-
-def _matlab_text(item: Any) -> _Column:
-    letters = "".join(chr(code) for code in np.ravel(item[()]))
-    return _Column(None, 1, lambda: np.array([letters]))
-
-
-def _mat(path: Path, where: str, inside: str | None) -> Table:
-    h5py = library("h5py", where, "io")
-    if h5py.is_hdf5(path):
-        return _hdf5(path, where, inside)
-    from scipy.io import loadmat
-
-    tables: _Tables = {}
-
-    def visit(name: str, content: Mapping[str, Any]) -> None:
-        columns = tables.setdefault(name, {})
-        for key, value in content.items():
-            if key.startswith("__"):
-                continue
-            if isinstance(value, Mapping):
-                visit(f"{name}/{key}".strip("/"), value)
-                continue
-            found = _vector(np.asarray(value))
-            if found:
-                columns[key] = found
-
-    visit("", loadmat(path, simplify_cells=True))
-    return _chosen(_with_units(tables), path, where, inside)
-
-
-def _with_units(tables: _Tables) -> _Tables:
-    """Units from a struct of texts named ``units`` inside a struct, which is then no table of its own."""
-    united: _Tables = {}
-    for name, columns in tables.items():
-        parent, _, own = name.rpartition("/")
-        if own in UNIT_NAMES and parent in tables:
-            continue
-        beside: Iterable[_Columns] = (tables.get(f"{name}/{key}".strip("/"), {}) for key in UNIT_NAMES)
-        units = {k: _text(np.asarray(c.values())) for texts in beside for k, c in texts.items() if c.size == 1}
-        united[name] = {k: c._replace(unit=c.unit or units.get(k)) for k, c in columns.items()}
-    return united
+def _isolated(path: Path, where: str, inside: str | None) -> Table:
+    if path.suffix.lower() != ".mat":
+        library("h5py", where, "io")
+    return _chosen(isolated.tables(path, where, inside), path, where, inside)
 
 
 _TEXTS = (".csv", ".txt", ".tsv", ".tab", ".dat", ".asc", ".prn")
 _READERS: dict[str, Callable[[Path, str, str | None], Table]] = {
     ".parquet": _parquet,
     ".pq": _parquet,
-    ".h5": _hdf5,
-    ".hdf5": _hdf5,
-    ".mat": _mat,
+    ".h5": _isolated,
+    ".hdf5": _isolated,
+    ".mat": _isolated,
     ".tdms": _tdms,
 }
 _KINDS = (*_TEXTS, *workbook.KINDS, *_READERS)

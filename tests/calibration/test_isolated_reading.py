@@ -1,0 +1,116 @@
+"""MATLAB files are read by a process of its own: what ends that process is a message, and nothing that it reads is lost."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bcfj_jax import InputError
+from calibration.data import child, isolated
+from calibration.data.readers import read
+
+h5py = pytest.importorskip("h5py", reason="the extra io is not installed")
+SOURCE = Path(child.__file__).read_text(encoding="utf-8")
+TIME, FORCE = np.linspace(0.0, 1.0, 5), np.ones(5)
+
+
+@pytest.fixture
+def whole(tmp_path):
+    from scipy.io import savemat
+
+    path = tmp_path / "record.mat"
+    savemat(path, {"run": {"time": TIME, "force": FORCE}})
+    return path
+
+
+def flip(path, at: int, bit: int, expected: int) -> None:
+    content = bytearray(path.read_bytes())
+    assert content[at] == expected, "the file is laid out otherwise than this test knows"
+    content[at] ^= 1 << bit
+    path.write_bytes(content)
+
+
+def test_a_file_that_crashes_its_reader_is_refused(whole):
+    # The type of the values, 9, becomes 8, which is none: SciPy follows a null pointer.
+    flip(whole, 256, 0, 9)
+    with pytest.raises(
+        InputError, match=r"here: .*record\.mat .*SIG.*; save it again, a .mat with -v7\.3, or write it as CSV"
+    ):
+        read(whole, "here")
+
+
+def test_a_file_that_asks_for_all_the_memory_is_refused(whole):
+    # A struct of one element becomes one of 2^28.
+    flip(whole, 163, 4, 0)
+    with pytest.raises(InputError, match=r"here: .*record\.mat .*sizes that its length cannot hold.*; save it again"):
+        read(whole, "here")
+
+
+def test_a_file_that_is_read_without_end_is_refused(whole, monkeypatch):
+    endless = whole.parent / "endless.py"
+    source = SOURCE.partition("if __name__")[0]
+    endless.write_text(f"{source}\ndef mat(file):\n    while True:\n        pass\n\n\nsys.exit(main())\n")
+    monkeypatch.setattr(child, "__file__", str(endless))
+    monkeypatch.setattr(isolated, "_SECONDS", 1)
+    with pytest.raises(InputError, match=r"here: .*record\.mat .*longer than 1 s.*; save it again"):
+        read(whole, "here")
+
+
+def test_a_directory_of_hostile_modules_is_not_imported(whole, monkeypatch):
+    (whole.parent / "scipy.py").write_text("raise SystemExit(0)\n")
+    monkeypatch.chdir(whole.parent)
+    table = read(whole, "here")
+    np.testing.assert_array_equal(table.numbers("force", "N", "here", False), FORCE)
+
+
+def test_a_file_that_changed_is_read_again(whole):
+    from scipy.io import savemat
+
+    read(whole, "here")
+    savemat(whole, {"run": {"time": TIME, "force": 2.0 * FORCE}, "more": 1.0})
+    np.testing.assert_array_equal(read(whole, "here", "run").numbers("force", "N", "here", False), 2.0 * FORCE)
+
+
+def test_what_is_in_a_file_arrives_bit_for_bit(tmp_path):
+    from scipy.io import savemat
+
+    numbers = {
+        "double": np.array([1.0, np.nan, -np.inf, 5e-324]),
+        "single": np.float32([1, 2, 3, 4]),
+        "whole": np.array([1, -2, 3, 2**62]),
+    }
+    left_out = {"matrix": np.eye(3), "complex": np.array([1j, 2]), "ragged": np.array([TIME, FORCE[:2]], dtype=object)}
+    texts = {"cell": np.array(["a", "ümlaut", "c", "d"], dtype=object)}
+    savemat(
+        tmp_path / "a.mat",
+        {"x": {"y": {**numbers, **left_out, **texts}, "who": "ö"}, "alone": 3.0},
+        do_compression=True,
+    )
+    found = isolated.tables(tmp_path / "a.mat", "here", None)
+    assert {name: set(columns) for name, columns in found.items()} == {
+        "": {"alone"}, "x": {"who"}, "x/y": {*numbers, *texts},
+    }  # fmt: skip
+    for name, values in numbers.items():
+        column = found["x/y"][name].values()
+        assert column.dtype == values.dtype and column.tobytes() == values.tobytes(), name
+    assert found["x/y"]["cell"].values().tolist() == texts["cell"].tolist()
+    assert (found["x"]["who"].values().item(), found[""]["alone"].values().item()) == ("ö", 3.0)
+
+
+def test_of_a_large_file_only_the_table_that_is_meant_has_values(tmp_path, monkeypatch):
+    monkeypatch.setattr(isolated, "_SMALL", 0)
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["a/force [N]"], file["b/force [N]"] = FORCE, 2.0 * FORCE
+    np.testing.assert_array_equal(
+        read(tmp_path / "a.h5", "here", "/b").numbers("force", "N", "here", False), 2.0 * FORCE
+    )
+    assert isolated.tables(tmp_path / "a.h5", "here", "b")["a"]["force [N]"].values().size == 0
+    with pytest.raises(InputError, match=r"holds 2 tables; choose with table = .*'a', 'b'"):
+        read(tmp_path / "a.h5", "here")
+
+
+def test_the_child_knows_nothing_of_ours():
+    # Its start is most of what a file costs; the front door of the package imports JAX.
+    assert "bcfj_jax" not in SOURCE and "calibration" not in SOURCE
