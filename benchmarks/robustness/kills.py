@@ -2,15 +2,16 @@
 
     python -m benchmarks.robustness.kills [--trials 100] [--only calibrate,study,...]
 writes results/kills.json. A verb is run undisturbed first. A trial starts it in a folder of its own and sends a signal at
-a random moment of its time. Then
+a random moment of its processor time, which other work on the machine does not stretch. Then
 
 where work is kept    (calibrate, tradeoff, study) the exit code is 5, or that of a run that had ended, or by a signal
                       where the process had not begun or was killed; the same command ends with equal results
 where nothing is      (sensitivity, design, reproduce) after TERM and INT the folder is gone and the exit code is 143 or
                       130; after KILL the same command in the same folder ends with equal results
 
-Equal means equal numbers: times and dates are left out. An INT or TERM that comes while Python starts ends the process
-by the signal, with nothing written.
+Equal means equal to the last bit: the digests of the results agree, of ``results.parquet`` and ``sensitivity.csv`` as
+bytes, of the others with their numbers as they are written, which is in full. Times and dates are
+left out. An INT or TERM that comes while Python starts ends the process by the signal, with nothing written.
 """
 
 from __future__ import annotations
@@ -19,21 +20,24 @@ import argparse
 import csv
 import hashlib
 import json
+import math
 import random
 import shutil
 import signal
 import tempfile
 import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from bcfj_jax.io.journal import NAME
 from benchmarks.common import markdown, save
-from benchmarks.robustness.running import EXAMPLE, STUDY, ended, files, last_line, start
+from benchmarks.robustness.running import EXAMPLE, STUDY, ended, files, last_line, spent, start, wait_for
 
 SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGKILL)
 # Keys whose values are of a run, not of its result.
-_TIMES = ("wall_s", "compile_s", "written", "solver", "spent_s", "seconds", "runs")
+_TIMES = ("wall_s", "compile_s", "written", "spent_s", "seconds")
+_POLL_S = 0.05
 
 
 class Verb(NamedTuple):
@@ -89,7 +93,8 @@ def trial(
     out = place / "out"
     words = [*verb.words, "--out", str(out)]
     job = start(words, place)
-    time.sleep(moment)
+    wait_for(job, moment)
+    running = job.poll() is None
     job.send_signal(how)
     code, _, err = ended(job)
     left, traces = files(out), err.count("Traceback")
@@ -97,6 +102,7 @@ def trial(
         "verb": name,
         "signal": how.name,
         "moment_s": round(moment, 2),
+        "running": running,
         "code": code,
         "left": len(left),
     }
@@ -121,6 +127,35 @@ def trial(
     return row
 
 
+def undisturbed(words: list[str], place: Path) -> tuple[float, int, str]:
+    """Processor time, exit code and errors of a run."""
+    with tempfile.TemporaryFile("w+") as file:
+        job = start(words, place, stderr=file)
+        last = 0.0
+        while job.poll() is None:
+            now = spent(job)
+            last = now if math.isfinite(now) else last
+            time.sleep(_POLL_S)
+        file.seek(0)
+        return last, job.returncode, file.read()
+
+
+def table(names: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> list[list[str]]:
+    """What came of the trials, a verb a row, and their sum."""
+    head = ["verb", "signals", "while it ran", "right exit code, no traceback", "folder as it was", "run again",
+            "of these equal to the last bit", "good"]  # fmt: skip
+    found = [head]
+    for name in (*names, "all"):
+        of = [row for row in rows if name in (row["verb"], "all")]
+        again = [row for row in of if "again" in row]
+        counts = (
+            len(of), sum(r["running"] for r in of), sum(r["clean"] for r in of), sum(r["same"] is None for r in of),
+            len(again), sum(r["same"] is True for r in again), sum(r["clean"] and r["same"] is not False for r in of),
+        )  # fmt: skip
+        found.append([name, *map(str, counts)])
+    return found
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--trials", type=int, default=100)
@@ -134,30 +169,21 @@ def main() -> None:
         for name, verb in known.items():
             for _ in range(given.warm):  # The first compiles.
                 shutil.rmtree(place / "out", ignore_errors=True)
-                begin = time.perf_counter()
-                code, _, err = ended(start([*verb.words, "--out", str(place / "out")], place))
-                lasts[name] = time.perf_counter() - begin
+                lasts[name], code, err = undisturbed([*verb.words, "--out", str(place / "out")], place)
             good[name] = code, outcome(verb, place / "out")
             if code not in (0, 4):
                 raise SystemExit(f"{name}: exit code {code}: {err}")
             shutil.rmtree(place / "out")
-            print(f"{name}: {lasts[name]:.1f} s undisturbed, exit code {code}", flush=True)
+            print(f"{name}: {lasts[name]:.1f} s of a processor undisturbed, exit code {code}", flush=True)
         for number in range(given.trials):
             name = list(known)[number % len(known)]
             how = SIGNALS[number // len(known) % len(SIGNALS)]
             rows.append(trial(name, known[name], place, how, draw.uniform(0.1, lasts[name]), good[name]))
             print(rows[-1], flush=True)
-            save("kills", {"undisturbed_s": lasts, "trials": rows})
-    table = [
-        ["verb", "stopped", "by a sentence or silently, right exit code", "nothing left, or equal results", "both"]
-    ]
-    for name in known:
-        of = [row for row in rows if row["verb"] == name]
-        right = sum(row["clean"] for row in of), sum(row["same"] is not False for row in of)
-        table.append(
-            [name, str(len(of)), *map(str, right), str(sum(r["clean"] and r["same"] is not False for r in of))]
-        )
-    print(markdown(table))
+            save("kills", {"undisturbed_processor_s": lasts, "trials": rows})
+    counts = table(list(known), rows)
+    save("kills", {"undisturbed_processor_s": lasts, "counts": counts, "trials": rows})
+    print(markdown(counts))
 
 
 if __name__ == "__main__":

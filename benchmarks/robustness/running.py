@@ -5,8 +5,12 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Mapping
 from pathlib import Path
+from typing import IO
+
+import psutil
 
 from benchmarks.common import ROOT
 
@@ -46,13 +50,48 @@ def environment(variables: Mapping[str, str | None] | None = None) -> dict[str, 
 
 def start(
     arguments: list[str], cwd: Path, variables: Mapping[str, str | None] | None = None, umask: int = -1,
-    stdout: int = subprocess.PIPE,
+    stdout: int = subprocess.PIPE, user: int | None = None, stderr: int | IO[str] = subprocess.PIPE,
 ) -> subprocess.Popen[str]:  # fmt: skip
-    """A command that runs."""
+    """A command that runs.
+
+    Args:
+        arguments: of ``bcfj``.
+        cwd: its folder.
+        variables: see ``environment``.
+        umask: of its files, -1 for ours.
+        stdout: where it prints.
+        user: the number of another user whose process it is.
+        stderr: where it says what it does.
+    """
     return subprocess.Popen(
-        [sys.executable, "-c", _COMMAND, *arguments], cwd=cwd, env=environment(variables), umask=umask,
-        stdin=subprocess.DEVNULL, stdout=stdout, stderr=subprocess.PIPE, text=True, errors="replace",
+        [sys.executable, "-c", _COMMAND, *arguments], cwd=cwd, env=environment(variables), umask=umask, user=user,
+        stdin=subprocess.DEVNULL, stdout=stdout, stderr=stderr, text=True, errors="replace",
     )  # fmt: skip
+
+
+def spent(job: subprocess.Popen[str]) -> float:
+    """Processor time [s] of a process and its children so far; of one that has ended, infinite."""
+    try:
+        root = psutil.Process(job.pid)
+        if root.status() == psutil.STATUS_ZOMBIE:
+            return float("inf")
+        own = root.cpu_times()
+        total = own.user + own.system + own.children_user + own.children_system
+        for child in root.children(recursive=True):
+            try:
+                times = child.cpu_times()
+            except psutil.Error:
+                continue
+            total += times.user + times.system
+        return total
+    except psutil.Error:
+        return float("inf")
+
+
+def wait_for(job: subprocess.Popen[str], processor_s: float) -> None:
+    """Return when a process has used so much processor time, or has ended: that does not depend on who else computes."""
+    while spent(job) < processor_s:
+        time.sleep(0.01)
 
 
 def ended(job: subprocess.Popen[str], seconds: float = 600.0) -> tuple[int, str, str]:
@@ -62,8 +101,8 @@ def ended(job: subprocess.Popen[str], seconds: float = 600.0) -> tuple[int, str,
     except subprocess.TimeoutExpired:
         job.kill()
         out, err = job.communicate()
-        return 124, out or "", err
-    return job.returncode, out or "", err
+        return 124, out or "", err or ""
+    return job.returncode, out or "", err or ""
 
 
 def files(folder: Path) -> list[str]:
