@@ -6,7 +6,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import IO
 
@@ -50,7 +50,7 @@ def environment(variables: Mapping[str, str | None] | None = None) -> dict[str, 
 
 def start(
     arguments: list[str], cwd: Path, variables: Mapping[str, str | None] | None = None, umask: int = -1,
-    stdout: int = subprocess.PIPE, user: int | None = None, stderr: int | IO[str] = subprocess.PIPE,
+    stdout: int = subprocess.PIPE, prefix: Sequence[str] = (), stderr: int | IO[str] = subprocess.PIPE,
 ) -> subprocess.Popen[str]:  # fmt: skip
     """A command that runs.
 
@@ -60,11 +60,11 @@ def start(
         variables: see ``environment``.
         umask: of its files, -1 for ours.
         stdout: where it prints.
-        user: the number of another user whose process it is.
+        prefix: words before the command's own.
         stderr: where it says what it does.
     """
     return subprocess.Popen(
-        [sys.executable, "-c", _COMMAND, *arguments], cwd=cwd, env=environment(variables), umask=umask, user=user,
+        [*prefix, sys.executable, "-c", _COMMAND, *arguments], cwd=cwd, env=environment(variables), umask=umask,
         stdin=subprocess.DEVNULL, stdout=stdout, stderr=stderr, text=True, errors="replace",
     )  # fmt: skip
 

@@ -1,50 +1,77 @@
 """Every verb in odd surroundings: it does its work, or says in a sentence why not and leaves nothing behind.
 
-    python -m benchmarks.robustness.surroundings [--verbs init,simulate,...] [--cases "full disk",...]
-writes results/surroundings.json. ``full disk`` and ``read-only folder`` are file systems of 1 MB in memory, which only the
-administrator can mount; elsewhere they are left out. A cell is good if the exit code is that of the verb in plain
-surroundings and the same files are there; or if it is 2, or 5 where work is kept, with one line that begins with
-"error:" and no file left. There must be no traceback, and no wait beyond 120 s.
+    python -m benchmarks.robustness.surroundings [--verbs init,simulate,...] [--cases "full disk",...] [--more]
+writes results/surroundings.json; ``--more`` replaces only the cells that it runs. The disks are file systems of 1 MB in
+memory, which only the administrator can mount; elsewhere they are left out. The administrator may write everywhere: for a
+read-only home and a umask of 777 that right is taken from the process.
+
+A cell is good if the exit code is that of the verb in plain surroundings and the same files are there; or if it is 2,
+or 5 where work is kept, with a line that begins with "error:" and no file left. ``doctor`` may also find a fault (1), and
+``report`` leaves the folder that it was given as it was, byte for byte. There must be no traceback, and no wait
+beyond 300 s.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import hashlib
 import os
+import shutil
 import subprocess
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from benchmarks.common import markdown, save
+from benchmarks.common import RESULTS, load, markdown, save
 from benchmarks.robustness.running import EXAMPLE, IMPACT, STUDY, ended, files, last_line, start
 
-_HANG_S = 120.0
+_HANG_S = 300.0
+_MB = 1 << 20
+# Takes from an administrator's process the rights that other users do not have.
+_BOUND = ("setpriv", "--bounding-set=-all", "--inh-caps=-all")
 PLAIN = "plain"
+# Verbs that write into no folder.
+SILENT = ("validate", "schema", "doctor", "verify")
 
 
 class Case(NamedTuple):
-    """Surroundings: variables, umask, a file system for the results, and what else is odd."""
+    """Surroundings.
+
+    Attributes:
+        variables: of the process, None for one that is taken away; {disk} and {place} are folders.
+        umask: of the process, -1 for ours.
+        disk: the file system for the results.
+        name: of the scene's file.
+        output: where the process prints: a pipe that is read, one that nobody reads, or a full disk.
+        bound: whether modes of files hold for the process, an administrator's too.
+    """
 
     variables: dict[str, str | None] = {}
     umask: int = -1
     disk: str = ""
     name: str = "impact.toml"
-    reader: bool = True
+    output: str = "read"
+    bound: bool = False
 
 
+_NO_CACHE: dict[str, str | None] = {"BCFJ_CACHE": None, "XDG_CACHE_HOME": None}
 CASES = {
     PLAIN: Case(),
     "full disk": Case(disk="full"),
     "disk of 1 MB": Case(disk="small"),
-    "read-only folder": Case(disk="read-only"),
+    "read-only disk": Case(disk="read-only"),
     "below a file": Case(disk="below a file"),
-    "read-only home": Case({"HOME": "/proc", "BCFJ_CACHE": None, "XDG_CACHE_HOME": None}),
-    "no home": Case({"HOME": None, "BCFJ_CACHE": None, "XDG_CACHE_HOME": None}),
+    "full disk for home, cache, temporary files": Case(
+        {**_NO_CACHE, "HOME": "{disk}", "TMPDIR": "{disk}", "MPLCONFIGDIR": None}, disk="full, not for results"
+    ),
+    "output to a full disk": Case(output="full"),
+    "output that nobody reads": Case(output="closed"),
+    "read-only home": Case({**_NO_CACHE, "HOME": "{place}/home"}, bound=True),
+    "no home": Case({**_NO_CACHE, "HOME": None}),
     "umask 000": Case(umask=0o000),
-    "umask 777": Case(umask=0o777),
+    "umask 777": Case(umask=0o777, bound=True),
     "MPLBACKEND of Jupyter": Case({"MPLBACKEND": "module://matplotlib_inline.backend_inline"}),
     "JAX_PLATFORMS=foo": Case({"JAX_PLATFORMS": "foo"}),
     "JAX_DISABLE_JIT=1": Case({"JAX_DISABLE_JIT": "1"}),
@@ -54,98 +81,164 @@ CASES = {
     "XLA_FLAGS=--xla_foo": Case({"XLA_FLAGS": "--xla_foo"}),
     "no TERM; LC_ALL=C; name not ASCII": Case({"TERM": None, "LC_ALL": "C", "LANG": None}, name="schräg µ.toml"),
     "name of no characters": Case(name=os.fsdecode(b"odd\xff\xe4.toml")),
-    "nobody reads the output": Case(reader=False),
 }
 
 
 def verbs(scene: str, out: str) -> dict[str, list[str]]:
+    """What is run of each verb."""
     to = ["--out", out]
     return {
-        "init": ["init", "impact", *to],
+        "schema": ["schema", "scene"],
         "validate": ["validate", scene],
+        "doctor": ["doctor"],
+        "init": ["init", "impact", *to],
+        "verify": ["verify", "--only", "hertz_impact"],
         "simulate": ["simulate", scene, *to],
+        "report": ["report", out],
         "sensitivity": ["sensitivity", scene, "--wrt", "stiffness", "--budget", "1", *to],
-        "tradeoff": ["tradeoff", scene, "--only", "tsit5", "--no-derivatives", *to],
-        "design": ["design", scene, "--minimize", "contact.peak", "--vary", "damping=0.1:1", "--starts", "2", *to],
         "calibrate": ["calibrate", str(EXAMPLE), "--starts", "4", *to],
         "study": ["study", "run", "study.toml", "--workers", "1", *to],
+        "design": ["design", scene, "--minimize", "contact.peak", "--vary", "damping=0.1:1", "--starts", "2", *to],
+        "tradeoff": ["tradeoff", scene, "--only", "tsit5", "--no-derivatives", *to],
         "reproduce": ["reproduce", *to],
     }
 
 
 @contextlib.contextmanager
-def disk(kind: str, place: Path) -> Iterator[Path]:
-    """A folder for results on a file system of 1 MB, full or read-only; or below a file."""
+def disk(case: Case, place: Path, given: Path | None) -> Iterator[Path]:
+    """A folder for results: on a file system of 1 MB, full or read-only; or below a file.
+
+    Args:
+        case: says which.
+        place: the folder of the cell.
+        given: results that are in the folder already, beside the 1 MB.
+    """
+    kind = case.disk
     if kind == "below a file":
         (place / "file").write_text("")
         yield place / "file" / "out"
         return
     mounted = place / "disk"
     mounted.mkdir()
-    if not kind:
-        yield mounted / "out"
-        return
-    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(mounted)], check=True)
+    out = (place / "own" if kind == "full, not for results" else mounted) / "out"
+    out.parent.mkdir(exist_ok=True)
+    size = _MB + sum(-(-p.stat().st_size // 4096) * 4096 for p in given.iterdir()) if given else _MB
+    if kind:
+        subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(mounted)], check=True)
     try:
-        if kind == "full":
+        if given:
+            shutil.copytree(given, out)
+        if kind.startswith("full"):
             with contextlib.suppress(OSError), (mounted / "filler").open("wb", buffering=0) as file:
                 while file.write(b"x" * 4096):
                     pass
         if kind == "read-only":
             subprocess.run(["mount", "-o", "remount,ro", str(mounted)], check=True)
-        yield mounted / "out"
+        (place / "home").mkdir(mode=0o555)
+        yield out
     finally:
-        subprocess.run(["umount", str(mounted)], check=True)
+        if kind:
+            subprocess.run(["umount", str(mounted)], check=True)
 
 
-def tried(verb: str, case: Case, plain: dict[str, Any] | None) -> dict[str, Any]:
-    """One verb in one case."""
-    with tempfile.TemporaryDirectory() as name, disk(case.disk, Path(name)) as out:
+@contextlib.contextmanager
+def output(kind: str) -> Iterator[int]:
+    """Where a process prints."""
+    if kind == "full":
+        handle = os.open("/dev/full", os.O_WRONLY)
+    elif kind == "closed":
+        readable, handle = os.pipe()
+        os.close(readable)
+    else:
+        yield subprocess.PIPE
+        return
+    try:
+        yield handle
+    finally:
+        os.close(handle)
+
+
+def digests(folder: Path) -> dict[str, str]:
+    """What is in the files of a folder."""
+    return {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in files(folder)}
+
+
+def tried(verb: str, case: Case, plain: dict[str, Any] | None, results: Path) -> dict[str, Any]:
+    """One verb in one case.
+
+    Args:
+        verb, case: which.
+        plain: how the verb ended in plain surroundings.
+        results: a folder that ``simulate`` has written.
+    """
+    given = results if verb == "report" and case.disk != "below a file" else None
+    with tempfile.TemporaryDirectory() as name:
         place = Path(name)
         (place / case.name).write_text(IMPACT)
         (place / "study.toml").write_text(STUDY.format(steps=3))
-        words = verbs(case.name, str(out))[verb]
-        before = sorted(p.name for p in place.iterdir())
-        if case.reader:
-            code, _, err = ended(start(words, place, case.variables, case.umask), _HANG_S)
-        else:
-            readable, writable = os.pipe()
-            os.close(readable)
-            job = start(words, place, case.variables, case.umask, writable)
-            os.close(writable)
-            code, _, err = ended(job, _HANG_S)
-        left = files(out) if case.disk != "below a file" else []
-        strays = sorted(set(p.name for p in place.iterdir()) - set(before))
+        variables = {key: x and x.format(disk=place / "disk", place=place) for key, x in case.variables.items()}
+        with disk(case, place, given) as out:
+            words = verbs(case.name, str(out))[verb]
+            before, had = sorted(p.name for p in place.iterdir()), digests(out) if given else {}
+            prefix = _BOUND if case.bound and os.geteuid() == 0 else ()
+            with output(case.output) as prints:
+                code, _, err = ended(start(words, place, variables, case.umask, prints, prefix), _HANG_S)
+            left = digests(out) if case.disk != "below a file" else {}
+            strays = sorted(set(p.name for p in place.iterdir()) - set(before))
     said = last_line(err.replace(f"{place}/", ""))
     row = {"code": code, "files": len(left), "strays": strays, "said": said if code else ""}
-    refused = code in (2, 5) and said.startswith("error:") and (not left or code == 5)
+    refused = code in (2, 5) and said.startswith("error:") and (left == had or code == 5)
+    if verb == "doctor" and code == 1:
+        refused = True
     worked = plain is None or (code == plain["code"] and len(left) == plain["files"])
     row["good"] = "Traceback" not in err and not strays and (worked or refused)
+    if not row["good"]:
+        row["errors"] = err[-1500:].replace(str(place), "")
     return row
+
+
+def table(names: list[str], rows: dict[str, dict[str, Any]]) -> list[list[str]]:
+    """Exit codes, a case a row, a verb a column; their number and that of the good ones in the last row."""
+
+    def cell(found: dict[str, Any] | None) -> str:
+        if found is None:
+            return ""
+        return f"{found['code']}" if found["good"] else "-" if found["good"] is None else f"{found['code']} NOT GOOD"
+
+    cells = [c for row in rows.values() for c in row.values() if c["good"] is not None]
+    good = sum(c["good"] for c in cells)
+    lines = [[title, *(cell(row.get(name)) for name in names)] for title, row in rows.items()]
+    return [["", *(f"`{name}`" for name in names)], *lines, [f"good: {good} of {len(cells)}", *("" for _ in names)]]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--verbs", default=",".join(verbs("", "")))
-    parser.add_argument("--cases", default=",".join(CASES))
+    parser.add_argument("--cases", default="|".join(CASES), help='separated by "|"')
+    parser.add_argument("--more", action="store_true", help="keep the cells of before that are not run")
     given = parser.parse_args()
-    names, cases = given.verbs.split(","), [PLAIN, *(c for c in CASES if c in given.cases.split(",") and c != PLAIN)]
-    rows: dict[str, dict[str, Any]] = {}
-    table = [["", *(f"`{name}`" for name in names)]]
-    for title in cases:
-        rows[title] = {}
-        for verb in names:
-            try:
-                rows[title][verb] = tried(verb, CASES[title], rows[PLAIN].get(verb) if title != PLAIN else None)
-            except (subprocess.CalledProcessError, FileNotFoundError):
-                rows[title][verb] = {"code": None, "good": None, "said": "needs an administrator"}
-            print(title, verb, rows[title][verb], flush=True)
-        cells = [rows[title][verb] for verb in names]
-        table.append(
-            [title, *(f"{c['code']}{'' if c['good'] else ' NOT GOOD' if c['good'] is False else ''}" for c in cells)]
-        )
-        save("surroundings", {"cases": rows})
-    print(markdown(table))
+    names = given.verbs.split(",")
+    rows: dict[str, dict[str, Any]] = {title: {} for title in CASES}
+    if given.more and (RESULTS / "surroundings.json").exists():
+        rows |= {title: row for title, row in load("surroundings")["cases"].items() if title in CASES}
+    asked = [title for title in CASES if given.cases == parser.get_default("cases") or title in given.cases.split("|")]
+    with tempfile.TemporaryDirectory() as name:
+        results = Path(name) / "results"
+        code, _, err = ended(start(["simulate", "impact", "--out", str(results)], Path(name)))
+        if code:
+            raise SystemExit(f"simulate: exit code {code}: {err}")
+        for title in asked:
+            for verb in names:
+                plain = None if title == PLAIN else rows[PLAIN].get(verb)
+                try:
+                    rows[title][verb] = tried(verb, CASES[title], plain, results)
+                except (subprocess.CalledProcessError, FileNotFoundError, PermissionError):
+                    rows[title][verb] = {"code": None, "good": None, "said": "needs an administrator"}
+                print(title, verb, rows[title][verb], flush=True)
+            save("surroundings", {"cases": rows})
+    counted = table(list(verbs("", "")), rows)
+    save("surroundings", {"cases": rows, "table": counted})
+    print(markdown(counted))
 
 
 if __name__ == "__main__":
