@@ -19,6 +19,7 @@ from bcfj_jax.cli.options import CHANGES, asked
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.progress import Waiting, stage
 from bcfj_jax.core.surroundings import get_ready
+from bcfj_jax.io import streams
 
 DONE, FAILED, BAD_INPUT, SIMULATION_FAILED, INTERRUPTED = 0, 1, 2, 3, 5
 
@@ -129,7 +130,7 @@ def verb(
                 code, document = _done(function, options, wanted, changed, as_json)
             if as_json:
                 typer.echo(json.dumps(_plain({"command": command, "exit_code": code, **document}, command), indent=2))
-            raise typer.Exit(code)
+            raise typer.Exit(_heard(code, as_json or not _wrote()))
 
         more = {**_SHARED, **(changes if changed else {})}
         signature = inspect.signature(function, eval_str=True)
@@ -172,6 +173,20 @@ def _done(
     with contextlib.redirect_stdout(heard) if as_json else contextlib.nullcontext():
         code = guarded(run, say)
     return code, {**document, "text": heard.getvalue().rstrip("\n")}
+
+
+def _wrote() -> bool:
+    """Whether the verb has left a file."""
+    outputs = sys.modules.get("bcfj_jax.io.outputs")
+    return outputs is not None and any(path.exists() for path in outputs.written)
+
+
+def _heard(code: int, printed: bool) -> int:
+    """The exit code of a verb: what was only printed, and could not be, is an error."""
+    if code == DONE and printed and (why := streams.lost()):
+        say(f"error: stdout cannot be written ({why}); free some space, or print to another place")
+        return BAD_INPUT
+    return code
 
 
 def _default(hint: Any) -> Any:

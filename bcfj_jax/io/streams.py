@@ -13,13 +13,17 @@ class _Patient(io.FileIO):
     def __init__(self, number: int, name: str) -> None:
         super().__init__(number, "wb", closefd=False)
         self._called, self._given_up = name, False
+        # Why something was not written, where it is not that its reader went away.
+        self.lost = ""
 
     def write(self, content) -> int:
         try:
             return super().write(content) or 0
         except OSError as error:
-            if not (self._given_up or isinstance(error, BrokenPipeError) or self._called == "stderr"):
-                sys.stderr.write(f"warning: {self._called} cannot be written ({error.strerror}); the run goes on\n")
+            if not isinstance(error, BrokenPipeError):
+                self.lost = error.strerror or str(error)
+                if not (self._given_up or self._called == "stderr"):
+                    sys.stderr.write(f"warning: {self._called} cannot be written ({self.lost}); the run goes on\n")
             self._given_up = True
             return len(content)
 
@@ -40,3 +44,10 @@ def _patient(stream: TextIO | None, name: str) -> TextIO | None:
 def be_patient() -> None:
     """Let this process's output outlive its readers (``| head``), whatever characters it has."""
     sys.stdout, sys.stderr = _patient(sys.stdout, "stdout"), _patient(sys.stderr, "stderr")
+
+
+def lost() -> str:
+    """Why something of standard output was not written; "" where all was, or where its reader went away."""
+    sys.stdout.flush()
+    raw = getattr(getattr(sys.stdout, "buffer", None), "raw", None)
+    return raw.lost if isinstance(raw, _Patient) else ""

@@ -37,7 +37,7 @@ from benchmarks.robustness.running import EXAMPLE, STUDY, ended, files, last_lin
 SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGKILL)
 # Keys whose values are of a run, not of its result.
 _TIMES = ("wall_s", "compile_s", "written", "spent_s", "seconds")
-_POLL_S = 0.05
+_POLL_S = 0.2
 
 
 class Verb(NamedTuple):

@@ -57,6 +57,17 @@ def test_output_that_nobody_reads_does_not_end_a_run(tmp_path):
     assert (tmp_path / "out" / "forces.png").exists() and (tmp_path / "out" / "report.html").exists()
 
 
+@pytest.mark.full
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs the device of a full disk")
+@pytest.mark.parametrize(("words", "code"), [(["schema", "scene"], 2), (["init", "impact"], 0)])
+def test_what_is_only_printed_is_an_error_where_it_cannot_be(tmp_path, words, code):
+    out = ["--out", tmp_path / "out"] if words[0] == "init" else []
+    with open("/dev/full", "wb") as full:
+        done = bcfj(*words, *out, stdout=full)
+    assert done.returncode == code and "Traceback" not in done.stderr, done.stderr
+    assert ("error: stdout cannot be written (No space left on device)" in done.stderr) == (code == 2)
+
+
 def test_options_of_xla_are_ours_or_the_users(monkeypatch):
     monkeypatch.setenv("XLA_FLAGS", "")
     backend.set_up()
