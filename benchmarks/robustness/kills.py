@@ -1,8 +1,9 @@
 """Verbs that are stopped by TERM, INT or KILL at random moments: resumed to equal results, or nothing is left.
 
-    python -m benchmarks.robustness.kills [--trials 100] [--only calibrate,study,...]
-writes results/kills.json. A verb is run undisturbed first. A trial starts it in a folder of its own and sends a signal at
-a random moment of its processor time, which other work on the machine does not stretch. Then
+    python -m benchmarks.robustness.kills [--trials 100] [--only calibrate,study,...] [--more]
+writes results/kills.json; ``--more`` goes on with the trials that are there. A verb is run
+undisturbed first. A trial starts it in a folder of its own and sends a signal at a random moment of its processor time,
+which other work on the machine does not stretch. Then
 
 where work is kept    (calibrate, tradeoff, study) the exit code is 5, or that of a run that had ended, or by a signal
                       where the process had not begun or was killed; the same command ends with equal results
@@ -31,7 +32,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bcfj_jax.io.journal import NAME
-from benchmarks.common import markdown, save
+from benchmarks.common import load, markdown, save
 from benchmarks.robustness.running import EXAMPLE, STUDY, ended, files, last_line, spent, start, wait_for
 
 SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGKILL)
@@ -161,8 +162,12 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=100)
     parser.add_argument("--only", default="calibrate,tradeoff,study,sensitivity,design,reproduce")
     parser.add_argument("--warm", type=int, default=2, help="undisturbed runs, the last of which is the measure")
+    parser.add_argument("--more", action="store_true", help="go on with the trials of the results that are there")
     given = parser.parse_args()
-    draw, rows, lasts, good = random.Random(0), [], {}, {}
+    rows: list[dict[str, Any]] = load("kills")["trials"] if given.more else []
+    # Each trial draws its own number, so that those to come do not depend on where a run of them ended.
+    draws = [random.Random(number).random() for number in range(given.trials)]
+    lasts, good = {}, {}
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
         known = {name: verb for name, verb in verbs(place).items() if name in given.only.split(",")}
@@ -175,10 +180,11 @@ def main() -> None:
                 raise SystemExit(f"{name}: exit code {code}: {err}")
             shutil.rmtree(place / "out")
             print(f"{name}: {lasts[name]:.1f} s of a processor undisturbed, exit code {code}", flush=True)
-        for number in range(given.trials):
+        for number in range(len(rows), given.trials):
             name = list(known)[number % len(known)]
             how = SIGNALS[number // len(known) % len(SIGNALS)]
-            rows.append(trial(name, known[name], place, how, draw.uniform(0.1, lasts[name]), good[name]))
+            moment = 0.1 + draws[number] * (lasts[name] - 0.1)
+            rows.append(trial(name, known[name], place, how, moment, good[name]))
             print(rows[-1], flush=True)
             save("kills", {"undisturbed_processor_s": lasts, "trials": rows})
     counts = table(list(known), rows)
