@@ -1,11 +1,12 @@
 """Ctrl-C that does not get lost, and work that ends when its time is over.
 
 Python raises it wherever it happens to be, and within a callback of its garbage collector, of which JAX has one, it is
-reported and forgotten. Whoever works in batches asks here before the next.
+reported and forgotten. Here it is sent again right after such a callback. Whoever works in batches asks before the next.
 """
 
 from __future__ import annotations
 
+import _thread
 import contextlib
 import os
 import signal
@@ -24,8 +25,12 @@ SIGNALLED = 128
 _asked = threading.Event()
 # Whether something was left behind that still computes.
 _abandoned = threading.Event()
+# Whether it was raised where nobody can hear it, and has not been raised since.
+_unheard = threading.Event()
 # The signal that asked last.
 _last: list[int] = []
+# After a callback in which Ctrl-C was lost [s]: it must have returned, or Ctrl-C is lost in it again.
+_RETURNED_S = 0.01
 
 
 class OutOfTime(Exception):
@@ -34,8 +39,41 @@ class OutOfTime(Exception):
 
 def _remember(number: int, __: FrameType | None) -> None:
     _asked.set()
+    _unheard.clear()
     _last[:] = [number]
     raise KeyboardInterrupt
+
+
+@contextlib.contextmanager
+def _sent_again() -> Iterator[None]:
+    """Within, Ctrl-C that is raised in a callback, which cannot pass it on, comes again when that has returned."""
+    report = sys.unraisablehook
+
+    def hear(lost: sys.UnraisableHookArgs) -> None:
+        if not (issubclass(lost.exc_type, KeyboardInterrupt) and _asked.is_set()):
+            report(lost)
+            return
+        _unheard.set()
+        again = threading.Timer(_RETURNED_S, _send)
+        again.daemon = True
+        again.start()
+
+    sys.unraisablehook = hear
+    try:
+        yield
+    finally:
+        _unheard.clear()
+        sys.unraisablehook = report
+
+
+def _send() -> None:
+    number = last()
+    if not _unheard.is_set() or signal.getsignal(number) is not _remember:
+        return
+    if os.name == "posix":
+        os.kill(os.getpid(), number)  # Wakes a thread that waits, too.
+    else:
+        _thread.interrupt_main(number)
 
 
 def last() -> int:
@@ -69,7 +107,8 @@ def heeded(*others: signal.Signals) -> Iterator[None]:
     for number in before:
         signal.signal(number, _remember)
     try:
-        yield
+        with _sent_again():
+            yield
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
@@ -83,6 +122,7 @@ def check() -> None:
         KeyboardInterrupt: if Ctrl-C came since ``heeded`` began.
     """
     if _asked.is_set():
+        _unheard.clear()
         raise KeyboardInterrupt
 
 

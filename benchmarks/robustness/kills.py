@@ -5,7 +5,7 @@ writes results/kills.json; ``--more`` goes on with the trials that are there. A 
 undisturbed first. A trial starts it in a folder of its own and sends a signal at a random moment of its processor time,
 which other work on the machine does not stretch. Then
 
-where work is kept    (calibrate, tradeoff, study) the exit code is 5, or that of a run that had ended, or by a signal
+where work is kept    (calibrate, tradeoff, study) the exit code is 5, or that of a run that was at its end, or by a signal
                       where the process had not begun or was killed; the same command ends with equal results
 where nothing is      (sensitivity, design, reproduce) after TERM and INT the folder is gone and the exit code is 143 or
                       130; after KILL the same command in the same folder ends with equal results
@@ -23,6 +23,7 @@ import hashlib
 import json
 import math
 import random
+import resource
 import shutil
 import signal
 import tempfile
@@ -39,6 +40,8 @@ SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGKILL)
 # Keys whose values are of a run, not of its result.
 _TIMES = ("wall_s", "compile_s", "written", "spent_s", "seconds")
 _POLL_S = 0.2
+# Processor time [s] that a run may still need when it ends as if there had been no signal: its files are being written.
+_END_S = 2.0
 
 
 class Verb(NamedTuple):
@@ -95,20 +98,24 @@ def trial(
     words = [*verb.words, "--out", str(out)]
     job = start(words, place)
     wait_for(job, moment)
-    running = job.poll() is None
+    running, before = job.poll() is None, resource.getrusage(resource.RUSAGE_CHILDREN)
     job.send_signal(how)
     code, _, err = ended(job)
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    after = used.ru_utime + used.ru_stime - before.ru_utime - before.ru_stime - moment
     left, traces = files(out), err.count("Traceback")
     row: dict[str, Any] = {
         "verb": name,
         "signal": how.name,
         "moment_s": round(moment, 2),
         "running": running,
+        "after_s": round(after, 2),
         "code": code,
         "left": len(left),
     }
     row["said"] = last_line(err.replace(f"{place}/", ""))
-    finished = code == good[0]
+    # It was at its very end; a signal that is not heeded is a fault.
+    finished = code == good[0] and (not running or after < _END_S)
     stopped = code == -how or (how != signal.SIGKILL and code == (5 if verb.keeps and left else 128 + how))
     row["clean"] = (
         traces == 0 and (finished or stopped) and not any(".bcfj-run" in x for x in left if how != signal.SIGKILL)

@@ -1,0 +1,72 @@
+"""Ctrl-C and SIGTERM that come at a bad moment."""
+
+from __future__ import annotations
+
+import gc
+import signal
+import time
+
+import pytest
+
+from bcfj_jax.io import stop
+
+
+def collected(times: int, number: signal.Signals) -> list[int]:
+    """Collect garbage; in the callbacks of so many collections a signal comes. The list grows by one each."""
+    came: list[int] = []
+
+    def callback(phase, info):
+        del info
+        if phase == "start" and len(came) < times:
+            came.append(1)
+            signal.raise_signal(number)
+
+    gc.callbacks.append(callback)
+    try:
+        for _ in range(times):
+            gc.collect()
+    finally:
+        gc.callbacks.remove(callback)
+    return came
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_what_is_lost_in_a_callback_comes_again(number, capsys):
+    def work():
+        with stop.heeded(signal.SIGTERM):
+            assert collected(1, number) == [1]
+            time.sleep(10.0)
+            pytest.fail("the signal is lost")
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert stop.last() == number
+    assert capsys.readouterr().err == ""
+
+
+def test_what_was_heard_does_not_come_again():
+    def work():
+        collected(1, signal.SIGINT)
+        stop.check()
+
+    with stop.heeded():
+        with pytest.raises(KeyboardInterrupt):
+            work()
+        # As the work that tidies up does.
+        time.sleep(0.1)
+
+
+def test_another_fault_of_a_callback_is_reported(monkeypatch):
+    found = []
+    monkeypatch.setattr("sys.unraisablehook", found.append)
+
+    def callback(phase, info):
+        raise ValueError(phase, info)
+
+    with stop.heeded():
+        gc.callbacks.append(callback)
+        try:
+            gc.collect()
+        finally:
+            gc.callbacks.remove(callback)
+    assert {one.exc_type for one in found} == {ValueError}
