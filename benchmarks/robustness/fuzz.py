@@ -2,6 +2,8 @@
 
     python -m benchmarks.robustness.fuzz [--cases 2000] [--only scene,calibration,...] [--seed 0] [--keep]
 
+With ``--keep`` each kind's row takes the place of that kind's earlier row in benchmarks/results/fuzz.json.
+
 Each case is a mutation of a good file (``mutations``), drawn from its own seed, read as the command reads it:
 
 scene         loaded; if it is accepted and its scene runs quickly, it is simulated. A run that is ``ok`` must have finite
@@ -19,6 +21,7 @@ from __future__ import annotations
 
 import argparse
 import collections
+import faulthandler
 import resource
 import shutil
 import signal
@@ -34,7 +37,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 
-from benchmarks.common import ROOT, markdown, save
+from benchmarks.common import RESULTS, ROOT, load, markdown, save
 from benchmarks.robustness import kept, records
 from benchmarks.robustness.mutations import of_bytes, of_lines, of_toml
 
@@ -71,9 +74,12 @@ def limited(seconds: float) -> Iterator[None]:
 
     before = signal.signal(signal.SIGALRM, stop)
     signal.setitimer(signal.ITIMER_REAL, seconds)
+    # No signal's handler runs within a library's own loop: then this process ends, and says where.
+    faulthandler.dump_traceback_later(12.0 * seconds, exit=True, file=sys.__stderr__)
     try:
         yield
     finally:
+        faulthandler.cancel_dump_traceback_later()
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
 
@@ -332,18 +338,60 @@ def cases(name: str, how: Target, folder: Path, seed: int) -> Iterator[tuple[int
         yield k, run_case(how.read, how.then, folder / f"{name.strip('.')}_case{how.suffix}", content)
 
 
+def one_kind(target: str, how: Target, folder: Path, seed: int) -> dict[str, Any]:
+    """Run the cases of one kind; each fault is said once. What is kept of them."""
+    ended: collections.Counter[str] = collections.Counter()
+    slowest, said = 0.0, set()
+    for k, case in cases(target, how, folder, seed):
+        ended[case.outcome] += 1
+        slowest = max(slowest, case.seconds)
+        key = (case.outcome, case.detail.strip().splitlines()[-1][:80] if case.detail.strip() else "")
+        if case.outcome not in ("accepted", "refused") and key not in said:
+            said.add(key)
+            print(f"--- {target} case {k} (seed {seed}): {case.outcome}\n{case.detail}", file=sys.stderr, flush=True)
+    bad = {outcome: n for outcome, n in ended.items() if outcome not in ("accepted", "refused")}
+    # With that of the processes that read files in this one's stead.
+    memory = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return {
+        "cases": how.count, "accepted": ended["accepted"], "refused": ended["refused"], "faults": sum(bad.values()),
+        "of": bad, "slowest to read [s]": round(slowest, 3), "simulated": getattr(how.then, "runs", 0),
+        "compared": getattr(how.then, "compared", 0), "highest memory [GB]": round(memory / 1024**2, 3),
+    }  # fmt: skip
+
+
+def keep(target: str, row: dict[str, Any], seed: int) -> None:
+    """Put one kind's row among those kept before, each with its seed."""
+    rows = load("fuzz")["rows"] if (RESULTS / "fuzz.json").exists() else {}
+    save("fuzz", {"rows": rows | {target: {"seed": seed, **row}}})
+
+
+def table(rows: dict[str, dict[str, Any]]) -> str:
+    """Kinds of files and what became of them, as a table in Markdown."""
+    names = (
+        "cases",
+        "accepted",
+        "refused",
+        "faults",
+        "slowest to read [s]",
+        "simulated",
+        "compared",
+        "highest memory [GB]",
+    )
+    return markdown([["files", *names], *([kind, *(str(row[name]) for name in names)] for kind, row in rows.items())])
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run the cases, print the table, say every fault once; whether there are any."""
     options = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     options.add_argument("--cases", type=int, default=2000)
     options.add_argument("--only", default="")
     options.add_argument("--seed", type=int, default=0)
-    options.add_argument("--keep", action="store_true", help="keep the table in benchmarks/results/fuzz.json")
+    options.add_argument("--keep", action="store_true", help="keep the rows in benchmarks/results/fuzz.json")
     given = options.parse_args(arguments)
     import bcfj_jax as bj
 
     bj.use_cache()
-    rows, faults = [["files", "cases", "accepted", "refused", "faults", "slowest to read", "simulated", "compared"]], 0
+    found: dict[str, dict[str, Any]] = {}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for path in (ROOT / "examples").iterdir():
@@ -351,27 +399,11 @@ def main(arguments: list[str] | None = None) -> int:
         for target, how in targets(given.cases, folder).items():
             if given.only and target not in given.only.split(","):
                 continue
-            ended: collections.Counter[str] = collections.Counter()
-            slowest, said = 0.0, set()
-            for k, case in cases(target, how, folder, given.seed):
-                ended[case.outcome] += 1
-                slowest = max(slowest, case.seconds)
-                key = (case.outcome, case.detail.strip().splitlines()[-1][:80] if case.detail.strip() else "")
-                if case.outcome not in ("accepted", "refused") and key not in said:
-                    said.add(key)
-                    print(f"--- {target} case {k} (seed {given.seed}): {case.outcome}\n{case.detail}", file=sys.stderr)
-            bad = sum(n for outcome, n in ended.items() if outcome not in ("accepted", "refused"))
-            faults += bad
-            runs, compared = getattr(how.then, "runs", 0), getattr(how.then, "compared", 0)
-            cells = [target, how.count, ended["accepted"], ended["refused"], bad, f"{slowest:.2f} s", runs, compared]
-            rows.append([str(cell) for cell in cells])
-    # With that of the processes that read files in its stead.
-    memory = (
-        max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)) / 1024**2
-    )
-    print(markdown(rows), f"\nhighest memory {memory:.2f} GB, faults {faults}")
-    if given.keep:
-        save("fuzz", {"seed": given.seed, "rows": rows, "memory_gb": memory, "faults": faults})
+            found[target] = one_kind(target, how, folder, given.seed)
+            if given.keep:
+                keep(target, found[target], given.seed)
+    print(table(found))
+    faults = sum(row["faults"] for row in found.values())
     return min(faults, 1)
 
 

@@ -13,6 +13,7 @@ A file may hold several tables: groups and structs, named by their path, as in "
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,8 +23,8 @@ from bcfj_jax.core.errors import clip
 from bcfj_jax.core.extras import library
 from bcfj_jax.io import opening
 from bcfj_jax.io.units import column
-from calibration.data import isolated, textfile, workbook
-from calibration.data.child import UNIT_NAMES, Column, Columns, Tables, vector
+from calibration.data import isolated, tdms, textfile, workbook
+from calibration.data.child import UNIT_NAMES, Columns, Tables, vector
 from calibration.data.table import Table
 from calibration.data.textfile import Stated
 
@@ -116,21 +117,13 @@ def _parquet(path: Path, where: str, inside: str | None) -> Table:
 
 def _tdms(path: Path, where: str, inside: str | None) -> Table:
     nptdms = library("nptdms", where, "io")
-    tables: Tables = {}
-    with nptdms.TdmsFile.read(path) as content:
-        for group in content.groups():
-            columns: Columns = {}
-            for channel in group.channels():
-                found = vector(np.asarray(channel[:]), channel.properties.get("unit_string"))
-                if found:
-                    columns[channel.name] = found
-            # A waveform has its clock in its properties instead of in a channel.
-            waves = [c for c in group.channels() if "wf_increment" in c.properties and len(c)]
-            clocks = {(c.properties["wf_increment"], c.properties.get("wf_start_offset", 0.0)) for c in waves}
-            if "time" not in {column(name)[0].lower() for name in columns} and len(clocks) == 1:
-                columns["time"] = Column("s", len(waves[0]), waves[0].time_track)
-            tables[group.name] = columns
-    return _chosen(tables, path, where, inside)
+    tables, cut = tdms.read(path, where, nptdms)
+    try:
+        return replace(_chosen(tables, path, where, inside), found=cut)
+    except InputError as error:
+        if cut:
+            raise InputError(where, f"{path}: {cut}; {error.found}", "record or export the file again") from None
+        raise
 
 
 def _isolated(path: Path, where: str, inside: str | None) -> Table:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 
@@ -176,6 +177,49 @@ def test_a_waveform_brings_its_own_clock(tmp_path):
     with nptdms.TdmsWriter(path) as writer:
         writer.write_segment([nptdms.ChannelObject("rig", "F", FORCE, properties=properties)])
     np.testing.assert_allclose(read(path, "here").numbers("time", "s", "here", False), 1e-3 + 2e-5 * np.arange(5))
+
+
+def wave(path: Path, segments: int = 1) -> None:
+    """Segments of 5 readings, with the clock in the channel's properties."""
+    properties = {"wf_increment": 2e-5, "wf_start_offset": 0.0, "wf_samples": 5, "unit_string": "kN"}
+    with nptdms.TdmsWriter(path) as writer:
+        for _ in range(segments):
+            writer.write_segment([nptdms.ChannelObject("rig", "F", np.arange(5.0), properties=properties)])
+
+
+@pytest.mark.parametrize(
+    ("cut", "kept", "said"),
+    [
+        (16, 8, "at least 2 of 'rig/F'"),
+        (37, 5, "at least 5 of|1. bytes|not known"),
+        (60, 5, "bytes"),
+        (None, 5, "not known"),
+    ],
+)
+def test_a_tdms_file_that_was_cut_off_says_what_is_missing(cut, kept, said, tmp_path, capfd, caplog):
+    path = tmp_path / "wave.tdms"
+    wave(path, 2)
+    assert read(path, "here").found == ""
+    first = tmp_path / "first.tdms"
+    wave(first)
+    content, second = path.read_bytes(), first.stat().st_size
+    # Of the second segment 20 bytes stay, fewer than its head.
+    path.write_bytes(content[: second + 20 if cut is None else -cut])
+    table = read(path, "here")
+    np.testing.assert_array_equal(table.numbers("F", "N", "here", False), 1e3 * np.tile(np.arange(5.0), 2)[:kept])
+    assert re.search(rf"^the file is cut off: values are missing at its end \(.*{said}", table.found)
+    assert not any(capfd.readouterr()) and not caplog.records
+
+
+def test_columns_that_a_cut_made_unequal_are_blamed_on_the_cut(tmp_path):
+    path = tmp_path / "two.tdms"
+    with nptdms.TdmsWriter(path) as writer:
+        writer.write_segment([nptdms.ChannelObject("rig", name, TIME) for name in ("time [s]", "F [N]")])
+    path.write_bytes(path.read_bytes()[:-12])
+    with pytest.raises(
+        InputError, match=r"here: .*two\.tdms: the file is cut off.* 2 of 'rig/F \[N\]'.*export the file again"
+    ):
+        read(path, "here")
 
 
 def test_dates_are_no_times(tmp_path):
