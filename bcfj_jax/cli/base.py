@@ -27,6 +27,10 @@ EXIT_CODES = (
     "Exit codes: 0 done, 2 bad input, 3 a simulation failed, 4 the calibration's verdict is neither 'identified' nor "
     "'adequate', 5 interrupted and resumable, 130 or 143 interrupted by Ctrl-C or SIGTERM with nothing kept."
 )
+SEEDS = (
+    "What draws random numbers takes --seed: calibrate (starting points, posterior), design (starting points), study "
+    "(points that are drawn), study indices (bootstrap). All else gives the same numbers in every run."
+)
 EPILOG = (
     f"{EXIT_CODES} Compiled programs are kept per user between runs, in the folder that BCFJ_CACHE "
     "names (BCFJ_CACHE=off keeps none), by default the system's cache folder for bcfj-jax."
@@ -35,7 +39,7 @@ EPILOG = (
 app = typer.Typer(
     name="bcfj",
     help="Differentiable contact dynamics of the ball-cage flexible joint.",
-    epilog=EPILOG,
+    epilog=f"{SEEDS}\n\n{EPILOG}",
     no_args_is_help=True,
     add_completion=True,
     pretty_exceptions_enable=False,
@@ -196,10 +200,10 @@ def _default(hint: Any) -> Any:
 @contextlib.contextmanager
 def _speaking(quiet: bool, verbose: bool) -> Iterator[None]:
     """Stages are said late, or not at all, or each as it begins."""
-    before = Session.quiet, Waiting.say, Waiting.after, Waiting.bar
+    before = Session.quiet, Waiting.say, Waiting.after, Waiting.times, Waiting.bar
     Session.quiet = quiet
     Waiting.say = None if quiet else say
-    Waiting.after = 0.0 if verbose else before[2]
+    Waiting.after, Waiting.times = 0.0 if verbose else before[2], verbose
     if sys.stderr.isatty() and not verbose:
         from bcfj_jax.cli.bars import Bars
 
@@ -207,7 +211,7 @@ def _speaking(quiet: bool, verbose: bool) -> Iterator[None]:
     try:
         yield
     finally:
-        Session.quiet, Waiting.say, Waiting.after, Waiting.bar = before
+        Session.quiet, Waiting.say, Waiting.after, Waiting.times, Waiting.bar = before
 
 
 def _plain(document: dict[str, Any], command: str) -> dict[str, Any]:

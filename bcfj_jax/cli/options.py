@@ -40,7 +40,16 @@ CHANGES: dict[str, Any] = {
     ],
 }  # fmt: skip
 SET_ALONE = {"set_": CHANGES["set_"]}
-_SHORT = {"end": ("time", "end"), "samples": ("time", "samples"), "level": ("accuracy", "level")}
+# Of the verbs of a study, whose points may be drawn.
+CHANGES_DRAWN: dict[str, Any] = CHANGES | {
+    "seed": Annotated[
+        int | None,
+        typer.Option("--seed", min=0, help="Seed of points that are drawn: short for --set design.seed=..."),
+    ]
+}
+_SHORT = {
+    "end": ("time", "end"), "samples": ("time", "samples"), "level": ("accuracy", "level"), "seed": ("design", "seed"),
+}  # fmt: skip
 
 
 def asked(options: Mapping[str, Any]) -> list[Change]:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from bcfj_jax.cli.base import EPILOG, app, ready, say, verb
-from bcfj_jax.cli.options import Code, of_study
+from bcfj_jax.cli.options import CHANGES_DRAWN, Code, of_study
 
 studies = typer.Typer(help="Run a scene at many points of its parameters.", no_args_is_help=True, epilog=EPILOG)
 app.add_typer(studies, name="study")
@@ -40,6 +40,7 @@ def _study(
     "run",
     example="bcfj study run clearance --set vary.clearance_seat_cage.steps=8 --dry-run",
     changed=of_study,
+    changes=CHANGES_DRAWN,
 )
 def study_run(
     study: StudyFile, out: StudyOut = None, workers: Workers = None, scheduler: Scheduler = None, dry_run: Dry = False,
@@ -49,7 +50,13 @@ def study_run(
     return _study(study, code, out, workers, scheduler, dry_run, False)
 
 
-@verb(studies, "resume", example="bcfj study resume clearance --out results/study-clearance", changed=of_study)
+@verb(
+    studies,
+    "resume",
+    example="bcfj study resume clearance --out results/study-clearance",
+    changed=of_study,
+    changes=CHANGES_DRAWN,
+)
 def study_resume(
     study: StudyFile, out: StudyOut = None, workers: Workers = None, scheduler: Scheduler = None, code: Code = None
 ) -> int:
@@ -57,7 +64,7 @@ def study_resume(
     return _study(study, code, out, workers, scheduler, False, True)
 
 
-@verb(studies, "status", example="bcfj study status clearance", changed=of_study)
+@verb(studies, "status", example="bcfj study status clearance", changed=of_study, changes=CHANGES_DRAWN)
 def study_status(study: StudyFile, out: StudyOut = None, code: Code = None) -> int:
     """Say what is finished, what failed and what is left (then the exit code is 5)."""
     ready(code, study)
@@ -68,7 +75,13 @@ def study_status(study: StudyFile, out: StudyOut = None, code: Code = None) -> i
     return found
 
 
-@verb(studies, "merge", example="bcfj study merge STUDY.toml --out all --from first --from second", changed=of_study)
+@verb(
+    studies,
+    "merge",
+    example="bcfj study merge STUDY.toml --out all --from first --from second",
+    changed=of_study,
+    changes=CHANGES_DRAWN,
+)
 def study_merge(study: StudyFile, out: StudyOut = None, other: Others = None, code: Code = None) -> int:
     """Take in blocks that were computed elsewhere, and write results.parquet when none is missing."""
     ready(code, study)
@@ -80,7 +93,7 @@ def study_merge(study: StudyFile, out: StudyOut = None, other: Others = None, co
 
 
 Features = Annotated[list[str] | None, typer.Option("--feature", help="Such as contact.peak; by default every one.")]
-Seed = Annotated[int, typer.Option(min=0, help="Seed of the bootstrap.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of the bootstrap; of the study's points: --set design.seed=...")]
 Slopes = Annotated[bool, typer.Option(help="Whether to use the study's derivatives, if it kept any.")]
 
 
@@ -97,7 +110,13 @@ def study_indices(
     return found
 
 
-@verb(studies, "surface", example="bcfj study surface STUDY.toml --feature seat_cage.peak", changed=of_study)
+@verb(
+    studies,
+    "surface",
+    example="bcfj study surface STUDY.toml --feature seat_cage.peak",
+    changed=of_study,
+    changes=CHANGES_DRAWN,
+)
 def study_surface(
     study: StudyFile, out: StudyOut = None, feature: Features = None, derivatives: Slopes = True, code: Code = None
 ) -> int:

@@ -19,6 +19,7 @@ import importlib
 import importlib.metadata
 import json
 import logging
+import math
 import os
 import tempfile
 import threading
@@ -44,6 +45,8 @@ _VERSIONS = ("jax", "jaxlib", "diffrax", "equinox", "lineax", "optimistix", "num
 _SUFFIX = ".stablehlo"
 # Where compile times are kept, and from which on [s].
 _SECONDS, _LONG = "seconds.json", 1.0
+# Those of built-in scenes, measured (benchmarks/solve/compile_seconds.py): seconds of one core.
+_MEASURED = Path(__file__).with_name("compile_seconds.json")
 _MAGIC = b"bcfj-jax program 1\n"
 
 
@@ -64,6 +67,7 @@ _asked: dict[Any, list[Any]] = {}
 # So many times NumPy answers a question.
 _BY_HAND = 3
 _told: set[str] = set()
+_remembering = threading.Lock()
 
 
 class Unkept(Exception):
@@ -190,12 +194,11 @@ def _fetched(wanted: _Wanted) -> Callable[..., Any] | None:
 def _made(wanted: _Wanted, jitted: Any = None) -> Callable[..., Any]:
     """A program traced, kept and compiled."""
     path, begin = _path(wanted), time.perf_counter()
-    of = type(wanted.static[0]).__name__ if wanted.static else ""
-    known = seconds(f"{wanted.name} {of}")
-    with stage(f"compiling '{wanted.name}'" + (f": {known:.0f} s the last time" if known else "")):
+    model = f"{wanted.name} {_kind(wanted)}"
+    with stage(f"compiling '{wanted.name}'", hint=_estimate(wanted.name, model)):
         jitted = jitted or _traced(wanted)[0]
         made = _compiled((_export(path, jitted, wanted.shapes) if path else None) or jitted, wanted)
-    remember(f"{wanted.name} {of}", time.perf_counter() - begin)
+    remember(model, time.perf_counter() - begin)
     return made
 
 
@@ -213,24 +216,46 @@ def _compiled(call: Callable[..., Any], wanted: _Wanted) -> Callable[..., Any]:
 # How long programs took to compile, by name and kind of model; sources and values may have changed since.
 
 
-def _seconds() -> dict[str, float]:
-    with contextlib.suppress(OSError, ValueError):
-        found = json.loads((Settings.folder / _SECONDS).read_text()) if Settings.folder else {}
+def _kind(wanted: _Wanted) -> str:
+    """Kind of the model that a program is of ("joint"); else the name of what it is of."""
+    first = wanted.static[0] if wanted.static else None
+    scene = getattr(first, "scene", first)
+    return getattr(scene, "kind", "" if scene is None else type(scene).__name__)
+
+
+def _estimate(name: str, model: str) -> str:
+    """How long compiling will take: as the last time here; else as measured elsewhere; "" where nobody knows."""
+    if known := seconds(model):
+        return f": {known:.0f} s the last time"
+    kept = "; kept for the next run" if Settings.folder else ""
+    measured = _numbers(_MEASURED)
+    alike = [measured[model]] if model in measured else [t for m, t in measured.items() if m.rpartition(" ")[0] == name]
+    if not alike or max(alike) < _LONG:
+        return ""
+    span = " to ".join(dict.fromkeys(f"{max(t, 1.0):.0f}" for t in (min(alike), max(alike))))
+    return f" for the first time here: {span} s of one core where it was measured{kept}"
+
+
+def _numbers(path: Path) -> dict[str, float]:
+    """Seconds by name [s] of a file; none of a file that is damaged."""
+    with contextlib.suppress(OSError, ValueError, RecursionError):
+        found = json.loads(path.read_text(encoding="utf-8"))
         if isinstance(found, dict):
-            return {name: took for name, took in found.items() if isinstance(took, float)}
+            return {name: took for name, took in found.items() if isinstance(took, float) and 0.0 < took < math.inf}
     return {}
 
 
 def seconds(name: str) -> float | None:
     """How long something took the last time [s], where that was long enough to be kept; else None."""
-    return _seconds().get(name)
+    return _numbers(Settings.folder / _SECONDS).get(name) if Settings.folder else None
 
 
 def remember(name: str, took: float) -> None:
     """Keep how long something took [s]: the compilation of a program, or a whole command."""
     if Settings.folder is not None and took > _LONG:
-        with contextlib.suppress(OSError):
-            _write(Settings.folder / _SECONDS, json.dumps({**_seconds(), name: round(took, 1)}).encode())
+        with contextlib.suppress(OSError), _remembering:
+            path = Settings.folder / _SECONDS
+            _write(path, json.dumps({**_numbers(path), name: round(took, 1)}).encode())
 
 
 # Files.

@@ -35,22 +35,25 @@ class Waiting:
         say: where a line goes; None for nowhere, then no stage is shown.
         after: after how many seconds of waiting a stage is shown [s].
         every: time between two lines of one stage [s]; it doubles where nothing is counted.
+        times: whether a line says how long a stage took, once it has ended.
         bar: what shows a stage in place of lines, from its text and its number of parts.
     """
 
     say: Callable[[str], None] | None = None
     after: float = 1.0
     every: float = 15.0
+    times: bool = False
     bar: Callable[[str, int | None], Shown] | None = None
 
 
 @contextlib.contextmanager
-def stage(text: str, total: int | None = None) -> Iterator[Callable[[int], None]]:
+def stage(text: str, total: int | None = None, hint: str = "") -> Iterator[Callable[[int], None]]:
     """Say what is waited for, once it takes long, and then now and then how far it is.
 
     Args:
         text: what is done.
         total: of how many parts it is, where that is known.
+        hint: what is said once, after the text.
 
     Yields:
         A function that is to be called with the number of parts that are done.
@@ -58,7 +61,7 @@ def stage(text: str, total: int | None = None) -> Iterator[Callable[[int], None]
     if Waiting.say is None:
         yield _nothing
         return
-    shown = Waiting.bar(text, total) if Waiting.bar else Lines(text, total, Waiting.say)
+    shown = Waiting.bar(f"{text}{hint}", total) if Waiting.bar else Lines(text, total, Waiting.say, hint)
     _CLOCK.begin(shown)
     try:
         yield shown.advance
@@ -111,11 +114,11 @@ _CLOCK = _Clock()
 class Lines:
     """A stage as plain lines: its text when it takes long; then, now and then, what is done, or how long it has taken."""
 
-    def __init__(self, text: str, total: int | None, say: Callable[[str], None]) -> None:
-        self.text, self.total, self.say = text, total, say
+    def __init__(self, text: str, total: int | None, say: Callable[[str], None], hint: str = "") -> None:
+        self.text, self.total, self.say, self.hint = text, total, say, hint
         self.next, self.every = Waiting.after, Waiting.every
         self.done, self.first, self.spoken = 0, 0, 0
-        self.heard = False
+        self.heard, self.begin = False, time.monotonic()
         if not Waiting.after:
             self.tick(0.0, True)
 
@@ -125,7 +128,7 @@ class Lines:
             return
         if not self.heard:
             self.heard = True
-            self.say(self.text)
+            self.say(f"{self.text}{self.hint}")
         elif self.total is None and not last:
             return
         elif self.total is None:
@@ -143,6 +146,8 @@ class Lines:
 
     def close(self) -> None:
         """The stage has ended."""
+        if Waiting.times and self.heard:
+            self.say(f"{self.text}: done in {time.monotonic() - self.begin:.2f} s")
 
     def _counted(self, took: float) -> str:
         fresh, total = self.done - self.first, self.total or 0

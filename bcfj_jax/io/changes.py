@@ -15,6 +15,7 @@ import contextlib
 import difflib
 import os
 import re
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -130,6 +131,12 @@ def changing_both(path: Path, wanted: Sequence[Change], own: Sequence[str]) -> I
         elif scene is not None:
             stack.enter_context(changing(path, others, inside="scene"))
         yield
+
+
+def as_options() -> str:
+    """What is changed now as options of a command, to be said again: " --set mass=1 --seed 3"; "" for nothing."""
+    texts = dict.fromkeys(change.text for changes in _changed.values() for change in changes)
+    return "".join(f" {option} {shlex.quote(value)}" for option, _, value in (text.partition(" ") for text in texts))
 
 
 def applied(what: str | Path, table: Mapping[str, Any]) -> dict[str, Any]:

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import bcfj_jax as bj
-from bcfj_jax.analysis.simulation import page, pictures, views
+from bcfj_jax.analysis import features
+from bcfj_jax.analysis.simulation import page, pictures, results, views
 from bcfj_jax.analysis.simulation.views import Turning
 from bcfj_jax.io.page import BAD, FAIR, GOOD
 from bcfj_jax.mechanism.readings import contact_states
@@ -146,3 +147,27 @@ def test_the_cage_of_the_joint_is_where_its_penetrations_say():
         size = np.sqrt(orbit.x**2 + orbit.y**2 + orbit.along**2)
         np.testing.assert_allclose(size - orbit.clearance, found[name].penetration, atol=1e-11)
     assert contact_states(scene, params, found)["seat_cage"].shape == (4,)
+
+
+@pytest.mark.parametrize(("rests", "warned"), [(True, False), (False, True)])
+def test_bounces_between_samples_are_counted_and_warned_of_where_they_matter(rests, warned):
+    """A contact that rests for most of the run, with one bounce that no sample shows; and one that only bounces."""
+    depth, rate = np.full(100, -1e-5), np.full(100, 1e-4)
+    depth[10:15], rate[50:] = 1e-6, -1e-4
+    rate[10:15] = 0.0
+    if rests:
+        depth[10:49] = 1e-6
+    run = SimpleNamespace(
+        times=np.linspace(0.0, 1.0, 100), penetration={"c": depth}, rate={"c": rate}, force={"c": np.zeros((100, 3))},
+        readings={}, status="failed",
+    )  # fmt: skip
+    depth[60:95] = 1e-6 if rests else depth[60:95]
+    assert features.unseen(depth, rate).size == 1
+    assert any("between two samples" in line for line in results.resolution_warnings(run)) == warned
+
+
+def test_a_column_of_contacts_between_samples_is_there_where_one_was_missed():
+    scene = bj.scenes.impact()
+    assert "between samples" not in str(page.contact_rows(scene, {"contact": {"peak": 1.0, page.BETWEEN: 0}}))
+    contacts = {"contact": {"peak": 1.0, page.BETWEEN: 7}}
+    assert ["between samples", "7"] in page.contact_rows(scene, contacts) and "leave out" in page.note(contacts)

@@ -20,6 +20,7 @@ from bcfj_jax.analysis.designs import command as designs
 from bcfj_jax.analysis.designs import designfile
 from bcfj_jax.analysis.studies import command as studies
 from bcfj_jax.cli import app
+from bcfj_jax.cli.options import asked
 from bcfj_jax.core.progress import Waiting, stage
 from bcfj_jax.io import changes, doctor, scenefile
 from calibration import problemfile
@@ -98,6 +99,19 @@ def test_a_study_is_changed_with_its_scene():
     assert again.count == 5 and float(again.given.params["stiffness"]) == 2e9
 
 
+def test_the_seed_of_a_study_is_an_option_and_is_said_again():
+    text = STUDY.partition("\n")[2].replace("steps = 3\n", "")
+    Path("study.toml").write_text(f'scene = "s.toml"\n[design]\nkind = "latin_hypercube"\npoints = 4\n{text}')
+    drawn = []
+    for seed in (None, 3, 3):
+        wanted = asked({"seed": seed, "set_": ["time.end=50 us"]})
+        with studies.changing("study.toml", wanted):
+            drawn.append(studies.find("study.toml")[0].points)
+            again = changes.as_options()
+    assert (drawn[0] != drawn[1]).all() and (drawn[1] == drawn[2]).all()
+    assert sorted(again.split(" --")) == ["", "seed 3", "set 'time.end=50 us'"] and changes.as_options() == ""
+
+
 def test_a_calibration_is_changed():
     wanted = [changes.parse(text) for text in ("free.stiffness=[2e8, 3e8]", "experiment.1.noise=3 N")]
     with changes.changing("p.toml", wanted, changes.CALIBRATION):
@@ -169,6 +183,21 @@ def test_every_verb_has_an_example_and_the_shared_options(name, command):
     assert f"Example: bcfj {' '.join(name)}" in re.sub(r"\s+", " ", shown)
     options = {option for parameter in command.params for option in parameter.opts}
     assert {"--json", "--quiet", "-q", "--verbose", "-v"} <= options
+
+
+SIMULATING = ("simulate", "sensitivity", "tradeoff", "design", "study run", "study resume")
+DRAWING = ("calibrate", "design", "study run", "study resume", "study indices")
+
+
+@pytest.mark.parametrize(("name", "command"), [pytest.param(*v, id=" ".join(v[0])) for v in verbs()])
+def test_verbs_that_simulate_can_be_changed_and_those_that_draw_have_a_seed(name, command):
+    options = {option for parameter in command.params for option in parameter.opts}
+    said = " ".join(name)
+    if said in SIMULATING:
+        assert {"--set", "--end", "--samples", "--level", "--out"} <= options
+    if said in (*SIMULATING, "calibrate", "reproduce") and said != "study resume":
+        assert "--dry-run" in options
+    assert ("--seed" in options) == (said in DRAWING or said in ("study status", "study merge", "study surface"))
 
 
 def test_the_page_of_commands_names_every_verb_and_option():

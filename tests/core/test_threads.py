@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
 import threading
 import time
 
 import numpy as np
 import pytest
 
+import bcfj_jax as bj
 from bcfj_jax.core import programs, threads
 from bcfj_jax.core.progress import Waiting, stage
 
@@ -93,3 +95,36 @@ def test_compiling_is_said_with_the_last_time_if_that_is_known(tmp_path, monkeyp
     known = ": 12 s the last time" if "12.3" in kept else ""
     assert said == [f"compiling 'test: said'{known}"]
     assert json.loads((tmp_path / "seconds.json").read_text())["test: said "] > 0.0
+
+
+def test_the_first_compilation_is_estimated_by_what_was_measured(tmp_path, monkeypatch):
+    monkeypatch.setattr(programs.Settings, "folder", tmp_path)
+    measured = json.loads(programs._MEASURED.read_text())
+    assert {"simulate joint", "simulate impact"} <= set(measured) and all(t > 0.0 for t in measured.values())
+    file = tmp_path / "measured.json"
+    file.write_text('{"simulate joint": 5.2, "simulate impact": 1.6, "look joint": 0.2}')
+    monkeypatch.setattr(programs, "_MEASURED", file)
+    where = "s of one core where it was measured; kept for the next run"
+    assert programs._estimate("simulate", "simulate joint") == f" for the first time here: 5 {where}"
+    assert programs._estimate("simulate", "simulate mine") == f" for the first time here: 2 to 5 {where}"
+    # What is over soon, and what nobody has measured, is not estimated.
+    assert programs._estimate("look", "look joint") == "" == programs._estimate("other", "other joint")
+    programs.remember("simulate joint", 31.0)
+    assert programs._estimate("simulate", "simulate joint") == ": 31 s the last time"
+    for bad in ("", "[[", "[" * 100_000, '{"simulate joint": NaN}', '{"simulate joint": -1.0}'):
+        (tmp_path / "seconds.json").write_text(bad)
+        assert programs._estimate("simulate", "simulate joint").startswith(" for the first time here: 5 s")
+        file.write_text(bad)
+        assert programs._estimate("simulate", "simulate joint") == ""
+        file.write_text('{"simulate joint": 5.2}')
+    scene = bj.scenes.impact()
+    assert programs._kind(programs._wanted("n", len, (scene,), ())) == "impact"
+
+
+def test_verbose_stages_say_their_time(monkeypatch):
+    said: list[str] = []
+    for name, value in (("say", said.append), ("after", 0.0), ("times", True), ("bar", None)):
+        monkeypatch.setattr(Waiting, name, value)
+    with stage("short"):
+        time.sleep(0.05)
+    assert said[0] == "short" and re.fullmatch(r"short: done in 0\.\d\d s", said[1])

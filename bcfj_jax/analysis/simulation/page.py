@@ -27,6 +27,8 @@ AROUND, ORBITS, STATE, ORDERS = (
     "contact_states.png",
     "order_spectrum.png",
 )
+# Of a contact in the summary: how often it was in contact between two samples alone.
+BETWEEN = "between_samples"
 # Features that a table of several contacts leaves to the table of each.
 _ASIDE = ("contact_count", "contact_start", "contact_end")
 # Of the models that have what they show.
@@ -131,10 +133,12 @@ def _rows(
     groups: Sequence[tuple[str, list[Mapping[str, Any]]]],
     cell: Callable[[list[Any], str], str],
     without: Sequence[str] = (),
+    between: bool = False,
 ) -> list[list[str]]:
     """Features across and contacts down; the other way round for one or two contacts."""
     there = {key for _, group in groups for one in group for key in one} - set(without)
     known = [(key, unit) for key, unit in features.UNITS.items() if key in there]
+    known += [(BETWEEN, "1")] if between else []
     rows = [["contact", *(key.replace("_", " ") for key, _ in known)]]
     for name, group in groups:
         rows.append([name, *(cell([one.get(key) for one in group], unit) for key, unit in known)])
@@ -164,7 +168,14 @@ def contact_rows(scene: AbstractModel, contacts: Mapping[str, Mapping[str, Any]]
     """Features of every contact, of its members the range, with three digits."""
     groups = by_contact(scene, contacts)
     # Of several contacts what fits on a screen.
-    return _rows(groups, _cell, _ASIDE if len(groups) > 2 else ())
+    return _rows(groups, _cell, _ASIDE if len(groups) > 2 else (), bool(note(contacts)))
+
+
+def note(contacts: Mapping[str, Mapping[str, Any]]) -> str:
+    """What the column of contacts that no sample shows means; "" where there is none."""
+    if not any(one.get(BETWEEN) for one in contacts.values()):
+        return ""
+    return "Between samples: contacts too short for the samples, which the other columns leave out. "
 
 
 def tables(scene: AbstractModel, content: Mapping[str, Any]) -> list[Table]:
@@ -180,10 +191,10 @@ def tables(scene: AbstractModel, content: Mapping[str, Any]) -> list[Table]:
         folded.append(Table(f"Each of the {len(each)} contacts", _rows(each, _cell)))
     if all("share_of_time" in one for _, group in groups for one in group):
         folded.append(Table("Share of the time in each state", _shares(groups)))
-    note = "Three significant digits; all digits: summary.json."
+    text = f"{note(contacts)}Three significant digits; all digits: summary.json."
     if many:
-        note = f"Of contacts with members the range over the members. {note}"
-    found = [Table("Contacts", contact_rows(scene, contacts), note, tuple(folded))]
+        text = f"Of contacts with members the range over the members. {text}"
+    found = [Table("Contacts", contact_rows(scene, contacts), text, tuple(folded))]
     if accuracy := content.get("accuracy"):
         found.append(_accuracy(accuracy))
     return found

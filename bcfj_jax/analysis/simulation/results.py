@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
 # Of peak force times deepest penetration: work that the integral's rounding is.
 _ROUNDING = 1e-6
+# A contact that is pressed in this share of the samples carries its load where samples show it: bounces between two
+# samples are counted in the table, and not warned of.
+_CARRIES = 0.5
 FILES = (
     "forces.csv",
     "contacts.csv",
@@ -130,6 +133,8 @@ def summary(run: Run, turning: bool) -> dict[str, Any]:
         for name, force in outputs.channels(run.force, 1).items():
             found = histories.settled_period(run.times, force[:, 0]) if run.status == "ok" else float("nan")
             contacts[name]["period"] = found
+    for name, depth in penetration.items():
+        contacts[name][page.BETWEEN] = len(features.unseen(depth, rate[name]))
     for name, state in outputs.channels(run.state).items():
         contacts[name]["share_of_time"] = share_of_time(run.times, state)
     chosen = {"fidelity": run.choice._asdict()} if run.choice else {}
@@ -138,7 +143,8 @@ def summary(run: Run, turning: bool) -> dict[str, Any]:
         "reason": run.reason,
         "failure_time": run.failure_time,
         "contacts": contacts,
-        "units": features.UNITS | {"share_of_time": "1", "failure_time": "s", "wall_s": "s", "compile_s": "s"},
+        "units": features.UNITS
+        | {page.BETWEEN: "1", "share_of_time": "1", "failure_time": "s", "wall_s": "s", "compile_s": "s"},
         **({"accuracy": _accuracy_json(run.accuracy)} if run.accuracy else {}),
         "solver": {key: stats[key] for key in ("accepted", "rejected", "tolerance")},
         "wall_s": stats["wall_s"],
@@ -151,7 +157,7 @@ def resolution_warnings(run: Run) -> list[str]:
     missed, shortest = {}, {}
     penetration, rate = outputs.channels(run.penetration), outputs.channels(run.rate)
     for name, depth in penetration.items():
-        missed[name] = len(features.unseen(depth, rate[name]))
+        missed[name] = len(features.unseen(depth, rate[name])) if np.mean(depth > 0) < _CARRIES else 0
         pressed = np.concatenate([[False], depth > 0, [False]]).astype(int)
         lengths = np.flatnonzero(np.diff(pressed) < 0) - np.flatnonzero(np.diff(pressed) > 0)
         if lengths.size and lengths.min() < pictures.FEW_SAMPLES and run.status == "ok":
@@ -279,7 +285,8 @@ def write(folder: Path, given: SceneFile, run: Run, stem: str) -> Written:
     answer = page.verdict(run, content)
     said = f"{answer.word}. {answer.sentence} {choice_sentence(run)}".strip() if run.status == "ok" else verdict(run)
     accuracy = "".join(f"{line}\n" for line in accuracy_sentences(run))
-    text = "\n\n".join([said, *map(report.text, tables), *(["All digits: summary.json."] if run.force else [])])
+    digits = [f"{page.note(content['contacts'])}All digits: summary.json."] if run.force else []
+    text = "\n\n".join([said, *map(report.text, tables), *digits])
     return Written(f"{text}\n" + (f"\n{accuracy}" if accuracy else ""), warnings, content)
 
 

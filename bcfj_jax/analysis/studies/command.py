@@ -88,10 +88,10 @@ def run(
                 text = write(result, study, stem)
         except local.Stopped as stopped:
             say(f"stopped: {stopped}")
-            return f"bcfj study resume {what} --out {folder}", INTERRUPTED
+            return f"bcfj study resume {what} --out {folder}{changes.as_options()}", INTERRUPTED
         except KeyboardInterrupt:
             say(f"interrupted: {store.there()} of {len(store.blocks)} blocks are finished")
-            return f"bcfj study resume {what} --out {folder}", INTERRUPTED
+            return f"bcfj study resume {what} --out {folder}{changes.as_options()}", INTERRUPTED
     return f"{text}\nresults in {folder}", FAILED if result.failed == study.count else DONE
 
 
