@@ -7,7 +7,8 @@ never ends "ok" with a force that is not finite, and never in an error from belo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -24,11 +25,12 @@ NO_NUMBERS: dict[str, Any] = {
     "bytes": b"1", "wrong unit": "3 V", "no unit": "3", "huge": 10**400, "jax nan": jnp.asarray(NAN), "set": {1.0},
     "array of texts": np.array(["1"]), "long text": "x" * 10_000, "uneven list": [[1.0], [1.0, 2.0]],
 }  # fmt: skip
+# A value a member may be given as a list.
+NO_SINGLES = ("list", *(label for label in NO_NUMBERS if "array" in label))
 NO_TIMES: dict[str, Any] = {
-    "None": None, "number": 1.0, "text": "soon", "empty": [], "nan": [0.0, NAN], "inf": [0.0, INF], 
-    "falling": [0.0, 2.0, 1.0],
-    "equal": [0.0, 1.0, 1.0], "matrix": np.zeros((2, 2)), "texts": ["a", "b"], "dict": {},
-    "complex": [0.0, 1j], "object": object(),
+    "None": None, "number": 1.0, "text": "soon", "empty": [], "nan": [0.0, NAN], "inf": [0.0, INF], "falling": [0.0, 2.0, 1.0],
+    "equal": [0.0, 1.0, 1.0], "matrix": np.zeros((2, 2)), "texts": ["a", "b"], "dict": {}, "complex": [0.0, 1j],
+    "object": object(),
 }  # fmt: skip
 NO_NAMES: dict[str, Any] = {
     "None": None, "number": 3, "unknown": "stifness", "empty": (), "numbers": (1, 2), "twice": ("mass", "mass"), "bytes": b"mass",
@@ -41,6 +43,7 @@ NO_OPTIONS: dict[str, Any] = {
 NO_COUNTS: dict[str, Any] = {
     "zero": 0, "negative": -5, "half": 0.5, "nan": NAN, "text": "many", "None": None, "True": True, "list": [1], "huge": 10**30,
 }  # fmt: skip
+NO_WORDS = ("", "up", None, 3, [])
 NO_MODELS: dict[str, Any] = {
     "None": None, "text": "impact", "class": bj.Mechanism, "function": bj.scenes.impact, "dict": {}, "number": 3,
 }  # fmt: skip
@@ -92,7 +95,7 @@ def outcome(attack: Attack) -> Outcome:
 
 def table() -> list[Attack]:
     """Every attack."""
-    return [*_of_values(), *_of_the_rest(), *_of_designs(), *_of_calibrations(), *_of_studies(), *_of_parts()]
+    return [*_of_values(), *_of_options(), *_of_designs(), *_of_calibrations(), *_of_studies(), *_of_parts()]
 
 
 def controls() -> dict[str, Callable[[], Any]]:
@@ -126,92 +129,56 @@ def _verbs() -> dict[str, Callable[..., Any]]:
     }
 
 
+def _each(
+    verb: str, what: str, bad: Mapping[str, Any] | Collection[Any], call: Callable[[Any], Any], but: Collection[str] = ()
+) -> list[Attack]:  # fmt: skip
+    """An attack a bad value, each by its label; ``but`` are labels of values that are not bad here."""
+    labelled = bad if isinstance(bad, Mapping) else {repr(value)[:20]: value for value in bad}
+    return [Attack(verb, what, label, partial(call, x)) for label, x in labelled.items() if label not in but]
+
+
 def _of_values() -> list[Attack]:
     """Bad models, tables, times and values to every verb."""
     scene, params, times = _scene()
     found = []
     for verb, call in _verbs().items():
-        for label, bad in NO_MODELS.items():
-            found.append(Attack(verb, "scene", label, lambda c=call, b=bad: c(b, params, times)))
-        for label, bad in NO_TABLES.items():
-            found.append(Attack(verb, "params", label, lambda c=call, b=bad: c(scene, b, times)))
-        for label, bad in NO_TIMES.items():
-            found.append(Attack(verb, "times", label, lambda c=call, b=bad: c(scene, params, b)))
-        for label, bad in NO_NUMBERS.items():
-            found.append(Attack(verb, "mass", label, lambda c=call, b=bad: c(scene, {**params, "mass": b}, times)))
-        for name, values in OUT_OF_RANGE.items():
-            for bad in values:
-                given = {**params, name: bad}
-                found.append(Attack(verb, name, f"{bad:g}", lambda c=call, g=given: c(scene, g, times)))
-        for name in params:
-            given = {key: value for key, value in params.items() if key != name}
-            found.append(Attack(verb, name, "missing", lambda c=call, g=given: c(scene, g, times)))
-    for label, bad in NO_NUMBERS.items():
-        if "array" not in label and label != "list":
-            found.append(Attack("parameters", "mass", label, lambda b=bad: scene.parameters(mass=b)))
-    for label, bad in NO_TABLES.items():
-        if label not in ("None", "empty"):
-            found.append(Attack("parameters", "values", label, lambda b=bad: scene.parameters(b)))
-    return found
+        found += _each(verb, "scene", NO_MODELS, lambda b, c=call: c(b, params, times))
+        found += _each(verb, "params", NO_TABLES, lambda b, c=call: c(scene, b, times))
+        found += _each(verb, "times", NO_TIMES, lambda b, c=call: c(scene, params, b))
+        for name, values in (("mass", NO_NUMBERS), *OUT_OF_RANGE.items()):
+            found += _each(verb, name, values, lambda b, c=call, n=name: c(scene, {**params, n: b}, times))
+        less = {name: {k: v for k, v in params.items() if k != name} for name in params}
+        found += _each(verb, "params without", less, lambda b, c=call: c(scene, b, times))
+    found += _each("parameters", "mass", NO_NUMBERS, lambda b: scene.parameters(mass=b), NO_SINGLES)
+    return found + _each("parameters", "values", NO_TABLES, lambda b: scene.parameters(b), ("None", "empty"))
 
 
-def _of_the_rest() -> list[Attack]:
+def _of_options() -> list[Attack]:
     """Bad options to the verbs that take them."""
-    given = _scene()
-    verbs = _verbs()
-    calls: dict[tuple[str, str], Callable[[Any], Any]] = {
-        ("simulate", "accuracy"): lambda bad: bj.simulate(*given, accuracy=bad),
-        ("force_history", "accuracy"): lambda bad: bj.force_history(*given, accuracy=bad),
-        ("sensitivity", "accuracy"): lambda bad: bj.sensitivity(*given, "mass", accuracy=bad),
-    }
+    given, mean = _scene(), "contact.mean"
+    sensitivity = partial(bj.sensitivity, *given, "mass")
     found = [
-        Attack(*key, k, lambda c=call, b=bad: c(b)) for key, call in calls.items() for k, bad in NO_OPTIONS.items()
+        *_each("simulate", "accuracy", NO_OPTIONS, lambda b: bj.simulate(*given, accuracy=b)),
+        *_each("force_history", "accuracy", NO_OPTIONS, lambda b: bj.force_history(*given, accuracy=b)),
+        *_each("sensitivity", "accuracy", NO_OPTIONS, lambda b: sensitivity(accuracy=b)),
+        *_each("simulate", "max_steps", NO_COUNTS, lambda b: bj.simulate(*given, max_steps=b)),
+        *_each("sensitivity", "max_steps", NO_COUNTS, lambda b: sensitivity(max_steps=b)),
+        *_each("sensitivity", "levels", NO_COUNTS, lambda b: sensitivity(levels=b)),
+        *_each("sensitivity", "wrt", NO_NAMES, lambda b: bj.sensitivity(*given, b)),
+        *_each("hessian_vector", "wrt", NO_NAMES, lambda b: bj.hessian_vector(*given, mean, b, [1.0])),
+        *_each("sensitivity", "average", NO_NUMBERS, lambda b: sensitivity(average=b)),
+        *_each("hessian_vector", "vector", NO_NUMBERS, lambda b: bj.hessian_vector(*given, mean, ("mass",), b)),
     ]
-    counts: dict[tuple[str, str], Callable[[Any], Any]] = {
-        ("simulate", "max_steps"): lambda bad: bj.simulate(*given, max_steps=bad),
-        ("sensitivity", "max_steps"): lambda bad: bj.sensitivity(*given, "mass", max_steps=bad),
-        ("sensitivity", "levels"): lambda bad: bj.sensitivity(*given, "mass", levels=bad),
-    }
-    found += [
-        Attack(*key, k, lambda c=call, b=bad: c(b)) for key, call in counts.items() for k, bad in NO_COUNTS.items()
-    ]
-    names: dict[tuple[str, str], Callable[[Any], Any]] = {
-        ("sensitivity", "wrt"): lambda bad: bj.sensitivity(*given, bad),
-        ("hessian_vector", "wrt"): lambda bad: bj.hessian_vector(*given, "contact.mean", bad, [1.0]),
-        ("reading_history", "read"): lambda bad: bj.reading_history(*given, bad),
-        ("simulate", "read"): lambda bad: bj.simulate(*given, read=bad),
-        ("sensitivity", "features"): lambda bad: bj.sensitivity(*given, "mass", features=bad),
-    }
-    # No reading and no feature is an answer, not an attack.
-    fine = {"reading_history": ("empty", "dict"), "simulate": ("empty", "dict"), "sensitivity": ("empty", "dict")}
-    found += [
-        Attack(verb, what, k, lambda c=call, b=bad: c(b))
-        for (verb, what), call in names.items()
-        for k, bad in NO_NAMES.items()
-        if what == "wrt" or k not in fine[verb]
-    ]
+    # No reading and no feature is an answer, not an attack; nor is no solver.
+    nothing = ("empty", "dict")
+    found += _each("reading_history", "read", NO_NAMES, lambda b: bj.reading_history(*given, b), nothing)
+    found += _each("simulate", "read", NO_NAMES, lambda b: bj.simulate(*given, read=b), nothing)
+    found += _each("sensitivity", "features", NO_NAMES, lambda b: sensitivity(features=b), nothing)
     words = ("", "unknown", None, 3, NAN, [], {}, object())
-    for verb, what in (
-        ("simulate", "solver"),
-        ("force_history", "mode"),
-        ("sensitivity", "mode"),
-        ("sensitivity", "differences"),
-    ):
-        call = {"sensitivity": lambda **more: bj.sensitivity(*given, "mass", **more)}.get(
-            verb, lambda v=verb, **more: verbs[v](*given, **more)
-        )
-        for bad in words:
-            if not (what == "solver" and bad is None):
-                found.append(Attack(verb, what, repr(bad)[:20], lambda c=call, w=what, b=bad: c(**{w: b})))
-    found += [
-        Attack("sensitivity", "average", k, lambda b=bad: bj.sensitivity(*given, "mass", average=b))
-        for k, bad in NO_NUMBERS.items()
-    ]
-    found += [
-        Attack("hessian_vector", "vector", k, lambda b=bad: bj.hessian_vector(*given, "contact.mean", ("mass",), b))
-        for k, bad in NO_NUMBERS.items()
-    ]
-    return found
+    found += _each("simulate", "solver", words, lambda b: bj.simulate(*given, solver=b), ("None",))
+    found += _each("force_history", "mode", words, lambda b: bj.force_history(*given, mode=b))
+    found += _each("sensitivity", "mode", words, lambda b: sensitivity(mode=b))
+    return found + _each("sensitivity", "differences", words, lambda b: sensitivity(differences=b))
 
 
 def _of_designs() -> list[Attack]:
@@ -220,31 +187,18 @@ def _of_designs() -> list[Attack]:
     def design(objective: Any = "contact.peak", free: Any = None, **more: Any) -> Any:
         return bj.design(*given, objective, {"damping": (0.0, 1.0)} if free is None else free, starts=2, **more)
 
-    found = [Attack("design", "objective", k, lambda b=bad: design(b)) for k, bad in NO_NAMES.items()]
-    found += [
-        Attack("design", "free", k, lambda b=bad: design(free={"damping": b}))
-        for k, bad in NO_NUMBERS.items()
-        if "array" not in k and k != "list"
+    found = [
+        *_each("design", "objective", NO_NAMES, design),
+        *_each("design", "free", NO_NUMBERS, lambda b: design(free={"damping": b}), NO_SINGLES),
+        *_each("design", "upper", NO_NUMBERS, lambda b: design(free={"damping": (0.0, b)})),
+        *_each("design", "tolerance", NO_NUMBERS, lambda b: design(free={"damping": (0.0, 1.0, b)})),
+        *_each("design", "free", NO_TABLES, lambda b: design(free=b), ("None",)),
+        *_each("design", "kappa", NO_NUMBERS, lambda b: design(kappa=b), ("no unit",)),
     ]
-    found += [
-        Attack("design", "upper", k, lambda b=bad: design(free={"damping": (0.0, b)})) for k, bad in NO_NUMBERS.items()
-    ]
-    found += [
-        Attack("design", "tolerance", k, lambda b=bad: design(free={"damping": (0.0, 1.0, b)}))
-        for k, bad in NO_NUMBERS.items()
-    ]
-    tables = {k: bad for k, bad in NO_TABLES.items() if bad is not None}
-    found += [Attack("design", "free", k, lambda b=bad: design(free=b)) for k, bad in tables.items()]
-    for what in ("samples", "iterations"):
-        found += [Attack("design", what, k, lambda w=what, b=bad: design(**{w: b})) for k, bad in NO_COUNTS.items()]
+    for what in ("samples", "iterations", "max_steps"):
+        found += _each("design", what, NO_COUNTS, lambda b, w=what: design(**{w: b}))
     for what in ("sense", "distribution"):
-        found += [
-            Attack("design", what, repr(bad)[:20], lambda w=what, b=bad: design(**{w: b}))
-            for bad in ("", "up", None, 3, [])
-        ]
-    numbers = {k: bad for k, bad in NO_NUMBERS.items() if k not in ("no unit",)}
-    found += [Attack("design", "kappa", k, lambda b=bad: design(kappa=b)) for k, bad in numbers.items()]
-    found += [Attack("design", "max_steps", k, lambda b=bad: design(max_steps=b)) for k, bad in NO_COUNTS.items()]
+        found += _each("design", what, NO_WORDS, lambda b, w=what: design(**{w: b}))
     return found
 
 
@@ -260,53 +214,27 @@ def _problem(**changed: Any) -> Any:
 
 
 def _of_calibrations() -> list[Attack]:
-    found = []
     # A stiffness and a share need no unit.
-    numbers = {k: bad for k, bad in NO_NUMBERS.items() if k not in ("None", "no unit")}
+    fine = ("None", "no unit")
+    found = []
     for what in ("lower", "upper", "start"):
-        found += [
-            Attack("calibration.Free", what, k, lambda w=what, b=bad: _problem(bounds={w: b}))
-            for k, bad in numbers.items()
-        ]
-    found += [
-        Attack("calibration.Free", "name", k, lambda b=bad: _problem(bounds={"name": b})) for k, bad in NO_NAMES.items()
-    ]
+        found += _each("calibration.Free", what, NO_NUMBERS, lambda b, w=what: _problem(bounds={w: b}), fine)
     for what in ("sigma", "relative", "correlation", "jitter"):
-        found += [
-            Attack("calibration.Channel", what, k, lambda w=what, b=bad: _problem(channel={w: b}))
-            for k, bad in numbers.items()
-        ]
-    found += [
-        Attack("calibration.Channel", "values", k, lambda b=bad: _problem(channel={"values": b}))
-        for k, bad in NO_NUMBERS.items()
-    ]
-    found += [
-        Attack("calibration.Channel", "observes", k, lambda b=bad: _problem(channel={"observes": b}))
-        for k, bad in NO_NAMES.items()
-    ]
-    found += [
-        Attack("calibration.Experiment", "times", k, lambda b=bad: _problem(record={"times": b}))
-        for k, bad in NO_TIMES.items()
-    ]
-    found += [
-        Attack("calibration.Problem", "scene", k, lambda b=bad: _problem(scene=b)) for k, bad in NO_MODELS.items()
-    ]
-    tables = {k: bad for k, bad in NO_TABLES.items() if k != "empty"}
-    found += [Attack("calibration.Problem", "params", k, lambda b=bad: _problem(params=b)) for k, bad in tables.items()]
+        found += _each("calibration.Channel", what, NO_NUMBERS, lambda b, w=what: _problem(channel={w: b}), fine)
     for what in ("experiments", "free"):
-        found += [
-            Attack("calibration.Problem", what, k, lambda w=what, b=bad: _problem(**{w: b}))
-            for k, bad in NO_NAMES.items()
-        ]
-    found += [
-        Attack("calibration.Problem", "loss", repr(bad)[:20], lambda b=bad: _problem(loss=b))
-        for bad in ("", "up", None, 3, [])
+        found += _each("calibration.Problem", what, NO_NAMES, lambda b, w=what: _problem(**{w: b}))
+    return [
+        *found,
+        *_each("calibration.Free", "name", NO_NAMES, lambda b: _problem(bounds={"name": b})),
+        *_each("calibration.Channel", "values", NO_NUMBERS, lambda b: _problem(channel={"values": b})),
+        *_each("calibration.Channel", "observes", NO_NAMES, lambda b: _problem(channel={"observes": b})),
+        *_each("calibration.Experiment", "times", NO_TIMES, lambda b: _problem(record={"times": b})),
+        *_each("calibration.Problem", "scene", NO_MODELS, lambda b: _problem(scene=b)),
+        *_each("calibration.Problem", "params", NO_TABLES, lambda b: _problem(params=b), ("empty",)),
+        *_each("calibration.Problem", "loss", NO_WORDS, lambda b: _problem(loss=b)),
+        *_each("calibration.Problem", "adequate", NO_NUMBERS, lambda b: _problem(adequate=b), fine),
+        *_each("calibration.fit", "problem", NO_MODELS, calibration.fit),
     ]
-    found += [
-        Attack("calibration.Problem", "adequate", k, lambda b=bad: _problem(adequate=b)) for k, bad in numbers.items()
-    ]
-    found += [Attack("calibration.fit", "problem", k, lambda b=bad: calibration.fit(b)) for k, bad in NO_MODELS.items()]
-    return found
 
 
 def _study(**changed: Any) -> Any:
@@ -320,23 +248,8 @@ def _study(**changed: Any) -> Any:
 
 def _of_studies() -> list[Attack]:
     def vary(**more: Any) -> Any:
-        return {"vary": {"mass": {"lower": 1.0, "upper": 2.0, "steps": 2} | more}}
+        return _study(vary={"mass": {"lower": 1.0, "upper": 2.0, "steps": 2} | more})
 
-    found = [Attack("study", "what", k, lambda b=bad: bj.study(b, "/nonexistent/out")) for k, bad in NO_TABLES.items()]
-    for what in ("lower", "upper"):
-        found += [
-            Attack("study", what, k, lambda w=what, b=bad: _study(**vary(**{w: b}))) for k, bad in NO_NUMBERS.items()
-        ]
-    found += [
-        Attack("study", "steps", k, lambda b=bad: _study(**vary(steps=b)))
-        for k, bad in NO_COUNTS.items()
-        if bad is not None
-    ]
-    found += [
-        Attack("study", "features", k, lambda b=bad: _study(results={"features": b}))
-        for k, bad in NO_NAMES.items()
-        if k not in ("empty", "None")
-    ]
     scenes = {
         "impact": "impakt",
         "number": 3,
@@ -345,7 +258,14 @@ def _of_studies() -> list[Attack]:
         "nothing": {"scene": {}},
         "list": [],
     }
-    return found + [Attack("study", "scene", k, lambda b=bad: _study(scene=b)) for k, bad in scenes.items()]
+    return [
+        *_each("study", "what", NO_TABLES, lambda b: bj.study(b, "/nonexistent/out")),
+        *_each("study", "lower", NO_NUMBERS, lambda b: vary(lower=b)),
+        *_each("study", "upper", NO_NUMBERS, lambda b: vary(upper=b)),
+        *_each("study", "steps", NO_COUNTS, lambda b: vary(steps=b), ("None",)),
+        *_each("study", "features", NO_NAMES, lambda b: _study(results={"features": b}), ("empty", "None")),
+        *_each("study", "scene", scenes, lambda b: _study(scene=b)),
+    ]
 
 
 def _of_parts() -> list[Attack]:
@@ -357,32 +277,16 @@ def _of_parts() -> list[Attack]:
     class Gapless(bj.gaps.AbstractGap):
         pass
 
-    bad_parts: Mapping[str, Any] = {
-        "None": None,
-        "unknown": "rubbber",
-        "number": 3,
-        "list": [],
-        "class": Lawless,
-        "object": object(),
-    }
-    found = [Attack("impact", "law", k, lambda b=bad: bj.scenes.impact(law=b)) for k, bad in bad_parts.items()]
-    found += [
-        Attack("impact", "elastic", k, lambda b=bad: bj.scenes.impact(elastic=b))
-        for k, bad in bad_parts.items()
-        if bad is not None
-    ]
-    for label, bad in {"none": 0, "negative": -3, "text": "three", "half": 2.5, "None": None}.items():
-        found.append(Attack("chain", "count", label, lambda b=bad: bj.scenes.chain(count=b)))
-    found += [
+    parts = {"None": None, "unknown": "rubbber", "number": 3, "list": [], "class": Lawless, "object": object()}
+    counts = {"none": 0, "negative": -3, "text": "three", "half": 2.5, "None": None}
+    plane = bj.gaps.SphereOnPlane()
+    return [
         Attack("a law without needs and force", "made", "", Lawless),
         Attack("a gap without faces", "made", "", Gapless),
+        *_each("impact", "law", parts, lambda b: bj.scenes.impact(law=b)),
+        *_each("impact", "elastic", parts, lambda b: bj.scenes.impact(elastic=b), ("None",)),
+        *_each("chain", "count", counts, lambda b: bj.scenes.chain(count=b)),
+        *_each("Contact", "gap", parts, lambda b: bj.Contact("c", ("a", "ground"), b)),
+        *_each("Contact", "law", parts, lambda b: bj.Contact("c", ("a", "ground"), plane, b)),
+        *_each("Body", "name", NO_NAMES, bj.Body, ("unknown",)),
     ]
-    found += [
-        Attack("Contact", "gap", k, lambda b=bad: bj.Contact("c", ("a", "ground"), b)) for k, bad in bad_parts.items()
-    ]
-    found += [
-        Attack("Contact", "law", k, lambda b=bad: bj.Contact("c", ("a", "ground"), bj.gaps.SphereOnPlane(), b))
-        for k, bad in bad_parts.items()
-    ]
-    found += [Attack("Body", "name", k, lambda b=bad: bj.Body(b)) for k, bad in NO_NAMES.items() if k != "unknown"]
-    return found
