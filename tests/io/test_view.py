@@ -134,8 +134,8 @@ def joint():
     # Balls and head off their ideal places: some contacts press.
     states[:, :18] += 1e-5 * np.sin(np.arange(18))
     states[:, 18] += 2e-5
-    run = bj.simulate(bj.scenes.impact(), bj.scenes.impact().parameters(), np.array([0.0, 1e-6]))
-    run = run._replace(times=times, trajectory=states, force={"seat_ball": np.ones((31, 6, 3))})
+    force = {"seat_ball": np.ones((31, 6, 3))}
+    run = bj.Run(times, force, {}, {}, {}, "ok", "", float("nan"), {}, trajectory=states)
     return scene, params, run, animation.animation(scene, params, run, "The joint", 31)
 
 
@@ -269,7 +269,7 @@ def test_colours_of_forces_darken_with_every_step():
     assert all(a > 1.3 * b for a, b in pairwise(bright))
 
 
-def test_a_model_without_shapes_has_no_animation():
+def test_a_model_without_shapes_has_no_animation(crank):
     class Bare:
         def level(self, name):
             return self
@@ -277,8 +277,7 @@ def test_a_model_without_shapes_has_no_animation():
         def drawing(self, params, size=1.0, travel=None):
             return shapes.Drawing()
 
-    run = bj.simulate(bj.scenes.impact(), bj.scenes.impact().parameters(), np.array([0.0, 1e-6]))
-    assert animation.animation(Bare(), {}, run) is None  # pyright: ignore[reportArgumentType]
+    assert animation.animation(Bare(), {}, crank[2]) is None  # pyright: ignore[reportArgumentType]
 
 
 def test_gltf_reads_back(crank):
