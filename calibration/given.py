@@ -5,7 +5,9 @@ Files give the same classes with numbers that are SI already; both pass here.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -68,24 +70,45 @@ def all_of(where: str, given: Any, kind: type) -> tuple[Any, ...]:
     return found
 
 
-def numbers(where: str, given: Any, known: Mapping[str, Quantity], strict: bool = True) -> dict[str, float]:
+def path(where: str, given: Any) -> Path:
+    """A path, as a text or a ``Path``."""
+    if not isinstance(given, (str, os.PathLike)):
+        raise InputError(where, f"{quoted(given)} is no path", "give the path of a file, as a text")
+    return Path(given)
+
+
+def table(where: str, given: Any) -> dict[str, Any]:
+    """Values by name."""
+    if not isinstance(given, Mapping) or not all(isinstance(name, str) for name in given):
+        raise InputError(where, f"{quoted(given)} is no table", 'give values by name, as {"mass": 0.5}')
+    return dict(given)
+
+
+def numbers(where: str, given: Any, known: Mapping[str, Quantity]) -> dict[str, float]:
     """A table of numbers by the names of known quantities; texts with a unit are converted.
 
-    Args:
-        where: place, for the message.
-        given: the table.
-        known: quantities by name.
-        strict: whether values must lie in the quantities' ranges; tolerances need not.
-
     Raises:
-        InputError: for what is no table, a name that is not known, and what is no number of its unit.
+        InputError: for what is no table, a name that is not known, and what is no number of its unit and range.
     """
-    if not isinstance(given, Mapping):
-        raise InputError(where, f"{quoted(given)} is no table", 'give values by name, as {"mass": 0.5}')
-    found = {}
-    for name, value in given.items():
-        if not isinstance(name, str) or name not in known:
+    found = table(where, given)
+    for name, value in found.items():
+        if name not in known:
             raise InputError(where, f"no parameter {quoted(name)} = {quoted(value)}", nearest(name, known))
-        quantity = known[name] if strict else known[name]._replace(low=0.0, high=np.inf, open_low=False)
-        found[name] = scalar(where, quantity, value, None)
+        found[name] = scalar(where, known[name], value)
     return found
+
+
+def tolerances(where: str, given: Mapping[str, Any], known: Mapping[str, Quantity]) -> dict[str, float]:
+    """How well values are known, 0 or more; a name that is not known may be another model's of the same data."""
+    units = {name: known[name].unit if name in known else "1" for name in given}
+    return {name: not_negative(where, name, units[name], value) for name, value in given.items()}
+
+
+def pair(where: str, given: Any, quantity: Quantity) -> tuple[float, float]:
+    """Two numbers of a quantity, the smaller first."""
+    if not isinstance(given, (tuple, list)) or len(given) != 2:
+        raise InputError(where, f"{quoted(given)} is no pair", "give (lower, upper)")
+    lower, upper = (scalar(where, quantity, value) for value in given)
+    if not lower < upper:
+        raise InputError(where, f"{lower:g} is not below {upper:g}", "swap the bounds")
+    return lower, upper

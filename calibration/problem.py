@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from bcfj_jax import InputError, check_value, nearest
+from bcfj_jax import InputError, nearest
 from bcfj_jax.analysis.derivatives.names import UNITS, feature, feature_unit
 from bcfj_jax.core.errors import quoted
 from bcfj_jax.core.quantities import Quantity, check_order, real, scalar
@@ -100,6 +100,7 @@ def nuisances(observed: Iterable[str]) -> dict[str, Quantity]:
 # Of the peak: what the laws of contact miss in published drop tests of steel and rubber (docs/calibration.md).
 ADEQUATE = 0.03
 _ADEQUATE = Quantity("adequate", "1", "share of the peak", 0.0, np.nextafter(1.0, 0.0))
+_ACCURACY = Quantity("accuracy", "1", "error of the forces as a share of their peak", 0.0, 0.5, True)
 
 
 @dataclass(frozen=True)
@@ -191,6 +192,12 @@ class Experiment:
                 raise InputError(f"{where} {channel.observes}", found, "give a value a time; nan where there is none")
         changed: dict[str, Any] = {"times": times, "channels": channels}
         changed["features"] = given.all_of(f"{where} features", self.features, Observation)
+        for key in ("fixed", "tolerances", "bounds"):
+            changed[key] = given.table(f"{where} {key}", getattr(self, key))
+        if not isinstance(self.hold_out, (bool, np.bool_)):
+            raise InputError(f"{where} hold_out", quoted(self.hold_out), "give True or False")
+        if not isinstance(self.source, str):
+            raise InputError(f"{where} source", quoted(self.source), "name the file, or leave it out")
         if self.span is not None:
             changed["span"] = given.not_negative(where, "span", "s", self.span)
         given.fill(self, changed)
@@ -277,30 +284,31 @@ class Problem:
         given.fill(self, {"scene": inputs.model(self.scene), **listed})
         # <contact>.clearance and clearance_<contact> are one parameter.
         one = self.scene.canonical
-        object.__setattr__(self, "free", tuple(replace(f, name=one(f.name)) for f in self.free))
-        if any(name != one(name) for e in self.experiments for name in e.fixed):
-            named = (
-                replace(e, fixed=_renamed(e.fixed, one), tolerances=_renamed(e.tolerances, one))
-                for e in self.experiments
-            )
-            object.__setattr__(self, "experiments", tuple(named))
         names = [seen.feature for e in self.experiments for seen in e.features]
-        object.__setattr__(self, "scene", observing(self.scene, names))
-        if not self.accuracy:
-            object.__setattr__(self, "accuracy", budget(self.scene).accuracy)
+        free = tuple(replace(f, name=one(f.name)) for f in self.free)
+        given.fill(self, {"free": free, "scene": observing(self.scene, names)})
+        asked = (
+            budget(self.scene).accuracy
+            if isinstance(self.accuracy, (int, float)) and not self.accuracy
+            else self.accuracy
+        )
         if not self.free:
             raise InputError(
                 self.where, "no free parameter", "add a table such as [free.stiffness] with lower and upper"
             )
         if not any(not e.hold_out for e in self.experiments):
             raise InputError(self.where, "no experiment to fit", "give at least one [[experiment]] without hold_out")
-        given.fill(
-            self,
-            {
-                "params": given.numbers(f"{self.where}: params", self.params, self.quantities),
-                "free": tuple(self._in_si(f) for f in self.free),
-            },
-        )
+        known = self.quantities
+        changed: dict[str, Any] = {"params": given.numbers(f"{where}: params", self.params, known)}
+        changed["accuracy"] = scalar(f"{where}: accuracy", _ACCURACY, asked)
+        changed["tolerances"] = given.table(f"{where}: tolerances", self.tolerances)
+        changed["tolerances"] = given.tolerances(f"{where}: tolerances", changed["tolerances"], known)
+        experiments = tuple(self._known(e, known, one) for e in self.experiments)
+        # Models of the same data share it, so that its programs are compiled once.
+        if any(new is not old for new, old in zip(experiments, self.experiments, strict=True)):
+            changed["experiments"] = experiments
+        given.fill(self, changed)
+        given.fill(self, {"free": tuple(self._in_si(f) for f in self.free)})
         for parameter in self.free:
             self._check_free(parameter)
         given.fill(self, {"adequate": scalar(f"{self.where}: adequate", _ADEQUATE, self.adequate)})
@@ -333,28 +341,30 @@ class Problem:
                     found = f"'{f.name}' is free, and known to be {e.fixed[f.name]:g} in {e.name}"
                     raise InputError(self.where, found, "take one of them out")
 
+    def _known(self, e: Experiment, known: dict[str, Quantity], one: Callable[[str], str]) -> Experiment:
+        """An experiment whose own values are numbers, by the scene's names of them."""
+        place = f"{self.where}: parameters of {e.name}"
+        fixed, tolerances, bounds = ({one(k): v for k, v in x.items()} for x in (e.fixed, e.tolerances, e.bounds))
+        for name in bounds.keys() & known.keys():  # Another model of the same data may have more.
+            bounds[name] = given.pair(f"{self.where}: bounds of {name} in {e.name}", bounds[name], known[name])
+        fixed, tolerances = given.numbers(place, fixed, known), given.tolerances(place, tolerances, known)
+        own = {"fixed": fixed, "tolerances": tolerances, "bounds": bounds}
+        return e if all(getattr(e, key) == value for key, value in own.items()) else replace(e, **own)
+
     def _check_fixed(self, e: Experiment) -> None:
-        """What is known of one record: names, ranges, and values that agree with each other."""
-        where, known = f"{self.where}: parameters of {e.name}", self.quantities
-        for name, value in e.fixed.items():
-            if name not in known:
-                raise InputError(where, f"scene '{self.scene.kind}' has no parameter '{name}'", nearest(name, known))
-            check_value(where, known[name], value)
+        """Values of one record that must agree with each other."""
         sought = {f.name for f in self.free}
         values = {name: value for name, value in (self.params | e.fixed).items() if name not in sought}
-        check_order(where, [name for name in self.scene.quantities if name in values], values)
+        check_order(
+            f"{self.where}: parameters of {e.name}", [name for name in self.scene.quantities if name in values], values
+        )
 
     def _check_bounds(self, e: Experiment, name: str) -> None:
         free, where = {f.name: f for f in self.free}.get(name), f"{self.where}: bounds of {name} in {e.name}"
         if free is None:  # Another model of the same data may not search it.
             return
-        lower, upper = e.bounds[name]
-        check_value(where, self.quantities[name], lower)
-        check_value(where, self.quantities[name], upper)
-        if not lower < upper:
-            raise InputError(where, f"{lower:g} is not below {upper:g}", "swap the bounds")
-        if free.log and lower <= 0:
-            raise InputError(where, f"scale = log with a lower bound of {lower:g}", "use positive bounds")
+        if free.log and e.bounds[name][0] <= 0:
+            raise InputError(where, f"scale = log with a lower bound of {e.bounds[name][0]:g}", "use positive bounds")
 
     @property
     def observed(self) -> tuple[str, ...]:
@@ -406,10 +416,6 @@ class Problem:
             raise InputError(where, f"scale = log with lower = {f.lower:g}", "use positive bounds or scale = 'linear'")
 
 
-def _renamed(values: dict[str, float], one: Callable[[str], str]) -> dict[str, float]:
-    return {one(name): value for name, value in values.items()}
-
-
 def _check_experiment(experiment: Experiment, scene: AbstractModel) -> None:
     where = experiment.source or experiment.name
     late = np.flatnonzero(np.diff(experiment.times) <= 0)
@@ -453,7 +459,7 @@ def _check_features(experiment: Experiment, contacts: dict[str, int]) -> None:
     where = experiment.source or experiment.name
     for seen in experiment.features:
         feature(seen.feature, contacts)
-        if not (seen.sigma > 0 and np.isfinite(seen.value)):
+        if not (0.0 < seen.sigma < np.inf and np.isfinite(seen.value)):
             found = f"feature '{seen.feature}' = {seen.value:g} with a deviation of {seen.sigma:g}"
             raise InputError(where, found, "give a number and a feature_noise above 0")
     if experiment.features and experiment.span is None and not experiment.channels:

@@ -40,6 +40,7 @@ from bcfj_jax.io import scenefile, tables
 from bcfj_jax.io.units import format_si, quantity, toleranced
 from bcfj_jax.mechanism.channels import channel, unit_of
 from bcfj_jax.models import scenes
+from calibration import given
 from calibration.data import sensor, stated
 from calibration.data.preparation import Prepared, Recipe, prepare
 from calibration.data.readers import read
@@ -118,7 +119,7 @@ def load(path: str | Path) -> Problem:
     Raises:
         InputError: for anything missing, unknown, of a wrong dimension or out of order, in it or in its data.
     """
-    path = Path(path)
+    path = given.path("calibration.load", path)
     file = _content(path)
     base = _scene(file, path)
     known = {**base.scene.quantities, **nuisances(o for entry in file.experiment for o in entry.observe)}

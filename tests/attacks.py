@@ -221,6 +221,15 @@ def _of_calibrations() -> list[Attack]:
         found += _each("calibration.Free", what, NO_NUMBERS, lambda b, w=what: _problem(bounds={w: b}), fine)
     for what in ("sigma", "relative", "correlation", "jitter"):
         found += _each("calibration.Channel", what, NO_NUMBERS, lambda b, w=what: _problem(channel={w: b}), fine)
+    for what, more in (("fixed", "empty"), ("tolerances", "unknown key"), ("bounds", "unknown key")):
+        # Another model of the same data may have the name.
+        found += _each(
+            "calibration.Experiment", what, NO_TABLES, lambda b, w=what: _problem(record={w: b}), ("empty", more)
+        )
+        own = ("list",) if what == "bounds" else ()
+        found += _each(
+            "calibration.Experiment", what, NO_NUMBERS, lambda b, w=what: _problem(record={w: {"mass": b}}), own
+        )
     for what in ("experiments", "free"):
         found += _each("calibration.Problem", what, NO_NAMES, lambda b, w=what: _problem(**{w: b}))
     return [
@@ -229,6 +238,10 @@ def _of_calibrations() -> list[Attack]:
         *_each("calibration.Channel", "values", NO_NUMBERS, lambda b: _problem(channel={"values": b})),
         *_each("calibration.Channel", "observes", NO_NAMES, lambda b: _problem(channel={"observes": b})),
         *_each("calibration.Experiment", "times", NO_TIMES, lambda b: _problem(record={"times": b})),
+        *_each("calibration.Experiment", "hold_out", NO_NUMBERS, lambda b: _problem(record={"hold_out": b}), ("True",)),
+        *_each("calibration.Problem", "accuracy", NO_OPTIONS, lambda b: _problem(accuracy=b), ("zero",)),
+        *_each("calibration.Problem", "tolerances", NO_NUMBERS, lambda b: _problem(tolerances={"mass": b})),
+        *_each("calibration.load", "path", NO_NUMBERS, calibration.load),
         *_each("calibration.Problem", "scene", NO_MODELS, lambda b: _problem(scene=b)),
         *_each("calibration.Problem", "params", NO_TABLES, lambda b: _problem(params=b), ("empty",)),
         *_each("calibration.Problem", "loss", NO_WORDS, lambda b: _problem(loss=b)),
