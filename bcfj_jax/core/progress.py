@@ -117,7 +117,8 @@ class Lines:
     def __init__(self, text: str, total: int | None, say: Callable[[str], None], hint: str = "") -> None:
         self.text, self.total, self.say, self.hint = text, total, say, hint
         self.next, self.every = Waiting.after, Waiting.every
-        self.done, self.first, self.spoken = 0, 0, 0
+        self.done, self.spoken = 0, 0
+        self.first: int | None = None
         self.heard, self.begin = False, time.monotonic()
         if not Waiting.after:
             self.tick(0.0, True)
@@ -140,8 +141,8 @@ class Lines:
         self.next = took + self.every
 
     def advance(self, done: int) -> None:
-        """So many parts are done; those of the first call were done before."""
-        self.first = self.first if self.done else done - 1
+        """So many parts are done; those of the first call were done before the stage began."""
+        self.first = done if self.first is None else self.first
         self.done = done
 
     def close(self) -> None:
@@ -150,7 +151,7 @@ class Lines:
             self.say(f"{self.text}: done in {time.monotonic() - self.begin:.2f} s")
 
     def _counted(self, took: float) -> str:
-        fresh, total = self.done - self.first, self.total or 0
+        fresh, total = self.done - (self.first or 0), self.total or 0
         left = f", about {_time((total - self.done) * took / fresh)} left" if fresh > 0 and self.done < total else ""
         return f"{self.text}: {self.done} of {total}{left}"
 

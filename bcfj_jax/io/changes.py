@@ -20,7 +20,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.errors import InputError, nearest, quoted
 
 # The tables of a file of each kind, and the keys at its top.
 SCENE = ("scene", "parameters", "time", "accuracy", "body", "contact", "load", "quantity", "read")
@@ -168,14 +168,14 @@ def _set(table: dict[str, Any], words: tuple[str, ...], change: Change) -> dict[
     if not rest:
         return {**table, first: change.value}
     inner = table.get(first, {})
-    if isinstance(inner, list) and len(inner) == 2 and rest[0] in _KEYS:
-        inner = {"lower": inner[0], "upper": inner[1]}  # NAME = [lower, upper] under [free]
+    if isinstance(inner, list) and len(inner) in (2, 3) and rest[0] in _KEYS:
+        # NAME = [lower, upper] under [free]; under a design's [vary] the tolerance may follow.
+        inner = dict(zip(("lower", "upper", "tolerance"), inner, strict=False))
     if isinstance(inner, list):
         return {**table, first: _set_in_list(inner, rest, change)}
     if not isinstance(inner, dict):
-        # A study's scene, or a pair of bounds: what is inside of it is not in this file.
-        found = f"'{first}' is {inner!r} in the file"[:200]
-        raise InputError(change.text[:200], found, "give its table in the file, or set it as a whole")
+        # A study's scene: what is inside of it is not in this file.
+        raise _no_table(first, inner, change)
     other = _INSTEAD.get((first, rest[0]))
     inner = {key: value for key, value in inner.items() if key != other}
     return {**table, first: _set(inner, tuple(rest), change)}
@@ -186,14 +186,21 @@ def _set_in_list(entries: list[Any], words: Sequence[str], change: Change) -> li
     names = [str(entry.get("name", "")) if isinstance(entry, dict) else "" for entry in entries]
     if which in names:
         k = names.index(which)
-    elif which.isdigit() and 1 <= int(which) <= len(entries):
-        k = int(which) - 1
+    elif which in (numbers := [str(k + 1) for k in range(len(entries))]):
+        k = numbers.index(which)
     else:
         known = [name or str(k + 1) for k, name in enumerate(names)]
         raise InputError(change.text[:200], f"no entry '{which}'", nearest(which, known))
     if not rest:
         return [*entries[:k], change.value, *entries[k + 1 :]]
-    return [*entries[:k], _set(dict(entries[k]), tuple(rest), change), *entries[k + 1 :]]
+    if not isinstance(entries[k], dict):
+        raise _no_table(which, entries[k], change)
+    return [*entries[:k], _set(entries[k], tuple(rest), change), *entries[k + 1 :]]
+
+
+def _no_table(name: str, value: Any, change: Change) -> InputError:
+    found = f"'{name}' is {quoted(value)} in the file"
+    return InputError(change.text[:200], found, "give its table in the file, or set it as a whole")
 
 
 def _about(where: str, change: Change) -> bool:

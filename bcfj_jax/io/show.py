@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 
 from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.extras import library
 from bcfj_jax.io import plots, report
 
 if TYPE_CHECKING:
@@ -109,17 +110,9 @@ def _tagged(rows: Rows) -> list[tuple[str, Sequence[str]]]:
     return [("th" if k == 0 else "td", row) for k, row in enumerate(rows)]
 
 
-def _library(name: str) -> Any:
-    try:
-        return importlib.import_module(name)
-    except ImportError:
-        remedy = "install it: pip install 'bcfj-jax[table]'"
-        raise InputError(f"to_{name}", f"needs {name}, which is not installed", remedy) from None
-
-
 def frame(found: Any) -> Any:
     """A result as a ``pandas.DataFrame``."""
-    pandas = _library("pandas")
+    pandas = library("pandas", "to_pandas", "table")
     columns, index = _view(found).frame(found)
     made = pandas.DataFrame(dict(columns))
     return made.set_index(index) if index else made
@@ -127,7 +120,7 @@ def frame(found: Any) -> Any:
 
 def dataset(found: Any) -> Any:
     """A result as an ``xarray.Dataset``."""
-    xarray = _library("xarray")
+    xarray = library("xarray", "to_xarray", "table")
     content = _view(found).dataset(found)
 
     def made(parts: Mapping[str, tuple[tuple[str, ...], Any, str]]) -> dict[str, Any]:

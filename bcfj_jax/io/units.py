@@ -359,7 +359,7 @@ def format_si(value: float | None, unit: str, digits: int = 6) -> str:
     """A value for people: (1.2345678e4, "N") -> "12.3457 kN"; "-" for None and NaN."""
     if value is None or math.isnan(value):
         return "-"
-    if unit == "1":
+    if unit in ("", "1"):
         return f"{value:.{digits}g}"
     if unit == "kg":
         return f"{value * 1e3:.{digits}g} g" if 0 < abs(value) < 1 else f"{value:.{digits}g} kg"

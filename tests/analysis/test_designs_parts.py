@@ -14,6 +14,7 @@ from bcfj_jax.analysis.designs.evaluate import Values
 from bcfj_jax.analysis.designs.minimax import minimax, stationarity
 from bcfj_jax.analysis.designs.newton import refine
 from bcfj_jax.analysis.designs.objective import _norm, crest
+from bcfj_jax.analysis.designs.result import Design
 
 
 def quadratic(values):
@@ -129,3 +130,13 @@ def test_a_place_that_is_no_optimum_has_a_residual():
     # At a bound that the slope pushes against, and at the other one.
     one = np.array([2.0]), np.array([[1.0]])
     assert stationarity(np.array([0.0]), *one)[1] < 1e-12 and stationarity(np.array([1.0]), *one)[1] > 0.1
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [(2.0, 1.0, " (-50 %)"), (-2.0, -3.0, " (-50 %)"), (-2.0, -1.0, " (+50 %)"), (0.0, 1.0, ""), (np.nan, 1.0, "")],
+)
+def test_a_change_is_of_the_size_before(before, after, said):
+    """A force of the other sign that grows has fallen; of a design that had no value nothing is said."""
+    found = Design(*[None] * len(Design._fields))._replace(before=before, after=after)
+    assert found.change == said

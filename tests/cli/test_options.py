@@ -87,6 +87,18 @@ def test_a_mechanism_is_changed_by_names_of_its_parts():
         changed("mechanism.toml", "body.zzz.mass=1")
 
 
+@pytest.mark.parametrize(
+    "path", ["results.features.1.x", "results.features.²", "results.features.3", "results.histories.x"]
+)
+def test_a_path_into_what_is_no_table_is_refused(path):
+    Path("study.toml").write_text(f'{STUDY}[results]\nfeatures = ["contact.peak"]\nhistories = false\n')
+    with (
+        pytest.raises(InputError, match=f"--set {path}=1"),
+        studies.changing("study.toml", [changes.parse(f"{path}=1")]),
+    ):
+        studies.find("study.toml")
+
+
 def test_a_study_is_changed_with_its_scene():
     Path("study.toml").write_text(STUDY)
     wanted = [changes.parse(text) for text in ("vary.mass.steps=5", "stiffness=2e9", "time.end=50 us")]
@@ -130,6 +142,9 @@ def test_a_design_is_asked_in_a_file_or_on_the_command_line():
     Path("d.toml").write_text(text)
     asked = designfile.load("d.toml", {})
     assert asked.sense == "maximise" and asked.objective == {"contact.peak": 2.0} and list(asked.free) == ["mass"]
+    Path("d.toml").write_text(text.replace('"20 g"]', '"20 g", "1 g"]'))
+    with changes.changing("d.toml", [changes.parse("vary.mass.upper=30 g")], changes.DESIGN):
+        assert designfile.load("d.toml", {}).free["mass"] == bj.Free("10 g", "30 g", "1 g")
 
 
 def test_a_joint_is_designed_among_equilibria():
@@ -232,6 +247,13 @@ def test_stages_are_counted_and_the_last_speaks(monkeypatch):
     assert said[:2] == ["outer", "blocks"]
     assert any(re.fullmatch(r"blocks: [123] of 4, about \d s left", line) for line in said)
     assert not any(line.startswith("outer (") for line in said)
+    said.clear()
+    # What was there before the stage began took none of its time.
+    with stage("blocks", 100) as done:
+        for k in (90, 91):
+            done(k)
+            time.sleep(0.2)
+    assert re.fullmatch(r"blocks: 91 of 100, about [1-5] s left", said[-1])
     said.clear()
     with stage("alone"):
         time.sleep(0.3)

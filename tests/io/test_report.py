@@ -14,6 +14,7 @@ from conftest import BUILD
 from pages import check
 from typer.testing import CliRunner
 
+from bcfj_jax.analysis.simulation import folder as runs
 from bcfj_jax.cli import app
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.io import plots, report
@@ -250,3 +251,11 @@ def test_report_of_no_results_is_bad_input(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     done = bcfj("report", ".")
     assert done.exit_code == 2 and "holds no results" in done.stderr and len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize("contacts", ["time [s]\n0\n1\n2\n", "t\n0\n1\n"])
+def test_histories_of_two_runs_are_refused(tmp_path, contacts):
+    (tmp_path / "forces.csv").write_text("time [s]\n0\n1\n")
+    (tmp_path / "contacts.csv").write_text(contacts)
+    with pytest.raises(InputError, match=r"forces\.csv and contacts\.csv have no time"):
+        runs.read(tmp_path, None, {})

@@ -14,14 +14,13 @@ from bcfj_jax.analysis.designs.designfile import Question, load
 from bcfj_jax.analysis.designs.objective import objective
 from bcfj_jax.analysis.designs.result import FAILED, Design
 from bcfj_jax.analysis.designs.space import space
+from bcfj_jax.analysis.designs.view import shown, value_rows
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.programs import keep_asked
 from bcfj_jax.core.progress import stage
-from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.core.threads import ahead
 from bcfj_jax.io import outputs, plots, report
 from bcfj_jax.io.page import BAD, FAIR, GOOD, Page, Picture, Table, Verdict, brief
-from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.observed import observing
 
 FILES = ("design.json", "starts.png", "slices.png", *report.FILES, "run.toml", "environment.json")
@@ -49,9 +48,7 @@ def _number(text: str) -> float | str:
         return text
 
 
-def run(
-    what: str, more: Mapping[str, Any], out: Path | None, say: Callable[[str], None]
-) -> tuple[str, bool]:  # fmt: skip
+def run(what: str, more: Mapping[str, Any], out: Path | None, say: Callable[[str], None]) -> tuple[str, bool]:
     """Find the design that a file, or a command line, asks for; write and describe it.
 
     Args:
@@ -131,9 +128,8 @@ def verdict(found: Design) -> str:
     if found.status == FAILED:
         return "No design was found."
     before, after = (brief(x, found.unit) for x in (found.before, found.after))
-    share = f" ({100.0 * (found.after / found.before - 1.0):+.3g} %)" if found.before else ""
     state = "" if found.status == "ok" else f" Status: {found.status}."
-    return f"{found.objective}: {before} before, {after} after{share}.{state}"
+    return f"{found.objective}: {before} before, {after} after{found.change}.{state}"
 
 
 def reason(found: Design) -> str:
@@ -147,29 +143,17 @@ def page(title: str, found: Design, note: str, values: report.Rows, facts: repor
     word = "Improved" if found.status == "ok" else found.status[:1].upper() + found.status[1:]
     sentence = verdict(found)
     if found.status != FAILED:
-        change = f" ({100.0 * (found.after / found.before - 1.0):+.3g} %)" if found.before else ""
         ends = f"{brief(found.before, found.unit)} to {brief(found.after, found.unit)}"
         quantities = dict(zip(found.space.names, found.space.quantities, strict=True))
         place = ", ".join(
-            f"{name} {_shown(x, quantities[name]).replace(' u', ' µ')}" for name, x in found.values.items()
+            f"{name} {shown(x, quantities[name]).replace(' u', ' µ')}" for name, x in found.values.items()
         )
-        sentence = f"{found.objective} goes from {ends}{change}, at {place}."
+        sentence = f"{found.objective} goes from {ends}{found.change}, at {place}."
     answer = Verdict(kind, word, sentence)
     tables = (Table("Design", values, reason(found)), Table("Objective", facts))
     rows = [["search", "value"], *([name, f"{value:.4g}"] for name, value in found.stats.items())]
     folded = (Table("Search", rows),)
     return Page(title, answer, tuple(drawn), (note,) if note else (), tables, folded=folded)
-
-
-def value_rows(found: Design) -> list[list[str]]:
-    """Table of the free parameters: before, after, bounds."""
-    rows = [["parameter", "before", "after", "lower", "upper", "remark"]]
-    box = found.space
-    for k, (name, quantity) in enumerate(zip(box.names, box.quantities, strict=True)):
-        side = found.at_bound.get(name)
-        numbers = (found.before_values[name], found.values[name], float(box.lower[k]), float(box.upper[k]))
-        rows.append([name, *(_shown(x, quantity) for x in numbers), f"at its {side} bound" if side else ""])
-    return rows
 
 
 def fact_rows(found: Design) -> list[list[str]]:
@@ -185,11 +169,3 @@ def fact_rows(found: Design) -> list[list[str]]:
 
 def _pair(first: float, second: float, unit: str) -> list[str]:
     return [brief(x, unit) if math.isfinite(x) else "-" for x in (first, second)]
-
-
-def _shown(value: float, quantity: Quantity) -> str:
-    if not math.isfinite(value):
-        return "-"
-    if quantity.unit == "rad":
-        return f"{math.degrees(value):.4g} deg"
-    return format_si(value, quantity.unit, 4)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -49,7 +50,7 @@ class Design(NamedTuple):
         robustness: over the tolerances, of the optimum and of the design before; None without tolerances.
         slices: the objective along each parameter, by name.
         failures: runs without a value, by reason.
-        stats: batches, points, wall_s, compile_s, batch.
+        stats: batches, points, wall_s, compile_s, lanes (points of a batch).
         space: the free parameters.
     """
 
@@ -85,6 +86,12 @@ class Design(NamedTuple):
     to_pandas = presented.to_pandas
     to_xarray = presented.to_xarray
     plot = presented.plot
+
+    @property
+    def change(self) -> str:
+        """By how much the objective changed, of its size before: " (-54 %)"; "" where that is unknown."""
+        share = (self.after - self.before) / abs(self.before) if self.before else math.nan
+        return f" ({100.0 * share:+.3g} %)" if math.isfinite(share) else ""
 
     def content(self) -> dict[str, Any]:
         """The design as ``design.json`` has it."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 
 from bcfj_jax.analysis.designs import pictures
 from bcfj_jax.analysis.designs.result import FAILED, Design
+from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.io.show import Dataset, Told
 from bcfj_jax.io.units import format_si
 
@@ -18,16 +20,27 @@ _DIGITS = 4
 
 def told(found: Design) -> Told:
     """Its status, what it gained, and the free parameters before and after."""
-    unit = found.unit or "1"
-    change = f"{format_si(found.before, unit, _DIGITS)} to {format_si(found.after, unit, _DIGITS)}"
-    share = f" ({100.0 * (found.after - found.before) / abs(found.before):+.3g} %)" if found.before else ""
-    lines = [] if found.status == FAILED else [f"{found.sense} {found.objective}: {change}{share}"]
-    rows = [["parameter", "before", "after", "lower", "upper", "at bound"]]
-    for k, name in enumerate(found.space.names):
-        numbers = (found.before_values[name], found.values[name], found.space.lower[k], found.space.upper[k])
-        unit = found.space.quantities[k].unit
-        rows.append([name, *(format_si(float(x), unit, _DIGITS) for x in numbers), found.at_bound.get(name, "")])
-    return Told(found.status, lines, rows, [found.reason])
+    before, after = (format_si(x, found.unit, _DIGITS) for x in (found.before, found.after))
+    lines = [] if found.status == FAILED else [f"{found.sense} {found.objective}: {before} to {after}{found.change}"]
+    return Told(found.status, lines, value_rows(found), [found.reason])
+
+
+def value_rows(found: Design) -> list[list[str]]:
+    """Table of the free parameters: before, after, bounds."""
+    rows = [["parameter", "before", "after", "lower", "upper", "remark"]]
+    box = found.space
+    for k, (name, quantity) in enumerate(zip(box.names, box.quantities, strict=True)):
+        side = found.at_bound.get(name)
+        numbers = (found.before_values[name], found.values[name], float(box.lower[k]), float(box.upper[k]))
+        rows.append([name, *(shown(x, quantity) for x in numbers), f"at its {side} bound" if side else ""])
+    return rows
+
+
+def shown(value: float, quantity: Quantity) -> str:
+    """A parameter's value for people, angles in degrees."""
+    if quantity.unit == "rad" and math.isfinite(value):
+        return f"{math.degrees(value):.{_DIGITS}g} deg"
+    return format_si(value, quantity.unit, _DIGITS)
 
 
 def frame(found: Design) -> tuple[dict[str, Any], str]:

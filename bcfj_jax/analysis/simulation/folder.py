@@ -78,6 +78,9 @@ def read(folder: Path, given: SceneFile, known: dict[str, Any]) -> Run:
         InputError: for a file that does not hold what ``bcfj simulate`` writes.
     """
     forces, contacts = _columns(folder / "forces.csv"), _columns(folder / "contacts.csv")
+    if "time [s]" not in forces or forces["time [s]"] != contacts.get("time [s]"):
+        found = "forces.csv and contacts.csv have no time [s] in common"
+        raise InputError(str(folder), found, "run bcfj simulate again in another folder")
     times = _numbers(forces["time [s]"], "forces.csv")
 
     def stacked(table: dict[str, list[str]], name: str, count: int, end: str, codes: bool = False) -> np.ndarray | None:

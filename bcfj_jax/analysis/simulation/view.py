@@ -12,6 +12,7 @@ import numpy as np
 from bcfj_jax.analysis import features
 from bcfj_jax.analysis.simulation import pictures
 from bcfj_jax.io.outputs import COMPONENTS, channels
+from bcfj_jax.io.page import percent
 from bcfj_jax.io.show import Dataset, Told
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import unit_of
@@ -50,9 +51,9 @@ def _rows(found: Run) -> list[list[str]]:
     for name, force in found.force.items():
         depth = found.penetration[name]
         row = [name, _si(_known(np.nanmax, force[..., 0]), "N"), _si(_known(np.nanmax, depth), "m")]
-        row.append(_percent(_share(found, name)))
+        row.append(percent(_share(found, name)))
         if measured:
-            row.append(_percent(max(part[name] for part in (measured.rms, measured.peak, measured.impulse))))
+            row.append(percent(max(part[name] for part in (measured.rms, measured.peak, measured.impulse))))
         rows.append(row)
     return rows
 
@@ -67,10 +68,6 @@ def _share(found: Run, name: str) -> float:
     if len(found.times) < 2:
         return math.nan
     return float(np.mean([features.contact_fraction(found.times, one) for one in depth.T]))
-
-
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.{_DIGITS}g} %" if math.isfinite(share) else "-"
 
 
 def frame(found: Run) -> tuple[dict[str, Any], str]:

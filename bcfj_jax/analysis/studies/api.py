@@ -169,6 +169,7 @@ def compute(store: Store, workers: int | None, scheduler: str | None, progress: 
     if all([store.finished(k) for k in range(total)]):
         progress(total, total)
         return
+    progress(store.there(), total)
     if scheduler is not None:
         from bcfj_jax.analysis.studies import cluster
 

@@ -17,6 +17,7 @@ import hashlib
 import json
 import os
 import shutil
+import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -142,8 +143,6 @@ class Store:
 
 def print_fault(path: Path, fault: str) -> None:
     """Report that a block is done again."""
-    import sys
-
     sys.stderr.write(f"{path.name}: {fault}; it is computed again\n")
 
 

@@ -40,11 +40,7 @@ def told(found: Result) -> Told:
 
 def frame(found: Result) -> tuple[dict[str, Any], str]:
     """The table of ``results.parquet``: a point a row."""
-    return {name: _column(found, name) for name in found.table.column_names}, "point"
-
-
-def _column(found: Result, name: str) -> Any:
-    return np.asarray(found.table.column(name).to_pylist(), dtype=object if name in ("status", "reason") else None)
+    return {name: found.column(name) for name in found.table.column_names}, "point"
 
 
 def dataset(found: Result) -> Dataset:
@@ -66,7 +62,7 @@ def dataset(found: Result) -> Dataset:
     else:
         coordinates |= {name: (dims, found.column(name), scene.quantities[name].unit) for name in study.names}
     variables: dict[str, Any] = {n: (dims, x.reshape(shape), units.get(n, "")) for n, x in columns.items()}
-    status = np.asarray(found.table.column("status").to_pylist(), dtype=str).reshape(shape)
+    status = found.column("status").astype(str).reshape(shape)
     return Dataset({**variables, "status": (dims, status, "")}, coordinates, about)
 
 
