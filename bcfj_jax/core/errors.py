@@ -130,8 +130,8 @@ def origin(error: BaseException) -> str:
     found, frame = "", error.__traceback__
     while frame is not None:
         name = frame.tb_frame.f_code.co_filename
-        theirs = name.startswith((here + os.sep, "<")) or f"{os.sep}site-packages{os.sep}" in name
-        if not theirs and not name.startswith(os.path.dirname(os.__file__) + os.sep):
+        known = name.startswith((here + os.sep, os.path.dirname(os.__file__) + os.sep, "<"))
+        if not known and f"{os.sep}site-packages{os.sep}" not in name:
             found = f"{name}, line {frame.tb_lineno}"
         frame = frame.tb_next
     return found

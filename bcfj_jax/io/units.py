@@ -28,47 +28,14 @@ _LAST_WORD = re.compile(r"(.*?[^\s,_/])(?:\s*,\s*|\s+in\s+|[\s_]+)(\S+)")
 _LETTERS = tuple("ABCDEFGHLMQRSTXYZ")
 # Units that no header ends in by chance.
 _PLAIN = (
-    "ns",
-    "us",
-    "µs",
-    "ms",
-    "mN",
-    "kN",
-    "MN",
-    "nm",
-    "um",
-    "µm",
-    "mm",
-    "cm",
-    "m/s",
-    "mm/s",
-    "m/s^2",
-    "m/s²",
-    "m/s2",
-)
+    "ns", "us", "µs", "ms", "mN", "kN", "MN", "nm", "um", "µm", "mm", "cm", "m/s", "mm/s", "m/s^2", "m/s²", "m/s2",
+)  # fmt: skip
 _RATE = re.compile(r"(?:[munkµ]?m|cm|km|rad|deg|°|k?N)\s*/\s*(?:s|h|min|s\^?2|s²)")
 _COMMAS = re.compile(r"\s*([-+]?\d[\d.]*,[\d.,]*\d)(?![\d.,])(.*)", re.DOTALL)
+# Units that are often written in the wrong case.
 _CASED = (
-    "kN",
-    "N",
-    "mN",
-    "MN",
-    "ms",
-    "s",
-    "mm",
-    "m",
-    "kg",
-    "g",
-    "Pa",
-    "kPa",
-    "MPa",
-    "GPa",
-    "Hz",
-    "kHz",
-    "J",
-    "rad/s",
-    "rpm",
-)
+    "kN", "N", "mN", "MN", "ms", "s", "mm", "m", "kg", "g", "Pa", "kPa", "MPa", "GPa", "Hz", "kHz", "J", "rad/s", "rpm",
+)  # fmt: skip
 _STIFFNESS = "N/m^n"
 _PREFIXES = {-12: "p", -9: "n", -6: "u", -3: "m", 0: "", 3: "k", 6: "M", 9: "G", 12: "T"}
 # Units whose name may be preceded by a prefix without changing its meaning.
