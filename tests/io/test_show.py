@@ -110,7 +110,7 @@ def test_labelled_arrays_hold_the_numbers(shown):
 @pytest.mark.parametrize(("library", "method"), [("pandas", "to_pandas"), ("xarray", "to_xarray")])
 def test_a_missing_library_is_named_with_what_installs_it(shown, library, method, monkeypatch):
     monkeypatch.setitem(sys.modules, library, None)
-    with pytest.raises(bj.InputError, match=rf"needs {library}.*pip install 'bcfj-jax\[table\]'"):
+    with pytest.raises(bj.InputError, match=rf"needs {library}.*pip install \"bcfj-jax\[table\]\""):
         getattr(shown["run"], method)()
 
 
