@@ -115,3 +115,13 @@ def unit(v: Vector) -> Vector:
 def array(v: Vector) -> Any:
     """The components along a last axis, (..., 3)."""
     return jnp.stack(jnp.broadcast_arrays(*(jnp.asarray(x, dtype=jnp.float64) for x in v)), -1)
+
+
+def spread(x: Number, members: int) -> Any:
+    """A number for each of so many members, (k,); a scalar where there are none."""
+    return jnp.broadcast_to(jnp.asarray(x, dtype=jnp.float64), (members,) if members else ())
+
+
+def stacked(v: Vector, members: int) -> Any:
+    """The components along a last axis for each of so many members, (k, 3); (3,) where there are none."""
+    return jnp.stack([spread(x, members) for x in v], -1)

@@ -25,8 +25,9 @@ from bcfj_jax.contact.wrench import ContactForce
 from bcfj_jax.core.errors import InputError, origin, quoted
 from bcfj_jax.core.numerics import positive
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
-from bcfj_jax.core.vectors import WORLD, ZERO, Number
+from bcfj_jax.core.vectors import WORLD, ZERO, Number, Vector, add, turned
 from bcfj_jax.mechanism import sizes
+from bcfj_jax.mechanism.bodies import Part
 from bcfj_jax.mechanism.sizes import ORIGIN, Params, Place, Size
 
 # Least approach speed of a law stated by restitution [m/s]: a resting contact would be rigid.
@@ -202,8 +203,7 @@ class Contact(eqx.Module):
             found.setdefault(name, (meaning, None))
             own = f"{self.name}.{name}"
             found[own] = (meaning._replace(name=own, meaning=f"{meaning.meaning}; of {self.name} alone"), default)
-        for side, body, place in zip("ab", self.between, self.at, strict=True):
-            del side
+        for body, place in zip(self.between, self.at, strict=True):
             for letter, size in zip("xyz", place, strict=True):
                 if not (isinstance(size, (int, float)) and size == 0):
                     found |= sizes.own(size, self.name, f"{body}_{letter}", "m", f"{letter} of {self.name} on {body}")
@@ -214,6 +214,15 @@ class Contact(eqx.Module):
         body, place = self.between[which], self.at[which]
         x, y, z = (sizes.length(s, self.name, f"{body}_{k}", p) for k, s in zip("xyz", place, strict=True))
         return x, y, z
+
+    def place(self, which: int, part: Part, p: Params) -> Vector:
+        """Place of a marker [m], world, of its body in motion."""
+        return add(part.place, turned(part.axes, self.marker(which, p)))
+
+    def frames(self, parts: Mapping[str, Part], p: Params) -> tuple[Frame, Frame]:
+        """Frames of both markers, of bodies in motion."""
+        first, second = (parts[name] for name in self.between)
+        return Frame(self.place(0, first, p), first.axes), Frame(self.place(1, second, p), second.axes)
 
     @property
     def faces(self) -> int:

@@ -1,6 +1,6 @@
 """A mechanism: bodies in a tree of ideal joints, contacts with clearance between them, loads on them.
 
-    scene = Mechanism("door", bodies, contacts, loads, defaults={"stiffness": 1e8, ...})
+    scene = Mechanism("door", bodies, contacts, loads, given={"stiffness": 1e8, ...})
 
 It is a model like every other (``mechanism.model``). Every loop of bodies is closed by a contact or a bush, so that what
 is integrated is a plain ODE in the coordinates of the joints. The state is flat: coordinates, velocities, then what the
@@ -20,8 +20,8 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from bcfj_jax.contact.gaps import Face, Frame
-from bcfj_jax.contact.normal import IMPERFECT, AbstractLaw, Imperfect, regularised_energy, regularised_force
+from bcfj_jax.contact.gaps import Face
+from bcfj_jax.contact.normal import IMPERFECT, AbstractLaw, Imperfect
 from bcfj_jax.contact.wrench import ContactForce, press
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
@@ -32,18 +32,14 @@ from bcfj_jax.core.vectors import (
     Number,
     Vector,
     add,
-    cross,
     dot,
-    length,
-    minus,
     negative,
     plus,
     scale,
     subtract,
     turned,
-    unit,
 )  # fmt: skip
-from bcfj_jax.mechanism import equations, sizes
+from bcfj_jax.mechanism import equations, instruments, sizes
 from bcfj_jax.mechanism.bodies import GROUND, STILL, Body, Part, carried, quaternion_rate
 from bcfj_jax.mechanism.contacts import Contact, raised
 from bcfj_jax.mechanism.equations import Equations, flat
@@ -333,12 +329,9 @@ class Mechanism(AbstractModel):
         self, c: Contact, bodies: Moving, memory: list[list[Number]], p: Params, laws: bool
     ) -> list[tuple[Face, ContactForce]]:
         first, second = (bodies.parts[name] for name in c.between)
-        frames = []
-        for which, part in enumerate((first, second)):
-            frames.append(Frame(add(part.place, turned(part.axes, c.marker(which, p))), part.axes))
-        coefficients = c.coefficients(p)
+        frames, coefficients = c.frames(bodies.parts, p), c.coefficients(p)
         try:
-            faces = c.gap.faces(frames[0], frames[1], coefficients)
+            faces = c.gap.faces(*frames, coefficients)
         except Exception as error:
             raise raised(f"contact '{c.name}' gap {type(c.gap).__name__}", error) from error
         found = []
@@ -374,7 +367,7 @@ class Mechanism(AbstractModel):
             self._loaded(found, load, t, now, p)
         for c in self.contacts if pressing else ():
             first, second = (parts[name] for name in c.between)
-            place = add(second.place, turned(second.axes, c.marker(1, p)))
+            place = c.place(1, second, p)
             for face, touch in now.faces[c.name]:
                 point = add(place, face.lever)
                 found.act(second, subtract(point, second.place), touch.force)
@@ -383,9 +376,8 @@ class Mechanism(AbstractModel):
 
     def _loaded(self, found: Equations, load: AbstractLoad, t: Array, now: Instant, p: Params) -> None:
         if isinstance(load, JointSpring):
-            j = next(j for j, (body, *_) in enumerate(self._free) if body == load.body)
-            i = next(i for i, (body, *_) in enumerate(self._placed) if body == load.body)
-            found.forces[j] = plus(found.forces[j], load.on_coordinate(t, now.q[i], now.v[j], p))
+            j, force = self.sprung(load, t, now, p)
+            found.forces[j] = plus(found.forces[j], force)
             return
         try:
             actions = load.actions(t, now.bodies, p)
@@ -395,6 +387,12 @@ class Mechanism(AbstractModel):
             action = checked_action(f"load '{load.name}'", given, now.bodies.parts)
             part = now.bodies.parts[action.body]
             found.act(part, turned(part.axes, action.at), action.force, action.torque)
+
+    def sprung(self, load: JointSpring, t: Array, now: Instant, p: Params) -> tuple[int, Number]:
+        """Which velocity a spring in a joint acts on, and its force [N, N m]."""
+        j = next(j for j, (body, *_) in enumerate(self._free) if body == load.body)
+        i = next(i for i, (body, *_) in enumerate(self._placed) if body == load.body)
+        return j, load.on_coordinate(t, now.q[i], now.v[j], p)
 
     def motion(self, t: Array, y: Array, p: Params) -> Array:
         """Rates of coordinates and velocities without contact forces; of what contacts remember 0."""
@@ -435,40 +433,15 @@ class Mechanism(AbstractModel):
 
     def observe(self, t: Array, y: Array, prepared: Params) -> dict[str, Reading]:
         """Every contact's reading: the force on its second body. Forces come from the law, never from interpolation."""
-        now = self.instant(t, y, prepared)
-        return {c.name: self._read(c, now, prepared) for c in self.contacts}
+        return instruments.observe(self, t, y, prepared)
 
-    def _read(self, c: Contact, now: Instant, p: Params) -> Reading:
-        first, second = (now.bodies.parts[name] for name in c.between)
-        frames = [
-            Frame(add(part.place, turned(part.axes, c.marker(i, p))), part.axes)
-            for i, part in enumerate((first, second))
-        ]
-        touching = now.faces[c.name]
-        normals = [touch.normal for _, touch in touching]
-        force = add(*(touch.force for _, touch in touching))
-        drag = add(*(touch.drag for _, touch in touching))
-        normal = minus(*normals) if c.gap.signed else _sum(normals)
-        way = touching[0][0].normal if len(touching) == 1 else unit(subtract(drag, force))
-        axial = c.gap.axial(frames[0], frames[1], c.coefficients(p))
-        along = unit(subtract(axial, scale(dot(axial, way), way)))
-        across = cross(way, along)
-        depth, rate, slip = _deepest(touching)
-        members = self.members[c.name]
-        shape = (members,) if members else ()
-        parts = [jnp.broadcast_to(jnp.asarray(x, dtype=jnp.float64), shape) for x in (depth, rate, slip)]
-        read = (normal, dot(drag, along), dot(drag, across))
-        whole, own = (_stacked(v, shape) for v in (force, read))
-        # A law clips NaN to no force; a state that failed must not read as one that is merely apart.
-        lost = jnp.isnan(parts[0] + parts[1])[..., None]
-        rubs = c.friction is not None
-        return Reading(
-            jnp.where(lost, jnp.nan, own),
-            parts[0],
-            parts[1],
-            parts[2] if rubs else None,
-            jnp.where(lost, jnp.nan, whole),
-        )
+    def motions(self, t: Array, y: Array, prepared: Params) -> dict[str, BodyMotion]:
+        """Centres of mass, axes, accelerations and the drives' forces."""
+        return instruments.motions(self, t, y, prepared)
+
+    def flows(self, t: Array, y: Array, prepared: Params) -> Flows:
+        """Power of drives and loads, what friction and damping take, kinetic and elastic energy."""
+        return instruments.flows(self, t, y, prepared)
 
     @property
     def body_names(self) -> tuple[str, ...]:
@@ -487,37 +460,6 @@ class Mechanism(AbstractModel):
                 return c.coefficients(params)[name]
         return super().coefficient(params, owner, name)
 
-    def motions(self, t: Array, y: Array, prepared: Params) -> dict[str, BodyMotion]:
-        """Centres of mass, axes, accelerations and the drives' forces."""
-        now = self.instant(t, y, prepared)
-        gathered = self.assembled(t, now, prepared)
-        count = len(self._free)
-        rates = gathered.accelerations(count)
-        found, driven = {}, count
-        for b in self.ordered:
-            part, arm = now.bodies.parts[b.name], now.bodies.center[b.name]
-            shape = (b.members,) if b.members else ()
-            at = part.shifted(arm)
-            gain = add(at.drift, *(scale(rates[j], v) for j, (_, v) in at.partials.items() if j < count))
-            turns = self.turning(b.name)
-            swirl = add(at.swirl, *(scale(rates[j], w) for j, (w, _) in at.partials.items() if j < count))
-            angle = drive = None
-            if b.joint in ("hinge", "planar", "bearing"):
-                angle = b.drive.position(t, b.name, prepared) if b.drive else now.q[self._index(b, "angle")]
-            if b.drive is not None:
-                drive, driven = jnp.asarray(gathered.reaction(driven, rates)), driven + 1
-            found[b.name] = BodyMotion(
-                place=_stacked(at.place, shape), velocity=_stacked(at.velocity, shape), acceleration=_stacked(gain, shape),
-                axes=jnp.stack([_stacked(x, shape) for x in part.axes], -1) if turns else None,
-                spin=_stacked(at.spin, shape) if turns else None,
-                spin_rate=_stacked(swirl, shape) if turns else None,
-                angle=None if angle is None else jnp.broadcast_to(jnp.asarray(angle), shape), drive=drive,
-            )  # fmt: skip
-        return found
-
-    def _index(self, body: Body, key: str) -> int:
-        return next(i for i, (name, own, _) in enumerate(self._placed) if name == body.name and own == key)
-
     def drawing(
         self, params: Params, size: float = 1.0, travel: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None
     ) -> Drawing:
@@ -535,65 +477,6 @@ class Mechanism(AbstractModel):
         from bcfj_jax.mechanism.scenery import scenery
 
         return scenery(self, t, y, params)
-
-    def flows(self, t: Array, y: Array, prepared: Params) -> Flows:
-        """Power of drives and loads, what friction and damping take, kinetic and elastic energy.
-
-        What a law's states lose, by relaxation or plastic deformation, is damping, too.
-        """
-        p = prepared
-        now = self.instant(t, y, p)
-        gathered = self.assembled(t, now, p)
-        rates = gathered.accelerations(len(self._free))
-        given: dict[str, Array] = {}
-        for k, b in enumerate(self._driven):
-            assert b.drive is not None
-            speed = b.drive.motion(t, b.name, p)[1]
-            given[f"{b.name} drive"] = jnp.asarray(gathered.reaction(len(self._free) + k, rates) * speed)
-        for load in self.loads:
-            given[load.name] = jnp.asarray(self._power(load, t, now, p))
-        kinetic: Number = 0.0
-        for b in self.ordered:
-            part, arm = now.bodies.parts[b.name], now.bodies.center[b.name]
-            v = part.velocity_at(arm)
-            kinetic = plus(kinetic, jnp.sum(0.5 * now.bodies.mass[b.name] * dot(v, v)))
-            inertia = self.inertia(b, p)
-            if inertia is not None:
-                kinetic = plus(
-                    kinetic,
-                    jnp.sum(0.5 * jnp.asarray(dot(part.spin, equations.inertial(inertia, part.axes, part.spin)))),
-                )
-        friction: Number = jnp.zeros(())
-        damping: Number = jnp.zeros(())
-        elastic: Number = jnp.zeros(())
-        for c in self.contacts:
-            for (face, touch), own in zip(now.faces[c.name], now.memory[c.name], strict=True):
-                values = c.recalled(own, p)
-                width = values.get("smoothing")
-                changes = dict(zip(c.memory, c.learning(face, touch, own, p), strict=True))
-                friction = friction - jnp.sum(jnp.asarray(dot(touch.drag, touch.slide)))
-                depth, rate = jnp.broadcast_arrays(jnp.asarray(face.depth), jnp.asarray(touch.rate))
-                still = regularised_force(c.law, depth, jnp.zeros_like(depth), values, width)
-                stored, lost = regularised_energy(c.law, depth, rate, values, changes, width)
-                damping = damping + jnp.sum((touch.normal - face.gate * still) * touch.rate + face.gate * lost)
-                elastic = elastic + jnp.sum(face.gate * stored)
-        return Flows(
-            given, {"friction": friction, "damping": damping}, {"kinetic": jnp.asarray(kinetic), "elastic": elastic}
-        )
-
-    def _power(self, load: AbstractLoad, t: Array, now: Instant, p: Params) -> Number:
-        if isinstance(load, JointSpring):
-            j = next(j for j, (body, *_) in enumerate(self._free) if body == load.body)
-            i = next(i for i, (body, *_) in enumerate(self._placed) if body == load.body)
-            return load.on_coordinate(t, now.q[i], now.v[j], p) * now.v[j]
-        power: Number = 0.0
-        for action in load.actions(t, now.bodies, p):
-            part = now.bodies.parts[action.body]
-            each = plus(
-                dot(action.force, part.velocity_at(turned(part.axes, action.at))), dot(action.torque, part.spin)
-            )
-            power = plus(power, jnp.sum(jnp.asarray(each)))
-        return power
 
     # Accuracy.
 
@@ -686,27 +569,3 @@ def _sorted(values: Any) -> tuple[tuple[str, float], ...]:
 
 def _flattened(part: tuple) -> list[Any]:
     return [x for item in part for x in (_flattened(item) if isinstance(item, tuple) else [item])]
-
-
-def _sum(numbers: list[Number]) -> Number:
-    found = numbers[0]
-    for x in numbers[1:]:
-        found = plus(found, x)
-    return found
-
-
-def _stacked(v: Vector, shape: tuple[int, ...]) -> Array:
-    return jnp.stack([jnp.broadcast_to(jnp.asarray(x, dtype=jnp.float64), shape) for x in v], -1)
-
-
-def _deepest(touching: list[tuple[Face, ContactForce]]) -> tuple[Number, Number, Number]:
-    """Penetration, rate and sliding speed of the deepest face."""
-    rows = [(face.depth, touch.rate, length(touch.slide)) for face, touch in touching]
-    if len(rows) == 1:
-        return rows[0]
-    depths, rates, slips = (
-        jnp.stack(jnp.broadcast_arrays(*map(jnp.asarray, column))) for column in zip(*rows, strict=True)
-    )
-    best = jnp.argmax(depths, axis=0, keepdims=True)
-    depth, rate, slip = (jnp.take_along_axis(x, best, 0)[0] for x in (depths, rates, slips))
-    return depth, rate, slip

@@ -10,7 +10,7 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.core.programs import program
-from bcfj_jax.core.vectors import add, dot, subtract, turned
+from bcfj_jax.core.vectors import dot, subtract
 from bcfj_jax.mechanism.model import Orbit, Params
 
 if TYPE_CHECKING:
@@ -48,10 +48,7 @@ def _apart(model: Mechanism, t: Array, y: Array, p: Params) -> dict[str, tuple[A
     parts, found = model.instant(t, y, p, laws=False).bodies.parts, {}
     for name in _round(model):
         c = model.contact(name)
-        places = [
-            add(parts[body].place, turned(parts[body].axes, c.marker(which, p))) for which, body in enumerate(c.between)
-        ]
-        apart, axes = subtract(places[1], places[0]), parts[c.between[0]].axes
-        along_x, along_y = (jnp.asarray(dot(axes[k], apart)) for k in (0, 1))
-        found[name] = along_x, along_y
+        first, second = c.frames(parts, p)
+        apart = subtract(second.place, first.place)
+        found[name] = jnp.asarray(dot(first.axes[0], apart)), jnp.asarray(dot(first.axes[1], apart))
     return found

@@ -20,7 +20,7 @@ from jax import Array
 
 from bcfj_jax.contact.normal import regularised_force
 from bcfj_jax.core.numerics import positive, smooth_ramp
-from bcfj_jax.core.vectors import ZERO, Number, Vector, add, dot, plus, scale, subtract, times, turned, unit
+from bcfj_jax.core.vectors import ZERO, Number, Vector, add, dot, plus, scale, subtract, times, unit
 from bcfj_jax.mechanism.equations import Equations, flat, solved
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ def expected(scene: Mechanism, params: Params, inside: bool = True) -> Expected:
     forces, speeds, masses = [], [], []
     for c in scene.contacts:
         first, second = (parts[name] for name in c.between)
-        place = add(second.place, turned(second.axes, c.marker(1, params)))
+        place = c.place(1, second, params)
         energies, held, flights = [], [], []
         for (face, touch), own in zip(now.faces[c.name], now.memory[c.name], strict=True):
             point = add(place, face.lever)

@@ -16,10 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.contact.gaps import Frame, Look
+from bcfj_jax.contact.gaps import Look
 from bcfj_jax.core import shapes
 from bcfj_jax.core.shapes import Drawing, Shape
-from bcfj_jax.core.vectors import add, array, scale, seen, subtract, turned
+from bcfj_jax.core.vectors import add, array, scale, seen, spread, stacked, subtract
 from bcfj_jax.mechanism import sizes
 from bcfj_jax.mechanism.bodies import GROUND, Body, Part
 from bcfj_jax.mechanism.contacts import Contact
@@ -48,9 +48,8 @@ def drawing(m: Mechanism, params: Params, size: float, travel: Mapping[str, Any]
         values = {name: float(np.max(x)) for name, x in c.coefficients(p).items()}
         drawn = c.gap.drawn(values, Look(size, np.asarray(low), np.asarray(high)))
         for which, (body, meshes) in enumerate(zip(c.between, drawn, strict=True)):
-            place = np.array([float(np.max(x)) for x in c.marker(which, p)])
             tone = "ground" if body == GROUND else ("other", "body")[which]
-            found += [Shape(body, mesh.moved(place), tone) for mesh in meshes]
+            found += [Shape(body, mesh.moved(_marker(c, which, p)), tone) for mesh in meshes]
     found = _once(found)
     for b in m.ordered:
         found += _joint(m, b, p, size, [s for s in found if s.body == b.name], (travel or {}).get(b.name, still))
@@ -58,15 +57,20 @@ def drawing(m: Mechanism, params: Params, size: float, travel: Mapping[str, Any]
     return Drawing((*found, *_ground(m, p, size)), notes=_NOTES)
 
 
+def _marker(c: Contact, which: int, p: Params) -> np.ndarray:
+    """Place of a contact's marker in its body's axes [m]."""
+    return np.array([float(np.max(x)) for x in c.marker(which, p)])
+
+
+def _touching(m: Mechanism, body: str) -> list[tuple[Contact, int]]:
+    """A body's contacts, and which of their two bodies it is."""
+    return [(c, i) for c in m.contacts for i, name in enumerate(c.between) if name == body]
+
+
 def _ground(m: Mechanism, p: Params, size: float) -> list[Shape]:
     """A line between the places on the ground about which bodies turn."""
     points = [_at(b, p) for b in m.ordered if b.parent == GROUND and b.joint == "hinge"]
-    points += [
-        np.array([float(np.max(x)) for x in c.marker(i, p)])
-        for c in m.contacts
-        for i, name in enumerate(c.between)
-        if name == GROUND and m.turning(c.between[1 - i])
-    ]
+    points += [_marker(c, i, p) for c, i in _touching(m, GROUND) if m.turning(c.between[1 - i])]
     ends = [(a, c) for a, c in pairwise(points) if np.linalg.norm(c - a) > 1e-3 * size]
     return [Shape(GROUND, shapes.rod(a, c, _LINE * size), "ground") for a, c in ends]
 
@@ -114,7 +118,7 @@ def _joint(m: Mechanism, b: Body, p: Params, size: float, own: list[Shape], trav
     if b.joint != "slide":
         return []
     along, tone = basis[:, 2], "ground" if b.parent == GROUND else "other"
-    met = {other for c in m.contacts if b.name in c.between for other in c.between if other != b.name}
+    met = {c.between[1 - i] for c, i in _touching(m, b.name)}
     arms = {c.name for c in m.bodies if c.parent == b.name} | met
     if not any(m.turning(name) for name in arms):
         low, high = (np.asarray(x) @ along for x in travel)
@@ -144,12 +148,7 @@ def _bars(m: Mechanism, b: Body, p: Params, size: float) -> list[Shape]:
         return []
     points = [np.zeros(3)] if b.joint in ("hinge", "spherical") else []
     points += [_at(c, p) for c in m.bodies if c.parent == b.name]
-    points += [
-        np.array([float(np.max(x)) for x in c.marker(i, p)])
-        for c in m.contacts
-        for i, name in enumerate(c.between)
-        if name == b.name
-    ]
+    points += [_marker(c, i, p) for c, i in _touching(m, b.name)]
     spread = np.ptp(np.stack(points), axis=0) if points else np.zeros(3)
     if not spread.any():
         return []
@@ -163,14 +162,13 @@ def scenery(m: Mechanism, t: Array, y: Array, p: Params) -> Scenery:
     now = m.instant(t, y, p)
     arrows, offsets = {}, {}
     for c in m.contacts:
-        first, second = _frames(m, c, now.bodies.parts, p)
+        first, second = c.frames(now.bodies.parts, p)
         # The first member stands for all.
         offsets[c.name] = array(seen(first.axes, subtract(second.place, first.place))).reshape(-1, 3)[0]
-        faces = now.faces[c.name]
-        shape = (m.members[c.name],) if m.members[c.name] else ()
-        points = [_spread(add(second.place, face.lever), shape) for face, _ in faces]
-        force = jnp.sum(jnp.stack([_spread(touch.force, shape) for _, touch in faces]), axis=0)
-        normals = [jnp.broadcast_to(jnp.asarray(touch.normal, float), shape) for _, touch in faces]
+        faces, members = now.faces[c.name], m.members[c.name]
+        points = [stacked(add(second.place, face.lever), members) for face, _ in faces]
+        force = jnp.sum(jnp.stack([stacked(touch.force, members) for _, touch in faces]), axis=0)
+        normals = [spread(touch.normal, members) for _, touch in faces]
         best = jnp.argmax(jnp.stack(normals), axis=0)
         point = jnp.take_along_axis(jnp.stack(points), best[None, ..., None], axis=0)[0]
         arrows[c.name] = Arrow(point, force if c.between[1] != GROUND else -force)
@@ -183,23 +181,11 @@ def scenery(m: Mechanism, t: Array, y: Array, p: Params) -> Scenery:
     return Scenery(_poses(m, now.bodies.parts), _poses(m, _closed(m, t, y, p)), arrows, offsets)
 
 
-def _frames(m: Mechanism, c: Contact, parts: Mapping[str, Part], p: Params) -> list[Frame]:
-    found = []
-    for which, name in enumerate(c.between):
-        part = parts[name]
-        found.append(Frame(add(part.place, turned(part.axes, c.marker(which, p))), part.axes))
-    return found
-
-
-def _spread(v: Any, shape: tuple[int, ...]) -> Array:
-    return jnp.stack([jnp.broadcast_to(jnp.asarray(x, jnp.float64), shape) for x in v], -1)
-
-
 def _poses(m: Mechanism, parts: Mapping[str, Part]) -> dict[str, Pose]:
     found = {}
     for b in m.ordered:
-        part, shape = parts[b.name], (b.members,) if b.members else ()
-        found[b.name] = Pose(_spread(part.place, shape), jnp.stack([_spread(x, shape) for x in part.axes], -1))
+        part, k = parts[b.name], b.members
+        found[b.name] = Pose(stacked(part.place, k), jnp.stack([stacked(x, k) for x in part.axes], -1))
     return found
 
 
@@ -220,7 +206,7 @@ def _closed(m: Mechanism, t: Array, y: Array, p: Params) -> Mapping[str, Part]:
         found = []
         for c in m.contacts:
             values = c.coefficients(p)
-            first, second = _frames(m, c, parts, p)
+            first, second = c.frames(parts, p)
             for face in c.gap.faces(first, second, values):
                 play = values["clearance"] if "clearance" in c.gap.needs else 0.0
                 found.append(array(scale(face.depth + play, face.normal)).ravel())

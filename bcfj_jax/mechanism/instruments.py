@@ -1,0 +1,167 @@
+"""What instruments read of a mechanism in one state: forces of contacts, motions of bodies, the energy balance."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import jax.numpy as jnp
+from jax import Array
+
+from bcfj_jax.contact.gaps import Face
+from bcfj_jax.contact.normal import regularised_energy, regularised_force
+from bcfj_jax.contact.wrench import ContactForce
+from bcfj_jax.core.vectors import (
+    Number,
+    add,
+    cross,
+    dot,
+    length,
+    minus,
+    plus,
+    scale,
+    spread,
+    stacked,
+    subtract,
+    turned,
+    unit,
+)  # fmt: skip
+from bcfj_jax.mechanism import equations
+from bcfj_jax.mechanism.contacts import Contact
+from bcfj_jax.mechanism.loads import AbstractLoad, JointSpring
+from bcfj_jax.mechanism.model import BodyMotion, Flows, Params, Reading
+
+if TYPE_CHECKING:
+    from bcfj_jax.mechanism.mechanism import Instant, Mechanism
+
+
+def observe(m: Mechanism, t: Array, y: Array, p: Params) -> dict[str, Reading]:
+    """``AbstractModel.observe``: the force on each contact's second body, from the law, never from interpolation."""
+    now = m.instant(t, y, p)
+    return {c.name: _reading(m, c, now, p) for c in m.contacts}
+
+
+def _reading(m: Mechanism, c: Contact, now: Instant, p: Params) -> Reading:
+    first, second = c.frames(now.bodies.parts, p)
+    touching = now.faces[c.name]
+    normals = [touch.normal for _, touch in touching]
+    force = add(*(touch.force for _, touch in touching))
+    drag = add(*(touch.drag for _, touch in touching))
+    normal = minus(*normals) if c.gap.signed else _sum(normals)
+    way = touching[0][0].normal if len(touching) == 1 else unit(subtract(drag, force))
+    axial = c.gap.axial(first, second, c.coefficients(p))
+    along = unit(subtract(axial, scale(dot(axial, way), way)))
+    across = cross(way, along)
+    members = m.members[c.name]
+    depth, rate, slip = (spread(x, members) for x in _deepest(touching))
+    whole, own = (stacked(v, members) for v in (force, (normal, dot(drag, along), dot(drag, across))))
+    # A law clips NaN to no force; a state that failed must not read as one that is merely apart.
+    lost = jnp.isnan(depth + rate)[..., None]
+    slides = slip if c.friction is not None else None
+    return Reading(jnp.where(lost, jnp.nan, own), depth, rate, slides, jnp.where(lost, jnp.nan, whole))
+
+
+def _sum(numbers: list[Number]) -> Number:
+    found = numbers[0]
+    for x in numbers[1:]:
+        found = plus(found, x)
+    return found
+
+
+def _deepest(touching: list[tuple[Face, ContactForce]]) -> tuple[Number, Number, Number]:
+    """Penetration, rate and sliding speed of the deepest face."""
+    rows = [(face.depth, touch.rate, length(touch.slide)) for face, touch in touching]
+    if len(rows) == 1:
+        return rows[0]
+    depths, rates, slips = (
+        jnp.stack(jnp.broadcast_arrays(*map(jnp.asarray, column))) for column in zip(*rows, strict=True)
+    )
+    best = jnp.argmax(depths, axis=0, keepdims=True)
+    depth, rate, slip = (jnp.take_along_axis(x, best, 0)[0] for x in (depths, rates, slips))
+    return depth, rate, slip
+
+
+def motions(m: Mechanism, t: Array, y: Array, p: Params) -> dict[str, BodyMotion]:
+    """``AbstractModel.motions``: centres of mass, axes, accelerations and the drives' forces."""
+    now = m.instant(t, y, p)
+    gathered = m.assembled(t, now, p)
+    count = len(m._free)
+    rates = gathered.accelerations(count)
+    found, driven = {}, count
+    for b in m.ordered:
+        part, arm, k = now.bodies.parts[b.name], now.bodies.center[b.name], b.members
+        at = part.shifted(arm)
+        gain = add(at.drift, *(scale(rates[j], v) for j, (_, v) in at.partials.items() if j < count))
+        turns = m.turning(b.name)
+        swirl = add(at.swirl, *(scale(rates[j], w) for j, (w, _) in at.partials.items() if j < count))
+        angle = drive = None
+        if b.joint in ("hinge", "planar", "bearing"):
+            angle = b.drive.position(t, b.name, p) if b.drive else now.q[_angle(m, b.name)]
+        if b.drive is not None:
+            drive, driven = jnp.asarray(gathered.reaction(driven, rates)), driven + 1
+        found[b.name] = BodyMotion(
+            place=stacked(at.place, k), velocity=stacked(at.velocity, k), acceleration=stacked(gain, k),
+            axes=jnp.stack([stacked(x, k) for x in part.axes], -1) if turns else None,
+            spin=stacked(at.spin, k) if turns else None, spin_rate=stacked(swirl, k) if turns else None,
+            angle=None if angle is None else spread(angle, k), drive=drive,
+        )  # fmt: skip
+    return found
+
+
+def _angle(m: Mechanism, body: str) -> int:
+    """Where a body's turn is among the coordinates."""
+    return next(i for i, (name, key, _) in enumerate(m._placed) if name == body and key == "angle")
+
+
+def flows(m: Mechanism, t: Array, y: Array, p: Params) -> Flows:
+    """``AbstractModel.flows``: power of drives and loads, what friction and damping take, kinetic and elastic energy.
+
+    What a law's states lose, by relaxation or plastic deformation, is damping, too.
+    """
+    now = m.instant(t, y, p)
+    gathered = m.assembled(t, now, p)
+    rates = gathered.accelerations(len(m._free))
+    given: dict[str, Array] = {}
+    for k, b in enumerate(m._driven):
+        assert b.drive is not None
+        speed = b.drive.motion(t, b.name, p)[1]
+        given[f"{b.name} drive"] = jnp.asarray(gathered.reaction(len(m._free) + k, rates) * speed)
+    for load in m.loads:
+        given[load.name] = jnp.asarray(_power(m, load, t, now, p))
+    kinetic: Number = 0.0
+    for b in m.ordered:
+        part, arm = now.bodies.parts[b.name], now.bodies.center[b.name]
+        v = part.velocity_at(arm)
+        kinetic = plus(kinetic, jnp.sum(0.5 * now.bodies.mass[b.name] * dot(v, v)))
+        inertia = m.inertia(b, p)
+        if inertia is not None:
+            turning = dot(part.spin, equations.inertial(inertia, part.axes, part.spin))
+            kinetic = plus(kinetic, jnp.sum(0.5 * jnp.asarray(turning)))
+    friction: Number = jnp.zeros(())
+    damping: Number = jnp.zeros(())
+    elastic: Number = jnp.zeros(())
+    for c in m.contacts:
+        for (face, touch), own in zip(now.faces[c.name], now.memory[c.name], strict=True):
+            values = c.recalled(own, p)
+            width = values.get("smoothing")
+            changes = dict(zip(c.memory, c.learning(face, touch, own, p), strict=True))
+            friction = friction - jnp.sum(jnp.asarray(dot(touch.drag, touch.slide)))
+            depth, rate = jnp.broadcast_arrays(jnp.asarray(face.depth), jnp.asarray(touch.rate))
+            still = regularised_force(c.law, depth, jnp.zeros_like(depth), values, width)
+            stored, lost = regularised_energy(c.law, depth, rate, values, changes, width)
+            damping = damping + jnp.sum((touch.normal - face.gate * still) * touch.rate + face.gate * lost)
+            elastic = elastic + jnp.sum(face.gate * stored)
+    return Flows(
+        given, {"friction": friction, "damping": damping}, {"kinetic": jnp.asarray(kinetic), "elastic": elastic}
+    )
+
+
+def _power(m: Mechanism, load: AbstractLoad, t: Array, now: Instant, p: Params) -> Number:
+    if isinstance(load, JointSpring):
+        j, force = m.sprung(load, t, now, p)
+        return force * now.v[j]
+    power: Number = 0.0
+    for action in load.actions(t, now.bodies, p):
+        part = now.bodies.parts[action.body]
+        each = plus(dot(action.force, part.velocity_at(turned(part.axes, action.at))), dot(action.torque, part.spin))
+        power = plus(power, jnp.sum(jnp.asarray(each)))
+    return power
