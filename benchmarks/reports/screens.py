@@ -35,7 +35,7 @@ VERBS: dict[str, list[str]] = {
     "sensitivity-impact": ["sensitivity", "impact", "--wrt", "stiffness,damping,exponent"],
     "sensitivity-joint": ["sensitivity", "joint", "--wrt", "clearance_seat_cage,clearance_head_cage"],
     "study": ["study", "run", "clearance"],
-    "tradeoff": ["tradeoff", "impact", "--budget", "20"],
+    "tradeoff": ["tradeoff", "impact", "--budget", "120"],
     "design": ["design", "impact", "--minimize", "contact.peak", "--vary", "damping=0.1:1", "--vary", "mass=10g:30g"],
     "reproduce": ["reproduce"],
 }
@@ -151,6 +151,7 @@ async def look(browser: Browser, page: Path, width: int, axe: str, picture: Path
     # Before the photograph, which reads pixels back.
     events = list(browser.events)
     await browser.evaluate(_FOLD)
+    await asyncio.sleep(0.5)
     shot = await browser.ask("Page.captureScreenshot", format="png", captureBeyondViewport=True)
     picture.write_bytes(base64.b64decode(shot["data"]))
     await browser.evaluate(_UNFOLD)

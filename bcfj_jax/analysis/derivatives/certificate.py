@@ -56,7 +56,7 @@ class Check(NamedTuple):
         growth: of the state's tangent over the horizon [-]; exponent: of that growth [1/s].
         influence: ||p dF/dp|| over that of the strongest parameter [-].
         where: time by which half of the pointwise difference has come about [s].
-        breakdown: time from which on the averages' running difference exceeds 10 % [s]; NaN: it does not at the end.
+        breakdown: time after which the averages' running difference exceeds 10 % [s]; NaN: it does not at the end.
         feature_verdicts: of each feature's derivative.
         unchecked: what central differences did not check, and why, in a sentence; "" where they checked all.
     """

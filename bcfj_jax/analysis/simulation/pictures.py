@@ -171,7 +171,7 @@ def loops(
             text = _loop(axis, one, (widths or {}).get(name, 0.0))
             axis.set_title(f"{one.channel if one else name}{_caption(run)}")
             said.append(f"{one.channel if one else name}: {text}")
-    cycle = "the contact with the highest force" if not cycles else "one loading cycle of each contact"
+    cycle = "from apart to apart about the highest force" if not cycles else "one loading cycle of each contact"
     shows = (
         f"Normal force against penetration: {cycle} in colour, arrows in the direction of time, the whole run in grey. "
     )
@@ -243,31 +243,26 @@ def _at_zero(force: np.ndarray, depth: np.ndarray) -> float:
 
 
 def _arrows(axis: Axes, x: np.ndarray, y: np.ndarray) -> None:
-    """The direction of time, once while the force rises and once while it falls."""
-    top, half, step = int(np.nanargmax(y)), 0.55 * (np.nanmin(y) + np.nanmax(y)), max(1, len(y) // 50)
-    look = {
-        "arrowstyle": "-|>",
-        "color": COLOURS[1],
-        "linewidth": 1.2,
-        "shrinkA": 0,
-        "shrinkB": 0,
-        "mutation_scale": 14,
-    }
-    for way in (-1, 1):
-        side = y[top::way]
-        under = np.flatnonzero(side <= half)
+    """The direction of time, once while the force rises and, lower, once while it falls."""
+    top, low, step = int(np.nanargmax(y)), float(np.nanmin(y)), max(1, len(y) // 50)
+    look = {"arrowstyle": "-|>,head_length=0.8,head_width=0.25", "color": COLOURS[1], "linewidth": 0.0}
+    look |= {"shrinkA": 0, "shrinkB": 0, "mutation_scale": 14}
+    for way, height in ((-1, 0.65), (1, 0.4)):
+        under = np.flatnonzero(y[top::way] <= low + height * (y[top] - low))
         if under.size:
             middle = top + way * int(under[0])
             start, end = max(0, middle - step), min(len(y) - 1, middle + step)
-            axis.annotate("", (x[end], y[end]), (x[start], y[start]), arrowprops=look)
+            # A head alone: between two samples far apart a shaft would be a chord beside the curve.
+            tip = x[middle] + 0.01 * (x[end] - x[start]), y[middle] + 0.01 * (y[end] - y[start])
+            axis.annotate("", tip, (x[middle], y[middle]), arrowprops=look)
 
 
 def _taken(work: float, noise: float) -> str:
     """The energy in words; a size below ``noise`` is the integration's error."""
     if not math.isfinite(work):
-        return "dissipated: unknown, the run failed"
+        return "dissipated work unknown, the run failed"
     if abs(work) < noise:
-        return f"dissipated: none (below {format_si(noise, 'J', 2).replace(' u', ' µ')})"
+        return f"none dissipated (below {format_si(noise, 'J', 2).replace(' u', ' µ')})"
     if work < 0:
         return f"gives back {brief(-work, 'J')} in this cycle"
-    return f"dissipated: {brief(work, 'J')}"
+    return f"dissipated {brief(work, 'J')}"

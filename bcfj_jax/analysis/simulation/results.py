@@ -169,9 +169,10 @@ def resolution_warnings(run: Run) -> list[str]:
     more = f"raise [time] samples, or say --samples {10 * (len(run.times) - 1) + 1}"
     if missed:
         count = sum(missed.values())
-        short = "1 short contact falls" if count == 1 else f"{count} short contacts fall"
+        short = "1 short contact begins and ends" if count == 1 else f"{count} short contacts begin and end"
         found.append(
-            f"{_several(missed)}: {short} between two samples, and peak, mean, impulse and work leave that out; {more}"
+            f"{_several(missed)}: {short} between two samples; peak, mean, impulse and work do not include "
+            f"{'it' if count == 1 else 'them'}; {more}"
         )
     if shortest:
         least = min(shortest.values())

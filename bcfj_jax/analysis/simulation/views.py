@@ -105,13 +105,14 @@ def _spokes(axis, start: np.ndarray, top: float, unit: str) -> None:
 
     step = _round(top / 3.0)
     turn = np.linspace(0.0, 2.0 * np.pi, 91)
-    rings = [np.column_stack(_polar(turn, np.full(91, r))) for r in np.arange(step, 1.02 * top + step, step)]
+    radii = np.arange(step, 1.02 * top + step, step)
+    radii = radii[radii <= 1.27 * top]
+    rings = [np.column_stack(_polar(turn, np.full(91, r))) for r in radii]
     spokes = [np.array([[0.0, 0.0], [1.08 * top * math.cos(a), 1.08 * top * math.sin(a)]]) for a in start]
     axis.add_collection(LineCollection([*rings, *spokes], colors="#cfcfcf", linewidths=0.7, zorder=0), autolim=False)
     for k, a in enumerate(start):
         axis.text(1.17 * top * math.cos(a), 1.17 * top * math.sin(a), str(k + 1), ha="center", va="center", fontsize=8)
-    for ring in rings[:-1]:
-        r = ring[0, 0]
+    for r in radii[radii <= 1.02 * top]:
         axis.text(
             *_polar(np.asarray(np.pi / len(start)), np.asarray(r)),
             f"{r:g}",
