@@ -249,4 +249,6 @@ def _common(
 ) -> None:
     del version
     # A false alarm of XLA about every program from its cache, its advice on slow compilations, features of processors.
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    # JAX sets 1 itself, and a notebook that has imported it hands that on to its commands.
+    if os.environ.get("TF_CPP_MIN_LOG_LEVEL", "1") == "1":
+        os.environ["TF_CPP_MIN_LOG_LEVEL"] = "3"
