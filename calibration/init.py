@@ -91,12 +91,7 @@ def run(
     path = folder / name
     create(path, text)
     if missing:
-        for one in found.records[:1]:
-            say(
-                f"{record}: {found.said}; {clock_note(one.clock)}"
-                if found.said
-                else f"{record}: {clock_note(one.clock)}"
-            )
+        say(f"{record}: {'; '.join(filter(None, (found.said, clock_note(found.records[0].clock))))}")
         say(f"wrote {path}")
         marks = "the question mark" if len(missing) == 1 else "the question marks"
         say(

@@ -21,6 +21,7 @@ _SAMPLE = 600
 # Units of one letter that are more often a name: t, F, x, v, a, f.
 _UNITS_OF_ONE_LETTER = frozenset("smNgVJWKh%°-")
 _QUOTED_ROWS = 5
+NO_ROWS = ("has no rows below a header", "give a file with a header and data")
 NO_NUMBERS = "a record has a column of times and one of readings; if it holds both, give separator, decimal or header"
 
 
@@ -275,10 +276,8 @@ def _stated(rows: Sequence[Row], header: Any, name: str, counted: str) -> tuple[
 
 
 def _nothing(rows: Sequence[Row], name: str, counted: str) -> InputError:
-    if not rows:
-        return InputError(name, "has no rows below a header", "give a file with a header and data")
-    if len(rows) == 1 or (all(_is_text(r.cells) for r in rows[:2]) and len(rows) < 3):
-        return InputError(name, "has no rows below a header", "give a file with a header and data")
+    if len(rows) < 2 or (len(rows) == 2 and all(_is_text(r.cells) for r in rows)):
+        return InputError(name, *NO_ROWS)
     middle = rows[len(rows) // 2]
     shown = clip(" | ".join(map(str, middle.cells)), 80)
     return InputError(name, f"no {counted} holds a number; {counted} {middle.line} reads '{shown}'", NO_NUMBERS)

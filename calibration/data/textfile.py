@@ -18,7 +18,7 @@ from bcfj_jax.core.errors import clip
 from bcfj_jax.io.opening import LARGEST_TEXT, content
 from calibration.data import numbers
 from calibration.data.decoding import decoded
-from calibration.data.layout import NO_NUMBERS, Layout, Row, found, others
+from calibration.data.layout import NO_NUMBERS, NO_ROWS, Layout, Row, found, others
 from calibration.data.table import Table
 
 SEPARATORS = {"tab": "\t", "semicolon": ";", "pipe": "|", "comma": ",", "blank": " "}
@@ -158,7 +158,7 @@ def _separator(lines: Sequence[str], path: Path) -> str:
         if scores[best] > 0.0:
             return best
     if sum(not _is_comment(line, "comma") for line in full) < 2:
-        raise InputError(str(path), "has no rows below a header", "give a file with a header and data")
+        raise InputError(str(path), *NO_ROWS)
     shown = clip(full[len(full) // 2].strip(), 80)
     found = f"no line holds a number; the one in the middle reads '{shown}'"
     raise InputError(str(path), found, NO_NUMBERS)
