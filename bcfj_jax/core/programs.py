@@ -230,7 +230,8 @@ def _estimate(name: str, model: str) -> str:
     kept = "; kept for the next run" if Settings.folder else ""
     measured = _numbers(_MEASURED)
     alike = [measured[model]] if model in measured else [t for m, t in measured.items() if m.rpartition(" ")[0] == name]
-    if not alike or max(alike) < _LONG:
+    # One other model says nothing of this one.
+    if len(alike) < (1 if model in measured else 2) or max(alike) < _LONG:
         return ""
     span = " to ".join(dict.fromkeys(f"{max(t, 1.0):.0f}" for t in (min(alike), max(alike))))
     return f" for the first time here: {span} s of one core where it was measured{kept}"

@@ -102,12 +102,13 @@ def test_the_first_compilation_is_estimated_by_what_was_measured(tmp_path, monke
     measured = json.loads(programs._MEASURED.read_text())
     assert {"simulate joint", "simulate impact"} <= set(measured) and all(t > 0.0 for t in measured.values())
     file = tmp_path / "measured.json"
-    file.write_text('{"simulate joint": 5.2, "simulate impact": 1.6, "look joint": 0.2}')
+    file.write_text('{"simulate joint": 5.2, "simulate impact": 1.6, "look joint": 0.2, "pitch joint": 9.0}')
     monkeypatch.setattr(programs, "_MEASURED", file)
     where = "s of one core where it was measured; kept for the next run"
     assert programs._estimate("simulate", "simulate joint") == f" for the first time here: 5 {where}"
     assert programs._estimate("simulate", "simulate mine") == f" for the first time here: 2 to 5 {where}"
     # What is over soon, and what nobody has measured, is not estimated.
+    assert programs._estimate("pitch", "pitch mine") == ""
     assert programs._estimate("look", "look joint") == "" == programs._estimate("other", "other joint")
     programs.remember("simulate joint", 31.0)
     assert programs._estimate("simulate", "simulate joint") == ": 31 s the last time"

@@ -141,7 +141,7 @@ def prepare(found: Study, folder: Path) -> Store:
         outputs.open_folder(folder, "study", "", (RUN, ENVIRONMENT, RESULTS, STATE), goes_on=RUN, wait_s=_WAIT_S)
         if said.exists():
             if specification.load(said).resolved != found.resolved:
-                remedy = "name another folder: nothing is overwritten"
+                remedy = "give --set and --seed as it was begun, or another folder: nothing is overwritten"
                 raise InputError(f"--out {folder}", "holds another study", remedy)
             usercode.same_as(_code(folder), f"--out {folder}: the study there")
         else:

@@ -179,11 +179,12 @@ def write(result: api.Result, study: Study, stem: str) -> str:
     said = f"{found['finished']} points, {found['failed']} of them failed."
     rows: list[list[Any]] = [["", "least", "median", "largest"]]
     good = result.column("status") == "ok"
+    units = {feature.name: feature_unit(feature.name) for feature in study.features}
     for name in study.columns:
         values = result.column(name)[good]
         values = values[np.isfinite(values)]
-        cells = [brief(x) for x in (np.min(values), np.median(values), np.max(values))] if values.size else ["-"] * 3
-        rows.append([name, *cells])
+        ends = (np.min(values), np.median(values), np.max(values)) if values.size else (None,) * 3
+        rows.append([name, *(brief(x, units.get(name, "1")) for x in ends)])
     with stage("drawing"):
         drawn = pictures.overview(study, result, result.folder)
     report.write(result.folder, page(f"Study {stem}", result, study, drawn))
