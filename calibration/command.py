@@ -12,7 +12,6 @@ from bcfj_jax import InputError
 from bcfj_jax.core.extras import library
 from bcfj_jax.core.programs import keep_asked
 from bcfj_jax.core.progress import stage
-from bcfj_jax.core.threads import ahead
 from bcfj_jax.io import outputs, report, scenefile, tables
 from bcfj_jax.io.journal import NAME, Journal, key_of
 from bcfj_jax.io.page import Page, Table, bounded, brief, percent
@@ -82,7 +81,7 @@ def run(
         understood = prepared(path)
         for record in understood:
             print(f"{record.name}: {'; '.join(record.notes)}", file=sys.stderr)
-        ahead(get_ready)
+        get_ready()
         try:
             outcome = solve(path, problem, base, seed=seed, starts=starts, journal=journal, intervals=intervals)
             diagnosed = _diagnosed(outcome, diagnose, seed)

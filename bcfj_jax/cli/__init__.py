@@ -12,7 +12,7 @@ import signal
 import sys
 
 from bcfj_jax.cli.base import BAD_INPUT, DONE, INTERRUPTED, SIMULATION_FAILED, app
-from bcfj_jax.io.stop import SIGNALLED, heeded, last, leave
+from bcfj_jax.io.stop import SIGNALLED, ended, heeded, last, leave
 from bcfj_jax.io.streams import be_patient
 
 __all__ = ["BAD_INPUT", "DONE", "INTERRUPTED", "SIMULATION_FAILED", "app", "main"]
@@ -27,9 +27,11 @@ def main() -> None:
     be_patient()
     try:
         with heeded(signal.SIGTERM):
-            app()
+            try:
+                app()
+            except SystemExit as end:
+                ended()
+                leave(end.code if isinstance(end.code, int) else DONE)
+                raise
     except KeyboardInterrupt:
         sys.exit(SIGNALLED + last())
-    except SystemExit as end:
-        leave(end.code if isinstance(end.code, int) else DONE)
-        raise

@@ -5,6 +5,9 @@ Figures are made without pyplot, so nothing global changes and no window can ope
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
+import importlib.util
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from bcfj_jax.core.threads import ahead
 from bcfj_jax.io.outputs import atomic
 from bcfj_jax.io.units import engineering as engineering
 
@@ -24,7 +28,27 @@ COLOURS = ("#0072b2", "#b84e00", "#007a5a", "#a8508a", "#8a6500", "#4a4a4a")
 
 
 def get_ready() -> None:
-    """Import what drawing needs, beside other work (``core.threads.ahead``)."""
+    """Import what drawing needs, beside other work.
+
+    While the system loads the library of matplotlib's fonts, it holds a lock, and the library runs Python code. Beside a
+    thread that imports another library, which takes that lock with Python's own held, each could wait for the other
+    without end. So that library alone is loaded here, before there is another thread.
+    """
+    load_fonts()
+    ahead(_import)
+
+
+def load_fonts() -> None:
+    """Load the library of matplotlib's fonts into the process, and import nothing: some milliseconds."""
+    found = importlib.util.find_spec("matplotlib")
+    for folder in (found.submodule_search_locations or ()) if found else ():
+        for path in Path(folder).glob("ft2font*"):
+            if path.suffix in (".so", ".pyd"):
+                with contextlib.suppress(OSError):  # The import says why.
+                    ctypes.PyDLL(str(path))
+
+
+def _import() -> None:
     import matplotlib.backends.backend_agg
     import matplotlib.figure  # noqa: F401
 

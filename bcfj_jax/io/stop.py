@@ -111,8 +111,16 @@ def heeded(*others: signal.Signals) -> Iterator[None]:
             yield
     finally:
         for number, handler in before.items():
-            signal.signal(number, handler)
+            if signal.getsignal(number) is _remember:
+                signal.signal(number, handler)
         _asked.clear()
+
+
+def ended() -> None:
+    """The work is done, and its exit code is known: what asks to stop now would only take that code away."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        if signal.getsignal(number) is _remember:
+            signal.signal(number, signal.SIG_IGN)
 
 
 def check() -> None:

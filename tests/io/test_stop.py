@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import gc
 import signal
+import subprocess
+import sys
 import time
 
 import pytest
@@ -70,3 +72,41 @@ def test_another_fault_of_a_callback_is_reported(monkeypatch):
         finally:
             gc.callbacks.remove(callback)
     assert {one.exc_type for one in found} == {ValueError}
+
+
+def test_a_signal_after_the_end_changes_no_exit_code():
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        with stop.heeded(signal.SIGTERM):
+            stop.ended()
+        signal.raise_signal(signal.SIGTERM)
+        signal.raise_signal(signal.SIGINT)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+# Each of two threads waited for the other: one within the library's start, which runs Python, one importing another.
+FONTS = """
+import sys, threading
+from bcfj_jax.io import plots
+thread = []
+start = threading.Thread.start
+def seen(self):
+    with open("/proc/self/maps") as file:
+        thread.append(("ft2font" in file.read(), "matplotlib" in sys.modules))
+    start(self)
+threading.Thread.start = seen
+plots.get_ready()
+assert thread == [(True, False)], thread
+from bcfj_jax.core import threads
+threads._ahead[0].join()
+import matplotlib.ft2font
+assert "matplotlib.figure" in sys.modules
+"""
+
+
+@pytest.mark.full
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="asks the system for the libraries of a process")
+def test_the_library_of_fonts_is_loaded_before_there_are_threads():
+    subprocess.run([sys.executable, "-c", FONTS], check=True, timeout=120.0)

@@ -24,7 +24,6 @@ from bcfj_jax.analysis.derivatives.ranking import (
 from bcfj_jax.analysis.derivatives.sensitivity import Sensitivity, sensitivity
 from bcfj_jax.core.programs import keep_asked
 from bcfj_jax.core.progress import stage
-from bcfj_jax.core.threads import ahead
 from bcfj_jax.io import outputs, plots, report
 from bcfj_jax.io.page import BAD, FAIR, GOOD, PLAIN, Page, Picture, Table, Verdict
 from bcfj_jax.io.scenefile import load, shown
@@ -87,7 +86,7 @@ def run(
         say(f"comparing with central differences, for {budget:g} s at most")
 
     say(f"differentiating {what} by {', '.join(names)}: {len(given.times)} samples to {given.times[-1]:.6g} s")
-    ahead(plots.get_ready)
+    plots.get_ready()
     found = sensitivity(
         given.scene, params, given.times, names, accuracy=given.accuracy, features=features, mode="forward",
         certify=certify, max_steps=given.max_steps, steady=True, budget=budget, tell=first,

@@ -18,7 +18,6 @@ from bcfj_jax.analysis.designs.view import shown, value_rows
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.programs import keep_asked
 from bcfj_jax.core.progress import stage
-from bcfj_jax.core.threads import ahead
 from bcfj_jax.io import outputs, plots, report
 from bcfj_jax.io.page import BAD, FAIR, GOOD, Page, Picture, Table, Verdict, brief
 from bcfj_jax.mechanism.observed import observing
@@ -73,7 +72,7 @@ def run(what: str, more: Mapping[str, Any], out: Path | None, say: Callable[[str
     if asked.note:
         say(asked.note)
     say(f"{sentence(asked)}: {asked.search.starts} starts, {len(asked.times)} times to {asked.times[-1]:.6g} s")
-    ahead(plots.get_ready)
+    plots.get_ready()
     found = found_of(asked)
     outputs.write_json(folder / "design.json", found.content())
     values, facts = value_rows(found), fact_rows(found)

@@ -8,7 +8,6 @@ from pathlib import Path
 from bcfj_jax.analysis.simulation import results
 from bcfj_jax.core.programs import keep_asked
 from bcfj_jax.core.progress import stage
-from bcfj_jax.core.threads import ahead
 from bcfj_jax.io.folder import LEAST_FREE
 from bcfj_jax.io.outputs import open_folder
 from bcfj_jax.io.plots import get_ready
@@ -59,7 +58,7 @@ def run(
     size = LEAST_FREE + _BYTES * channels * len(given.times)
     folder = open_folder(out, "simulate", stem, (*results.files(given), *animations), size=size)
     say(f"simulating {what}: {len(given.times)} samples to {given.times[-1]:.6g} s")
-    ahead(get_ready)
+    get_ready()
     found = simulate(
         given.scene, given.params, given.times, accuracy=given.accuracy, max_steps=given.max_steps,
         solver=given.solver, measure_error=measure_error, read=[channel.name for channel in given.reads],
