@@ -294,6 +294,38 @@ def test_what_verbs_refuse(command, parts, here):
 
 
 @pytest.mark.parametrize(
+    "name",
+    [
+        "run.toml",
+        "environment.json",
+        "results.parquet",
+        "study.json",
+        "report.html",
+        "report.json",
+        "study.png",
+        "blocks",
+    ],
+)
+def test_a_study_leaves_what_a_folder_holds(name, here):
+    Path("out").mkdir()
+    Path("out", name).write_text("mine")
+    before = state(here)
+    refused(bcfj("study", "run", "study.toml", "--out", "out"), "out", name)
+    assert state(here) == before
+
+
+def test_a_study_leaves_another_study(here):
+    from bcfj_jax.analysis.studies import api, specification
+
+    api.prepare(specification.load(Path("study.toml")), Path("out"))
+    Path("study.toml").write_text(STUDY.replace("steps = 3", "steps = 4"))
+    before = state(here)
+    for options in ((), ("--set", "vary.mass.steps=5")):
+        refused(bcfj("study", "run", "study.toml", "--out", "out", *options), "--out out: holds another study")
+    assert state(here) == before
+
+
+@pytest.mark.parametrize(
     "command",
     [
         ("calibrate", "p.toml", "--seed", "-1"), ("calibrate", "p.toml", "--seed", "x"), ("simulate",), ("zzz",),

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 RESULTS, STATE, RUN, ENVIRONMENT = "results.parquet", "study.json", "run.toml", "environment.json"
+# What a study's folder will hold; the page and the picture are the command's.
+_WRITES = (RUN, ENVIRONMENT, RESULTS, STATE, "blocks", "report.html", "report.json", "study.png")
 # How long to wait for another run of the study that begins the folder [s].
 _WAIT_S = 30.0
 # Computing [s] that is done in this process: two others would take as long, each of them starts for 2 to 3 s.
@@ -138,7 +140,7 @@ def prepare(found: Study, folder: Path) -> Store:
     said = folder / RUN
     # Several runs may share the folder; only one begins it.
     with outputs.session():
-        outputs.open_folder(folder, "study", "", (RUN, ENVIRONMENT, RESULTS, STATE), goes_on=RUN, wait_s=_WAIT_S)
+        outputs.open_folder(folder, "study", "", _WRITES, goes_on=RUN, wait_s=_WAIT_S)
         if said.exists():
             if specification.load(said).resolved != found.resolved:
                 remedy = "give --set and --seed as it was begun, or another folder: nothing is overwritten"
