@@ -12,6 +12,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import TypeVar
@@ -27,6 +28,8 @@ _asked = threading.Event()
 _abandoned = threading.Event()
 # Whether it was raised where nobody can hear it, and has not been raised since.
 _unheard = threading.Event()
+# Whether it is being found out that it was: raised there, it would be lost again.
+_hearing = threading.Event()
 # The signal that asked last.
 _last: list[int] = []
 # After a callback in which Ctrl-C was lost [s]: it must have returned, or Ctrl-C is lost in it again.
@@ -39,8 +42,10 @@ class OutOfTime(Exception):
 
 def _remember(number: int, __: FrameType | None) -> None:
     _asked.set()
-    _unheard.clear()
     _last[:] = [number]
+    if _hearing.is_set():
+        return  # It comes again.
+    _unheard.clear()
     raise KeyboardInterrupt
 
 
@@ -53,10 +58,13 @@ def _sent_again() -> Iterator[None]:
         if not (issubclass(lost.exc_type, KeyboardInterrupt) and _asked.is_set()):
             report(lost)
             return
-        _unheard.set()
-        again = threading.Timer(_RETURNED_S, _send)
-        again.daemon = True
-        again.start()
+        _hearing.set()
+        try:
+            _unheard.set()
+            # Not a Thread: the callback may have come while this thread holds the locks of their module.
+            _thread.start_new_thread(_send, ())
+        finally:
+            _hearing.clear()
 
     sys.unraisablehook = hear
     try:
@@ -67,13 +75,15 @@ def _sent_again() -> Iterator[None]:
 
 
 def _send() -> None:
-    number = last()
-    if not _unheard.is_set() or signal.getsignal(number) is not _remember:
-        return
-    if os.name == "posix":
-        os.kill(os.getpid(), number)  # Wakes a thread that waits, too.
-    else:
-        _thread.interrupt_main(number)
+    while True:
+        time.sleep(_RETURNED_S)
+        number = last()
+        if not _unheard.is_set() or signal.getsignal(number) is not _remember:
+            return
+        if os.name == "posix":
+            os.kill(os.getpid(), number)  # Wakes a thread that waits, too.
+        else:
+            _thread.interrupt_main(number)
 
 
 def last() -> int:

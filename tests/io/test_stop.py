@@ -33,7 +33,12 @@ def collected(times: int, number: signal.Signals) -> list[int]:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_what_is_lost_in_a_callback_comes_again(number, capsys):
+@pytest.mark.parametrize("at_once", [False, True])
+def test_what_is_lost_in_a_callback_comes_again(number, at_once, capsys, monkeypatch):
+    if at_once:
+        # It comes before the callback has returned, and is lost once more.
+        monkeypatch.setattr(stop, "_RETURNED_S", 0.0)
+
     def work():
         with stop.heeded(signal.SIGTERM):
             assert collected(1, number) == [1]
