@@ -151,7 +151,8 @@ class Kept:
 def save(drawing: Figure, path: Path | Kept, colours: int = 256) -> None:
     """Write a PNG of so many colours, atomically: a third of the bytes of one with all colours, and no slower.
 
-    Pictures of many thin lines need fewer: 64 take a sixth less than 256. Light fills need 256.
+    Pictures of many thin lines need fewer: 64 take a sixth less than 256; with 32 two of our colours become one. Light
+    fills need 256.
     """
     if isinstance(path, Kept):
         path.drawing = drawing

@@ -86,7 +86,7 @@ def _guide(path: Path, runs: dict[str, Run], point: int, contact: str, id: str) 
             if part == 0:
                 _paper(axis, id)
         axes[0].legend(ncols=len(runs) + 1, fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 0.98))
-        plots.save(drawing, path, 32)
+        plots.save(drawing, path, 64)
     tops = ", ".join(f"{name} {brief(float(np.max(run.force[contact][:, 0])), 'N')}" for name, run in runs.items())
     shows = (
         f"Normal, axial and tangential force of {contact} against time; highest normal force: {tops}; {_printed(id)}."
@@ -109,7 +109,7 @@ def _balls(path: Path, runs: dict[str, Run], point: int, contact: str, id: str) 
             low = claim(id).values[0]
             axis.set_ylim(bottom=1.12 * low / 1e3 if low < 0 else 0.0)
         _legend(axes[-1], 7)
-        plots.save(drawing, path, 32)
+        plots.save(drawing, path, 64)
     tops = ", ".join(
         f"{name} {brief(float(np.max(np.abs(run.force[contact][..., 0]))), 'N')}" for name, run in runs.items()
     )
@@ -134,7 +134,7 @@ def _smooth(path: Path, run: Run) -> Picture:
             for axis in (above, below):
                 axis.set_xlim(*window)
             above.legend(ncols=2, fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 0.98))
-        plots.save(drawing, path, 32)
+        plots.save(drawing, path, 64)
     shows = (
         f"Force of the cage on the seat in the paper's windows, a polynomial of order {ORDER}, and what it leaves over."
     )
@@ -152,7 +152,7 @@ def _tight(path: Path, run: Run, tight: Run) -> Picture:
             _axis(axis, run, name if run.force[name].ndim == 2 else f"{name}, ball 1", "normal force")
             axis.set_xlim(0.0, min(0.8, run.times[-1]))
         axes[0].legend(ncols=2, fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 0.98))
-        plots.save(drawing, path, 32)
+        plots.save(drawing, path, 64)
     tops = [
         f"{name} {brief(float(np.max(np.abs(r.force['seat_cage'][:, 0]))), 'N')}"
         for name, r in (("as given", run), ("a tenth", tight))
