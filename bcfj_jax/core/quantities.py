@@ -120,6 +120,7 @@ CATALOGUE: dict[str, Quantity] = {
                 ("seat_cage", "radial clearance between seat sphere and cage"),
                 ("head_cage", "radial clearance between cage and head sphere"),
                 ("cage_ball", "gap of a centred ball to either window face"),
+                ("cage_window_end", "gap of a centred ball to either end of its window, around the cage"),
                 ("seat_ball", "clearance of the ball to the seat's groove, normal to a flank"),
                 ("head_ball", "clearance of the ball to the head's groove, normal to a flank"),
             )

@@ -28,27 +28,44 @@ def sector(cosine: Any) -> Array:
 
 
 class BallBetweenPlanes(AbstractGap):
-    """A ball of b between two parallel planes of a, a cage window:  d = +-p . e - clearance,  n = +-e.
+    """A ball of b between two parallel planes of a, faces or ends of a cage window:  d = +-p . e - clearance,  n = +-e.
 
     p leads from a's marker, midway between the planes, to b's, the ball's centre. The point of contact is on the ball,
-    ``ball_radius`` along n. First face: the plane on the side of +e. Exact for planes without edges: a window has no ends
-    around the cage. Source: physics sheet 5.3, row 3.
+    ``ball_radius`` along n. First face: the plane on the side of +e. Exact for planes without edges: the faces of a window
+    and its ends are two contacts. Source: physics sheet 5.3, row 3.
 
     Directions: normal is along e, and the reading is signed: positive while the ball pushes the plane at +e. Axial is
-    outward from a's marker to the ball; tangential is around the cage.
+    outward from a's marker to the ball; tangential is across both: around the cage, or along its axis at a window's end.
     Coefficients: ``clearance`` [m], of a centred ball to either plane; ``ball_radius`` [m].
 
     Attributes:
-        axis: e in a's axes: "x", "y", "z", "-x", "-y", "-z", or three numbers.
+        axis: e in a's axes: "x", "y", "z", "-x", "-y", "-z", or three numbers; of the first window where there are several.
+        windows: number of windows around a's z axis, as many as b has members, and so the contact: e turns by a full
+            turn over it from one to the next. 0 is one e for all members, and the bodies decide them. The ends of windows whose
+            first is at x: axis "y".
     """
 
     needs: ClassVar[tuple[str, ...]] = ("clearance", "ball_radius")
     signed: ClassVar[bool] = True
     axis: Any = eqx.field(static=True, default="z", converter=direction)
+    windows: int = eqx.field(static=True, default=0)
+
+    def __check_init__(self):
+        if not isinstance(self.windows, int) or isinstance(self.windows, bool) or self.windows < 0:
+            raise InputError("gap, option 'windows'", f"{self.windows!r} windows", "give a whole number >= 0")
+
+    @property
+    def members(self) -> int:
+        """The windows."""
+        return self.windows
 
     def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
         """Two faces, at +e and at -e."""
-        return between(a, b, turned(a.axes, self.axis), c["clearance"], c["ball_radius"])
+        x, y, z = self.axis
+        if self.windows:
+            angle = 2.0 * np.pi * np.arange(self.windows) / self.windows
+            x, y = x * np.cos(angle) - y * np.sin(angle), x * np.sin(angle) + y * np.cos(angle)
+        return between(a, b, turned(a.axes, (x, y, z)), c["clearance"], c["ball_radius"])
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
         """Outward: from a's marker to the ball's centre."""

@@ -19,9 +19,25 @@ from jax import Array
 from bcfj_jax.core.small import inverse, inverse3, inverse6
 from bcfj_jax.mechanism.structure import AbstractStructure
 from bcfj_jax.models.joint import system
+from bcfj_jax.models.joint.attitude import rate_by_axis, turning
 from bcfj_jax.models.joint.blocks import Blocks, blocks
 from bcfj_jax.models.joint.constants import Constants
 from bcfj_jax.models.joint.scene import Joint
+
+
+class Heading(NamedTuple):
+    """The cage's azimuth in a step.
+
+    Attributes:
+        by_axis, by_spin: (3,) derivatives of its rate.
+        carried: (3,) what a change of the axis alone turns the cage about it, less what it turns the azimuth's frame.
+        back: (3 F,) bristles by the azimuth; None without bristles.
+    """
+
+    by_axis: Array
+    by_spin: Array
+    carried: Array
+    back: Array | None
 
 
 class Factors(NamedTuple):
@@ -37,6 +53,7 @@ class Factors(NamedTuple):
     spin: Array
     ball_inverse_mass: Array
     coupling_inverse_mass: Array
+    heading: Heading | None
 
 
 def _cayley(vector: Array, spin: Array, scale: Array) -> Array:
@@ -71,8 +88,8 @@ class Arrowhead(AbstractStructure):
         scene, c = args
         state = system.view(scene, c, y)
         rate = jax.jvp(lambda t: system.applied(scene, c, t, state), (t,), (jnp.ones_like(t),))[1]
-        unbent = [jnp.zeros(scene.states - scene.moving)] if scene.bristles else []
-        return jnp.concatenate([jnp.zeros(scene.moving - scene.coupling), rate * c.coupling_inverse_mass, *unbent])
+        still = [jnp.zeros(scene.states - scene.moving)] if scene.states > scene.moving else []
+        return jnp.concatenate([jnp.zeros(scene.moving - scene.coupling), rate * c.coupling_inverse_mass, *still])
 
     def factor(self, t: Any, y: Array, args: Any, scale: Any) -> Factors:
         """Blocks, the balls' inverses, the coupling's Schur complement inverted."""
@@ -83,16 +100,23 @@ class Arrowhead(AbstractStructure):
         lift = c.ball_inverse_mass[:, None]
         ball = jnp.eye(k) / scale - lift * (d.ball_rate.at[..., :3].add(scale * d.ball_place))
         column_place, coupling_place = d.column_place * scale, d.coupling_place * scale
-        tilt = scene.slices["cage_turn"]
+        tilt, heading = scene.slices["cage_turn"], None
         if tilt is not None:
-            turn = self._turn(state.cage_axis, state.cage_spin, scale)
+            if scene.azimuth is not None:
+                by_axis, by_spin = rate_by_axis(state.cage_axis, state.cage_spin), turning(state.cage_axis)
+                heading = Heading(by_axis, by_spin, -jnp.cross(by_spin, state.cage_axis), None)
+            turn = self._turn(state.cage_axis, state.cage_spin, scale, heading)
             column_place = column_place.at[..., tilt].set(d.column_place[..., tilt] @ turn)
             coupling_place = coupling_place.at[:, tilt].set(d.coupling_place[:, tilt] @ turn)
             if d.bristles is not None:
                 # The state has the axis b, whose change db is the rotation  b x db.
                 tilts = slice(3 * scene.balls + tilt.start, 3 * scene.balls + tilt.stop)
-                turning = d.bristles.back[:, tilts] @ jnp.cross(jnp.eye(3), state.cage_axis)
-                d = d._replace(bristles=d.bristles._replace(back=d.bristles.back.at[:, tilts].set(turning)))
+                by_turn = d.bristles.back[:, tilts]
+                by_tilt = by_turn @ jnp.cross(jnp.eye(3), state.cage_axis)
+                if heading is not None:
+                    heading = heading._replace(back=by_turn @ state.cage_axis)
+                    by_tilt = by_tilt + heading.back[:, None] * heading.carried
+                d = d._replace(bristles=d.bristles._replace(back=d.bristles.back.at[:, tilts].set(by_tilt)))
         column = -lift * (d.column_rate + column_place)
         weight = c.coupling_inverse_mass[:, None]
         row = -weight * (d.row_rate.at[..., :3].add(scale * d.row_place))
@@ -111,24 +135,34 @@ class Arrowhead(AbstractStructure):
             state.cage_spin,
             c.ball_inverse_mass,
             c.coupling_inverse_mass,
+            heading,
         )
 
     @staticmethod
-    def _turn(axis: Array, spin: Array, scale: Array) -> Array:
-        """Rotation of the cage's axis per change of its angular velocity, (3, 3): -s [b]x (I - s [w]x)^-1 [b]x."""
+    def _turn(axis: Array, spin: Array, scale: Array, heading: Heading | None) -> Array:
+        """Rotation of the cage per change of its angular velocity, (3, 3).
+
+        Of its axis  -s [b]x (I - s [w]x)^-1 [b]x;  about the axis where there is an azimuth, whose rate the tilt changes too.
+        """
         eye = jnp.eye(3)
         tilted = _cayley(-jnp.cross(axis, eye), spin, scale)
-        return scale * jnp.swapaxes(jnp.cross(axis, tilted), 0, 1)
+        turned = jnp.cross(axis, tilted)
+        if heading is not None:
+            about = tilted @ (scale * heading.by_axis + heading.carried) + heading.by_spin
+            turned = turned + about[:, None] * axis
+        return scale * jnp.swapaxes(turned, 0, 1)
 
     def solve(self, factors: Factors, right: Array) -> Array:
         """Places and bristles eliminated, balls eliminated, coupling solved, and back."""
-        d, s = factors.blocks, factors.scale
+        d, s, heading = factors.blocks, factors.scale, factors.heading
         n, k, b = d.ball_rate.shape[0], d.ball_rate.shape[1], d.coupling_rate.shape[0]
         place, at = right[: 3 * n].reshape(n, 3), right[3 * n : 3 * n + b]
         twist = right[3 * n + b : (3 + k) * n + b].reshape(n, k)
         rate = right[(3 + k) * n + b : (3 + k) * n + 2 * b]
         if d.bristles is not None:
-            own = jnp.einsum("fij,fj->fi", d.bristles.inverse, right[(3 + k) * n + 2 * b :].reshape(-1, 3)).ravel()
+            last = None if heading is None else -1
+            bent = right[(3 + k) * n + 2 * b : last].reshape(-1, 3)
+            own = jnp.einsum("fij,fj->fi", d.bristles.inverse, bent).ravel()
             lifted = d.bristles.lift @ own
             twist = twist + factors.ball_inverse_mass * lifted[: n * k].reshape(n, k)
             rate = rate + factors.coupling_inverse_mass * lifted[n * k :]
@@ -138,7 +172,11 @@ class Arrowhead(AbstractStructure):
         if tilted:
             tilt = slice(b - 4, b - 1)
             known = s * _cayley(at[tilt], factors.spin, s)
-            shift = shift.at[tilt].set(jnp.cross(factors.axis, known))
+            rotated = jnp.cross(factors.axis, known)
+            if heading is not None:
+                about = known @ (s * heading.by_axis + heading.carried) + s * right[-1]
+                rotated = rotated + about * factors.axis
+            shift = shift.at[tilt].set(rotated)
         ball = twist + factors.ball_inverse_mass * (
             jnp.einsum("nkj,nj->nk", d.ball_place, s * place) + jnp.einsum("nkb,b->nk", d.column_place, shift)
         )
@@ -153,4 +191,9 @@ class Arrowhead(AbstractStructure):
         if tilted:
             moved = moved.at[tilt].set(known - s * _cayley(jnp.cross(factors.axis, rates[tilt]), factors.spin, s))
         found = jnp.concatenate([places.ravel(), moved, twists.ravel(), rates])
-        return found if d.bristles is None else jnp.concatenate([found, own + d.bristles.back @ found])
+        bristles = [] if d.bristles is None else [own + d.bristles.back @ found]
+        if heading is None:
+            return jnp.concatenate([found, *bristles]) if bristles else found
+        azimuth = s * (right[-1] + heading.by_axis @ moved[tilt] + heading.by_spin @ rates[tilt])
+        bristles = [bent + heading.back * azimuth for bent in bristles]
+        return jnp.concatenate([found, *bristles, azimuth[None]])

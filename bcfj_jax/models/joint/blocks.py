@@ -74,7 +74,7 @@ def _felt(arm: Array, wrench: Array) -> Array:
 def _spread(scene: Joint, c: Constants, x: Array) -> Array:
     """From displacements and rotations of the bodies (..., m, j, 6) to coupling coordinates (..., j, coupling)."""
     seat, head = x[..., 0, :, :], x[..., 1, :, :]
-    cage = x[..., 2, :, :] if x.shape[-3] == 3 else jnp.zeros_like(head)
+    cage = jnp.sum(x[..., 2:, :, :], -3)
     parts = {
         "head": head[..., :3],
         "head_turn": dot(head[..., 3:], c.axes[1])[..., None],

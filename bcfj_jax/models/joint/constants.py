@@ -13,8 +13,9 @@ from bcfj_jax.models.joint.guides import Guides, body_maps, guides
 from bcfj_jax.models.joint.law_pair import ContactLaws, LawPair
 from bcfj_jax.models.joint.scene import GROOVES, Joint
 
-# What the balls touch, in the order of every array over bodies; the last only where there are windows.
-BALLS = ("seat_ball", "head_ball", "cage_ball")
+# What the balls touch, in the order of every array over bodies, which has as many as the scene. The cage stands twice:
+# for the faces and for the ends of its windows.
+BALLS = ("seat_ball", "head_ball", "cage_ball", "cage_window_end")
 
 
 class Constants(eqx.Module):
@@ -23,7 +24,8 @@ class Constants(eqx.Module):
     Attributes:
         axes: (2, 3) unit axes of seat and head; ``radial`` and ``tangent``: where track 0 lies at turn 0.
         bisector: normal of the bisecting plane.
-        ball_laws: one for seat, head and cage (3, 1), where laws and numbers of faces agree: quicker than two.
+        ball_laws: one for all contacts of a ball (m, 1), where laws and numbers of faces agree: quicker than two.
+        cage_laws, cage_clearance: of faces and ends of windows side by side (2, 1), where there are ends.
         ball_inverse_mass: (twist,) and coupling_inverse_mass (coupling,): inverse masses and inertias.
     """
 
@@ -32,6 +34,8 @@ class Constants(eqx.Module):
     window_laws: ContactLaws | None
     ball_laws: ContactLaws | None
     window_clearance: Array
+    cage_laws: ContactLaws | LawPair | None
+    cage_clearance: Array
     pilot_laws: ContactLaws | LawPair | None
     pilot_clearance: Array
     pilot_hollow: Array
@@ -96,6 +100,7 @@ def constants(scene: Joint, params: Params) -> Constants:
         gothic=jnp.array([1.0, -1.0]) if gothic else jnp.array([0.0]),
     )
     clearance = {name: p[f"clearance_{name}"] for name in scene.pilots}
+    ends = scene.has("cage_window_end")
     hollow = {"seat_cage": p["seat_radius"], "head_cage": p["head_radius"] + clearance.get("head_cage", zero)}
     inverse_mass = {"head": 1.0 / p["head_mass"] * jnp.ones(3), "head_turn": 1.0 / p["head_inertia"][None]}
     if scene.cage == "free":
@@ -111,8 +116,12 @@ def constants(scene: Joint, params: Params) -> Constants:
         groove=groove,
         groove_laws=_side_by_side(scene, params, GROOVES),
         window_laws=laws_of(scene, params, "cage_ball") if scene.has("cage_ball") else None,
-        ball_laws=_as_one([laws_of(scene, params, x) for x in BALLS]) if gothic and scene.has("cage_ball") else None,
+        ball_laws=_as_one([laws_of(scene, params, x) for x in BALLS if scene.has(x)])
+        if gothic and scene.has("cage_ball")
+        else None,
         window_clearance=p["clearance_cage_ball"] if scene.has("cage_ball") else zero,
+        cage_laws=_side_by_side(scene, params, BALLS[2:]) if ends else None,
+        cage_clearance=jnp.stack([p[f"clearance_{x}"] for x in BALLS[2:]])[:, None] if ends else zero,
         pilot_laws=_side_by_side(scene, params, scene.pilots) if scene.pilots else None,
         pilot_clearance=jnp.stack([clearance[name] for name in scene.pilots]) if scene.pilots else jnp.zeros(0),
         pilot_hollow=jnp.stack([hollow[name] for name in scene.pilots]) if scene.pilots else jnp.zeros(0),

@@ -135,19 +135,18 @@ def grooves(shape: Groove, place: Array, across: Array) -> Geometry:
 
 
 def windows(clearance: Array, ball: Array, place: Array, axis: Array) -> Geometry:
-    """Balls between the plane faces of their cage windows (physics sheet 5.3, row 3):  d = +-p . axis - clearance.
-
-    A window has no ends around the cage.
+    """Balls between two planes of the cage (physics sheet 5.3, row 3):  d = +-p . axis - clearance.
 
     Args:
-        clearance: gap of a centred ball to either face [m].
+        clearance: gap of a centred ball to either plane [m].
         ball: ball radius [m].
         place: (..., 3) ball centre less cage centre [m].
-        axis: (3,) the cage's unit axis.
+        axis: unit normal that turns with the cage, to broadcast against ``place``: the cage's axis for the faces of
+            windows, around the cage (``attitude.windows_around``) for their ends.
     """
     sides = jnp.array([1.0, -1.0])
     penetration = sides * dot(place, axis)[..., None] - clearance
-    normal = jnp.broadcast_to(sides[:, None] * axis, penetration.shape + (3,))
+    normal = jnp.broadcast_to(sides[:, None] * axis[..., None, :], penetration.shape + (3,))
     return Geometry(penetration, normal, jnp.broadcast_to(ball, penetration.shape), None, ())
 
 
@@ -170,11 +169,10 @@ def pilots(clearance: Array, hollow: Array, place: Array) -> Geometry:
 
 
 def join(first: Geometry, second: Geometry) -> Geometry:
-    """Contacts with two groups of bodies side by side, (n, m, f) and (n, f), as one (n, m + 1, f).
+    """Contacts with two groups of bodies side by side, (n, m, f) and (n, k, f), as one (n, m + k, f).
 
     The second is without edges, curvature or change of lever, as a window is.
     """
-    second = jax.tree.map(lambda x: x[:, None], second._replace(lever_slope=None))
     flat = second.normal
     bends = tuple(
         (

@@ -86,6 +86,49 @@ def on_window(
     return Fault("pitch_radius", found, f"give about {shown(pitch + cage - pole)} or less, or a larger seat_radius")
 
 
+def webs(
+    seat_radius: float, end: float, balls: float, ball_radius: float, pitch: float, offset: float, angle: float
+) -> Fault | None:
+    """Something is left of the cage between windows: their ends, ball_radius + clearance off their middles, meet inside."""
+    del pitch, offset, angle
+    most = seat_radius * math.sin(math.pi / balls) - ball_radius
+    if end < most:
+        return None
+    found = f"{shown(end)} leaves nothing of the cage between {balls:g} windows"
+    return Fault("clearance_cage_window_end", found, f"give less than {shown(most)}, or fewer balls")
+
+
+def swing(balls: float, pitch: float, offset: float, angle: float) -> float:
+    """Room [m] that balls need on either side of them in the windows of a cage that swings along as best it can.
+
+    In the plane of centres a ball at phi of the seat is  s = |P| sin(phi) cos(phi) (1/cos(beta/2) - 1)  from the place that
+    is evenly spaced, P by ``geometry.ball_centre``. The cage takes the mean of the greatest and the least s of a moment.
+    """
+    if balls < 2.0:
+        return 0.0
+    reach, steps = math.hypot(pitch, offset), 90
+    room = 0.0
+    for k in range(steps):
+        found = []
+        for ball in range(int(balls)):
+            phi = 2.0 * math.pi * (k / (steps * balls) + ball / balls)
+            h = -math.cos(phi) * math.tan(0.5 * angle)
+            out = (h * offset + math.sqrt((1.0 + h * h) * reach**2 - offset**2)) / (1.0 + h * h)
+            found.append(out * math.sin(phi) * math.cos(phi) * (1.0 / math.cos(0.5 * angle) - 1.0))
+        room = max(room, 0.5 * (max(found) - min(found)))
+    return room
+
+
+def swings(end: float, balls: float, ball_radius: float, pitch: float, offset: float, angle: float) -> Fault | None:
+    """Deflected balls swing to and fro around the cage, twice a turn, and find room for it in their windows."""
+    del ball_radius
+    need = swing(balls, pitch, offset, angle)
+    if end >= need:
+        return None
+    found = f"{shown(end)} is less than the {shown(need)} by which balls swing at joint_angle = {shown(angle, 'rad')}"
+    return Fault("clearance_cage_window_end", found, f"give {shown(need)} or more")
+
+
 def contact_height(ball_radius: float, pitch: float, offset: float, alpha: float, angle: float) -> tuple[float, float]:
     """How far along the seat's axis contacts on it come from O, away from and towards its tracks' centre [m].
 

@@ -1,6 +1,6 @@
 """What the joint looks like, and what moves in it. Sizes that the model does not have (shafts, widths) follow the balls.
 
-The cage of the model has no azimuth: its windows are drawn where the balls are.
+Without window ends the cage of the model has no azimuth: its windows are drawn where the balls are.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ from bcfj_jax.contact.gaps.balls import groove
 from bcfj_jax.core import shapes
 from bcfj_jax.core.shapes import Drawing, Mesh, Shape
 from bcfj_jax.mechanism.model import Arrow, Params, Pose, Reading, Scenery
+from bcfj_jax.models.joint.attitude import cage_axes
 from bcfj_jax.models.joint.constants import Constants, constants
-from bcfj_jax.models.joint.scene import OF_A_BALL, Joint
+from bcfj_jax.models.joint.scene import OF_A_BALL, WINDOW_END, Joint
 from bcfj_jax.models.joint.start import nominal
 from bcfj_jax.models.joint.system import State, view
 
@@ -27,9 +28,9 @@ CARRIERS = {"seat_cage": "cage", "head_cage": "head"}
 _ARC, _SEAT = 0.5, (-0.62, 0.5)
 _NOTES = (
     "Shafts, widths and the ends of tracks are not in the model: they are drawn by the size of the balls.",
-    "The model's cage has no azimuth: its windows are drawn where the balls are.",
     "Bodies are drawn undeformed: they overlap by their penetration.",
 )
+_NO_AZIMUTH = "The model's cage has no azimuth: its windows are drawn where the balls are."
 
 
 def drawing(scene: Joint, params: Params) -> Drawing:
@@ -47,7 +48,8 @@ def drawing(scene: Joint, params: Params) -> Drawing:
     found += [Shape("seat", _cup(seat, ball), "clear"), Shape("head", _shaft(head, ball), "body")]
     if scene.has("cage_ball"):
         found += [Shape("cage", mesh, "other") for mesh in _cage(scene, p, seat, head)]
-    return Drawing(tuple(found), (0.25, -1.0, 0.45), (-0.2, 0.0, 1.0), _NOTES)
+    notes = _NOTES if scene.azimuth is not None else (*_NOTES, _NO_AZIMUTH)
+    return Drawing(tuple(found), (0.25, -1.0, 0.45), (-0.2, 0.0, 1.0), notes)
 
 
 def _about_z(turn: float) -> np.ndarray:
@@ -116,7 +118,8 @@ def _cage(scene: Joint, p: Mapping[str, float], seat: float, head: float) -> lis
         closed = [np.concatenate([x, x[:1]]) for x in (outline, spread)]
         return shapes.revolved(*closed, begin=begin, end=end, pieces=54)
 
-    c, half = play["cage_ball"], float(np.arcsin(min(0.95, 1.22 * ball / pitch)))
+    end = ball + p["clearance_cage_window_end"] if scene.has(WINDOW_END) else 1.22 * ball
+    c, half = play["cage_ball"], float(np.arcsin(min(0.95, end / pitch)))
     step = 2.0 * np.pi / scene.balls
     found = [ring(window, wide, (c, c)), ring(-wide, -window, (-c, -c))]
     for k in range(scene.balls):
@@ -179,6 +182,9 @@ def _poses(scene: Joint, c: Constants, state: State) -> dict[str, Pose]:
         found[name] = Pose(places[i], axes)
     found["ball"] = Pose(state.ball_place, jnp.broadcast_to(jnp.eye(3), (scene.balls, 3, 3)))
     axis = state.cage_axis
+    if state.cage_azimuth is not None:
+        found["cage"] = Pose(state.cage_place, cage_axes(axis, state.cage_azimuth))
+        return found
     first = c.radial[0] - (c.radial[0] @ axis) * axis
     first = first / jnp.sqrt(first @ first)
     second = jnp.cross(axis, first)

@@ -226,6 +226,8 @@ def cage_forces(scene: Joint, c: Constants, y: Array) -> dict[str, Array]:
             forces[name] = found.pilots.force[i] * (1.0 if GUIDES[name][1] == "cage" else -1.0)
     if found.windows is not None:
         forces["cage_ball"] = -jnp.sum(found.windows.force, 0)
+    if found.ends is not None:
+        forces["cage_window_end"] = -jnp.sum(found.ends.force, 0)
     return forces
 
 

@@ -8,7 +8,7 @@ from jax import Array
 from bcfj_jax.core.programs import ask
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint.scales import scales
-from bcfj_jax.models.joint.scene import OF_A_BALL, Joint
+from bcfj_jax.models.joint.scene import GROOVES, Joint
 
 
 def place(scene: Joint, params: Params) -> dict[str, float]:
@@ -31,7 +31,8 @@ def place(scene: Joint, params: Params) -> dict[str, float]:
         if scene.smoothing:
             place = float(ask("joint's place", _place, (scene,), (dict(params),)))
             found["onset_under_load"] = _worst(scene, params, "smoothing") / place
-            for what, names in (("play", OF_A_BALL), ("knock", scene.pilots)):
+            # Between the ends of its window a ball swings freely: that is no play.
+            for what, names in (("play", (*GROOVES, "cage_ball")), ("knock", scene.pilots)):
                 ratios = [
                     np.float64(p[f"clearance_{name}"]) / float(scene.coefficient(params, name, "smoothing"))
                     for name in names

@@ -54,9 +54,13 @@ def guides(scene: Joint, axes: Array) -> Guides:
 
 
 def body_maps(scene: Joint, axes: Array) -> Array:
-    """Velocity and angular velocity of ``BODIES`` by the coupling's velocities, (3, 6, coupling)."""
-    maps = jnp.zeros((3, 6, scene.coupling))
-    for index, body in enumerate(BODIES):
+    """Velocity and angular velocity of ``BODIES`` by the coupling's velocities, (m, 6, coupling).
+
+    The cage once more where windows have ends (``constants.BALLS``).
+    """
+    bodies = (*BODIES, "cage") if scene.has("cage_window_end") else BODIES
+    maps = jnp.zeros((len(bodies), 6, scene.coupling))
+    for index, body in enumerate(bodies):
         place, turn = scene.slices.get(body), scene.slices[f"{body}_turn"]
         if place is not None:
             maps = maps.at[index, :3, place].set(jnp.eye(3))

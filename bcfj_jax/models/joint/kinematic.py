@@ -60,12 +60,14 @@ def kinematic_readings(scene: Joint, params: Params, times: Array) -> dict[str, 
     """What every contact of the scene does, by name, at each of T times.
 
     Force (T, balls, 3) of seat_ball, head_ball and cage_ball (signed: on the cage along its axis), (T, 3) of the
-    pilots, which carry half of the cage's sum of forces each; axial and tangential force 0. Penetration by the
+    pilots, which carry half of the cage's sum of forces each; axial and tangential force 0, and all of cage_window_end:
+    without friction nothing drives the cage against its windows' ends. Penetration by the
     elastic law inverted at rest (0 where there is no load), rate 0.
     """
     normal, cage = ball_loads(scene, params, times)
     pilot = 0.5 * jnp.abs(jnp.sum(cage, 1))
     loads = {"seat_ball": normal, "head_ball": normal, "cage_ball": cage, "seat_cage": pilot, "head_cage": pilot}
+    loads["cage_window_end"] = jnp.zeros_like(normal)
     readings = {}
     for contact in scene.contacts:
         load = loads[contact.name]

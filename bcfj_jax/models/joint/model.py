@@ -57,6 +57,8 @@ from bcfj_jax.models.joint.scene import (
     OF_A_BALL,
     PILOTS,
     TRACKS,
+    USUAL,
+    WINDOW_END,
     Joint,
     JointContact,
 )
@@ -341,6 +343,7 @@ def joint(
     track: str = "gothic",
     spin: bool = False,
     cage: str = "free",
+    window_ends: bool = False,
     head: str = "free",
     drive: str = "prescribed",
     fidelity: str = "dynamic",
@@ -355,10 +358,13 @@ def joint(
             ``approach_speed`` for all impacts, as the paper does.
         friction: False for none, True for Brown-McPhee, or a name of ``laws.FRICTION``.
         laws, frictions: other normal-force and friction laws for single contacts, by name.
-        contacts: those there are; by default all, but seat_cage where the cage is fixed. Balls need both of theirs.
+        contacts: those there are; by default all, but seat_cage where the cage is fixed, and cage_window_end by
+            window_ends alone. Balls need both of theirs.
         track: one of gothic, circular: two flanks at the contact angle, or one, of the ball's radius and clearance.
         spin: true lets the balls turn, and so roll; without, a ball is a particle at its centre.
         cage: one of free, fixed: to the bisecting plane, turning with the drive.
+        window_ends: true gives a free cage's windows ends: the contact cage_window_end of every ball, and the cage's
+            azimuth as a state. Without, friction lets the cage slip through its own windows.
         head: one of free, fixed: at the centre; it turns about its own axis either way.
         drive: one of prescribed, flexible: adds seat_inertia, drive_stiffness and drive_damping.
         fidelity: one of kinematic, quasistatic, dynamic, auto. kinematic: closed-form load sharing. quasistatic:
@@ -379,7 +385,9 @@ def joint(
             raise InputError(f"{where} {name}", f"no {name} '{value}'", nearest(value, choices[name]))
     if balls < 3:
         raise InputError(f"{where} balls", f"{balls} balls", "give 3 or more")
-    names = tuple(contacts) if contacts is not None else CONTACTS[1:] if cage == "fixed" else CONTACTS
+    names = tuple(contacts) if contacts is not None else USUAL[1:] if cage == "fixed" else USUAL
+    if window_ends and cage == "free" and "cage_ball" in names and WINDOW_END not in names:
+        names = (*names, WINDOW_END)
     for group, what in ((names, "contacts"), (laws or {}, "laws"), (frictions or {}, "frictions")):
         for name in group:
             if name not in CONTACTS:
@@ -399,6 +407,12 @@ def joint(
         raise InputError(
             f"{where} contacts", "seat_cage with a fixed cage", "remove it: seat and fixed cage never touch"
         )
+    if WINDOW_END in names and cage == "fixed":
+        remedy = f"remove {WINDOW_END}: a fixed cage turns as the drive does"
+        raise InputError(f"{where} contacts", f"{WINDOW_END} with a fixed cage", remedy)
+    if WINDOW_END in names and "cage_ball" not in names:
+        remedy = "add cage_ball: a window that has ends has faces"
+        raise InputError(f"{where} contacts", f"{WINDOW_END} without cage_ball", remedy)
     if cage == "free" and fidelity == "quasistatic" and not set(PILOTS) & set(names):
         found = "only the windows hold the free cage, so it has no equilibrium"
         raise InputError(f"{where} contacts", found, f"add {' or '.join(PILOTS)}, or give cage = 'fixed'")

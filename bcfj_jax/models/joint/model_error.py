@@ -24,7 +24,7 @@ from bcfj_jax.models.joint import system
 from bcfj_jax.models.joint.equilibrium_residual import Places, Problem, balance, slices_of, solve, tilted_axis
 from bcfj_jax.models.joint.kinematic import kinematic_readings
 from bcfj_jax.models.joint.observe import observe
-from bcfj_jax.models.joint.quasistatic import flat_places, posed, quasistatic_places
+from bcfj_jax.models.joint.quasistatic import flat_places, posed, quasistatic_places, still
 from bcfj_jax.models.joint.scene import Joint
 from bcfj_jax.models.joint.start import nominal
 
@@ -101,7 +101,7 @@ def statics(scene: Joint, params: Params, times: Array) -> Statics:
     problem, at = posed(scene, params, times), found.places
     value = flat_places(scene, problem, at)
     c, size = problem.c, value.shape[1]
-    moves = jnp.arange(scene.states) >= size
+    moves = (jnp.arange(scene.states) >= size) & (jnp.arange(scene.states) < scene.moving)
 
     def of(t: Array) -> Array:
         return nominal(scene, params, params["drive_speed"] * t)
@@ -110,8 +110,8 @@ def statics(scene: Joint, params: Params, times: Array) -> Statics:
     states = jnp.concatenate([value, ideal[:, size:]], 1)
 
     def lacking(y: Array, rate: Array) -> tuple[Array, Array]:
-        still, moving = (_wrench(scene, c, x) for x in (jnp.where(moves, 0.0, y), _free_turn(scene, c, y)))
-        ball, coupling = (a - b for a, b in zip(moving, still, strict=True))
+        rest, moving = (_wrench(scene, c, x) for x in (jnp.where(moves, 0.0, y), _free_turn(scene, c, y)))
+        ball, coupling = (a - b for a, b in zip(moving, rest, strict=True))
         swing = rate[size : size + scene.twist * scene.balls].reshape(scene.balls, -1)[:, :3]
         return ball.at[:, :3].add(-swing / c.ball_inverse_mass[:3]), coupling
 
@@ -120,9 +120,8 @@ def statics(scene: Joint, params: Params, times: Array) -> Statics:
     (step,) = solve(matrix, pushed)
 
     def normals(places: Places) -> dict[str, Array]:
-        here = flat_places(scene, problem, places)
-        still = jnp.concatenate([here, jnp.zeros((times.size, scene.states - size))], 1)
-        return {name: r.force[..., 0] for name, r in jax.vmap(lambda y: observe(scene, c, y))(still).items()}
+        rest = still(scene, flat_places(scene, problem, places))
+        return {name: r.force[..., 0] for name, r in jax.vmap(lambda y: observe(scene, c, y))(rest).items()}
 
     here, change_of = jax.jvp(normals, (at,), (step,))
     ideal_readings = kinematic_readings(scene, params, times)

@@ -6,6 +6,7 @@ Components of a force (the last axis, normal, axial, tangential); friction is th
 |------------------------|----------------------------------------------|-------------------------|--------------------|
 | seat_ball, head_ball   | sum of both flanks' normal forces            | along the track         | around the section |
 | cage_ball              | force on the cage along its axis, either sign| outward from its centre | around the cage    |
+| cage_window_end        | force on the cage around it, either sign     | outward from its centre | along its axis     |
 | seat_cage, head_cage   | normal force between the spheres             | along the cage's axis   | around that axis   |
 
 Axial and tangential are friction alone: normal, axial and tangential directions are at right angles.
@@ -22,6 +23,7 @@ from jax import Array
 from bcfj_jax.core.programs import program
 from bcfj_jax.mechanism.model import BodyMotion, Params, Reading
 from bcfj_jax.models.joint import energy
+from bcfj_jax.models.joint.attitude import cage_axes
 from bcfj_jax.models.joint.constants import Constants, constants
 from bcfj_jax.models.joint.contacts import ContactForce, dot
 from bcfj_jax.models.joint.scene import GROOVES, Joint
@@ -61,6 +63,9 @@ def observe(scene: Joint, c: Constants, y: Array) -> dict[str, Reading]:
     if found.windows is not None:
         normal = found.windows.normal[..., 0] - found.windows.normal[..., 1]
         readings["cage_ball"] = _read(found.windows, normal, state.ball_place - state.cage_place)
+    if found.ends is not None:
+        normal = found.ends.normal[..., 0] - found.ends.normal[..., 1]
+        readings["cage_window_end"] = _read(found.ends, normal, state.ball_place - state.cage_place)
     along = _along(scene, c, state)
     reading = _read(found.grooves, jnp.sum(found.grooves.normal, -1), along)
     for i, name in enumerate(GROOVES):
@@ -70,7 +75,8 @@ def observe(scene: Joint, c: Constants, y: Array) -> dict[str, Reading]:
 
 def observe_at_rest(scene: Joint, c: Constants, y: Array) -> dict[str, Reading]:
     """As ``observe``, with forces as if nothing moved (no damping, no friction); rates and sliding as they are."""
-    velocities = jnp.arange(y.size) >= 3 * scene.balls + scene.coupling
+    index = jnp.arange(y.size)
+    velocities = (index >= 3 * scene.balls + scene.coupling) & (index < scene.moving)
     # Side by side, so that the compiler reads the contacts once.
     both = jax.vmap(lambda y: observe(scene, c, y))(jnp.stack([y, jnp.where(velocities, 0.0, y)]))
     moving, still = ({name: _member(reading, k) for name, reading in both.items()} for k in (0, 1))
@@ -81,12 +87,14 @@ def resultants(scene: Joint, c: Constants, y: Array) -> dict[str, Array]:
     """Sum over its members of each contact's whole force, friction included, (3,) [N], in one flat state.
 
     World axes: z the seat's axis, x in the plane of both axes, the head's axis leaning to +x. Forces are those on the
-    second body: on the balls of seat_ball, head_ball and cage_ball, on the cage of seat_cage, on the head of head_cage.
+    second body: on the cage of seat_cage, on the head of head_cage, on the balls of all others.
     """
     found = contact_forces(scene, c, view(scene, c, y))
     sums = {name: jnp.sum(found.grooves.force[:, i], 0) for i, name in enumerate(GROOVES)}
     if found.windows is not None:
         sums["cage_ball"] = jnp.sum(found.windows.force, 0)
+    if found.ends is not None:
+        sums["cage_window_end"] = jnp.sum(found.ends.force, 0)
     if found.pilots is not None:
         sums |= {name: found.pilots.force[i] for i, name in enumerate(scene.pilots)}
     return {contact.name: sums[contact.name] for contact in scene.contacts}
@@ -107,7 +115,7 @@ BODIES = ("seat", "head", "cage", "ball")
 
 
 def motions(scene: Joint, c: Constants, t: Array, y: Array) -> dict[str, BodyMotion]:
-    """How every body moves; balls side by side. The cage has no azimuth of its own, hence no axes.
+    """How every body moves; balls side by side. Without window ends the cage has no azimuth, hence no axes.
 
     The seat's ``drive`` is the torque that holds its speed, or a flexible drive's.
     """
@@ -147,6 +155,9 @@ def motions(scene: Joint, c: Constants, t: Array, y: Array) -> dict[str, BodyMot
     found["cage"] = BodyMotion(
         state.cage_place, state.cage_velocity, of("cage"), spin=state.cage_spin, spin_rate=of("cage_turn")
     )
+    if state.cage_azimuth is not None:
+        axes = cage_axes(state.cage_axis, state.cage_azimuth)
+        found["cage"] = found["cage"]._replace(axes=axes, angle=state.cage_azimuth)
     return found
 
 

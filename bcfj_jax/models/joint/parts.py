@@ -1,4 +1,4 @@
-"""The joint from the parts of which every mechanism is made: five kinds of contact between four kinds of bodies.
+"""The joint from the parts of which every mechanism is made: its kinds of contact between four kinds of bodies.
 
 Its equations of motion are the joint's own (``system``), which stay because they run faster: docs/joint.md. A test holds
 the two to each other.
@@ -17,7 +17,7 @@ from bcfj_jax.mechanism.contacts import Contact
 from bcfj_jax.mechanism.loads import AbstractLoad, Force, JointSpring, Torque
 from bcfj_jax.mechanism.mechanism import Mechanism
 from bcfj_jax.mechanism.sizes import Params, Size
-from bcfj_jax.models.joint.scene import Joint, JointContact
+from bcfj_jax.models.joint.scene import WINDOW_END, Joint, JointContact
 from bcfj_jax.models.joint.start import nominal
 
 
@@ -82,10 +82,11 @@ def _contact(joint: Joint, contact: JointContact) -> Contact:
         "seat_cage": SphereInSocket(axis_of="b"),
         "head_cage": SphereInSocket(axis_of="a"),
         "cage_ball": BallBetweenPlanes(),
+        WINDOW_END: BallBetweenPlanes(axis="y", windows=joint.balls),
         "seat_ball": BallInGroove(side="outer", **tracks),
         "head_ball": BallInGroove(side="inner", **tracks),
     }
-    between = {"head_cage": ("cage", "head")}
+    between = {"head_cage": ("cage", "head"), WINDOW_END: ("cage", "ball")}
     sizes: dict[str, Size] = {key: key for key in gaps[name].needs if key != "clearance"}
     # The hollow sphere: the seat's, and the cage's around the head.
     if "radius" in sizes:

@@ -103,10 +103,7 @@ def unfolded_states(scene: Joint, params: Params, folded: Folded, states: np.nda
         balls = _renumbered(scene, params, part.reshape(len(part), n, size), folded.pitches)
         wanted[:, first : first + n * size] = balls.reshape(part.shape)
     turned = 2.0 * np.pi / n * np.sign(float(params["drive_speed"])) * folded.pitches
-    for name in ("head_turn", "seat_turn"):
-        piece = scene.slices[name]
-        assert piece is not None
-        wanted[:, 3 * n + piece.start] += turned
+    wanted[:, _turning(scene)] += turned[:, None]
     return wanted
 
 
@@ -119,8 +116,14 @@ def pitch_before(scene: Joint, params: Params, state: Array) -> Array:
         balls = state[first : first + n * size].reshape(n, size)
         balls = jnp.where(forward, jnp.roll(balls, 1, 0), jnp.roll(balls, -1, 0))
         state = state.at[first : first + n * size].set(balls.ravel())
-    turns = [piece.start for name in ("head_turn", "seat_turn") if (piece := scene.slices[name]) is not None]
-    return state.at[3 * n + np.array(turns)].add(-2.0 * jnp.pi / n * jnp.sign(params["drive_speed"]))
+    return state.at[np.array(_turning(scene))].add(-2.0 * jnp.pi / n * jnp.sign(params["drive_speed"]))
+
+
+def _turning(scene: Joint) -> list[int]:
+    """Where the angles stand that a pitch turns on: those of head, seat and cage, whose windows are renumbered too."""
+    pieces = [scene.slices[name] for name in ("head_turn", "seat_turn")]
+    turns = [3 * scene.balls + piece.start for piece in pieces if piece is not None]
+    return turns if scene.azimuth is None else [*turns, scene.azimuth]
 
 
 def mismatch(scene: Joint, params: Params, folded: Folded, force: Mapping[str, Any]) -> dict[str, float]:

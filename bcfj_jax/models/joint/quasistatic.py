@@ -3,7 +3,8 @@
 At time t the seat stands at drive_speed t, the head bears its load, and every contact bears  laws.normal(d, 0).
 Unknown are the balls' places and, as far as the scene frees them, the head's place and turn, the cage's place and tilt.
 Clearances leave play, in which nothing decides where a part floats: weak springs to the zero-clearance position
-(``start.nominal``) do, see ``GROUND``.
+(``start.nominal``) do, see ``GROUND``. Without friction nothing turns the cage about its own axis: its azimuth is the
+seat's angle, about which balls swing evenly in their windows, and the windows' ends bear nothing.
 
 ``batched_newton`` searches; derivatives are those of the implicit function.
 """
@@ -108,8 +109,8 @@ def quasistatic_forces(scene: Joint, params: Params, times: Array, found: Found 
     times = jnp.asarray(times, dtype=float)
     found = quasistatic_places(scene, params, times) if found is None else found
     problem = posed(scene, params, times)
-    still = _at_rest(scene, problem, _equilibrium(scene)(problem, jax.lax.stop_gradient(found.places)))
-    readings = jax.vmap(lambda y: observe(scene, problem.c, y))(still)
+    rest = _at_rest(scene, problem, _equilibrium(scene)(problem, jax.lax.stop_gradient(found.places)))
+    readings = jax.vmap(lambda y: observe(scene, problem.c, y))(rest)
     force = {name: reading.force[..., 0].T for name, reading in readings.items()}
     return {name: jnp.where(found.converged, x, jnp.nan).T for name, x in force.items()}
 
@@ -146,8 +147,16 @@ def flat_places(scene: Joint, problem: Problem, at: Places) -> Array:
 
 def _at_rest(scene: Joint, problem: Problem, at: Places) -> Array:
     """Flat states (T, scene.states) of places, nothing moving."""
-    value = flat_places(scene, problem, at)
-    return jnp.pad(value, ((0, 0), (0, scene.states - value.shape[1])))
+    return still(scene, flat_places(scene, problem, at))
+
+
+def still(scene: Joint, value: Array) -> Array:
+    """Flat states (T, scene.states) that begin with the places of ``flat_places``; no velocities but given ones."""
+    states = jnp.pad(value, ((0, 0), (0, scene.states - value.shape[1])))
+    if scene.azimuth is None:
+        return states
+    # The seat's turn is the last of the places.
+    return states.at[:, scene.azimuth].set(value[:, 3 * scene.balls + scene.coupling - 1])
 
 
 def _moving_problem(scene: Joint, params: Params, times: Array) -> tuple[Problem, Problem]:
@@ -187,8 +196,8 @@ def _with_rates(scene: Joint, c: Any, value: Array, rate: Array) -> Array:
     balls = rate[:, : 3 * n].reshape(count, n, 3)
     if scene.spin:
         balls = jnp.concatenate([balls, jnp.broadcast_to(spin[:, None], (count, n, 3))], -1)
-    unbent = [jnp.zeros((count, scene.states - scene.moving))] if scene.bristles else []
-    return jnp.concatenate([value, balls.reshape(count, -1), rate[:, 3 * n :], *unbent], 1)
+    moving = jnp.concatenate([value, balls.reshape(count, -1), rate[:, 3 * n :]], 1)
+    return still(scene, moving)
 
 
 def _equilibrium(scene: Joint) -> Any:

@@ -18,8 +18,8 @@ LEAST = 1e-2
 
 def scales(scene: Joint, params: Params, end: Array | float = jnp.inf) -> Array:
     """Size of each state: a place by the penetration of a ball that carries its share of the load, a velocity by
-    friction's transition speed; turns by these over the pitch radius, a ball's spin by that over its own; a bristle by
-    its deflection at break-away.
+    friction's transition speed; turns, the cage's azimuth among them, by these over the pitch radius, a ball's spin by that
+    over its own; a bristle by its deflection at break-away.
 
     The load is the greatest until ``end`` [s]: torque, axial load and centrifugal force. A run that ends while the
     torque still rises has no other peak to compare with. Where the contact is regularised, the penetration r(d) over its
@@ -53,6 +53,8 @@ def scales(scene: Joint, params: Params, end: Array | float = jnp.inf) -> Array:
         }
         balls = {name: jnp.tile(x, (scene.balls, 1, 1)) for name, x in break_away.items() if name not in PILOTS}
         parts.append(flat(break_away | balls))
+    if scene.azimuth is not None:
+        parts.append((place / p["pitch_radius"])[None])
     return jnp.concatenate(parts)
 
 

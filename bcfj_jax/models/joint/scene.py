@@ -19,10 +19,13 @@ from bcfj_jax.mechanism.contacts import own_quantities
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.models.joint.defaults import DEFAULTS
 
-CONTACTS = ("seat_cage", "head_cage", "cage_ball", "seat_ball", "head_ball")
+CONTACTS = ("seat_cage", "head_cage", "cage_ball", "seat_ball", "head_ball", "cage_window_end")
+# Contact of a ball with either end of its window, around the cage; on request.
+WINDOW_END = CONTACTS[5]
+USUAL = CONTACTS[:5]
 GROOVES = ("seat_ball", "head_ball")
 PILOTS = ("seat_cage", "head_cage")
-OF_A_BALL = ("cage_ball", "seat_ball", "head_ball")
+OF_A_BALL = ("cage_ball", "seat_ball", "head_ball", "cage_window_end")
 FIDELITIES = ("kinematic", "quasistatic", "dynamic")
 # In place of one of them: ``bcfj_jax.models.joint.fidelity`` chooses.
 AUTO = "auto"
@@ -32,7 +35,7 @@ DRIVES = ("prescribed", "flexible")
 
 
 class JointContact(eqx.Module):
-    """One of the five kinds of contact: its name, its normal-force law, its friction law or None."""
+    """One kind of contact: its name, its normal-force law, its friction law or None."""
 
     name: str = eqx.field(static=True)
     law: AbstractLaw
@@ -160,20 +163,27 @@ class Joint(AbstractModel):
         """Faces of each contact whose friction has bristles, by its name: of one ball's, and of a pilot."""
         if self.fidelity != "dynamic":
             return {}
-        faces = {"cage_ball": 2, "seat_ball": 2, "head_ball": 2} if self.track == "gothic" else {"cage_ball": 2}
+        faces = {"cage_ball": 2, WINDOW_END: 2}
+        faces |= {"seat_ball": 2, "head_ball": 2} if self.track == "gothic" else {}
         rough = {contact.name for contact in self.contacts if contact.friction and contact.friction.bristles}
-        return {name: faces.get(name, 1) for name in (*GROOVES, "cage_ball", *PILOTS) if name in rough}
+        return {name: faces.get(name, 1) for name in (*GROOVES, "cage_ball", WINDOW_END, *PILOTS) if name in rough}
 
     @property
     def moving(self) -> int:
-        """Length of the flat state without bristles."""
+        """Length of the flat state without bristles and the cage's azimuth."""
         return (3 + self.twist) * self.balls + 2 * self.coupling
 
     @property
     def states(self) -> int:
         """Length of the flat state."""
         members = {name: self.balls if name in OF_A_BALL else 1 for name in self.bristles}
-        return self.moving + 3 * sum(members[name] * faces for name, faces in self.bristles.items())
+        bristles = 3 * sum(members[name] * faces for name, faces in self.bristles.items())
+        return self.moving + bristles + self.has(WINDOW_END)
+
+    @property
+    def azimuth(self) -> int | None:
+        """Where the cage's azimuth stands in the flat state: last; None without window ends, which alone read it."""
+        return self.states - 1 if self.has(WINDOW_END) else None
 
 
 def _quantity(name: str, theirs: Mapping[str, Quantity]) -> Quantity:

@@ -14,8 +14,8 @@ from bcfj_jax.models.joint.scene import Joint
 def nominal(scene: Joint, params: Params, seat_turn: Array) -> Array:
     """Flat state of the zero-clearance joint at a seat angle, turning at the drive's speed (physics sheet 5.2).
 
-    Constant velocity: the head turns by the seat's angle. The cage is centred on the bisector and turns at the
-    drive's speed; spinning balls turn with the cage.
+    Constant velocity: the head turns by the seat's angle, and so does the cage, centred on the bisector: balls swing
+    evenly about the middles of their windows. Spinning balls turn with the cage.
     """
     p = params
     radius = geometry.track_radius(p["pitch_radius"], p["offset"])
@@ -33,7 +33,9 @@ def nominal(scene: Joint, params: Params, seat_turn: Array) -> Array:
     names = [name for name, piece in scene.slices.items() if piece is not None]
     if scene.spin:
         velocities = jnp.concatenate([velocities, jnp.broadcast_to(speed * axis, (scene.balls, 3))], -1)
-    unbent = [jnp.zeros(scene.states - scene.moving)] if scene.bristles else []
+    ends = 0 if scene.azimuth is None else 1
+    others = [jnp.zeros(scene.states - ends - scene.moving)] if scene.bristles else []
+    others += [seat_turn[None]] if ends else []
     return jnp.concatenate(
-        [places.ravel(), *(at[name] for name in names), velocities.ravel(), *(rate[name] for name in names), *unbent]
+        [places.ravel(), *(at[name] for name in names), velocities.ravel(), *(rate[name] for name in names), *others]
     )

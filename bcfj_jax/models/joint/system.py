@@ -6,9 +6,9 @@ coupling (everything that is not a ball) is, in this order and as far as the sce
     head place (3)   head turn (1)   cage place (3)   cage axis or spin (3)   seat turn (1)
 
 The state is flat: ball places, coupling places, ball twists (velocity, and spin where balls spin), coupling
-velocities, bristles (``bristles``). The cage is a body of revolution whose window planes know nothing of its own
-turn, so a unit axis is all its attitude, and its inertia is that of a spherical shell (isotropic): no quaternion, no
-gyroscopic term.
+velocities, bristles (``bristles``), and the cage's azimuth where windows have ends. The cage's attitude is a unit axis and
+that azimuth (``attitude``); without ends the cage is a body of revolution, and the axis is all. Its inertia is that of a
+spherical shell (isotropic): no gyroscopic term, see ``attitude``.
 A prescribed seat is a seat of infinite inertia, so that its turn is a state like any other and nothing depends on time
 but the load.
 """
@@ -23,12 +23,13 @@ import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.core.numerics import smooth_rise
+from bcfj_jax.models.joint.attitude import azimuth_rate, windows_around
 from bcfj_jax.models.joint.bristles import beside, flat, split
 from bcfj_jax.models.joint.constants import BALLS, Constants
 from bcfj_jax.models.joint.contacts import ContactForce, Geometry, act, grooves, join, pilots, windows
 from bcfj_jax.models.joint.guides import GUIDES
 from bcfj_jax.models.joint.law_pair import ContactLaws, LawPair
-from bcfj_jax.models.joint.scene import PILOTS, Joint
+from bcfj_jax.models.joint.scene import GROOVES, PILOTS, Joint
 
 
 class State(NamedTuple):
@@ -45,17 +46,19 @@ class State(NamedTuple):
     cage_velocity: Array
     cage_axis: Array
     cage_spin: Array
+    cage_azimuth: Array | None
     seat_turn: Array
     seat_spin: Array
     bristles: dict[str, Array]
 
 
 class ContactForces(NamedTuple):
-    """All contacts: grooves (balls, 2 races), windows (balls,), pilots (k,), as far as the scene has them."""
+    """All contacts: grooves (balls, 2 races), windows and their ends (balls,), pilots (k,), as far as the scene has them."""
 
     grooves: ContactForce
     windows: ContactForce | None
     pilots: ContactForce | None
+    ends: ContactForce | None = None
 
 
 def view(scene: Joint, c: Constants, y: Array) -> State:
@@ -79,6 +82,7 @@ def view(scene: Joint, c: Constants, y: Array) -> State:
         cage_velocity=zero if cage is None else rates[cage],
         cage_axis=axis if tilt is None else axis / jnp.sqrt(axis @ axis),
         cage_spin=c.drive_speed * c.bisector if tilt is None else rates[tilt],
+        cage_azimuth=None if scene.azimuth is None else y[scene.azimuth],
         seat_turn=at[seat][0],
         seat_spin=rates[seat][0],
         bristles=split(scene, y) if scene.bristles else {},
@@ -102,7 +106,7 @@ def relative(state: State, place: Array, velocity: Array, spin: Array) -> Motion
 
 
 class RelativeMotions(NamedTuple):
-    """The bodies around the balls, m of them: seat, head and, where there are windows, cage.
+    """The bodies around the balls, m of them: seat, head, cage where there are windows, and again where these have ends.
 
     Attributes:
         motion: of the balls relative to them, (balls, m, 3); spins: their angular velocities (m, 3).
@@ -130,11 +134,11 @@ class RelativeMotions(NamedTuple):
 
 def relative_motions(scene: Joint, c: Constants, state: State) -> RelativeMotions:
     """Where the balls are, and how they move, relative to the bodies that they touch."""
-    zero, windowed = jnp.zeros(3), c.window_laws is not None
-    place = jnp.stack([zero, state.head_place, *([state.cage_place] if windowed else [])])
-    velocity = jnp.stack([zero, state.head_velocity, *([state.cage_velocity] if windowed else [])])
+    zero, planes = jnp.zeros(3), 0 if c.window_laws is None else 1 if c.cage_laws is None else 2
+    place = jnp.stack([zero, state.head_place, *[state.cage_place] * planes])
+    velocity = jnp.stack([zero, state.head_velocity, *[state.cage_velocity] * planes])
     races = [state.seat_spin * c.axes[0], state.head_spin * c.axes[1]]
-    spins = jnp.stack([*races, *([state.cage_spin] if windowed else [])])
+    spins = jnp.stack([*races, *[state.cage_spin] * planes])
     motion = relative(state, place, velocity, spins)
     turns = jnp.stack([state.seat_turn, state.head_turn])
     cosine, sine = jnp.cos(turns)[:, None], jnp.sin(turns)[:, None]
@@ -144,11 +148,15 @@ def relative_motions(scene: Joint, c: Constants, state: State) -> RelativeMotion
     at = grooves(c.groove, motion.arm[:, :2] - c.groove.offset[:, None] * c.axes, across)
     if c.window_laws is None:
         return RelativeMotions(motion, spins, across, ((c.groove_laws, at),), state.bristles)
-    window = windows(c.window_clearance, c.groove.ball, motion.arm[:, 2], state.cage_axis)
+    laws, clearance, axis = c.window_laws, c.window_clearance, state.cage_axis
+    if c.cage_laws is not None:
+        around = windows_around(axis, state.cage_azimuth + scene.azimuths)
+        laws, clearance = c.cage_laws, c.cage_clearance
+        axis = jnp.stack([jnp.broadcast_to(axis, around.shape), around], 1)
+    window = windows(clearance, c.groove.ball, motion.arm[:, 2:], axis)
     if c.ball_laws is not None:
         return RelativeMotions(motion, spins, across, ((c.ball_laws, join(at, window)),), state.bristles)
-    alone = jax.tree.map(lambda x: x[:, None], window._replace(lever_slope=None))._replace(lever_slope=0.0)
-    return RelativeMotions(motion, spins, across, ((c.groove_laws, at), (c.window_laws, alone)), state.bristles)
+    return RelativeMotions(motion, spins, across, ((c.groove_laws, at), (laws, window)), state.bristles)
 
 
 @partial(jax.jit, static_argnums=0, inline=True)  # solver and observation both trace it
@@ -157,12 +165,15 @@ def contact_forces(scene: Joint, c: Constants, state: State) -> ContactForces:
     parts = relative_motions(scene, c, state).parts()
     acted = [act(laws, at, motion.velocity, motion.spin, bent) for laws, at, motion, bent in parts]
     groove = jax.tree.map(lambda x: x[:, :2], acted[0])
-    window = None if c.window_laws is None else jax.tree.map(lambda x: x[:, -1], acted[-1])
-    pilot = None
+    pilot = window = end = None
+    if c.cage_laws is not None:
+        window, end = (jax.tree.map(lambda x, i=i: x[:, i], acted[-1]) for i in (-2, -1))
+    elif c.window_laws is not None:
+        window = jax.tree.map(lambda x: x[:, -1], acted[-1])
     if c.pilot_laws is not None:
         at, motion, bent, _ = piloted(scene, c, state)
         pilot = act(c.pilot_laws, at, motion.velocity, motion.spin, bent)
-    return ContactForces(groove, window, pilot)
+    return ContactForces(groove, window, pilot, end)
 
 
 def guided(scene: Joint, c: Constants, state: State) -> tuple[Motion, Array]:
@@ -220,16 +231,17 @@ def wrench(touch: ContactForce) -> Array:
 def on_bodies(scene: Joint, c: Constants, state: State, found: ContactForces) -> tuple[Array, Array]:
     """Contact wrenches on the balls (balls, twist) and generalised forces on the coupling coordinates (coupling,)."""
     wrenches, places = wrench(found.grooves), [jnp.zeros(3), state.head_place]
-    if found.windows is not None:
-        wrenches = jnp.concatenate([wrenches, wrench(found.windows)[:, None]], 1)
-        places.append(state.cage_place)
+    for touch in (found.windows, found.ends):
+        if touch is not None:
+            wrenches = jnp.concatenate([wrenches, wrench(touch)[:, None]], 1)
+            places.append(state.cage_place)
     force = wrenches[..., :3]
     torque = jnp.cross(state.ball_place[:, None] - jnp.stack(places), force)
     if scene.spin:
         torque = torque + wrenches[..., 3:]
     push, twist = -jnp.sum(force, 0), -jnp.sum(torque, 0)
     turning = jnp.sum(twist[:2] * c.axes, -1)
-    cage = (push[2], twist[2]) if found.windows is not None else (jnp.zeros(3), jnp.zeros(3))
+    cage = jnp.sum(push[2:], 0), jnp.sum(twist[2:], 0)
     parts = {"head": push[1], "head_turn": turning[1:], "cage": cage[0], "cage_turn": cage[1], "seat_turn": turning[:1]}
     coupling = jnp.concatenate([parts[name] for name, piece in scene.slices.items() if piece is not None])
     if found.pilots is not None:
@@ -246,8 +258,10 @@ def _bending(scene: Joint, c: Constants, state: State, found: ContactForces) -> 
         if name in PILOTS:
             outer, touch, member = GUIDES[name][0], found.pilots, scene.pilots.index(name)
         else:
-            outer, touch = name.removesuffix("_ball"), found.windows if name == "cage_ball" else found.grooves
-            member = (slice(None), *([] if name == "cage_ball" else [BALLS.index(name)]))
+            race = name in GROOVES
+            outer = name.removesuffix("_ball") if race else "cage"
+            touch = found.grooves if race else found.windows if name == "cage_ball" else found.ends
+            member = (slice(None), *([BALLS.index(name)] if race else []))
         assert touch is not None and touch.bending is not None
         rates[name] = touch.bending[member] + jnp.cross(spins[outer], state.bristles[name])
     return flat(rates)
@@ -266,13 +280,15 @@ def field(t: Array, y: Array, args: tuple[Joint, Constants]) -> Array:
     if tilt is not None:
         axis = y[3 * n : 3 * n + scene.coupling][tilt]
         rates = rates.at[tilt].set(jnp.cross(state.cage_spin, axis))
-    bending = [_bending(scene, c, state, found)] if scene.bristles else []
+    others = [_bending(scene, c, state, found)] if scene.bristles else []
+    if scene.azimuth is not None:
+        others.append(azimuth_rate(state.cage_axis, state.cage_spin)[None])
     return jnp.concatenate(
         [
             state.ball_velocity.ravel(),
             rates,
             (ball * c.ball_inverse_mass).ravel(),
             coupling * c.coupling_inverse_mass,
-            *bending,
+            *others,
         ]
     )

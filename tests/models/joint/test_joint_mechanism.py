@@ -10,11 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from joints import GROOVES, QUICK, constants, noisy, view
+from scipy.spatial.transform import Rotation
 
 from bcfj_jax import scenes
 from bcfj_jax.core.vectors import array
 from bcfj_jax.mechanism.bodies import _attitude
 from bcfj_jax.mechanism.model import Flows
+from bcfj_jax.models.joint.attitude import cage_axes
 from bcfj_jax.models.joint.bristles import split
 from bcfj_jax.models.joint.parts import as_mechanism
 from bcfj_jax.models.joint.scene import PILOTS
@@ -33,6 +35,7 @@ OPTIONS = {
         "laws": {"head_ball": "kelvin_voigt", "head_cage": "flores"}, "balls": 5, "smoothing": False,
         "frictions": {"seat_ball": "coulomb", "head_cage": "lugre", "seat_cage": False},
     },
+    "window ends, bristles, spin": {"window_ends": True, "friction": "lugre", "spin": True},
     "no pilots, fixed": {"contacts": ("cage_ball", *GROOVES), "cage": "fixed", "head": "fixed", "spin": True},
 }  # fmt: skip
 EACH = pytest.mark.parametrize(
@@ -68,9 +71,12 @@ def named(joint, params, y) -> dict[tuple[str, str], np.ndarray]:
     }
     found |= {("seat", "angle"): state.seat_turn, ("seat", "speed"): state.seat_spin}
     found |= {("head", "angle"): state.head_turn, ("head", "speed"): state.head_spin}
-    # The shortest turn from z to the cage's axis.
+    # The shortest turn from z to the cage's axis; where the cage has an azimuth the turn to all of its axes.
     quaternion = np.array([1.0 + axis[2], -axis[1], axis[0], 0.0])
     quaternion /= np.linalg.norm(quaternion)
+    if state.cage_azimuth is not None:
+        axes = cage_axes(jnp.asarray(axis), jnp.asarray(state.cage_azimuth))
+        quaternion = Rotation.from_matrix(axes).as_quat(canonical=True, scalar_first=True)
     return found | {("cage", f"q{k}"): x for k, x in enumerate(quaternion)}
 
 
@@ -119,7 +125,9 @@ def compared(name: str) -> tuple[Any, list[Pair]]:
         values = joint.parameters(axial_load=500.0, load_ramp=1.0)
         params = {key: x * draw.uniform(1.0, 1.05) for key, x in values.items()}
         y = noisy(joint, params, seed, places=5e-5)
-        y[joint.moving :] = 1e-6 * draw.normal(size=y.size - joint.moving)
+        y[joint.moving : joint.azimuth] = 1e-6 * draw.normal(size=y[joint.moving : joint.azimuth].size)
+        if joint.azimuth is not None:
+            y[joint.azimuth] += float(params["clearance_cage_window_end"] / params["pitch_radius"])
         state = named(joint, params, y)
         # A driven seat is where its drive is; a flexible drive is ahead of its own.
         t = state["seat", "angle"] / params["drive_speed"] + (1e-4 if joint.drive == "flexible" else 0.0)

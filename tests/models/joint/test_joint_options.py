@@ -47,6 +47,7 @@ SMALLER = [
     ({}, {"track": "circular"}),
     ({}, {"law": "hertz"}),
     ({"spin": True}, {}),
+    ({"window_ends": True}, {}),
     ({"drive": "flexible"}, {}),
     ({}, {"contacts": ("head_cage", "cage_ball", *GROOVES)}),
     ({}, {"contacts": ("cage_ball", *GROOVES)}),
