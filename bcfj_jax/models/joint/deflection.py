@@ -99,7 +99,7 @@ def webs(
 
 
 def swing(balls: float, pitch: float, offset: float, angle: float) -> float:
-    """Room [m] that balls need on either side of them in the windows of a cage that swings along as best it can.
+    """Clearance [m] that balls need on either side of them in the windows of a cage that swings along as best it can.
 
     In the plane of centres a ball at phi of the seat is  s = |P| sin(phi) cos(phi) (1/cos(beta/2) - 1)  from the place that
     is evenly spaced, P by ``geometry.ball_centre``. The cage takes the mean of the greatest and the least s of a moment.
@@ -107,7 +107,7 @@ def swing(balls: float, pitch: float, offset: float, angle: float) -> float:
     if balls < 2.0:
         return 0.0
     reach, steps = math.hypot(pitch, offset), 90
-    room = 0.0
+    need = 0.0
     for k in range(steps):
         found = []
         for ball in range(int(balls)):
@@ -115,12 +115,12 @@ def swing(balls: float, pitch: float, offset: float, angle: float) -> float:
             h = -math.cos(phi) * math.tan(0.5 * angle)
             out = (h * offset + math.sqrt((1.0 + h * h) * reach**2 - offset**2)) / (1.0 + h * h)
             found.append(out * math.sin(phi) * math.cos(phi) * (1.0 / math.cos(0.5 * angle) - 1.0))
-        room = max(room, 0.5 * (max(found) - min(found)))
-    return room
+        need = max(need, 0.5 * (max(found) - min(found)))
+    return need
 
 
 def swings(end: float, balls: float, ball_radius: float, pitch: float, offset: float, angle: float) -> Fault | None:
-    """Deflected balls swing to and fro around the cage, twice a turn, and find room for it in their windows."""
+    """Deflected balls swing to and fro around the cage, twice a turn, and their windows must let them."""
     del ball_radius
     need = swing(balls, pitch, offset, angle)
     if end >= need:

@@ -150,7 +150,7 @@ def test_balls_swing_in_their_windows_as_the_check_says():
     swing = np.asarray(swing)
     need = 0.5 * float(np.max(swing.max(1) - swing.min(1)))
     assert deflection.swing(5.0, pitch, offset, beta) == within(need, 1e-3)
-    # Room for it is asked for; and something must be left between windows.
+    # The check asks for it; and something must be left between windows.
     scene.check(scene.parameters(clearance_cage_window_end=1.01 * need))
     with pytest.raises(InputError, match=r"clearance_cage_window_end.*joint_angle of at most"):
         scene.check(scene.parameters(clearance_cage_window_end=0.99 * need))
