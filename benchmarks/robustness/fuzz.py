@@ -37,7 +37,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 
-from benchmarks.common import RESULTS, ROOT, load, markdown, save
+from benchmarks.common import RESULTS, ROOT, load, markdown, put_in_readme, save
 from benchmarks.robustness import kept, records
 from benchmarks.robustness.mutations import of_bytes, of_lines, of_toml
 
@@ -362,7 +362,9 @@ def one_kind(target: str, how: Target, folder: Path, seed: int) -> dict[str, Any
 def keep(target: str, row: dict[str, Any], seed: int) -> None:
     """Put one kind's row among those kept before, each with its seed."""
     rows = load("fuzz")["rows"] if (RESULTS / "fuzz.json").exists() else {}
-    save("fuzz", {"rows": rows | {target: {"seed": seed, **row}}})
+    rows |= {target: {"seed": seed, **row}}
+    save("fuzz", {"rows": rows})
+    put_in_readme("fuzz", table(rows), "docs/trust.md")
 
 
 def table(rows: dict[str, dict[str, Any]]) -> str:
