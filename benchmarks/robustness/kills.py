@@ -1,8 +1,8 @@
 """Verbs that are stopped by TERM, INT or KILL at random moments: resumed to equal results, or nothing is left.
 
     python -m benchmarks.robustness.kills [--trials 100] [--only calibrate,study,...] [--more]
-writes results/kills.json; ``--more`` goes on with the trials that are there. A verb is run
-undisturbed first. A trial starts it in a folder of its own and sends a signal at a random moment of its processor time,
+writes results/kills.json; ``--more`` runs the trials that are not there. A verb is run undisturbed
+first. A trial starts it in a folder of its own and sends a signal at a random moment of its processor time,
 which other work on the machine does not stretch. Then
 
 where work is kept    (calibrate, tradeoff, study) the exit code is 5, or that of a run that was at its end, or by a signal
@@ -26,6 +26,7 @@ import random
 import resource
 import shutil
 import signal
+import subprocess
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
@@ -96,11 +97,15 @@ def trial(
     """One run that is stopped; how it ended, and what came of it."""
     out = place / "out"
     words = [*verb.words, "--out", str(out)]
-    job = start(words, place)
-    wait_for(job, moment)
-    running, before = job.poll() is None, resource.getrusage(resource.RUSAGE_CHILDREN)
-    job.send_signal(how)
-    code, _, err = ended(job)
+    # To a file: of a pipe that nobody reads meanwhile, a process that says much would wait for ever.
+    with tempfile.TemporaryFile("w+") as file:
+        job = start(words, place, stdout=subprocess.DEVNULL, stderr=file)
+        wait_for(job, moment)
+        running, before = job.poll() is None, resource.getrusage(resource.RUSAGE_CHILDREN)
+        job.send_signal(how)
+        code, _, _ = ended(job)
+        file.seek(0)
+        err = file.read()
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     after = used.ru_utime + used.ru_stime - before.ru_utime - before.ru_stime - moment
     left, traces = files(out), err.count("Traceback")
@@ -138,7 +143,7 @@ def trial(
 def undisturbed(words: list[str], place: Path) -> tuple[float, int, str]:
     """Processor time, exit code and errors of a run."""
     with tempfile.TemporaryFile("w+") as file:
-        job = start(words, place, stderr=file)
+        job = start(words, place, stdout=subprocess.DEVNULL, stderr=file)
         last = 0.0
         while job.poll() is None:
             now = spent(job)
@@ -169,7 +174,7 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=100)
     parser.add_argument("--only", default="calibrate,tradeoff,study,sensitivity,design,reproduce")
     parser.add_argument("--warm", type=int, default=2, help="undisturbed runs, the last of which is the measure")
-    parser.add_argument("--more", action="store_true", help="go on with the trials of the results that are there")
+    parser.add_argument("--more", action="store_true", help="run the trials that the results lack")
     given = parser.parse_args()
     rows: list[dict[str, Any]] = load("kills")["trials"] if given.more else []
     # Each trial draws its own number, so that those to come do not depend on where a run of them ended.
@@ -187,11 +192,11 @@ def main() -> None:
                 raise SystemExit(f"{name}: exit code {code}: {err}")
             shutil.rmtree(place / "out")
             print(f"{name}: {lasts[name]:.1f} s of a processor undisturbed, exit code {code}", flush=True)
-        for number in range(len(rows), given.trials):
+        for number in sorted(set(range(given.trials)) - {row["number"] for row in rows}):
             name = list(known)[number % len(known)]
             how = SIGNALS[number // len(known) % len(SIGNALS)]
             moment = 0.1 + draws[number] * (lasts[name] - 0.1)
-            rows.append(trial(name, known[name], place, how, moment, good[name]))
+            rows.append({"number": number, **trial(name, known[name], place, how, moment, good[name])})
             print(rows[-1], flush=True)
             save("kills", {"undisturbed_processor_s": lasts, "trials": rows})
     counts = table(list(known), rows)
