@@ -9,6 +9,7 @@ from calibration.fit import fit as fit
 from calibration.problem import Channel as Channel
 from calibration.problem import Experiment as Experiment
 from calibration.problem import Free as Free
+from calibration.problem import Observation as Observation
 from calibration.problem import Problem as Problem
 from calibration.problemfile import load as load
 from calibration.selection.choice import choose as choose

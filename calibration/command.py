@@ -22,7 +22,7 @@ from calibration.data.preparation import Prepared
 from calibration.diagnostics.answers import Answer
 from calibration.fit import AllStartsFailed, Fit, Parameter
 from calibration.problem import Problem
-from calibration.problemfile import load, prepared, sources
+from calibration.problemfile import load, load_with_records, sources
 from calibration.report import plots_uncertainty
 from calibration.report.diagnosis import as_json as diagnosis_json
 from calibration.report.diagnosis import sections
@@ -67,7 +67,7 @@ def run(
     """
     path = Path(path)
     check_kind(intervals)
-    problem = load(path)
+    problem, understood = load_with_records(path)
     folder = outputs.open_folder(out, "calibrate", path.stem, (*FILES, _SO_FAR), goes_on=NAME)
     base = _base(path, problem)
     key = key_of(
@@ -78,7 +78,6 @@ def run(
     with heeded(), Journal(folder, key) as journal:
         if journal.resumed:
             print(f"going on in {folder}: {len(journal)} batches are finished", file=sys.stderr)
-        understood = prepared(path)
         for record in understood:
             print(f"{record.name}: {'; '.join(record.notes)}", file=sys.stderr)
         get_ready()

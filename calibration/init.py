@@ -102,7 +102,6 @@ def run(
     try:
         for one in problemfile.prepared(path):
             say(f"{one.name}: {'; '.join(one.notes)}")
-        problemfile.load(path)
     except InputError:
         path.unlink()
         raise

@@ -119,6 +119,11 @@ def load(path: str | Path) -> Problem:
     Raises:
         InputError: for anything missing, unknown, of a wrong dimension or out of order, in it or in its data.
     """
+    return load_with_records(path)[0]
+
+
+def load_with_records(path: str | Path) -> tuple[Problem, list[Prepared]]:
+    """The problem that a calibration file states, and what was understood of each of its records; raises as ``load``."""
     path = given.path("calibration.load", path)
     file = _content(path)
     base = _scene(file, path)
@@ -133,7 +138,7 @@ def load(path: str | Path) -> Problem:
     free = [free_of(one(name), table, path, known) for name, table in file.free.items() if one(name) not in found.names]
     for k, entry in enumerate(file.experiment):
         _check_own(entry, f"{path}: [[experiment]] {k + 1} bounds", free, found, one)
-    return Problem(
+    problem = Problem(
         scene=base.scene,
         params={name: float(value) for name, value in base.params.items()},
         experiments=tuple(experiments),
@@ -144,6 +149,13 @@ def load(path: str | Path) -> Problem:
         tolerances=dict(base.tolerances),
         adequate=ADEQUATE if file.adequate is None else quantity(file.adequate, "1", f"{path}: adequate"),
     )
+    every = ((r, found.notes.get(i, [])) for i, (_, _, r) in enumerate(records) if r)
+    return problem, [replace(record, notes=(*record.notes, *own)) for record, own in every]
+
+
+def prepared(path: str | Path) -> list[Prepared]:
+    """What was understood of each record that a calibration file reads, for people to look at; raises as ``load``."""
+    return load_with_records(path)[1]
 
 
 def _content(path: Path) -> _File:
@@ -155,23 +167,6 @@ def _content(path: Path) -> _File:
         if isinstance(entry, dict) and isinstance(entry.get("parameters"), dict):
             entry["parameters"] = tables.flat(entry["parameters"])
     return tables.validated(_File, table, str(path))
-
-
-def prepared(path: str | Path) -> list[Prepared]:
-    """What was understood of each record that a calibration file reads, for people to look at.
-
-    Raises:
-        InputError: as ``load``.
-    """
-    path = Path(path)
-    file = _content(path)
-    base = _scene(file, path)
-    known = {**base.scene.quantities, **nuisances(o for entry in file.experiment for o in entry.observe)}
-    one, records = base.scene.canonical, _records(file, path, base)
-    experiments = [_experiment(entry, record, str(path), known, one) for _, entry, record in records]
-    notes = _sensor(file, path, base, records, experiments, known).notes
-    every = ((r, notes.get(i, [])) for i, (_, _, r) in enumerate(records) if r)
-    return [replace(record, notes=(*record.notes, *own)) for record, own in every]
 
 
 def sources(path: Path) -> list[Path]:

@@ -9,21 +9,9 @@ import numpy as np
 from bcfj_jax.analysis.studies.design import Axis
 from bcfj_jax.analysis.studies.finished import Finished
 from bcfj_jax.analysis.studies.specification import Study, from_table
+from benchmarks.robustness import running
 
-STUDY = """
-scene = "impact"
-[design]
-kind = "grid"
-[vary.stiffness]
-lower = 1e6
-upper = 1e8
-steps = 7
-scale = "log"
-[vary.damping]
-values = [0.0, 0.1]
-[results]
-features = ["contact.peak", "contact.impulse", "contact.contact_fraction"]
-"""
+STUDY = running.STUDY.format(steps=7)
 
 # An impact without damping, whose peak is a product of powers: K^(1/(n+1)) ((n+1)/2 m v^2)^(n/(n+1)), n = 3/2.
 IMPACT = """

@@ -11,7 +11,7 @@ from bcfj_jax.analysis.simulation import folder as runs
 from bcfj_jax.analysis.simulation import results
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.io import report
-from bcfj_jax.io.outputs import write_json, write_text
+from bcfj_jax.io.outputs import atomic, write_json, write_text
 from bcfj_jax.io.page import Page, Picture
 
 
@@ -51,7 +51,8 @@ def rebuild(folder: Path, say: Callable[[str], None] = lambda text: None) -> Pat
         page = _with(page, fresh)
         for one in fresh:
             if not (folder / one.file).exists():
-                (folder / one.file).write_bytes((drawn / one.file).read_bytes())
+                with atomic(folder / one.file) as temporary:
+                    temporary.write_bytes((drawn / one.file).read_bytes())
         write_text(folder / report.HTML, report.html(page, folder, drawn))
     return folder / report.HTML
 

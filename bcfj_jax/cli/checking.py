@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from bcfj_jax.cli.base import DONE, FAILED, app, ready, result, say, verb
+from bcfj_jax.cli.options import split
 
 
 @verb(app, example="bcfj verify\nbcfj verify --only hertz_impact,chain --json")
@@ -22,8 +23,7 @@ def verify(
     from bcfj_jax.verification import command
     from calibration import verification
 
-    names = [name.strip() for name in only.split(",") if name.strip()]
-    rows = command.run(command.picked((*command.CHECKS, *verification.CHECKS), names), say)
+    rows = command.run(command.picked((*command.CHECKS, *verification.CHECKS), split(only)), say)
     result(command.document(rows))
     typer.echo(command.table(rows))
     return DONE if command.passed(rows) else FAILED

@@ -4,25 +4,25 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import typer
 
-from bcfj_jax.cli.base import DONE, result
+from bcfj_jax.cli.base import DONE, SIMULATION_FAILED, result
 from bcfj_jax.core import programs
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.io import outputs, report, scenefile
 from bcfj_jax.io.units import format_si
 
 
-@contextlib.contextmanager
-def timed(command: str, scene: str) -> Iterator[None]:
-    """Keep how long a command took that ended well, for ``--dry-run``."""
-    begin = time.perf_counter()
-    yield
+def ended(command: str, scene: str, begin: float, good: bool) -> int:
+    """The exit code of a command that began at a ``time.perf_counter()``; how long it took is kept if it went well."""
+    if not good:
+        return SIMULATION_FAILED
     with contextlib.suppress(InputError):
         programs.remember(_name(command, scenefile.load(scene)), time.perf_counter() - begin)
+    return DONE
 
 
 def _name(command: str, given: scenefile.SceneFile) -> str:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import time
 from typing import Annotated
 
 import typer
 
-from bcfj_jax.cli.base import DONE, SIMULATION_FAILED, app, ready, say, verb
+from bcfj_jax.cli.base import app, ready, say, verb
 from bcfj_jax.cli.options import Code, Dry, Out, Scene, of_scene, split
 
 
@@ -36,9 +37,9 @@ def simulate(
         return plan.of_scene(
             "simulate", scene, out, [["runs", "2: one more measures the error" if measure_error else "1"]]
         )
-    with plan.timed("simulate", scene):
-        good = command.run(scene, out, say, typer.echo, measure_error, movies)
-    return DONE if good else SIMULATION_FAILED
+    begin = time.perf_counter()
+    good = command.run(scene, out, say, typer.echo, measure_error, movies)
+    return plan.ended("simulate", scene, begin, good)
 
 
 @verb(
@@ -78,10 +79,10 @@ def sensitivity(
             ["comparisons", f"{budget:g} s at most" if certify else "none"],
         ]
         return plan.of_scene("sensitivity", scene, out, rows)
-    with plan.timed("sensitivity", scene):
-        text, good = command.run(scene, names, wanted, certify, budget, out, say, typer.echo)
+    begin = time.perf_counter()
+    text, good = command.run(scene, names, wanted, certify, budget, out, say, typer.echo)
     typer.echo(text)
-    return DONE if good else SIMULATION_FAILED
+    return plan.ended("sensitivity", scene, begin, good)
 
 
 @verb(app, example="bcfj tradeoff impact --budget 120 --only tsit5,smoothing", changed=of_scene)
@@ -125,7 +126,7 @@ def reproduce(out: Out = None, dry_run: Dry = False) -> int:
     if dry_run:
         rows = [["runs", "3: as given, with small clearances, calibrated"], ["fits", "1, of equilibria"]]
         return plan.of_scene("reproduce", "joint", out, rows)
-    with plan.timed("reproduce", "joint"):
-        text, good = command.run(out, say)
+    begin = time.perf_counter()
+    text, good = command.run(out, say)
     typer.echo(text)
-    return DONE if good else SIMULATION_FAILED
+    return plan.ended("reproduce", "joint", begin, good)

@@ -19,7 +19,7 @@ Workers = Annotated[int | None, typer.Option(min=1, help="Processes on this mach
 Others = Annotated[
     list[Path] | None, typer.Option("--from", help="Another folder of the same study; can be given again.")
 ]
-Dry = Annotated[bool, typer.Option("--dry-run", help="Count points, estimate time and disk; write nothing.")]
+StudyDry = Annotated[bool, typer.Option("--dry-run", help="Count points, estimate time and disk; write nothing.")]
 Scheduler = Annotated[str | None, typer.Option(help="Dask scheduler that shall do the work: tcp://HOST:PORT.")]
 
 
@@ -43,7 +43,7 @@ def _study(
     changes=CHANGES_DRAWN,
 )
 def study_run(
-    study: StudyFile, out: StudyOut = None, workers: Workers = None, scheduler: Scheduler = None, dry_run: Dry = False,
+    study: StudyFile, out: StudyOut = None, workers: Workers = None, scheduler: Scheduler = None, dry_run: StudyDry = False,
     code: Code = None,
 ) -> int:  # fmt: skip
     """Run a study: results.parquet, study.json, a picture and report.html; goes on with what its folder holds."""

@@ -60,7 +60,8 @@ def _fault_of_flags() -> str:
         return ""
     import jax
 
-    sys.stderr.flush()
+    if sys.stderr is not None:  # It is None where a process has no stderr.
+        sys.stderr.flush()
     readable, writable = os.pipe()
     child = os.fork()
     if child == 0:

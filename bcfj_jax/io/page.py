@@ -98,7 +98,7 @@ def from_content(content: Mapping[str, Any], where: str) -> Page:
             title=_text(content["title"]),
             verdict=_verdict(content["verdict"]),
             pictures=_pictures(content["pictures"]),
-            warnings=tuple(map(_text, content["warnings"])),
+            warnings=tuple(map(_text, _list(content["warnings"]))),
             tables=_blocks(content["tables"]),
             more=_pictures(content["more"]),
             folded=_blocks(content["folded"]),
@@ -112,6 +112,13 @@ def _text(value: Any) -> str:
     if not isinstance(value, str):
         raise ValueError(f"{value!r} is no text")
     return value
+
+
+def _list(value: Any) -> list[Any]:
+    # A text would be a list of its letters.
+    if not isinstance(value, list | tuple):
+        raise ValueError(f"{value!r} is no list")
+    return list(value)
 
 
 def _verdict(value: Mapping[str, Any]) -> Verdict:
@@ -133,7 +140,7 @@ def _blocks(values: Iterable[Mapping[str, Any]]) -> tuple[Table | Listing, ...]:
 
 
 def _table(value: Mapping[str, Any]) -> Table:
-    rows = [[_text(cell) for cell in row] for row in value["rows"]]
+    rows = [[_text(cell) for cell in _list(row)] for row in _list(value["rows"])]
     return Table(_text(value["title"]), rows, _text(value["note"]), tuple(map(_table, value["folded"])))
 
 

@@ -32,7 +32,7 @@ scale = "log"
 [vary.damping]
 values = [0.0, 0.1]
 [results]
-features = ["contact.peak", "contact.impulse"]
+features = ["contact.peak", "contact.impulse", "contact.contact_fraction"]
 """
 EXAMPLE = ROOT / "examples" / "chung_ooi_fit.toml"
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from bcfj_jax import InputError, nearest
 from bcfj_jax.analysis.derivatives.names import UNITS, feature_unit
+from bcfj_jax.core.errors import clip
 from bcfj_jax.io.units import quantity
 from bcfj_jax.mechanism.channels import unit_of
 from calibration.problem import Observation, size
@@ -69,11 +70,11 @@ def noise(stated: object, observes: str, values: np.ndarray, where: str) -> Nois
             sigmas.append(quantity(text, "1", where) * largest)
         else:
             sigmas.append(quantity(text, unit_of(observes), where))
-    least = min(sigmas + shares + jitters)
+    least, said = min(sigmas + shares + jitters), f"noise = {clip(stated)}"
     if not (least > 0 and math.isfinite(sum(sigmas + shares + jitters))):
-        raise InputError(where, f"noise = {stated} gives a deviation of {least:g}", _RIGHT)
+        raise InputError(where, f"{said} gives a deviation of {least:g}", _RIGHT)
     if not sigmas and not shares:
-        raise InputError(where, f"noise = {stated} is zero where the reading does not change", _RIGHT)
+        raise InputError(where, f"{said} is zero where the reading does not change", _RIGHT)
     # Independent parts add in their squares.
     return Noise(math.hypot(*sigmas), math.hypot(*shares), math.hypot(*jitters))
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from bcfj_jax.core.errors import clip
 from bcfj_jax.io.show import Dataset, Told
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import unit_of
@@ -28,11 +29,7 @@ def told(found: Fit) -> Told:
             ends = " to ".join(format_si(float(x), one.unit, _DIGITS) for x in one.ci95)
         rows.append([name, format_si(one.value, one.unit, _DIGITS), ends, one.headline, one.at_bound])
     answers = f"search {found.search.answer}, data {found.data.answer}, law {found.law.answer}"
-    return Told(found.verdict, [_cut(reason) for reason in found.reasons[:2]], rows, [answers, size])
-
-
-def _cut(text: str, most: int = 160) -> str:
-    return text if len(text) <= most else f"{text[:most]}..."
+    return Told(found.verdict, [clip(reason) for reason in found.reasons[:2]], rows, [answers, size])
 
 
 def frame(found: Fit) -> tuple[dict[str, Any], str]:

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import brentq
+from shown import brief, drawn
 
 import bcfj_jax as bj
 from bcfj_jax.analysis.derivatives.certificate import Certificate, Check
@@ -53,7 +54,7 @@ def dashpot():
     return scene, scene.parameters(stiffness=K, mass=M, approach_speed=V, dashpot=0.05 * UNIT)
 
 
-def test_least_peak_of_a_damped_impact(dashpot, tmp_path):
+def test_least_peak_of_a_damped_impact(dashpot, tmp_path, monkeypatch):
     found = bj.design(*dashpot, TIMES, "contact.peak", {"dashpot": (*BOX, 0.1, True)}, **HOW)
     right = brentq(lambda z: slope(peak, z), 0.2, 0.3, xtol=1e-13)
     assert right == pytest.approx(0.2649, abs=1e-4)
@@ -73,6 +74,10 @@ def test_least_peak_of_a_damped_impact(dashpot, tmp_path):
     kept = json.loads((folder / "design.json").read_text())
     assert kept["status"] == "ok" and len(kept["starts"]) == 4
     assert (folder / "starts.png").stat().st_size > 1e4 and (folder / "slices.png").stat().st_size > 1e4
+    brief(found, "Design: ok")
+    drawn(found, tmp_path, monkeypatch)
+    assert found.to_pandas().loc["dashpot", "upper"] == BOX[1]
+    assert found.to_xarray()["dashpot"].attrs["units"] == "N s/m"
 
 
 @pytest.mark.full

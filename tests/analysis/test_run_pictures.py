@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 import pytest
 
@@ -140,7 +140,7 @@ def test_the_cage_of_the_joint_is_where_its_penetrations_say():
         moved = scale * np.random.default_rng(1).standard_normal((4, 3))
         states[:, coupling + at.start : coupling + at.stop] += moved
     times = np.zeros(4)
-    found = readings(scene, params, jnp.asarray(times), jnp.asarray(states))
+    found = jax.jit(lambda t, y: readings(scene, params, t, y))(times, states)
     orbits = scene.orbits(params, SimpleNamespace(trajectory=states, choice=None, times=times))
     assert set(orbits) == {"seat_cage", "head_cage"}
     for name, orbit in orbits.items():

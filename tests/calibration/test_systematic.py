@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.signal import lsim
+from shown import brief, drawn
 
 from bcfj_jax import InputError, scenes, simulate
 from bcfj_jax.io.units import toleranced
@@ -27,7 +28,7 @@ def problem(error, seed=0) -> Problem:
 
 
 @pytest.mark.full
-def test_a_line_says_what_a_fit_of_that_error_moves_by():
+def test_a_line_says_what_a_fit_of_that_error_moves_by(tmp_path, monkeypatch):
     """Of the mass and of a bend of the gain, as large as their lines say."""
     found = fit(problem(lambda f: f), starts=4)
     lines = {line.error: line for line in found.systematic.lines}
@@ -41,6 +42,11 @@ def test_a_line_says_what_a_fit_of_that_error_moves_by():
         for error, other in (("mass", one), ("bend of the gain", two)):
             moved = abs(np.log(other.values[name] / found.values[name]))
             assert moved == pytest.approx(lines[error].moves[name], rel=0.15, abs=2e-4), (name, error)
+    brief(found, f"Fit: {found.verdict}")
+    drawn(found, tmp_path, monkeypatch)
+    for name, one in found.parameters.items():
+        assert found.to_pandas().loc[name, "value"] == one.value
+    assert found.to_xarray().sizes["parameter"] == len(found.parameters)
 
 
 @pytest.mark.slow

@@ -296,7 +296,7 @@ def told(process):
     return out.splitlines()[-1]
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_two_processes_at_once_and_a_third_that_traces_nothing(tmp_path):
     words = [["simulate", "impact", "--out", str(tmp_path / str(k))] for k in range(3)]
     both = [counted(*words[k], cache=tmp_path / "cache") for k in (0, 1)]

@@ -42,7 +42,7 @@ def test_what_jax_cannot_work_with_is_a_sentence(tmp_path, variables, says):
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_output_that_nobody_reads_does_not_end_a_run(tmp_path):
     readable, writable = os.pipe()
     os.close(readable)

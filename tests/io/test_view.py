@@ -365,6 +365,15 @@ def test_a_missing_extra_is_said_before_the_run(tmp_path, monkeypatch):
     assert not (tmp_path / "out").exists()
     done = CliRunner().invoke(app, ["simulate", "impact", "--animate", "avi", "--out", "out"])
     assert done.exit_code == 2 and "no format 'avi'" in done.stderr
+
+
+@pytest.mark.slow
+def test_the_command_writes_what_was_asked_for(tmp_path, monkeypatch):
+    from typer.testing import CliRunner
+
+    from bcfj_jax.cli import app
+
+    monkeypatch.chdir(tmp_path)
     done = CliRunner().invoke(app, ["simulate", "impact", "--animate", "gltf,html", "--out", "out"])
     assert done.exit_code == 0
     gltf.read((tmp_path / "out" / "animation.glb").read_bytes())

@@ -62,7 +62,11 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("name", [pytest.param(x, marks=pytest.mark.full if x == "chain" else ()) for x in WRONG])
+# What they compile takes seconds.
+COSTLY = {"hunt_crossley": pytest.mark.full, "chain": pytest.mark.slow}
+
+
+@pytest.mark.parametrize("name", [pytest.param(x, marks=COSTLY.get(x, ())) for x in WRONG])
 def test_a_wrong_number_fails(name, monkeypatch):
     constant, change = WRONG[name]
     monkeypatch.setattr(oracles, constant, change(getattr(oracles, constant)))
