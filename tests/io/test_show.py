@@ -36,7 +36,7 @@ def shown(tmp_path_factory):
 FIRST = {
     "run": "Run: ok, reached 60 us",
     "sensitivity": "Sensitivity: trusted",
-    "study": "Study: 6 points of scene 'impact', 0 failed",
+    "study": "Result: finished, 6 points of scene 'impact', 0 failed",
 }
 pytestmark = pytest.mark.full
 
