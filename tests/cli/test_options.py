@@ -19,7 +19,7 @@ from bcfj_jax.analysis.derivatives.names import complete
 from bcfj_jax.analysis.designs import command as designs
 from bcfj_jax.analysis.designs import designfile
 from bcfj_jax.analysis.studies import command as studies
-from bcfj_jax.cli import app
+from bcfj_jax.cli import app, plan
 from bcfj_jax.cli.options import asked
 from bcfj_jax.core.progress import Waiting, stage
 from bcfj_jax.io import changes, doctor, scenefile
@@ -274,3 +274,10 @@ def test_bars_come_and_go():
     first.close()
     second.close()
     assert bars.live == 0 and bars.display is None
+
+
+def test_only_a_command_that_went_well_is_timed(monkeypatch):
+    timed = []
+    monkeypatch.setattr(plan.programs, "remember", lambda name, seconds: timed.append(name))
+    assert plan.ended("simulate", "impact", 0.0, False) == 3 and not timed
+    assert plan.ended("simulate", "impact", 0.0, True) == 0 and timed == ["bcfj simulate impact"]

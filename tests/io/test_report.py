@@ -86,6 +86,13 @@ def test_a_lost_picture_is_said(tmp_path):
     assert any("two.png" in text for _, text in seen.text)
 
 
+def test_a_text_in_place_of_a_list_is_refused(tmp_path):
+    content = page_in(tmp_path).content()
+    for wrong in ({"warnings": "text"}, {"tables": [{"title": "x", "rows": ["text"], "note": "", "folded": []}]}):
+        with pytest.raises(InputError, match="'text' is no list"):
+            from_content(content | wrong, "report.json")
+
+
 @pytest.mark.parametrize(
     ("content", "says"),
     [
