@@ -125,6 +125,8 @@ CATALOGUE: dict[str, Quantity] = {
                 ("head_ball", "clearance of the ball to the head's groove, normal to a flank"),
             )
         ),
+        Quantity("oversize", "m", "radius of this ball less ball_radius", -1e-3, 1e-3),
+        Quantity("extra_clearance", "m", "clearance of this ball less that of all", -1e-3, 1e-3),
         _positive("ball_mass", "kg", "mass of a ball"),
         _positive("head_mass", "kg", "mass of the head and what shifts with it"),
         _positive("head_inertia", "kg m^2", "inertia of the head about its axis"),

@@ -104,6 +104,9 @@ def _options(kind: str, scene: AbstractModel) -> Iterator[str]:
             yield f'# laws = {{ {one} = "hertz" }}  # other normal-force laws for single contacts, by name'
         elif name == "frictions":
             yield f"# frictions = {{ {one} = false }}  # other friction laws for single contacts, as friction"
+        elif name in ("elastics", "stiffnesses"):
+            example = {"elastics": "liu_sphere", "stiffnesses": "geometry"}[name]
+            yield _commented(f'# {name} = {{ seat_cage = "{example}" }}  # ', said.get(name, ""))
         elif name == "contacts":
             yield f"# contacts = {json.dumps([contact.name for contact in scene.contacts])}"
             yield _commented("", said.get(name, ""))

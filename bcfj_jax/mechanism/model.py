@@ -423,6 +423,11 @@ class AbstractModel(eqx.Module):
         del params, times
         return {}, []
 
+    def warnings(self, params: Params, run: Any) -> list[str]:
+        """What a run (``solve.simulation.Run``) says against the model's own assumptions."""
+        del params, run
+        return []
+
     def settled_from(self, params: Params) -> float:
         """Time [s] from which the promised error holds: 0 unless the model forgets its start first.
 

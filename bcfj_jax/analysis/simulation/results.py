@@ -266,6 +266,7 @@ def write(folder: Path, given: SceneFile, run: Run, stem: str) -> Written:
     warnings = resolution_warnings(run) + work_warnings(run)
     warnings += envelope.warnings(given.scene, given.params, run.times)
     warnings += envelope.of_the_start(given.scene, given.params, run.times, run.force)
+    warnings += given.scene.warnings(given.params, run)
     source = str(given.source) if given.source else f"the built-in scene '{stem}'"
     head = f"{source}, as it was run: every default, SI\n{choice_sentence(run)}".strip()
     outputs.write_toml(folder / "run.toml", given.resolved, head)

@@ -19,7 +19,7 @@ from bcfj_jax.core.errors import InputError
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint import deflection
 from bcfj_jax.models.joint.deflection import Fault, shown
-from bcfj_jax.models.joint.scene import Joint
+from bcfj_jax.models.joint.scene import GROOVES, PILOTS, Joint
 
 
 class _Range(NamedTuple):
@@ -117,16 +117,28 @@ def check_joint(scene: Joint, params: Params, where: str = "scene 'joint'") -> N
         InputError: naming the key, its value and what would be right.
     """
     for contact in scene.contacts:
-        for name in contact.needs:
+        for name in contact.own:
             # Of a law of the user's own: every other coefficient has a default.
             if name not in params and f"{contact.name}.{name}" not in params:
                 found = f"the parameter '{name}' has no value; it is read by {contact.name}"
                 raise InputError(where, found, f"give {name}, or {contact.name}.{name}")
     values = {name: float(value) for name, value in params.items() if _single(value)}
+    _conformal(scene, values, where)
     check_geometry(values | {"balls": scene.balls}, where)
     if scene.fidelity == "kinematic" and scene.track == "gothic" and values.get("offset") == 0.0:
         remedy = "give an offset, or fidelity = 'quasistatic' or 'dynamic'"
         raise InputError(f"{where} offset", "0 m: there is no closed form for load sharing without an offset", remedy)
+
+
+def _conformal(scene: Joint, values: Mapping[str, float], where: str) -> None:
+    """Formulas for a sphere in a hollow need a radius difference: of pilots and circular tracks that is the clearance."""
+    for contact in scene.contacts:
+        name = f"clearance_{contact.name}"
+        filled = contact.name in PILOTS or (contact.name in GROOVES and scene.track == "circular")
+        if values.get(name) == 0.0 and filled and (contact.geometric or "radius_difference" in contact.derived):
+            found = "0 m: without a difference of the radii the formulas for its stiffness have no value"
+            remedy = f"give a clearance > 0, or a power law with a stiffness of its own to {contact.name}"
+            raise InputError(f"{where} {name}", found, remedy)
 
 
 def check_geometry(values: Mapping[str, float], where: str = "scene 'joint'") -> None:

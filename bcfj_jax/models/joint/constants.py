@@ -7,7 +7,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.mechanism.model import Params
-from bcfj_jax.models.joint import geometry
+from bcfj_jax.models.joint import geometry, unequal
+from bcfj_jax.models.joint.coefficients import coefficients
 from bcfj_jax.models.joint.contacts import Groove
 from bcfj_jax.models.joint.guides import Guides, body_maps, guides
 from bcfj_jax.models.joint.law_pair import ContactLaws, LawPair
@@ -25,7 +26,9 @@ class Constants(eqx.Module):
         axes: (2, 3) unit axes of seat and head; ``radial`` and ``tangent``: where track 0 lies at turn 0.
         bisector: normal of the bisecting plane.
         ball_laws: one for all contacts of a ball (m, 1), where laws and numbers of faces agree: quicker than two.
-        cage_laws, cage_clearance: of faces and ends of windows side by side (2, 1), where there are ends.
+        window_clearance: a scalar; (balls, 1, 1) of unequal balls.
+        cage_laws, cage_clearance: of faces and ends of windows side by side (2, 1), where there are ends; clearances of
+            unequal balls (balls, 2, 1).
         ball_inverse_mass: (twist,) and coupling_inverse_mass (coupling,): inverse masses and inertias.
     """
 
@@ -58,9 +61,8 @@ class Constants(eqx.Module):
 def laws_of(scene: Joint, params: Params, name: str) -> ContactLaws:
     """The laws of a contact with its coefficients: its own where given, else the shared ones."""
     contact = scene.contact(name)
-    coefficients = {key: scene.coefficient(params, name, key) for key in contact.needs}
     smoothing = scene.coefficient(params, name, "smoothing") if scene.smoothing else None
-    return ContactLaws(contact.law, contact.friction, coefficients, smoothing)
+    return ContactLaws(contact.law, contact.friction, coefficients(scene, params, name), smoothing)
 
 
 def _side_by_side(scene: Joint, params: Params, names: tuple[str, ...]) -> ContactLaws | LawPair:
@@ -95,12 +97,14 @@ def constants(scene: Joint, params: Params) -> Constants:
         flank=flank,
         sine=jnp.sin(p["contact_angle"]) if gothic else zero,
         cosine=jnp.cos(p["contact_angle"]) if gothic else one,
-        clearance=jnp.stack([p["clearance_seat_ball"], p["clearance_head_ball"]]),
+        clearance=jnp.stack([unequal.clearance(scene, p, name) for name in GROOVES], -1),
         ball=p["ball_radius"],
         gothic=jnp.array([1.0, -1.0]) if gothic else jnp.array([0.0]),
     )
     clearance = {name: p[f"clearance_{name}"] for name in scene.pilots}
     ends = scene.has("cage_window_end")
+    window = unequal.clearance(scene, p, "cage_ball") if scene.has("cage_ball") else zero
+    window = window[:, None, None] if scene.unequal and scene.has("cage_ball") else window
     hollow = {"seat_cage": p["seat_radius"], "head_cage": p["head_radius"] + clearance.get("head_cage", zero)}
     inverse_mass = {"head": 1.0 / p["head_mass"] * jnp.ones(3), "head_turn": 1.0 / p["head_inertia"][None]}
     if scene.cage == "free":
@@ -119,9 +123,9 @@ def constants(scene: Joint, params: Params) -> Constants:
         ball_laws=_as_one([laws_of(scene, params, x) for x in BALLS if scene.has(x)])
         if gothic and scene.has("cage_ball")
         else None,
-        window_clearance=p["clearance_cage_ball"] if scene.has("cage_ball") else zero,
+        window_clearance=window if scene.has("cage_ball") else zero,
         cage_laws=_side_by_side(scene, params, BALLS[2:]) if ends else None,
-        cage_clearance=jnp.stack([p[f"clearance_{x}"] for x in BALLS[2:]])[:, None] if ends else zero,
+        cage_clearance=jnp.stack([unequal.clearance(scene, p, x) for x in BALLS[2:]], -1)[..., None] if ends else zero,
         pilot_laws=_side_by_side(scene, params, scene.pilots) if scene.pilots else None,
         pilot_clearance=jnp.stack([clearance[name] for name in scene.pilots]) if scene.pilots else jnp.zeros(0),
         pilot_hollow=jnp.stack([hollow[name] for name in scene.pilots]) if scene.pilots else jnp.zeros(0),

@@ -81,7 +81,7 @@ class Groove(NamedTuple):
         side: (2,) +1 for the outer race, -1 for the inner.
         flank: r_g - r of the nominal groove [m]; 0 for a circular section.
         sine, cosine: of the contact angle.
-        clearance: (2,) normal clearance to each flank [m].
+        clearance: (2,) normal clearance to each flank [m]; (balls, 2) of unequal balls.
         ball: ball radius [m].
         gothic: (2,) +1 and -1, the flanks; (1,) zero for a circular section.
     """
@@ -130,7 +130,7 @@ def grooves(shape: Groove, place: Array, across: Array) -> Geometry:
     if shape.gothic.size == 2:
         gate, gate_rate = jax.jvp(sector, (shape.gothic * n_t,), (shape.gothic * n_a / length,))
         slope = gate_rate[..., None] * upward
-    penetration = length - (shape.flank + shape.clearance[:, None])
+    penetration = length - (shape.flank + shape.clearance[..., None])
     return Geometry(penetration, normal, jnp.broadcast_to(shape.ball, t.shape + (1,)), gate, bends, slope)
 
 

@@ -48,5 +48,5 @@ def _place(scene: Joint, params: Params) -> Array:
 
 def _worst(scene: Joint, params: Params, name: str) -> float:
     """The largest value of a coefficient over the contacts that read it; every one reads its smoothing."""
-    readers = [x.name for x in scene.contacts if name in (*x.needs, "smoothing")]
+    readers = [x.name for x in scene.contacts if name in (*x.own, "smoothing")]
     return max(float(scene.coefficient(params, contact, name)) for contact in readers)

@@ -111,7 +111,8 @@ def _grooves(scene: Joint, c: Constants, place: Array, turn: Array) -> _Grooves:
     y_a = distance - g.radius + g.side[:, None, None] * (g.flank * g.cosine)
     length = jnp.sqrt(y_t * y_t + y_a * y_a + 1e-24)
     n_t, n_a = y_t / length, y_a / length
-    depth = length - g.flank - g.clearance[:, None, None]
+    # Races, and balls or one for all.
+    depth = length - g.flank - jnp.atleast_2d(g.clearance).T[..., None]
     # ``groove_laws`` has the races along the last axis but one.
     law = _law(c.groove_laws, depth.reshape(*depth.shape[:2], -1))
     force, stiff = (part.reshape(depth.shape) for part in law)
@@ -200,7 +201,7 @@ def balance(scene: Joint, p: Problem, at: Places) -> tuple[Places, Matrix]:
         arm = ball - cage[:, None]
         height = _dot(arm, axis)
         faces = jnp.array([1.0, -1.0])[:, None, None]
-        pushes, stiffs = _law(c.window_laws, faces * height - c.window_clearance)
+        pushes, stiffs = _law(c.window_laws, faces * height - c.window_clearance.reshape(-1, 1))
         push, stiff = pushes[0] - pushes[1], stiffs[0] + stiffs[1]
         face = stiff * (axis[:, None] * axis[None])[:, :, None]
         force, block = force + push * axis[:, None], block + face

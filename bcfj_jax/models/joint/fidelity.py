@@ -136,7 +136,7 @@ def adaptive(
                 reason = f"what it leaves out changes the forces by {_percent(error)}, within {_percent(budget)}"
                 return chosen(run(resolved(scene, name), times), name, reason)
     motion = resolved(scene, "dynamic")
-    ends = [periodic.risen(scene, params, count) for count in _PITCHES]
+    ends = [periodic.risen(scene, params, count * scene.pitches) for count in _PITCHES]
     ends = [end for end in ends if _LONG * end < times[-1]]
     enough = min(budget, _SETTLED)
     for end in ends:

@@ -17,7 +17,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from bcfj_jax.contact import laws as normal_laws
-from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.errors import InputError, nearest, quoted
 from bcfj_jax.core.shapes import Drawing
 from bcfj_jax.core.status import OK, UNBALANCED
 from bcfj_jax.mechanism.model import (
@@ -33,7 +33,7 @@ from bcfj_jax.mechanism.model import (
     Solution,
 )
 from bcfj_jax.mechanism.structure import AbstractStructure
-from bcfj_jax.models.joint import drawing, envelope, summary, system
+from bcfj_jax.models.joint import drawing, envelope, summary, system, validity
 from bcfj_jax.models.joint.arrowhead import Arrowhead
 from bcfj_jax.models.joint.batched_newton import origin
 from bcfj_jax.models.joint.checks import check_joint
@@ -52,10 +52,13 @@ from bcfj_jax.models.joint.scene import (
     CONTACTS,
     DRIVES,
     FIDELITIES,
+    GEOMETRY,
+    GIVEN,
     GROOVES,
     HEADS,
     OF_A_BALL,
     PILOTS,
+    STIFFNESSES,
     TRACKS,
     USUAL,
     WINDOW_END,
@@ -203,7 +206,7 @@ class JointModel(Joint):
         if not speed > 0.0:
             raise InputError("drive_speed", f"{speed:g} rad/s", "give a speed other than 0")
         turn = 2.0 * math.pi / speed
-        return turn, turn / self.balls
+        return turn, turn * self.pitches / self.balls
 
     def coordinates(self) -> dict[str, tuple[int, int]]:
         """All but cage_turn, which is an axis with a spin and no such pair."""
@@ -231,16 +234,16 @@ class JointModel(Joint):
         return self.fidelity == "dynamic" and float(params["drive_speed"]) != 0.0
 
     def pitch(self, params: Params) -> Array:
-        """The time in which the seat turns by one ball's pitch."""
-        return 2.0 * jnp.pi / (self.balls * jnp.abs(params["drive_speed"]))
+        """The time in which the seat turns by one ball's pitch; by a whole turn with unequal balls."""
+        return 2.0 * jnp.pi * self.pitches / (self.balls * jnp.abs(params["drive_speed"]))
 
     def pitch_before(self, params: Params, state: Array) -> Array:
         """``periodic.pitch_before``."""
         return pitch_before(self, params, state)
 
     def turned(self, params: Params) -> int:
-        """Ball j does what ball j + 1 did, or j - 1 where the seat turns the other way."""
-        return int(np.sign(float(params["drive_speed"])))
+        """Ball j does what ball j + 1 did, or j - 1 where the seat turns the other way; of unequal balls what it did."""
+        return 0 if self.unequal else int(np.sign(float(params["drive_speed"])))
 
     def neutral(self, state: Array, tangent: Array) -> Array:
         """Without the phase of a prescribed drive and the length of the cage's axis."""
@@ -261,6 +264,10 @@ class JointModel(Joint):
         del times
         tried = dataclasses.replace(self, fidelity="dynamic") == joint()
         return envelope.place(self, params), [] if tried else ["options other than the defaults"]
+
+    def warnings(self, params: Params, run: Any) -> list[str]:
+        """``validity.warnings``."""
+        return validity.warnings(self, params, run)
 
     def settled_from(self, params: Params) -> float:
         """When the load has risen and a ball's pitch has passed."""
@@ -339,9 +346,13 @@ def joint(
     friction: bool | str = True,
     laws: Mapping[str, str] | None = None,
     frictions: Mapping[str, bool | str] | None = None,
+    elastics: Mapping[str, str] | None = None,
+    stiffness: str = GIVEN,
+    stiffnesses: Mapping[str, str] | None = None,
     contacts: Sequence[str] | None = None,
     track: str = "gothic",
     spin: bool = False,
+    unequal: bool = False,
     cage: str = "free",
     window_ends: bool = False,
     head: str = "free",
@@ -358,10 +369,17 @@ def joint(
             ``approach_speed`` for all impacts, as the paper does.
         friction: False for none, True for Brown-McPhee, or a name of ``laws.FRICTION``.
         laws, frictions: other normal-force and friction laws for single contacts, by name.
+        elastics: other elastic parts for single contacts, by name, such as seat_cage = "liu_sphere". The radii of one
+            that reads them are the joint's own, so that clearance moves it.
+        stiffness: one of given, geometry. given: a parameter. geometry: of Hertz contacts of the joint's own radii,
+            conformity and clearances, and of effective_modulus.
+        stiffnesses: as stiffness for single contacts, by name, such as seat_cage = "geometry".
         contacts: those there are; by default all, but seat_cage where the cage is fixed, and cage_window_end by
             window_ends alone. Balls need both of theirs.
         track: one of gothic, circular: two flanks at the contact angle, or one, of the ball's radius and clearance.
         spin: true lets the balls turn, and so roll; without, a ball is a particle at its centre.
+        unequal: true gives each ball an oversize of its radius and each of its contacts an extra clearance, by default
+            0: ball_2.oversize, seat_ball_2.extra_clearance and so on.
         cage: one of free, fixed: to the bisecting plane, turning with the drive.
         window_ends: true gives a free cage's windows ends: the contact cage_window_end of every ball, and the cage's
             azimuth as a state. Without, friction lets the cage slip through its own windows.
@@ -378,8 +396,8 @@ def joint(
     """
     where = "scene 'joint'"
     choices = {"track": TRACKS, "cage": CAGES, "head": HEADS}
-    choices |= {"drive": DRIVES, "fidelity": (*FIDELITIES, AUTO)}
-    given = {"track": track, "cage": cage, "head": head, "drive": drive, "fidelity": fidelity}
+    choices |= {"drive": DRIVES, "fidelity": (*FIDELITIES, AUTO), "stiffness": STIFFNESSES}
+    given = {"track": track, "cage": cage, "head": head, "drive": drive, "fidelity": fidelity, "stiffness": stiffness}
     for name, value in given.items():
         if value not in choices[name]:
             raise InputError(f"{where} {name}", f"no {name} '{value}'", nearest(value, choices[name]))
@@ -388,16 +406,21 @@ def joint(
     names = tuple(contacts) if contacts is not None else USUAL[1:] if cage == "fixed" else USUAL
     if window_ends and cage == "free" and "cage_ball" in names and WINDOW_END not in names:
         names = (*names, WINDOW_END)
-    for group, what in ((names, "contacts"), (laws or {}, "laws"), (frictions or {}, "frictions")):
-        for name in group:
+    own = {"laws": laws, "frictions": frictions, "elastics": elastics, "stiffnesses": stiffnesses}
+    for what, group in {"contacts": names, **own}.items():
+        for name in group or ():
             if name not in CONTACTS:
                 raise InputError(f"{where} {what}", f"no contact '{name}'", nearest(name, CONTACTS))
             if name not in names:
                 found = f"'{name}' is not among the contacts"
                 raise InputError(f"{where} {what}", found, f"there are {', '.join(names)}")
-    for name, value in (laws or {}).items():
-        if value not in normal_laws.LAWS:
-            raise InputError(f"{where} laws", f"{name}: no law '{value}'", nearest(value, normal_laws.LAWS))
+    for what, (one, known) in {
+        "laws": ("law", normal_laws.LAWS), "elastics": ("elastic part", normal_laws.ELASTIC),
+        "stiffnesses": ("stiffness", STIFFNESSES),
+    }.items():  # fmt: skip
+        for name, value in (own[what] or {}).items():
+            if value not in known:
+                raise InputError(f"{where} {what}", f"{name}: no {one} {quoted(value)}", nearest(value, known))
     missing = [name for name in GROOVES if name not in names]
     if missing:
         raise InputError(
@@ -420,12 +443,13 @@ def joint(
     made = tuple(
         JointContact(
             name,
-            normal_laws.make((laws or {}).get(name, law), elastic),
+            normal_laws.make((laws or {}).get(name, law), (elastics or {}).get(name, elastic)),
             normal_laws.make_friction((frictions or {}).get(name, friction)),
+            (stiffnesses or {}).get(name, stiffness) == GEOMETRY,
         )
         for name in ordered
     )
     return JointModel(
-        contacts=made, balls=balls, track=track, spin=spin, cage=cage, head=head, drive=drive, smoothing=smoothing,
-        fidelity=fidelity,
+        contacts=made, balls=balls, track=track, spin=spin, unequal=unequal, cage=cage, head=head, drive=drive,
+        smoothing=smoothing, fidelity=fidelity,
     )  # fmt: skip

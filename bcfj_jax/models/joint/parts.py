@@ -11,14 +11,16 @@ import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.contact.gaps import AbstractGap, BallBetweenPlanes, BallInGroove, SphereInSocket
-from bcfj_jax.core.quantities import CATALOGUE
+from bcfj_jax.core.quantities import CATALOGUE, Quantity
 from bcfj_jax.mechanism.bodies import Body, Drive
 from bcfj_jax.mechanism.contacts import Contact
 from bcfj_jax.mechanism.loads import AbstractLoad, Force, JointSpring, Torque
 from bcfj_jax.mechanism.mechanism import Mechanism
 from bcfj_jax.mechanism.sizes import Params, Size
-from bcfj_jax.models.joint.scene import WINDOW_END, Joint, JointContact
+from bcfj_jax.models.joint.coefficients import coefficients
+from bcfj_jax.models.joint.scene import OF_A_BALL, WINDOW_END, Joint, JointContact
 from bcfj_jax.models.joint.start import nominal
+from bcfj_jax.models.joint.unequal import clearance
 
 
 def as_mechanism(joint: Joint) -> Mechanism:
@@ -26,7 +28,8 @@ def as_mechanism(joint: Joint) -> Mechanism:
 
     The state has places, velocities and bristles of the same bodies in another order; the head's place is in axes that
     lean by the joint angle, and the cage has a quaternion. A prescribed seat and a fixed cage are driven and have none.
-    A parameter that only the joint's checks read (the sphere radii of a joint without pilots) is not in the mechanism.
+    A parameter that only the joint's checks read (the sphere radii of a joint without pilots) is not in the mechanism; of
+    stiffnesses from geometry the shared ``effective_modulus`` alone is.
     """
     only = {"seat_radius": "seat_cage", "head_radius": "head_cage"}
     given = {name: value for name, value in joint.defaults if name not in only or joint.has(only[name])}
@@ -35,11 +38,19 @@ def as_mechanism(joint: Joint) -> Mechanism:
         (_seat(joint), _head(joint), _cage(joint), _balls(joint)),
         tuple(_contact(joint, contact) for contact in joint.contacts),
         _loads(joint),
-        own=[CATALOGUE["head_radius"]] if joint.has("head_cage") else [],
+        own=[*([CATALOGUE["head_radius"]] if joint.has("head_cage") else []), *_unread(joint)],
         given=given,
         end=3.0,
         samples=joint.samples,
     )
+
+
+def _unread(joint: Joint) -> list[Quantity]:
+    """What stiffnesses from geometry and clearances of single balls are made of, and no part reads."""
+    names = ["effective_modulus"] if any(contact.geometric for contact in joint.contacts) else []
+    if joint.unequal:
+        names += [*joint.each_ball, *(f"clearance_{x.name}" for x in joint.contacts if x.name in OF_A_BALL)]
+    return [joint.quantities[name] for name in names]
 
 
 def _seat(joint: Joint) -> Body:
@@ -91,6 +102,10 @@ def _contact(joint: Joint, contact: JointContact) -> Contact:
     # The hollow sphere: the seat's, and the cage's around the head.
     if "radius" in sizes:
         sizes["radius"] = "seat_radius" if name == "seat_cage" else _hollow
+    if joint.unequal and name in OF_A_BALL:
+        sizes["clearance"] = _OfEachBall(joint, name)
+    # What the joint's own geometry gives.
+    sizes |= {key: _Derived(joint, name, key) for key in contact.derived if key not in sizes}
     return Contact(
         name, between.get(name) or tuple(name.split("_")), gaps[name], contact.law, contact.friction,
         smoothing=joint.smoothing, values=sizes, approach="parameter",
@@ -131,6 +146,27 @@ class _OfCage(eqx.Module):
         if self.name.startswith("q"):
             return jnp.cos(quarter) if self.name == "q0" else jnp.sin(quarter)
         return p["drive_speed"] * (jnp.sin(_half(p)) if self.name == "wx" else jnp.cos(_half(p)))
+
+
+class _OfEachBall(eqx.Module):
+    """Clearances (balls,) of unequal balls in a contact."""
+
+    joint: Joint
+    contact: str = eqx.field(static=True)
+
+    def __call__(self, p: Params) -> Array:
+        return clearance(self.joint, p, self.contact)
+
+
+class _Derived(eqx.Module):
+    """A coefficient of a contact that is no parameter (``coefficients``)."""
+
+    joint: Joint
+    contact: str = eqx.field(static=True)
+    name: str = eqx.field(static=True)
+
+    def __call__(self, p: Params) -> Array:
+        return coefficients(self.joint, p, self.contact)[self.name]
 
 
 def _none(p: Params) -> float:

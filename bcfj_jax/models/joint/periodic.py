@@ -1,9 +1,10 @@
 """The joint repeats itself: from one ball's pitch to the next its forces are the same, with the balls renumbered.
 
 A turn of the seat by 2 pi/n takes every track to where the next one was, so nothing that acts has changed, and under
-steady load a motion that has forgotten its start is that of a pitch ago: ball j does what ball j + 1 did. ``fold``
-turns a long run into a short one, its load's rise and some pitches; ``mismatch`` says how far the last of these was
-from repeating the one before; ``unfolded`` gives the long run's arrays. NumPy, on the host, but for ``pitch_before``.
+steady load a motion that has forgotten its start is that of a pitch ago: ball j does what ball j + 1 did. Of unequal
+balls a pitch here is a whole turn, and each does what it did. ``fold`` turns a long run into a short one, its load's
+rise and some pitches; ``mismatch`` says how far the last of these was from repeating the one before; ``unfolded`` gives
+the long run's arrays. NumPy, on the host, but for ``pitch_before``.
 """
 
 from __future__ import annotations
@@ -47,6 +48,11 @@ def pitch(scene: Joint, params: Params) -> float:
     return 2.0 * np.pi / (scene.balls * speed) if speed > 0.0 else np.inf
 
 
+def repeat(scene: Joint, params: Params) -> float:
+    """Time in which a steady motion repeats itself [s]: a pitch; a whole turn of unequal balls."""
+    return scene.pitches * pitch(scene, params)
+
+
 def risen(scene: Joint, params: Params, count: float) -> float:
     """When the load has risen and ``count`` pitches have passed [s]; after one the start is forgotten."""
     return float(params["load_ramp"]) + count * pitch(scene, params)
@@ -61,7 +67,7 @@ def fold(scene: Joint, params: Params, times: np.ndarray, end: float, whole: boo
         end: of the short run [s], a pitch and a half or more after the load has risen.
         whole: leave all times where they are.
     """
-    period = pitch(scene, params)
+    period = repeat(scene, params)
     late = np.zeros(times.size) if whole else np.maximum(0.0, np.ceil((times - end) / period))
     phases = end - 0.5 * period * np.arange(_PHASES)[::-1] / _PHASES
     every = np.concatenate([times - late * period, phases - period, phases])
@@ -77,7 +83,7 @@ def fold(scene: Joint, params: Params, times: np.ndarray, end: float, whole: boo
 
 def _renumbered(scene: Joint, params: Params, values: np.ndarray, pitches: np.ndarray, axis: int = 1) -> np.ndarray:
     """Values (T, balls, ...) of instants that many pitches later: ball j does what ball j + pitches did."""
-    turned = np.sign(float(params["drive_speed"])).astype(int) * pitches
+    turned = (0 if scene.unequal else np.sign(float(params["drive_speed"])).astype(int)) * pitches
     which = (np.arange(scene.balls) + turned[:, None]) % scene.balls
     return np.take_along_axis(values, which.reshape(*which.shape, *[1] * (values.ndim - 2)), axis)
 
@@ -102,7 +108,7 @@ def unfolded_states(scene: Joint, params: Params, folded: Folded, states: np.nda
         part = wanted[:, first : first + n * size]
         balls = _renumbered(scene, params, part.reshape(len(part), n, size), folded.pitches)
         wanted[:, first : first + n * size] = balls.reshape(part.shape)
-    turned = 2.0 * np.pi / n * np.sign(float(params["drive_speed"])) * folded.pitches
+    turned = 2.0 * np.pi * scene.pitches / n * np.sign(float(params["drive_speed"])) * folded.pitches
     wanted[:, _turning(scene)] += turned[:, None]
     return wanted
 
@@ -112,11 +118,13 @@ def pitch_before(scene: Joint, params: Params, state: Array) -> Array:
     n, k = scene.balls, scene.twist
     width = 3 * sum(faces for name, faces in scene.bristles.items() if name in OF_A_BALL)
     forward = jnp.asarray(params["drive_speed"]) > 0.0
-    for first, size in ((0, 3), (3 * n + scene.coupling, k), (scene.moving, width)):
+    parts = () if scene.unequal else ((0, 3), (3 * n + scene.coupling, k), (scene.moving, width))
+    for first, size in parts:
         balls = state[first : first + n * size].reshape(n, size)
         balls = jnp.where(forward, jnp.roll(balls, 1, 0), jnp.roll(balls, -1, 0))
         state = state.at[first : first + n * size].set(balls.ravel())
-    return state.at[np.array(_turning(scene))].add(-2.0 * jnp.pi / n * jnp.sign(params["drive_speed"]))
+    turned = 2.0 * jnp.pi * scene.pitches / n * jnp.sign(params["drive_speed"])
+    return state.at[np.array(_turning(scene))].add(-turned)
 
 
 def _turning(scene: Joint) -> list[int]:

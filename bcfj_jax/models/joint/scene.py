@@ -26,30 +26,59 @@ USUAL = CONTACTS[:5]
 GROOVES = ("seat_ball", "head_ball")
 PILOTS = ("seat_cage", "head_cage")
 OF_A_BALL = ("cage_ball", "seat_ball", "head_ball", "cage_window_end")
+FLAT = ("cage_ball", "cage_window_end")
 FIDELITIES = ("kinematic", "quasistatic", "dynamic")
 # In place of one of them: ``bcfj_jax.models.joint.fidelity`` chooses.
 AUTO = "auto"
 TRACKS = ("gothic", "circular")
 CAGES = HEADS = ("free", "fixed")
 DRIVES = ("prescribed", "flexible")
+# Where a contact's stiffness is from.
+STIFFNESSES = GIVEN, GEOMETRY = ("given", "geometry")
 
 
 class JointContact(eqx.Module):
-    """One kind of contact: its name, its normal-force law, its friction law or None."""
+    """One kind of contact: its name, its normal-force law, its friction law or None.
+
+    ``geometric``: its stiffness is that of its geometry (``coefficients.stiffness``), and no parameter.
+    """
 
     name: str = eqx.field(static=True)
     law: AbstractLaw
     friction: AbstractFriction | None
+    geometric: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
         if self.law.states:
             found = f"the law {type(self.law).__name__} has a state; contacts of the joint cannot keep one"
             raise InputError(f"scene 'joint' {self.name}", found, "give a law without a state, such as memory_free")
+        if not self.geometric:
+            return
+        # What reads an effective modulus has its stiffness from geometry as it is.
+        if "effective_modulus" in self.needs:
+            object.__setattr__(self, "geometric", False)
+        elif not {"stiffness", "exponent"} <= set(self.needs):
+            found = f"{self.name}: its elastic part is no power law, which the formulas of Hertz are"
+            remedy = f'give stiffnesses = {{ {self.name} = "given" }}, or elastics = {{ {self.name} = "power" }}'
+            raise InputError("scene 'joint' stiffness", found, remedy)
 
     @property
     def needs(self) -> tuple[str, ...]:
         """Coefficients its laws read."""
         return (*self.law.needs, *(self.friction.needs if self.friction else ()))
+
+    @property
+    def derived(self) -> tuple[str, ...]:
+        """Coefficients that the joint's geometry gives (``coefficients``). A flat window has no radius difference."""
+        radii = ("radius",) if self.name in FLAT else ("radius", "radius_difference")
+        wanted = (*radii, "stiffness", "exponent") if self.geometric else radii
+        return tuple(name for name in wanted if name in self.needs)
+
+    @property
+    def own(self) -> tuple[str, ...]:
+        """Coefficients that are parameters: the others that it needs, and what a geometric stiffness is made of."""
+        rest = [name for name in self.needs if name not in self.derived]
+        return tuple(dict.fromkeys([*rest, *(["effective_modulus"] if self.geometric else [])]))
 
 
 class Joint(AbstractModel):
@@ -60,6 +89,7 @@ class Joint(AbstractModel):
         balls: their number, evenly spaced; a track in either race for each.
         track: "gothic" (two flanks at the contact angle) or "circular" (one, of ball radius plus clearance).
         spin: whether balls turn (and so roll).
+        unequal: whether each ball has sizes of its own (``unequal``).
         cage: "free", or "fixed" at the centre, its axis on the bisector, turning at the drive's speed.
         head: "free" to shift, or "fixed" at the centre; it always turns about its own axis.
         drive: "prescribed" speed, or "flexible": a seat with inertia behind a spring and a damper.
@@ -71,6 +101,7 @@ class Joint(AbstractModel):
     balls: int = eqx.field(static=True, default=6)
     track: str = eqx.field(static=True, default="gothic")
     spin: bool = eqx.field(static=True, default=False)
+    unequal: bool = eqx.field(static=True, default=False)
     cage: str = eqx.field(static=True, default="free")
     head: str = eqx.field(static=True, default="free")
     drive: str = eqx.field(static=True, default="prescribed")
@@ -82,7 +113,9 @@ class Joint(AbstractModel):
     @property
     def defaults(self) -> tuple[tuple[str, float], ...]:
         """Default values of the parameters the scene has."""
-        return tuple((name, DEFAULTS[name][0]) for name in self.quantities if name in DEFAULTS)
+        nominal = dict.fromkeys(self.each_ball, 0.0)
+        known = {name: nominal[name] if name in nominal else DEFAULTS.get(name, (None,))[0] for name in self.quantities}
+        return tuple((name, value) for name, value in known.items() if value is not None)
 
     @property
     def quantities(self) -> dict[str, Quantity]:
@@ -93,6 +126,7 @@ class Joint(AbstractModel):
         names += ["seat_radius", "head_radius", "ball_radius", "pitch_radius", "offset"]
         names += ["contact_angle", "conformity"] if self.track == "gothic" else []
         names += [f"clearance_{contact.name}" for contact in self.contacts]
+        names += self.each_ball
         names += ["ball_mass", "head_mass", "head_inertia"]
         names += ["cage_mass", "cage_inertia"] if self.cage == "free" else []
         names += ["seat_inertia", "drive_stiffness", "drive_damping"] if self.drive == "flexible" else []
@@ -100,8 +134,22 @@ class Joint(AbstractModel):
         theirs = {name: quantity for part in parts for name, quantity in own_quantities(part).items()}
         return {name: _quantity(name, theirs) for name in (*shared, *own, *names)}
 
+    @property
+    def each_ball(self) -> list[str]:
+        """Parameters of single balls."""
+        if not self.unequal:
+            return []
+        of_a_ball = [contact.name for contact in self.contacts if contact.name in OF_A_BALL]
+        pairs = [ball_sizes(self.balls, name) for name in of_a_ball]
+        return [*pairs[0][0], *(name for _, extra in pairs for name in extra)]
+
+    @property
+    def pitches(self) -> int:
+        """Pitches of a ball in which steady motion repeats itself; of unequal balls those of a turn."""
+        return self.balls if self.unequal else 1
+
     def _reads(self, contact: JointContact) -> tuple[str, ...]:
-        return (*contact.needs, *(("smoothing",) if self.smoothing else ()))
+        return (*contact.own, *(("smoothing",) if self.smoothing else ()))
 
     @property
     def in_motion(self) -> bool:
@@ -184,6 +232,12 @@ class Joint(AbstractModel):
     def azimuth(self) -> int | None:
         """Where the cage's azimuth stands in the flat state: last; None without window ends, which alone read it."""
         return self.states - 1 if self.has(WINDOW_END) else None
+
+
+def ball_sizes(balls: int, contact: str) -> tuple[list[str], list[str]]:
+    """Names of every ball's oversize, and of its extra clearance in a contact."""
+    each = range(1, balls + 1)
+    return [f"ball_{i}.oversize" for i in each], [f"{contact}_{i}.extra_clearance" for i in each]
 
 
 def _quantity(name: str, theirs: Mapping[str, Quantity]) -> Quantity:

@@ -36,6 +36,8 @@ OPTIONS = {
         "frictions": {"seat_ball": "coulomb", "head_cage": "lugre", "seat_cage": False},
     },
     "window ends, bristles, spin": {"window_ends": True, "friction": "lugre", "spin": True},
+    "stiffness from geometry": {"stiffness": "geometry", "elastics": {"seat_cage": "liu_sphere", "head_ball": "liu"}},
+    "unequal balls": {"unequal": True, "window_ends": True, "spin": True},
     "no pilots, fixed": {"contacts": ("cage_ball", *GROOVES), "cage": "fixed", "head": "fixed", "spin": True},
 }  # fmt: skip
 EACH = pytest.mark.parametrize(
@@ -124,6 +126,7 @@ def compared(name: str) -> tuple[Any, list[Pair]]:
         draw = np.random.default_rng(seed)
         values = joint.parameters(axial_load=500.0, load_ramp=1.0)
         params = {key: x * draw.uniform(1.0, 1.05) for key, x in values.items()}
+        params |= {key: jnp.asarray(1e-5 * draw.normal()) for key in joint.each_ball}
         y = noisy(joint, params, seed, places=5e-5)
         y[joint.moving : joint.azimuth] = 1e-6 * draw.normal(size=y[joint.moving : joint.azimuth].size)
         if joint.azimuth is not None:
@@ -232,7 +235,8 @@ def test_parameters_and_start_are_the_joints(name):
     joint = scenes.joint(**OPTIONS[name])
     mechanism = as_mechanism(joint)
     unread = set(joint.quantities) - set(mechanism.quantities)
-    assert unread <= {"seat_radius", "head_radius"} and set(mechanism.quantities) <= set(joint.quantities)
+    own = {name for name in joint.quantities if name.endswith(".effective_modulus")}
+    assert unread <= {"seat_radius", "head_radius"} | own and set(mechanism.quantities) <= set(joint.quantities)
     assert dict(mechanism.defaults) == {key: x for key, x in joint.defaults if key not in unread}
     assert mechanism == as_mechanism(joint) and hash(mechanism) == hash(as_mechanism(joint))
     params = mechanism.parameters(joint_angle=0.3)

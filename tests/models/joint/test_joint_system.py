@@ -29,6 +29,8 @@ OPTIONS = {
         "friction": False, "head": "fixed", "contacts": ("cage_ball", *GROOVES),
     },
     "unlike": {"laws": UNLIKE, "frictions": {"seat_ball": "coulomb", "seat_cage": False}, "spin": True},
+    "elastic parts": {"stiffness": "geometry", "elastics": {"seat_cage": "liu_sphere", "head_ball": "liu"}, "spin": True},
+    "unequal balls": {"unequal": True},
     "bristles, spin": {"friction": "lugre", "spin": True},
     "bristles, circular": {"friction": "lugre", "track": "circular", "cage": "fixed"},
     "bristles of some": {"frictions": {"head_ball": "lugre", "head_cage": "lugre", "seat_ball": False}},
@@ -36,7 +38,7 @@ OPTIONS = {
     "one pilot, no windows, sharp": {"contacts": ("seat_cage", *GROOVES), "balls": 3, "smoothing": False},
 }  # fmt: skip
 # The default joint and the one with most in it; the rest in make all-tests.
-FULL = ("all", "bristles, spin")
+FULL = ("all", "bristles, spin", "unequal balls")
 EACH = pytest.mark.parametrize(
     "options",
     [
@@ -48,7 +50,8 @@ EACH = pytest.mark.parametrize(
 
 def made(options):
     scene = scenes.joint(**options)
-    params = scene.parameters()
+    draw = np.random.default_rng(5)
+    params = scene.parameters({name: 1e-5 * draw.normal() for name in scene.each_ball})
     return scene, params, constants(scene, params)
 
 
@@ -73,7 +76,7 @@ def disturbed(scene, params, seed: int = 0) -> jax.Array:
 @EACH
 def test_arrowhead_solves_with_the_exact_jacobian(options):
     scene, params, c = made(options)
-    assert isinstance(c.groove_laws, LawPair) == ("laws" in options or "frictions" in options)
+    assert isinstance(c.groove_laws, LawPair) == bool({"laws", "frictions", "elastics"} & set(options))
     y, t, places = disturbed(scene, params), jnp.asarray(0.02), 3 * scene.balls + scene.coupling
     right = np.random.default_rng(1).normal(size=y.size) * np.where(np.arange(y.size) < places, 1.0, 1e4)
     right[scene.moving :] *= 1e-5
