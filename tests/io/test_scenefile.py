@@ -18,7 +18,7 @@ from bcfj_jax.io import scenefile
 from bcfj_jax.io.scenefile import from_table, load, template
 from bcfj_jax.io.tables import read
 from bcfj_jax.models.joint.defaults import DEFAULTS
-from bcfj_jax.models.joint.scene import CAGES, CONTACTS, DRIVES, FIDELITIES, HEADS, TRACKS
+from bcfj_jax.models.joint.scene import CAGES, DRIVES, FIDELITIES, HEADS, STIFFNESSES, TRACKS, USUAL
 
 pytestmark = pytest.mark.filterwarnings("error")
 
@@ -81,7 +81,7 @@ def test_template_of_the_joint_says_what_every_number_is_and_where_it_is_from():
         else:
             assert lines[name].startswith(f'# "{name}" = {DEFAULTS[name.rpartition(".")[2]][0]!r} ')
     assert "GUESS" in lines["offset"] and "paper" in lines["friction_static"]
-    for choices in (TRACKS, CAGES, HEADS, DRIVES, FIDELITIES, laws.FRICTION, CONTACTS):
+    for choices in (TRACKS, CAGES, HEADS, DRIVES, FIDELITIES, laws.FRICTION, STIFFNESSES, USUAL):
         assert ", ".join(choices) in text.replace('"', "")
 
 
