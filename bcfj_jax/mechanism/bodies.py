@@ -18,10 +18,10 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.core.errors import InputError, nearest, quoted
-from bcfj_jax.core.numerics import smooth_rise
 from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.core.vectors import WORLD, ZERO, Axes, Number, Vector, add, cross, minus, plus, scale, times, turned
 from bcfj_jax.mechanism import sizes
+from bcfj_jax.mechanism.programmes import SHAPES, area, checked_shape, checked_table, looked_up, risen
 from bcfj_jax.mechanism.sizes import ORIGIN, Params, Place, Size
 
 GROUND = "ground"
@@ -47,11 +47,12 @@ class Drive(eqx.Module):
     """A prescribed motion of a slide or a hinge: position [m or rad] as a function of time; a driven joint has no state.
 
     Attributes:
-        kind: "constant" speed, "ramp" (the speed rises over a time and stays), "table", or "function".
-        speed: [m/s or rad/s], of "constant" and "ramp".
-        over: rise time [s], of "ramp"; the speed is V s(t/over), s the quintic step of ``numerics.smooth_rise``.
-        start: position at time 0.
-        table: (times, positions) of "table": a natural cubic spline through them, constant speed beyond the ends.
+        kind: "constant" speed, "ramp" (the speed rises over a time and stays), "table", "speeds", or "function".
+        speed: [m/s or rad/s], of "constant" and "ramp"; of "speeds" what its values are multiplied by, 1 for None.
+        over: rise time [s], of "ramp"; the speed is first + (V - first) s(t/over), s a shape of ``programmes``.
+        start: position at time 0; first: speed at time 0 of "ramp"; shape: its shape.
+        table: (times, positions) of "table": a natural cubic spline through them, constant speed beyond the ends;
+            (times, speeds) of "speeds": linear between them, constant beyond.
         function: (t, params) -> position, twice differentiable.
     """
 
@@ -61,12 +62,17 @@ class Drive(eqx.Module):
     start: Size = eqx.field(static=True, default=0.0)
     table: tuple[tuple[float, ...], tuple[float, ...]] | None = eqx.field(static=True, default=None)
     function: Callable[[Array, Params], Array] | None = eqx.field(static=True, default=None)
+    shape: str = eqx.field(static=True, default="smooth")
+    first: Size = eqx.field(static=True, default=0.0)
 
     def __check_init__(self):
         where = "drive"
-        if self.kind not in ("constant", "ramp", "table", "function"):
-            known = ("constant", "ramp", "table", "function")
+        known = ("constant", "ramp", "table", "speeds", "function")
+        if self.kind not in known:
             raise InputError(where, f"no kind of drive '{self.kind}'", nearest(self.kind, known))
+        checked_shape(f"{where} shape", self.shape)
+        if self.kind == "speeds":
+            checked_table(f"{where} table", self.table)
         if self.kind == "table":
             if self.table is None or len(self.table) != 2 or len(self.table[0]) != len(self.table[1]):
                 raise InputError(
@@ -89,6 +95,10 @@ class Drive(eqx.Module):
             found |= sizes.own(
                 self.over, body, "drive_ramp", "s", f"time over which the drive of {body} reaches its speed"
             )
+            if not (isinstance(self.first, (int, float)) and self.first == 0):
+                found |= sizes.own(
+                    self.first, body, "drive_first", f"{unit}/s", f"speed of the drive of {body} at time 0"
+                )
         if not (isinstance(self.start, (int, float)) and self.start == 0):
             found |= sizes.own(self.start, body, "drive_start", unit, f"position of the drive of {body} at time 0")
         return found
@@ -100,14 +110,20 @@ class Drive(eqx.Module):
             return self.function(t, p)
         if self.kind == "table":
             return self._spline(t)
-        first = sizes.length(self.start, body, "drive_start", p)
+        start = sizes.length(self.start, body, "drive_start", p)
+        if self.kind == "speeds":
+            return plus(times(self._speed(body, p), area(t, self.table)), start)
         speed = sizes.value(self.speed, body, "drive_speed", p)
         if self.kind == "constant":
-            return plus(speed * t, first)
-        over = sizes.value(self.over, body, "drive_ramp", p)
-        s = jnp.clip(t / over, 0.0, 1.0)
-        # The integral of the quintic step, and full speed from its end on.
-        return plus(speed * (over * s**4 * (2.5 + s * (s - 3.0)) + jnp.maximum(t - over, 0.0)), first)
+            return plus(speed * t, start)
+        over, first = sizes.value(self.over, body, "drive_ramp", p), sizes.length(self.first, body, "drive_first", p)
+        # The integral of the shape, and full speed from its end on.
+        gone = over * risen(self.shape, t / over) + jnp.maximum(t - over, 0.0)
+        return plus(plus(times(minus(speed, first), gone), times(first, t)), start)
+
+    def _speed(self, body: str, p: Params) -> Number:
+        """What the values of a table of speeds are multiplied by."""
+        return 1.0 if self.speed is None else sizes.value(self.speed, body, "drive_speed", p)
 
     def motion(self, t: Array, body: str, p: Params) -> tuple[Number, Number, Number]:
         """Position, velocity and acceleration."""
@@ -115,8 +131,14 @@ class Drive(eqx.Module):
             return self.position(t, body, p), sizes.value(self.speed, body, "drive_speed", p), 0.0
         if self.kind == "ramp":
             speed, over = sizes.value(self.speed, body, "drive_speed", p), sizes.value(self.over, body, "drive_ramp", p)
-            step, slope = jax.jvp(lambda t: smooth_rise(t / over), (t,), (jnp.ones_like(t),))
-            return self.position(t, body, p), speed * step, speed * slope
+            first = sizes.length(self.first, body, "drive_first", p)
+            step, slope = jax.jvp(lambda t: SHAPES[self.shape](t / over), (t,), (jnp.ones_like(t),))
+            rise = minus(speed, first)
+            return self.position(t, body, p), plus(times(rise, step), first), times(rise, slope)
+        if self.kind == "speeds":
+            share, slope = jax.jvp(lambda t: looked_up(t, self.table), (t,), (jnp.ones_like(t),))
+            speed = self._speed(body, p)
+            return self.position(t, body, p), times(speed, share), times(speed, slope)
         one = jnp.ones_like(t)
         rate = lambda t: jax.jvp(lambda t: jnp.asarray(self.position(t, body, p)), (t,), (one,))[1]  # noqa: E731
         velocity, acceleration = jax.jvp(rate, (t,), (one,))

@@ -10,12 +10,10 @@ from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
-import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.contact.part import complete
 from bcfj_jax.core.errors import InputError, nearest, quoted
-from bcfj_jax.core.numerics import smooth_rise
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
 from bcfj_jax.core.vectors import (
     ZERO,
@@ -34,6 +32,7 @@ from bcfj_jax.core.vectors import (
 )
 from bcfj_jax.mechanism import sizes
 from bcfj_jax.mechanism.bodies import GROUND, Drive, Part
+from bcfj_jax.mechanism.programmes import Programme, checked_shape
 from bcfj_jax.mechanism.sizes import ORIGIN, Params, Place, Size
 
 
@@ -138,15 +137,6 @@ class Gravity(AbstractLoad):
         return {"gravity": (CATALOGUE["gravity"], 9.81)}
 
 
-def _raised(t: Array, name: str, over: Size, p: Params) -> Number:
-    """Share of a load that has risen over its ramp, C2."""
-    return 1.0 if over is None else smooth_rise(t / sizes.value(over, name, "ramp", p))
-
-
-def _table(t: Array, table: tuple[tuple[float, ...], tuple[float, ...]]) -> Array:
-    return jnp.interp(t, jnp.asarray(table[0]), jnp.asarray(table[1]))
-
-
 class Force(AbstractLoad):
     """A force on a body along a direction, [N]: constant, raised over a ramp [s], or from a table (times, forces).
 
@@ -154,6 +144,9 @@ class Force(AbstractLoad):
         body, at: where; the point in the body's axes [m].
         direction: "x", "-y" or three numbers; of the world, or of the body where ``follows``.
         size: [N]; ramp: rise time [s] or None; table: linear between its points, in place of ``size``.
+        shape: of the rise, a name of ``programmes.SHAPES``.
+        amplitude, frequency: of a fluctuation about ``size`` [N, Hz]; None for none.
+        reversal, reversal_ramp: when the force begins to change its sign, and over what time [s]; None for never.
     """
 
     name: str = eqx.field(static=True)
@@ -164,16 +157,34 @@ class Force(AbstractLoad):
     ramp: Size = eqx.field(static=True, default=None)
     table: Any = eqx.field(static=True, default=None)
     follows: bool = eqx.field(static=True, default=False)
+    shape: str = eqx.field(static=True, default="smooth")
+    amplitude: Size = eqx.field(static=True, default=None)
+    frequency: Size = eqx.field(static=True, default=None)
+    reversal: Size = eqx.field(static=True, default=None)
+    reversal_ramp: Size = eqx.field(static=True, default=None)
+
+    def __check_init__(self):
+        where = f"load '{self.name}'"
+        checked_shape(f"{where} shape", self.shape)
+        for first, second in (("amplitude", "frequency"), ("reversal", "reversal_ramp")):
+            if (getattr(self, first) is None) != (getattr(self, second) is None):
+                raise InputError(f"{where} {first}", f"needs {second} beside it", f"give {first} and {second}, or none")
 
     @property
     def touches(self) -> tuple[str, ...]:
         """The body."""
         return (self.body,)
 
+    @property
+    def programme(self) -> Programme:
+        """Its size over time."""
+        return Programme(
+            self.size, self.ramp, self.shape, self.table, self.amplitude, self.frequency, self.reversal,
+            self.reversal_ramp,
+        )  # fmt: skip
+
     def _amount(self, t: Array, p: Params) -> Number:
-        if self.table is not None:
-            return _table(t, self.table)
-        return times(_raised(t, self.name, self.ramp, p), sizes.value(self.size, self.name, "size", p))
+        return self.programme(t, self.name, p)
 
     def _way(self, bodies: Moving) -> Vector:
         way = sizes.axis(self.direction, f"load '{self.name}' direction")
@@ -187,10 +198,7 @@ class Force(AbstractLoad):
     def parameters(self) -> dict[str, tuple[Quantity, float | None]]:
         """Size, ramp and place."""
         unit = "N m" if isinstance(self, Torque) else "N"
-        found = {} if self.table is not None else sizes.own(self.size, self.name, "size", unit, f"size of {self.name}")
-        if self.ramp is not None:
-            found |= sizes.own(self.ramp, self.name, "ramp", "s", f"time over which {self.name} is raised")
-        return found | _of_point(self.at, self.name, "at")
+        return self.programme.parameters(self.name, unit) | _of_point(self.at, self.name, "at")
 
 
 class Torque(Force):

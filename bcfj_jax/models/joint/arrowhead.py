@@ -87,9 +87,14 @@ class Arrowhead(AbstractStructure):
         """Of load and drive, the only things that depend on time."""
         scene, c = args
         state = system.view(scene, c, y)
-        rate = jax.jvp(lambda t: system.applied(scene, c, t, state), (t,), (jnp.ones_like(t),))[1]
+
+        def changes(t: Any) -> Array:
+            found = system.applied(scene, c, t, state) * c.coupling_inverse_mass
+            return found.at[-1].set(system.seat_rate(scene, c, t)) if scene.driven else found
+
+        rate = jax.jvp(changes, (t,), (jnp.ones_like(t),))[1]
         still = [jnp.zeros(scene.states - scene.moving)] if scene.states > scene.moving else []
-        return jnp.concatenate([jnp.zeros(scene.moving - scene.coupling), rate * c.coupling_inverse_mass, *still])
+        return jnp.concatenate([jnp.zeros(scene.moving - scene.coupling), rate, *still])
 
     def factor(self, t: Any, y: Array, args: Any, scale: Any) -> Factors:
         """Blocks, the balls' inverses, the coupling's Schur complement inverted."""
@@ -97,6 +102,9 @@ class Arrowhead(AbstractStructure):
         d = _blocks(scene, c, y, scale if scene.bristles else None)
         k = scene.twist
         state = system.view(scene, c, y)
+        if scene.programmes.stick_slip:
+            at, slope = scene.slices["head_turn"], system.load_slope(scene, c, t, state)
+            d = d._replace(coupling_rate=d.coupling_rate.at[at, at].add(-slope))
         lift = c.ball_inverse_mass[:, None]
         ball = jnp.eye(k) / scale - lift * (d.ball_rate.at[..., :3].add(scale * d.ball_place))
         column_place, coupling_place = d.column_place * scale, d.coupling_place * scale

@@ -30,6 +30,7 @@ class Constants(eqx.Module):
         cage_laws, cage_clearance: of faces and ends of windows side by side (2, 1), where there are ends; clearances of
             unequal balls (balls, 2, 1).
         ball_inverse_mass: (twist,) and coupling_inverse_mass (coupling,): inverse masses and inertias.
+        programmes: what programmes of drive and loads read; empty for the usual ones.
     """
 
     groove: Groove
@@ -56,6 +57,14 @@ class Constants(eqx.Module):
     load_torque: Array
     load_ramp: Array
     axial_load: Array
+    programmes: dict[str, Array]
+
+
+def _programmes(scene: Joint, p: Params) -> dict[str, Array]:
+    """The parameters that the programmes of drive and loads read; none where these are the usual ones."""
+    if scene.programmes.usual:
+        return {}
+    return {name: p[name] for name in ("drive_speed", "load_torque", "axial_load", *scene.programmes.names)}
 
 
 def laws_of(scene: Joint, params: Params, name: str) -> ContactLaws:
@@ -143,6 +152,7 @@ def constants(scene: Joint, params: Params) -> Constants:
         drive_stiffness=p["drive_stiffness"] if flexible else zero,
         drive_damping=p["drive_damping"] if flexible else zero,
         load_torque=p["load_torque"],
-        load_ramp=p["load_ramp"],
+        load_ramp=p.get("load_ramp", zero),
         axial_load=p["axial_load"],
+        programmes=_programmes(scene, p),
     )

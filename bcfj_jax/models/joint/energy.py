@@ -183,13 +183,15 @@ def power(scene: Joint, c: Constants, t: Array, y: Array) -> Power:
     state = system.view(scene, c, y)
     found = _acting(scene, c, state)
     flexible = scene.drive == "flexible"
-    speed = c.drive_speed if flexible else state.seat_spin
-    slip = c.drive_speed - state.seat_spin
+    prescribed = system.drive_motion(scene, c, t)[1]
+    speed = prescribed if flexible else state.seat_spin
+    slip = prescribed - state.seat_spin
+    torque, axial = system.loads(scene, c, t, state)
     return Power(
         drive=torque_in(scene, c, t, y) * speed,
         hold=_hold(scene, c, state),
-        load=system.load_torque(c, t) * state.head_spin,
-        axial=c.axial_load * (state.head_velocity @ c.axes[1]),
+        load=torque * state.head_spin,
+        axial=axial * (state.head_velocity @ c.axes[1]),
         friction=sum((_friction(part) for part in found.values()), jnp.zeros(())),
         damping=sum((_damping(part) for part in found.values()), c.drive_damping * slip**2),
         edge=sum((_edge(part) for part in found.values()), jnp.zeros(())),
@@ -208,7 +210,7 @@ def stored(scene: Joint, c: Constants, t: Array, y: Array) -> Stored:
     for part in _acting(scene, c, state).values():
         energy = _elastic(part.laws, part.at.penetration)
         elastic = elastic + jnp.sum(energy if part.at.gate is None else energy * part.at.gate)
-    lag = c.drive_speed * t - state.seat_turn
+    lag = system.drive_motion(scene, c, t)[0] - state.seat_turn
     return Stored(
         kinetic=0.5 * (jnp.sum(twists**2 / c.ball_inverse_mass) + jnp.sum(coupling)),
         elastic=elastic,

@@ -33,7 +33,7 @@ from bcfj_jax.mechanism.model import (
     Solution,
 )
 from bcfj_jax.mechanism.structure import AbstractStructure
-from bcfj_jax.models.joint import drawing, envelope, summary, system, validity
+from bcfj_jax.models.joint import drawing, envelope, programmes, summary, system, validity
 from bcfj_jax.models.joint.arrowhead import Arrowhead
 from bcfj_jax.models.joint.batched_newton import origin
 from bcfj_jax.models.joint.checks import check_joint
@@ -231,7 +231,8 @@ class JointModel(Joint):
 
     def recurs(self, params: Params) -> bool:
         """A joint in motion whose seat turns."""
-        return self.fidelity == "dynamic" and float(params["drive_speed"]) != 0.0
+        steady = self.fidelity == "dynamic" and not self.programmes.lasting
+        return steady and float(params["drive_speed"]) != 0.0
 
     def pitch(self, params: Params) -> Array:
         """The time in which the seat turns by one ball's pitch; by a whole turn with unequal balls."""
@@ -283,11 +284,13 @@ class JointModel(Joint):
         return resolved(self, "dynamic")
 
     def choice_options(self) -> dict[str, Any]:
-        """Fidelity "auto"."""
-        return {"fidelity": AUTO}
+        """Fidelity "auto", where drive and loads are the usual ones."""
+        return {"fidelity": AUTO} if self.programmes.usual else {}
 
     def coarser(self) -> tuple[Coarser, ...]:
-        """Fidelities that leave out more."""
+        """Fidelities that leave out more; none where drive or loads are programmes over time."""
+        if not self.programmes.usual:
+            return ()
         count = len(FIDELITIES) if self.fidelity == AUTO else FIDELITIES.index(self.fidelity)
         return tuple(Coarser(name, {"fidelity": name}, _PHYSICS[name]) for name in FIDELITIES[:count])
 
@@ -359,6 +362,15 @@ def joint(
     drive: str = "prescribed",
     fidelity: str = "dynamic",
     balls: int = 6,
+    drive_profile: str = "constant",
+    drive_table: list[list[Any]] | str | None = None,
+    load_profile: str = "smooth",
+    load_table: list[list[Any]] | str | None = None,
+    axial_profile: str = "constant",
+    axial_table: list[list[Any]] | str | None = None,
+    fluctuating: Sequence[str] | None = None,
+    torque_reversal: bool = False,
+    stick_slip: bool = False,
 ) -> JointModel:
     """The ball-cage flexible joint: a driven seat, a loaded head, a cage and balls (physics sheet 5).
 
@@ -390,6 +402,18 @@ def joint(
             asked for, and motion of the last pitch repeated where it repeats itself. A scene file that gives none:
             dynamic, and at the level fast auto.
         balls: 3 or more, each in a track of its own.
+        drive_profile: one of constant, smooth, step, linear, table. The speed rises from start_speed, 0 by default, to
+            drive_speed over drive_ramp; step is the ADAMS STEP.
+        drive_table: [[times], [speeds]] of the profile table, or a CSV file with two columns; drive_speed scales it.
+        load_profile: one of smooth, step, linear, table. How the torque rises over load_ramp.
+        load_table: [[times], [torques]] of the profile table, or a CSV file; load_torque scales it.
+        axial_profile: one of constant, smooth, step, linear, table. The axial load, there from the start or raised over
+            axial_ramp.
+        axial_table: [[times], [forces]] of the profile table, or a CSV file; axial_load scales it.
+        fluctuating: of torque, axial. Which loads swing about their size, by load_amplitude at load_frequency, and by
+            axial_amplitude at axial_frequency.
+        torque_reversal: true lets the torque change its sign, from reversal_time on, over reversal_ramp.
+        stick_slip: true lets the torque fall with the head's speed as a bit's does: joint.programmes.falling.
 
     Raises:
         InputError: for a name that is not known, and for contacts that do not make a joint.
@@ -439,6 +463,17 @@ def joint(
     if cage == "free" and fidelity == "quasistatic" and not set(PILOTS) & set(names):
         found = "only the windows hold the free cage, so it has no equilibrium"
         raise InputError(f"{where} contacts", found, f"add {' or '.join(PILOTS)}, or give cage = 'fixed'")
+    over_time = programmes.made(
+        where, drive_profile, drive_table, load_profile, load_table, axial_profile, axial_table, fluctuating,
+        torque_reversal, stick_slip,
+    )  # fmt: skip
+    if not over_time.usual and fidelity != "dynamic":
+        remedy = "give fidelity = 'dynamic'"
+        raise InputError(f"{where} fidelity", f"'{fidelity}' with a drive or a load over time", remedy)
+    if over_time.drive is not None and cage == "fixed":
+        raise InputError(
+            f"{where} drive_profile", f"'{drive_profile}' with a fixed cage, which turns evenly", "give cage = 'free'"
+        )
     ordered = [name for name in CONTACTS if name in names]
     made = tuple(
         JointContact(
@@ -451,5 +486,5 @@ def joint(
     )
     return JointModel(
         contacts=made, balls=balls, track=track, spin=spin, unequal=unequal, cage=cage, head=head, drive=drive,
-        smoothing=smoothing, fidelity=fidelity,
+        smoothing=smoothing, fidelity=fidelity, programmes=over_time,
     )  # fmt: skip

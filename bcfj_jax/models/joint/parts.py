@@ -6,16 +6,21 @@ the two to each other.
 
 from __future__ import annotations
 
+import dataclasses
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.contact.gaps import AbstractGap, BallBetweenPlanes, BallInGroove, SphereInSocket
+from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
 from bcfj_jax.mechanism.bodies import Body, Drive
 from bcfj_jax.mechanism.contacts import Contact
 from bcfj_jax.mechanism.loads import AbstractLoad, Force, JointSpring, Torque
 from bcfj_jax.mechanism.mechanism import Mechanism
+from bcfj_jax.mechanism.programmes import Programme
 from bcfj_jax.mechanism.sizes import Params, Size
 from bcfj_jax.models.joint.coefficients import coefficients
 from bcfj_jax.models.joint.scene import OF_A_BALL, WINDOW_END, Joint, JointContact
@@ -32,6 +37,9 @@ def as_mechanism(joint: Joint) -> Mechanism:
     stiffnesses from geometry the shared ``effective_modulus`` alone is.
     """
     only = {"seat_radius": "seat_cage", "head_radius": "head_cage"}
+    if joint.programmes.stick_slip:
+        found = "a torque that sticks and slips"
+        raise InputError("as_mechanism", found, "give a load of your own: its function knows the head's spin")
     given = {name: value for name, value in joint.defaults if name not in only or joint.has(only[name])}
     return Mechanism(
         "joint",
@@ -56,15 +64,25 @@ def _unread(joint: Joint) -> list[Quantity]:
 def _seat(joint: Joint) -> Body:
     """It turns about z: driven, or free with a drive that is a spring (``_loads``)."""
     if joint.drive == "prescribed":
-        return Body("seat", "hinge", mass=_none, inertia=_none, drive=Drive("constant", speed="drive_speed"))
-    return Body("seat", "hinge", mass=_none, inertia="seat_inertia", start={"speed": "drive_speed"})
+        return Body("seat", "hinge", mass=_none, inertia=_none, drive=_drive(joint))
+    return Body("seat", "hinge", mass=_none, inertia="seat_inertia", start={"speed": _start_speed(joint)})
+
+
+def _start_speed(joint: Joint) -> Size:
+    """Speed of seat and head at time 0."""
+    return "drive_speed" if joint.programmes.drive is None else joint.programmes.start_speed
+
+
+def _drive(joint: Joint) -> Drive:
+    """The seat's drive over time."""
+    return joint.programmes.drive or Drive("constant", speed="drive_speed")
 
 
 def _head(joint: Joint) -> Body:
     """It turns about its axis, and shifts where it is free."""
     held = "bearing" if joint.head == "free" else "hinge"
     tilt = ("y", "joint_angle")
-    return Body("head", held, tilt=tilt, mass="head_mass", inertia="head_inertia", start={"speed": "drive_speed"})
+    return Body("head", held, tilt=tilt, mass="head_mass", inertia="head_inertia", start={"speed": _start_speed(joint)})
 
 
 def _cage(joint: Joint) -> Body:
@@ -72,7 +90,7 @@ def _cage(joint: Joint) -> Body:
     if joint.cage == "fixed":
         drive = Drive("constant", speed="drive_speed")
         return Body("cage", "hinge", tilt=("y", _half), mass=_none, inertia=_none, drive=drive)
-    start: dict[str, Size] = {name: _OfCage(name) for name in ("q0", "q2", "wx", "wz")}
+    start: dict[str, Size] = {name: _OfCage(joint, name) for name in ("q0", "q2", "wx", "wz")}
     return Body("cage", "free", mass="cage_mass", inertia="cage_inertia", start=start)
 
 
@@ -114,13 +132,21 @@ def _contact(joint: Joint, contact: JointContact) -> Contact:
 
 def _loads(joint: Joint) -> tuple[AbstractLoad, ...]:
     """Torque and axial load on the head, against its axis; the drive of a seat that has inertia."""
-    torque = Torque("load_torque", "head", "-z", size="load_torque", ramp="load_ramp", follows=True)
-    axial = Force("axial_load", "head", "-z", size="axial_load", follows=True)
+    torque = Torque("load_torque", "head", "-z", **_over_time(joint.programmes.torque), follows=True)
+    axial = Force("axial_load", "head", "-z", **_over_time(joint.programmes.axial or _CONSTANT), follows=True)
     if joint.drive == "prescribed":
         return torque, axial
-    drive = Drive("constant", speed="drive_speed")
+    drive = _drive(joint)
     spring = JointSpring("drive", "seat", stiffness="drive_stiffness", damping="drive_damping", drive=drive)
     return torque, axial, spring
+
+
+_CONSTANT = Programme("axial_load")
+
+
+def _over_time(programme: Programme) -> dict[str, Any]:
+    """A programme as a load's own fields."""
+    return {field.name: getattr(programme, field.name) for field in dataclasses.fields(programme)}
 
 
 class _OfBalls(eqx.Module):
@@ -139,13 +165,14 @@ class _OfBalls(eqx.Module):
 class _OfCage(eqx.Module):
     """A component of the cage's attitude, z on the bisector, or of its angular velocity about it at time 0."""
 
+    joint: Joint
     name: str = eqx.field(static=True)
 
     def __call__(self, p: Params) -> Array:
         quarter = 0.5 * _half(p)
         if self.name.startswith("q"):
             return jnp.cos(quarter) if self.name == "q0" else jnp.sin(quarter)
-        return p["drive_speed"] * (jnp.sin(_half(p)) if self.name == "wx" else jnp.cos(_half(p)))
+        return self.joint.programmes.start_speed(p) * (jnp.sin(_half(p)) if self.name == "wx" else jnp.cos(_half(p)))
 
 
 class _OfEachBall(eqx.Module):

@@ -55,7 +55,9 @@ def repeat(scene: Joint, params: Params) -> float:
 
 def risen(scene: Joint, params: Params, count: float) -> float:
     """When the load has risen and ``count`` pitches have passed [s]; after one the start is forgotten."""
-    return float(params["load_ramp"]) + count * pitch(scene, params)
+    if scene.programmes.usual:
+        return float(params["load_ramp"]) + count * pitch(scene, params)
+    return float(scene.programmes.risen(params)) + count * pitch(scene, params)
 
 
 def fold(scene: Joint, params: Params, times: np.ndarray, end: float, whole: bool = False) -> Folded:

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.core.numerics import smooth_ramp, smooth_rise
+from bcfj_jax.core.numerics import smooth_ramp
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint.bristles import flat
 from bcfj_jax.models.joint.constants import laws_of
@@ -14,6 +14,8 @@ from bcfj_jax.models.joint.scene import PILOTS, Joint
 
 # Load of a ball that nothing loads [N].
 LEAST = 1e-2
+# How much finer than others the prescribed turn and speed of a seat are integrated.
+_TOLD = 1e-4
 
 
 def scales(scene: Joint, params: Params, end: Array | float = jnp.inf) -> Array:
@@ -30,8 +32,8 @@ def scales(scene: Joint, params: Params, end: Array | float = jnp.inf) -> Array:
     stands in: only damping reads velocities then.
     """
     p = params
-    torque = jnp.abs(p["load_torque"]) * smooth_rise(end / p["load_ramp"])
-    load = torque / (scene.balls * p["pitch_radius"]) + jnp.abs(p["axial_load"]) / scene.balls
+    torque, axial = scene.programmes.largest_torque(p, end), scene.programmes.largest_axial(p)
+    load = torque / (scene.balls * p["pitch_radius"]) + axial / scene.balls
     load = load + p["ball_mass"] * p["pitch_radius"] * p["drive_speed"] ** 2 + LEAST
     laws = laws_of(scene, p, "seat_ball")
     width = jnp.zeros(()) if laws.smoothing is None else laws.smoothing
@@ -45,6 +47,8 @@ def scales(scene: Joint, params: Params, end: Array | float = jnp.inf) -> Array:
         if piece is not None and name.endswith("turn"):
             turning[piece] = True
     coupling = jnp.where(turning, 1.0 / p["pitch_radius"], 1.0)
+    # A prescribed seat must turn as it is told: what steps across a kink of its speed err by stays for ever.
+    coupling = coupling.at[-1].multiply(_TOLD) if scene.driven else coupling
     ball = jnp.ones((scene.balls, scene.twist)).at[:, 3:].set(1.0 / p["ball_radius"])
     parts = [jnp.full(3 * scene.balls, place), place * coupling, speed * ball.ravel(), speed * coupling]
     if scene.bristles:

@@ -18,6 +18,7 @@ from bcfj_jax.core.quantities import CATALOGUE, Quantity
 from bcfj_jax.mechanism.contacts import own_quantities
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.models.joint.defaults import DEFAULTS
+from bcfj_jax.models.joint.programmes import Programmes
 
 CONTACTS = ("seat_cage", "head_cage", "cage_ball", "seat_ball", "head_ball", "cage_window_end")
 # Contact of a ball with either end of its window, around the cage; on request.
@@ -95,6 +96,7 @@ class Joint(AbstractModel):
         drive: "prescribed" speed, or "flexible": a seat with inertia behind a spring and a damper.
         smoothing: whether contacts are regularised.
         fidelity: "dynamic", "quasistatic" or "kinematic"; "auto" for a scene that ``simulate`` alone can run.
+        programmes: what of drive and loads is not constant.
     """
 
     contacts: tuple[JointContact, ...]
@@ -107,6 +109,7 @@ class Joint(AbstractModel):
     drive: str = eqx.field(static=True, default="prescribed")
     smoothing: bool = eqx.field(static=True, default=True)
     fidelity: str = eqx.field(static=True, default="dynamic")
+    programmes: Programmes = Programmes()
     kind: str = eqx.field(static=True, default="joint")
     samples: int = eqx.field(static=True, default=3001)
 
@@ -115,6 +118,7 @@ class Joint(AbstractModel):
         """Default values of the parameters the scene has."""
         nominal = dict.fromkeys(self.each_ball, 0.0)
         known = {name: nominal[name] if name in nominal else DEFAULTS.get(name, (None,))[0] for name in self.quantities}
+        known |= dict(self.programmes.greatest)
         return tuple((name, value) for name, value in known.items() if value is not None)
 
     @property
@@ -122,7 +126,9 @@ class Joint(AbstractModel):
         """Every parameter, by name: shared coefficients, each contact's own, clearances, bodies, drive and loads."""
         shared = list(dict.fromkeys(name for contact in self.contacts for name in self._reads(contact)))
         own = [f"{contact.name}.{name}" for contact in self.contacts for name in self._reads(contact)]
-        names = ["drive_speed", "load_torque", "load_ramp", "axial_load", "joint_angle"]
+        risen = [name for name in self.programmes.names if name == "load_ramp"]
+        names = ["drive_speed", "load_torque", *risen, "axial_load", "joint_angle"]
+        names += [name for name in self.programmes.names if name not in risen]
         names += ["seat_radius", "head_radius", "ball_radius", "pitch_radius", "offset"]
         names += ["contact_angle", "conformity"] if self.track == "gothic" else []
         names += [f"clearance_{contact.name}" for contact in self.contacts]
@@ -160,6 +166,11 @@ class Joint(AbstractModel):
         """The paper's 3 s."""
         del params
         return jnp.asarray(3.0)
+
+    @property
+    def driven(self) -> bool:
+        """Whether the seat's speed is prescribed and not constant; its turn is the last of the coupling coordinates."""
+        return self.drive == "prescribed" and self.programmes.drive is not None
 
     def has(self, name: str) -> bool:
         """Whether a contact is in the program."""

@@ -12,7 +12,7 @@ from bcfj_jax.models.joint.scene import Joint
 
 
 def nominal(scene: Joint, params: Params, seat_turn: Array) -> Array:
-    """Flat state of the zero-clearance joint at a seat angle, turning at the drive's speed (physics sheet 5.2).
+    """Flat state of the zero-clearance joint at a seat angle, turning at the drive's first speed (physics sheet 5.2).
 
     Constant velocity: the head turns by the seat's angle, and so does the cage, centred on the bisector: balls swing
     evenly about the middles of their windows. Spinning balls turn with the cage.
@@ -23,7 +23,7 @@ def nominal(scene: Joint, params: Params, seat_turn: Array) -> Array:
     def centres(turn):
         return geometry.ball_centre(turn + scene.azimuths, p["joint_angle"], radius, p["offset"])
 
-    speed = p["drive_speed"]
+    speed = scene.programmes.start_speed(p)
     places, velocities = jax.jvp(centres, (seat_turn,), (speed,))
     axis = geometry.bisector(p["joint_angle"])
     at = {"head": jnp.zeros(3), "head_turn": seat_turn[None], "cage": jnp.zeros(3), "cage_turn": axis}

@@ -10,7 +10,7 @@ velocities, bristles (``bristles``), and the cage's azimuth where windows have e
 that azimuth (``attitude``); without ends the cage is a body of revolution, and the axis is all. Its inertia is that of a
 spherical shell (isotropic): no gyroscopic term, see ``attitude``.
 A prescribed seat is a seat of infinite inertia, so that its turn is a state like any other and nothing depends on time
-but the load.
+but the load, and the drive where its speed is not constant (``programmes``).
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from bcfj_jax.models.joint.constants import BALLS, Constants
 from bcfj_jax.models.joint.contacts import ContactForce, Geometry, act, grooves, join, pilots, windows
 from bcfj_jax.models.joint.guides import GUIDES
 from bcfj_jax.models.joint.law_pair import ContactLaws, LawPair
+from bcfj_jax.models.joint.programmes import axial_at, drive_at, torque_at, torque_slope
 from bcfj_jax.models.joint.scene import GROOVES, PILOTS, Joint
 
 
@@ -208,9 +209,35 @@ def load_torque(c: Constants, t: Array) -> Array:
     return c.load_torque * smooth_rise(t / c.load_ramp)
 
 
+def loads(scene: Joint, c: Constants, t: Array, state: State) -> tuple[Array, Array]:
+    """Resisting torque [N m] and axial load [N] on the head."""
+    if scene.programmes.usual:
+        return load_torque(c, t), c.axial_load
+    p = c.programmes
+    return torque_at(scene.programmes, t, state.head_spin, p), axial_at(scene.programmes, t, p)
+
+
+def load_slope(scene: Joint, c: Constants, t: Array, state: State) -> Array:
+    """Derivative of a resisting torque that sticks and slips by the head's speed [N m s/rad]."""
+    return torque_slope(scene.programmes, t, state.head_spin, c.programmes)
+
+
+def drive_motion(scene: Joint, c: Constants, t: Array) -> tuple[Array, Array]:
+    """Turn [rad] and speed [rad/s] that the drive prescribes."""
+    if scene.programmes.drive is None:
+        return c.drive_speed * t, c.drive_speed
+    return drive_at(scene.programmes, t, c.programmes)[:2]
+
+
+def seat_rate(scene: Joint, c: Constants, t: Array) -> Array:
+    """Rate of a prescribed speed that is not constant [rad/s^2]."""
+    return drive_at(scene.programmes, t, c.programmes)[2]
+
+
 def applied(scene: Joint, c: Constants, t: Array, state: State) -> Array:
     """Generalised forces of loads and drive on the coupling coordinates, (coupling,)."""
-    parts = {"head": -c.axial_load * c.axes[1], "head_turn": -load_torque(c, t)[None]}
+    torque, axial = loads(scene, c, t, state)
+    parts = {"head": -axial * c.axes[1], "head_turn": -torque[None]}
     parts |= {"cage": jnp.zeros(3), "cage_turn": jnp.zeros(3), "seat_turn": drive_torque(scene, c, t, state)[None]}
     return jnp.concatenate([parts[name] for name, piece in scene.slices.items() if piece is not None])
 
@@ -219,8 +246,8 @@ def drive_torque(scene: Joint, c: Constants, t: Array, state: State) -> Array:
     """Torque of a flexible drive on the seat [N m]; 0 where the speed is prescribed."""
     if scene.drive != "flexible":
         return jnp.zeros(())
-    lag = c.drive_speed * t - state.seat_turn
-    return c.drive_stiffness * lag + c.drive_damping * (c.drive_speed - state.seat_spin)
+    turn, speed = drive_motion(scene, c, t)
+    return c.drive_stiffness * (turn - state.seat_turn) + c.drive_damping * (speed - state.seat_spin)
 
 
 def wrench(touch: ContactForce) -> Array:
@@ -280,6 +307,9 @@ def field(t: Array, y: Array, args: tuple[Joint, Constants]) -> Array:
     if tilt is not None:
         axis = y[3 * n : 3 * n + scene.coupling][tilt]
         rates = rates.at[tilt].set(jnp.cross(state.cage_spin, axis))
+    changes = coupling * c.coupling_inverse_mass
+    if scene.driven:
+        changes = changes.at[-1].set(seat_rate(scene, c, t))
     others = [_bending(scene, c, state, found)] if scene.bristles else []
     if scene.azimuth is not None:
         others.append(azimuth_rate(state.cage_axis, state.cage_spin)[None])
@@ -288,7 +318,7 @@ def field(t: Array, y: Array, args: tuple[Joint, Constants]) -> Array:
             state.ball_velocity.ravel(),
             rates,
             (ball * c.ball_inverse_mass).ravel(),
-            coupling * c.coupling_inverse_mass,
+            changes,
             *others,
         ]
     )

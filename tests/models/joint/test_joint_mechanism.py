@@ -38,6 +38,14 @@ OPTIONS = {
     "window ends, bristles, spin": {"window_ends": True, "friction": "lugre", "spin": True},
     "stiffness from geometry": {"stiffness": "geometry", "elastics": {"seat_cage": "liu_sphere", "head_ball": "liu"}},
     "unequal balls": {"unequal": True, "window_ends": True, "spin": True},
+    "drive and loads over time": {
+        "drive_profile": "step", "load_profile": "linear", "axial_profile": "smooth",
+        "fluctuating": ("torque", "axial"), "torque_reversal": True,
+    },
+    "tables": {
+        "drive_profile": "table", "drive_table": ((0.0, 1.0), (4.0, 9.0)), "load_profile": "table",
+        "load_table": ((0.0, 2.0), (0.0, 900.0)), "drive": "flexible",
+    },
     "no pilots, fixed": {"contacts": ("cage_ball", *GROOVES), "cage": "fixed", "head": "fixed", "spin": True},
 }  # fmt: skip
 EACH = pytest.mark.parametrize(
