@@ -139,6 +139,7 @@ CATALOGUE: dict[str, Quantity] = {
         ),
         Quantity("oversize", "m", "radius of this ball less ball_radius", -1e-3, 1e-3),
         Quantity("extra_clearance", "m", "clearance of this ball less that of all", -1e-3, 1e-3),
+        Quantity("pilot_band", "rad", "latitude about the cage's axis up to which pilots bear", 0.0, 1.5, True),
         _positive("ball_mass", "kg", "mass of a ball"),
         _positive("head_mass", "kg", "mass of the head and what shifts with it"),
         _positive("head_inertia", "kg m^2", "inertia of the head about its axis"),

@@ -20,7 +20,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.core.small import block_diagonal
-from bcfj_jax.models.joint import system
+from bcfj_jax.models.joint import bands, system
+from bcfj_jax.models.joint.bands import Band
 from bcfj_jax.models.joint.bristles import Freed, effective, free
 from bcfj_jax.models.joint.constants import BALLS, Constants
 from bcfj_jax.models.joint.contacts import dot
@@ -89,13 +90,17 @@ def _alone(scene: Joint, c: Constants, state: system.State, scale: Any) -> tuple
     """Derivatives of pilot and drive forces by coupling displacement and coupling rate, (b, b); bristles' ``_rows``.
 
     Spheres have no axes, so only the distance p of the centres and the relative twist count, and
-    dv = ... - w_outer x dp; the forces' map moves with p too.
+    dv = ... - w_outer x dp; the forces' map moves with p too. Bands turn with the cage, as windows do.
     """
     b = scene.coupling
     place, rate, rows = jnp.zeros((b, b)), jnp.zeros((b, b)), []
     if c.pilot_laws is not None:
         at, motion, bent, spin = system.piloted(scene, c, state)
-        found, freed = slopes(c.pilot_laws, at, motion.velocity, motion.spin, bent), None
+        assert motion.spin is not None
+        if isinstance(at, Band):
+            found, freed = bands.slopes(c.pilot_laws, at, motion.velocity, motion.spin), None
+        else:
+            found, freed = slopes(c.pilot_laws, at, motion.velocity, motion.spin, bent), None
         if found.bond is not None:
             freed = free(found.bond, spin, scale)
             found, _, by_spin = effective(found, freed)
@@ -105,6 +110,13 @@ def _alone(scene: Joint, c: Constants, state: system.State, scale: Any) -> tuple
         moved = moved + jnp.einsum("pikb,pk->pbi", c.guides.lever, value)
         place = jnp.einsum("pbi,pic->bc", moved, c.guides.moves)
         rate = jnp.sum(back @ by_twist @ jnp.swapaxes(back, -1, -2), 0)
+        tilt = scene.slices["cage_turn"]
+        if isinstance(at, Band) and tilt is not None:
+            turned = jnp.cross(by_place, motion.arm[:, None]) + jnp.cross(by_twist[..., :3], motion.velocity[:, None])
+            turned = turned + jnp.cross(by_twist[..., 3:], motion.spin[:, None])
+            carried = [jnp.cross(value[:, None, part], jnp.eye(3)) for part in (slice(3), slice(3, 6))]
+            turned = turned + jnp.concatenate(carried, -2)
+            place = place.at[:, tilt].add(jnp.sum(back @ turned, 0))
         if freed is not None:
             # An outer sphere's spin turns its bristles.
             turns = jnp.stack([c.body_maps[BODIES.index(GUIDES[name][0]), 3:] for name in scene.pilots])

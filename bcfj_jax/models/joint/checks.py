@@ -44,6 +44,7 @@ _RANGES = {
     "clearance_cage_ball": _PLAY._replace(remedy="give a clearance >= 0: a ball does not fit into a smaller window"),
     "contact_angle": _Range(0.0, 0.5 * math.pi, False, "rad", "give an angle above 0 and below 90 deg"),
     "conformity": _Range(0.5, math.inf, False, "", "give a ratio > 0.5: a groove is wider than the ball"),
+    "pilot_band": _Range(0.0, 0.5 * math.pi, False, "rad", "give an angle above 0 and below 90 deg"),
     "joint_angle": _Range(0.0, 0.5 * math.pi, True, "rad", "give 0 or more and less than 90 deg"),
     "balls": _Range(1.0, math.inf, True, "", "give a whole number >= 1"),
 }
@@ -83,6 +84,15 @@ def _bridges(seat_radius: float, head_radius: float, ball_radius: float) -> Faul
     return Fault("ball_radius", found, f"give more than {shown(0.5 * gap)}")
 
 
+def _beside_windows(band: float, seat_radius: float, play: float, ball_radius: float) -> Fault | None:
+    """A cage that ends nearer to the equator than its windows' faces is none."""
+    need = (ball_radius + play) / seat_radius
+    if math.sin(band) > need:
+        return None
+    found = f"{shown(band, 'rad')} ends the cage within its windows, whose faces are {shown(ball_radius + play)} off"
+    return Fault("pilot_band", found, f"give more than {shown(math.asin(min(need, 1.0)), 'rad')}")
+
+
 _BALL = ("ball_radius", "pitch_radius", "offset", "joint_angle")
 # The keys a check needs, in the order of its arguments, and the check: the plainest fault is found first.
 _CHECKS: tuple[tuple[tuple[str, ...], Callable[..., Fault | None]], ...] = (
@@ -94,6 +104,7 @@ _CHECKS: tuple[tuple[tuple[str, ...], Callable[..., Fault | None]], ...] = (
     (("seat_radius", "clearance_seat_cage", *_BALL), deflection.on_window),
     (("seat_radius", "clearance_cage_window_end", "balls", *_BALL), deflection.webs),
     (("clearance_cage_window_end", "balls", *_BALL), deflection.swings),
+    (("pilot_band", "seat_radius", "clearance_cage_ball", "ball_radius"), _beside_windows),
     (("balls", *_BALL), deflection.apart),
     (("seat_radius", "ball_radius", "pitch_radius", "offset", "contact_angle", "joint_angle"), deflection.mouth_open),
     (("seat_radius", "pitch_radius", "offset", "joint_angle"), deflection.centres_in_mouth),

@@ -8,6 +8,7 @@ from jax import Array
 
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint import geometry, unequal
+from bcfj_jax.models.joint.bands import LEAST, WIDTH, Bands
 from bcfj_jax.models.joint.coefficients import coefficients
 from bcfj_jax.models.joint.contacts import Groove
 from bcfj_jax.models.joint.guides import Guides, body_maps, guides
@@ -43,6 +44,7 @@ class Constants(eqx.Module):
     pilot_laws: ContactLaws | LawPair | None
     pilot_clearance: Array
     pilot_hollow: Array
+    bands: Bands | None
     guides: Guides
     body_maps: Array
     axes: Array
@@ -92,6 +94,18 @@ def _as_one(several: list[ContactLaws]) -> ContactLaws | None:
     return ContactLaws(first.law, first.friction, together, jnp.stack(widths)[:, None] if widths else None)
 
 
+def _bands(scene: Joint, p: Params) -> Bands:
+    clearance = jnp.stack([p[f"clearance_{name}"] for name in scene.pilots])
+    lever = {"seat_cage": -p["seat_radius"], "head_cage": p["head_radius"]}
+    return Bands(
+        sine=jnp.sin(p["pilot_band"]),
+        cosine=jnp.cos(p["pilot_band"]),
+        width=WIDTH * clearance + LEAST,
+        clearance=clearance,
+        lever=jnp.stack([lever[name] for name in scene.pilots]),
+    )
+
+
 def constants(scene: Joint, params: Params) -> Constants:
     """Everything ``system`` reads, from the parameters [SI]."""
     p = params
@@ -138,6 +152,7 @@ def constants(scene: Joint, params: Params) -> Constants:
         pilot_laws=_side_by_side(scene, params, scene.pilots) if scene.pilots else None,
         pilot_clearance=jnp.stack([clearance[name] for name in scene.pilots]) if scene.pilots else jnp.zeros(0),
         pilot_hollow=jnp.stack([hollow[name] for name in scene.pilots]) if scene.pilots else jnp.zeros(0),
+        bands=_bands(scene, params) if scene.banded else None,
         guides=guides(scene, axes),
         body_maps=body_maps(scene, axes),
         axes=axes,

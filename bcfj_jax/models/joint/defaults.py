@@ -39,6 +39,7 @@ DEFAULTS: dict[str, tuple[float, str]] = {
     "conformity": (0.52, "GUESS: groove radius over ball diameter, 0.505 to 0.54"),
     "clearance_seat_cage": (50e-6, "GUESS: radial, 20 to 100 um"),
     "clearance_head_cage": (50e-6, "GUESS: radial, 20 to 100 um"),
+    "pilot_band": (math.radians(30.0), "GUESS: the cage ends at some 30 degrees of latitude"),
     "clearance_cage_ball": (10e-6, "GUESS: to either window face, up to 40 um"),
     "clearance_cage_window_end": (1.5e-3, "GUESS: to either end; balls swing by 0.36 mm in the cage at 23 deg"),
     "clearance_seat_ball": (10e-6, "GUESS: normal to the flank, 10 to 60 um"),

@@ -106,6 +106,8 @@ def _cage(scene: Joint, p: Mapping[str, float], seat: float, head: float) -> lis
     play = {name: p.get(f"clearance_{name}", 0.0) for name in ("seat_cage", "head_cage", "cage_ball")}
     inner, outer = head + play["head_cage"], seat - play["seat_cage"]
     window, wide = ball + play["cage_ball"], 1.75 * ball
+    if scene.banded:
+        wide = max(pitch * float(np.sin(p["pilot_band"])), 1.1 * window)
 
     def ring(low: float, high: float, slack: tuple[float, float], begin: float = 0.0, end: float = 2.0 * np.pi) -> Mesh:
         height, share = np.linspace(low, high, 6), np.linspace(*slack, 6)

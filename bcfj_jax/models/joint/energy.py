@@ -20,8 +20,9 @@ from jax import Array
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.numerics import positive, smooth_ramp
 from bcfj_jax.models.joint import system
+from bcfj_jax.models.joint.bands import Band, act
 from bcfj_jax.models.joint.constants import Constants
-from bcfj_jax.models.joint.contacts import ContactForce, Geometry, act, dot
+from bcfj_jax.models.joint.contacts import ContactForce, Geometry, dot
 from bcfj_jax.models.joint.guides import GUIDES
 from bcfj_jax.models.joint.law_pair import ContactLaws, LawPair
 from bcfj_jax.models.joint.scene import Joint
@@ -89,7 +90,7 @@ class _Acting(NamedTuple):
     """One kind of contact in one state: its laws, where it is, the relative motion, what it does."""
 
     laws: ContactLaws | LawPair
-    at: Geometry
+    at: Geometry | Band
     motion: system.Motion
     touch: ContactForce
 
@@ -223,9 +224,9 @@ def cage_forces(scene: Joint, c: Constants, y: Array) -> dict[str, Array]:
     found = system.contact_forces(scene, c, system.view(scene, c, y))
     forces: dict[str, Array] = {}
     if found.pilots is not None:
-        # A force is that on the inner sphere.
+        pilots = system.on_inner(scene, found.pilots)
         for i, name in enumerate(scene.pilots):
-            forces[name] = found.pilots.force[i] * (1.0 if GUIDES[name][1] == "cage" else -1.0)
+            forces[name] = pilots.force[i] * (1.0 if GUIDES[name][1] == "cage" else -1.0)
     if found.windows is not None:
         forces["cage_ball"] = -jnp.sum(found.windows.force, 0)
     if found.ends is not None:

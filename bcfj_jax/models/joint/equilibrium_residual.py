@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from bcfj_jax.models.joint.bands import depth
 from bcfj_jax.models.joint.constants import Constants
 from bcfj_jax.models.joint.law_pair import ContactLaws, LawPair, sector
 from bcfj_jax.models.joint.scene import Joint
@@ -164,6 +165,26 @@ def tilted_axis(c: Constants, tilt: Array) -> tuple[Array, list[Array], list[lis
     return axis, first, second
 
 
+def _banded(scene: Joint, p: Problem, coupling: Array) -> tuple[Array, Array]:
+    """Generalised forces of pilots that are bands on the coupling's unknowns (b, T), and their derivative (b, b, T)."""
+    c, slices = p.c, slices_of(scene)
+    assert c.bands is not None and c.pilot_laws is not None
+    on_head = jnp.array([[name == "head_cage"] for name in scene.pilots])
+
+    def depths(x: Array) -> Array:
+        head, cage = (x[slices[name]] if name in slices else jnp.zeros(3) for name in ("head", "cage"))
+        axis = tilted_axis(c, x[slices["tilt"], None] / p.lever)[0][:, 0] if "tilt" in slices else c.bisector
+        return depth(c.bands, jnp.where(on_head, head, 0.0) - cage, axis)
+
+    def look(x: Array) -> tuple[Array, Array, Array]:
+        return depths(x), jax.jacfwd(depths)(x), jax.jacfwd(jax.jacfwd(depths))(x)
+
+    deep, slope, bend = jax.vmap(look, 1)(coupling)
+    push, stiff = _law(c.pilot_laws, deep.T)
+    block = jnp.einsum("kt,tki,tkj->ijt", stiff, slope, slope) + jnp.einsum("kt,tkij->ijt", push, bend)
+    return jnp.einsum("kt,tki->it", push, slope), block
+
+
 def balance(scene: Joint, p: Problem, at: Places) -> tuple[Places, Matrix]:
     """Unbalanced generalised forces (those that resist, as a gradient; 0 in equilibrium) and their derivative."""
     c, slices = p.c, slices_of(scene)
@@ -221,7 +242,7 @@ def balance(scene: Joint, p: Problem, at: Places) -> tuple[Places, Matrix]:
                 for i in (0, 1)
             ]
             add("tilt", "tilt", jnp.stack([jnp.stack(b) for b in bend]) / p.lever**2)
-    if c.pilot_laws is not None:
+    if c.pilot_laws is not None and c.bands is None:
         ways = [("cage",) if name == "seat_cage" else ("head", "cage") for name in scene.pilots]
         place = jnp.stack([cage if way == ("cage",) else head - cage for way in ways], 1)
         distance = jnp.sqrt(_dot(place, place) + 1e-24)
@@ -242,7 +263,11 @@ def balance(scene: Joint, p: Problem, at: Places) -> tuple[Places, Matrix]:
     coupling = jnp.concatenate([jnp.concatenate(line, 1) for line in lines]) + p.spring * jnp.eye(size)[:, :, None]
     columns = [column.get(k, jnp.zeros((3, sizes[k], *shape))) for k in names]
     rows = [row.get(k, jnp.zeros((sizes[k], 3, *shape))) for k in names]
-    residual = Places(force, jnp.concatenate([rest[k] for k in names]))
+    total = jnp.concatenate([rest[k] for k in names])
+    if c.bands is not None:
+        pushed, stiffened = _banded(scene, p, at.coupling)
+        total, coupling = total + pushed, coupling + stiffened
+    residual = Places(force, total)
     return residual, Matrix(block, jnp.concatenate(columns, 1), jnp.concatenate(rows), coupling, race.column[:, 0])
 
 

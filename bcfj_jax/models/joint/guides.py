@@ -16,8 +16,19 @@ BODIES = ("seat", "head", "cage")
 GUIDES = {"seat_cage": ("seat", "cage"), "head_cage": ("cage", "head")}
 
 
+def pairs(scene: Joint) -> list[tuple[str, str]]:
+    """Of each pilot the body in whose axes it is seen and the other, on which its force acts: ``GUIDES``.
+
+    Bands are seen from the cage, whose they are.
+    """
+    found = [GUIDES[name] for name in scene.pilots]
+    return [("cage", first if second == "cage" else second) for first, second in found] if scene.banded else found
+
+
 class Guides(NamedTuple):
     """Twist of an inner sphere relative to the outer one's material there:  (still + sum_i arm_i lever_i) u.
+
+    "Inner" is the second body of ``pairs``, "outer" the first.
 
     Attributes:
         still: (pilots, 6, coupling); lever: (pilots, 3, 6, coupling); u the coupling's velocities, arm (pilots, 3) from the
@@ -36,8 +47,8 @@ def guides(scene: Joint, axes: Array) -> Guides:
     still, lever = jnp.zeros((count, 6, size)), jnp.zeros((count, 3, 6, size))
     moves = np.zeros((count, 3, size))
     eye = jnp.eye(3)
-    for index, name in enumerate(scene.pilots):
-        for sign, body in zip((-1.0, 1.0), GUIDES[name], strict=True):
+    for index, pair in enumerate(pairs(scene)):
+        for sign, body in zip((-1.0, 1.0), pair, strict=True):
             place, turn = scene.slices.get(body), scene.slices[f"{body}_turn"]
             if place is not None:
                 moves[index, :, place] += sign * np.eye(3)

@@ -65,7 +65,8 @@ def kinematic_readings(scene: Joint, params: Params, times: Array) -> dict[str, 
     elastic law inverted at rest (0 where there is no load), rate 0.
     """
     normal, cage = ball_loads(scene, params, times)
-    pilot = 0.5 * jnp.abs(jnp.sum(cage, 1))
+    # Along the cage's axis: the edge of a band bears more than it holds up.
+    pilot = 0.5 * jnp.abs(jnp.sum(cage, 1)) / (jnp.sin(params["pilot_band"]) if scene.banded else 1.0)
     loads = {"seat_ball": normal, "head_ball": normal, "cage_ball": cage, "seat_cage": pilot, "head_cage": pilot}
     loads["cage_window_end"] = jnp.zeros_like(normal)
     readings = {}

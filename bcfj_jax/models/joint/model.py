@@ -358,6 +358,7 @@ def joint(
     unequal: bool = False,
     cage: str = "free",
     window_ends: bool = False,
+    bands: bool = False,
     head: str = "free",
     drive: str = "prescribed",
     fidelity: str = "dynamic",
@@ -395,6 +396,8 @@ def joint(
         cage: one of free, fixed: to the bisecting plane, turning with the drive.
         window_ends: true gives a free cage's windows ends: the contact cage_window_end of every ball, and the cage's
             azimuth as a state. Without, friction lets the cage slip through its own windows.
+        bands: true lets the cage's pilots, seat_cage and head_cage, bear up to the latitude pilot_band alone, where a cage
+            ends, and on its edges. Without, they are full spheres.
         head: one of free, fixed: at the centre; it turns about its own axis either way.
         drive: one of prescribed, flexible: adds seat_inertia, drive_stiffness and drive_damping.
         fidelity: one of kinematic, quasistatic, dynamic, auto. kinematic: closed-form load sharing. quasistatic:
@@ -485,6 +488,6 @@ def joint(
         for name in ordered
     )
     return JointModel(
-        contacts=made, balls=balls, track=track, spin=spin, unequal=unequal, cage=cage, head=head, drive=drive,
-        smoothing=smoothing, fidelity=fidelity, programmes=over_time,
+        contacts=made, balls=balls, track=track, spin=spin, unequal=unequal, cage=cage, bands=bands, head=head,
+        drive=drive, smoothing=smoothing, fidelity=fidelity, programmes=over_time,
     )  # fmt: skip

@@ -9,6 +9,7 @@ Components of a force (the last axis, normal, axial, tangential); friction is th
 | cage_window_end        | force on the cage around it, either sign     | outward from its centre | along its axis     |
 | seat_cage, head_cage   | normal force between the spheres             | along the cage's axis   | around that axis   |
 
+The normal force of a pilot that is a band is the sum of the sizes along its edge; its direction is that of their resultant.
 Axial and tangential are friction alone: normal, axial and tangential directions are at right angles.
 """
 
@@ -27,7 +28,16 @@ from bcfj_jax.models.joint.attitude import cage_axes
 from bcfj_jax.models.joint.constants import Constants, constants
 from bcfj_jax.models.joint.contacts import ContactForce, dot
 from bcfj_jax.models.joint.scene import GROOVES, Joint
-from bcfj_jax.models.joint.system import State, contact_forces, drive_torque, field, on_bodies, relative_motions, view
+from bcfj_jax.models.joint.system import (
+    State,
+    contact_forces,
+    drive_torque,
+    field,
+    on_bodies,
+    on_inner,
+    relative_motions,
+    view,
+)
 
 
 def _unit(vector: Array) -> Array:
@@ -58,7 +68,7 @@ def observe(scene: Joint, c: Constants, y: Array) -> dict[str, Reading]:
     found = contact_forces(scene, c, state)
     readings: dict[str, Reading] = {}
     if found.pilots is not None:
-        reading = _read(found.pilots, jnp.sum(found.pilots.normal, -1), state.cage_axis)
+        reading = _read(on_inner(scene, found.pilots), jnp.sum(found.pilots.normal, -1), state.cage_axis)
         readings = {name: _member(reading, i) for i, name in enumerate(scene.pilots)}
     if found.windows is not None:
         normal = found.windows.normal[..., 0] - found.windows.normal[..., 1]
@@ -96,7 +106,8 @@ def resultants(scene: Joint, c: Constants, y: Array) -> dict[str, Array]:
     if found.ends is not None:
         sums["cage_window_end"] = jnp.sum(found.ends.force, 0)
     if found.pilots is not None:
-        sums |= {name: found.pilots.force[i] for i, name in enumerate(scene.pilots)}
+        pilots = on_inner(scene, found.pilots)
+        sums |= {name: pilots.force[i] for i, name in enumerate(scene.pilots)}
     return {contact.name: sums[contact.name] for contact in scene.contacts}
 
 

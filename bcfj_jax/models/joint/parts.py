@@ -35,7 +35,13 @@ def as_mechanism(joint: Joint) -> Mechanism:
     lean by the joint angle, and the cage has a quaternion. A prescribed seat and a fixed cage are driven and have none.
     A parameter that only the joint's checks read (the sphere radii of a joint without pilots) is not in the mechanism; of
     stiffnesses from geometry the shared ``effective_modulus`` alone is.
+
+    Raises:
+        InputError: for pilots that are bands, whose edge bears all round: no gap of faces has that.
     """
+    if joint.banded:
+        found = "bands: an edge that bears all round is no gap of faces"
+        raise InputError("as_mechanism", found, "give bands = false, or run the scene 'joint' itself")
     only = {"seat_radius": "seat_cage", "head_radius": "head_cage"}
     if joint.programmes.stick_slip:
         found = "a torque that sticks and slips"

@@ -92,6 +92,7 @@ class Joint(AbstractModel):
         spin: whether balls turn (and so roll).
         unequal: whether each ball has sizes of its own (``unequal``).
         cage: "free", or "fixed" at the centre, its axis on the bisector, turning at the drive's speed.
+        bands: whether pilots bear between two latitudes of the cage alone (``bands``), or all round.
         head: "free" to shift, or "fixed" at the centre; it always turns about its own axis.
         drive: "prescribed" speed, or "flexible": a seat with inertia behind a spring and a damper.
         smoothing: whether contacts are regularised.
@@ -105,6 +106,7 @@ class Joint(AbstractModel):
     spin: bool = eqx.field(static=True, default=False)
     unequal: bool = eqx.field(static=True, default=False)
     cage: str = eqx.field(static=True, default="free")
+    bands: bool = eqx.field(static=True, default=False)
     head: str = eqx.field(static=True, default="free")
     drive: str = eqx.field(static=True, default="prescribed")
     smoothing: bool = eqx.field(static=True, default=True)
@@ -134,6 +136,7 @@ class Joint(AbstractModel):
         names += [f"clearance_{contact.name}" for contact in self.contacts]
         names += self.each_ball
         names += ["ball_mass", "head_mass", "head_inertia"]
+        names += ["pilot_band"] if self.banded else []
         names += ["cage_mass", "cage_inertia"] if self.cage == "free" else []
         names += ["seat_inertia", "drive_stiffness", "drive_damping"] if self.drive == "flexible" else []
         parts = [part for contact in self.contacts for part in (contact.law, contact.friction)]
@@ -191,6 +194,11 @@ class Joint(AbstractModel):
         return tuple(name for name in PILOTS if self.has(name))
 
     @property
+    def banded(self) -> bool:
+        """Whether it has pilots that are bands."""
+        return self.bands and bool(self.pilots)
+
+    @property
     def twist(self) -> int:
         """Velocities of one ball: 3, or 6 with spin."""
         return 6 if self.spin else 3
@@ -219,13 +227,14 @@ class Joint(AbstractModel):
 
     @property
     def bristles(self) -> Mapping[str, int]:
-        """Faces of each contact whose friction has bristles, by its name: of one ball's, and of a pilot."""
+        """Faces of each contact whose friction has bristles, by its name: of one ball's, and of a pilot that is no band."""
         if self.fidelity != "dynamic":
             return {}
         faces = {"cage_ball": 2, WINDOW_END: 2}
         faces |= {"seat_ball": 2, "head_ball": 2} if self.track == "gothic" else {}
         rough = {contact.name for contact in self.contacts if contact.friction and contact.friction.bristles}
-        return {name: faces.get(name, 1) for name in (*GROOVES, "cage_ball", WINDOW_END, *PILOTS) if name in rough}
+        names = (*GROOVES, "cage_ball", WINDOW_END, *(() if self.bands else PILOTS))
+        return {name: faces.get(name, 1) for name in names if name in rough}
 
     @property
     def moving(self) -> int:

@@ -64,8 +64,8 @@ def slopes(
         load_place = at.gate[..., None] * load_place + normal[..., None] * at.gate_slope
         normal, by_rate = normal * at.gate, by_rate * at.gate
     load_twist = by_rate[..., None] * n
-    by_place = -_dyad(n, load_place) - (normal[..., None, None] * hessian if curved else 0.0)
-    by_twist = -_dyad(n, load_twist)
+    by_place = -dyad(n, load_place) - (normal[..., None, None] * hessian if curved else 0.0)
+    by_twist = -dyad(n, load_twist)
     force = -normal[..., None] * n
     if laws.friction is None:
         k = 3 if spin is None else 6
@@ -75,14 +75,14 @@ def slopes(
         by_place = jnp.pad(by_place, [*wide, (0, k - 3), (0, 0)])
         return Slopes(value, by_place, jnp.pad(by_twist, [*wide, *[(0, k - 3)] * 2]))
     slide = v - rate[..., None] * n
-    plane = jnp.eye(3) - _dyad(n, n)
-    slide_place = -(_dyad(n, drift) + rate[..., None, None] * hessian) if curved else jnp.zeros_like(plane)
+    plane = jnp.eye(3) - dyad(n, n)
+    slide_place = -(dyad(n, drift) + rate[..., None, None] * hessian) if curved else jnp.zeros_like(plane)
     slide_twist = plane
     lever = at.lever[..., None]
     if spin is not None:
         w = spin[..., None, :]
         slide = slide + jnp.cross(w, lever * n)
-        sweep = lever[..., None] * hessian + at.lever_slope * _dyad(n, n) if curved else jnp.zeros_like(plane)
+        sweep = lever[..., None] * hessian + at.lever_slope * dyad(n, n) if curved else jnp.zeros_like(plane)
         slide_place = slide_place + _cross_columns(w, sweep)
         turned = -jnp.cross(lever[..., None] * n[..., None, :], jnp.eye(3)).swapaxes(-1, -2)
         slide_twist = jnp.concatenate([plane, turned], -1)
@@ -98,20 +98,20 @@ def slopes(
     drag_place = mobility[..., None] * load_place + _row(pull, slide_place)
     drag_twist = mobility[..., None] * load_twist + _row(pull, slide_twist)
     rub = -drag[..., None] * slide
-    rub_place = -_dyad(slide, drag_place) - drag[..., None, None] * slide_place
-    rub_twist = -_dyad(slide, drag_twist) - drag[..., None, None] * slide_twist
+    rub_place = -dyad(slide, drag_place) - drag[..., None, None] * slide_place
+    rub_twist = -dyad(slide, drag_twist) - drag[..., None, None] * slide_twist
     bond = None
     if bristles is not None:
         # Twice the slopes by u.u times u: changes of k and s by the sliding u.
         forget_slide, stick_slide = (2.0 * x[..., None] * slide for x in (forget_bend, stick_bend))
         out = dot(n, bristles)[..., None]
         bent, hold = bristles - out * n, normal * stick
-        bent_place = -(out[..., None] * hessian + _dyad(n, dot(hessian, bristles[..., None, :]))) if curved else 0.0
+        bent_place = -(out[..., None] * hessian + dyad(n, dot(hessian, bristles[..., None, :]))) if curved else 0.0
         grip = normal[..., None] * stick_slide
         rub = rub - hold[..., None] * bent
-        rub_place = rub_place - _dyad(bent, stick[..., None] * load_place + _row(grip, slide_place))
+        rub_place = rub_place - dyad(bent, stick[..., None] * load_place + _row(grip, slide_place))
         rub_place = rub_place - hold[..., None, None] * bent_place
-        rub_twist = rub_twist - _dyad(bent, stick[..., None] * load_twist + _row(grip, slide_twist))
+        rub_twist = rub_twist - dyad(bent, stick[..., None] * load_twist + _row(grip, slide_twist))
         pull = -hold[..., None, None] * plane
         apart, opening = jax.jvp(laws.apart, (at.penetration,), (jnp.ones_like(at.penetration),))
         close, lost = (1.0 - apart)[..., None, None], slide - forget[..., None] * bristles + bristles / RELAX
@@ -119,9 +119,9 @@ def slopes(
             bristles,
             (1.0 - apart)[..., None] * lost - bristles / RELAX,
             pull if spin is None else jnp.concatenate([pull, _cross_columns(lever * n, pull)], -2),
-            close * (slide_place - _dyad(bristles, _row(forget_slide, slide_place)))
-            - _dyad(lost, opening[..., None] * n),
-            close * (slide_twist - _dyad(bristles, _row(forget_slide, slide_twist))),
+            close * (slide_place - dyad(bristles, _row(forget_slide, slide_place)))
+            - dyad(lost, opening[..., None] * n),
+            close * (slide_twist - dyad(bristles, _row(forget_slide, slide_twist))),
             (1.0 - apart) * forget + apart / RELAX,
         )
     value, by_place, by_twist = force + rub, by_place + rub_place, by_twist + rub_twist
@@ -134,7 +134,8 @@ def slopes(
     return Slopes(jnp.sum(value, -2), jnp.sum(by_place, -3), jnp.sum(by_twist, -3), bond)
 
 
-def _dyad(a: Array, b: Array) -> Array:
+def dyad(a: Array, b: Array) -> Array:
+    """a b' of vectors along the last axis."""
     return a[..., :, None] * b[..., None, :]
 
 

@@ -24,10 +24,11 @@ from jax import Array
 
 from bcfj_jax.core.numerics import smooth_rise
 from bcfj_jax.models.joint.attitude import azimuth_rate, windows_around
+from bcfj_jax.models.joint.bands import Band, act, band
 from bcfj_jax.models.joint.bristles import beside, flat, split
 from bcfj_jax.models.joint.constants import BALLS, Constants
-from bcfj_jax.models.joint.contacts import ContactForce, Geometry, act, grooves, join, pilots, windows
-from bcfj_jax.models.joint.guides import GUIDES
+from bcfj_jax.models.joint.contacts import ContactForce, Geometry, grooves, join, pilots, windows
+from bcfj_jax.models.joint.guides import GUIDES, pairs
 from bcfj_jax.models.joint.law_pair import ContactLaws, LawPair
 from bcfj_jax.models.joint.programmes import axial_at, drive_at, torque_at, torque_slope
 from bcfj_jax.models.joint.scene import GROOVES, PILOTS, Joint
@@ -178,7 +179,7 @@ def contact_forces(scene: Joint, c: Constants, state: State) -> ContactForces:
 
 
 def guided(scene: Joint, c: Constants, state: State) -> tuple[Motion, Array]:
-    """Inner spheres relative to outer ones, and the outer ones' angular velocities; (pilots, 3) each."""
+    """Inner spheres relative to outer ones (``pairs``), and the outer ones' angular velocities; (pilots, 3) each."""
     seat_spin, head_spin = state.seat_spin * c.axes[0], state.head_spin * c.axes[1]
     zero = jnp.zeros(3)
     bodies = {
@@ -186,17 +187,28 @@ def guided(scene: Joint, c: Constants, state: State) -> tuple[Motion, Array]:
         "cage": (state.cage_place, state.cage_velocity, state.cage_spin),
         "head": (state.head_place, state.head_velocity, head_spin),
     }
-    pairs = [GUIDES[name] for name in scene.pilots]
-    outer = [jnp.stack(part) for part in zip(*(bodies[first] for first, _ in pairs), strict=True)]
-    inner = [jnp.stack(part) for part in zip(*(bodies[second] for _, second in pairs), strict=True)]
+    outer = [jnp.stack(part) for part in zip(*(bodies[first] for first, _ in pairs(scene)), strict=True)]
+    inner = [jnp.stack(part) for part in zip(*(bodies[second] for _, second in pairs(scene)), strict=True)]
     arm, spin = inner[0] - outer[0], outer[2]
     return Motion(arm, inner[1] - outer[1] - jnp.cross(spin, arm), inner[2] - spin), spin
 
 
-def piloted(scene: Joint, c: Constants, state: State) -> tuple[Geometry, Motion, Array | None, Array]:
+def piloted(scene: Joint, c: Constants, state: State) -> tuple[Geometry | Band, Motion, Array | None, Array]:
     """The pilots' geometry, ``guided``'s motion, bristles, and the outer spheres' angular velocities."""
     motion, spin = guided(scene, c, state)
+    if c.bands is not None:
+        return band(c.bands, motion.arm, state.cage_axis), motion, None, spin
     return pilots(c.pilot_clearance, c.pilot_hollow, motion.arm), motion, beside(state.bristles, scene.pilots), spin
+
+
+def on_inner(scene: Joint, pilots: ContactForce) -> ContactForce:
+    """Pilots' forces on the inner spheres (``GUIDES``), of bands too; moments are those that the contacts have."""
+    if not scene.banded:
+        return pilots
+    sign = jnp.array(
+        [1.0 if GUIDES[name] == pair else -1.0 for name, pair in zip(scene.pilots, pairs(scene), strict=True)]
+    )
+    return pilots._replace(force=sign[:, None] * pilots.force, drag=sign[:, None] * pilots.drag)
 
 
 def guide_maps(c: Constants, arm: Array) -> Array:

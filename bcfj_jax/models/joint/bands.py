@@ -1,0 +1,200 @@
+"""Pilots as bands: the cage bears where it has material, between the latitudes -lambda and lambda about its axis.
+
+p leads from the cage's centre to that of the sphere, b is the cage's axis, and b' the plane across it. A pilot bears with
+the points of its band, whose directions e from the cage's centre are unit vectors. Its force is the sum of the forces of
+these points, N <e>, where N is the sum of their sizes and the mean direction q = <e> lies in the convex hull of the band,
+which is the unit ball between the planes at +-sin(lambda). The point of the hull that lies deepest decides:
+
+    d = max over the hull of  p . q + w (1 - |q|^2)/2,  less the clearance        force on the sphere  -N(d, d') q
+
+So d is convex and C1 in p, and q is its gradient: the point of the hull nearest to p/w. w is small (``WIDTH``):
+
+| p                                            | q                                       | what bears                        |
+|----------------------------------------------|-----------------------------------------|-----------------------------------|
+| in the band's latitudes, abs(p) > w          | p/abs(p)                                | a point of the band: ``contacts.pilots`` |
+| beyond, further than w cos(lambda) off axis  | the point of the edge nearest to p      | a point of the edge               |
+| beyond, nearer to the axis                   | +-sin(lambda) b + (part of p across)/w  | the whole edge, unevenly          |
+| nearer than w to the centre                  | p/w                                     | all round, with hardly any force  |
+
+The third row is that of an axial load: N sin(lambda) balances it, twice the load at 30 degrees. A single point of the edge
+would push the sphere aside by N cos(lambda), until the opposite point bears too. The points of an edge that bears all
+round spread: their second moment is  <e e'> = q q' + k B,  B = I - b b',  k = (1 - |q|^2)/2,  exact for one point and for an
+even edge. With the contact's sliding  u(e) = (I - e e') v + l w x e  of twist (v, w) at the lever l, all of them sum to
+
+    u = A v + l w x q    t = l q x v + l^2 A w    A = I - <e e'>    s^2 = u . v + t . w = <|u(e)|^2>
+
+and friction is the force  -D u  with the moment  -D t  about the sphere's centre,  D = N mu(s)/s:  it takes  D s^2.
+Bristles are of points: a band has none, and a friction law with bristles acts by its steady slip there.
+"""  # noqa: E501
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from bcfj_jax.models.joint import contacts
+from bcfj_jax.models.joint.contacts import ContactForce, Geometry, dot
+from bcfj_jax.models.joint.law_pair import ContactLaws, LawPair
+from bcfj_jax.models.joint.slopes import Slopes, dyad
+
+# w over the clearance: how far off the axis an edge that bears all round bears on one side alone. Edges are pressed in by a
+# tenth of their clearance under load, and bear on one side alone when they have moved by about twice that. No less than LEAST.
+WIDTH, LEAST = 0.2, 1e-7  # [-], [m]
+
+
+class Bands(NamedTuple):
+    """Numbers of the pilots' bands in a run, (k,) each but for the latitude.
+
+    Attributes:
+        sine, cosine: of the band's half-width lambda.
+        width: w [m]; clearance [m].
+        lever: l [m] from the sphere's centre towards q: minus the radius of a hollow sphere, the radius of an inner one.
+    """
+
+    sine: Array
+    cosine: Array
+    width: Array
+    clearance: Array
+    lever: Array
+
+
+class Band(NamedTuple):
+    """Where pilots bear, (k, ...); what other geometry has and a band has not is None.
+
+    Attributes:
+        penetration: (k, 1) d [m].
+        mean: (k, 3) q; hessian: (k, 3, 3) of d by p [1/m]; spread: (k,).
+        axis: (3,) of the cage; lever: (k,) [m].
+    """
+
+    penetration: Array
+    mean: Array
+    hessian: Array
+    spread: Array
+    axis: Array
+    lever: Array
+    gate: None = None
+    gate_slope: None = None
+
+
+def band(c: Bands, place: Array, axis: Array) -> Band:
+    """Pilots of spheres at ``place`` (k, 3) from the cage's centre, the cage's unit axis (3,)."""
+    x = place / c.width[:, None]
+    height = x @ axis
+    across = x - height[:, None] * axis
+    size = jnp.sqrt(jnp.maximum(dot(x, x), 1.0))
+    square = dot(across, across)
+    whole = square <= c.cosine**2
+    reach = jnp.sqrt(jnp.where(whole, 1.0, square))
+    within = jnp.abs(height) <= c.sine * size
+    # Off the edge: along the axis and across it, the share of x that q has.
+    share = jnp.where(whole, 1.0, c.cosine / reach)
+    edge = (jnp.sign(height) * c.sine)[:, None] * axis + share[:, None] * across
+    mean = jnp.where(within[:, None], x / size[:, None], edge)
+    length = dot(mean, mean)
+    plane = jnp.eye(3) - dyad(axis, axis)
+    unit = across / reach[:, None]
+    inner = (jnp.eye(3) - jnp.where(size > 1.0, 1.0, 0.0)[:, None, None] * dyad(mean, mean)) / size[:, None, None]
+    outer = share[:, None, None] * (plane - jnp.where(whole, 0.0, 1.0)[:, None, None] * dyad(unit, unit))
+    hessian = jnp.where(within[:, None, None], inner, outer) / c.width[:, None, None]
+    penetration = dot(place, mean) + 0.5 * c.width * (1.0 - length) - c.clearance
+    return Band(penetration[:, None], mean, hessian, 0.5 * (1.0 - length), axis, c.lever)
+
+
+def _across(at: Band, vector: Array) -> Array:
+    """B v."""
+    return vector - (vector @ at.axis)[..., None] * at.axis
+
+
+def _still(at: Band, vector: Array) -> Array:
+    """A v."""
+    return vector - dot(at.mean, vector)[:, None] * at.mean - at.spread[:, None] * _across(at, vector)
+
+
+def _slide(at: Band, velocity: Array, spin: Array) -> tuple[Array, Array, Array, Array]:
+    """u and t, (k, 3) each; d' and s^2, (k, 1) each."""
+    lever = at.lever[:, None]
+    slide = _still(at, velocity) + lever * jnp.cross(spin, at.mean)
+    swing = lever * jnp.cross(at.mean, velocity) + lever**2 * _still(at, spin)
+    squared = jnp.maximum(dot(slide, velocity) + dot(swing, spin), 0.0)
+    return slide, swing, dot(at.mean, velocity)[:, None], squared[:, None]
+
+
+def act(
+    laws: ContactLaws | LawPair, at: Geometry | Band, velocity: Array, spin: Array | None, bristles: Array | None = None
+) -> ContactForce:
+    """``contacts.act``, of bands too."""
+    if not isinstance(at, Band):
+        return contacts.act(laws, at, velocity, spin, bristles)
+    assert spin is not None
+    slide, swing, rate, squared = _slide(at, velocity, spin)
+    normal = laws.normal(at.penetration, rate)
+    force = -normal * at.mean
+    drag = moment = jnp.zeros_like(force)
+    if laws.friction is not None:
+        hold = normal * laws.mobility(squared)
+        drag, moment = -hold * slide, -hold * swing
+    return ContactForce(force + drag, moment, drag, normal, at.penetration, rate, jnp.sqrt(squared))
+
+
+def slopes(laws: ContactLaws | LawPair, at: Band, velocity: Array, spin: Array) -> Slopes:
+    """Derivatives of ``act`` by place and twist in the cage's axes; as ``slopes.slopes``."""
+    slide, swing, rate, squared = _slide(at, velocity, spin)
+    one = jnp.ones_like(rate)
+    normal, by_depth = jax.jvp(lambda d: laws.normal(d, rate), (at.penetration,), (one,))
+    by_rate = jax.jvp(lambda r: laws.normal(at.penetration, r), (rate,), (one,))[1]
+    push = jnp.concatenate([at.mean, jnp.zeros_like(at.mean)], -1)
+    bend = jnp.concatenate([at.hessian, jnp.zeros_like(at.hessian)], -2)
+    load_place = by_depth * at.mean + by_rate * _times(at.hessian, velocity)
+    load_twist = by_rate * push
+    value = -normal * push
+    by_place = -dyad(push, load_place) - normal[..., None] * bend
+    by_twist = -dyad(push, load_twist)
+    if laws.friction is None:
+        return Slopes(value, by_place, by_twist)
+    eye, lever = jnp.eye(3), at.lever[:, None, None]
+    pull = jnp.concatenate([slide, swing], -1)
+    still = eye - dyad(at.mean, at.mean) - at.spread[:, None, None] * (eye - dyad(at.axis, at.axis))
+    turn = lever * jnp.swapaxes(jnp.cross(at.mean[:, None], eye), -1, -2)
+    moves = jnp.concatenate([jnp.concatenate([still, -turn], -1), jnp.concatenate([turn, lever**2 * still], -1)], -2)
+    slide_place = _by_mean(at, velocity) + lever * _cross(spin, at.hessian)
+    swing_place = -lever * _cross(velocity, at.hessian) + lever**2 * _by_mean(at, spin)
+    squared_place = _times(jnp.swapaxes(slide_place, -1, -2), velocity) + _times(
+        jnp.swapaxes(swing_place, -1, -2), spin
+    )
+    mobility, slant = jax.jvp(laws.mobility, (squared,), (one,))
+    hold, grip = normal * mobility, normal * slant
+    hold_place, hold_twist = mobility * load_place + grip * squared_place, mobility * load_twist + 2.0 * grip * pull
+    by_place = by_place - dyad(pull, hold_place) - hold[..., None] * jnp.concatenate([slide_place, swing_place], -2)
+    by_twist = by_twist - dyad(pull, hold_twist) - hold[..., None] * moves
+    return Slopes(value - hold * pull, by_place, by_twist)
+
+
+def _by_mean(at: Band, vector: Array) -> Array:
+    """Derivative of A v by place, (k, 3, 3)."""
+    h = at.hessian
+    away = -dot(at.mean, vector)[:, None, None] * h - dyad(at.mean, _times(h, vector))
+    return away + dyad(_across(at, vector), _times(h, at.mean))
+
+
+def _times(matrix: Array, vector: Array) -> Array:
+    return jnp.sum(matrix * vector[..., None, :], -1)
+
+
+def _cross(vector: Array, matrix: Array) -> Array:
+    """v x (each column of the matrix)."""
+    return jnp.swapaxes(jnp.cross(vector[:, None], jnp.swapaxes(matrix, -1, -2)), -1, -2)
+
+
+def depth(c: Bands, place: Array, axis: Array) -> Array:
+    """Penetration (k,) of ``band`` as one function of place (k, 3) and axis (3,), for derivatives of any order."""
+    x = place / c.width[:, None]
+    height, square = x @ axis, dot(x, x)
+    across = square - height**2
+    out, near, whole = square > 1.0, height**2 <= c.sine**2 * jnp.maximum(square, 1.0), across <= c.cosine**2
+    inner = jnp.where(out, jnp.sqrt(jnp.where(out, square, 1.0)), 0.5 * (1.0 + square))
+    rim = jnp.where(whole, 0.5 * (across + c.cosine**2), c.cosine * jnp.sqrt(jnp.where(whole, 1.0, across)))
+    return c.width * jnp.where(near, inner, jnp.abs(height) * c.sine + rim) - c.clearance
