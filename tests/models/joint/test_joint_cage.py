@@ -14,12 +14,14 @@ from hypothesis import given, settings
 from joints import QUICK, SEEDS, constants, noisy, solved
 from oracles import within
 
+import bcfj_jax as bj
 from bcfj_jax import scenes
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.models.joint import attitude, deflection, energy, geometry, periodic, system
 from bcfj_jax.models.joint.arrowhead import Arrowhead
 from bcfj_jax.models.joint.parts import as_mechanism
 from bcfj_jax.models.joint.quasistatic import quasistatic
+from bcfj_jax.models.joint.scene import OF_A_BALL
 
 # The joint before windows had ends: field, a solved step and forces of contacts in disturbed states.
 BEFORE = json.loads((Path(__file__).parents[2] / "data" / "joint_before.json").read_text(encoding="utf-8"))
@@ -40,8 +42,14 @@ NEW = {
         "window_ends": True, "track": "circular", "drive": "flexible",
         "laws": {"cage_window_end": "hertz"}, "frictions": {"cage_window_end": "coulomb"},
     },
+    "bands": {"bands": True},
+    "all": {"window_ends": True, "bands": True, "spin": True},
+    "all, bristles, flexible": {
+        "window_ends": True, "bands": True, "spin": True, "friction": "lugre", "drive": "flexible",
+    },
+    "bands, fixed cage": {"bands": True, "cage": "fixed"},
 }  # fmt: skip
-FULL = ("all", "ends", "ends, spin, bristles")
+FULL = ("all", "ends, spin, bristles")
 
 
 def each(names):
@@ -75,12 +83,20 @@ def test_without_the_new_options_nothing_has_changed(name):
 
 
 def pressed(scene, params, seed, side=1.0):
-    """A disturbed state whose balls press the ends of some windows; bristles bent."""
+    """A disturbed state whose balls press the ends of some windows, and spheres the edges of bands; bristles bent."""
     y = np.array(noisy(scene, params, seed, places=8e-5))
-    ball, end = float(params["pitch_radius"]), float(params["clearance_cage_window_end"])
-    y[scene.azimuth] -= side * end / ball
     draw = np.random.default_rng(seed)
-    y[scene.moving : scene.azimuth] = 1e-6 * draw.normal(size=scene.azimuth - scene.moving)
+    y[scene.moving : scene.azimuth] = 1e-6 * draw.normal(size=y[scene.moving : scene.azimuth].size)
+    if scene.azimuth is not None:
+        y[scene.azimuth] -= side * float(params["clearance_cage_window_end"]) / float(params["pitch_radius"])
+    if scene.banded:
+        half, first = 0.5 * float(params["joint_angle"]), 3 * scene.balls
+        off, where = 1.15e-4 * side * np.array([np.sin(half), 0.0, np.cos(half)]), scene.slices
+        cage = np.zeros(3)
+        if where["cage"] is not None:
+            at = slice(first + where["cage"].start, first + where["cage"].stop)
+            cage = y[at] = off + 4e-6 * draw.normal(size=3)
+        y[first + where["head"].start : first + where["head"].stop] = cage + off + 4e-6 * draw.normal(size=3)
     return y
 
 
@@ -90,22 +106,25 @@ def test_arrowhead_solves_with_the_exact_jacobian(name):
     params = scene.parameters(axial_load=2e3)
     y, t = pressed(scene, params, 3), jnp.asarray(0.02)
     places = 3 * scene.balls + scene.coupling
-    index = np.arange(y.size)
+    index, last = np.arange(y.size), scene.states if scene.azimuth is None else scene.azimuth
+    new = [*(scene.pilots if scene.banded else ()), *(["cage_window_end"] if scene.azimuth else [])]
     right = np.random.default_rng(1).normal(size=y.size)
-    right *= np.select([index < places, index < scene.moving, index < scene.azimuth], [1.0, 1e4, 1e-5], 1.0)
+    right *= np.select([index < places, index < scene.moving, index < last], [1.0, 1e4, 1e-5], 1.0)
 
     @functools.partial(jax.jit, compiler_options=QUICK)
     def both(y, scale, c):
         structure, args = Arrowhead(), (scene, c)
         jacobian = jax.jacfwd(lambda y: system.field(t, y, args))(y)
-        forces = scene.observe(t, y, c)["cage_window_end"].force
+        readings = scene.observe(t, y, c)
+        forces = {name: readings[name].force[..., 0] for name in new}
         return structure.solve(structure.factor(t, y, args, scale), right), jacobian, forces
 
     for scale in (2e-5, 1e-3):
         got, jacobian, forces = jax.device_get(both(jnp.asarray(y), scale, constants(scene, params)))
-        assert np.count_nonzero(forces[:, 0]) > 0
+        assert all(np.any(force) for force in forces.values())
         wanted = np.linalg.solve(np.eye(y.size) / scale - jacobian, right)
-        for part in (index < places, (index >= places) & (index < scene.moving), index[scene.moving : -1], [-1]):
+        velocities = (index >= places) & (index < scene.moving)
+        for part in (index < places, velocities, index[scene.moving : last], index[last:]):
             if wanted[part].size:
                 assert np.abs(got - wanted)[part].max() <= 2e-9 * np.abs(wanted[part]).max()
 
@@ -268,6 +287,26 @@ def test_motion_with_window_ends_repeats_itself_with_balls_and_windows_renumbere
     # The motion has settled to a few um and mrad.
     assert np.abs(before - states[0])[: 3 * n].max() < 5e-6
     assert abs(before - states[0])[scene.azimuth] < 5e-4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("load", [0.0, 2e4])
+def test_a_mirrored_joint_does_what_a_mirror_shows(load):
+    # Across the plane of deflection: drive and torque turn the other way, and so do balls and the ends of windows.
+    scene = scenes.joint(window_ends=True, bands=True, spin=True)
+    times = np.linspace(0.0, 0.25, 251)
+    one = bj.simulate(scene, scene.parameters(axial_load=load), times, accuracy=1e-4)
+    params = scene.parameters()
+    other = {name: -params[name] for name in ("drive_speed", "load_torque")}
+    two = bj.simulate(scene, scene.parameters(other, axial_load=load), times, accuracy=1e-4)
+    assert one.status == two.status == "ok"
+    which = -np.arange(scene.balls) % scene.balls
+    for contact in scene.contacts:
+        left, right = one.force[contact.name][..., 0], two.force[contact.name][..., 0]
+        if contact.name in OF_A_BALL:
+            right = right[:, which] * (-1.0 if contact.name == "cage_window_end" else 1.0)
+        assert np.abs(left).max() > 50.0 and np.abs(left - right).max() <= 1e-4 * np.abs(left).max(), contact.name
+    assert two.trajectory[:, scene.azimuth] == pytest.approx(-one.trajectory[:, scene.azimuth], abs=1e-6)
 
 
 # --- as others see it

@@ -165,8 +165,9 @@ def test_energy_balance_over_a_revolution():
 
 
 @pytest.mark.slow
-def test_energy_balance_with_rolling_balls():
-    scene = bj.scenes.joint(spin=True)
+@pytest.mark.parametrize("options", [{}, {"window_ends": True, "bands": True}], ids=["spin", "all"])
+def test_energy_balance_with_rolling_balls(options):
+    scene = bj.scenes.joint(spin=True, **options)
     found = energy_balance.balance(scene, scene.parameters(), np.linspace(0.0, 0.1, 11), 1e-4)
     assert found.closure < 2e-5
     assert 0.0 < found.taken["friction"][-1] < found.given["drive"][-1]

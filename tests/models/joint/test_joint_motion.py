@@ -184,9 +184,9 @@ def spin_about_z(scene, params, y):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("spin", [False, True])
-def test_a_free_joint_keeps_its_spin_and_loses_energy(spin):
-    scene = bj.scenes.joint(drive="flexible", spin=spin)
+@pytest.mark.parametrize("options", [{}, {"spin": True}, {"spin": True, "bands": True, "window_ends": True}], ids=str)
+def test_a_free_joint_keeps_its_spin_and_loses_energy(options):
+    scene = bj.scenes.joint(drive="flexible", **options)
     params = scene.parameters(**FREED)
     c = constants(scene, params)
     # Dense at the start, where most is lost in impacts.

@@ -48,6 +48,7 @@ SMALLER = [
     ({}, {"law": "hertz"}),
     ({"spin": True}, {}),
     ({"window_ends": True}, {}),
+    ({"bands": True}, {}),
     ({"drive": "flexible"}, {}),
     ({}, {"contacts": ("head_cage", "cage_ball", *GROOVES)}),
     ({}, {"contacts": ("cage_ball", *GROOVES)}),

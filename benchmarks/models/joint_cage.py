@@ -1,0 +1,125 @@
+"""The cage as it is: what window ends, bands and rolling balls cost, and whether the free cage keeps to its windows.
+
+    python -m benchmarks.models.joint_cage            some three minutes on two quiet cores; benchmarks/results/joint_cage.json
+
+Cost: one revolution of the default joint under full load, from 0.15 s on, at the level ``balanced`` and at a force error of
+1e-4. Every variant is compiled before; runs of all variants take turns, and the median of each is kept. Drift: ten revolutions,
+with no weight on bit and with 20 kN: the cage's mean speed about its own axis over the seat's, from the third revolution on.
+Balance: energy of half a revolution at a force error of 1e-4.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from typing import Any
+
+os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import bcfj_jax as bj
+from bcfj_jax.analysis import energy_balance
+from bcfj_jax.models.joint import system
+from bcfj_jax.models.joint.constants import constants
+from benchmarks.common import save
+
+TURN = 0.6
+VARIANTS: dict[str, dict[str, Any]] = {
+    "default": {},
+    "window ends": {"window_ends": True},
+    "bands": {"bands": True},
+    "window ends, bands": {"window_ends": True, "bands": True},
+    "rolling balls": {"spin": True},
+    "all": {"window_ends": True, "bands": True, "spin": True},
+}
+REPEATS = 9
+
+
+def cost(accuracy: Any) -> dict[str, dict[str, float]]:
+    """Steps, wall time and time per step of a run of 0.75 s, and that over the default's; compile time beside."""
+    times = np.linspace(0.0, 0.15 + TURN, 751)
+    runs = {name: (scene := bj.scenes.joint(**options), scene.parameters()) for name, options in VARIANTS.items()}
+    walls: dict[str, list[float]] = {name: [] for name in runs}
+    found: dict[str, dict[str, float]] = {}
+    for name, (scene, params) in runs.items():
+        begin = time.perf_counter()
+        run = bj.simulate(scene, params, times, accuracy=accuracy)
+        steps = int(run.stats["accepted"]) + int(run.stats["rejected"])
+        found[name] = {"first_s": time.perf_counter() - begin, "steps": steps, "failed": float(run.status != "ok")}
+        peaks = {c.name: float(np.abs(run.force[c.name][times >= 0.15, ..., 0]).max()) for c in scene.contacts}
+        found[name] |= {f"{contact} [kN]": peak / 1e3 for contact, peak in peaks.items()}
+    for _ in range(REPEATS):
+        for name, (scene, params) in runs.items():
+            begin = time.process_time()
+            bj.simulate(scene, params, times, accuracy=accuracy)
+            walls[name].append(time.process_time() - begin)
+    for name, row in found.items():
+        row["cpu_s"] = float(np.median(walls[name]))
+        row["us_per_step"] = 1e6 * row["cpu_s"] / row["steps"]
+    for row in found.values():
+        row["over_default"] = row["cpu_s"] / found["default"]["cpu_s"]
+    return found
+
+
+def drift() -> dict[str, dict[str, float]]:
+    """Mean speed of the cage about its axis over the seat's less 1, of ten revolutions but the first two."""
+    times = np.linspace(0.0, 10 * TURN, 6001)
+    found = {}
+    for name in ("default", "window ends", "window ends, bands", "all"):
+        for load in (0.0, 20e3):
+            scene = bj.scenes.joint(**VARIANTS[name])
+            params = scene.parameters(axial_load=load)
+            run = bj.simulate(scene, params, times)
+            c = constants(scene, params)
+
+            def about(y: jax.Array, scene: Any = scene, c: Any = c) -> jax.Array:
+                state = system.view(scene, c, y)
+                return state.cage_spin @ state.cage_axis
+
+            speed = np.asarray(jax.lax.map(about, jnp.asarray(run.trajectory), batch_size=1000))
+            late = times >= 2 * TURN - 1e-9
+            turned = np.trapezoid(speed[late], times[late])
+            if scene.azimuth is not None:
+                turned = np.ptp(run.trajectory[late, scene.azimuth][[0, -1]])
+            asked = float(params["drive_speed"]) * np.ptp(times[late])
+            ends = run.force.get("cage_window_end")
+            found[f"{name}, {load / 1e3:g} kN"] = {
+                "status": str(run.status),
+                "speed_ratio_less_1": float(turned / asked - 1.0),
+                "steps": int(run.stats["accepted"] + run.stats["rejected"]),
+                **({} if ends is None else {"window ends mean [kN]": float(ends[late, :, 0].sum(1).mean() / 1e3)}),
+                **{
+                    f"{pilot} mean [kN]": float(run.force[pilot][late, 0].mean() / 1e3)
+                    for pilot in ("seat_cage", "head_cage")
+                },
+            }
+            print(name, load, found[f"{name}, {load / 1e3:g} kN"], file=sys.stderr, flush=True)
+    return found
+
+
+def balance() -> dict[str, float]:
+    """Closure of the energy balance of half a revolution."""
+    found = {}
+    for name in ("default", "all"):
+        scene = bj.scenes.joint(**VARIANTS[name])
+        result = energy_balance.balance(scene, scene.parameters(), np.linspace(0.0, 0.5 * TURN, 31), 1e-4)
+        found[name] = float(result.closure)
+    return found
+
+
+def main() -> None:
+    """All of it, to the results."""
+    parts: dict[str, Any] = {"drift": drift(), "balance": balance()}
+    parts["cost balanced"] = cost("balanced")
+    parts["cost at 1e-4"] = cost(1e-4)
+    save("joint_cage", parts)
+    for name, row in parts["cost balanced"].items():
+        print(name, row)
+
+
+if __name__ == "__main__":
+    main()
