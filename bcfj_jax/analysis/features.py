@@ -1,8 +1,8 @@
 """What one contact's history amounts to: a number each, from times, normal force, penetration and its rate.
 
-The features are ``peak``, ``mean``, ``impulse``, ``period``, ``dissipated_work``, ``residual_oscillation`` and
-``contact_fraction``, and of a pair ``delay``; ``period`` and ``delay`` are those of ``histories``, which says what a
-window is and which errors those that take one raise.
+The features are ``peak``, ``mean``, ``impulse``, ``period``, ``dissipated_work``, ``residual_oscillation``,
+``contact_fraction`` and ``ripple``, and of a pair ``delay``; ``period`` and ``delay`` are those of ``histories``, which
+says what a window is and which errors those that take one raise.
 
 All but ``period``, ``unseen``, ``contact_times`` and what counts these are pure and differentiable and take arrays of shape
 (T,); ``vmap`` them over members and batches. They see samples only: what happens between two samples is not in them.
@@ -71,6 +71,18 @@ def peak(values: ArrayLike) -> Array:
 def impulse(times: ArrayLike, force: ArrayLike) -> Array:
     """Impulse, the integral of F dt by the trapezoidal rule [N s]."""
     return _numpy(times, force).trapezoid(force, times)
+
+
+def settled(times: np.ndarray) -> int:
+    """Index of the first sample of the last two thirds of the span of (T,) known times."""
+    t = np.asarray(times)
+    return int(np.searchsorted(t, t[0] + (t[-1] - t[0]) / 3.0))
+
+
+def ripple(times: np.ndarray, force: ArrayLike) -> Array:
+    """Greatest less least force, max F - min F, over the last two thirds of the span of (T,) known times [N]."""
+    late = jnp.asarray(force)[settled(times) :]
+    return jnp.max(late) - jnp.min(late)
 
 
 def mean(times: ArrayLike, force: ArrayLike) -> Array:

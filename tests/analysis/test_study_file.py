@@ -50,6 +50,33 @@ def test_drawn_designs_fill_every_stratum_and_are_the_same_for_the_same_seed(kin
     assert all(sorted((64 * column).astype(int)) == list(range(64)) for column in shares.T)
 
 
+def test_a_normal_scale_is_a_normal_distribution_cut_off_at_its_bounds():
+    text = 'scene = "impact"\n[design]\nkind = "sobol"\npoints = 4096\n[vary.mass]\nlower = 0.4\nupper = 1.0\nscale = "normal"'
+    found = given(text)
+    values, (axis,) = found.points[:, 0], found.axes
+    assert values.min() >= 0.4 and values.max() <= 1.0
+    # Of a normal distribution cut off at 3 deviations, 1 - 6 phi(3)/(1 - 2 Phi(-3)) of the variance is left.
+    assert abs(values.mean() - 0.7) < 1e-4 and abs(values.std() / 0.1 - 0.9866) < 1e-3
+    assert abs(np.mean(np.abs(values - 0.7) < 0.1) - 0.6827 / 0.9973) < 1e-3
+    shares = axis.share(values)
+    assert np.allclose(np.sort(shares), (np.arange(4096) + 0.5) / 4096, atol=1 / 4096)
+    h = 1e-6
+    slope = (axis.at(shares[:50] + h) - axis.at(shares[:50] - h)) / (2 * h)
+    assert np.allclose(axis.steepness(values[:50]), slope, rtol=1e-4)
+    assert from_table(found.resolved, "s.toml").resolved == found.resolved
+
+
+def test_a_pattern_varies_every_parameter_that_it_stands_for():
+    text = 'scene = {{ scene = {{ kind = "joint", unequal = true, balls = 4 }} }}\n[design]\nkind = "sobol"\npoints = 4\n{}'
+    table = '[vary."{}"]\nlower = "-30 um"\nupper = "30 um"\nscale = "normal"\n'
+    found = given(text.format(table.format("ball_*.oversize")))
+    assert found.names == tuple(f"ball_{i}.oversize" for i in range(1, 5))
+    assert len({tuple(column) for column in found.points.T}) == 4
+    for more, said in (("ball_2.oversize", "'ball_2.oversize' is varied twice"), ("ball_*.size", "names no parameter")):
+        with pytest.raises(InputError, match=said):
+            given(text.format(table.format("ball_*.oversize") + table.format(more)))
+
+
 DRAWN = (
     'scene = "impact"\n[design]\nKIND\nseed = 0\n'
     '[vary.mass]\nlower = 0.1\nupper = 10.0\nscale = "log"\n[vary.damping]\nlower = 0.0\nupper = 0.5'

@@ -37,6 +37,7 @@ def channel_features(times: np.ndarray, force: Array, depth: Array) -> dict[str,
         "dissipated_work": features.dissipated_work(jnp.abs(force), depth) if several else unknown,
         "residual_oscillation": features.residual_oscillation(times, force) if len(times) >= _FEWEST else unknown,
         "contact_fraction": features.contact_fraction(times, depth) if several else unknown,
+        "ripple": features.ripple(times, force),
     }
 
 
@@ -148,6 +149,10 @@ def _along(
         # By parts of the trapezoidal rule: the mean force of an interval times the change of its step.
         work += 0.5 * (force[1:] + force[:-1]) @ np.diff(change, axis=1).T
         return float(np.trapezoid(force, depth)), work
+    if kind == "ripple":
+        late = features.settled(times)
+        high, low = late + int(np.argmax(force[late:])), late + int(np.argmin(force[late:]))
+        return float(force[high] - force[low]), slope[:, high] - slope[:, low]
     if kind == "residual_oscillation":
         rest = _residual(times, np.vstack([force, slope]))
         high, low = int(np.argmax(rest[0])), int(np.argmin(rest[0]))

@@ -15,9 +15,10 @@ from bcfj_jax.mechanism.model import AbstractModel, Params
 FEATURES = (
     "peak", "mean", "impulse", "period", "dissipated_work", "residual_oscillation", "contact_fraction",
 )  # fmt: skip
-# By kind; ``largest`` is the greatest size of a reading of either sign, and is taken where it is named.
+# By kind; ``largest`` is the greatest size of a reading of either sign, and ``ripple`` its greatest less its least value
+# over the last two thirds of the run. Both are taken where they are named.
 UNITS: dict[str, str] = dict(zip((*FEATURES, "delay"), ("N", "N", "N s", "s", "J", "N", "1", "s"), strict=True))
-UNITS["largest"] = "N"
+UNITS |= {"largest": "N", "ripple": "N"}
 READING_FEATURES = ("largest", "mean")
 
 

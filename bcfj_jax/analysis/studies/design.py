@@ -18,11 +18,18 @@ from bcfj_jax.core.extras import library
 KINDS = ("grid", "list", "latin_hypercube", "sobol", "saltelli", "morris")
 DRAWN = ("latin_hypercube", "sobol", "saltelli", "morris")
 IN_BLOCKS = ("saltelli", "morris")
-SCALES = ("linear", "log")
+SCALES = ("linear", "log", "normal")
+# Half of a normal scale's width, in standard deviations, and what of the distribution lies beyond either bound.
+_SIGMAS = 3.0
+_OUT = 0.5 * math.erfc(_SIGMAS / math.sqrt(2.0))
 
 
 class Axis(NamedTuple):
-    """A varied parameter: its values [SI], or its bounds, their scale, and how many values a grid takes of it."""
+    """A varied parameter: its values [SI], or its bounds, their scale, and how many values a grid takes of it.
+
+    On the scale "normal" equal shares are equal probabilities of a normal distribution between the bounds, which are
+    three standard deviations off its mean and cut it off: a tolerance.
+    """
 
     name: str
     values: tuple[float, ...] | None
@@ -35,15 +42,38 @@ class Axis(NamedTuple):
         """Values at shares 0 to 1 of the way from the lower bound to the upper one."""
         if self.scale == "log":
             return self.lower * (self.upper / self.lower) ** share
+        if self.scale == "normal":
+            from scipy.special import ndtri
+
+            share = 0.5 + 0.5 * ndtri(_OUT + (1.0 - 2.0 * _OUT) * share) / _SIGMAS
         return self.lower + (self.upper - self.lower) * share
 
     def share(self, value: np.ndarray) -> np.ndarray:
         """How far values are on the way from the lower bound to the upper one: the inverse of ``at``."""
+        from scipy.special import ndtr
+
+        return self.share_by(value, np, ndtr)
+
+    def share_by(self, value: Any, xp: Any, ndtr: Any) -> Any:
+        """``share`` by another library: its arrays, and its distribution function of the standard normal."""
         if self.upper == self.lower:
-            return np.zeros_like(value)
+            return xp.zeros_like(value)
         if self.scale == "log":
-            return np.log(value / self.lower) / np.log(self.upper / self.lower)
-        return (value - self.lower) / (self.upper - self.lower)
+            return xp.log(value / self.lower) / np.log(self.upper / self.lower)
+        share = (value - self.lower) / (self.upper - self.lower)
+        if self.scale == "normal":
+            return (ndtr(_SIGMAS * (2.0 * share - 1.0)) - _OUT) / (1.0 - 2.0 * _OUT)
+        return share
+
+    def steepness(self, value: np.ndarray) -> np.ndarray:
+        """Derivative of values by their shares."""
+        if self.scale == "log":
+            return value * np.log(self.upper / self.lower)
+        width = np.full_like(value, self.upper - self.lower)
+        if self.scale != "normal":
+            return width
+        z = _SIGMAS * (2.0 * (value - self.lower) / width - 1.0)
+        return width * (1.0 - 2.0 * _OUT) * np.sqrt(2.0 * np.pi) * np.exp(0.5 * z * z) / (2.0 * _SIGMAS)
 
     def grid(self) -> np.ndarray:
         """Its values in a grid or a list."""

@@ -33,7 +33,7 @@ class Finished(NamedTuple):
 
     @property
     def shares(self) -> np.ndarray:
-        """(N, D) of the way from each lower bound to the upper one, in the logarithm on a log axis."""
+        """(N, D) of the way from each lower bound to the upper one: by logarithm on a log axis, by probability on a normal."""
         return np.stack([axis.share(self.values[:, k]) for k, axis in enumerate(self.study.axes)], axis=1)
 
     def feature(self, name: str) -> np.ndarray:

@@ -107,7 +107,7 @@ def _maps(study: Study, result: Result, path: Path) -> int:
             axes.figure.colorbar(drawn, ax=axes, label=unit if unit != "1" else None)
             axes.set(xlabel=label(study, study.names[0]), ylabel=label(study, study.names[1]), title=feature.name)
             for axis, scale in zip(study.axes, (axes.set_xscale, axes.set_yscale), strict=True):
-                scale(axis.scale)
+                scale("log" if axis.scale == "log" else "linear")
     return len(study.features) - len(shown)
 
 
@@ -118,5 +118,6 @@ def _clouds(study: Study, result: Result, good: np.ndarray, path: Path) -> int:
         for axes, (feature, name) in zip(panels, pairs[:_MOST], strict=True):
             axes.plot(result.column(name)[good], result.column(feature.name)[good], ".", ms=3)
             axes.set(xlabel=label(study, name), ylabel=feature.name)
-            axes.set_xscale(next(axis.scale for axis in study.axes if axis.name == name))
+            if any(axis.name == name and axis.scale == "log" for axis in study.axes):
+                axes.set_xscale("log")
     return max(0, len(pairs) - _MOST)

@@ -3,7 +3,7 @@
 scene     a scene file (beside the study file), a built-in scene's name, or a table with a scene file's content
 [design]  kind = grid | list | latin_hypercube | sobol; points and seed of the last two
           saltelli: samples, second_order, seed; morris: trajectories, levels, seed (for global sensitivities)
-[vary.X]  lower, upper, steps, scale = linear | log; or values
+[vary.X]  lower, upper, steps, scale = linear | log | normal; or values. X may be a pattern: "ball_*.oversize"
 [results] features, histories, derivatives
 """
 
@@ -22,7 +22,7 @@ import numpy as np
 import pydantic
 from jax import Array
 
-from bcfj_jax.analysis.derivatives.names import Feature, complete, feature
+from bcfj_jax.analysis.derivatives.names import Feature, complete, expanded, feature
 from bcfj_jax.analysis.studies.design import DEFAULTS, DRAWN, KINDS, SCALES, Axis, Options, block_length, number, points
 from bcfj_jax.core.errors import InputError, clip, nearest
 from bcfj_jax.core.programs import program
@@ -160,7 +160,8 @@ def from_table(table: Mapping[str, Any], where: str = "study", beside: Path = Pa
     drawn, size = kind in DRAWN, _size(file.design, where)
     if not file.vary:
         raise InputError(f"{where}: [vary]", "nothing is varied", f"vary one of {', '.join(given.scene.quantities)}")
-    axes = tuple(_axis(given, name, one, kind, where) for name, one in file.vary.items())
+    varied = _spread(given, file.vary, where)
+    axes = tuple(_axis(given, name, one, kind, where) for name, one in varied.items())
     if len({axis.name for axis in axes}) < len(axes):
         raise InputError(f"{where}: [vary]", "one parameter is varied twice, under two names", "remove one of them")
     if kind == "list" and len({axis.steps for axis in axes}) > 1:
@@ -278,6 +279,25 @@ def _resolved(axis: Axis, drawn: bool) -> dict[str, Any]:
         return {"values": list(axis.values)}
     bounds = {"lower": axis.lower, "upper": axis.upper, "scale": axis.scale}
     return bounds if drawn else bounds | {"steps": axis.steps}
+
+
+def _spread(given: SceneFile, vary: Mapping[str, _Axis], where: str) -> dict[str, _Axis]:
+    """The varied parameters, in which a pattern (``ball_*.oversize``) stands for every one that has a value here.
+
+    Raises:
+        InputError: for a pattern that stands for nothing, or for a parameter that is named besides.
+    """
+    found: dict[str, _Axis] = {}
+    for name, one in vary.items():
+        place = f"{where}: [vary.{name}]"
+        try:
+            names = expanded(given.scene, given.params, (name,)) if set(name) & set("*?[") else (name,)
+        except InputError as error:
+            raise InputError(place, error.found, error.remedy) from None
+        if twice := [each for each in names if each in found]:
+            raise InputError(place, f"'{twice[0]}' is varied twice", "remove one of them")
+        found |= dict.fromkeys(names, one)
+    return found
 
 
 def _axis(given: SceneFile, name: str, table: _Axis, kind: str, where: str) -> Axis:

@@ -81,7 +81,9 @@ class Surface(eqx.Module):
         of the study, and says so by its deviation alone.
         """
         values = jnp.atleast_2d(jnp.asarray(values, float))
-        shares = jnp.stack([_share(axis, values[:, k]) for k, axis in enumerate(self.axes)], axis=1)
+        shares = jnp.stack(
+            [axis.share_by(values[:, k], jnp, jax.scipy.special.ndtr) for k, axis in enumerate(self.axes)], axis=1
+        )
         mean, variance = kriging.predict(self.fitted, shares, self.directions)
         return self.offset + self.scale * mean, self.scale * jnp.sqrt(self.inflation * self.fitted.variance * variance)
 
@@ -93,15 +95,6 @@ def predicted(surface: Surface, values: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 def _predict(surface: Surface, values: Array) -> tuple[Array, Array]:
     return surface.predict(values)
-
-
-def _share(axis: Axis, value: Array) -> Array:
-    """``Axis.share``, in JAX."""
-    if axis.upper == axis.lower:
-        return jnp.zeros_like(value)
-    if axis.scale == "log":
-        return jnp.log(value / axis.lower) / np.log(axis.upper / axis.lower)
-    return (value - axis.lower) / (axis.upper - axis.lower)
 
 
 def fit(source: Source, feature: str, derivatives: bool = True) -> Surface:
@@ -151,9 +144,7 @@ def _slopes(found: Finished, feature: str) -> tuple[np.ndarray, tuple[int, ...]]
         name = f"d({feature})/d({axis.name})"
         if name not in found.columns:
             continue
-        value = found.values[:, k]
-        steep = value * np.log(axis.upper / axis.lower) if axis.scale == "log" else axis.upper - axis.lower
-        columns.append(np.where(found.ok, found.columns[name], np.nan) * steep)
+        columns.append(np.where(found.ok, found.columns[name], np.nan) * axis.steepness(found.values[:, k]))
         directions.append(k)
     return np.stack(columns, axis=1) if columns else np.zeros((len(found.values), 0)), tuple(directions)
 
