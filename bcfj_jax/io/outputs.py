@@ -46,6 +46,11 @@ def atomic(path: Path, place: Callable[[str, Path], None] = os.replace) -> Itera
         os.chmod(name, 0o666 & ~mask)
         place(name, path)
         written.append(path)
+    except OSError as error:
+        # A full disk names no file, and a temporary name says nothing to a user.
+        if error.filename in (None, name):
+            error.filename = str(path)
+        raise
     finally:
         Path(name).unlink(missing_ok=True)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
@@ -14,6 +15,7 @@ import bcfj_jax
 from bcfj_jax.analysis.studies import specification
 from bcfj_jax.core import backend
 from bcfj_jax.core.errors import InputError
+from bcfj_jax.io import guard, outputs
 
 
 def bcfj(*arguments, stdout=subprocess.PIPE, **variables):
@@ -66,6 +68,18 @@ def test_what_is_only_printed_is_an_error_where_it_cannot_be(tmp_path, words, co
         done = bcfj(*words, *out, stdout=full)
     assert done.returncode == code and "Traceback" not in done.stderr, done.stderr
     assert ("error: stdout cannot be written (No space left on device)" in done.stderr) == (code == 2)
+
+
+def test_a_full_disk_is_said_with_the_file(tmp_path):
+    out = []
+    held = tmp_path / "forces.csv"
+
+    def write() -> int:
+        with outputs.atomic(held):
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    assert guard.guarded(write, out.append) == 2
+    assert out == [f"error: {held}: No space left on device; free some space"] and not list(tmp_path.iterdir())
 
 
 def test_options_of_xla_are_ours_or_the_users(monkeypatch):
