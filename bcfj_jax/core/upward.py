@@ -13,6 +13,7 @@ from typing import Any
 
 NAMES = {
     "quantity": "bcfj_jax.io.units:quantity",
+    "programme": "bcfj_jax.io.programmes:table",
     "text": "bcfj_jax.io.show:text",
     "html": "bcfj_jax.io.show:html",
     "frame": "bcfj_jax.io.show:frame",

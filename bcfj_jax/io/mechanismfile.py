@@ -54,7 +54,8 @@ _NAME = re.compile(r"-?[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
 _WHERE = re.compile(r"(?:mechanism|scene) '[^']*'\s*(.*)", re.DOTALL)
 _PART = re.compile(r"(body|contact|load) '([^']*)'\s*(.*)", re.DOTALL)
 # What a drive of each kind reads.
-_DRIVES = {"constant": ("speed", "start"), "ramp": ("speed", "over", "start"), "table": ("table",)}
+_DRIVES = {"constant": ("speed", "start"), "ramp": ("speed", "over", "start", "first", "shape"), "table": ("table",)}
+_DRIVES["speeds"] = ("start", "table")
 M = TypeVar("M", bound=tables.Table)
 
 
@@ -313,7 +314,7 @@ class _Builder:
                 f"{place}.kind", f"no kind of drive '{entry.kind}'", nearest(entry.kind, known) + usercode.hint()
             )
         reads = _DRIVES.get(entry.kind, ())
-        for key in ("speed", "over", "start", "table"):
+        for key in ("speed", "over", "start", "first", "shape", "table"):
             if key not in reads and getattr(entry, key) is not None:
                 found = f"a drive of kind '{entry.kind}' has no {key}"
                 raise InputError(f"{place}.{key}", found, nearest(key, reads) if reads else "its function says all")
@@ -326,7 +327,11 @@ class _Builder:
                 speed=self._size(entry.speed, f"{unit}/s", f"{place}.speed"),
                 over=self._size(entry.over, "s", f"{place}.over"),
                 start=0.0 if entry.start is None else self._size(entry.start, unit, f"{place}.start"),
-                table=self._table(entry.table, ("s", unit), f"{place}.table"),
+                table=self._table(
+                    entry.table, ("s", f"{unit}/s" if entry.kind == "speeds" else unit), f"{place}.table"
+                ),
+                shape=entry.shape or "smooth",
+                first=0.0 if entry.first is None else self._size(entry.first, f"{unit}/s", f"{place}.first"),
             )
 
     def _contact(self, table: Mapping[str, Any], place: str, options: SceneTable) -> tuple[Contact, dict[str, Any]]:
@@ -395,7 +400,7 @@ class _Builder:
         for key, unit in load_units(kind, turns).items():
             given[key] = self._size(given[key], unit, f"{place} {key}")
         if given.get("table") is not None:
-            if entry.size is not None or entry.ramp is not None:
+            if any(x is not None for x in (entry.size, entry.ramp, entry.amplitude, entry.reversal)):
                 raise InputError(f"{place} table", "is given beside a size or a ramp", "give one of them")
             given["table"] = self._table(entry.table, ("s", load_units(kind, turns)["size"]), f"{place} table")
         drive = given.pop("drive", None)
@@ -494,6 +499,7 @@ def _end(bodies: Sequence[Body]) -> Any:
 
 def _drive_table(entry: DriveTable, drive: Drive) -> dict[str, Any]:
     given = {"kind": entry.kind, "speed": drive.speed, "over": drive.over, "table": drive.table}
+    given |= {"first": drive.first, "shape": drive.shape} if entry.kind == "ramp" else {}
     given |= {"start": drive.start} if "start" in _DRIVES.get(entry.kind, ()) else {}
     return {key: _listing(x) for key, x in given.items() if x is not None}
 

@@ -30,6 +30,8 @@ class DriveTable(tables.Table):
     speed: Any = None
     over: Any = None
     start: Any = None
+    first: Any = None
+    shape: str | None = None
     table: list[list[Any]] | None = None
 
 
@@ -100,8 +102,13 @@ class ForceTable(tables.Table):
     size: Any = None
     at: list[Any] = [0, 0, 0]
     ramp: Any = None
-    table: list[list[Any]] | None = None
+    table: list[list[Any]] | str | None = None
     follows: bool = False
+    shape: str = "smooth"
+    amplitude: Any = None
+    frequency: Any = None
+    reversal: Any = None
+    reversal_ramp: Any = None
 
 
 class TorqueTable(ForceTable):
@@ -167,7 +174,9 @@ LOAD_TABLES: dict[str, type[tables.Table]] = {
 def load_units(kind: str, turns: bool) -> dict[str, str]:
     """Units of a load's numbers; ``turns``: whether a joint's coordinate is an angle."""
     if kind in ("force", "torque"):
-        return {"size": "N" if kind == "force" else "N m", "ramp": "s"}
+        unit = "N" if kind == "force" else "N m"
+        times = {"ramp": "s", "reversal": "s", "reversal_ramp": "s"}
+        return {"size": unit, "amplitude": unit, "frequency": "Hz", **times}
     if kind == "spring":
         return {"stiffness": "N/m", "damping": "N s/m", "free_length": "m"}
     if kind == "bush":

@@ -3,7 +3,7 @@
     [scene]        kind, the options that the scene's function takes (law, elastic, smoothing, ...), some: [scene.spheres]
     [parameters]   values by name, SI numbers or texts with a unit; "0.55 kg +- 2 %" says how well one is known
     [time]         end, samples; the run starts at 0
-    [accuracy]     force_error or level, max_steps and solver
+    [accuracy]     force_error or level, max_steps and solver, resolved_peaks
     [[read]]       of, frame: readings to keep (``mechanism.channels``)
 
 A scene of kind "mechanism" lists its parts in further tables (``mechanismfile``).
@@ -29,7 +29,7 @@ from jax import Array
 from bcfj_jax.contact import laws
 from bcfj_jax.core.errors import InputError, clip, nearest
 from bcfj_jax.core.quantities import check_order, check_value
-from bcfj_jax.io import changes, mechanismfile, mechanismtables, tables, usercode
+from bcfj_jax.io import changes, mechanismfile, mechanismtables, programmes, tables, usercode
 from bcfj_jax.io.scenetemplate import template as template
 from bcfj_jax.io.spheres import Spheres
 from bcfj_jax.io.units import quantity, toleranced
@@ -56,6 +56,7 @@ class SceneFile:
         max_steps: budget of attempted steps.
         solver: by which values are integrated; None: the scene's own.
         open: whether the level of the model was left to what runs it.
+        resolved_peaks: whether peaks are found in the solver's steps, and not in the samples.
         reads: what [[read]] asks for.
         tolerances: how well parameters are known, SI, where the file says it; read by the calibration.
     """
@@ -69,6 +70,7 @@ class SceneFile:
     max_steps: int = MAX_STEPS
     solver: str | None = None
     open: bool = False
+    resolved_peaks: bool = False
     reads: tuple[Channel, ...] = ()
     tolerances: Mapping[str, float] = field(default_factory=dict)
 
@@ -83,6 +85,7 @@ class _Accuracy(tables.Table):
     level: str | None = None
     max_steps: int = pydantic.Field(default=MAX_STEPS, ge=1, le=1_000_000_000)
     solver: str | None = None
+    resolved_peaks: bool = False
 
 
 class _File(tables.Table):
@@ -149,7 +152,7 @@ def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
     """The scene that a file's content describes; errors as ``load``."""
     kind = table["scene"].get("kind", "") if isinstance(table.get("scene"), Mapping) else ""
     where = str(source) if source else f"scene '{clip(kind)}'"
-    table = _plain(table)
+    table = programmes.resolved(_plain(table), source.parent if source else None, where)
     file = tables.validated(_File, table, where)
     scene, made_of, spheres = _scene(file, where)
     values, tolerances = _values(scene, file.parameters, spheres, where)
@@ -173,13 +176,18 @@ def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
             "level" if isinstance(accuracy, str) else "force_error": accuracy,
             "max_steps": file.accuracy.max_steps,
         }
-        | ({"solver": solver} if solver else {}),
+        | ({"solver": solver} if solver else {})
+        | ({"resolved_peaks": True} if file.accuracy.resolved_peaks else {}),
     } | ({"read": readings} if readings else {})
     times = np.linspace(0.0, end, samples)
     levels = scene.choice_options()
     free = bool(levels) and not set(levels) & set(file.scene)
     steps = file.accuracy.max_steps
-    return SceneFile(scene, params, times, accuracy, resolved, source, steps, solver, free, reads, tolerances)
+    if file.accuracy.resolved_peaks and solver == "bdf":
+        remedy = "leave the solver out, or take rodas3 or sdirk2"
+        raise InputError(f"{where}: [accuracy] resolved_peaks", "with the solver 'bdf'", remedy)
+    peaks = file.accuracy.resolved_peaks
+    return SceneFile(scene, params, times, accuracy, resolved, source, steps, solver, free, peaks, reads, tolerances)
 
 
 def _plain(table: Mapping[str, Any]) -> dict[str, Any]:
@@ -206,7 +214,7 @@ def shown(given: SceneFile) -> SceneFile:
 
 def model(table: Mapping[str, Any], where: str = "scene") -> AbstractModel:
     """The model that a file's content describes, whatever its parameters are; errors as ``load``."""
-    return _scene(tables.validated(_File, _plain(table), where), where)[0]
+    return _scene(tables.validated(_File, programmes.resolved(_plain(table), None, where), where), where)[0]
 
 
 def quickest(given: SceneFile) -> SceneFile:

@@ -76,6 +76,7 @@ samples = {scene.samples}  # equally spaced, the first at 0
 level = "balanced"  # fast (5 % of the peak force), balanced (1 %), reference (0.001 %)
 # force_error = "1 %"  # of the peak force, in place of a level
 max_steps = 400000  # attempted steps; beyond them the run fails
+# resolved_peaks = true  # peaks from every step of the solver, in place of the samples
 # solver = "{solvers[0]}"  # in place of the scene's own, {_wrapped(solvers)}
 """
 
@@ -110,6 +111,10 @@ def _options(kind: str, scene: AbstractModel) -> Iterator[str]:
         elif name == "contacts":
             yield f"# contacts = {json.dumps([contact.name for contact in scene.contacts])}"
             yield _commented("", said.get(name, ""))
+        elif name.endswith("_table"):
+            yield _commented(f'# {name} = "{name.removesuffix("_table")}.csv"  # ', said.get(name, ""))
+        elif name == "fluctuating":
+            yield _commented('# fluctuating = ["torque"]  # ', said.get(name, ""))
         elif option.default is None:
             yield _commented(f"# {name}: ", said.get(name, ""))
         else:

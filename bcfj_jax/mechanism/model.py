@@ -141,6 +141,7 @@ class Solution(NamedTuple):
 
     Attributes:
         accepted, rejected: numbers of steps.
+        extremes: by contact ``solve.extremes.Extremes``, where the plan asks for them.
     """
 
     states: Array
@@ -148,6 +149,7 @@ class Solution(NamedTuple):
     end: Array
     accepted: Array
     rejected: Array
+    extremes: Any = None
 
 
 class Choice(NamedTuple):

@@ -32,6 +32,7 @@ from bcfj_jax.core.status import NOT_FINITE, OK, SOLVER, STEPS
 from bcfj_jax.mechanism.model import AbstractModel, Params, Solution
 from bcfj_jax.solve import bdf, named
 from bcfj_jax.solve.batched_jvp import together
+from bcfj_jax.solve.extremes import Watched
 from bcfj_jax.solve.plan import Plan, Way
 from bcfj_jax.solve.rodas import Rodas
 from bcfj_jax.solve.sdirk import Sdirk
@@ -125,6 +126,8 @@ def integrate(
         assert isinstance(posed.solver, Sdirk)
         found = _by_bdf(posed, posed.solver, None, posed.start[None], times, how)
         return found._replace(states=found.states[:, 0])
+    if how.extremes:
+        posed = posed._replace(solver=Watched(posed.solver))  # pyright: ignore[reportArgumentType]
     return _solved(posed, times, how, mode)
 
 
@@ -150,7 +153,7 @@ def _solved(problem: Problem, times: Array, how: Plan, mode: Way) -> Solution:
         dt0=problem.first_step,
         y0=problem.start,
         args=problem.args,
-        saveat=dfx.SaveAt(subs=(dfx.SubSaveAt(ts=times), dfx.SubSaveAt(t1=True))),
+        saveat=dfx.SaveAt(subs=(dfx.SubSaveAt(ts=times), dfx.SubSaveAt(t1=True)), solver_state=how.extremes),
         stepsize_controller=controller(problem, how),
         adjoint=_ADJOINTS[mode],
         max_steps=how.max_steps,
@@ -161,7 +164,8 @@ def _solved(problem: Problem, times: Array, how: Plan, mode: Way) -> Solution:
     states, _ = solution.ys
     states = jnp.where(jnp.isfinite(states), states, jnp.nan)
     accepted, rejected = (solution.stats[f"num_{name}_steps"] for name in ("accepted", "rejected"))
-    return Solution(states, code_of(solution.result, states), solution.ts[1][0], accepted, rejected)
+    extremes = solution.solver_state[-1] if how.extremes and solution.solver_state is not None else None
+    return Solution(states, code_of(solution.result, states), solution.ts[1][0], accepted, rejected, extremes)
 
 
 def code_of(result: dfx.RESULTS, states: Array) -> Array:

@@ -36,13 +36,15 @@ class Plan(eqx.Module):
 
     ``tolerance`` may be traced: changing it does not compile again; changing the rest does. ``tangents``: whether a
     stiff model's steps are chosen for the error of its forward tangents, too. ``solver``: a name of ``solve.named``,
-    where the model's own is not wanted.
+    where the model's own is not wanted. ``extremes``: whether each contact is looked at in every step
+    (``solve.extremes``); of values alone.
     """
 
     tolerance: Array
     max_steps: int = eqx.field(static=True, default=MAX_STEPS)
     tangents: bool = eqx.field(static=True, default=False)
     solver: str | None = eqx.field(static=True, default=None)
+    extremes: bool = eqx.field(static=True, default=False)
 
 
 def plan(

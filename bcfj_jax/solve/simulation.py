@@ -54,6 +54,8 @@ class Run(NamedTuple):
         choice: the level at which an ``open`` model was run, and why; None for every other model.
         accuracy: the error that was measured, where ``measure_error`` asked for it; None without.
         readings: by name (T,), or (T, k) over members, what ``read`` asked for (``mechanism.channels``).
+        extremes: per contact greatest and least normal force, when they were, and the first touch, found in the solver's
+            steps (``solve.extremes``), where ``resolved_peaks`` asked for them.
     """
 
     times: Float[np.ndarray, " T"]
@@ -70,6 +72,7 @@ class Run(NamedTuple):
     choice: Choice | None = None
     accuracy: Accuracy | None = None
     readings: dict[str, Float[np.ndarray, "T ..."]] = {}
+    extremes: dict[str, Any] = {}
 
     _view = "bcfj_jax.analysis.simulation.view"
     __repr__ = presented.text
@@ -220,6 +223,7 @@ def simulate(
     solver: str | None = None,
     measure_error: bool = False,
     read: Sequence[str] = (),
+    resolved_peaks: bool = False,
 ) -> Run:
     """Simulate a model and say how it went.
 
@@ -233,6 +237,8 @@ def simulate(
             (``Run.accuracy``). Not of a model without a history, which takes no steps. Of a model without contacts
             it is the error of the readings.
         read: names of readings to keep beside the contacts' (``mechanism.channels``), such as "slider.acceleration.x".
+        resolved_peaks: look at every contact in every step of the solver, so that peaks do not hang on the times asked
+            for (``Run.extremes``). Not of a model without a history, which takes no steps, and not by the solver bdf.
 
     Raises:
         InputError: for times that are not finite and increasing, an unknown accuracy or solver, a budget below 1, and
@@ -246,13 +252,21 @@ def simulate(
     tolerance = plan(scene, accuracy, max_steps, solver).tolerance
     if scene.traits.open:
         same: dict[str, Any] = dict(
-            accuracy=accuracy, max_steps=max_steps, solver=solver, measure_error=measure_error, read=read
+            accuracy=accuracy,
+            max_steps=max_steps,
+            solver=solver,
+            measure_error=measure_error,
+            read=read,
+            resolved_peaks=resolved_peaks,
         )
         run = lambda level, at: simulate(level, params, at, **same)  # noqa: E731
         return scene.choose(params, values, force_error(accuracy), run)
     # Values alone: one program, whether or not derivatives would need their own error controlled.
     wanted = _channels(scene, read)
-    as_asked, tenth = (Plan(t, max_steps, solver=solver) for t in (tolerance, 0.1 * tolerance))
+    looked = resolved_peaks and scene.traits.history
+    if looked and solver == "bdf":
+        raise InputError("resolved_peaks", "with the solver 'bdf'", "leave the solver out, or take rodas3 or sdirk2")
+    as_asked, tenth = (Plan(t, max_steps, solver=solver, extremes=looked) for t in (tolerance, 0.1 * tolerance))
     if not (measure_error and scene.traits.history):
         return timed(scene, params, values, as_asked, wanted)
     run, finer = together(*(partial(timed, scene, params, values, how, wanted) for how in (as_asked, tenth)))
@@ -284,7 +298,9 @@ def timed(scene: AbstractModel, params: Params, values: np.ndarray, how: Plan, w
     run = story(scene, values, solution, readings, how, walls)
     found = {name: np.asarray(more[name]) for name in (c.name for c in wanted)}
     states = contact_states(scene, params, readings)
-    return run._replace(state=states, trajectory=np.asarray(solution.states), readings=found)
+    extremes = jax.tree.map(np.asarray, solution.extremes or {})
+    extremes = {name: extremes[name] for name in run.force if name in extremes}
+    return run._replace(state=states, trajectory=np.asarray(solution.states), readings=found, extremes=extremes)
 
 
 def story(

@@ -62,6 +62,7 @@ def run(
     found = simulate(
         given.scene, given.params, given.times, accuracy=given.accuracy, max_steps=given.max_steps,
         solver=given.solver, measure_error=measure_error, read=[channel.name for channel in given.reads],
+        resolved_peaks=given.resolved_peaks,
     )  # fmt: skip
     written = results.write(folder, given, found, stem)
     show(f"{written.text}\nresults in {folder}")

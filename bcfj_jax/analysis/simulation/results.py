@@ -117,6 +117,22 @@ def share_of_time(times: np.ndarray, state: np.ndarray) -> dict[str, float]:
     return {word: float(weight[state == code].sum() / total) for code, word in enumerate(STATES)}
 
 
+# Of a contact in the summary of a run whose peaks are those of the solver's steps.
+RESOLVED_UNITS = {"peak": "N", "peak_of_samples": "N", "peak_time": "s", "least": "N", "least_time": "s", "onset": "s"}
+
+
+def resolved(run: Run) -> dict[str, dict[str, float]]:
+    """By contact, members apart, what was found in the solver's steps; nothing where that was not asked for."""
+    parts = {name: {key: x[None] for key, x in found._asdict().items()} for name, found in run.extremes.items()}
+    apart = {key: outputs.channels({name: part[key] for name, part in parts.items()}) for key in _keys(run)}
+    names = next(iter(apart.values()), {})
+    return {name: {key: float(columns[name][0]) for key, columns in apart.items()} for name in names}
+
+
+def _keys(run: Run) -> tuple[str, ...]:
+    return next((found._fields for found in run.extremes.values()), ())
+
+
 def summary(run: Run, turning: bool) -> dict[str, Any]:
     """``summary.json``: status, every contact's features, accuracy, what the solver did, a level that was chosen.
 
@@ -135,6 +151,8 @@ def summary(run: Run, turning: bool) -> dict[str, Any]:
             contacts[name]["period"] = found
     for name, depth in penetration.items():
         contacts[name][page.BETWEEN] = len(features.unseen(depth, rate[name]))
+    for name, found in resolved(run).items():
+        contacts[name] |= {"peak_of_samples": contacts[name]["peak"]} | found
     for name, state in outputs.channels(run.state).items():
         contacts[name]["share_of_time"] = share_of_time(run.times, state)
     chosen = {"fidelity": run.choice._asdict()} if run.choice else {}
@@ -144,6 +162,7 @@ def summary(run: Run, turning: bool) -> dict[str, Any]:
         "failure_time": run.failure_time,
         "contacts": contacts,
         "units": features.UNITS
+        | (RESOLVED_UNITS if run.extremes else {})
         | {page.BETWEEN: "1", "share_of_time": "1", "failure_time": "s", "wall_s": "s", "compile_s": "s"},
         **({"accuracy": _accuracy_json(run.accuracy)} if run.accuracy else {}),
         "solver": {key: stats[key] for key in ("accepted", "rejected", "tolerance")},
@@ -287,7 +306,8 @@ def write(folder: Path, given: SceneFile, run: Run, stem: str) -> Written:
     answer = page.verdict(run, content)
     said = f"{answer.word}. {answer.sentence} {choice_sentence(run)}".strip() if run.status == "ok" else verdict(run)
     accuracy = "".join(f"{line}\n" for line in accuracy_sentences(run))
-    digits = [f"{page.note(content['contacts'])}All digits: summary.json."] if run.force else []
+    peaks = "Peaks are those of the solver's steps. " if run.extremes else ""
+    digits = [f"{page.note(content['contacts'])}{peaks}All digits: summary.json."] if run.force else []
     text = "\n\n".join([said, *map(report.text, tables), *digits])
     return Written(f"{text}\n" + (f"\n{accuracy}" if accuracy else ""), warnings, content)
 

@@ -19,7 +19,8 @@ from jax import Array
 
 from bcfj_jax.analysis.derivatives.jacobian import Histories, level
 from bcfj_jax.analysis.derivatives.measures import measure
-from bcfj_jax.analysis.derivatives.names import complete
+from bcfj_jax.analysis.derivatives.names import complete, members
+from bcfj_jax.analysis.simulation.results import resolved
 from bcfj_jax.analysis.studies.batch import Batch, has_history, run
 from bcfj_jax.analysis.studies.specification import Study
 from bcfj_jax.core.errors import InputError
@@ -177,7 +178,7 @@ def compute(study: Study, at: np.ndarray, size: int) -> Table:
 def _run(study: Study, values: np.ndarray, last: np.ndarray, grid: np.ndarray, size: int, safety: float) -> Batch:
     given = study.given
     scene: Any = given.scene
-    if study.derivatives or given.solver is not None or scene.traits.open:
+    if study.derivatives or given.solver is not None or given.resolved_peaks or scene.traits.open:
         return _one_by_one(study, values, last, grid, safety)
     how = Plan(safety * plan(scene, given.accuracy).tolerance, given.max_steps)
     return run(scene, study.params(values), last, grid, study.features, how, size, study.histories)
@@ -200,7 +201,11 @@ def _one_by_one(study: Study, values: np.ndarray, last: np.ndarray, grid: np.nda
             why = reason(found.code, given.max_steps)
         else:
             accuracy = LEVELS[given.accuracy] if isinstance(given.accuracy, str) else given.accuracy
-            budget: dict[str, Any] = {"max_steps": given.max_steps, "solver": given.solver}
+            budget: dict[str, Any] = {
+                "max_steps": given.max_steps,
+                "solver": given.solver,
+                "resolved_peaks": given.resolved_peaks,
+            }
             single = simulate(scene, one, times, accuracy=max(1e-9, accuracy * safety), **budget)
             histories = ((single.force, 1), (single.penetration, 0), (single.rate, 0))
             read = [np.stack(list(outputs.channels(x, axes).values()), 1) for x, axes in histories]
@@ -208,6 +213,11 @@ def _one_by_one(study: Study, values: np.ndarray, last: np.ndarray, grid: np.nda
             why, stop = single.reason, single.failure_time
             steps = int(single.stats["accepted"] + single.stats["rejected"])
         numbers, by = measure(times, value, slopes, study.features, contacts, scene.traits.turning)
+        if given.resolved_peaks and not study.derivatives:
+            peaks = {name: x["peak"] for name, x in resolved(single).items()}
+            of_peak = {k: f for k, f in enumerate(study.features) if f.kind == "peak" and peaks}
+            for k, f in of_peak.items():
+                numbers[k] = max(peaks[name] for name in members(f.contacts[0], contacts))
         row = np.concatenate([numbers, by.ravel()])
         rows.append((np.full_like(row, np.nan) if why else row, why, stop, steps, value.force))
     features, whys, stop, steps, force = zip(*rows, strict=True)

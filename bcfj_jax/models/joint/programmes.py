@@ -25,6 +25,8 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from bcfj_jax.core.errors import InputError, nearest, quoted
+from bcfj_jax.core.quantities import CATALOGUE
+from bcfj_jax.core.upward import upward
 from bcfj_jax.mechanism.bodies import Drive
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.mechanism.programmes import SHAPES, Programme, Table, checked_table
@@ -164,6 +166,8 @@ def made(
         if profile == "table":
             if tables[name] is None:
                 raise InputError(f"{where} {key}", "is missing", "give [[times], [values]], or the name of a CSV file")
+            if isinstance(tables[name], str):
+                tables[name] = upward("programme")(tables[name], CATALOGUE[scaled[name]].unit, f"{where} {key}")
             tables[name], greatest[scaled[name]] = _shares(checked_table(f"{where} {key}", tables[name]))
     swings = [fluctuating] if isinstance(fluctuating, str) else list(fluctuating or ())
     for name in swings:
