@@ -3,7 +3,7 @@
 The friction force on the moving body is -N mobility(v.v) v, with N the normal force and v the slip
 velocity in the contact plane [m/s]. A law is thus a smooth function of v.v: the direction v/|v|, which has no
 derivative at rest, is never formed. These laws creep under load at rest; ``LuGre`` alone sticks, for the price of
-a state.
+a state. ``Memory`` has a state, too: the slip speed of late, by which its coefficient falls from mu_s to mu_d.
 
 To add a law: a subclass of ``AbstractFriction`` that gives ``needs`` and ``mobility``; and a line in ``FRICTION``.
 """
@@ -40,7 +40,9 @@ def _tanhc(square: Array) -> Array:
 class AbstractFriction(Part):
     """Friction coefficient mu(|v|) >= 0 of one contact, as a mobility smooth in v.v.
 
-    ``bristles`` says whether the law carries a state; it then has the methods of ``LuGre``, and ``bond`` is its own.
+    ``bristles`` says whether the law carries a deflection of each face, a vector [m] that bears load, so that a contact
+    sticks; it then has its own ``bond``. ``lags`` says whether it carries the slip speed of late of each face, a number
+    [m/s]; it then has ``lag``. Of either, ``reach`` is the size.
     """
 
     example: ClassVar[str] = """
@@ -52,6 +54,9 @@ class Plain(bj.laws.AbstractFriction):
 
     needs: ClassVar[tuple[str, ...]]
     bristles: ClassVar[bool] = False
+    lags: ClassVar[bool] = False
+    # Errors of a sliding velocity are measured in ``friction_speed`` times this: where the coefficient passes from mu_s to mu_d.
+    span: ClassVar[float] = 1.0
 
     @abstractmethod
     def mobility(self, speed_squared: Array, c: Coefficients) -> Array:
@@ -68,6 +73,14 @@ class Plain(bj.laws.AbstractFriction):
         """What a bristle would do: nothing; the traction is v times the last, the mobility. See ``LuGre.bond``."""
         mobility = self.mobility(speed_squared, c)
         return jnp.zeros_like(mobility), jnp.zeros_like(mobility), mobility
+
+    def lag(self, speed_squared: Array, late: Array, c: Coefficients) -> tuple[Array, Array]:
+        """What a memory would do: nothing; the traction is v times the last, the mobility. See ``Memory.lag``."""
+        return jnp.zeros_like(late), self.mobility(speed_squared, c)
+
+    def reach(self, c: Coefficients) -> Array:
+        """Size of the state, in which its errors are measured."""
+        raise NotImplementedError(f"{type(self).__name__} has no state")
 
     def coefficient(self, speed: Array, c: Coefficients) -> Array:
         """mu(|v|) [-] of a signed speed [m/s], odd in it: the force is -N times this."""
@@ -137,6 +150,56 @@ class BrownMcPhee(AbstractFriction):
         return (4.0 * dynamic * _tanhc(16.0 * square) + (static - dynamic) * bump * bump) / speed
 
 
+class Memory(AbstractFriction):
+    """Stribeck friction that lags behind the slip: frictional memory.
+
+    The coefficient falls from mu_s to mu_d with the slip speed of late, w, and not with that of the instant:
+
+        traction = C(w) tanh(4 |v|/v_t) v/|v|,    C(w) = mu_d + (mu_s - mu_d)/(1 + (w/3 v_t)^4),    w' = (|v| - w)/tau
+
+    At steady slip mu(v) = C(v) tanh(4 v/v_t): mu_s to 2 % at 0.9 v_t, half-way to mu_d at 3 v_t, mu_d to 4 % at 9 v_t. A
+    sudden change of slip never meets a falling coefficient, so that a light and stiff body does not chatter; beyond tau
+    the falling curve is back, and with it slow stick-slip. Hess and Soom (1990) measured such a lag, 3 to 9 ms, in a
+    lubricated line contact; the law of seven parameters (Armstrong-Helouvry et al. 1994) has it as a pure delay. It
+    dissipates at every state. The state goes on across a gap.
+    |v| here is sqrt(v.v + e^2) - e, e = v_t/10, whose derivative exists at rest; at steady slip that e is out again.
+    Coefficients: ``friction_static`` mu_s, ``friction_dynamic`` mu_d, ``friction_speed`` v_t [m/s],
+    ``friction_memory`` tau [s].
+    """
+
+    needs: ClassVar[tuple[str, ...]] = ("friction_static", "friction_dynamic", "friction_speed", "friction_memory")
+    lags: ClassVar[bool] = True
+    span: ClassVar[float] = 3.0
+
+    @staticmethod
+    def _level(square: Array, c: Coefficients) -> Array:
+        """C of (w/v_t)^2."""
+        return c["friction_dynamic"] + (c["friction_static"] - c["friction_dynamic"]) / (1.0 + square * square / 81.0)
+
+    @staticmethod
+    def _direction(speed_squared: Array, c: Coefficients) -> Array:
+        """tanh(4 |v|/v_t)/|v| [s/m]."""
+        speed = c["friction_speed"]
+        return 4.0 / speed * _tanhc(16.0 * speed_squared / speed**2)
+
+    def lag(self, speed_squared: Array, late: Array, c: Coefficients) -> tuple[Array, Array]:
+        """w' [m/s^2] and the mobility [s/m] at v.v [m^2/s^2] and w [m/s]."""
+        speed = c["friction_speed"]
+        edge = 0.1 * speed
+        rate = (jnp.sqrt(speed_squared + edge**2) - edge - late) / c["friction_memory"]
+        # w = sqrt(v.v + e^2) - e at steady slip, so this is v.v there.
+        square = late * (late + 2.0 * edge) / speed**2
+        return rate, self._level(square, c) * self._direction(speed_squared, c)
+
+    def reach(self, c: Coefficients) -> Array:
+        """v_t."""
+        return c["friction_speed"]
+
+    def mobility(self, speed_squared: Array, c: Coefficients) -> Array:
+        """Steady slip, w = |v|."""
+        return self._level(speed_squared / c["friction_speed"] ** 2, c) * self._direction(speed_squared, c)
+
+
 class LuGre(AbstractFriction):
     """Bristles that bend, creep and slide (Canudas de Wit et al. 1995), normalised by the load (physics sheet 2).
 
@@ -172,6 +235,10 @@ class LuGre(AbstractFriction):
         stick = c["bristle_stiffness"] - c["bristle_damping"] * forget
         return forget, stick, jnp.broadcast_to(c["bristle_damping"], forget.shape)
 
+    def reach(self, c: Coefficients) -> Array:
+        """mu_s/sigma0: the deflection at break-away."""
+        return c["friction_static"] / c["bristle_stiffness"]
+
     def mobility(self, speed_squared: Array, c: Coefficients) -> Array:
         """Steady slip without the state: mu(v)/sqrt(v.v + v_min^2), v_min = 1e-3 v_s.
 
@@ -185,6 +252,7 @@ FRICTION: dict[str, AbstractFriction] = {
     "coulomb": Coulomb(),
     "step": Step(),
     "brown_mcphee": BrownMcPhee(),
+    "memory": Memory(),
     "lugre": LuGre(),
 }
 

@@ -11,7 +11,8 @@ has its force by their part in the contact plane,  b = z - n (n . z),  and they 
     f = -N n - N (s b + m u)        z' = W x z + (1 - o) (u - k z) - o z/tau
 
 W is a's angular velocity, so that a bristle turns with a. o rises from 0 to 1 over a gap of 1 um beyond the regularisation and
-tau is 1e-5 s, so that nothing is remembered from one touch to the next.
+tau is 1e-5 s, so that nothing is remembered from one touch to the next. Friction that lags (``friction.Memory``) has its mobility
+by the slip speed of late besides, a number that each face keeps.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ class ContactForce(NamedTuple):
         normal: normal force [N] >= 0.
         rate, slip_squared: of the penetration [m/s], and the sliding speed squared [m^2/s^2].
         slide: sliding velocity of b on a [m/s], world.
-        bending: z' [m/s], world; None without bristles.
+        bending: rate of the friction's state: of bristles z' [m/s], world; of friction that lags (w',) [m/s^2]; else None.
     """
 
     force: Vector
@@ -47,7 +48,7 @@ class ContactForce(NamedTuple):
     normal: Number
     rate: Number
     slide: Vector
-    bending: Vector | None = None
+    bending: Vector | tuple[Number] | None = None
 
     @property
     def slip_squared(self) -> Number:
@@ -63,6 +64,7 @@ def press(
     velocity: Vector,
     bristle: Vector | None = None,
     spin: Vector = ZERO,
+    late: Number | None = None,
 ) -> ContactForce:
     """Force of one face (module docstring).
 
@@ -73,6 +75,7 @@ def press(
         velocity: of b less that of a at the point of contact [m/s], world.
         bristle: deflection z [m], world; without it every friction law acts by its steady slip.
         spin: angular velocity of a [rad/s], world; read with bristles only.
+        late: slip speed of late [m/s], of friction that lags.
     """
     rate = dot(face.normal, velocity)
     normal = times(face.gate, regularised_force(law, face.depth, jnp.asarray(rate), c, c.get("smoothing")))
@@ -81,6 +84,10 @@ def press(
     if friction is None:
         return ContactForce(push, ZERO, normal, rate, slide)
     squared = jnp.asarray(dot(slide, slide))
+    if late is not None:
+        learnt, mobility = friction.lag(squared, jnp.asarray(late), c)
+        drag = scale(-times(normal, mobility), slide)
+        return ContactForce(add(push, drag), drag, normal, rate, slide, (learnt,))
     if bristle is None:
         drag = scale(-times(normal, friction.mobility(squared, c)), slide)
         return ContactForce(add(push, drag), drag, normal, rate, slide)

@@ -87,6 +87,7 @@ CATALOGUE: dict[str, Quantity] = {
         Quantity("friction_static", "1", "friction coefficient mu_s at break-away", 0.0, 2.0, open_low=True),
         _not_negative("friction_dynamic", "1", "friction coefficient mu_d of fast sliding"),
         _positive("friction_speed", "m/s", "transition speed of friction: v_t, or v_s of the static peak"),
+        _positive("friction_memory", "s", "time tau by which the friction coefficient lags behind the slip"),
         _positive("bristle_stiffness", "1/m", "sigma0 of LuGre: tangential stiffness over normal force"),
         _not_negative("bristle_damping", "s/m", "sigma1 of LuGre: bristle damping over normal force"),
         # sizes of the gaps
@@ -154,7 +155,7 @@ CATALOGUE: dict[str, Quantity] = {
 
 # The first must not be more than the second, in every contact that reads both, and why.
 _ORDERED = (
-    ("friction_dynamic", "friction_static", "sliding does not hold more than sticking"),
+    ("friction_dynamic", "friction_static", "sliding does not hold more than break-away"),
     ("bottoming_width", "bottoming_penetration", "the backing does not push before the layer is touched"),
 )
 # Their names.

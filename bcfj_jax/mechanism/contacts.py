@@ -1,8 +1,8 @@
 """A contact of a mechanism: between which bodies, where on them, by which gap, law and friction; and what it remembers.
 
 A contact has a state for three reasons, kept in one way (``Contact.memory``): a law stated by restitution remembers the
-approach speed of the impact (one number a face), a law with states keeps those (``contact.normal``), and friction with
-bristles their deflection (three numbers a face, world axes).
+approach speed of the impact (one number a face), a law with states keeps those (``contact.normal``), and friction its own:
+bristles their deflection (three numbers a face, world axes), friction that lags the slip speed of late (one).
 """
 
 from __future__ import annotations
@@ -34,8 +34,9 @@ from bcfj_jax.mechanism.sizes import ORIGIN, Params, Place, Size
 SLOWEST = 1e-3
 # Gap within which the approach speed is settled [m].
 _NEAR = 1e-7
-# What bristles remember.
+# What bristles remember, and friction that lags.
 _BRISTLE = ("bristle_x", "bristle_y", "bristle_z")
+_LATE = ("late_slip",)
 
 
 class Approach(eqx.Module):
@@ -125,10 +126,15 @@ class Contact(eqx.Module):
         return self.friction is not None and self.friction.bristles
 
     @property
+    def lags(self) -> bool:
+        """Whether its friction lags behind the slip."""
+        return self.friction is not None and self.friction.lags
+
+    @property
     def memory(self) -> tuple[str, ...]:
-        """Names of the numbers that each face remembers: approach speed, states of the law, deflection of bristles."""
+        """Names of the numbers that each face remembers: approach speed, states of the law, state of the friction."""
         approach = ("approach_speed",) if self.remembers else ()
-        return (*approach, *self.law.states, *(_BRISTLE if self.bristles else ()))
+        return (*approach, *self.law.states, *(_BRISTLE if self.bristles else _LATE if self.lags else ()))
 
     def first(self, face: Face, touch: ContactForce, p: Params) -> list[Number]:
         """What a face remembers at time 0."""
@@ -161,7 +167,8 @@ class Contact(eqx.Module):
 
     def sizes(self, speed: Array, depth: Array, values: Mapping[str, Array]) -> list[Number]:
         """What errors of its memory are measured in, at the speed [m/s] and penetration [m] that are to be expected."""
-        bend = [values["friction_static"] / values["bristle_stiffness"]] * 3 if self.bristles else []
+        count = 3 if self.bristles else 1 if self.lags else 0
+        bend = [self.friction.reach(values)] * count if self.friction is not None and count else []
         return [*([speed] if self.remembers else []), *self.law.sizes(depth, values), *bend]
 
     @property

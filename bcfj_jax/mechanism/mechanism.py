@@ -351,7 +351,9 @@ class Mechanism(AbstractModel):
             c_values = coefficients | dict(zip(c.memory, own, strict=True))
             bristle = (own[-3], own[-2], own[-1]) if c.bristles else None
             try:
-                touch = press(c.law, c.friction, c_values, face, velocity, bristle, first.spin)
+                touch = press(
+                    c.law, c.friction, c_values, face, velocity, bristle, first.spin, own[-1] if c.lags else None
+                )
             except Exception as error:
                 raise raised(f"contact '{c.name}' law {type(c.law).__name__}", error) from error
             found.append((face, touch))

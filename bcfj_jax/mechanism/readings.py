@@ -1,4 +1,4 @@
-"""What a contact is doing, from what an instrument reads of it: apart, touching, sticking or sliding. On the host."""
+"""What a contact is doing, from what an instrument reads of it: apart, touching, creeping, sliding or stuck."""
 
 from __future__ import annotations
 
@@ -8,27 +8,36 @@ import numpy as np
 
 from bcfj_jax.mechanism.model import AbstractModel, Params, Reading
 
-APART, TOUCHING, STICKING, SLIDING = range(4)
-STATES = ("apart", "touching", "sticking", "sliding")
+APART, TOUCHING, CREEPING, SLIDING, STUCK = range(5)
+STATES = ("apart", "touching", "creeping", "sliding", "stuck")
 UNKNOWN = -1
+# A bristle that bears less than this share of the friction of steady slip bends more than it slides.
+_HELD = 0.9
 
 
-def contact_state(normal: np.ndarray, slip: np.ndarray | None = None, transition: float | None = None) -> np.ndarray:
+def contact_state(
+    normal: np.ndarray,
+    slip: np.ndarray | None = None,
+    transition: float | None = None,
+    held: np.ndarray | None = None,
+) -> np.ndarray:
     """What a contact is doing, as codes that count ``STATES``, of the shape of its normal force; ``UNKNOWN`` where NaN.
 
     Apart: no normal force, because damping lets go in a rebound or for a gap; the regularisation bears a little across
-    a gap, which the caller takes out. Touching: a force, without friction. With friction: sticking
-    where it slides slower than friction's transition speed (these laws creep under load, so nothing ever stands),
-    sliding from there on.
+    a gap, which the caller takes out. Touching: a force, without friction. With friction: creeping
+    where it slides slower than friction's transition speed (energy is dissipated, however slow it is), sliding from
+    there on. Stuck: slower than that, and held by bristles.
 
     Args:
         normal: normal force [N] of either sign.
         slip, transition: sliding speed and friction's transition speed [m/s]; none without friction.
+        held: whether bristles bear the load; none for a law without.
     """
     state = np.where(normal == 0.0, APART, TOUCHING)
     unknown = np.isnan(normal)
     if slip is not None and transition is not None:
-        state = np.where(state == APART, APART, np.where(slip < transition, STICKING, SLIDING))
+        slow = CREEPING if held is None else np.where(held, STUCK, CREEPING)
+        state = np.where(state == APART, APART, np.where(slip < transition, slow, SLIDING))
         unknown = unknown | np.isnan(slip)
     return np.where(unknown, UNKNOWN, state).astype(np.int8)
 
@@ -49,5 +58,12 @@ def contact_states(model: AbstractModel, params: Params, readings: Mapping[str, 
         rubs = friction is not None and "friction_speed" in friction.needs
         transition = float(model.coefficient(params, contact.name, "friction_speed")) if rubs else None
         slip = None if reading.slip is None else np.asarray(reading.slip)
-        found[contact.name] = contact_state(pressed(reading), slip, transition)
+        held = None
+        if friction is not None and friction.bristles and slip is not None:
+            c = {name: model.coefficient(params, contact.name, name) for name in friction.needs}
+            force = np.asarray(reading.force)
+            sliding = np.asarray(friction.coefficient(slip, c)) * np.abs(force[..., 0])
+            # At rest the coefficient of steady slip is rounded to 0; bristles hold there.
+            held = (slip == 0.0) | (np.hypot(force[..., 1], force[..., 2]) < _HELD * sliding)
+        found[contact.name] = contact_state(pressed(reading), slip, transition, held)
     return found

@@ -2,7 +2,7 @@
 
 Numbers: Kharaz, Gorham and Salman, Powder Technology 120 (2001) 281 (physics sheet, B16): a 5 mm sphere of aluminium oxide
 (4000 kg/m^3, 380 GPa, 0.23) on soda-lime glass (70 GPa, 0.25) at 3.9 m/s; normal restitution 0.98, friction 0.092.
-Stiffness is Hertz's. Where friction passes from sticking to sliding is a GUESS, 0.01 m/s. LuGre's bristles have the
+Stiffness is Hertz's. Where friction passes from creeping to sliding is a GUESS, 0.01 m/s. LuGre's bristles have the
 stiffness of Mindlin's contact under half the peak force at 30 degrees, and no damping.
 """
 

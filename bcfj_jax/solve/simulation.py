@@ -49,7 +49,7 @@ class Run(NamedTuple):
         reason, failure_time: why and when [s] it failed; "" and NaN for a good run.
         stats: steps accepted and rejected, tolerance, wall and compile seconds.
         state: per contact (T,): codes of ``readings.contact_state`` that count ``readings.STATES`` (apart, touching,
-            sticking, sliding), -1 where the run failed; empty for a run that ``simulate`` did not make.
+            creeping, sliding, stuck), -1 where the run failed; empty for a run that ``simulate`` did not make.
         trajectory: (T, n) the flat states themselves, as the model reads them; None likewise.
         choice: the level at which an ``open`` model was run, and why; None for every other model.
         accuracy: the error that was measured, where ``measure_error`` asked for it; None without.

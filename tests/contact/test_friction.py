@@ -187,6 +187,35 @@ def test_slope_of_the_mobility_is_its_difference_quotient(name):
     assert np.allclose(quotient, slope(middle, C), rtol=1e-3, atol=1e-3 * np.abs(quotient * middle).max() / middle)
 
 
+# --- memory
+
+
+def test_memory_settles_on_its_steady_curve_and_lags_by_tau():
+    """At constant slip w approaches |v| as exp(-t/tau), and mu the steady curve; by hand mu(v_t) and mu(9 v_t)."""
+    law = FRICTION["memory"]
+    for speed in (1e-4, 0.03, 0.1, 0.4, 3.0):
+        edge = 0.01
+        settled = np.hypot(speed, edge) - edge
+        rate, mobility = law.lag(jnp.asarray(speed**2), jnp.asarray(settled), C)
+        assert abs(float(rate)) < 1e-12 * speed / C["friction_memory"]
+        assert float(mobility) == within(float(law.mobility(jnp.asarray(speed**2), C)), 1e-9)
+        behind = law.lag(jnp.asarray(speed**2), jnp.asarray(settled + 1e-3), C)[0]
+        assert float(behind) == pytest.approx(-1e-3 / C["friction_memory"], rel=1e-9)
+    assert law.coefficient(0.1, C) == within((0.03 + 0.09 / (1.0 + 1.0 / 81.0)) * np.tanh(4.0), 1e-14)
+    assert law.coefficient(0.9, C) == within(0.03 + 0.09 / 82.0, 1e-12)
+    peak = np.asarray(law.coefficient(np.linspace(0.0, 1.0, 2001), C)).max()
+    assert 0.98 * 0.12 < peak < 0.12
+
+
+def test_memory_answers_a_sudden_slip_with_no_falling_coefficient():
+    """The instant's slope d(mu |u|/|u|)/du >= 0 at every slip of late, where the steady curve falls."""
+    law = FRICTION["memory"]
+    u, w = np.meshgrid(np.linspace(0.0, 2.0, 401), np.linspace(0.0, 2.0, 41))
+    drag = np.asarray(law.lag(u * u, w, C)[1]) * u
+    assert np.all(np.diff(drag, axis=1) >= -1e-12) and np.all(drag <= 0.12 + 1e-12)
+    assert np.any(np.diff(np.asarray(law.coefficient(u[0], C))) < -1e-4)
+
+
 # --- names
 
 
@@ -195,7 +224,7 @@ def test_laws_by_name():
     assert laws.make_friction(True) is laws.make_friction("brown_mcphee") is laws.FRICTION["brown_mcphee"]
     for name, law in laws.FRICTION.items():
         assert laws.make_friction(name) is law and isinstance(law, laws.AbstractFriction)
-        assert law.bristles == (name == "lugre")
+        assert law.bristles == (name == "lugre") and law.lags == (name == "memory")
         assert set(law.needs) <= set(CATALOGUE)
         assert all(CATALOGUE[coefficient].valid(C[coefficient]) for coefficient in law.needs)
 
@@ -205,7 +234,7 @@ def test_laws_by_name():
     [
         ("brown-mcphee", "friction: no friction law 'brown-mcphee'; did you mean 'brown_mcphee'"),
         ("lugr", "did you mean 'lugre'"),
-        ("qq", "known here: brown_mcphee, coulomb, lugre, step"),
+        ("qq", "known here: brown_mcphee, coulomb, lugre, memory, step"),
     ],
 )
 def test_unknown_names_are_answered_with_the_nearest(name, remedy):

@@ -20,7 +20,7 @@ from bcfj_jax.io.opening import LARGEST_TEXT, content
 from bcfj_jax.io.outputs import COMPONENTS
 from bcfj_jax.io.page import Page, Picture, Table
 from bcfj_jax.io.scenefile import SceneFile, load
-from bcfj_jax.mechanism.readings import STATES, UNKNOWN
+from bcfj_jax.mechanism.readings import CREEPING, STATES, UNKNOWN
 from bcfj_jax.solve.simulation import Run
 
 NEEDED = ("forces.csv", "contacts.csv", "summary.json", "run.toml")
@@ -112,7 +112,8 @@ def read(folder: Path, given: SceneFile, known: dict[str, Any]) -> Run:
 
 
 def _codes(words: list[str]) -> np.ndarray:
-    number = {word: code for code, word in enumerate(STATES)}
+    # "sticking" is what older runs' files say of creeping.
+    number = {word: code for code, word in enumerate(STATES)} | {"sticking": CREEPING}
     return np.array([number.get(word, UNKNOWN) for word in words], dtype=np.int8)
 
 

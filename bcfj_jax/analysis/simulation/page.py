@@ -156,10 +156,13 @@ def _cell(values: list[Any], unit: str) -> str:
 
 
 def _shares(groups: Sequence[tuple[str, list[Mapping[str, Any]]]]) -> Rows:
-    rows = [["contact", *STATES]]
+    spent = [one.get("share_of_time", {}) for _, group in groups for one in group]
+    # Few laws stick: a column of zeros says nothing.
+    words = [word for word in STATES if word != "stuck" or any(s.get(word) for s in spent)]
+    rows = [["contact", *words]]
     for name, group in groups:
         shares = [one.get("share_of_time", {}) for one in group]
-        cells = [span([100.0 * s[word] for s in shares if s.get(word) is not None]) for word in STATES]
+        cells = [span([100.0 * s[word] for s in shares if s.get(word) is not None]) for word in words]
         rows.append([name, *(cell if cell == "-" else f"{cell} %" for cell in cells)])
     return rows
 

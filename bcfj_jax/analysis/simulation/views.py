@@ -22,7 +22,9 @@ from bcfj_jax.mechanism.readings import STATES
 from bcfj_jax.solve.simulation import Run
 
 # Shades of ``STATES``: they differ in lightness, too.
-_SHADES = ("#ffffff", "#e3c36a", "#4f9bc9", "#7d2c00")
+_SHADES = ("#ffffff", "#e3c36a", "#4f9bc9", "#7d2c00", "#bfe3d0")
+# ``STATES`` by how much they are to be seen, where a column shows one of several: sliding before creeping before stuck.
+_RANKED = np.array([0, 1, 4, 2, 3])
 _COLUMNS, _RANGE = 1200, 1e-4
 
 
@@ -174,7 +176,7 @@ def orbits(run: Run, found: Mapping[str, Orbit], path: Path, turning: Turning | 
 
 
 def states(run: Run, path: Path, turning: Turning | None) -> Picture:
-    """Apart, touching, sticking or sliding, a row a contact and member, against time; the last turn where one turns."""
+    """Apart, touching, stuck, creeping or sliding, a row a contact and member, against time; the last turn where one turns."""
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Patch
 
@@ -182,10 +184,11 @@ def states(run: Run, path: Path, turning: Turning | None) -> Picture:
     part = last_turn(run, turning) if turning else np.ones(len(run.times), bool)
     codes = np.stack([state[part] for state in rows.values()])
     times = run.times[part]
-    # A picture has fewer columns than a run has samples: the highest code of each column, so that no contact is lost.
+    # A picture has fewer columns than a run has samples: the most telling state of each, so that no contact is lost.
     each = -(-codes.shape[1] // _COLUMNS)
     padded = np.pad(codes, ((0, 0), (0, -codes.shape[1] % each)), mode="edge")
-    shown = padded.reshape(len(rows), -1, each).max(axis=2)
+    ranks = np.where(padded >= 0, np.argsort(_RANKED)[padded], -1).reshape(len(rows), -1, each).max(axis=2)
+    shown = np.where(ranks >= 0, _RANKED[ranks], -1)
     scale, prefix = engineering(times)
     kinds = sorted({int(code) for code in np.unique(codes) if code >= 0})
     with style():
@@ -198,7 +201,7 @@ def states(run: Run, path: Path, turning: Turning | None) -> Picture:
             extent=ends,
             cmap=ListedColormap(_SHADES),
             vmin=-0.5,
-            vmax=3.5,
+            vmax=len(STATES) - 0.5,
             interpolation="nearest",
         )
         axis.set_yticks(range(len(rows)), list(rows), fontsize=7)
@@ -207,7 +210,7 @@ def states(run: Run, path: Path, turning: Turning | None) -> Picture:
         patches = [
             Patch(facecolor=_SHADES[code], edgecolor="#4a4a4a", linewidth=0.5, label=STATES[code]) for code in kinds
         ]
-        axis.legend(handles=patches, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, fontsize=8, borderpad=0.2)
+        axis.legend(handles=patches, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=5, fontsize=8, borderpad=0.2)
         save(drawing, path)
     said = []
     for name, state in run.state.items():

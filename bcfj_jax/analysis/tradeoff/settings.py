@@ -32,7 +32,7 @@ _FACTORS = {"smoothing": (0.25, 0.5, 2.0, 4.0), "friction_speed": (1 / 3, 2.0, 3
 _THINNED = (4, 16)
 _PHYSICS = {
     "smoothing": "the contact regularisation is {:.2g} times as wide: contacts begin {}",
-    "friction_speed": "friction's transition speed is {:.2g} times the given: what sticks creeps {}",
+    "friction_speed": "friction's transition speed is {:.2g} times the given: what bears load creeps {}",
     "output": "a sample of every {} is kept, straight lines between: peaks between samples are cut",
 }
 

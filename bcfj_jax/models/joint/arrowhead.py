@@ -169,8 +169,8 @@ class Arrowhead(AbstractStructure):
         rate = right[(3 + k) * n + b : (3 + k) * n + 2 * b]
         if d.bristles is not None:
             last = None if heading is None else -1
-            bent = right[(3 + k) * n + 2 * b : last].reshape(-1, 3)
-            own = jnp.einsum("fij,fj->fi", d.bristles.inverse, bent).ravel()
+            kept = right[(3 + k) * n + 2 * b : last].reshape(-1, d.bristles.inverse.shape[-1])
+            own = jnp.einsum("fij,fj->fi", d.bristles.inverse, kept).ravel()
             lifted = d.bristles.lift @ own
             twist = twist + factors.ball_inverse_mass * lifted[: n * k].reshape(n, k)
             rate = rate + factors.coupling_inverse_mass * lifted[n * k :]

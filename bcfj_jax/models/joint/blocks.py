@@ -17,6 +17,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from bcfj_jax.core.small import block_diagonal
@@ -135,28 +136,35 @@ def _alone(scene: Joint, c: Constants, state: system.State, scale: Any) -> tuple
     return place, rate, rows
 
 
-def _rows(c: Constants, relative_motions: system.RelativeMotions, freed: Freed, body: int) -> tuple[Array, ...]:
-    """A ball contact's bristles: their inverses, the balls' and the coupling's forces by them, they by all states.
+def _rows(c: Constants, relative_motions: system.RelativeMotions, freed: Freed, bodies: Any) -> tuple[Array, ...]:
+    """States of ball contacts' friction: their inverses, the balls' and the coupling's forces by them, they by all states.
 
-    (n, f, 3, 3); (n, k, 3 f), (n, b, 3 f); (n, 3 f, 3 | k | b | b) by ball place and twist, coupling place and rate.
+    With m the bodies and w numbers a face, their product with the faces F:
+    (n, m f, w, w); (n, k, F), (n, b, F); (n, F, 3 | k | b | b) by ball place and twist, coupling place and rate.
     """
-    arm, velocity = relative_motions.motion.arm[:, body, None], relative_motions.motion.velocity[:, body, None]
+    motion = relative_motions.motion
+    arm, velocity, maps = motion.arm[:, bodies, None], motion.velocity[:, bodies, None], c.body_maps[bodies]
+    n, m = freed.place.shape[:2]
     by_place, by_twist, turn, spin = (
-        x.reshape(x.shape[0], -1, x.shape[-1]) for x in (freed.place, freed.twist, freed.turn, freed.spin)
+        x.reshape(n, m, -1, x.shape[-1]) for x in (freed.place, freed.twist, freed.turn, freed.spin)
     )
-    at_ball = by_place - jnp.cross(by_twist[..., :3], relative_motions.spins[body])
+    at_ball = by_place - jnp.cross(by_twist[..., :3], relative_motions.spins[bodies][:, None])
     turned = jnp.cross(by_place, arm) + jnp.cross(by_twist[..., :3], velocity) + turn
     swung = jnp.cross(by_twist[..., :3], arm) + spin
-    if relative_motions.motion.spin is not None:
-        turned = turned + jnp.cross(by_twist[..., 3:], relative_motions.motion.spin[:, body, None])
+    if motion.spin is not None:
+        turned = turned + jnp.cross(by_twist[..., 3:], motion.spin[:, bodies, None])
         swung = swung - by_twist[..., 3:]
-    place = jnp.concatenate([-at_ball, turned], -1) @ c.body_maps[body]
-    rate = jnp.concatenate([-by_twist[..., :3], swung], -1) @ c.body_maps[body]
-    pull = jnp.swapaxes(freed.pull, 1, 2).reshape(at_ball.shape[0], -1, at_ball.shape[1])
-    felt = (
-        -jnp.swapaxes(c.body_maps[body], 0, 1) @ _felt(relative_motions.motion.arm[:, body, None], pull[:, None])[:, 0]
+    own = jnp.stack([jnp.concatenate([-at_ball, turned], -1), jnp.concatenate([-by_twist[..., :3], swung], -1)])
+    place, rate = jnp.einsum("snmfi,mib->snmfb", own, maps)
+    pull = jnp.moveaxis(freed.pull, -2, 1)
+    felt = -jnp.einsum(
+        "mib,nmij->nbmj",
+        maps,
+        _felt(motion.arm[:, bodies], jnp.moveaxis(freed.pull, -2, 2).reshape(n, m, pull.shape[1], -1)),
     )
-    return freed.inverse, pull, felt, at_ball, by_twist, place, rate
+    merged = (x.reshape(n, -1, x.shape[-1]) for x in (at_ball, by_twist, place, rate))
+    inverse = freed.inverse.reshape(n, -1, *freed.inverse.shape[-2:])
+    return inverse, pull.reshape(n, pull.shape[1], -1), felt.reshape(n, felt.shape[1], -1), *merged
 
 
 def _bristled(scene: Joint, balls: list[tuple], pilots: list[tuple]) -> Bristled:
@@ -168,14 +176,15 @@ def _bristled(scene: Joint, balls: list[tuple], pilots: list[tuple]) -> Bristled
         parts = [jnp.concatenate(x, axis) for x, axis in zip(zip(*balls, strict=True), axes, strict=True)]
         inverse, pull, felt, place, twist, at, rate = parts
         size = n * place.shape[1]
-        inverses.append(inverse.reshape(-1, 3, 3))
+        inverses.append(inverse.reshape(-1, scene.width, scene.width))
         lifts.append(jnp.concatenate([block_diagonal(pull), jnp.swapaxes(felt, 0, 1).reshape(b, size)]))
         coupling = (at.reshape(size, b), block_diagonal(twist), rate.reshape(size, b))
         backs.append(jnp.concatenate([block_diagonal(place), *coupling], 1))
     for inverse, pull, at, rate in pilots:
         inverses.append(inverse)
-        lifts.append(jnp.concatenate([jnp.zeros((n * k, 3)), pull]))
-        backs.append(jnp.concatenate([jnp.zeros((3, 3 * n)), at, jnp.zeros((3, n * k)), rate], 1))
+        lifts.append(jnp.concatenate([jnp.zeros((n * k, pull.shape[-1])), pull]))
+        wide = len(at)
+        backs.append(jnp.concatenate([jnp.zeros((wide, 3 * n)), at, jnp.zeros((wide, n * k)), rate], 1))
     return Bristled(jnp.concatenate(inverses), jnp.concatenate(lifts, 1), jnp.concatenate(backs))
 
 
@@ -189,9 +198,12 @@ def _freed(
         if one.bond is not None:
             freed = free(one.bond, relative_motions.spins[first : first + count], scale)
             one, turn, spin = effective(one, freed)
-            for i, name in enumerate(BALLS[first : first + count]):
-                if name in scene.bristles:
-                    rows.append(_rows(c, relative_motions, Freed(*(x[:, i] for x in freed)), first + i))
+            stated = [i for i, name in enumerate(BALLS[first : first + count]) if name in scene.bristles]
+            if len(stated) == count:
+                rows.append(_rows(c, relative_motions, freed, slice(first, first + count)))
+            else:
+                some, bodies = np.array(stated), first + np.array(stated)
+                rows.append(_rows(c, relative_motions, Freed(*(x[:, some] for x in freed)), bodies))
         for held, x in zip((slants, turns, spins), (one, turn, spin), strict=True):
             held.append(x)
         first += count

@@ -12,7 +12,8 @@ contact plane,  b = z - n (n . z),  and they bend (``LuGre.bond`` has k, s and m
     force  -N (s b + m u)        z' = W x z + (1 - o) (u - k z) - o z/tau
 
 W is the outer body's angular velocity, so that a bristle turns with it, and tau = 1e-5 s: nothing is remembered
-from one touch to the next. Everything is frame-indifferent: force in the axes of its arguments.
+from one touch to the next. Friction that lags keeps a number w of each face, the slip speed of late, which decides D, too
+(``Memory.lag``). Everything is frame-indifferent: force in the axes of its arguments.
 Gaps and normals: physics sheet 5.3. A contact acts at the ball's centre unless the ball spins (w given): a ball
 without spin is a particle, so that force, moment and power balance exactly in either case.
 """
@@ -57,8 +58,8 @@ class ContactForce(NamedTuple):
         force, moment: (..., 3) on the second body and about its centre [N], [N m]; moment None without spin.
         drag: (..., 3) the part of ``force`` that is friction.
         normal, penetration, rate, slip: (..., f) of each face: [N] >= 0, [m], [m/s], sliding speed [m/s].
-        bending: (..., f, 3) z' less W x z [m/s]; None without bristles.
-        rubbed: (..., f) power that friction takes [W]; None without bristles.
+        bending: (..., f, 3) z' less W x z [m/s], or (..., f, 1) w' [m/s^2]; None without a state of friction.
+        rubbed: (..., f) power that friction takes [W]; None without a state of friction.
     """
 
     force: Array
@@ -205,7 +206,8 @@ def act(
     Args:
         velocity: (..., 3) v of the second centre relative to the first body's material there [m/s].
         spin: (..., 3) w, relative angular velocity [1/s]; None for a body that is a particle.
-        bristles: (..., f, 3) deflections z [m]; without them every law acts by its steady slip.
+        bristles: (..., f, 3) deflections z [m], or (..., f, 1) slip speeds of late w [m/s]; without them every law
+            acts by its steady slip.
     """
     velocity = velocity[..., None, :]
     rate = dot(at.normal, velocity)
@@ -222,6 +224,10 @@ def act(
     if laws.friction is not None:
         if bristles is None:
             drags = -(normal * laws.mobility(slip_squared))[..., None] * slide
+        elif bristles.shape[-1] == 1:
+            bending, mobility = (x[..., None] for x in laws.lag(slip_squared, bristles[..., 0]))
+            drags = -normal[..., None] * mobility * slide
+            rubbed = -dot(drags, slide)
         else:
             forget, stick, mobility = (x[..., None] for x in laws.bond(slip_squared))
             bent = bristles - dot(at.normal, bristles)[..., None] * at.normal

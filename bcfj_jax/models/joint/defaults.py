@@ -58,6 +58,7 @@ DEFAULTS: dict[str, tuple[float, str]] = {
     "friction_static": (0.12, "paper"),
     "friction_dynamic": (0.03, "paper"),
     "friction_speed": (0.1, "GUESS: usual in multibody work; benchmarks/models/joint_knobs.py"),
+    "friction_memory": (5e-3, "GUESS: 3 to 9 ms in a lubricated line contact (Hess and Soom 1990)"),
     "bristle_stiffness": (1e5, "GUESS: bristles bend by 1.2 um until break-away"),
     "bristle_damping": (1.0, "GUESS"),
     "ball_mass": (0.016731, "derived: steel sphere, 7801 kg/m^3"),

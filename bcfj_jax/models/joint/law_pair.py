@@ -48,6 +48,12 @@ class ContactLaws(eqx.Module):
             return nothing, nothing, nothing
         return self.friction.bond(slip_squared, self.coefficients)
 
+    def lag(self, slip_squared: Array, late: Array) -> tuple[Array, Array]:
+        """w' [m/s^2] and mobility [s/m] of ``Memory.lag``, zero without friction: the traction is  -N mobility v."""
+        if self.friction is None:
+            return jnp.zeros_like(late), jnp.zeros_like(late)
+        return self.friction.lag(slip_squared, late, self.coefficients)
+
     def apart(self, penetration: Array) -> Array:
         """0 wherever there may be a normal force, 1 from a gap of ``GAP`` beyond; C1."""
         return smooth_step((-penetration - (0.0 if self.smoothing is None else self.smoothing)) / GAP)
@@ -85,6 +91,13 @@ class LawPair(eqx.Module):
         parts = (laws.bond(slip) for laws, slip in zip((self.first, self.second), slips, strict=True))
         first, second, third = (jnp.concatenate(x, self.axis) for x in zip(*parts, strict=True))
         return first, second, third
+
+    def lag(self, slip_squared: Array, late: Array) -> tuple[Array, Array]:
+        """As ``ContactLaws.lag``."""
+        slips, lates = ([jnp.take(x, jnp.array([i]), self.axis) for i in (0, 1)] for x in (slip_squared, late))
+        parts = [laws.lag(*each) for laws, *each in zip((self.first, self.second), slips, lates, strict=True)]
+        rate, mobility = (jnp.concatenate(x, self.axis) for x in zip(*parts, strict=True))
+        return rate, mobility
 
     def apart(self, penetration: Array) -> Array:
         """As ``ContactLaws.apart``."""

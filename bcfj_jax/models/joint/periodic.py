@@ -104,7 +104,7 @@ def unfolded(
 def unfolded_states(scene: Joint, params: Params, folded: Folded, states: np.ndarray) -> np.ndarray:
     """Flat states (M, n) of the long run, (T, n): balls renumbered, head and seat turned on."""
     n, k, wanted = scene.balls, scene.twist, states[folded.index].copy()
-    width = 3 * sum(faces for name, faces in scene.bristles.items() if name in OF_A_BALL)
+    width = scene.width * sum(faces for name, faces in scene.bristles.items() if name in OF_A_BALL)
     velocities = 3 * n + scene.coupling
     for first, size in ((0, 3), (velocities, k), (scene.moving, width)):
         part = wanted[:, first : first + n * size]
@@ -118,7 +118,7 @@ def unfolded_states(scene: Joint, params: Params, folded: Folded, states: np.nda
 def pitch_before(scene: Joint, params: Params, state: Array) -> Array:
     """Flat state (n,) that a joint in steady motion had a pitch ago. JAX, pure."""
     n, k = scene.balls, scene.twist
-    width = 3 * sum(faces for name, faces in scene.bristles.items() if name in OF_A_BALL)
+    width = scene.width * sum(faces for name, faces in scene.bristles.items() if name in OF_A_BALL)
     forward = jnp.asarray(params["drive_speed"]) > 0.0
     parts = () if scene.unequal else ((0, 3), (3 * n + scene.coupling, k), (scene.moving, width))
     for first, size in parts:

@@ -21,14 +21,14 @@ _TOLD = 1e-4
 def scales(scene: Joint, params: Params, end: Array | float = jnp.inf) -> Array:
     """Size of each state: a place by the penetration of a ball that carries its share of the load, a velocity by
     friction's transition speed; turns, the cage's azimuth among them, by these over the pitch radius, a ball's spin by that
-    over its own; a bristle by its deflection at break-away.
+    over its own; a friction's state by ``AbstractFriction.reach``.
 
     The load is the greatest until ``end`` [s]: torque, axial load and centrifugal force. A run that ends while the
     torque still rises has no other peak to compare with. Where the contact is regularised, the penetration r(d) over its
     slope dr/dd stands for it, which is how far d may move until r has changed by itself.
 
     An error of a place in these units is about that fraction (times n) of a ball's force. An error of a
-    velocity is that fraction of the friction of a sticking contact. Without friction a quarter of the rim speed
+    velocity is that fraction of the friction of a creeping contact. Without friction a quarter of the rim speed
     stands in: only damping reads velocities then.
     """
     p = params
@@ -40,7 +40,11 @@ def scales(scene: Joint, params: Params, end: Array | float = jnp.inf) -> Array:
     depth, slope = smooth_ramp(jnp.logspace(-11, -2, 91) - width, width)
     force = laws.law.force(depth, jnp.zeros(91), {k: jnp.broadcast_to(v, (91,)) for k, v in laws.coefficients.items()})
     place = jnp.minimum(jnp.interp(load, force, depth / slope), 1e-3)
-    speeds = [scene.coefficient(p, x.name, "friction_speed") for x in scene.contacts if x.friction is not None]
+    speeds = [
+        scene.coefficient(p, x.name, "friction_speed") * x.friction.span
+        for x in scene.contacts
+        if x.friction is not None
+    ]
     speed = jnp.min(jnp.stack(speeds)) if speeds else 0.25 * jnp.abs(p["drive_speed"]) * p["pitch_radius"] + 1e-3
     turning = np.zeros(scene.coupling, bool)
     for name, piece in scene.slices.items():
@@ -52,19 +56,20 @@ def scales(scene: Joint, params: Params, end: Array | float = jnp.inf) -> Array:
     ball = jnp.ones((scene.balls, scene.twist)).at[:, 3:].set(1.0 / p["ball_radius"])
     parts = [jnp.full(3 * scene.balls, place), place * coupling, speed * ball.ravel(), speed * coupling]
     if scene.bristles:
-        break_away = {
-            name: jnp.full((1, count, 3), _break_away(scene, p, name)) for name, count in scene.bristles.items()
-        }
-        balls = {name: jnp.tile(x, (scene.balls, 1, 1)) for name, x in break_away.items() if name not in PILOTS}
-        parts.append(flat(break_away | balls))
+        width = scene.width
+        reach = {name: jnp.full((1, count, width), _reach(scene, p, name)) for name, count in scene.bristles.items()}
+        balls = {name: jnp.tile(x, (scene.balls, 1, 1)) for name, x in reach.items() if name not in PILOTS}
+        parts.append(flat(reach | balls))
     if scene.azimuth is not None:
         parts.append((place / p["pitch_radius"])[None])
     return jnp.concatenate(parts)
 
 
-def _break_away(scene: Joint, params: Params, name: str) -> Array:
-    """Deflection of a contact's bristles at break-away [m]."""
-    return scene.coefficient(params, name, "friction_static") / scene.coefficient(params, name, "bristle_stiffness")
+def _reach(scene: Joint, params: Params, name: str) -> Array:
+    """Size of a contact's friction state [m], [m/s]."""
+    friction = scene.contact(name).friction
+    assert friction is not None
+    return friction.reach({key: scene.coefficient(params, name, key) for key in friction.needs})
 
 
 def tolerance(force_error: float) -> float:

@@ -227,26 +227,40 @@ class Joint(AbstractModel):
 
     @property
     def bristles(self) -> Mapping[str, int]:
-        """Faces of each contact whose friction has bristles, by its name: of one ball's, and of a pilot that is no band."""
+        """Faces of each contact whose friction has a state: of one ball's, and of a pilot that is no band."""
         if self.fidelity != "dynamic":
             return {}
         faces = {"cage_ball": 2, WINDOW_END: 2}
         faces |= {"seat_ball": 2, "head_ball": 2} if self.track == "gothic" else {}
-        rough = {contact.name for contact in self.contacts if contact.friction and contact.friction.bristles}
+        frictions = {contact.name: contact.friction for contact in self.contacts if contact.friction}
+        rough = {name for name, friction in frictions.items() if friction.bristles or friction.lags}
         names = (*GROOVES, "cage_ball", WINDOW_END, *(() if self.bands else PILOTS))
         return {name: faces.get(name, 1) for name in names if name in rough}
 
     @property
+    def width(self) -> int:
+        """Numbers of a face's friction state: 3 of bristles, 1 of friction that lags."""
+        return 1 if any(contact.friction and contact.friction.lags for contact in self.contacts) else 3
+
+    def __check_init__(self):
+        stated = {x.name: x.friction for x in self.contacts if x.friction and (x.friction.bristles or x.friction.lags)}
+        if len({friction.lags for friction in stated.values()}) > 1:
+            found = ", ".join(f"{name} {type(friction).__name__}" for name, friction in stated.items())
+            raise InputError(
+                "scene 'joint' friction", found, "give bristles or friction that lags, not both in one joint"
+            )
+
+    @property
     def moving(self) -> int:
-        """Length of the flat state without bristles and the cage's azimuth."""
+        """Length of the flat state without friction's states and the cage's azimuth."""
         return (3 + self.twist) * self.balls + 2 * self.coupling
 
     @property
     def states(self) -> int:
         """Length of the flat state."""
         members = {name: self.balls if name in OF_A_BALL else 1 for name in self.bristles}
-        bristles = 3 * sum(members[name] * faces for name, faces in self.bristles.items())
-        return self.moving + bristles + self.has(WINDOW_END)
+        kept = self.width * sum(members[name] * faces for name, faces in self.bristles.items())
+        return self.moving + kept + self.has(WINDOW_END)
 
     @property
     def azimuth(self) -> int | None:

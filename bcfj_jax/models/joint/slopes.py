@@ -15,6 +15,8 @@ from bcfj_jax.models.joint.law_pair import RELAX, ContactLaws, LawPair
 class Bond(NamedTuple):
     """The bristles z of each face, ``contacts.act``: Z = z' less W x z, and its derivatives.
 
+    Or the slip speed of late w, Z = w', which does not turn with a body: then 1 in place of the last 3 of z.
+
     Attributes:
         bristles, bending: (..., f, 3) z [m] and Z [m/s].
         pull: (..., f, k, 3) derivative of the wrench by z.
@@ -51,6 +53,7 @@ def slopes(
 
     and with spin the lever's sweep  w x d(l n) + dw x l n  in du, and the moment  l n x (-D u).
     Bristles have D = N m, and  -N s b  beside  -D u,  with  db = (I - nn') dz - (H dp) (n . z) - n (z . H dp).
+    Friction that lags has  dD = (mu/|u|) dN + 2 D_2 u . du + N d(mu/|u|)/dw dw.
     """
     v, n = velocity[..., None, :], at.normal
     rate = dot(n, v)
@@ -89,7 +92,14 @@ def slopes(
         load_twist = jnp.concatenate([load_twist, jnp.zeros_like(load_twist)], -1)
         by_twist = jnp.concatenate([by_twist, jnp.zeros_like(by_twist)], -1)
     squared = dot(slide, slide)
-    if bristles is None:
+    lags = bristles is not None and bristles.shape[-1] == 1
+    late = bend_late = rate_late = learnt = rate_bend = jnp.zeros(())
+    if lags:
+        late = bristles[..., 0]
+        ones = jnp.ones_like(late)
+        (learnt, mobility), (rate_bend, bend) = jax.jvp(lambda x: laws.lag(x, late), (squared,), (ones,))
+        rate_late, bend_late = jax.jvp(lambda x: laws.lag(squared, x), (late,), (ones,))[1]
+    elif bristles is None:
         mobility, bend = jax.jvp(laws.mobility, (squared,), (jnp.ones_like(squared),))
     else:
         found, slants = jax.jvp(laws.bond, (squared,), (jnp.ones_like(squared),))
@@ -101,7 +111,18 @@ def slopes(
     rub_place = -dyad(slide, drag_place) - drag[..., None, None] * slide_place
     rub_twist = -dyad(slide, drag_twist) - drag[..., None, None] * slide_twist
     bond = None
-    if bristles is not None:
+    if lags:
+        swing = (2.0 * rate_bend)[..., None] * slide
+        pull = (-(normal * bend_late)[..., None] * slide)[..., None]
+        bond = Bond(
+            bristles,
+            learnt[..., None],
+            pull if spin is None else jnp.concatenate([pull, _cross_columns(lever * n, pull)], -2),
+            _row(swing, slide_place)[..., None, :],
+            _row(swing, slide_twist)[..., None, :],
+            -rate_late,
+        )
+    elif bristles is not None:
         # Twice the slopes by u.u times u: changes of k and s by the sliding u.
         forget_slide, stick_slide = (2.0 * x[..., None] * slide for x in (forget_bend, stick_bend))
         out = dot(n, bristles)[..., None]

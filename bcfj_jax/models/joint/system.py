@@ -290,7 +290,7 @@ def on_bodies(scene: Joint, c: Constants, state: State, found: ContactForces) ->
 
 
 def _bending(scene: Joint, c: Constants, state: State, found: ContactForces) -> Array:
-    """Rates of all bristles, which turn with the outer body of their contact; flat [m/s]."""
+    """Rates of all friction's states; bristles turn with the outer body of their contact; flat."""
     spins = {"seat": state.seat_spin * c.axes[0], "head": state.head_spin * c.axes[1], "cage": state.cage_spin}
     rates = {}
     for name in scene.bristles:
@@ -302,7 +302,9 @@ def _bending(scene: Joint, c: Constants, state: State, found: ContactForces) -> 
             touch = found.grooves if race else found.windows if name == "cage_ball" else found.ends
             member = (slice(None), *([BALLS.index(name)] if race else []))
         assert touch is not None and touch.bending is not None
-        rates[name] = touch.bending[member] + jnp.cross(spins[outer], state.bristles[name])
+        rates[name] = touch.bending[member]
+        if scene.width == 3:
+            rates[name] = rates[name] + jnp.cross(spins[outer], state.bristles[name])
     return flat(rates)
 
 

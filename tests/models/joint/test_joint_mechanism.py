@@ -30,6 +30,7 @@ OPTIONS = {
     "flexible drive": {"drive": "flexible"},
     "no friction": {"friction": False},
     "bristles": {"friction": "lugre"},
+    "memory, spin": {"friction": "memory", "spin": True},
     "bristles, spin, flexible": {"friction": "lugre", "spin": True, "drive": "flexible"},
     "unlike laws, five balls": {
         "laws": {"head_ball": "kelvin_voigt", "head_cage": "flores"}, "balls": 5, "smoothing": False,
@@ -100,7 +101,7 @@ def remembered(joint, y) -> list[np.ndarray]:
         if contact.name in parts:
             part = parts[contact.name] if contact.name not in PILOTS else parts[contact.name][None]
             for face in range(part.shape[1]):
-                found += [part[:, face, k] for k in range(3)]
+                found += [part[:, face, k] for k in range(joint.width)]
     return found
 
 

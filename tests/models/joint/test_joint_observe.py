@@ -17,9 +17,10 @@ from bcfj_jax.io import outputs
 from bcfj_jax.mechanism.model import Reading
 from bcfj_jax.mechanism.readings import (
     APART,
+    CREEPING,
     SLIDING,
     STATES,
-    STICKING,
+    STUCK,
     TOUCHING,
     UNKNOWN,
     contact_state,
@@ -58,18 +59,20 @@ def read(params, y):
 # --- States ---
 
 
-def test_the_four_states_and_the_unknown():
+def test_the_five_states_and_the_unknown():
     normal = np.array([0.0, 5.0, -5.0, 5.0, math.nan, 0.0])
     slip = np.array([9.0, 0.09, 0.1, 3.0, 0.0, math.nan])
-    assert contact_state(normal, slip, 0.1).tolist() == [APART, STICKING, SLIDING, SLIDING, UNKNOWN, UNKNOWN]
+    assert contact_state(normal, slip, 0.1).tolist() == [APART, CREEPING, SLIDING, SLIDING, UNKNOWN, UNKNOWN]
+    held = np.array([True, True, True, False, True, True])
+    assert contact_state(normal, slip, 0.1, held).tolist() == [APART, STUCK, SLIDING, SLIDING, UNKNOWN, UNKNOWN]
     assert contact_state(normal).tolist() == [APART, TOUCHING, TOUCHING, TOUCHING, UNKNOWN, APART]
     assert contact_state(normal).dtype == np.int8
-    assert [STATES[code] for code in (APART, TOUCHING, STICKING, SLIDING)] == list(STATES)
+    assert [STATES[code] for code in (APART, TOUCHING, CREEPING, SLIDING, STUCK)] == list(STATES)
 
 
 # The face is 10 um away; the smoothed onset bears a little before, which is no contact.
 @pytest.mark.full
-@pytest.mark.parametrize(("height", "wanted"), [(4e-6, APART), (9e-6, APART), (1.1e-5, STICKING), (2e-5, STICKING)])
+@pytest.mark.parametrize(("height", "wanted"), [(4e-6, APART), (9e-6, APART), (1.1e-5, CREEPING), (2e-5, CREEPING)])
 def test_a_ball_in_its_window(height, wanted):
     params, y = state(up=(2, height))
     readings, states = read(params, y)
@@ -78,7 +81,7 @@ def test_a_ball_in_its_window(height, wanted):
 
 
 # Sideways in the window: friction_speed is 0.1 m/s.
-@pytest.mark.parametrize(("speed", "wanted"), [(0.0, STICKING), (0.0999, STICKING), (0.1001, SLIDING), (2.0, SLIDING)])
+@pytest.mark.parametrize(("speed", "wanted"), [(0.0, CREEPING), (0.0999, CREEPING), (0.1001, SLIDING), (2.0, SLIDING)])
 def test_a_window_slides_from_the_transition_speed_on(speed, wanted):
     params, y = state(up=(2, 5e-5), along=(PLACES, speed))
     readings, states = read(params, y)
@@ -89,7 +92,7 @@ def test_a_window_slides_from_the_transition_speed_on(speed, wanted):
 def test_a_contacts_own_transition_speed_wins():
     params, y = state(up=(2, 5e-5), along=(PLACES, 0.2))
     params["cage_ball.friction_speed"] = jnp.asarray(0.3)
-    assert read(params, y)[1]["cage_ball"][0] == STICKING
+    assert read(params, y)[1]["cage_ball"][0] == CREEPING
 
 
 def test_a_damped_rebound_that_bears_no_force_is_apart():
@@ -172,8 +175,10 @@ def test_forces_of_the_tracks_add_up_to_the_torque():
 def test_share_of_time_weighs_samples_by_their_intervals():
     times = np.array([0.0, 1.0, 3.0, 4.0])
     # Half of 1, half of 1 + 2, half of 2 + 1, half of 1; the last is not known.
-    found = share_of_time(times, np.array([APART, STICKING, SLIDING, UNKNOWN]))
-    assert found == pytest.approx({"apart": 0.5 / 3.5, "touching": 0.0, "sticking": 1.5 / 3.5, "sliding": 1.5 / 3.5})
+    found = share_of_time(times, np.array([APART, CREEPING, SLIDING, UNKNOWN]))
+    assert found == pytest.approx(
+        {"apart": 0.5 / 3.5, "touching": 0.0, "creeping": 1.5 / 3.5, "sliding": 1.5 / 3.5, "stuck": 0.0}
+    )
     assert math.isnan(share_of_time(times, np.full(4, UNKNOWN))["apart"])
 
 
@@ -182,7 +187,7 @@ def handmade():
     force = {"seat_ball": np.zeros((2, 2, 3)), "seat_cage": np.zeros((2, 3))}
     slip = {"seat_ball": np.array([[0.5, 0.0], [0.25, np.nan]]), "seat_cage": np.array([1.0, 2.0])}
     depth = {"seat_ball": np.array([[1e-5, -1e-5], [2e-5, np.nan]]), "seat_cage": np.array([0.0, 1e-6])}
-    codes = {"seat_ball": np.array([[SLIDING, APART], [STICKING, UNKNOWN]]), "seat_cage": np.array([APART, TOUCHING])}
+    codes = {"seat_ball": np.array([[SLIDING, APART], [CREEPING, UNKNOWN]]), "seat_cage": np.array([APART, TOUCHING])}
     return Run(times, force, depth, depth, slip, "ok", "", math.nan, {}, codes)
 
 
@@ -198,7 +203,7 @@ def test_contacts_csv(tmp_path):
     ]
     assert header[7:] == ["seat_cage.penetration [m]", "seat_cage.sliding_speed [m/s]", "seat_cage.state"]
     assert first == ["0.0", "1e-05", "0.5", "sliding", "-1e-05", "0.0", "apart", "0.0", "1.0", "apart"]
-    assert second == ["1.0", "2e-05", "0.25", "sticking", "", "", "", "1e-06", "2.0", "touching"]
+    assert second == ["1.0", "2e-05", "0.25", "creeping", "", "", "", "1e-06", "2.0", "touching"]
 
 
 def test_histories_csv_keeps_the_order_of_its_columns(tmp_path):

@@ -33,6 +33,8 @@ OPTIONS = {
     "unequal balls": {"unequal": True},
     "bristles, spin": {"friction": "lugre", "spin": True},
     "bristles, circular": {"friction": "lugre", "track": "circular", "cage": "fixed"},
+    "memory": {"friction": "memory"},
+    "memory, spin": {"friction": "memory", "spin": True},
     "bristles of some": {"frictions": {"head_ball": "lugre", "head_cage": "lugre", "seat_ball": False}},
     "grooves": {"contacts": GROOVES, "cage": "fixed", "head": "fixed"},
     "one pilot, no windows, sharp": {"contacts": ("seat_cage", *GROOVES), "balls": 3, "smoothing": False},
