@@ -44,7 +44,7 @@ PUBLISHED = {
 
 def lugre_numpy(c):
     """z', g and traction along a line, in NumPy, with the true |v|."""
-    static, dynamic, speed, stiffness, damping = c.values()
+    static, dynamic, speed, stiffness, damping = (c[name] for name in LuGre.needs)
 
     def g(v):
         return (dynamic + (static - dynamic) * np.exp(-((v / speed) ** 2))) / stiffness
