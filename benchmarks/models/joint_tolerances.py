@@ -3,13 +3,15 @@
     python -m benchmarks.models.joint_tolerances [--alone]    writes results/joint_tolerances.json, prints tables
 
 Once per turn: 3 s of the default joint with balls of various sizes; period and ripple (greatest less least) of the
-pilot's normal force, over the last two thirds, where the start is forgotten. Price: every option beside the default in
-one process, run by run in turn; medians of CPU time. ``--alone`` says that nothing else ran on the machine.
+pilot's normal force, over the last two thirds, where the start is forgotten. Spread: the 100 joints of
+``examples/joint_tolerances.toml``. Price: every option beside the default in one process, run by run in turn; medians of
+CPU time. ``--alone`` says that nothing else ran on the machine. Writes its tables into docs/joint.md.
 """
 
 from __future__ import annotations
 
 import sys
+import tempfile
 import time
 from typing import Any
 
@@ -17,11 +19,13 @@ import numpy as np
 
 import bcfj_jax as bj
 from bcfj_jax.analysis.histories import settled_period
-from benchmarks.common import markdown, save
+from bcfj_jax.analysis.studies.specification import load
+from benchmarks.common import ROOT, markdown, put_in_readme, save
 
 TIMES = np.linspace(0.0, 3.0, 3001)
 PILOT, ROUNDS = "seat_cage", 7
 UM = 1e-6
+QUANTILES = [0.0, 0.05, 0.5, 0.95, 1.0]
 
 
 def sizes() -> dict[str, dict[str, float]]:
@@ -86,21 +90,45 @@ def prices() -> dict[str, dict[str, float]]:
     return found
 
 
+def spread() -> dict[str, Any]:
+    """Quantiles of each feature over the joints of the example."""
+    with tempfile.TemporaryDirectory() as folder:
+        found = bj.study(ROOT / "examples" / "joint_tolerances.toml", folder)
+        good = found.column("status") == "ok"
+        names = [feature.name for feature in load(ROOT / "examples" / "joint_tolerances.toml").features]
+        quantiles = {name: np.quantile(found.column(name)[good], QUANTILES).tolist() for name in names}
+    return {"joints": len(good), "failed": int((~good).sum()), "quantiles": QUANTILES, "features": quantiles}
+
+
 def main() -> None:
     balls = {name: looked_at(values) for name, values in sizes().items()}
+    class_of = spread()
     priced = prices()
-    save("joint_tolerances", {"alone": "--alone" in sys.argv, "balls": balls, "options": priced})
+    content = {"alone": "--alone" in sys.argv, "balls": balls, "class": class_of, "options": priced}
+    save("joint_tolerances", content)
+    put_in_readme("joint_tolerances", tables(content), "docs/joint.md")
+
+
+def tables(content: dict[str, Any]) -> str:
+    """What docs/joint.md shows."""
+    balls, class_of, priced = content["balls"], content["class"], content["options"]
     rows = [["balls", "period of the pilot's force", "mean", "ripple", "largest force of a ball"]]
     for name, row in balls.items():
         newtons = (f"{row[key] / 1e3:.2f} kN" for key in ("mean", "ripple", "largest ball force"))
         rows.append([name, f"{row['period']:.3f} s", *newtons])
-    print(markdown(rows), end="\n\n")
+    text = markdown(rows)
+    rows = [[f"{class_of['joints']} joints", "least", "5 %", "median", "95 %", "largest"]]
+    for name, values in class_of["features"].items():
+        unit = "s" if name.endswith("period") else "kN"
+        rows.append([f"`{name}`", *(f"{x:.3f} s" if unit == "s" else f"{x / 1e3:.2f} kN" for x in values)])
+    text += "\n\n" + markdown(rows)
     first = priced["default"]
     rows = [["option", "steps", "CPU time a step", "CPU time over the default's", "pilot's mean force"]]
     for name, row in priced.items():
         costs = (f"{row['steps']}", f"{row['us a step']:.0f} us", f"{row['cpu_s'] / first['cpu_s']:.2f}")
         rows.append([name, *costs, f"{row['mean'] / 1e3:.2f} kN"])
-    print(markdown(rows))
+    note = "" if content["alone"] else " Measured while other programs ran: the times are rough."
+    return f"{text}\n\nThe price, 0.6 s of the default joint, all in one process.{note}\n\n{markdown(rows)}"
 
 
 if __name__ == "__main__":

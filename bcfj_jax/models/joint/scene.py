@@ -5,6 +5,7 @@ What an option takes out is not in the program: no friction law, no friction ope
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 
 import equinox as eqx
@@ -126,6 +127,9 @@ class Joint(AbstractModel):
     @property
     def quantities(self) -> dict[str, Quantity]:
         """Every parameter, by name: shared coefficients, each contact's own, clearances, bodies, drive and loads."""
+        return dict(_quantities(self))
+
+    def _listed(self) -> dict[str, Quantity]:
         shared = list(dict.fromkeys(name for contact in self.contacts for name in self._reads(contact)))
         own = [f"{contact.name}.{name}" for contact in self.contacts for name in self._reads(contact)]
         risen = [name for name in self.programmes.names if name == "load_ramp"]
@@ -266,6 +270,12 @@ class Joint(AbstractModel):
     def azimuth(self) -> int | None:
         """Where the cage's azimuth stands in the flat state: last; None without window ends, which alone read it."""
         return self.states - 1 if self.has(WINDOW_END) else None
+
+
+@functools.lru_cache(maxsize=64)
+def _quantities(scene: Joint) -> dict[str, Quantity]:
+    """``Joint.quantities``, kept: they are asked for anew for each of a hundred parameters of every run."""
+    return scene._listed()
 
 
 def ball_sizes(balls: int, contact: str) -> tuple[list[str], list[str]]:

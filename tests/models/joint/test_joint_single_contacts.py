@@ -13,6 +13,7 @@ from oracles import within
 
 import bcfj_jax as bj
 from bcfj_jax import scenes
+from bcfj_jax.analysis.histories import settled_period
 from bcfj_jax.contact import laws
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.io.scenefile import from_table
@@ -227,3 +228,44 @@ def test_equilibrium_of_unequal_balls():
         assert np.abs(first[name] - found).max() <= 1e-6 * np.abs(found).max(), name
     none = forces(np.zeros(6), 0.13)
     assert np.abs(none["seat_ball"] - first["seat_ball"]).max() > 200.0
+
+
+@pytest.mark.slow
+def test_unequal_balls_give_the_pilots_force_the_period_of_a_turn():
+    times = np.linspace(0.0, 1.8, 1801)
+    scene, periods = scenes.joint(unequal=True), []
+    for size in (0.0, 10e-6):
+        draw = np.random.default_rng(24).normal(size=6)
+        params = scene.parameters({f"ball_{i + 1}.oversize": size * x for i, x in enumerate(draw)})
+        periods.append(settled_period(times, bj.force_history(scene, params, times)["seat_cage"][:, 0]))
+    assert periods[0] == within(0.1, 5e-3) and periods[1] == within(0.6, 5e-3)
+
+
+@pytest.mark.slow
+def test_derivatives_by_single_balls_and_by_what_a_stiffness_is_made_of():
+    scene = scenes.joint(
+        unequal=True, stiffness="geometry", elastics={"head_cage": "liu_sphere"}, fidelity="quasistatic"
+    )
+    params = scene.parameters({"load_ramp": 1e-6, "ball_2.oversize": 5e-6})
+    names = (
+        "ball_2.oversize",
+        "seat_ball_3.extra_clearance",
+        "clearance_seat_cage",
+        "clearance_head_cage",
+        "conformity",
+    )
+
+    @jax.jit
+    def forces(values):
+        given = {**params, **dict(zip(names, values, strict=True))}
+        found = bj.force_history(scene, given, np.array([0.13]))
+        return jnp.concatenate([x[..., 0].ravel() for x in found.values()])
+
+    at = jnp.array([float(params[name]) for name in names])
+    slopes = np.asarray(jax.jacfwd(forces)(at))
+    for k, name in enumerate(names):
+        h = np.zeros(len(names))
+        h[k] = 1e-5 if name == "conformity" else 1e-8
+        by_difference = (np.asarray(forces(at + h)) - np.asarray(forces(at - h))) / (2 * h[k])
+        size = np.abs(by_difference).max()
+        assert size > 0 and np.abs(slopes[:, k] - by_difference).max() < 1e-4 * size, name
