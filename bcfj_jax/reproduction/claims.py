@@ -81,7 +81,8 @@ CLAIMS: tuple[Claim, ...] = (
     ),
     Claim(
         "Q19", "collision frequency", "1.63 Hz", "4.1.1", FIGURE, (1.63,), "Hz",
-        "said to be consistent with the input, which is 1.667 Hz (-2.2 %)",
+        "said to be consistent with the input, which is 1.667 Hz (-2.2 %); 1.633 Hz is the speed times cos(23 deg/2), to its "
+        "digits: a cage that slips so much, or chance; the text does not say",
     ),
     Claim("Q20", "peak normal force, point 1", "20.32 kN", "4.1.1", FIGURE, (20.32e3,), "N",
           "greatest of the three components"),
@@ -100,7 +101,8 @@ CLAIMS: tuple[Claim, ...] = (
     Claim("Q27", "peak, point 5, ball 5", "38.76 kN", "4.1.5", FIGURE, (38.76e3,), "N"),
     Claim("Q28", "load lost in transfer", "2.71 %", "4.1.5", FIGURE, (0.0271,), "%",
           "(39.84 - 38.76)/39.84 = 2.711 %: right"),
-    Claim("Q29", "delay of point 5 behind point 4", "0.04 s (0.042 to 0.082 s)", "4.1.5, 4.2.1", FIGURE, (0.04,), "s"),
+    Claim("Q29", "onset of point 5 after that of point 4", "0.04 s (0.042 to 0.082 s)", "4.1.5, 4.2.1", FIGURE, (0.04,),
+          "s"),
     Claim("Q30", "end of the start-up impacts", "0 to 0.042 s", "4.2.1", FIGURE, (0.042,), "s"),
     Claim("Q31", "time to stabilise", "0.585 s", "4.2.1", FIGURE, (0.585,), "s", "about one turn"),
     Claim("Q32", "order of the polynomial", "9", "4.2.2", INPUT, (9.0,)),

@@ -18,7 +18,7 @@ from scipy.stats import qmc
 
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.reproduction.claims import claim
-from bcfj_jax.reproduction.peaks import TARGETS, peaks, still_scene
+from bcfj_jax.reproduction.peaks import TARGETS, peaks, still_scene, tied
 
 # What a peak of the paper is taken to be known to: a share of it. A GUESS; the paper states no error.
 ERROR = 0.05
@@ -43,13 +43,16 @@ class Unknown(NamedTuple):
 
 
 UNKNOWNS = (
-    Unknown("contact_angle", np.radians(20.0), np.radians(70.0), "rad", "35 to 45 degrees usual for gothic grooves, "
-            "towards 90 for circular ones; 20 to 70 searched"),
-    Unknown("offset", 0.5e-3, 6e-3, "m", "2.8 to 5 mm usual for this pitch radius, 0 for concentric tracks"),
-    Unknown("stiffness", 1e10, 1e11, "N/m^1.5", "elliptic Hertz gives 2.9e10 to 6.2e10 for the usual conformities"),
-    Unknown("cage_ball.stiffness", 3e9, 6e10, "N/m^1.5", "Hertz gives 1.3e10 for a flat window; its bar may be softer"),
-    Unknown("clearance_seat_cage", 5e-6, 200e-6, "m", "20 to 100 um usual"),
-    Unknown("clearance_head_cage", 5e-6, 200e-6, "m", "20 to 100 um usual"),
+    Unknown("contact_angle", np.radians(35.0), np.radians(45.0), "rad", "usual for gothic grooves (no source at hand)"),
+    Unknown("offset", 0.08 * 35.5e-3, 0.14 * 35.5e-3, "m", "usual share of the pitch radius, 0.08 to 0.14 (no source at "
+            "hand)"),
+    Unknown("stiffness", 2.865e10, 6.245e10, "N/m^1.5", "elliptic Hertz (contact.stiffness.ball_in_groove) for "
+            "conformities of 0.54 to 0.505"),
+    Unknown("cage_ball.stiffness", 0.5 * 1.3476e10, 1.05 * 1.3476e10, "N/m^1.5", "Hertz, ball on flat (Johnson 1985), with "
+            "a modulus 5 % higher at most; half of it for a window bar that bends (GUESS)"),
+    Unknown("clearance_seat_cage", 20e-6, 100e-6, "m", "usual radial play (no source at hand); the stiffness follows, "
+            "Lankarani and Nikravesh 1990, which needs a penetration far below the play"),
+    Unknown("clearance_head_cage", 20e-6, 100e-6, "m", "as clearance_seat_cage"),
 )  # fmt: skip
 
 
@@ -102,6 +105,16 @@ class PeakFit(NamedTuple):
     def values(self) -> dict[str, float]:
         """The fitted unknowns [SI]."""
         return {name: estimate.value for name, estimate in self.estimates.items()}
+
+    @property
+    def at_bound(self) -> list[str]:
+        """Unknowns that ended at a bound: the peaks ask for more than is physical."""
+        return [name for name, estimate in self.estimates.items() if estimate.verdict == "at bound"]
+
+    def applied(self, params: Params) -> Params:
+        """All parameters with the fitted unknowns, and the pilots' stiffnesses that follow from them."""
+        found = tied(params, {name: jnp.asarray(value) for name, value in self.values.items()})
+        return {**params, **found}
 
 
 class _Model:

@@ -14,17 +14,35 @@ import numpy as np
 from bcfj_jax.analysis import features, histories
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.reproduction.claims import claim
+from bcfj_jax.reproduction.frames import ORDER, WINDOW_AXIAL, WINDOW_NORMAL, later
 from bcfj_jax.reproduction.record import Balance
 from bcfj_jax.solve.simulation import Run
 
-# Share of the run that counts as its start.
-_EARLY = 0.4
 # How many times the other components a force must be to be "far above" them.
 FAR_ABOVE = 5.0
-ORDER = int(claim("Q32").values[0])
-WINDOW_NORMAL = (claim("Q33").values[0], claim("Q33").values[1])
-WINDOW_AXIAL = (claim("Q34").values[0], claim("Q34").values[1])
 SETTLED_WITHIN = 0.05
+# Share of its settled peak at which a contact's load has begun.
+BEGUN = 0.05
+# Of ball centres [m].
+RIM = 35.5e-3
+
+
+def onset_remark() -> str:
+    """What play gives the paper's onsets if the drive comes up to speed by a STEP until the joint is stable (Q31).
+
+    The rim moves by  w R (s^3 - s^4/2) T  with s = t/T (ADAMS' STEP s^2 (3 - 2 s) integrated).
+    """
+    rise, speed = claim("Q31").values[0], claim("Q14").values[0]
+
+    def moved(time: float) -> float:
+        s = time / rise
+        return speed * RIM * rise * (s**3 - 0.5 * s**4)
+
+    first, second = moved(0.042), moved(0.082)
+    return (
+        f"A drive raised by ADAMS' STEP over {rise:g} s closes a play of {1e6 * first:.0f} um at the rim in 0.042 s and of "
+        f"{1e3 * second:.2f} mm in 0.082 s: the numbers can be had, by guesses"
+    )
 
 
 class Measured(NamedTuple):
@@ -47,20 +65,17 @@ def resultant(force: np.ndarray) -> np.ndarray:
     return np.sqrt(np.sum(force * force, axis=-1))
 
 
-def later(times: np.ndarray) -> tuple[float, float]:
-    """The window of the settled joint."""
-    return float(times[0] + _EARLY * (times[-1] - times[0])), float(times[-1])
-
-
-def measure(run: Run, balance: Balance, turn: float) -> dict[str, Measured]:
-    """Values for the figures Q17 to Q36.
+def measure(run: Run, balance: Balance, turn: float, fine: Run | None = None) -> dict[str, Measured]:
+    """Values for the figures Q17 to Q36, forces as each contact resolves them (``frames`` has other axes).
 
     Args:
-        run: the joint's.
+        run: the joint's, at even times.
         balance: of the cage.
         turn: time of one revolution [s].
+        fine: the same run with more times in it, for peaks and onsets.
     """
-    found = _rhythm(run, turn) | _peaks(run) | _start(run, turn) | _residuals(run)
+    fine = fine or run
+    found = _rhythm(run, turn) | _peaks(fine) | _start(run, fine, turn) | _residuals(run)
     rest = float(np.linalg.norm(balance.forces - balance.inertia))
     sum_of_forces = float(np.linalg.norm(balance.forces))
     found["Q24"] = Measured(
@@ -89,10 +104,6 @@ def _rhythm(run: Run, turn: float) -> dict[str, Measured]:
     window = later(t)
     base = repeats if math.isfinite(repeats) else turn
     apart = _delay(t, seat[:, 0], head[:, 0], base, window)
-    passed = [
-        _delay(t, run.force["seat_ball"][:, k, 0], run.force["head_ball"][:, k, 0], turn, window)
-        for k in range(run.force["seat_ball"].shape[1])
-    ]
     lags = f"known up to whole periods of {base:.4g} s" if math.isfinite(apart) else ""
     return {
         "Q17": Measured(cage, why),
@@ -100,7 +111,6 @@ def _rhythm(run: Run, turn: float) -> dict[str, Measured]:
         "Q19": Measured((1.0 / repeats,), why),
         "Q22": Measured((apart,), lags),
         "Q25": Measured((ball, 1.0 / ball)),
-        "Q29": Measured((max(passed, key=abs),), "greatest of the balls'; both tracks bear a ball at once"),
     }
 
 
@@ -129,19 +139,38 @@ def _peaks(run: Run) -> dict[str, Measured]:
     }
 
 
-def _start(run: Run, turn: float) -> dict[str, Measured]:
+def _onset(run: Run, name: str, turn: float) -> float:
+    """When the first ball of a contact bears ``BEGUN`` of its settled peak [s]; NaN where none does."""
+    force = resultant(run.force[name])
+    found = [histories.start_up_time(run.times, force[:, k], BEGUN, turn) for k in range(force.shape[1])]
+    known = [time for time in found if math.isfinite(time)]
+    return min(known, default=math.nan)
+
+
+def _parted(run: Run) -> float:
+    """First time from which both pilots bear without a break [s]; NaN where they part in the later run, too."""
+    free = np.zeros(run.times.size, bool)
+    for name in ("seat_cage", "head_cage"):
+        free |= run.penetration[name] <= 0
+    last = int(np.flatnonzero(free)[-1]) + 1 if free.any() else 0
+    return float(run.times[last]) if last < run.times.size and run.times[last] <= later(run.times)[0] else math.nan
+
+
+def _start(run: Run, fine: Run, turn: float) -> dict[str, Measured]:
+    """Onsets, start-up window and settling."""
     t, force = run.times, run.force["seat_ball"][..., 0]
-    balls = range(force.shape[1])
     try:
-        begun = [histories.start_up_time(t, force[:, k], period=turn) for k in balls]
-        settled = [histories.settling_time(t, force[:, k], turn, SETTLED_WITHIN) for k in balls]
+        first, second = (_onset(fine, name, turn) for name in ("seat_ball", "head_ball"))
+        settled = max(histories.settling_time(t, force[:, k], turn, SETTLED_WITHIN) for k in range(force.shape[1]))
     except InputError:
-        begun = settled = [math.nan]
+        first = second = settled = math.nan
     return {
-        "Q30": Measured((min(begun),), "first ball at half its settled peak; set by load_ramp, a GUESS"),
-        "Q31": Measured(
-            (max(settled),), f"every ball repeats itself within {SETTLED_WITHIN:.0%} of its peak from there"
+        "Q29": Measured(
+            (second - first,),
+            f"loads begin at {1e3 * first:.3g} ms at point 4 and {1e3 * second:.3g} ms at point 5",
         ),
+        "Q30": Measured((_parted(fine),), "both pilots bear without a break from there"),
+        "Q31": Measured((settled,), f"every ball repeats itself within {SETTLED_WITHIN:.0%} of its peak from there"),
     }
 
 
@@ -185,15 +214,35 @@ def inequalities(run: Run, turn: float, tight: Run | None) -> list[Inequality]:
     return rows
 
 
-def _smoother_balls(run: Run) -> Inequality:
-    text = "residual of ball on groove below that of cage on seat (rms over mean fit, window of Q33)"
+def residuals(run: Run) -> dict[str, tuple[float, float]]:
+    """By contact the residual of the polynomial's fit in the window of Q33: rms [N], and rms over the mean fit.
+
+    Of ball 1 in the grooves. Empty for a run that ends before the window does.
+    """
     if run.times[-1] < WINDOW_NORMAL[1]:
+        return {}
+    found = {}
+    for name in ("seat_cage", "head_cage", "seat_ball", "head_ball"):
+        force = run.force[name][..., 0]
+        force = force if force.ndim == 1 else force[:, 0]
+        left = features.oscillation(run.times, force, WINDOW_NORMAL, ORDER)
+        found[name] = (float(left.rms), float(left.relative))
+    return found
+
+
+def _smoother_balls(run: Run) -> Inequality:
+    """One claim, two measures, and no verdict unless they agree."""
+    text = "residual of ball on groove below that of cage on seat (in newtons, and relative to the mean fit)"
+    found = residuals(run)
+    if not found:
         return Inequality(text, None, "the run ends before the window does")
-    ball, cage = (
-        float(features.oscillation(run.times, force, WINDOW_NORMAL, ORDER).relative)
-        for force in (run.force["seat_ball"][:, 0, 0], run.force["seat_cage"][:, 0])
-    )
-    return Inequality(text, ball < cage, f"{ball:.3g} against {cage:.3g}")
+    ball, cage = found["seat_ball"], found["seat_cage"]
+    absolute, relative = ball[0] < cage[0], ball[1] < cage[1]
+    numbers = f"rms {ball[0] / 1e3:.3g} kN against {cage[0] / 1e3:.3g} kN, relative {ball[1]:.3g} against {cage[1]:.3g}"
+    if absolute == relative:
+        return Inequality(text, absolute, numbers)
+    holds = "relative to the mean" if relative else "in newtons"
+    return Inequality(text, None, f"{numbers}: holds {holds} only, and the paper does not say which it means")
 
 
 def _wear(run: Run, turn: float) -> Inequality:

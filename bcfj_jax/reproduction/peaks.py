@@ -12,7 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from bcfj_jax.contact.stiffness import sphere_in_socket
 from bcfj_jax.mechanism.model import Params
+from bcfj_jax.models.joint.defaults import DEFAULTS
 from bcfj_jax.models.joint.quasistatic import Found, quasistatic_forces, quasistatic_places
 from bcfj_jax.models.joint.scene import Joint
 from bcfj_jax.models.scenes import joint
@@ -25,6 +27,18 @@ _INSTANTS = 24
 def still_scene() -> Joint:
     """The joint of the calibration: equilibrium at each instant, no friction."""
     return joint(fidelity="quasistatic", friction=False)
+
+
+def tied(params: Params, free: Params) -> Params:
+    """``free`` with the stiffness of each pilot whose clearance is in it: Lankarani and Nikravesh's of that clearance."""
+    modulus, found = DEFAULTS["effective_modulus"][0], dict(free)
+    if "clearance_seat_cage" in free:
+        play, seat = free["clearance_seat_cage"], params["seat_radius"]
+        found["seat_cage.stiffness"] = sphere_in_socket(modulus, seat, seat - play)
+    if "clearance_head_cage" in free:
+        play, head = free["clearance_head_cage"], params["head_radius"]
+        found["head_cage.stiffness"] = sphere_in_socket(modulus, head + play, head)
+    return found
 
 
 def instants(params: Params, balls: int) -> np.ndarray:
@@ -51,7 +65,7 @@ def _peaks(scene: Joint, params: Params, times: Array, found: Found) -> Array:
 @eqx.filter_jit
 def _slopes(scene: Joint, params: Params, free: Params, times: Array, found: Found) -> tuple[Array, Params]:
     def at(free: Params) -> tuple[Array, Array]:
-        peaks = _peaks(scene, {**params, **free}, times, found)
+        peaks = _peaks(scene, {**params, **tied(params, free)}, times, found)
         return peaks, peaks
 
     slopes, peaks = jax.jacfwd(at, has_aux=True)(free)
@@ -64,11 +78,11 @@ def peaks(scene: Joint, params: Params, free: Params) -> tuple[np.ndarray, dict[
     Args:
         scene: ``still_scene``.
         params: all parameters.
-        free: those to differentiate by, which replace the ones in ``params``.
+        free: those to differentiate by, which replace the ones in ``params``; stiffnesses follow (``tied``).
     """
     times = jnp.asarray(instants(params, scene.balls))
     free = {name: jnp.asarray(value, dtype=float) for name, value in free.items()}
-    found = quasistatic_places(scene, {**params, **free}, times)
+    found = quasistatic_places(scene, {**params, **tied(params, free)}, times)
     values, slopes = _slopes(scene, dict(params), free, times, found)
     good = bool(jnp.all(found.converged)) and bool(jnp.all(jnp.isfinite(values)))
     return np.asarray(values), {name: np.asarray(slope) for name, slope in slopes.items()}, good

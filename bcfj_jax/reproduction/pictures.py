@@ -11,7 +11,9 @@ from bcfj_jax.analysis import features
 from bcfj_jax.io import plots
 from bcfj_jax.io.page import Picture, brief
 from bcfj_jax.reproduction.claims import claim
-from bcfj_jax.reproduction.measures import ORDER, WINDOW_AXIAL, WINDOW_NORMAL, resultant
+from bcfj_jax.reproduction.frames import FRAMES, ORDER, WINDOW_AXIAL, WINDOW_NORMAL, components, later
+from bcfj_jax.reproduction.measures import resultant
+from bcfj_jax.reproduction.record import Record
 from bcfj_jax.solve.simulation import Run
 
 if TYPE_CHECKING:
@@ -25,6 +27,8 @@ FILES = (
     "point_5_head_ball.png",
     "no_clearance_fit.png",
     "small_clearances.png",
+    "frames.png",
+    "sudden_start.png",
 )
 # What a reader looks for first: the peaks of the paper's points 1 and 4.
 LEADING = (FILES[0], FILES[3])
@@ -33,8 +37,18 @@ _WIDE = 7.2
 _THIN = 0.9
 
 
-def draw(folder: Path, runs: dict[str, Run], tight: Run | None) -> list[Picture]:
-    """Write every picture there are runs for; runs by name ("as given", "calibrated"), the first of them leading."""
+def draw(
+    folder: Path, runs: dict[str, Run], tight: Run | None, observed: Record | None = None, sudden: Run | None = None
+) -> list[Picture]:
+    """Write every picture there are runs for.
+
+    Args:
+        folder: to write to.
+        runs: by name ("as given", "calibrated"), the first of them leading.
+        tight: the run with small clearances.
+        observed: what is looked at from several frames.
+        sudden: a sudden start, finely sampled.
+    """
     written = [
         _guide(folder / FILES[0], runs, 1, "seat_cage", "Q20"),
         _guide(folder / FILES[1], runs, 2, "head_cage", "Q21"),
@@ -48,7 +62,59 @@ def draw(folder: Path, runs: dict[str, Run], tight: Run | None) -> list[Picture]
         written.append(_smooth(folder / FILES[5], first))
     if tight is not None:
         written.append(_tight(folder / FILES[6], first, tight))
+    if observed is not None:
+        written.append(_frames(folder / FILES[7], observed))
+    if sudden is not None:
+        written.append(_sudden(folder / FILES[8], sudden))
     return written
+
+
+def _frames(path: Path, record: Record) -> Picture:
+    """The radial force of point 1 as each observer reads it."""
+    with plots.style():
+        drawing, axes = plots.figure(len(FRAMES), width=_WIDE, height=1.5)
+        for axis, frame in zip(axes, FRAMES, strict=True):
+            axis.plot(record.run.times, components(record, "seat_cage", frame)[:, 0] / 1e3, linewidth=_THIN)
+            _axis(axis, record.run, FRAMES[frame], "x")
+            axis.set_xlim(*_later(record.run))
+        plots.save(drawing, path, 32)
+    shows = (
+        "The same force of the cage on the seat, as given, in the axes of six observers: sixfold a turn in the contact's own "
+        "and in fixed axes, once a turn in axes that turn with a part."
+    )
+    return Picture(path.name, "Point 1 as different observers read it", shows)
+
+
+def _later(run: Run) -> tuple[float, float]:
+    """Two turns at most of the settled joint."""
+    low, high = later(run.times)
+    return low, min(high, low + 1.2)
+
+
+def _sudden(path: Path, run: Run) -> Picture:
+    """The first milliseconds of the sudden start."""
+    panels = (
+        ("seat_cage", ("Q20",)), ("head_cage", ("Q21",)), ("cage_ball", ("Q23",)), ("seat_ball", ("Q26",)),
+        ("head_ball", ("Q27",)),
+    )  # fmt: skip
+    with plots.style():
+        drawing, axes = plots.figure(len(panels), width=_WIDE, height=1.7)
+        for axis, (contact, ids) in zip(axes, panels, strict=True):
+            force = run.force[contact]
+            values = force[..., 0] if contact in ("cage_ball", "seat_cage", "head_cage") else resultant(force)
+            for member in values.reshape(len(run.times), -1).T:
+                axis.plot(1e3 * run.times, member / 1e3, linewidth=_THIN)
+            axis.set_title(f"{contact}, sudden start")
+            axis.set_xlabel("time [ms]")
+            axis.set_ylabel("force [kN]")
+            axis.set_xlim(0.0, 1.5)
+            for id in ids:
+                _paper(axis, id)
+        plots.save(drawing, path, 64)
+    shows = (
+        "Forces of the first 1.5 ms after the torque is stepped on, read every microsecond; dashed: the paper's peaks."
+    )
+    return Picture(path.name, "Sudden start", shows)
 
 
 def _axis(axis: Axes, run: Run, title: str, what: str) -> None:
@@ -78,7 +144,7 @@ def _legend(axis: Axes, columns: int) -> None:
 def _guide(path: Path, runs: dict[str, Run], point: int, contact: str, id: str) -> Picture:
     """Three components of a sphere in a sphere, the runs on top of each other."""
     with plots.style():
-        drawing, axes = plots.figure(3, width=_WIDE, height=2.5)
+        drawing, axes = plots.figure(3, width=_WIDE, height=1.9)
         for part, axis in enumerate(axes):
             for name, run in runs.items():
                 axis.plot(run.times, run.force[contact][:, part] / 1e3, label=name, linewidth=_THIN)
@@ -108,6 +174,8 @@ def _balls(path: Path, runs: dict[str, Run], point: int, contact: str, id: str) 
             _paper(axis, id)
             low = claim(id).values[0]
             axis.set_ylim(bottom=1.12 * low / 1e3 if low < 0 else 0.0)
+            # Six lines on top of each other: what comes later repeats itself.
+            axis.set_xlim(0.0, min(1.2, run.times[-1]))
         _legend(axes[-1], 7)
         plots.save(drawing, path, 64)
     tops = ", ".join(

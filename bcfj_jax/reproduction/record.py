@@ -13,6 +13,7 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.mechanism.model import Params, Reading
+from bcfj_jax.models.joint.attitude import azimuth_rate
 from bcfj_jax.models.joint.constants import constants
 from bcfj_jax.models.joint.observe import observe
 from bcfj_jax.models.joint.scene import Joint
@@ -37,54 +38,121 @@ class Balance(NamedTuple):
     inertia: np.ndarray
 
 
+class Turns(NamedTuple):
+    """How the bodies are turned at T instants.
+
+    Attributes:
+        seat, head: (T,) turns about their axes [rad].
+        cage_axis: (T, 3) unit vectors.
+        cage: (T,) the cage's azimuth [rad]: a state where windows have ends, else the integral of its spin.
+    """
+
+    seat: np.ndarray
+    head: np.ndarray
+    cage_axis: np.ndarray
+    cage: np.ndarray
+
+
 class Record(NamedTuple):
-    """A run at the paper's output times, and the cage at ``INSTANT`` (at half time of a shorter run)."""
+    """A run at the paper's output times, and the cage at ``INSTANT`` (at half time of a shorter run).
+
+    Attributes:
+        fine: the same run at every time it was asked for; where peaks and onsets are read.
+        world: by contact (T, 3) or (T, balls, 3), force on the second body in world axes at the paper's times [N].
+        turns: of the bodies at the paper's times.
+        angle: the joint's [rad].
+    """
 
     run: Run
     balance: Balance
+    fine: Run
+    world: dict[str, np.ndarray]
+    turns: Turns
+    angle: float
+
+
+class Seen(NamedTuple):
+    """Per instant: contact forces on the cage (T, 3), its velocity, axis and azimuth or its rate, the other turns."""
+
+    forces: Array
+    velocity: Array
+    axis: Array
+    azimuth: Array
+    seat: Array
+    head: Array
+
+
+_Outcome = tuple[Solution, dict[str, Reading], Seen]
 
 
 @eqx.filter_jit
-def _run(scene: Joint, params: Params, times: Array, how: Plan) -> tuple[Solution, dict[str, Reading], Array, Array]:
-    """Solution, readings, and per instant the contact forces on the cage and its velocity, (T, 3) each."""
+def _run(scene: Joint, params: Params, times: Array, how: Plan) -> _Outcome:
+    """Solution, readings, and what else is read of the states."""
     solution = integrate(scene, params, times, how, "forward")
     c = constants(scene, params)
 
-    def look(y: Array) -> tuple[dict[str, Reading], Array, Array]:
+    def look(y: Array) -> tuple[dict[str, Reading], Seen]:
         state = view(scene, c, y)
         _, coupling = on_bodies(scene, c, state, contact_forces(scene, c, state))
-        return observe(scene, c, y), coupling[scene.slices["cage"]], state.cage_velocity
+        azimuth = state.cage_azimuth
+        if azimuth is None:
+            azimuth = azimuth_rate(state.cage_axis, state.cage_spin)
+        cage = coupling[scene.slices["cage"]]
+        seen = Seen(cage, state.cage_velocity, state.cage_axis, azimuth, state.seat_turn, state.head_turn)
+        return observe(scene, c, y), seen
 
-    readings, forces, velocity = jax.vmap(look)(solution.states)
-    return solution, readings, forces, velocity
+    readings, seen = jax.vmap(look)(solution.states)
+    return solution, readings, seen
 
 
-_compiled: dict[tuple[Joint, int], Callable[..., tuple[Solution, dict[str, Reading], Array, Array]]] = {}
+_compiled: dict[tuple[Joint, int], Callable[..., _Outcome]] = {}
 
 
-def record(scene: Joint, params: Params, end: float = END, step: float = STEP) -> Record:
-    """Run a dynamic joint with a free cage as the paper did: output every ``step`` up to ``end`` [s]."""
+def record(
+    scene: Joint,
+    params: Params,
+    end: float = END,
+    step: float = STEP,
+    start: tuple[float, float] | None = None,
+    accuracy: float = ACCURACY,
+) -> Record:
+    """Run a dynamic joint with a free cage as the paper did: output every ``step`` up to ``end`` [s].
+
+    Args:
+        scene, params: the joint's.
+        end, step: of the regular output [s].
+        start: until when and how finely the start is looked at besides [s, s]; None for not.
+        accuracy: force error asked for, a fraction of the peak.
+    """
     regular = np.linspace(0.0, end, round(end / step) + 1)
     instant = INSTANT if end > INSTANT + _HALF else 0.5 * end
     at = np.array([instant - _HALF, instant, instant + _HALF])
-    times = np.unique(np.concatenate([regular, at]))
+    close = np.arange(0.0, start[0], start[1]) if start else np.zeros(1)
+    times = np.unique(np.concatenate([regular, at, close]))
     # ``unique`` keeps two numbers that differ by rounding; an instant that is a sample is wanted once.
     times = times[np.concatenate([[True], np.diff(times) > 1e-9])]
-    how = plan(scene, ACCURACY, _MAX_STEPS)
+    how = plan(scene, accuracy, _MAX_STEPS)
     arguments = (scene, dict(params), jnp.asarray(times), how)
     begin = time.perf_counter()
     key = (scene, times.size)
     if key not in _compiled:
         _compiled[key] = _run.lower(*arguments).compile()
     compiled = time.perf_counter()
-    solution, readings, forces, velocity = jax.device_get(_compiled[key](*arguments))
+    solution, readings, seen = jax.device_get(_compiled[key](*arguments))
     done = time.perf_counter()
     keep = np.searchsorted(times, regular - 1e-9)
-    readings = jax.tree.map(lambda part: part[keep], readings)
     walls = {"wall_s": done - compiled, "compile_s": compiled - begin}
+    fine = story(scene, times, solution, readings, how, walls)
+    readings = jax.tree.map(lambda part: part[keep], readings)
     run = story(scene, regular, solution, readings, how, walls)
     low, middle, high = np.searchsorted(times, at - 1e-9)
-    pace = np.asarray(velocity)
+    pace = np.asarray(seen.velocity)
     rate = (pace[high] - pace[low]) / (times[high] - times[low])
     mass = float(params["cage_mass"])
-    return Record(run, Balance(float(times[middle]), np.asarray(forces)[middle], mass * rate))
+    azimuth = np.asarray(seen.azimuth)
+    if scene.azimuth is None:
+        azimuth = np.concatenate([[0.0], np.cumsum(0.5 * (azimuth[1:] + azimuth[:-1]) * np.diff(times))])
+    turns = Turns(*(np.asarray(x)[keep] for x in (seen.seat, seen.head, seen.axis, azimuth)))
+    world = {name: np.asarray(reading.world) for name, reading in readings.items()}
+    balance = Balance(float(times[middle]), np.asarray(seen.forces)[middle], mass * rate)
+    return Record(run, balance, fine, world, turns, float(params["joint_angle"]))

@@ -11,10 +11,42 @@ from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint.defaults import DEFAULTS
 from bcfj_jax.reproduction.claims import CLAIMS, FIGURE, INPUT, Claim
 from bcfj_jax.reproduction.fit import ERROR, KNOWN, UNKNOWNS, PeakFit, combination, targets
-from bcfj_jax.reproduction.measures import Inequality, Measured
+from bcfj_jax.reproduction.frames import FRAMED, FRAMES
+from bcfj_jax.reproduction.measures import Inequality, Measured, onset_remark
 from bcfj_jax.reproduction.peaks import TARGETS
 
-HEAD = ["id", "quantity", "paper", "as given", "calibrated", "remark"]
+VARIANTS = ("as given", "sudden start", "calibrated")
+HEAD = ["id", "quantity", "paper", *VARIANTS, "verdict", "read in", "picture", "remark"]
+REACHED, MISSED, OPEN = "reached", "missed", "undecidable"
+# Claims about the start, which the paper gives no drive or load over time for.
+GUESSED = "the paper gives neither drive nor load over time: the start is a guess (load_ramp)"
+_WHY_OPEN = {
+    "Q24": "the paper's table is missing",
+    "Q29": f"{GUESSED}; an onset, not a lag of two histories. {onset_remark()}",
+    "Q30": GUESSED,
+    "Q31": GUESSED,
+}
+# How each claim was measured, and its picture.
+READ = {
+    "Q17": ("autocorrelation of each component, 1.2 to 3 s", "frames.png"),
+    "Q18": ("greatest less smallest of Q17", "frames.png"),
+    "Q19": ("1 over the normal period of Q17", "frames.png"),
+    "Q20": ("largest normal force of the run", "point_1_seat_cage.png"),
+    "Q21": ("largest normal force of the run", "point_2_head_cage.png"),
+    "Q22": ("best correlation of the normal components", "frames.png"),
+    "Q23": ("least and largest force along the cage's axis", "point_3_cage_ball.png"),
+    "Q24": ("sum of forces less mass times acceleration", "-"),
+    "Q25": ("autocorrelation of ball 1", "point_4_seat_ball.png"),
+    "Q26": ("largest resultant of any ball", "point_4_seat_ball.png"),
+    "Q27": ("largest resultant of any ball", "point_5_head_ball.png"),
+    "Q28": ("loss between the peaks of points 4 and 5", "point_5_head_ball.png"),
+    "Q29": ("onset: first ball at 5 % of its settled peak", "sudden_start.png"),
+    "Q30": ("pilots bear without a break", "sudden_start.png"),
+    "Q31": ("every ball repeats itself within 5 %", "point_4_seat_ball.png"),
+    "Q35": ("half range of the polynomial's residual, absolute", "no_clearance_fit.png"),
+    "Q36": ("half range of the polynomial's residual, absolute", "no_clearance_fit.png"),
+    "Q37": ("inequalities, table below", "small_clearances.png"),
+}
 FITTED_TO = "Q20, Q21, Q23, Q26, Q27"
 AS_GIVEN = (
     "As given: the scene's defaults, nothing fitted. The paper states speed, torque, angle, friction and exponent; the "
@@ -31,6 +63,33 @@ MISFIT = (
     "column is what this model does at them, nothing more."
 )
 SEVERAL = "as the paper's"
+BOUNDED = (
+    "The calibration stays inside physical bounds, and the stiffness of the pilots follows their play (Lankarani and "
+    "Nikravesh)."
+)
+SETTLED_WINDOW = (
+    "Both signs of 15 kN at a window are no settled state: with balls of at most 39.84 kN a static balance gives 1.65 kN "
+    "of both signs on the bisector (linear program), 12.6 kN with any tilting moment that friction could give."
+)
+
+
+def verdict_of(row: Claim, found: Mapping[str, Measured] | None) -> str:
+    """Whether a run's numbers reach a claim within ``ERROR``; open where either gives none, or a guess decides."""
+    values = found[row.id].values if found is not None and row.id in found else ()
+    if row.id in _WHY_OPEN or len(values) != len(row.values) or not values or not all(map(math.isfinite, values)):
+        return OPEN
+    met = [abs(v - p) <= ERROR * abs(p) for v, p in zip(values, row.values, strict=True)]
+    return REACHED if all(met) else MISSED
+
+
+def _miss(row: Claim, values: Sequence[float]) -> str:
+    """By how much numbers are off, in words; "" where that says nothing."""
+    if row.id in _WHY_OPEN or len(values) != len(row.values) or not all(map(math.isfinite, values)):
+        return ""
+    shares = [v / p - 1.0 for v, p in zip(values, row.values, strict=True)]
+    if all(abs(share) < 10.0 for share in shares):
+        return f" ({', '.join(f'{share:+.0%}' for share in shares)})"
+    return ""
 
 
 def shown(values: Sequence[float], unit: str) -> str:
@@ -73,35 +132,63 @@ def _cell(row: Claim, found: Mapping[str, Measured] | None, tests: Sequence[Ineq
         )
     if row.kind != FIGURE or found is None or row.id not in found:
         return "-"
-    return shown(found[row.id].values, row.unit)
+    return shown(found[row.id].values, row.unit) + _miss(row, found[row.id].values)
 
 
 def rows(
     inputs: Mapping[str, str],
-    given: Mapping[str, Measured] | None,
-    calibrated: Mapping[str, Measured] | None,
+    measured: Mapping[str, Mapping[str, Measured]],
     tests: Mapping[str, Sequence[Inequality]],
+    framed: Mapping[str, str],
 ) -> list[list[str]]:
-    """The table, its titles first."""
+    """The table, its titles first.
+
+    Args:
+        inputs: ``used``.
+        measured, tests: by variant.
+        framed: by claim the frame in which its number was read, where that is not the contact's.
+    """
     table = [HEAD]
     for row in CLAIMS:
+        found = [measured.get(name) for name in VARIANTS]
+        cells = [_cell(row, one, tests.get(name)) for name, one in zip(VARIANTS, found, strict=True)]
+        read, picture, verdict = "-", "-", "-"
         if row.kind == INPUT:
-            model = [inputs[row.id]] * 2
-        else:
-            model = [_cell(row, given, tests.get("as given")), _cell(row, calibrated, tests.get("calibrated"))]
+            cells = [inputs[row.id]] * len(VARIANTS)
+        if row.kind == FIGURE:
+            how, picture = READ[row.id]
+            read = f"{framed.get(row.id, 'contact')} axes; {how}"
+            words = [verdict_of(row, one) for one in found]
+            verdict = words[0] if len(set(words)) == 1 else "; ".join(words)
+        if row.id == "Q37":
+            verdict = "one by one, below"
         remarks = [row.remark] if row.remark else []
         if row.id in FITTED_TO.split(", "):
-            remarks.append("calibrated: fitted to this, no prediction")
-        remark = given[row.id].remark if given is not None and row.id in given else ""
-        table.append(
-            [
-                row.id,
-                row.quantity,
-                row.printed,
-                *model,
-                "; ".join([*remarks, *([f"model: {remark}"] if remark else [])]),
-            ]
-        )
+            remarks.append("calibrated: fitted to this, no prediction; sudden start: met by hand")
+        if row.id in _WHY_OPEN:
+            remarks.append(_WHY_OPEN[row.id])
+        remark = found[0][row.id].remark if found[0] is not None and row.id in found[0] else ""
+        remarks += [f"model: {remark}"] if remark else []
+        table.append([row.id, row.quantity, row.printed, *cells, verdict, read, picture, "; ".join(remarks)])
+    return table
+
+
+def frame_rows(found: Mapping[str, Mapping[str, Mapping[str, tuple[float, ...]]]]) -> list[list[str]]:
+    """Claims whose number depends on the frame, by variant and frame; the first row has the paper's."""
+    ids = [row for row in CLAIMS if row.id in FRAMED]
+    table = [["run", "axes", *(row.id for row in ids)]]
+    table.append(["paper", "not stated", *(shown(row.values, row.unit) for row in ids)])
+    for name, frames in found.items():
+        for frame, values in frames.items():
+            table.append([name, FRAMES[frame], *(shown(values[row.id], row.unit) for row in ids)])
+    return table
+
+
+def residual_rows(found: Mapping[str, Mapping[str, tuple[float, float]]]) -> list[list[str]]:
+    """Residuals of the polynomial's fit by run and contact: absolute and relative, always both."""
+    table = [["run", "contact", "rms, absolute", "rms over mean fit, relative"]]
+    for name, contacts in found.items():
+        table += [[name, contact, format_si(a, "N", 3), f"{r:.3f}"] for contact, (a, r) in contacts.items()]
     return table
 
 
