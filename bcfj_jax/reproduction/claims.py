@@ -101,7 +101,7 @@ CLAIMS: tuple[Claim, ...] = (
     Claim("Q27", "peak, point 5, ball 5", "38.76 kN", "4.1.5", FIGURE, (38.76e3,), "N"),
     Claim("Q28", "load lost in transfer", "2.71 %", "4.1.5", FIGURE, (0.0271,), "%",
           "(39.84 - 38.76)/39.84 = 2.711 %: right"),
-    Claim("Q29", "onset of point 5 after that of point 4", "0.04 s (0.042 to 0.082 s)", "4.1.5, 4.2.1", FIGURE, (0.04,),
+    Claim("Q29", "first load of point 5 after that of point 4", "0.04 s (0.042 to 0.082 s)", "4.1.5, 4.2.1", FIGURE, (0.04,),
           "s"),
     Claim("Q30", "end of the start-up impacts", "0 to 0.042 s", "4.2.1", FIGURE, (0.042,), "s"),
     Claim("Q31", "time to stabilise", "0.585 s", "4.2.1", FIGURE, (0.585,), "s", "about one turn"),

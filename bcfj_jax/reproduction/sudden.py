@@ -31,7 +31,7 @@ VARIANTS = {
     "sudden start": (
         {**_STEP, **_PLAY, **_PILOTS, "dashpot": 1e4, "smoothing": 2e-6, "contact_angle": float(np.radians(68.0))},
         "torque in 0.1 ms, IMPACT damping 10 N s/mm to 0.1 mm depth, balls' play 85 um, pilots' 10 um (with the stiffness "
-        "of 50 um), contact angle 68 deg, onset 2 um",
+        "of 50 um), contact angle 68 deg, smoothing 2 um",
     ),
     "as given, torque in 0.1 ms": (
         _STEP | {"dashpot": 5e4},

@@ -22,7 +22,7 @@ REACHED, MISSED, OPEN = "reached", "missed", "undecidable"
 GUESSED = "the paper gives neither drive nor load over time: the start is a guess (load_ramp)"
 _WHY_OPEN = {
     "Q24": "the paper's table is missing",
-    "Q29": f"{GUESSED}; an onset, not a lag of two histories. {onset_remark()}",
+    "Q29": f"{GUESSED}; a time of first load, not a lag of two histories. {onset_remark()}",
     "Q30": GUESSED,
     "Q31": GUESSED,
 }
@@ -40,7 +40,7 @@ READ = {
     "Q26": ("largest resultant of any ball", "point_4_seat_ball.png"),
     "Q27": ("largest resultant of any ball", "point_5_head_ball.png"),
     "Q28": ("loss between the peaks of points 4 and 5", "point_5_head_ball.png"),
-    "Q29": ("onset: first ball at 5 % of its settled peak", "sudden_start.png"),
+    "Q29": ("first ball at 5 % of its settled peak", "sudden_start.png"),
     "Q30": ("pilots bear without a break", "sudden_start.png"),
     "Q31": ("every ball repeats itself within 5 %", "point_4_seat_ball.png"),
     "Q35": ("half range of the polynomial's residual, absolute", "no_clearance_fit.png"),
