@@ -24,7 +24,7 @@ even edge. With the contact's sliding  u(e) = (I - e e') v + l w x e  of twist (
     u = A v + l w x q    t = l q x v + l^2 A w    A = I - <e e'>    s^2 = u . v + t . w = <|u(e)|^2>
 
 and friction is the force  -D u  with the moment  -D t  about the sphere's centre,  D = N mu(s)/s:  it takes  D s^2.
-Bristles are of points: a band has none, and a friction law with bristles acts by its steady slip there.
+Bristles and memory are of points: a band has none, and a friction law with a state acts by its steady slip there.
 """  # noqa: E501
 
 from __future__ import annotations

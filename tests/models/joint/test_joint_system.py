@@ -35,6 +35,7 @@ OPTIONS = {
     "bristles, circular": {"friction": "lugre", "track": "circular", "cage": "fixed"},
     "memory": {"friction": "memory"},
     "memory, spin": {"friction": "memory", "spin": True},
+    "memory, window ends": {"friction": "memory", "window_ends": True},
     "bristles of some": {"frictions": {"head_ball": "lugre", "head_cage": "lugre", "seat_ball": False}},
     "grooves": {"contacts": GROOVES, "cage": "fixed", "head": "fixed"},
     "one pilot, no windows, sharp": {"contacts": ("seat_cage", *GROOVES), "balls": 3, "smoothing": False},
