@@ -110,6 +110,60 @@ def contact_fraction(times: ArrayLike, penetration: ArrayLike) -> Array:
     return xp.sum(share * xp.diff(t)) / (t[-1] - t[0])
 
 
+def onset_time(times: ArrayLike, force: ArrayLike, share: float = 0.5, level: float | None = None) -> float:
+    """When a force first reaches a share of a level [s], linear between samples; infinite where it never does.
+
+    The paper's delay of .04 s between the points 5 and 4 (.042 and .082 s, its sections 4.1.5 and 4.2.1) is a difference of
+    such onsets and no lag of correlated histories. NumPy, not traced.
+
+    Args:
+        times, force: (T,) [s], [N]; of either sign, its size counts.
+        share: of the level.
+        level: [N]; by default the greatest size in the last third of the history, where a start is over.
+    """
+    t, f = np.asarray(times, dtype=float), np.abs(np.asarray(force, dtype=float))
+    settled = t >= t[0] + 2.0 * (t[-1] - t[0]) / 3.0
+    limit = share * (float(np.max(f[settled])) if level is None else abs(level))
+    if not limit > 0.0:
+        return float("inf")
+    above = np.flatnonzero(f >= limit)
+    if not above.size:
+        return float("inf")
+    k = int(above[0])
+    return float(t[0] if k == 0 else t[k - 1] + (limit - f[k - 1]) / (f[k] - f[k - 1]) * (t[k] - t[k - 1]))
+
+
+def settling_time(times: ArrayLike, force: ArrayLike, period: float, band: float = 0.05) -> float:
+    """From when on the mean of a force over a period stays within a band about its last one [s].
+
+    The control engineer's settling time, of the moving mean over one period, so that a steady ripple counts as settled; the
+    paper's stabilisation time of .585 s is one such. The time is that of the mean's first sample; infinite for a history
+    shorter than two periods. NumPy, not traced.
+
+    Args:
+        times, force: (T,) [s], [N]; even steps.
+        period: [s].
+        band: half-width as a share of the greatest moving mean's size.
+    """
+    t, f = np.asarray(times, dtype=float), np.asarray(force, dtype=float)
+    if not t[-1] - t[0] >= 2.0 * period:
+        return float("inf")
+    sums = np.concatenate([[0.0], np.cumsum(0.5 * (f[1:] + f[:-1]) * np.diff(t))])
+    begin = t[t <= t[-1] - period]
+    means = (np.interp(begin + period, t, sums) - np.interp(begin, t, sums)) / period
+    out = np.flatnonzero(np.abs(means - means[-1]) > band * np.max(np.abs(means)))
+    return float(begin[0] if not out.size else begin[min(int(out[-1]) + 1, begin.size - 1)])
+
+
+def start_window(times: ArrayLike, forces: ArrayLike, share: float = 0.5) -> tuple[float, float]:
+    """First and last ``onset_time`` of several contacts (k, T) [s]: from the first to carry load to the last one.
+
+    The paper's start-up impact window, 0 to .042 s; 0 is when the drive starts.
+    """
+    found = [onset_time(times, force, share) for force in np.asarray(forces)]
+    return min(found), max(found)
+
+
 def transfer_loss(force_in: ArrayLike, force_out: ArrayLike) -> Array:
     """Share of the peak force that is not passed on, (max F_in - max F_out)/max F_in [-]; NaN where max F_in <= 0.
 

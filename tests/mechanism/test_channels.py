@@ -152,7 +152,7 @@ def test_a_readings_feature_is_taken_and_differentiated_like_a_contacts():
 
 
 def test_axes_that_are_not_known_are_refused():
-    """The joint's cage has an axis and no azimuth."""
-    scene = scenes.joint()
+    """The joint's rolling balls have a spin and no axes."""
+    scene = scenes.joint(spin=True)
     with pytest.raises(InputError, match=r"rotation of '.*' is not computed"):
-        simulate(scene, scene.parameters(), np.linspace(0.0, 0.01, 3), read=("seat_cage.force.x in cage",))
+        simulate(scene, scene.parameters(), np.linspace(0.0, 0.01, 3), read=("seat_cage.force.x in ball",))

@@ -126,7 +126,8 @@ BODIES = ("seat", "head", "cage", "ball")
 
 
 def motions(scene: Joint, c: Constants, t: Array, y: Array) -> dict[str, BodyMotion]:
-    """How every body moves; balls side by side. Without window ends the cage has no azimuth, hence no axes.
+    """How every body moves; balls side by side. Without window ends the cage has no azimuth: its axes then turn as the
+    seat does, which is what a cage that does not slip does on average, and it has no ``angle``.
 
     The seat's ``drive`` is the torque that holds its speed, or a flexible drive's.
     """
@@ -167,8 +168,9 @@ def motions(scene: Joint, c: Constants, t: Array, y: Array) -> dict[str, BodyMot
         state.cage_place, state.cage_velocity, of("cage"), spin=state.cage_spin, spin_rate=of("cage_turn")
     )
     if state.cage_azimuth is not None:
-        axes = cage_axes(state.cage_axis, state.cage_azimuth)
-        found["cage"] = found["cage"]._replace(axes=axes, angle=state.cage_azimuth)
+        found["cage"] = found["cage"]._replace(angle=state.cage_azimuth)
+    azimuth = state.seat_turn if state.cage_azimuth is None else state.cage_azimuth
+    found["cage"] = found["cage"]._replace(axes=cage_axes(state.cage_axis, azimuth))
     return found
 
 

@@ -28,7 +28,7 @@ from bcfj_jax.mechanism.readings import (
 )
 from bcfj_jax.models.joint.constants import constants
 from bcfj_jax.models.joint.energy import Power, Stored
-from bcfj_jax.models.joint.observe import Whole, observe, resultants
+from bcfj_jax.models.joint.observe import Whole, motions, observe, resultants
 from bcfj_jax.models.joint.start import nominal
 from bcfj_jax.models.joint.summary import of_the_whole
 from bcfj_jax.solve.simulation import Run
@@ -233,3 +233,15 @@ def test_the_joint_as_a_whole_in_numbers():
     assert found["cage_equilibrium"]["largest_residual"] == 0.25
     assert found["cage_equilibrium"]["largest_resultant"] == 4.0
     assert "cage_equilibrium" not in of_the_whole(times, arrays._replace(cage_residual=None))
+
+
+def test_the_axes_of_a_cage_without_an_azimuth_turn_with_the_seat():
+    scene = bj.scenes.joint()
+    params = scene.parameters()
+    c = jax.jit(constants, static_argnums=0)(scene, params)
+    look = jax.jit(lambda y: motions(scene, c, 0.0, y)["cage"], compiler_options={"xla_backend_optimization_level": 0})
+    first, later = (look(jax.jit(nominal, static_argnums=0)(scene, params, jnp.asarray(turn))) for turn in (0.0, 1.0))
+    turned = np.asarray(first.axes).T @ np.asarray(later.axes)
+    wanted = np.array([[np.cos(1), -np.sin(1), 0], [np.sin(1), np.cos(1), 0], [0, 0, 1]])
+    assert np.abs(turned - wanted).max() < 1e-12
+    assert first.angle is None and np.abs(np.asarray(first.axes)[:, 2] - np.asarray(c.bisector)).max() < 1e-14
