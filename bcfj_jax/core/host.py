@@ -133,11 +133,18 @@ def _done(name: str, given: list[Any], params: Mapping[str, Any]) -> list[Any]:
         return [np.asarray(_ELEMENTWISE[name](*given))]
     if name in _SHAPED:
         return [np.asarray(_SHAPED[name](*given, **params))]
+    if name == "unstack":
+        return list(np.moveaxis(given[0], params["axis"], 0))
+    # From JAX 0.12 on the search within ``interp`` is one operation.
+    searched = params.get("_prim")
+    if type(searched).__name__ == "SearchSorted" and not searched.batch_dims:
+        return [np.searchsorted(*given, side=searched.side).astype(np.int32)]
     raise Unknown(name)
 
 
 def _scan(given: list[Any], params: Mapping[str, Any]) -> list[Any]:
-    fixed, carried, length = params["num_consts"], params["num_carry"], params["length"]
+    fixed, carried = _scanned(params)
+    length = params["length"]
     consts, carry, rows = given[:fixed], given[fixed : fixed + carried], given[fixed + carried :]
     outs: list[list[Any]] = []
     for i in reversed(range(length)) if params["reverse"] else range(length):
@@ -148,6 +155,14 @@ def _scan(given: list[Any], params: Mapping[str, Any]) -> list[Any]:
     if not outs and len(params["jaxpr"].jaxpr.outvars) > carried:
         raise Unknown("scan of no length")
     return [*carry, *(np.stack(column) for column in zip(*outs, strict=True))]
+
+
+def _scanned(params: Mapping[str, Any]) -> tuple[int, int]:
+    """Numbers of constants and of carried values of a scan; from JAX 0.12 on its inputs are a tree of three branches."""
+    if "ft_in" not in params:
+        return params["num_consts"], params["num_carry"]
+    consts, carry, _ = params["ft_in"].unpack()
+    return len(consts), len(carry)
 
 
 def _while(given: list[Any], params: Mapping[str, Any]) -> list[Any]:

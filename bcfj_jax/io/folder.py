@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from bcfj_jax.core.errors import InputError
+from bcfj_jax.io import stop
 
 try:
     import fcntl
@@ -124,7 +125,9 @@ def open_folder(
     Raises:
         InputError: if the folder asked for already holds one of the files, is no folder, cannot be written, has no
             space, or another process writes there.
+        KeyboardInterrupt: if Ctrl-C came before work began and was lost, as where a library's import catches everything.
     """
+    stop.check()
     try:
         if out is None:
             return _default(f"{verb}-{stem}", verb, tuple(will_write), goes_on, size)

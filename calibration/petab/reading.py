@@ -32,7 +32,7 @@ def load(path: str | Path, scene: str | Path | None = None) -> Problem:
     path = Path(path)
     v2 = library("petab.v2", str(path), "petab")
     tables, config = _read(v2, path)
-    extension = (config.extensions or {}).get("bcfj", {})
+    extension = _extension(config)
     models = list((config.model_files or {}).values())
     if scene is None and (len(models) != 1 or models[0].language != "bcfj"):
         found = ", ".join(m.language for m in models) or "none"
@@ -43,7 +43,7 @@ def load(path: str | Path, scene: str | Path | None = None) -> Problem:
     if "held_out" in extension:
         beside = path.parent / extension["held_out"]
         others, other_config = _read(v2, beside)
-        experiments += _Reader(beside, others, (other_config.extensions or {}).get("bcfj", {})).experiments(True)
+        experiments += _Reader(beside, others, _extension(other_config)).experiments(True)
     params = {name: float(value) for name, value in base.params.items()}
     return Problem(
         scene=base.scene,
@@ -86,6 +86,12 @@ def _read(v2: Any, path: Path) -> tuple[Any, Any]:
     if config.format_version_tuple[0] != 2:
         raise InputError(str(path), f"PEtab version {config.format_version}", "convert it to version 2 with petab1to2")
     return problem, config
+
+
+def _extension(config: Any) -> dict[str, Any]:
+    """Our part of the YAML; a dict in libpetab 0.8, an object in later releases."""
+    found = (config.extensions or {}).get("bcfj", {})
+    return found if isinstance(found, dict) else found.model_dump()
 
 
 class _Reader:

@@ -60,7 +60,9 @@ def _write(
     for name, file in FILES.items():
         for table in getattr(tables, name):
             table.rel_path = Path(file)
-    tables.config = v2.ProblemConfig(filepath=YAML, extensions={"bcfj": _extension(problem, experiments) | more})
+    # PEtab asks every extension for a version, and whether the problem means something else without it.
+    ours = {"version": "1.0.0", "required": False} | _extension(problem, experiments) | more
+    tables.config = v2.ProblemConfig(filepath=YAML, extensions={"bcfj": ours})
     issues = [i for i in tables.validate() if i.level >= v2.lint.ValidationIssueSeverity.ERROR]
     if issues:
         remedy = "PEtab has no place for it; report it with the problem file"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
+import os
 import signal
 import subprocess
 import sys
@@ -10,7 +12,7 @@ import time
 
 import pytest
 
-from bcfj_jax.io import stop
+from bcfj_jax.io import folder, stop
 
 
 def collected(times: int, number: signal.Signals) -> list[int]:
@@ -61,6 +63,16 @@ def test_what_was_heard_does_not_come_again():
             work()
         # As the work that tidies up does.
         time.sleep(0.1)
+
+
+def test_what_an_import_swallows_is_heard_before_work_begins(tmp_path):
+    with stop.heeded():
+        # Libraries that may be missing are imported so.
+        with contextlib.suppress(BaseException):
+            os.kill(os.getpid(), signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):
+            folder.open_folder(tmp_path / "out", "simulate", "impact", ["forces.csv"])
+    assert not (tmp_path / "out").exists()
 
 
 def test_another_fault_of_a_callback_is_reported(monkeypatch):

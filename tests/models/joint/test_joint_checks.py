@@ -73,6 +73,9 @@ REFUSED = [
     ({"ball_radius": math.nan}, "ball_radius", "nan m", "length > 0"),
     ({"offset": math.inf}, "offset", "inf m", "finite"),
     ({"pitch_radius": 0.0}, "pitch_radius", "0 m", "length > 0"),
+    ({"clearance_cage_window_end": 0.02}, "clearance_cage_window_end", "0.02 m", "give less than 0.012 m"),
+    ({"clearance_cage_window_end": 2e-4}, "clearance_cage_window_end", "0.0002 m", "or more"),
+    ({"pilot_band": 0.1}, "pilot_band", "0.1 rad", "give more than"),
 ]
 
 
