@@ -33,7 +33,7 @@ from bcfj_jax.mechanism.model import (
     Solution,
 )
 from bcfj_jax.mechanism.structure import AbstractStructure
-from bcfj_jax.models.joint import drawing, envelope, programmes, summary, system, validity
+from bcfj_jax.models.joint import drawing, engineering, envelope, programmes, summary, system, validity
 from bcfj_jax.models.joint.arrowhead import Arrowhead
 from bcfj_jax.models.joint.batched_newton import origin
 from bcfj_jax.models.joint.checks import check_joint
@@ -316,7 +316,8 @@ class JointModel(Joint):
             for contact in self.contacts
             for k, axis in enumerate("xyz")
         }
-        return summary.of_the_whole(run.times, found), {_TABLE: columns}
+        entries = summary.of_the_whole(run.times, found)
+        return entries | {"engineering": engineering.of_the_contacts(scene, params, run)}, {_TABLE: columns}
 
     def orbits(self, params: Params, run: Any) -> dict[str, Orbit]:
         """The cage in the seat, across the seat's axis, and the head in the cage, across the head's; of motion only.

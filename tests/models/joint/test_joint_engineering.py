@@ -1,0 +1,44 @@
+"""Pressure, patch and power of the joint's contacts against the physics sheet's table and closed forms."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from bcfj_jax import scenes
+from bcfj_jax.models.joint.engineering import contact_shape, of_the_contacts
+
+# Physics sheet 1.4: r = 8 mm, Rc = 35.8 mm, 45 degrees, f = 0.52.
+SHEET = {"contact_angle": np.pi / 4, "pitch_radius": np.sqrt(35.8e-3**2 - 4.5e-3**2), "offset": 4.5e-3}
+
+
+@pytest.mark.parametrize(
+    ("name", "pressure", "depth"), [("seat_ball", 3.09e9, 46.4e-6), ("head_ball", 3.57e9, 47.8e-6)]
+)
+def test_grooves_of_the_sheet(name, pressure, depth):
+    scene = scenes.joint()
+    shape, _ = contact_shape(scene, scene.parameters(SHEET), name)
+    assert float(shape.peak_pressure(11.95e3)) == pytest.approx(pressure, rel=3e-3)
+    assert float(shape.penetration(11.95e3)) == pytest.approx(depth, rel=3e-3)
+
+
+def test_patches_power_and_what_is_void():
+    scene = scenes.joint()
+    params = scene.parameters()
+    times = np.linspace(0.0, 3.0, 31)
+    force = {name: np.zeros((31, 6, 3) if "ball" in name else (31, 3)) for name in ("cage_ball", "seat_cage")}
+    force["cage_ball"][..., 0] = -5e3
+    force["seat_cage"][:] = [20e3, 300.0, 400.0]
+    slip = {"cage_ball": np.zeros((31, 6)), "seat_cage": np.full(31, 0.02)}
+    found = of_the_contacts(scene, params, SimpleNamespace(times=times, force=force, slip=slip))
+    window, pilot = found["cage_ball"], found["seat_cage"]
+    # Circle of a ball on a flat: a^3 = 3 F r/(4 E*), p = 3 F/(2 pi a^2).
+    a = (3 * 5e3 * 8e-3 / (4 * 113e9)) ** (1 / 3)
+    assert window["half_axes"] == pytest.approx([a, a], rel=1e-6)
+    assert window["pressure"] == pytest.approx(1.5 * 5e3 / (np.pi * a * a), rel=1e-6)
+    # The audit's 5.8 GPa at 5 kN.
+    assert window["pressure"] == pytest.approx(5.8e9, rel=0.01) and "ISO 76" in window["void"]
+    assert pilot["power"] == pytest.approx(500.0 * 0.02) and window["power"] == 0.0
+    assert pilot["half_axes"][0] / 39.95e-3 > 0.3 and "too wide" in pilot["void"]
