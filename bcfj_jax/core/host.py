@@ -136,7 +136,7 @@ def _done(name: str, given: list[Any], params: Mapping[str, Any]) -> list[Any]:
     if name == "unstack":
         return list(np.moveaxis(given[0], params["axis"], 0))
     # From JAX 0.12 on the search within ``interp`` is one operation.
-    searched = params.get("_prim")
+    searched: Any = params.get("_prim")
     if type(searched).__name__ == "SearchSorted" and not searched.batch_dims:
         return [np.searchsorted(*given, side=searched.side).astype(np.int32)]
     raise Unknown(name)

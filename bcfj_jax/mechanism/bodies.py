@@ -112,6 +112,7 @@ class Drive(eqx.Module):
             return self._spline(t)
         start = sizes.length(self.start, body, "drive_start", p)
         if self.kind == "speeds":
+            assert self.table is not None
             return plus(times(self._speed(body, p), area(t, self.table)), start)
         speed = sizes.value(self.speed, body, "drive_speed", p)
         if self.kind == "constant":
@@ -136,7 +137,9 @@ class Drive(eqx.Module):
             rise = minus(speed, first)
             return self.position(t, body, p), plus(times(rise, step), first), times(rise, slope)
         if self.kind == "speeds":
-            share, slope = jax.jvp(lambda t: looked_up(t, self.table), (t,), (jnp.ones_like(t),))
+            table = self.table
+            assert table is not None
+            share, slope = jax.jvp(lambda t: looked_up(t, table), (t,), (jnp.ones_like(t),))
             speed = self._speed(body, p)
             return self.position(t, body, p), times(speed, share), times(speed, slope)
         one = jnp.ones_like(t)

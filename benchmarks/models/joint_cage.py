@@ -86,7 +86,7 @@ def drift() -> dict[str, dict[str, float]]:
             speed = np.asarray(jax.lax.map(about, jnp.asarray(run.trajectory), batch_size=1000))
             late = times >= 2 * TURN - 1e-9
             turned = np.trapezoid(speed[late], times[late])
-            if scene.azimuth is not None:
+            if scene.azimuth is not None and run.trajectory is not None:
                 turned = np.ptp(run.trajectory[late, scene.azimuth][[0, -1]])
             asked = float(params["drive_speed"]) * np.ptp(times[late])
             ends = run.force.get("cage_window_end")

@@ -75,7 +75,7 @@ def limited(seconds: float) -> Iterator[None]:
     before = signal.signal(signal.SIGALRM, stop)
     signal.setitimer(signal.ITIMER_REAL, seconds)
     # No signal's handler runs within a library's own loop: then this process ends, and says where.
-    faulthandler.dump_traceback_later(12.0 * seconds, exit=True, file=sys.__stderr__)
+    faulthandler.dump_traceback_later(12.0 * seconds, exit=True, file=2)
     try:
         yield
     finally:

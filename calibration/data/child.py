@@ -18,7 +18,7 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from types import SimpleNamespace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -155,7 +155,7 @@ def write(tables: Tables, wanted: str) -> None:
         out.write(json.dumps(index).encode() + b"\n")
         for values in arrays:
             # To NumPy a file is one that has positions, which a pipe has not.
-            np.lib.format.write_array(SimpleNamespace(write=out.write), values, allow_pickle=False)
+            np.lib.format.write_array(cast(Any, SimpleNamespace(write=out.write)), values, allow_pickle=False)
 
 
 def _plain(values: Any) -> np.ndarray:

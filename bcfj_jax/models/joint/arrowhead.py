@@ -122,8 +122,9 @@ class Arrowhead(AbstractStructure):
                 by_turn = d.bristles.back[:, tilts]
                 by_tilt = by_turn @ jnp.cross(jnp.eye(3), state.cage_axis)
                 if heading is not None:
-                    heading = heading._replace(back=by_turn @ state.cage_axis)
-                    by_tilt = by_tilt + heading.back[:, None] * heading.carried
+                    back = by_turn @ state.cage_axis
+                    heading = heading._replace(back=back)
+                    by_tilt = by_tilt + back[:, None] * heading.carried
                 d = d._replace(bristles=d.bristles._replace(back=d.bristles.back.at[:, tilts].set(by_tilt)))
         column = -lift * (d.column_rate + column_place)
         weight = c.coupling_inverse_mass[:, None]
@@ -203,5 +204,6 @@ class Arrowhead(AbstractStructure):
         if heading is None:
             return jnp.concatenate([found, *bristles]) if bristles else found
         azimuth = s * (right[-1] + heading.by_axis @ moved[tilt] + heading.by_spin @ rates[tilt])
-        bristles = [bent + heading.back * azimuth for bent in bristles]
+        if heading.back is not None:
+            bristles = [bent + heading.back * azimuth for bent in bristles]
         return jnp.concatenate([found, *bristles, azimuth[None]])

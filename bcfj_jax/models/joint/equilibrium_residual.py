@@ -168,13 +168,14 @@ def tilted_axis(c: Constants, tilt: Array) -> tuple[Array, list[Array], list[lis
 def _banded(scene: Joint, p: Problem, coupling: Array) -> tuple[Array, Array]:
     """Generalised forces of pilots that are bands on the coupling's unknowns (b, T), and their derivative (b, b, T)."""
     c, slices = p.c, slices_of(scene)
-    assert c.bands is not None and c.pilot_laws is not None
+    bands = c.bands
+    assert bands is not None and c.pilot_laws is not None
     on_head = jnp.array([[name == "head_cage"] for name in scene.pilots])
 
     def depths(x: Array) -> Array:
         head, cage = (x[slices[name]] if name in slices else jnp.zeros(3) for name in ("head", "cage"))
         axis = tilted_axis(c, x[slices["tilt"], None] / p.lever)[0][:, 0] if "tilt" in slices else c.bisector
-        return depth(c.bands, jnp.where(on_head, head, 0.0) - cage, axis)
+        return depth(bands, jnp.where(on_head, head, 0.0) - cage, axis)
 
     def look(x: Array) -> tuple[Array, Array, Array]:
         return depths(x), jax.jacfwd(depths)(x), jax.jacfwd(jax.jacfwd(depths))(x)

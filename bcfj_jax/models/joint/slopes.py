@@ -95,6 +95,7 @@ def slopes(
     lags = bristles is not None and bristles.shape[-1] == 1
     late = bend_late = rate_late = learnt = rate_bend = jnp.zeros(())
     if lags:
+        assert bristles is not None
         late = bristles[..., 0]
         ones = jnp.ones_like(late)
         (learnt, mobility), (rate_bend, bend) = jax.jvp(lambda x: laws.lag(x, late), (squared,), (ones,))
@@ -112,6 +113,7 @@ def slopes(
     rub_twist = -dyad(slide, drag_twist) - drag[..., None, None] * slide_twist
     bond = None
     if lags:
+        assert bristles is not None
         swing = (2.0 * rate_bend)[..., None] * slide
         pull = (-(normal * bend_late)[..., None] * slide)[..., None]
         bond = Bond(

@@ -149,7 +149,8 @@ def test_a_prescribed_seat_turns_as_it_is_told(name):
     assert np.abs(found.readings["seat.angle"] - turn).max() <= 1e-5 * turn[-1]
 
 
-@EACH
+@pytest.mark.slow
+@pytest.mark.parametrize("name", OPTIONS)
 def test_the_energy_balance_closes_under_programmes(name):
     # The work of a torque that fluctuates, reverses, falls with the speed or follows a table is in it.
     scene, params = made(name)
@@ -171,7 +172,7 @@ def alone(**options):
     return found.times, found.readings["head.spin.z in head"], {name: float(x) for name, x in params.items()}
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_the_impulse_of_a_torque_is_the_heads_angular_momentum():
     # From rest: I w(t) = -integral of the torque, T (t^2/2 ramp) and then T (t - ramp/2) for a line.
     t, w, p = alone(load_profile="linear")
