@@ -26,7 +26,7 @@ from calibration.data import child
 
 # What a child may have: of memory, room for its libraries and for values that were packed thirtyfold; of a core, seconds.
 _BYTES, _BYTES_A_BYTE = 1024 * MEGABYTE, 32
-_SECONDS, _SECONDS_A_MEGABYTE = 4, 0.5
+_SECONDS, _SECONDS_A_MEGABYTE = 2, 0.5
 # On a machine that is busy, or where the system knows no such limits, the clock on the wall decides.
 _WAIT = 15
 # Of a smaller file every table is read, for the next entry of a calibration often names another of its tables.
