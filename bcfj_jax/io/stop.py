@@ -30,6 +30,9 @@ _abandoned = threading.Event()
 _unheard = threading.Event()
 # Whether it is being found out that it was: raised there, it would be lost again.
 _hearing = threading.Event()
+# Whether no thread is there that sends it again.
+_idle = threading.Event()
+_idle.set()
 # The signal that asked last.
 _last: list[int] = []
 # After a callback in which Ctrl-C was lost [s]: it must have returned, or Ctrl-C is lost in it again.
@@ -61,8 +64,10 @@ def _sent_again() -> Iterator[None]:
         _hearing.set()
         try:
             _unheard.set()
-            # Not a Thread: the callback may have come while this thread holds the locks of their module.
-            _thread.start_new_thread(_send, ())
+            if _idle.is_set():
+                _idle.clear()
+                # Not a Thread: the callback may have come while this thread holds the locks of their module.
+                _thread.start_new_thread(_send, ())
         finally:
             _hearing.clear()
 
@@ -72,6 +77,8 @@ def _sent_again() -> Iterator[None]:
     finally:
         _unheard.clear()
         sys.unraisablehook = report
+        # What is about to be sent must find the handler that is still ours.
+        _idle.wait(1.0)
 
 
 def _send() -> None:
@@ -79,6 +86,7 @@ def _send() -> None:
         time.sleep(_RETURNED_S)
         number = last()
         if not _unheard.is_set() or signal.getsignal(number) is not _remember:
+            _idle.set()
             return
         if os.name == "posix":
             os.kill(os.getpid(), number)  # Wakes a thread that waits, too.

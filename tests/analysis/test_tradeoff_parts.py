@@ -80,7 +80,8 @@ def test_settings_of_a_joint():
     # Every one of them is a scene file; what an option takes out of the model leaves the file, too.
     for s in found.values():
         resolved = from_table(s.table, None).resolved
-        more = {"bristle_stiffness", "bristle_damping"} if "lugre" in s.name else set()
+        own = {"lugre": {"bristle_stiffness", "bristle_damping"}, "memory": {"friction_memory"}}
+        more = set().union(*(names for law, names in own.items() if law in s.name))
         read = {name: value for name, value in resolved["parameters"].items() if name not in more}
         assert {**resolved, "parameters": read} == s.table
     none = next(s for name, s in found.items() if name.startswith("friction none"))
