@@ -15,6 +15,14 @@ import pytest
 from bcfj_jax.io import folder, stop
 
 
+@pytest.fixture(autouse=True)
+def heard():
+    """Ctrl-C is not ignored, as it is in a shell's background jobs."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 def collected(times: int, number: signal.Signals) -> list[int]:
     """Collect garbage; in the callbacks of so many collections a signal comes. The list grows by one each."""
     came: list[int] = []

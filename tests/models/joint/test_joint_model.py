@@ -48,6 +48,11 @@ def test_bodies_move_as_their_states_say():
         assert np.linalg.det(body.axes) == pytest.approx(1.0)
         turned = (after.axes - body.axes) / step
         spins = jnp.cross(body.spin, body.axes.T).T
+        if name == "cage":
+            # Without window ends it has no azimuth: about its own axis, its axes turn with the seat.
+            turned, spins = turned[:, 2], spins[:, 2]
+            assert np.asarray(turned) == pytest.approx(np.asarray(spins), rel=1e-4, abs=1e-5)
+            continue
         assert np.asarray(turned) == pytest.approx(np.asarray(spins), rel=1e-4, abs=1e-5)
         if body.angle is not None:
             assert float((after.angle - body.angle) / step) == pytest.approx(

@@ -36,7 +36,7 @@ def joint(drop=(), smoothing=False, **options):
 # Head and cage at their centres: a fixed head, and pilots without play a hundred times stiffer than the rest.
 LINEAR = joint(head="fixed")
 PLAY = joint()
-SMALL = joint(drop=("seat_cage", "head_cage"), cage="fixed", head="fixed", smoothing=True)
+SMALL = joint(drop=("seat_cage", "head_cage", "cage_window_end"), cage="fixed", head="fixed", smoothing=True)
 
 
 def rigid(angle, deflection, stiffness=1e12, pilots=1e2):
