@@ -79,8 +79,15 @@ class Plain(bj.laws.AbstractFriction):
         return jnp.zeros_like(late), self.mobility(speed_squared, c)
 
     def reach(self, c: Coefficients) -> Array:
-        """Size of the state, in which its errors are measured."""
-        raise NotImplementedError(f"{type(self).__name__} has no state")
+        """Size of the state, in which its errors are measured; of a law without a state nobody reads it."""
+        del c
+        return jnp.ones(())
+
+    @classmethod
+    def lacking(cls) -> list[str]:
+        """A law with a state says how that changes, and its size."""
+        named = [("bond", cls.bristles), ("lag", cls.lags), ("reach", cls.bristles or cls.lags)]
+        return [name for name, asked in named if asked and getattr(cls, name) is getattr(AbstractFriction, name)]
 
     def coefficient(self, speed: Array, c: Coefficients) -> Array:
         """mu(|v|) [-] of a signed speed [m/s], odd in it: the force is -N times this."""

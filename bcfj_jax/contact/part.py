@@ -26,6 +26,11 @@ class Part(eqx.Module):
 
     example: ClassVar[str] = ""
 
+    @classmethod
+    def lacking(cls) -> list[str]:
+        """Methods that what a class says of itself makes necessary, and that it does not have."""
+        return []
+
     def __new__(cls, *args: Any, **more: Any) -> Any:
         """Refuse a class that leaves a method out.
 
@@ -34,7 +39,7 @@ class Part(eqx.Module):
         """
         del args, more
         needs = [] if hasattr(cls, "needs") else ["needs"]
-        complete(cls, [*getattr(cls, "__abstractmethods__", ()), *needs], cls.example)
+        complete(cls, [*getattr(cls, "__abstractmethods__", ()), *needs, *cls.lacking()], cls.example)
         if isinstance(cls.needs, str):  # type: ignore[attr-defined]
             remedy = f'give a tuple of names: needs = ("{cls.needs}",)'  # type: ignore[attr-defined]
             raise InputError(f"class {cls.__name__} needs", f"'{cls.needs}' is one text", remedy)  # type: ignore[attr-defined]

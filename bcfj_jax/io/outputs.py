@@ -36,7 +36,11 @@ COMPONENTS = ("normal", "axial", "tangential")
 def atomic(path: Path, place: Callable[[str, Path], None] = os.replace) -> Iterator[Path]:
     """A temporary name beside a file; the file appears whole when the block ends without error."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    try:
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    except OSError as error:
+        error.filename = str(path)
+        raise
     os.close(handle)
     try:
         yield Path(name)

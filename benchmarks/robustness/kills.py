@@ -118,7 +118,7 @@ def trial(
         "code": code,
         "left": len(left),
     }
-    row["said"] = last_line(err.replace(f"{place}/", ""))
+    row["said"] = last_line(err, place)
     # It was at its very end; a signal that is not heeded is a fault.
     finished = code == good[0] and (not running or after < _END_S)
     stopped = code == -how or (how != signal.SIGKILL and code == (5 if verb.keeps and left else 128 + how))
@@ -135,7 +135,7 @@ def trial(
         code, _, err = ended(start(words, place))
         row["again"], row["same"] = code, code == good[0] and outcome(verb, out) == good[1]
         if not row["same"]:
-            row["said"] = last_line(err.replace(f"{place}/", ""))
+            row["said"] = last_line(err, place)
     shutil.rmtree(out, ignore_errors=True)
     return row
 

@@ -81,7 +81,7 @@ def pair(place: Path, kind: str, number: int, draw: random.Random, peaks: dict[f
         "pause_s": pause,
         "codes": codes,
         "good": good,
-        "said": last_line(said[0].replace(f"{place}/", "")) if said else "",
+        "said": last_line(said[0], place) if said else "",
     }
 
 

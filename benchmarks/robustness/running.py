@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -111,8 +113,11 @@ def files(folder: Path) -> list[str]:
     return sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()) if folder.exists() else []
 
 
-def last_line(text: str) -> str:
-    """The last line that is an error, else the last one, at most 160 characters of it."""
+def last_line(text: str, place: Path) -> str:
+    """The last line that is an error, else the last one, at most 160 characters of it, without paths of this machine."""
+    text = re.sub(
+        rf"{re.escape(tempfile.gettempdir())}/tmp\w+/", "", text.replace(f"{place}/", "").replace(f"{ROOT}/", "")
+    )
     lines = [line for line in text.splitlines() if line.strip()]
     wrong = [line for line in lines if line.startswith(("error:", "interrupted", "stopped:"))]
     return (wrong or lines or [""])[-1][:160]

@@ -185,7 +185,7 @@ def tried(verb: str, case: Case, plain: dict[str, Any] | None, results: Path) ->
                 code, _, err = ended(start(words, place, variables, case.umask, prints, prefix), _HANG_S)
             left = digests(out) if case.disk != "below a file" else {}
             strays = sorted(set(p.name for p in place.iterdir()) - set(before))
-    said = last_line(err.replace(f"{place}/", ""))
+    said = last_line(err, place)
     row = {"code": code, "files": len(left), "strays": strays, "said": said if code else ""}
     refused = code in (2, 5) and said.startswith("error:") and (left == had or code == 5)
     if verb == "doctor" and code == 1:

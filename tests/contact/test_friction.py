@@ -251,3 +251,11 @@ def test_coefficients_have_ranges_and_units():
     given_as = {"friction_speed": "100 mm/s", "bristle_stiffness": "100 1/mm", "bristle_damping": "30 s/m"}
     for name, text in given_as.items():
         assert quantity(text, CATALOGUE[name].unit, "here") == within(C[name], 1e-12), name
+
+
+def test_a_law_with_a_state_says_how_it_changes_and_its_size():
+    class Late(type(FRICTION["brown_mcphee"])):
+        lags = True
+
+    with pytest.raises(InputError, match="class Late: it lacks lag and reach"):
+        Late()
