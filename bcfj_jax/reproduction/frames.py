@@ -39,22 +39,13 @@ WINDOW_NORMAL = (claim("Q33").values[0], claim("Q33").values[1])
 WINDOW_AXIAL = (claim("Q34").values[0], claim("Q34").values[1])
 
 
+# Axes (T, 3, 3), as columns, that have turned about unit vectors (T, 3) by angles (T,).
+_axes = jax.jit(jax.vmap(cage_axes))
+
+
 def later(times: np.ndarray) -> tuple[float, float]:
     """The window of the settled joint."""
     return float(times[0] + EARLY * (times[-1] - times[0])), float(times[-1])
-
-
-def _about(axis: np.ndarray, turn: np.ndarray) -> np.ndarray:
-    """Axes (T, 3, 3), as columns, that turn about unit vectors (T, 3): x, y across, z the axis.
-
-    At turn 0 x lies in the plane of deflection, as ``attitude.cage_axes`` has it.
-    """
-    y = np.broadcast_to([0.0, 1.0, 0.0], axis.shape)
-    first = np.cross(y, axis)
-    first /= np.linalg.norm(first, axis=-1, keepdims=True)
-    second = np.cross(axis, first)
-    cosine, sine = np.cos(turn)[:, None], np.sin(turn)[:, None]
-    return np.stack([cosine * first + sine * second, cosine * second - sine * first, axis], -1)
 
 
 def axes(record: Record, frame: str) -> np.ndarray:
@@ -69,7 +60,7 @@ def axes(record: Record, frame: str) -> np.ndarray:
         "head": (along * head, turns.head),
         "world": (along * [0.0, 0.0, 1.0], np.zeros_like(turns.seat)),
     }
-    return _about(*found[frame])
+    return np.asarray(_axes(*found[frame]))
 
 
 def components(record: Record, contact: str, frame: str) -> np.ndarray:

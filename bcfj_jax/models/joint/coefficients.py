@@ -11,8 +11,9 @@ A contact is that of a ball or sphere of radius R_b in a hollow of radius R_s, o
 
 The section of a groove is the circle of radius  R_s = R_b + q + clearance  to which ``contacts.grooves`` measures a
 flank, q = ball_radius (2 conformity - 1); of a circular track q is 0. Along the track its curvature is that of the
-centre circle, at the contact angle (0 for a circular track). An elastic part for conformal contacts reads ``radius`` R_s
-(R_b on a flat) and ``radius_difference`` R_s - R_b: so clearance moves its stiffness.
+centre circle, at the contact angle; in a circular track torque takes a ball to 90 degrees (physics sheet 5.3). An
+elastic part for conformal contacts reads ``radius`` R_s (R_b on a flat) and ``radius_difference`` R_s - R_b: so
+clearance moves its stiffness.
 
 All are formulas of ``contact.stiffness`` for contacts small against R_b; ``validity`` says where a run leaves that.
 Single balls' sizes (``unequal``) do not enter: 10 um of a radius of 8 mm change K by less than 2 %.
@@ -26,6 +27,7 @@ from jax import Array
 from bcfj_jax.contact import stiffness as hertz
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint import geometry
+from bcfj_jax.models.joint.defaults import DEFAULTS
 from bcfj_jax.models.joint.scene import FLAT, PILOTS, Joint
 
 
@@ -60,21 +62,41 @@ def radius(scene: Joint, params: Params, name: str) -> Array:
     return inner if name in FLAT else inner + radius_difference(scene, params, name)
 
 
+def modulus(scene: Joint, params: Params, name: str) -> Array:
+    """E* [Pa]: a parameter where a stiffness is geometric, else that of steel on steel."""
+    if scene.contact(name).geometric:
+        return scene.coefficient(params, name, "effective_modulus")
+    return jnp.asarray(DEFAULTS["effective_modulus"][0])
+
+
 def groove(scene: Joint, params: Params, name: str) -> hertz.EllipticContact:
     """Hertz contact of a ball with one flank."""
-    ball, angle = params["ball_radius"], params["contact_angle"] if scene.track == "gothic" else jnp.zeros(())
+    ball = params["ball_radius"]
+    angle = params["contact_angle"] if scene.track == "gothic" else jnp.asarray(0.5 * jnp.pi)
     along = geometry.track_radius(params["pitch_radius"], params["offset"])
     conformity = 0.5 * radius(scene, params, name) / ball
-    modulus = scene.coefficient(params, name, "effective_modulus")
-    return hertz.ball_in_groove(modulus, ball, along, angle, conformity, name == "seat_ball")
+    return hertz.ball_in_groove(modulus(scene, params, name), ball, along, angle, conformity, name == "seat_ball")
+
+
+def patch(scene: Joint, params: Params, name: str) -> tuple[hertz.EllipticContact, Array]:
+    """Hertz contact of any of the joint's contacts, whatever its stiffness is, and R_b [m], which a patch is small against."""
+    ball = params["ball_radius"]
+    if name not in FLAT and name not in PILOTS:
+        return groove(scene, params, name), ball
+    relative = ball
+    if name in PILOTS:
+        outer, apart = radius(scene, params, name), radius_difference(scene, params, name)
+        ball = outer - apart
+        relative = outer * ball / apart
+    return hertz.elliptic_contact(modulus(scene, params, name), relative, relative), ball
 
 
 def stiffness(scene: Joint, params: Params, name: str) -> Array:
     """K [N/m^1.5] from geometry; infinite or NaN without a radius difference, which ``checks`` refuses."""
     if name not in FLAT and name not in PILOTS:
         return groove(scene, params, name).stiffness
-    modulus = scene.coefficient(params, name, "effective_modulus")
+    elastic = modulus(scene, params, name)
     if name in FLAT:
-        return hertz.sphere_plane(modulus, params["ball_radius"])
+        return hertz.sphere_plane(elastic, params["ball_radius"])
     outer = radius(scene, params, name)
-    return hertz.sphere_in_socket(modulus, outer, outer - radius_difference(scene, params, name))
+    return hertz.sphere_in_socket(elastic, outer, outer - radius_difference(scene, params, name))

@@ -6,53 +6,29 @@ ball in a groove, circle of a ball on a flat window, sphere in a socket for pilo
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.contact.stiffness import EllipticContact, ball_in_groove, elliptic_contact
 from bcfj_jax.core.programs import ask
 from bcfj_jax.mechanism.model import Params
-from bcfj_jax.models.joint import geometry
-from bcfj_jax.models.joint.defaults import DEFAULTS
-from bcfj_jax.models.joint.scene import GROOVES, Joint
+from bcfj_jax.models.joint.coefficients import patch
+from bcfj_jax.models.joint.scene import Joint
+from bcfj_jax.models.joint.validity import LIMIT
 
 # ISO 76: largest pressure of a ball's static load rating [Pa]; a lasting dent of 1e-4 of the ball's diameter.
 ISO_76 = 4.2e9
-# Half-axis of a patch over the radius of the ball or inner sphere, up to which Hertz's parabola holds to 7 %.
-WIDEST = 0.3
 UNITS = {"force": "N", "pressure": "Pa", "half_axes": "m", "power": "W"}
-
-
-def contact_shape(scene: Joint, p: Mapping[str, Array], name: str) -> tuple[EllipticContact, Array]:
-    """Hertz contact of one of the joint's contacts, and the radius [m] that its patch must be small against."""
-    modulus = p.get("effective_modulus", jnp.asarray(DEFAULTS["effective_modulus"][0]))
-    ball = p["ball_radius"]
-    if name in GROOVES:
-        track = geometry.track_radius(p["pitch_radius"], p["offset"])
-        if scene.track == "gothic":
-            angle, conformity = p["contact_angle"], p["conformity"]
-        else:
-            # Under torque the ball of a circular groove bears at its flank, in a section wider by the clearance.
-            angle, conformity = jnp.asarray(0.5 * jnp.pi), 0.5 + 0.5 * p[f"clearance_{name}"] / ball
-        return ball_in_groove(modulus, ball, track, angle, conformity, name == "seat_ball"), ball
-    if name in ("seat_cage", "head_cage"):
-        play = p[f"clearance_{name}"]
-        inner = p["seat_radius"] - play if name == "seat_cage" else p["head_radius"]
-        radius = (inner + play) * inner / play
-        return elliptic_contact(modulus, radius, radius), inner
-    return elliptic_contact(modulus, ball, ball), ball
 
 
 def _patches(scene: Joint, params: Params, forces: dict[str, Array]) -> dict[str, tuple[Array, Array, Array, Array]]:
     found = {}
     for name, force in forces.items():
-        shape, radius = contact_shape(scene, params, name)
-        long, short = shape.half_axes(force)
-        found[name] = (shape.peak_pressure(force), long, short, radius)
+        contact, radius = patch(scene, params, name)
+        long, short = contact.half_axes(force)
+        found[name] = (contact.peak_pressure(force), long, short, radius)
     return found
 
 
@@ -88,6 +64,6 @@ def _void(name: str, pressure: float, width: float) -> str:
     parts = []
     if pressure > ISO_76:
         parts.append(f"{pressure / 1e9:.2g} GPa is above 4.2 GPa (ISO 76, ball contact): the surface yields")
-    if width > WIDEST:
-        parts.append(f"the patch is {width:.2g} of the radius, beyond {WIDEST:g}: too wide for Hertz")
+    if width > LIMIT:
+        parts.append(f"the patch is {width:.2g} of the radius, beyond {LIMIT:g}: too wide for Hertz")
     return "; ".join(parts)

@@ -136,9 +136,8 @@ def axial_at(programmes: Programmes, t: Array, p: Params) -> Array:
 
 
 def drive_at(programmes: Programmes, t: Array, p: Params) -> tuple[Array, Array, Array]:
-    """Turn [rad], speed and its rate of a drive at a time."""
-    if programmes.drive is None:
-        return p["drive_speed"] * t, p["drive_speed"], jnp.zeros(())
+    """Turn [rad], speed and its rate of a drive over time."""
+    assert programmes.drive is not None
     return programmes.drive.motion(t, "seat", p)
 
 

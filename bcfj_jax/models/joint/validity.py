@@ -17,7 +17,7 @@ from jax import Array
 from bcfj_jax.core.programs import ask
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint import coefficients
-from bcfj_jax.models.joint.scene import FLAT, PILOTS, Joint
+from bcfj_jax.models.joint.scene import Joint
 
 # Greatest half-width of a contact over the radius of the ball or the inner sphere.
 LIMIT = 0.3
@@ -27,17 +27,8 @@ def widths(scene: Joint, params: Params, depths: dict[str, Array]) -> dict[str, 
     """a/R_b of contacts with a geometric stiffness at penetrations [m], by name; of grooves the longer half-axis."""
     found = {}
     for name, depth in depths.items():
-        depth = jnp.maximum(depth, 0.0)
-        ball = params["ball_radius"]
-        if name in PILOTS:
-            difference = coefficients.radius_difference(scene, params, name)
-            outer = coefficients.radius(scene, params, name)
-            found[name] = jnp.sqrt(depth * outer / (difference * (outer - difference)))
-        elif name in FLAT:
-            found[name] = jnp.sqrt(depth / ball)
-        else:
-            patch = coefficients.groove(scene, params, name)
-            found[name] = jnp.maximum(*patch.half_axes(patch.stiffness * depth**1.5)) / ball
+        contact, ball = coefficients.patch(scene, params, name)
+        found[name] = jnp.maximum(*contact.half_axes(contact.stiffness * jnp.maximum(depth, 0.0) ** 1.5)) / ball
     return found
 
 

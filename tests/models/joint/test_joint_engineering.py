@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 
 from bcfj_jax import scenes
-from bcfj_jax.models.joint.engineering import contact_shape, of_the_contacts
+from bcfj_jax.models.joint.coefficients import patch
+from bcfj_jax.models.joint.engineering import of_the_contacts
 
 # Physics sheet 1.4: r = 8 mm, Rc = 35.8 mm, 45 degrees, f = 0.52.
 SHEET = {"contact_angle": np.pi / 4, "pitch_radius": np.sqrt(35.8e-3**2 - 4.5e-3**2), "offset": 4.5e-3}
+# The section of a groove is wider by the clearance, of which the sheet has none.
+SHEET |= {"clearance_seat_ball": 0.0, "clearance_head_ball": 0.0}
 
 
 @pytest.mark.parametrize(
@@ -19,7 +22,7 @@ SHEET = {"contact_angle": np.pi / 4, "pitch_radius": np.sqrt(35.8e-3**2 - 4.5e-3
 )
 def test_grooves_of_the_sheet(name, pressure, depth):
     scene = scenes.joint()
-    shape, _ = contact_shape(scene, scene.parameters(SHEET), name)
+    shape, _ = patch(scene, scene.parameters(SHEET), name)
     assert float(shape.peak_pressure(11.95e3)) == pytest.approx(pressure, rel=3e-3)
     assert float(shape.penetration(11.95e3)) == pytest.approx(depth, rel=3e-3)
 
