@@ -27,6 +27,7 @@ from scipy.stats import spearmanr
 import bcfj_jax as bj
 from bcfj_jax.analysis.features import residual_oscillation
 from bcfj_jax.io import plots
+from bcfj_jax.models.joint.scene import PLAIN
 from benchmarks.common import ROOT, markdown, put_in_readme, save
 
 NORMAL, AXIAL = (1.18, 1.82), (1.52, 2.75)
@@ -38,7 +39,7 @@ LEAST, MOST = 0.02, 4.0
 
 def studied(points: int, workers: int, every: bool, folder: Path) -> dict[str, Any]:
     """Normal and axial oscillation [N] by contact (N,), the worst member's, against clearance [m]."""
-    scene = bj.scenes.joint()
+    scene = bj.scenes.joint(**PLAIN)
     default = {name: float(x) for name, x in scene.parameters().items() if name.startswith("clearance")}
     if every:
         factors = np.geomspace(LEAST, MOST, points)

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from bcfj_jax.models.joint.scene import PLAIN
 from benchmarks.common import ROOT
 
 if TYPE_CHECKING:
@@ -156,7 +157,7 @@ def make() -> None:
     from benchmarks.references.joint_casadi import default_scales
     from benchmarks.references.joint_sensitive import Sensitive
 
-    scene = bj.scenes.joint()
+    scene = bj.scenes.joint(**PLAIN)
     params, times = scene.parameters(), grid()
     made = Sensitive(scene, params, default_scales(scene), MOVED)
     print(f"built in {made.compile_s:.1f} s", flush=True)

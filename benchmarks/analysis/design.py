@@ -20,6 +20,7 @@ import bcfj_jax as bj
 from bcfj_jax.analysis.designs import pictures
 from bcfj_jax.analysis.designs.confirm import confirm
 from bcfj_jax.analysis.designs.objective import objective
+from bcfj_jax.models.joint.scene import PLAIN
 from benchmarks.common import RESULTS, ROOT, load, markdown, put_in_readme, save
 
 # Lower, upper, tolerance. PCR/r_ball 3.8 to 4.6 would leave the spheres: the pitch circle stays 1 mm about its place.
@@ -45,7 +46,7 @@ def times(params: dict) -> np.ndarray:
 
 
 def main(names: list[str]) -> None:
-    scene, motion = bj.scenes.joint(fidelity="quasistatic"), bj.scenes.joint()
+    scene, motion = bj.scenes.joint(fidelity="quasistatic", **PLAIN), bj.scenes.joint(**PLAIN)
     params = scene.parameters()
     t, results = times(params), {}
     for name in names or OBJECTIVES:

@@ -35,6 +35,7 @@ from bcfj_jax.analysis.studies.block import Blocks
 from bcfj_jax.analysis.studies.specification import from_table
 from bcfj_jax.analysis.studies.store import facts_of
 from bcfj_jax.io import plots
+from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve.plan import plan
 from benchmarks.common import ROOT, markdown, put_in_readme, save
 
@@ -78,7 +79,7 @@ def singles(task: tuple[list[float], int]) -> float:
     if hasattr(os, "sched_setaffinity"):
         cores = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, {cores[core % len(cores)]})
-    scene = scenes.joint()
+    scene = scenes.joint(**PLAIN)
     simulate(scene, scene.parameters(), TIMES)
     begin = time.perf_counter()
     for clearance in clearances:
@@ -110,7 +111,7 @@ def study(table: dict[str, Any], workers: int) -> dict[str, Any]:
 
 def by_places(count: int) -> list[dict[str, float]]:
     """Points a second of one core against the number of slots."""
-    scene, rows = scenes.joint(), []
+    scene, rows = scenes.joint(**PLAIN), []
     params = {name: np.full(count, float(x)) for name, x in scene.parameters().items()}
     params["clearance_seat_cage"] = np.geomspace(LOW, HIGH, count)
     wanted = [feature(name, {"seat_cage": 0, "seat_ball": 6}) for name in FEATURES]

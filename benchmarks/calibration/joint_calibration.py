@@ -25,11 +25,12 @@ import numpy as np
 
 from bcfj_jax import InputError, scenes
 from bcfj_jax.core.threads import cores
+from bcfj_jax.models.joint.scene import PLAIN
 from benchmarks.analysis.derivatives import CONTACTS, load
 from benchmarks.common import ROOT, markdown, put_in_readme, save
 from calibration import Channel, Experiment, Fit, Free, Problem, fit
 
-SCENE = scenes.joint()
+SCENE = scenes.joint(**PLAIN)
 TRUTH = {name: float(value) for name, value in SCENE.parameters().items()}
 # Bounds as factors of the truth. Three off where that is possible; steeper or flatter than these no contact is.
 BOUNDS = {

@@ -25,11 +25,12 @@ import numpy as np
 
 import bcfj_jax as bj
 from bcfj_jax.mechanism.model import Params
+from bcfj_jax.models.joint.scene import PLAIN
 from benchmarks.common import markdown, save
 from benchmarks.solve.random_scenes import BY_DECADES, EVENLY, joint
 
 END, ANGLES, STEPS = 3.0, 180, 20_000
-AUTO, MOTION = bj.scenes.joint(fidelity="auto"), bj.scenes.joint()
+AUTO, MOTION = bj.scenes.joint(fidelity="auto", **PLAIN), bj.scenes.joint(**PLAIN)
 
 
 def window(params: Params) -> np.ndarray:

@@ -28,6 +28,7 @@ import bcfj_jax as bj
 from bcfj_jax.analysis import energy_balance
 from bcfj_jax.models.joint import system
 from bcfj_jax.models.joint.constants import constants
+from bcfj_jax.models.joint.scene import PLAIN
 from benchmarks.common import RESULTS, load, save
 
 TURN = 0.6
@@ -45,7 +46,9 @@ REPEATS = 7
 def cost(accuracy: Any) -> dict[str, dict[str, float]]:
     """Steps, wall time and time per step of a run of 0.75 s, and that over the default's; compile time beside."""
     times = np.linspace(0.0, 0.15 + TURN, 751)
-    runs = {name: (scene := bj.scenes.joint(**options), scene.parameters()) for name, options in VARIANTS.items()}
+    runs = {
+        name: (scene := bj.scenes.joint(**PLAIN | options), scene.parameters()) for name, options in VARIANTS.items()
+    }
     walls: dict[str, list[float]] = {name: [] for name in runs}
     found: dict[str, dict[str, float]] = {}
     for name, (scene, params) in runs.items():
@@ -74,7 +77,7 @@ def drift() -> dict[str, dict[str, float]]:
     found = {}
     for name in ("default", "window ends", "window ends, bands", "all"):
         for weight in (0.0, 20e3):
-            scene = bj.scenes.joint(**VARIANTS[name])
+            scene = bj.scenes.joint(**PLAIN | VARIANTS[name])
             params = scene.parameters(axial_load=weight)
             run = bj.simulate(scene, params, times)
             c = constants(scene, params)
@@ -108,7 +111,7 @@ def balance() -> dict[str, float]:
     """Closure of the energy balance of the first 0.1 s, load rise and all."""
     found = {}
     for name in ("default", "all"):
-        scene = bj.scenes.joint(**VARIANTS[name])
+        scene = bj.scenes.joint(**PLAIN | VARIANTS[name])
         result = energy_balance.balance(scene, scene.parameters(), np.linspace(0.0, 0.1, 11), 1e-4)
         found[name] = float(result.closure)
     return found

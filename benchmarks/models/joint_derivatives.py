@@ -24,6 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import bcfj_jax as bj
+from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve.integrate import integrate
 from bcfj_jax.solve.plan import LEVELS, Plan, plan
 from benchmarks.analysis.derivatives import MOVED, Reference, errors, grid, influence, load, moved, normals
@@ -42,7 +43,7 @@ CVODES_TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
 DIFFERENCES = ((1e-3, 1e-2), (1e-4, 1e-2), (1e-5, 3e-3), (1e-6, 1e-3), (1e-7, 1e-3), (1e-8, 3e-4), (1e-9, 1e-4))
 INFLUENTIAL, MANY, MAX_STEPS, REPEATS, LONG_S = 0.01, 32, 400_000, 3, 3.0
 
-SCENE = bj.scenes.joint()
+SCENE = bj.scenes.joint(**PLAIN)
 PARAMS = SCENE.parameters()
 NAMES = [name for name, value in PARAMS.items() if float(value) != 0.0][:MANY]
 TIMES = jnp.asarray(grid())

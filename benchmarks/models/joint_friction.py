@@ -15,6 +15,7 @@ import time
 import numpy as np
 
 import bcfj_jax as bj
+from bcfj_jax.models.joint.scene import PLAIN
 from benchmarks.common import save
 
 TIMES, LATE = np.linspace(0.0, 0.9, 901), 0.3
@@ -40,7 +41,7 @@ def cases(stiff: bool) -> list[tuple[str, dict, dict]]:
 
 def measured(options: dict, values: dict) -> tuple[dict, np.ndarray]:
     """A row of the table, and the late normal forces (T, contacts)."""
-    scene = bj.scenes.joint(**options)
+    scene = bj.scenes.joint(**PLAIN | options)
     params = scene.parameters(values)
     seconds, found = np.inf, None
     for _ in range(REPEATS):

@@ -17,11 +17,12 @@ import numpy as np
 
 import bcfj_jax as bj
 from bcfj_jax.analysis.derivatives.names import complete
+from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve.plan import Plan, plan
 from benchmarks.common import markdown, save
 
 END_S, SAMPLES, COUNT, REPEATS = 0.6, 601, 100, 5
-SCENE = bj.scenes.joint()
+SCENE = bj.scenes.joint(**PLAIN)
 TIMES = jnp.linspace(0.0, END_S, SAMPLES)
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 import bcfj_jax as bj
 from bcfj_jax.io.plots import style
+from bcfj_jax.models.joint.scene import PLAIN
 from benchmarks.common import ROOT, save
 
 SPEEDS = (0.01, 0.03, 0.1, 0.3)
@@ -24,7 +25,7 @@ TIMES, LATE, MAX_STEPS = np.linspace(0.0, 0.9, 901), 0.3, 1_000_000
 
 def run(values: dict[str, float]) -> dict:
     """Histories of the second revolution and what they cost."""
-    scene = bj.scenes.joint()
+    scene = bj.scenes.joint(**PLAIN)
     params = scene.parameters(values)
     found = bj.simulate(scene, params, TIMES, max_steps=MAX_STEPS)
     late = found.times >= LATE

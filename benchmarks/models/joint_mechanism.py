@@ -31,6 +31,7 @@ from bcfj_jax.mechanism.mechanism import Mechanism
 from bcfj_jax.mechanism.structure import AbstractStructure, Dense
 from bcfj_jax.models.joint.arrowhead import Arrowhead
 from bcfj_jax.models.joint.parts import as_mechanism
+from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve.integrate import _field, _solved, problem
 from bcfj_jax.solve.plan import Plan, plan
 from bcfj_jax.solve.rodas import Rodas
@@ -42,7 +43,7 @@ jax.config.update("jax_cpu_enable_async_dispatch", False)
 # By size of the batch, fields in a row.
 ROUNDS, PASSES = 7, {1: 5000, 64: 200}
 TIMES = jnp.linspace(0.0, 0.1, 51)
-JOINT = bj.scenes.joint()
+JOINT = bj.scenes.joint(**PLAIN)
 
 
 def sizes(mechanism: Mechanism, params: Any, end: Any) -> Array:

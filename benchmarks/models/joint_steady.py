@@ -16,11 +16,12 @@ import bcfj_jax as bj
 from bcfj_jax.analysis.derivatives.jacobian import level
 from bcfj_jax.analysis.derivatives.names import feature
 from bcfj_jax.analysis.derivatives.steady import SAMPLES, Steady, steady
+from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve.plan import Plan, plan
 from benchmarks.analysis.derivatives import CONTACTS, MOVED, errors, load
 from benchmarks.common import markdown, save
 
-SCENE = bj.scenes.joint()
+SCENE = bj.scenes.joint(**PLAIN)
 NAMES = tuple(dict.fromkeys(name for own in MOVED.values() for name in own))
 PITCH, LONG_S, MAX_STEPS = 0.1, 3.0, 400_000
 # What moves a mean by less than 0.01 % per 1 % of a parameter counts as that much.

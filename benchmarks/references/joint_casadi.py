@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from bcfj_jax.models.joint.scene import Joint
+from bcfj_jax.models.joint.scene import PLAIN, Joint
 from benchmarks.references.joint_casadi_field import expressions, require_defaults, rhs
 
 FLAGS = ["-O3", "-march=native", "-fno-math-errno"]
@@ -245,10 +245,10 @@ def cost(made: Build, y: np.ndarray, count: int = 5000) -> dict[str, float]:
 
 
 def default_scene() -> Joint:
-    """The joint with default options."""
+    """The joint with the options that are written in CasADi."""
     from bcfj_jax.models.joint.model import joint
 
-    return joint()
+    return joint(**PLAIN)
 
 
 def default_scales(scene: Joint, place: float = 5e-5, speed: float = 0.1) -> np.ndarray:

@@ -27,6 +27,7 @@ from bcfj_jax import scenes
 from bcfj_jax.analysis.tradeoff.measures import Measured, errors, worst
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.models.joint.periodic import risen
+from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve.plan import LEVELS, Plan, plan
 from bcfj_jax.solve.simulation import outcome
 from benchmarks.common import RESULTS, ROOT, load, markdown, put_in_readme, save
@@ -108,7 +109,7 @@ def joints_down(count: int, seed: int, ladder: Sequence[float], wide: bool = Fal
     A joint's promise is of its forces from a pitch after the load has risen: ``error``. ``whole`` counts what is
     before, too: the cage's knocks in its clearances, which no load holds yet.
     """
-    scene, tight = scenes.joint(), (3e-7, 3e-6)
+    scene, tight = scenes.joint(**PLAIN), (3e-7, 3e-6)
     run, times = runner(scene, batched=False), jnp.asarray(JOINT_TIMES)
     for params in joints(count, seed, wide):
         loaded = risen(scene, params, 1) <= JOINT_TIMES

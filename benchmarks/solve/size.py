@@ -25,6 +25,7 @@ from scipy.stats import t as student
 
 from bcfj_jax import scenes, simulate
 from bcfj_jax.analysis.derivatives.jacobian import level
+from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve.plan import plan
 from bcfj_jax.solve.simulation import force_history
 from benchmarks.common import ROOT, markdown, put_in_readme, save
@@ -118,7 +119,7 @@ def main() -> None:
     memory = [reserved(drop, elastic, n * flight) for n in DROPS]
     pairs = [runs(drop, elastic, (n + 0.5) * flight) for n in DROPS]
     rows.append(row("bounce by contacts", DROPS, *map(list, zip(*pairs, strict=True))))
-    joint = scenes.joint()
+    joint = scenes.joint(**PLAIN)
     params = joint.parameters()
     pairs = [runs(joint, params, n * REVOLUTION) for n in TURNS]
     rows.append(row("joint by revolutions", TURNS, *map(list, zip(*pairs, strict=True))))
@@ -127,7 +128,7 @@ def main() -> None:
     rows.append(row("joint's derivatives by parameters", PARAMETERS, *map(list, zip(*pairs, strict=True))))
     pairs = []
     for n in BALLS:
-        scene = scenes.joint(balls=n)
+        scene = scenes.joint(balls=n, **PLAIN)
         pairs.append(runs(scene, scene.parameters(sized(joint.parameters(), n)), 0.1))
     rows.append(row("joint by balls", BALLS, *map(list, zip(*pairs, strict=True))))
     save("size", {"rows": rows, "memory": memory})

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from bumps import bumps
+from joints import plain_joint
 
 import bcfj_jax as bj
 from bcfj_jax.analysis.derivatives import certificate
@@ -259,7 +260,7 @@ def test_a_ladder_of_smoothing():
 
 @pytest.mark.slow
 def test_the_joint_is_bounded_and_its_rattle_is_chaotic():
-    scene = bj.scenes.joint()
+    scene = plain_joint()
     params = scene.parameters()
     times = np.linspace(0.0, 0.3, 301)
     wrt = ("seat_ball.stiffness", "friction_static", "clearance_seat_cage")

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from joints import plain_joint
 from scipy.optimize import brentq
 from shown import brief, drawn
 
@@ -200,7 +201,7 @@ def test_peak_against_depth_of_a_hertzian_impact():
 @pytest.mark.slow
 def test_undeflected_joint_takes_least_offset_and_steepest_flank():
     """Physics sheet 5.4: F_c = 2 T/(z Rp) cot(alpha) e/R_c a ball; both parameters go to their bounds."""
-    scene = bj.scenes.joint(fidelity="kinematic")
+    scene = plain_joint(fidelity="kinematic")
     params = scene.parameters(joint_angle=0.0, load_ramp=1e-3)
     free = {"offset": ("3 mm", "5 mm"), "contact_angle": ("35 deg", "45 deg")}
     found = bj.design(
@@ -241,7 +242,7 @@ def test_bad_input_is_said(dashpot, change, where):
 @pytest.mark.slow
 def test_a_joint_against_a_grid_of_plain_runs():
     """Equilibria: nothing on a grid over both parameters, by ``simulate`` alone, is below what was found."""
-    scene = bj.scenes.joint(fidelity="quasistatic")
+    scene = plain_joint(fidelity="quasistatic")
     params = scene.parameters()
     t = 0.2 + np.linspace(0.0, 0.1, 13)
     free = {"offset": ("3 mm", "5 mm", "20 um"), "contact_angle": ("35 deg", "45 deg", "1 deg")}

@@ -7,6 +7,7 @@ import math
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from joints import plain_joint
 
 from bcfj_jax import nonlinear, scenes
 from bcfj_jax.analysis.nonlinear.exponents import from_growth
@@ -107,7 +108,7 @@ def test_what_is_wrong_with_an_exponent_is_said():
         nonlinear.scene_exponent(scene, scene.parameters(), 10)
     with pytest.raises(InputError, match="must be > 0"):
         nonlinear.scene_exponent(scene, scene.parameters(), 10, interval=-1.0, settle=0.0)
-    joint = scenes.joint()
+    joint = plain_joint()
     with pytest.raises(InputError, match="settle"):
         nonlinear.scene_exponent(joint, joint.parameters(load_ramp=2.0), 10, settle=1.0)
     with pytest.raises(InputError, match="batches"):
@@ -131,7 +132,7 @@ def test_joint_forgets_its_start_with_the_default_smoothing_and_not_with_a_small
 
     -68.0 +- 0.1 is what two runs of another solver found (benchmarks/analysis/nonlinear.py).
     """
-    scene = scenes.joint()
+    scene = plain_joint()
     calm = nonlinear.scene_exponent(scene, scene.parameters(), 12, settle=1.2, batches=4)
     assert calm.value == pytest.approx(-68.0, rel=0.05)
     rattling = nonlinear.scene_exponent(scene, scene.parameters(smoothing=1e-6), 12, settle=1.2, batches=4)

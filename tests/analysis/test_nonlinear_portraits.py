@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from joints import plain_joint
 
 from bcfj_jax import nonlinear, scenes
 from bcfj_jax.analysis.nonlinear import diagrams, modes
@@ -57,7 +58,7 @@ def test_mode_of_a_contact_between_samples_and_after_a_failure():
 
 def test_coordinates_of_the_state_move_at_their_rates():
     """Of the assembled joint at two instants near by."""
-    scene = scenes.joint()
+    scene = plain_joint()
     params = scene.parameters()
     from bcfj_jax.models.joint.start import nominal
 
@@ -71,7 +72,7 @@ def test_coordinates_of_the_state_move_at_their_rates():
 
 
 def test_pictures_of_a_run(tmp_path):
-    scene = scenes.joint()
+    scene = plain_joint()
     run = joint_run(scene, np.linspace(0.0, 2.0, 801))
     drawn = [
         nonlinear.contact_portrait(run, "cage_ball", tmp_path / "a.png", window=(1.0, 2.0)),
@@ -111,7 +112,7 @@ def test_pictures_of_maps(tmp_path):
 
 
 def test_what_is_wrong_with_a_picture_is_said(tmp_path):
-    scene, bounce = scenes.joint(), scenes.bounce()
+    scene, bounce = plain_joint(), scenes.bounce()
     run = joint_run(scene, np.linspace(0.0, 1.0, 11))
     path = tmp_path / "x.png"
     with pytest.raises(InputError, match="did you mean 'cage_ball'"):

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from joints import plain_joint
 
 from bcfj_jax import nonlinear, scenes, simulate
 from bcfj_jax.core.errors import InputError
@@ -114,11 +115,11 @@ def test_an_impact_run_that_fails_is_nan_and_says_why():
 
 
 def test_what_is_wrong_with_a_section_is_said():
-    joint, bounce = scenes.joint(), scenes.bounce()
+    joint, bounce = plain_joint(), scenes.bounce()
     p = joint.parameters()
     with pytest.raises(InputError, match="no drive"):
         nonlinear.stroboscopic(bounce, bounce.parameters())
-    quiet = scenes.joint(fidelity="quasistatic")
+    quiet = plain_joint(fidelity="quasistatic")
     with pytest.raises(InputError, match="no dynamics"):
         nonlinear.stroboscopic(quiet, quiet.parameters())
     with pytest.raises(InputError, match="phase"):
@@ -136,7 +137,7 @@ def test_what_is_wrong_with_a_section_is_said():
 @pytest.mark.slow
 def test_joint_has_a_fixed_point_and_each_value_is_the_section_it_has_alone():
     """The loaded joint repeats itself (docs/joint.md); a value that spends its steps is NaN and harms no other."""
-    scene = scenes.joint()
+    scene = plain_joint()
     values = np.array([8.0, 12.0])
     how = {"transients": 3, "phase": 0.5, "accuracy": 1e-4}
     found = nonlinear.bifurcation(scene, scene.parameters(), "drive_speed", values, 6, **how)

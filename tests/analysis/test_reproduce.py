@@ -7,10 +7,10 @@ import json
 import numpy as np
 import pytest
 from conftest import BUILD
+from joints import plain_joint
 from pages import check
 from typer.testing import CliRunner
 
-from bcfj_jax import scenes
 from bcfj_jax.cli import app
 from bcfj_jax.reproduction import command, fit, frames, sudden, tables
 from bcfj_jax.reproduction.claims import CLAIMS, FIGURE, INPUT, STATEMENT, claim
@@ -132,7 +132,7 @@ def test_a_short_run_has_gaps_not_guesses():
 
 
 def test_no_fitted_row_passes_for_a_prediction():
-    params = scenes.joint().parameters()
+    params = plain_joint().parameters()
     inputs = tables.used(params, 3.0, 1e-3, 6)
     assert set(inputs) == {row.id for row in CLAIMS if row.kind == INPUT}
     measured = {"Q20": Measured((1e4,)), "Q28": Measured((0.02711,))}
@@ -152,7 +152,7 @@ def test_no_fitted_row_passes_for_a_prediction():
 
 
 def test_unknowns_start_inside_their_bounds_and_say_why():
-    params = scenes.joint().parameters()
+    params = plain_joint().parameters()
     for unknown in fit.UNKNOWNS:
         assert unknown.lower < float(params[unknown.name]) < unknown.upper
         assert unknown.reason
@@ -211,7 +211,7 @@ def test_absolute_and_relative_residuals_stand_together():
 
 
 def test_pilots_stiffness_follows_the_clearance():
-    params = scenes.joint().parameters()
+    params = plain_joint().parameters()
     free = {"clearance_seat_cage": 50e-6, "clearance_head_cage": 12.5e-6, "offset": 4e-3}
     found = tied(params, free)
     assert float(found["seat_cage.stiffness"]) == pytest.approx(8.518e11, rel=2e-3)
@@ -254,7 +254,7 @@ def test_slopes_of_the_peaks_against_differences():
 
 @pytest.mark.slow
 def test_the_fit_finds_what_made_the_peaks():
-    params = scenes.joint().parameters()
+    params = plain_joint().parameters()
     unknowns = tuple(u for u in fit.UNKNOWNS if u.name in ("offset", "stiffness"))
     made = {"offset": 3e-3, "stiffness": 5e10}
     scene = still_scene()
@@ -272,7 +272,7 @@ def test_the_fit_finds_what_made_the_peaks():
 
 @pytest.mark.slow
 def test_the_cage_obeys_newton():
-    scene = scenes.joint()
+    scene = plain_joint()
     found = record(scene, scene.parameters(), end=0.3)
     assert found.run.status == "ok" and found.balance.time == pytest.approx(0.15)
     assert found.run.times.size == 301

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import jax
 import numpy as np
 import pytest
+from joints import plain_joint
 
 import bcfj_jax as bj
 from bcfj_jax.analysis import features
@@ -130,7 +131,7 @@ def test_the_pin_of_the_slider_crank_is_where_its_penetration_says():
 
 @pytest.mark.full
 def test_the_cage_of_the_joint_is_where_its_penetrations_say():
-    scene = bj.scenes.joint()
+    scene = plain_joint()
     params = scene.parameters()
     state = np.array(scene.initial_state(params))
     states = np.repeat(state[None], 4, axis=0)

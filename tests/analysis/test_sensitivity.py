@@ -9,6 +9,7 @@ import jax
 import numpy as np
 import pytest
 from conftest import BUILD
+from joints import plain_joint
 from pages import check
 from typer.testing import CliRunner
 
@@ -155,7 +156,7 @@ def test_second_derivatives():
 
 
 def test_a_contact_takes_the_shared_value():
-    scene = bj.scenes.joint()
+    scene = plain_joint()
     params = scene.parameters()
     full, names = complete(scene, params, ("seat_ball.stiffness", "load_torque"))
     assert full["seat_ball.stiffness"] == params["stiffness"]
@@ -188,7 +189,7 @@ def test_errors(options, message):
 
 
 def test_second_derivatives_refuse():
-    joint = bj.scenes.joint()
+    joint = plain_joint()
     with pytest.raises(bj.InputError, match="no second derivatives"):
         bj.hessian_vector(joint, joint.parameters(), [0.0, 1.0], "seat_ball.peak", ("damping",), [1.0])
     with pytest.raises(bj.InputError, match=r"vector: shape \(2,\)"):

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from joints import plain_joint
 
 import bcfj_jax as bj
 from bcfj_jax.analysis.tradeoff import advice, reference, study
@@ -126,7 +127,7 @@ def test_solvers_by_name():
     assert named.scene.traits.stiff and implicit.stats["tolerance"] != own.stats["tolerance"]
     peak = own.force["contact"].max()
     np.testing.assert_allclose(implicit.force["contact"], own.force["contact"], atol=0.01 * peak)
-    joint = bj.scenes.joint()
+    joint = plain_joint()
     how = plan(joint, "balanced", solver="rodas3")
     with pytest.raises(bj.InputError, match="'rodas3' has no derivatives"):
         bj.force_history(joint, joint.parameters(), [0.0, 1e-3], accuracy=how, mode="forward")

@@ -5,16 +5,15 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from joints import LITTLE
+from joints import LITTLE, plain_joint
 
-from bcfj_jax import scenes
 from calibration import Channel, Experiment, Free, Problem, fit
 from calibration.forward.model import build, residuals_and_jacobian
 from calibration.search.evaluate import evaluator
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("error")]
 
-SCENE = scenes.joint(**{**LITTLE, "fidelity": "quasistatic"})
+SCENE = plain_joint(**{**LITTLE, "fidelity": "quasistatic"})
 TRUTH = {name: float(value) for name, value in SCENE.parameters().items()}
 TIMES = np.linspace(0.06, 0.66, 25)
 NAMES = [f"{groove}_{i}.normal" for groove in ("seat_ball", "head_ball") for i in (1, 2, 3)]

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from joints import plain_joint
 from scipy.signal import lsim
 
 from bcfj_jax import InputError, scenes
@@ -144,7 +145,7 @@ def test_features_alone_can_be_fitted(tmp_path):
 @pytest.mark.slow
 def test_period_and_delay_of_a_joint_are_those_of_its_rotation():
     """Six equal balls in a turning plane: each repeats after 2 pi/w, and the next is a sixth of that ahead."""
-    scene, speed = scenes.joint(fidelity="kinematic"), 20.0
+    scene, speed = plain_joint(fidelity="kinematic"), 20.0
     period = 2 * np.pi / speed
     wanted = (Observation("seat_ball_1.period", period, 1e-3 * period),)
     wanted += tuple(

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from conftest import BUILD
+from joints import plain_joint
 from problems import PROBLEM, TABLE
 from typer.testing import CliRunner
 
@@ -160,7 +161,7 @@ def test_a_joint_is_designed_among_equilibria():
 
 
 def test_groups_and_patterns_of_parameters():
-    scene = bj.scenes.joint()
+    scene = plain_joint()
     params = scene.parameters()
     clearances = complete(scene, params, ["clearances"])[1]
     assert len(clearances) == 5 and all(name.startswith("clearance_") for name in clearances)

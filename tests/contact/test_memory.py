@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from joints import plain_joint
 from oracles import within
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
@@ -334,9 +335,9 @@ def test_a_law_without_states_has_none():
 
 def test_the_joint_refuses_a_law_with_states():
     with pytest.raises(InputError, match=r"scene 'joint' seat_cage.*WaltonBraun has a state.*memory_free"):
-        scenes.joint(law="walton_braun")
+        plain_joint(law="walton_braun")
     with pytest.raises(InputError, match=r"scene 'joint' head_ball.*Thornton has a state"):
-        scenes.joint(laws={"head_ball": "thornton"})
+        plain_joint(laws={"head_ball": "thornton"})
 
 
 def test_fast_relaxation_asks_for_an_implicit_solver():

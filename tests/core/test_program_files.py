@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 import platformdirs
 import pytest
+from joints import plain_joint
 
 import bcfj_jax as bj
 from bcfj_jax.core import compile_cache, programs
@@ -153,8 +154,8 @@ def test_descriptions_tell_what_differs():
         bj.scenes.impact(),
         bj.scenes.impact("hertz"),
         bj.scenes.bounce(),
-        bj.scenes.joint(),
-        bj.scenes.joint(spin=True),
+        plain_joint(),
+        plain_joint(spin=True),
     ]
     assert len({programs.describe(scene) for scene in scenes}) == len(scenes)
     assert (

@@ -11,6 +11,7 @@ from itertools import pairwise
 import jax
 import numpy as np
 import pytest
+from joints import plain_joint
 
 import bcfj_jax as bj
 from bcfj_jax.core import shapes
@@ -127,7 +128,7 @@ def test_a_failed_run_is_shown_up_to_its_failure(crank):
 
 @pytest.fixture(scope="module")
 def joint():
-    scene = bj.scenes.joint()
+    scene = plain_joint()
     params = scene.parameters()
     times = np.linspace(0.0, 0.06, 31)
     states = np.array(jax.jit(jax.vmap(lambda t: nominal(scene, params, params["drive_speed"] * t)))(times))

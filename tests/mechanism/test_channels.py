@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from joints import plain_joint
 
 import bcfj_jax as bj
 from bcfj_jax import InputError, reading_history, scenes, simulate
@@ -99,7 +100,7 @@ def test_readings_are_differentiable():
 
 @pytest.mark.slow
 def test_the_joints_bodies_are_read_too():
-    scene = scenes.joint()
+    scene = plain_joint()
     p, times = scene.parameters(), np.linspace(0.0, 0.1, 11)
     names = ("seat.torque", "head.angle", "ball.place.z", "seat_ball.force.x in head", "head_cage.force.z")
     found = simulate(scene, p, times, read=names).readings
@@ -153,6 +154,6 @@ def test_a_readings_feature_is_taken_and_differentiated_like_a_contacts():
 
 def test_axes_that_are_not_known_are_refused():
     """The joint's rolling balls have a spin and no axes."""
-    scene = scenes.joint(spin=True)
+    scene = plain_joint(spin=True)
     with pytest.raises(InputError, match=r"rotation of '.*' is not computed"):
         simulate(scene, scene.parameters(), np.linspace(0.0, 0.01, 3), read=("seat_cage.force.x in ball",))

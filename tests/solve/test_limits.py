@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from joints import GROOVES, LITTLE
+from joints import GROOVES, LITTLE, plain_joint
 from oracles import within
 
 from bcfj_jax import scenes, simulate
@@ -144,7 +144,7 @@ def test_restitution_to_1_is_no_damping():
 def test_friction_to_0_is_no_friction():
     """In first order of the coefficient, while nothing has begun to rattle."""
     times, ramp = np.linspace(0.0, 5e-4, 51), {"load_ramp": 1e-3}
-    smooth, rough = scenes.joint(**LITTLE), scenes.joint(**(LITTLE | {"friction": True}))
+    smooth, rough = plain_joint(**LITTLE), plain_joint(**(LITTLE | {"friction": True}))
     bare = simulate(smooth, smooth.parameters(ramp), times, accuracy=1e-5)
     gaps, mus = [], np.array([1e-2, 1e-3, 1e-4])
     for mu in mus:
@@ -158,7 +158,7 @@ def test_friction_to_0_is_no_friction():
 @pytest.mark.slow
 def test_clearance_to_0_is_the_joint_without_clearance():
     """In line, T = z Rp N sin(alpha) is shared evenly; play changes that in first order, by its share of the radius."""
-    scene = scenes.joint(**(LITTLE | {"contacts": ("cage_ball", *GROOVES), "fidelity": "quasistatic"}))
+    scene = plain_joint(**(LITTLE | {"contacts": ("cage_ball", *GROOVES), "fidelity": "quasistatic"}))
     # So stiff that nothing but play moves the balls.
     base = scene.parameters(joint_angle=0.0, smoothing=0.0, stiffness=1e16, **{"cage_ball.stiffness": 1e16})
     ball = float(base["load_torque"]) / (3 * float(base["pitch_radius"]) * np.sin(float(base["contact_angle"])))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from joints import plain_joint
 from oracles import within
 
 import bcfj_jax as bj
@@ -43,7 +44,7 @@ def test_the_peak_of_an_impact_does_not_hang_on_its_samples(samples):
 
 
 def test_resolved_peaks_are_values_by_a_solver_with_steps():
-    scene = bj.scenes.joint()
+    scene = plain_joint()
     with pytest.raises(InputError, match=r"resolved_peaks.*rodas3"):
         bj.simulate(scene, scene.parameters(), [0.0, 1e-3], solver="bdf", resolved_peaks=True)
     run = bj.simulate(bj.scenes.impact(), bj.scenes.impact().parameters(), np.linspace(0.0, 1e-3, 50))
@@ -52,7 +53,7 @@ def test_resolved_peaks_are_values_by_a_solver_with_steps():
 
 @pytest.mark.slow
 def test_a_sudden_start_has_the_same_peaks_from_coarse_and_from_fine_outputs():
-    scene = bj.scenes.joint(load_profile="step")
+    scene = plain_joint(load_profile="step")
     params = scene.parameters(load_ramp=1e-4)
     coarse, fine = (
         bj.simulate(scene, params, np.linspace(0.0, 0.02, count), resolved_peaks=True) for count in (21, 4001)

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from joints import plain_joint
 
 from bcfj_jax import scenes, simulate
 from bcfj_jax.core.status import OK, STEPS
@@ -97,7 +98,7 @@ def test_a_run_that_spends_its_steps_says_when():
 
 @pytest.mark.slow
 def test_equilibria_are_those_that_are_sought_alone():
-    scene = scenes.joint(fidelity="quasistatic")
+    scene = plain_joint(fidelity="quasistatic")
     clearances = jnp.array([2e-5, 2.2e-5, 5e-5, 1e-5])
     params = {name: jnp.full(4, value) for name, value in scene.parameters().items()}
     params["clearance_cage_ball"] = clearances

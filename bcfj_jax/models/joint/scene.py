@@ -35,6 +35,8 @@ AUTO = "auto"
 TRACKS = ("gothic", "circular")
 CAGES = HEADS = ("free", "fixed")
 DRIVES = ("prescribed", "flexible")
+# Options without which the joint is the simplest that turns: balls are particles, windows have no ends, pilots are spheres.
+PLAIN = {"spin": False, "window_ends": False, "bands": False}
 # Where a contact's stiffness is from.
 STIFFNESSES = GIVEN, GEOMETRY = ("given", "geometry")
 

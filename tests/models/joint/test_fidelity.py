@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.optimize
-from joints import LITTLE
+from joints import LITTLE, plain_joint
 from typer.testing import CliRunner
 
 import bcfj_jax as bj
@@ -24,7 +24,7 @@ from bcfj_jax.models.joint.observe import observe
 from bcfj_jax.models.joint.start import nominal
 from bcfj_jax.solve.simulation import Run
 
-AUTO = bj.scenes.joint(fidelity="auto")
+AUTO = plain_joint(fidelity="auto")
 TIMES = np.linspace(0.0, 3.0, 401)
 
 
@@ -71,7 +71,7 @@ def test_mismatch_is_the_difference_of_two_pitches():
 
 
 def test_states_are_unfolded_as_the_closed_form_motion_goes_on():
-    scene = bj.scenes.joint(spin=True, friction="lugre")
+    scene = plain_joint(spin=True, friction="lugre")
     params = scene.parameters(drive_speed=-12.0)
     folded = periodic.fold(scene, params, TIMES, periodic.risen(scene, params, 2))
     states = jax.jit(kinematic_states, static_argnums=0)
@@ -82,7 +82,7 @@ def test_states_are_unfolded_as_the_closed_form_motion_goes_on():
 @pytest.mark.slow
 def test_what_equilibrium_leaves_out_is_what_friction_changes():
     """Against SciPy's root of the forces of ``system``, friction at the speeds of the motion without clearance."""
-    scene = bj.scenes.joint(**LITTLE | {"friction": True}, fidelity="quasistatic")
+    scene = plain_joint(**LITTLE | {"friction": True}, fidelity="quasistatic")
     params = scene.parameters(friction_static=4e-4, friction_dynamic=1e-4, damping=0.0)
     c, times = constants(scene, params), np.array([0.1, 0.13, 0.17])
     found = statics(scene, params, times)
@@ -222,7 +222,7 @@ def test_the_cheapest_level_within_the_budget_is_taken(monkeypatch, errors, expe
     stated = dict(zip(("kinematic", "quasistatic"), errors, strict=True))
     monkeypatch.setattr(fidelity, "_look", lambda *_: (stated, {"wall_s": 0.25, "compile_s": 1.0}))
     ran = []
-    blank = made_up()[0](bj.scenes.joint(), TIMES)
+    blank = made_up()[0](plain_joint(), TIMES)
     found = fidelity.adaptive(AUTO, params, TIMES, 0.01, lambda scene, _: ran.append(scene.fidelity) or blank)
     assert found.choice.fidelity == expected and ran == [expected] and found.choice.errors == stated
     assert found.stats["wall_s"] == 0.75 and found.stats["compile_s"] == 1.0
@@ -268,7 +268,7 @@ def test_commands_that_need_a_model_refuse(tmp_path):
 def test_the_default_joint_repeats_its_pitch():
     """Beside the dynamic model itself, to the end: forces, and the states that go with them."""
     times = np.linspace(1.5, 2.0, 151)
-    runs = [bj.simulate(scene, scene.parameters(), times) for scene in (AUTO, bj.scenes.joint())]
+    runs = [bj.simulate(scene, scene.parameters(), times) for scene in (AUTO, plain_joint())]
     assert runs[0].choice.fidelity == "periodic", runs[0].choice
     assert runs[0].stats["accepted"] < 0.5 * runs[1].stats["accepted"]
     for name, force in runs[1].force.items():

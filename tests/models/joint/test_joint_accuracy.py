@@ -6,6 +6,7 @@ import functools
 
 import numpy as np
 import pytest
+from joints import plain_joint
 
 import bcfj_jax as bj
 from benchmarks.models import joint_reference
@@ -23,7 +24,7 @@ def reference():
 def error(accuracy):
     """Per contact, worst rms of a member's component over the contact's peak, of 3 s of the default joint."""
     kept = reference()
-    scene = bj.scenes.joint()
+    scene = plain_joint()
     run = bj.simulate(scene, scene.parameters(kept.settings["parameters"]), kept.times, accuracy=accuracy)
     assert run.status == "ok", run.reason
     return joint_reference.errors(run.force, kept.force)
@@ -31,10 +32,10 @@ def error(accuracy):
 
 def test_the_reference_is_one():
     kept = reference()
-    assert kept.times[-1] == 3.0 and set(kept.force) == {contact.name for contact in bj.scenes.joint().contacts}
+    assert kept.times[-1] == 3.0 and set(kept.force) == {contact.name for contact in plain_joint().contacts}
     assert all(np.isfinite(part).all() for part in kept.force.values())
     # It stands for the joint as it is today, and other solvers and tolerances agree with it far within 1 %.
-    today = {name: float(value) for name, value in bj.scenes.joint().parameters().items()}
+    today = {name: float(value) for name, value in plain_joint().parameters().items()}
     assert today == kept.settings["parameters"], "other defaults: run benchmarks/models/joint_reference.py"
     measured = [found for found in kept.settings["convergence"].values() if isinstance(found, dict)]
     assert len(measured) == 2
@@ -73,7 +74,7 @@ def test_a_slow_joint_settles_onto_the_quasistatic_one():
     settled = times > 0.25
     runs = []
     for fidelity in ("dynamic", "quasistatic"):
-        scene = bj.scenes.joint(friction=False, fidelity=fidelity)
+        scene = plain_joint(friction=False, fidelity=fidelity)
         runs.append(bj.simulate(scene, scene.parameters(drive_speed=1.0, damping=10.0, load_ramp=0.2), times))
         assert runs[-1].status == "ok", runs[-1].reason
     moving, still = runs

@@ -8,10 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from joints import constants, made, unit
+from joints import constants, made, plain_joint, unit
 from oracles import within
 
-from bcfj_jax import scenes
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.models.joint import bands, system
 from bcfj_jax.models.joint.equilibrium_residual import Places, balance
@@ -138,7 +137,7 @@ def test_friction_of_an_edge_is_that_of_its_points(shift):
 
 def test_an_axial_load_needs_twice_as_much_normal_force():
     # By hand: 7.2 kN along the axis, evenly around the edge at 30 degrees: 14.4 kN, K d^1.5.
-    scene = scenes.joint(bands=True, smoothing=False, friction=False)
+    scene = plain_joint(bands=True, smoothing=False, friction=False)
     params = scene.parameters(damping=0.0)
     c = constants(scene, params)
     stiffness, clearance = np.array([8.518e11, 6.606e11]), 50e-6
@@ -156,7 +155,7 @@ def test_an_axial_load_needs_twice_as_much_normal_force():
 @pytest.mark.full
 def test_pilots_of_the_straight_joint_bear_twice_what_the_windows_push():
     # Undeflected, the cage is pushed along its axis alone, and its edges bear evenly: N sin(30 deg) is the axial force.
-    scene = scenes.joint(bands=True, friction=False, fidelity="quasistatic")
+    scene = plain_joint(bands=True, friction=False, fidelity="quasistatic")
     found = jax.device_get(quasistatic_forces(scene, scene.parameters(joint_angle=0.0), np.array([0.1])))
     pushed = float(found["cage_ball"].sum())
     pilots = [float(found[name][0]) for name in ("seat_cage", "head_cage")]
@@ -167,7 +166,7 @@ def test_pilots_of_the_straight_joint_bear_twice_what_the_windows_push():
 @pytest.mark.slow
 @pytest.mark.parametrize("options", [{}, {"cage": "fixed"}, {"head": "fixed"}], ids=str)
 def test_matrix_of_equilibrium_is_the_derivative(options):
-    scene = scenes.joint(bands=True, fidelity="quasistatic", **options)
+    scene = plain_joint(bands=True, fidelity="quasistatic", **options)
     params = scene.parameters(axial_load=1e3)
     problem = posed(scene, params, jnp.array([0.06, 0.1]))
     rng, n = np.random.default_rng(4), scene.balls
@@ -183,7 +182,7 @@ def test_matrix_of_equilibrium_is_the_derivative(options):
 
 
 def test_within_the_bands_latitudes_nothing_has_changed():
-    full, banded = (scenes.joint(bands=flag) for flag in (False, True))
+    full, banded = (plain_joint(bands=flag) for flag in (False, True))
     params = banded.parameters()
     y = np.array(full.initial_state(params))
     first = 3 * full.balls
@@ -207,7 +206,7 @@ def test_within_the_bands_latitudes_nothing_has_changed():
 
 
 def test_bands_are_refused_where_there_is_no_cage():
-    scene = scenes.joint(bands=True)
+    scene = plain_joint(bands=True)
     with pytest.raises(InputError, match=r"pilot_band.*within its windows"):
         scene.check(scene.parameters(pilot_band=0.1))
     with pytest.raises(InputError, match="pilot_band"):
@@ -215,8 +214,8 @@ def test_bands_are_refused_where_there_is_no_cage():
     with pytest.raises(InputError, match="bands = false"):
         as_mechanism(scene)
     grooves = ("seat_ball", "head_ball")
-    assert "pilot_band" not in scenes.joint(bands=True, contacts=("cage_ball", *grooves)).quantities
-    assert not {"seat_cage", "head_cage"} & set(scenes.joint(bands=True, friction="lugre").bristles)
+    assert "pilot_band" not in plain_joint(bands=True, contacts=("cage_ball", *grooves)).quantities
+    assert not {"seat_cage", "head_cage"} & set(plain_joint(bands=True, friction="lugre").bristles)
 
 
 def test_friction_of_bands_is_compiled_with_bands_alone():

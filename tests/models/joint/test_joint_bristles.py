@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from joints import GROOVES, QUICK, constants, noisy
+from joints import GROOVES, QUICK, constants, noisy, plain_joint
 from scipy.integrate import solve_ivp
 
 import bcfj_jax as bj
@@ -18,7 +18,7 @@ from bcfj_jax.models.joint.bristles import flat, split
 from bcfj_jax.models.joint.contacts import act, windows
 from bcfj_jax.models.joint.law_pair import RELAX
 
-ROUGH = bj.scenes.joint(friction="lugre")
+ROUGH = plain_joint(friction="lugre")
 # 30 um into the upper face of a window, at whose middle the cage's axis is z.
 PLACE, AXIS = np.array([0.03, 0.0, 4e-5]), np.array([0.0, 0.0, 1.0])
 
@@ -26,7 +26,7 @@ PLACE, AXIS = np.array([0.03, 0.0, 4e-5]), np.array([0.0, 0.0, 1.0])
 @functools.cache
 def touching(friction: str):
     """The upper face's force, its normal force and its bristle's rate, by (height, velocity, deflection)."""
-    scene = bj.scenes.joint(friction=friction)
+    scene = plain_joint(friction=friction)
     c = constants(scene, scene.parameters({"smoothing": 1e-6}))
 
     @jax.jit
@@ -91,14 +91,14 @@ def test_nothing_is_remembered_in_a_gap():
 
 
 def test_layout_and_what_has_no_bristles():
-    some = bj.scenes.joint(frictions={"head_ball": "lugre", "head_cage": "lugre"})
+    some = plain_joint(frictions={"head_ball": "lugre", "head_cage": "lugre"})
     assert some.bristles == {"head_ball": 2, "head_cage": 1} and some.states == some.moving + 3 * (6 * 2 + 1)
     y = np.arange(float(some.states))
     assert np.array_equal(flat(split(some, jnp.asarray(y))), y[some.moving :])
     assert ROUGH.states == ROUGH.moving + 3 * (6 * 6 + 2)
-    plain = bj.scenes.joint()
+    plain = plain_joint()
     assert plain.states == plain.moving and not plain.bristles
-    assert not bj.scenes.joint(friction="lugre", fidelity="quasistatic").bristles
+    assert not plain_joint(friction="lugre", fidelity="quasistatic").bristles
 
 
 @pytest.mark.full
@@ -122,7 +122,7 @@ def test_power_is_the_rate_of_what_is_stored():
 
 @pytest.mark.slow
 def test_a_joint_runs_on_bristles():
-    scene = bj.scenes.joint(friction="lugre", contacts=("cage_ball", *GROOVES))
+    scene = plain_joint(friction="lugre", contacts=("cage_ball", *GROOVES))
     params, times = scene.parameters({"load_ramp": 2e-3}), np.linspace(0.0, 4e-3, 21)
     run = bj.simulate(scene, params, times)
     assert run.trajectory is not None and np.all(np.isfinite(run.trajectory))

@@ -11,11 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from joints import QUICK, SEEDS, constants, noisy, solved
+from joints import QUICK, SEEDS, constants, noisy, plain_joint, solved
 from oracles import within
 
 import bcfj_jax as bj
-from bcfj_jax import scenes
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.models.joint import attitude, deflection, energy, geometry, periodic, system
 from bcfj_jax.models.joint.arrowhead import Arrowhead
@@ -59,7 +58,7 @@ def each(names):
 
 @each(OLD)
 def test_without_the_new_options_nothing_has_changed(name):
-    scene = scenes.joint(**OLD[name])
+    scene = plain_joint(**OLD[name])
     params = scene.parameters(axial_load=2e3)
     y, t = jnp.asarray(noisy(scene, params, 7, places=1.5e-4)), jnp.asarray(0.02)
     right = jnp.sin(1.0 + jnp.arange(y.size))
@@ -102,7 +101,7 @@ def pressed(scene, params, seed, side=1.0):
 
 @each(NEW)
 def test_arrowhead_solves_with_the_exact_jacobian(name):
-    scene = scenes.joint(**NEW[name])
+    scene = plain_joint(**NEW[name])
     params = scene.parameters(axial_load=2e3)
     y, t = pressed(scene, params, 3), jnp.asarray(0.02)
     places = 3 * scene.balls + scene.coupling
@@ -157,7 +156,7 @@ def test_the_azimuths_axes_turn_with_the_cage(seed):
 
 def test_balls_swing_in_their_windows_as_the_check_says():
     # The swing of all balls of the zero-clearance joint against the ends, over a pitch, the cage where it fits best.
-    scene = scenes.joint(window_ends=True, balls=5)
+    scene = plain_joint(window_ends=True, balls=5)
     params = scene.parameters()
     beta, pitch, offset = (float(params[key]) for key in ("joint_angle", "pitch_radius", "offset"))
     turns = np.linspace(0.0, 2.0 * np.pi / 5, 400)[:, None]
@@ -180,13 +179,13 @@ def test_balls_swing_in_their_windows_as_the_check_says():
 def test_window_ends_are_refused_where_there_is_no_free_window():
     grooves = ["seat_ball", "head_ball"]
     with pytest.raises(InputError, match=r"with a fixed cage.*turns as the drive"):
-        scenes.joint(cage="fixed", contacts=["cage_ball", *grooves, "cage_window_end"])
+        plain_joint(cage="fixed", contacts=["cage_ball", *grooves, "cage_window_end"])
     with pytest.raises(InputError, match="without cage_ball"):
-        scenes.joint(contacts=["seat_cage", *grooves, "cage_window_end"])
-    assert not scenes.joint(cage="fixed", window_ends=True).has("cage_window_end")
+        plain_joint(contacts=["seat_cage", *grooves, "cage_window_end"])
+    assert not plain_joint(cage="fixed", window_ends=True).has("cage_window_end")
     named = [*grooves, "cage_ball", "seat_cage", "head_cage", "cage_window_end"]
-    assert scenes.joint(contacts=named) == scenes.joint(window_ends=True)
-    assert scenes.joint().azimuth is None and "clearance_cage_window_end" not in scenes.joint().quantities
+    assert plain_joint(contacts=named) == plain_joint(window_ends=True)
+    assert plain_joint().azimuth is None and "clearance_cage_window_end" not in plain_joint().quantities
 
 
 # --- what they do
@@ -195,7 +194,7 @@ def test_window_ends_are_refused_where_there_is_no_free_window():
 @functools.cache
 def steady():
     """Scene, parameters, times and states of a joint with window ends, its fifth pitch."""
-    scene = scenes.joint(window_ends=True)
+    scene = plain_joint(window_ends=True)
     params = scene.parameters()
     times = jnp.concatenate([jnp.zeros(1), jnp.linspace(0.4, 0.5, 201)])
     start = scene.initial_state(params)
@@ -254,7 +253,7 @@ def flows(scene, params):
 
 @each(NEW)
 def test_power_is_the_rate_of_what_is_stored(name):
-    scene = scenes.joint(**NEW[name])
+    scene = plain_joint(**NEW[name])
     params = scene.parameters(axial_load=2e3)
     read = flows(scene, params)
     for seed, side in ((1, 1.0), (2, -1.0), (3, 1.0)):
@@ -267,7 +266,7 @@ def test_power_is_the_rate_of_what_is_stored(name):
 
 @pytest.mark.slow
 def test_without_friction_window_ends_bear_nothing():
-    scene = scenes.joint(window_ends=True, fidelity="quasistatic")
+    scene = plain_joint(window_ends=True, fidelity="quasistatic")
     params = scene.parameters()
     times = np.array([0.06, 0.11])
     found = quasistatic(scene, params, times)
@@ -293,7 +292,7 @@ def test_motion_with_window_ends_repeats_itself_with_balls_and_windows_renumbere
 @pytest.mark.parametrize("load", [0.0, 2e4])
 def test_a_mirrored_joint_does_what_a_mirror_shows(load):
     # Across the plane of deflection: drive and torque turn the other way, and so do balls and the ends of windows.
-    scene = scenes.joint(window_ends=True, bands=True, spin=True)
+    scene = plain_joint(window_ends=True, bands=True, spin=True)
     times = np.linspace(0.0, 0.25, 251)
     one = bj.simulate(scene, scene.parameters(axial_load=load), times, accuracy=1e-4)
     params = scene.parameters()
@@ -316,14 +315,14 @@ def test_a_mirrored_joint_does_what_a_mirror_shows(load):
 
 @pytest.mark.full
 def test_the_generic_mechanism_has_the_same_window_ends():
-    scene = scenes.joint(window_ends=True, spin=True)
+    scene = plain_joint(window_ends=True, spin=True)
     gaps = {contact.name: contact.gap for contact in as_mechanism(scene).contacts}
     assert gaps["cage_window_end"].windows == scene.balls and gaps["cage_ball"].windows == 0
 
 
 @pytest.mark.full
 def test_the_cage_is_drawn_and_read_with_its_azimuth():
-    scene = scenes.joint(window_ends=True)
+    scene = plain_joint(window_ends=True)
     params = scene.parameters()
     y = np.array(scene.initial_state(params))
     y[scene.azimuth] = 0.3
@@ -336,4 +335,4 @@ def test_the_cage_is_drawn_and_read_with_its_azimuth():
     first = np.array([np.cos(half), 0.0, -np.sin(half)])
     assert axes[:, 0] == pytest.approx(np.cos(0.3) * first + np.sin(0.3) * np.array([0.0, 1.0, 0.0]))
     assert not any("azimuth" in note for note in scene.drawing(params).notes)
-    assert any("azimuth" in note for note in scenes.joint().drawing(params).notes)
+    assert any("azimuth" in note for note in plain_joint().drawing(params).notes)

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from joints import plain_joint
 
 import bcfj_jax as bj
 from bcfj_jax.solve.plan import Plan, plan
@@ -16,7 +17,7 @@ from benchmarks.analysis import derivatives as kept
 from benchmarks.models import joint_steady
 
 pytestmark = pytest.mark.slow
-SCENE = bj.scenes.joint()
+SCENE = plain_joint()
 LOOSE = 1e-1
 
 

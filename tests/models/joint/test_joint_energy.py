@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from joints import JOINT, QUICK, SEEDS, constants, noisy, view
+from joints import JOINT, QUICK, SEEDS, constants, noisy, plain_joint, view
 from oracles import within
 
-import bcfj_jax as bj
 from bcfj_jax.analysis import energy_balance
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.models.joint import energy, system
@@ -43,7 +42,7 @@ EACH = pytest.mark.parametrize(
 def flows(name):
     """Power, store and the store's rate at (t, y) of a variant, compiled; its scene and parameters."""
     options, values = VARIANTS[name]
-    scene = bj.scenes.joint(**options)
+    scene = plain_joint(**options)
     params = scene.parameters(values)
     c = constants(scene, params)
 
@@ -105,7 +104,7 @@ def test_flank_ends_are_accounted_for():
 @functools.cache
 def sharp():
     """The penetrations and the elastic energy of a state without smoothing, compiled; its scene."""
-    scene = bj.scenes.joint(smoothing=False)
+    scene = plain_joint(smoothing=False)
 
     @functools.partial(jax.jit, compiler_options=QUICK)
     def look(params, y):
@@ -167,7 +166,7 @@ def test_energy_balance_over_a_revolution():
 @pytest.mark.slow
 @pytest.mark.parametrize("options", [{}, {"window_ends": True, "bands": True}], ids=["spin", "all"])
 def test_energy_balance_with_rolling_balls(options):
-    scene = bj.scenes.joint(spin=True, **options)
+    scene = plain_joint(spin=True, **options)
     found = energy_balance.balance(scene, scene.parameters(), np.linspace(0.0, 0.1, 11), 1e-4)
     assert found.closure < 2e-5
     assert 0.0 < found.taken["friction"][-1] < found.given["drive"][-1]
@@ -175,7 +174,7 @@ def test_energy_balance_with_rolling_balls(options):
 
 @pytest.mark.parametrize("what", ["fidelity", "times", "step"])
 def test_energy_balance_is_refused(what):
-    scene = bj.scenes.joint(fidelity="quasistatic") if what == "fidelity" else JOINT
+    scene = plain_joint(fidelity="quasistatic") if what == "fidelity" else JOINT
     times = [0.1, 0.0] if what == "times" else [0.0, 0.1]
     with pytest.raises(InputError, match="balance" if what == "fidelity" else what):
         energy_balance.balance(scene, scene.parameters(), times, step=0.0 if what == "step" else 1e-5)

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from joints import plain_joint
 
-from bcfj_jax import scenes
 from bcfj_jax.models.joint.coefficients import patch
 from bcfj_jax.models.joint.engineering import of_the_contacts
 
@@ -21,14 +21,14 @@ SHEET |= {"clearance_seat_ball": 0.0, "clearance_head_ball": 0.0}
     ("name", "pressure", "depth"), [("seat_ball", 3.09e9, 46.4e-6), ("head_ball", 3.57e9, 47.8e-6)]
 )
 def test_grooves_of_the_sheet(name, pressure, depth):
-    scene = scenes.joint()
+    scene = plain_joint()
     shape, _ = patch(scene, scene.parameters(SHEET), name)
     assert float(shape.peak_pressure(11.95e3)) == pytest.approx(pressure, rel=3e-3)
     assert float(shape.penetration(11.95e3)) == pytest.approx(depth, rel=3e-3)
 
 
 def test_patches_power_and_what_is_void():
-    scene = scenes.joint()
+    scene = plain_joint()
     params = scene.parameters()
     times = np.linspace(0.0, 3.0, 31)
     force = {name: np.zeros((31, 6, 3) if "ball" in name else (31, 3)) for name in ("cage_ball", "seat_cage")}

@@ -9,10 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from joints import GROOVES, QUICK, constants, noisy, view
+from joints import GROOVES, QUICK, constants, noisy, plain_joint, view
 from scipy.spatial.transform import Rotation
 
-from bcfj_jax import scenes
 from bcfj_jax.core.vectors import array
 from bcfj_jax.mechanism.bodies import _attitude
 from bcfj_jax.mechanism.model import Flows
@@ -120,7 +119,7 @@ class Pair(NamedTuple):
 @functools.cache
 def compared(name: str) -> tuple[Any, list[Pair]]:
     """A joint in disturbed states of disturbed parameters, by its own equations and as a mechanism."""
-    joint = scenes.joint(**OPTIONS[name])
+    joint = plain_joint(**OPTIONS[name])
     mechanism = as_mechanism(joint)
     keys = [(body, key) for body, key, _ in (*mechanism._placed, *mechanism._free)]
 
@@ -241,7 +240,7 @@ def test_energy_flows_agree(name):
 
 @EACH
 def test_parameters_and_start_are_the_joints(name):
-    joint = scenes.joint(**OPTIONS[name])
+    joint = plain_joint(**OPTIONS[name])
     mechanism = as_mechanism(joint)
     unread = set(joint.quantities) - set(mechanism.quantities)
     own = {name for name in joint.quantities if name.endswith(".effective_modulus")}

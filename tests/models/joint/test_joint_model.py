@@ -9,11 +9,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from joints import plain_joint
 
-import bcfj_jax as bj
 from bcfj_jax.models.joint.observe import resultants
 
-JOINT = bj.scenes.joint()
+JOINT = plain_joint()
 PARAMS = JOINT.parameters(joint_angle=0.1)
 
 
@@ -87,7 +87,7 @@ def test_levels_are_options():
     levels = JOINT.coarser()
     assert [level.name for level in levels] == ["kinematic", "quasistatic"]
     still = dataclasses.replace(JOINT, **levels[1].options)
-    assert still == bj.scenes.joint(fidelity="quasistatic") and still.full() == JOINT
+    assert still == plain_joint(fidelity="quasistatic") and still.full() == JOINT
     assert not still.traits.history and still.body_names == () and still.tables == ()
     undecided = dataclasses.replace(JOINT, **JOINT.choice_options())
     assert undecided.traits.open and [level.name for level in undecided.coarser()][-1] == "dynamic"

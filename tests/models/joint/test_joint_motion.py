@@ -9,10 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from joints import JOINT, QUICK, SEEDS, constants, noisy, solved
+from joints import JOINT, QUICK, SEEDS, constants, noisy, plain_joint, solved
 from oracles import within
 
-import bcfj_jax as bj
 from bcfj_jax.models.joint import energy, system
 from bcfj_jax.models.joint.guides import GUIDES
 from bcfj_jax.models.joint.quasistatic import quasistatic
@@ -72,7 +71,7 @@ def test_transmission_of_a_constant_velocity_joint():
     assert angle_error.shape == (times.size,)
     late = np.asarray(times) > 0.06
     # The head lags by clearances and deflections: as far as statics says, and it follows how that changes.
-    scene = bj.scenes.joint(fidelity="quasistatic")
+    scene = plain_joint(fidelity="quasistatic")
     still = quasistatic(scene, params, times[late][::60])
     place = np.asarray(still.states)[:, 3 * scene.balls :]
     lag = place[:, scene.slices["head_turn"]] - place[:, scene.slices["seat_turn"]]
@@ -138,7 +137,7 @@ def wrenches(scene):
 @given(seed=SEEDS)
 @settings(max_examples=50)
 def test_contact_wrenches_sum_to_nothing(spin, seed):
-    scene = bj.scenes.joint(spin=spin)
+    scene = plain_joint(spin=spin)
     read, params = wrenches(scene)
     total, coupling, state, axes = jax.device_get(read(noisy(scene, params, seed)))
     for name in scene.pilots:
@@ -186,7 +185,7 @@ def spin_about_z(scene, params, y):
 @pytest.mark.slow
 @pytest.mark.parametrize("options", [{}, {"spin": True}, {"spin": True, "bands": True, "window_ends": True}], ids=str)
 def test_a_free_joint_keeps_its_spin_and_loses_energy(options):
-    scene = bj.scenes.joint(drive="flexible", **options)
+    scene = plain_joint(drive="flexible", **options)
     params = scene.parameters(**FREED)
     c = constants(scene, params)
     # Dense at the start, where most is lost in impacts.
@@ -234,7 +233,7 @@ def renumbered(scene, y, turn):
 
 @pytest.mark.parametrize("spin", [False, True])
 def test_sixfold_symmetry_of_the_field(spin):
-    scene = bj.scenes.joint(spin=spin)
+    scene = plain_joint(spin=spin)
     params = scene.parameters()
     c = constants(scene, params)
     field = jax.jit(lambda y: system.field(0.05, y, (scene, c)), compiler_options=QUICK)

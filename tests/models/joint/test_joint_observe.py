@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from joints import plain_joint
 from oracles import within
 
 import bcfj_jax as bj
@@ -33,7 +34,7 @@ from bcfj_jax.models.joint.start import nominal
 from bcfj_jax.models.joint.summary import of_the_whole
 from bcfj_jax.solve.simulation import Run
 
-JOINT = bj.scenes.joint()
+JOINT = plain_joint()
 # Lightly optimised: these run once or a few times.
 QUICK = {"xla_backend_optimization_level": 0}
 observed, summed = (jax.jit(f, static_argnums=0, compiler_options=QUICK) for f in (observe, resultants))
@@ -105,7 +106,7 @@ def test_a_damped_rebound_that_bears_no_force_is_apart():
 
 @pytest.mark.parametrize(("friction", "fidelity"), [(False, "dynamic"), (True, "quasistatic"), (True, "kinematic")])
 def test_without_friction_what_presses_is_touching(friction, fidelity):
-    scene = bj.scenes.joint(friction=friction, fidelity=fidelity)
+    scene = plain_joint(friction=friction, fidelity=fidelity)
     force = np.zeros((2, 6, 3))
     force[0, 0, 0] = -4.0
     single = Reading(force[:, 0], np.zeros(2), np.zeros(2), np.full(2, 7.0))
@@ -155,7 +156,7 @@ def test_windows_sum_over_the_balls_and_carry_friction():
 def test_forces_of_the_tracks_add_up_to_the_torque():
     # Undeflected and alike: N sin(alpha) tangentially at Rp on each ball, which add up to no resultant across the axis;
     # along it the tracks push the balls by T cot(alpha) e/(R_c Rp), physics sheet 5.4.
-    scene = bj.scenes.joint(friction=False, fidelity="quasistatic", smoothing=False, head="fixed")
+    scene = plain_joint(friction=False, fidelity="quasistatic", smoothing=False, head="fixed")
     params = scene.parameters(joint_angle=0.0, load_ramp=1e-6, stiffness=1e15, exponent=1.0)
     params = {name: jnp.asarray(1e13) if name.endswith(".stiffness") else x for name, x in params.items()}
     params |= {name: jnp.zeros(()) for name in params if name.startswith("clearance")}
@@ -236,7 +237,7 @@ def test_the_joint_as_a_whole_in_numbers():
 
 
 def test_the_axes_of_a_cage_without_an_azimuth_turn_with_the_seat():
-    scene = bj.scenes.joint()
+    scene = plain_joint()
     params = scene.parameters()
     c = jax.jit(constants, static_argnums=0)(scene, params)
     look = jax.jit(lambda y: motions(scene, c, 0.0, y)["cage"], compiler_options={"xla_backend_optimization_level": 0})

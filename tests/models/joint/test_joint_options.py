@@ -8,9 +8,8 @@ import jax
 import jax.numpy as jnp
 import pytest
 from jax.extend.core import ClosedJaxpr, Jaxpr
-from joints import GROOVES
+from joints import GROOVES, plain_joint
 
-from bcfj_jax import scenes
 from bcfj_jax.models.joint import system
 from bcfj_jax.models.joint.constants import constants
 
@@ -31,7 +30,7 @@ def primitives(jaxpr: Jaxpr) -> list[str]:
 
 @functools.cache
 def program(**options) -> tuple[int, tuple[str, ...]]:
-    scene = scenes.joint(**options)
+    scene = plain_joint(**options)
     params = scene.parameters()
     y = jax.ShapeDtypeStruct((scene.states,), jnp.float64)
     c = jax.eval_shape(functools.partial(constants, scene), params)
@@ -70,8 +69,8 @@ def test_a_frictionless_joint_has_no_friction_and_a_fixed_cage_no_state():
     assert program(spin=True)[0] == (3 + 6) * 6 + 2 * 11
     assert program(balls=3)[0] == 2 * (9 + 11)
     for name, needed in (("friction_static", "friction"), ("smoothing", "smoothing")):
-        assert name in scenes.joint().quantities and name not in scenes.joint(**{needed: False}).quantities
-    assert "cage_mass" not in scenes.joint(cage="fixed").quantities
-    assert "clearance_seat_cage" not in scenes.joint(cage="fixed").quantities
-    assert "contact_angle" not in scenes.joint(track="circular").quantities
-    assert "drive_stiffness" in scenes.joint(drive="flexible").quantities
+        assert name in plain_joint().quantities and name not in plain_joint(**{needed: False}).quantities
+    assert "cage_mass" not in plain_joint(cage="fixed").quantities
+    assert "clearance_seat_cage" not in plain_joint(cage="fixed").quantities
+    assert "contact_angle" not in plain_joint(track="circular").quantities
+    assert "drive_stiffness" in plain_joint(drive="flexible").quantities

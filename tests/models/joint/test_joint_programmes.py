@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from joints import QUICK, constants, noisy
+from joints import QUICK, constants, noisy, plain_joint
 from oracles import within
 
 import bcfj_jax as bj
@@ -36,7 +36,7 @@ VALUES = {"all": {"axial_load": 2e4, "drive_ramp": 0.05, "reversal_time": 0.012,
 
 @functools.cache
 def made(name):
-    scene = bj.scenes.joint(**OPTIONS[name])
+    scene = plain_joint(**OPTIONS[name])
     return scene, scene.parameters(VALUES.get(name))
 
 
@@ -100,7 +100,7 @@ def test_a_table_gives_its_own_values_and_is_scaled_by_its_parameter():
 )
 def test_programmes_that_do_not_go_together_are_refused(options, what):
     with pytest.raises(InputError, match=what):
-        bj.scenes.joint(**options)
+        plain_joint(**options)
 
 
 def test_a_stick_slip_torque_is_no_generic_load():
@@ -164,7 +164,7 @@ FREE = {"contacts": ("seat_ball", "head_ball"), "cage": "fixed", "head": "fixed"
 @functools.cache
 def alone(**options):
     """The head's speed under its load alone, its balls in clearances that do not close; times and parameters."""
-    scene = bj.scenes.joint(**FREE, drive="flexible", **options)
+    scene = plain_joint(**FREE, drive="flexible", **options)
     values = {"clearance_seat_ball": 5e-3, "clearance_head_ball": 5e-3, "drive_speed": 1e-9, "load_torque": 2.0}
     params = scene.parameters(values, load_ramp=1e-3, ball_mass=10.0)
     found = bj.simulate(scene, params, np.linspace(0.0, 4e-3, 41), read=["head.spin.z in head"], accuracy=1e-3)
@@ -185,7 +185,7 @@ def test_a_bit_that_sticks_holds_the_head_from_which_it_takes_torque():
     # dw/dt = -(T/I) falling(w), integrated by itself.
     from scipy.integrate import solve_ivp
 
-    scene = bj.scenes.joint(**FREE, drive="flexible", stick_slip=True)
+    scene = plain_joint(**FREE, drive="flexible", stick_slip=True)
     values = {"clearance_seat_ball": 5e-3, "clearance_head_ball": 5e-3, "load_torque": 2.0}
     params = scene.parameters(values, load_ramp=1e-6, ball_mass=10.0)
     times = np.linspace(0.0, 4e-3, 41)

@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from joints import GROOVES, LITTLE
+from joints import GROOVES, LITTLE, plain_joint
 
-from bcfj_jax import InputError, scenes
+from bcfj_jax import InputError
 from bcfj_jax.solve import simulation
 
 BUDGET = 200
@@ -20,7 +20,7 @@ SHORT = np.linspace(0.0, 1e-3, 5)
 
 @functools.cache
 def little():
-    scene = scenes.joint(**LITTLE)
+    scene = plain_joint(**LITTLE)
     return scene, scene.parameters(load_ramp=1e-3, load_torque=200.0)
 
 
@@ -92,7 +92,7 @@ def test_a_batch_of_durations_has_derivatives():
 @functools.cache
 def derivatives():
     """Both directions of the derivative of 10 ms of a dynamic joint with friction, compiled; values; weights."""
-    scene = scenes.joint(**LITTLE | {"friction": True})
+    scene = plain_joint(**LITTLE | {"friction": True})
     params = scene.parameters()
     free = ("stiffness", "damping", "friction_static", "clearance_seat_ball", "ball_mass", "load_torque")
     times = np.linspace(0.0, 0.01, 5)

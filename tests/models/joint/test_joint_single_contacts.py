@@ -8,11 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from joints import QUICK, make_constants, noisy
+from joints import QUICK, make_constants, noisy, plain_joint
 from oracles import within
 
 import bcfj_jax as bj
-from bcfj_jax import scenes
 from bcfj_jax.analysis.histories import settled_period
 from bcfj_jax.contact import laws
 from bcfj_jax.core.errors import InputError
@@ -27,7 +26,7 @@ E = 113e9
 
 
 def test_stiffness_from_geometry_is_that_of_the_formulas():
-    scene = scenes.joint(stiffness="geometry", window_ends=True)
+    scene = plain_joint(stiffness="geometry", window_ends=True)
     params = scene.parameters({"clearance_seat_cage": 40e-6, "cage_ball.effective_modulus": 2 * E})
     found = {x.name: float(coefficients.stiffness(scene, params, x.name)) for x in scene.contacts}
     socket = lambda outer, gap: 4 / 3 * E * np.sqrt(outer * (outer - gap) / gap)  # noqa: E731
@@ -50,14 +49,14 @@ def test_stiffness_from_geometry_is_that_of_the_formulas():
     assert found["seat_ball"] > found["head_ball"]
     assert not {"stiffness", "exponent", "seat_ball.stiffness"} & set(scene.quantities)
     # The default joint's stated numbers are these formulas'.
-    given = dict(scenes.joint().defaults)
+    given = dict(plain_joint().defaults)
     usual = scene.parameters()
     for name, stated in (("seat_cage", given["seat_cage.stiffness"]), ("cage_ball", given["cage_ball.stiffness"])):
         assert float(coefficients.stiffness(scene, usual, name)) == within(stated, 1e-3)
 
 
 def test_stiffness_from_geometry_moves_with_clearance_conformity_and_radii():
-    scene = scenes.joint(stiffness="geometry", elastics={"head_cage": "liu_sphere"})
+    scene = plain_joint(stiffness="geometry", elastics={"head_cage": "liu_sphere"})
     params = scene.parameters()
 
     @jax.jit
@@ -84,7 +83,7 @@ def test_stiffness_from_geometry_moves_with_clearance_conformity_and_radii():
 
 
 def test_an_elastic_part_of_one_contact_reads_that_contacts_radii():
-    scene = scenes.joint(elastics={"seat_cage": "liu_sphere", "seat_ball": "bai_zhao", "cage_ball": "liu"})
+    scene = plain_joint(elastics={"seat_cage": "liu_sphere", "seat_ball": "bai_zhao", "cage_ball": "liu"})
     params = scene.parameters({"clearance_seat_cage": 30e-6, "clearance_seat_ball": 12e-6})
     told = {x.name: coefficients.coefficients(scene, params, x.name) for x in scene.contacts}
     assert float(told["seat_cage"]["radius"]) == 0.040 and float(told["seat_cage"]["radius_difference"]) == 30e-6
@@ -105,7 +104,7 @@ def test_a_scene_file_says_the_same():
         "parameters": {"ball_2": {"oversize": "10 um"}, "seat_ball_3": {"extra_clearance": "5 um"}},
     }  # fmt: skip
     given = from_table(table, None)
-    same = scenes.joint(elastics={"seat_cage": "liu_sphere"}, stiffnesses={"seat_ball": "geometry"}, unequal=True)
+    same = plain_joint(elastics={"seat_cage": "liu_sphere"}, stiffnesses={"seat_ball": "geometry"}, unequal=True)
     assert given.scene == same
     assert (
         float(given.params["ball_2.oversize"]) == 10e-6 and float(given.params["seat_ball_3.extra_clearance"]) == 5e-6
@@ -125,20 +124,20 @@ REFUSED = [
 @pytest.mark.parametrize(("options", "parts"), REFUSED, ids=[str(n) for n in range(len(REFUSED))])
 def test_what_is_refused(options, parts):
     with pytest.raises(InputError) as caught:
-        scenes.joint(**options)
+        plain_joint(**options)
     assert all(part in str(caught.value) for part in parts), str(caught.value)
 
 
 def test_no_clearance_is_refused_where_a_stiffness_needs_one():
     for options in ({"stiffness": "geometry"}, {"elastics": {"seat_cage": "liu_sphere"}}):
-        scene = scenes.joint(**options)
+        scene = plain_joint(**options)
         with pytest.raises(InputError, match=r"clearance_seat_cage: 0 m.*give a clearance > 0"):
             scene.check(scene.parameters(clearance_seat_cage=0.0))
-    scenes.joint().check(scenes.joint().parameters(clearance_seat_cage=0.0))
+    plain_joint().check(plain_joint().parameters(clearance_seat_cage=0.0))
 
 
 def test_contacts_too_wide_for_their_stiffness_are_told():
-    scene = scenes.joint(stiffness="geometry", fidelity="quasistatic")
+    scene = plain_joint(stiffness="geometry", fidelity="quasistatic")
     params = scene.parameters()
     d = 0.09 * 50e-6
     found = jax.device_get(
@@ -155,7 +154,7 @@ def test_contacts_too_wide_for_their_stiffness_are_told():
     Ran.penetration["seat_cage"] = np.array([1e-6, 9e-6, np.nan])
     (said,) = scene.warnings(params, Ran())
     assert "seat_cage 0.42" in said and "head_cage" not in said
-    assert scenes.joint().warnings(scenes.joint().parameters(), Ran()) == []
+    assert plain_joint().warnings(plain_joint().parameters(), Ran()) == []
 
 
 # --- unequal balls
@@ -163,7 +162,7 @@ def test_contacts_too_wide_for_their_stiffness_are_told():
 
 @pytest.mark.full
 def test_an_oversize_closes_all_gaps_of_its_ball_and_no_other():
-    scene, plain = scenes.joint(unequal=True, window_ends=True), scenes.joint(window_ends=True)
+    scene, plain = plain_joint(unequal=True, window_ends=True), plain_joint(window_ends=True)
     usual = plain.parameters()
     y, t = jnp.asarray(noisy(plain, usual, 3)), 0.01
 
@@ -194,14 +193,14 @@ def test_equal_balls_of_an_unequal_joint_run_as_the_usual_ones():
     times = np.linspace(0.0, 0.03, 31)
     found = []
     for options in ({}, {"unequal": True}):
-        scene = scenes.joint(**options)
+        scene = plain_joint(**options)
         found.append(bj.force_history(scene, scene.parameters(load_ramp=0.01), times))
     for name, force in found[0].items():
         assert np.abs(force - found[1][name]).max() <= 1e-10 * np.abs(force).max(), name
 
 
 def test_unequal_balls_repeat_themselves_after_a_turn():
-    scene, plain = scenes.joint(unequal=True), scenes.joint()
+    scene, plain = plain_joint(unequal=True), plain_joint()
     params = scene.parameters()
     assert scene.period(params) == (pytest.approx(0.6), pytest.approx(0.6))
     assert plain.period(plain.parameters()) == (pytest.approx(0.6), pytest.approx(0.1))
@@ -215,7 +214,7 @@ def test_unequal_balls_repeat_themselves_after_a_turn():
 @pytest.mark.slow
 def test_equilibrium_of_unequal_balls():
     # Half a turn on, balls stand where the opposite ones stood: exchange their sizes, and forces are exchanged.
-    scene = scenes.joint(unequal=True, fidelity="quasistatic")
+    scene = plain_joint(unequal=True, fidelity="quasistatic")
     sizes = np.array([8.0, -3.0, 0.0, 5.0, -6.0, 2.0]) * 1e-6
 
     def forces(sizes, time):
@@ -233,7 +232,7 @@ def test_equilibrium_of_unequal_balls():
 @pytest.mark.slow
 def test_unequal_balls_give_the_pilots_force_the_period_of_a_turn():
     times = np.linspace(0.0, 1.8, 1801)
-    scene, periods = scenes.joint(unequal=True), []
+    scene, periods = plain_joint(unequal=True), []
     for size in (0.0, 10e-6):
         draw = np.random.default_rng(24).normal(size=6)
         params = scene.parameters({f"ball_{i + 1}.oversize": size * x for i, x in enumerate(draw)})
@@ -243,7 +242,7 @@ def test_unequal_balls_give_the_pilots_force_the_period_of_a_turn():
 
 @pytest.mark.slow
 def test_derivatives_by_single_balls_and_by_what_a_stiffness_is_made_of():
-    scene = scenes.joint(
+    scene = plain_joint(
         unequal=True, stiffness="geometry", elastics={"head_cage": "liu_sphere"}, fidelity="quasistatic"
     )
     params = scene.parameters({"load_ramp": 1e-6, "ball_2.oversize": 5e-6})

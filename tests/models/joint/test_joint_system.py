@@ -8,10 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from joints import GROOVES, LITTLE, QUICK, constants
+from joints import GROOVES, LITTLE, QUICK, constants, plain_joint
 from oracles import within
 
-from bcfj_jax import scenes
 from bcfj_jax.core.small import inverse, inverse3, inverse6
 from bcfj_jax.models.joint import geometry, system
 from bcfj_jax.models.joint.arrowhead import Arrowhead
@@ -52,7 +51,7 @@ EACH = pytest.mark.parametrize(
 
 
 def made(options):
-    scene = scenes.joint(**options)
+    scene = plain_joint(**options)
     draw = np.random.default_rng(5)
     params = scene.parameters({name: 1e-5 * draw.normal() for name in scene.each_ball})
     return scene, params, constants(scene, params)
@@ -124,7 +123,7 @@ def test_small_inverses():
 
 @EACH
 def test_start_is_assembled_and_consistent(options):
-    scene = scenes.joint(**options)
+    scene = plain_joint(**options)
     # An onset narrower than the balls' play; with the default one, flanks hold a free ball with half a newton each.
     params = scene.parameters({"load_torque": 0.0} | ({"smoothing": 5e-6} if scene.smoothing else {}))
     turn, h = 0.3, 1e-4
@@ -153,7 +152,7 @@ def test_start_is_assembled_and_consistent(options):
 
 
 def test_start_without_any_clearance():
-    scene = scenes.joint()
+    scene = plain_joint()
     params = scene.parameters({f"clearance_{name}": 0.0 for name in USUAL})
 
     @functools.partial(jax.jit, compiler_options=QUICK)
