@@ -59,7 +59,9 @@ def sensitivity(
     ],
     features: Annotated[str, typer.Option(help="Features such as seat_ball.peak; by default every one.")] = "",
     certify: Annotated[bool, typer.Option(help="Whether to say how good the derivatives are.")] = True,
-    budget: Annotated[float, typer.Option(min=0.0, help="Seconds for runs to compare the derivatives with.")] = 60.0,
+    budget: Annotated[
+        float, typer.Option(min=0.0, help="Seconds for comparing the derivatives with other runs, compiling included.")
+    ] = 60.0,
     code: Code = None,
     out: Out = None,
     dry_run: Dry = False,

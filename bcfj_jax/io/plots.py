@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from bcfj_jax.core.errors import escaped
 from bcfj_jax.core.threads import ahead
 from bcfj_jax.io.outputs import atomic
 from bcfj_jax.io.units import engineering as engineering
@@ -77,6 +78,11 @@ def style() -> Iterator[None]:
     }
     with matplotlib.rc_context(look):
         yield
+
+
+def plain(name: str) -> str:
+    """A file's name for a picture: a dollar sign begins no formula, and what is no character is written as an escape."""
+    return escaped(name).replace("$", r"\$")
 
 
 class Margins(NamedTuple):

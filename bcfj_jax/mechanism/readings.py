@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bcfj_jax.mechanism.model import AbstractModel, Params, Reading
+if TYPE_CHECKING:  # It imports JAX, which who only writes files does not need.
+    from bcfj_jax.mechanism.model import AbstractModel, Params, Reading
 
 APART, TOUCHING, CREEPING, SLIDING, STUCK = range(5)
 STATES = ("apart", "touching", "creeping", "sliding", "stuck")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bcfj_jax.io.page import Picture
-from bcfj_jax.io.plots import COLOURS, engineering, label, panels
+from bcfj_jax.io.plots import COLOURS, engineering, label, panels, plain
 from bcfj_jax.mechanism.channels import unit_of
 from calibration.data.inspection import TOUCHING
 from calibration.data.preparation import Prepared
@@ -76,7 +76,7 @@ def _panel(axis: Axes, record: Prepared, observes: str) -> None:
         axis.set_xlim(
             max(first - around, record.clock[0]) * time_scale, min(last + around, record.clock[-1]) * time_scale
         )
-    axis.set_title(f"{record.name}: {observes}")
+    axis.set_title(f"{plain(record.name)}: {observes}")
     axis.set_xlabel(label("time", "s", time_prefix))
     axis.set_ylabel(reading_label(observes, prefix))
     axis.legend(loc="best", fontsize=8, frameon=True, edgecolor="none", framealpha=0.8)

@@ -10,7 +10,7 @@ import numpy as np
 from bcfj_jax import Run
 from bcfj_jax.analysis.simulation.pictures import loops
 from bcfj_jax.io.page import Picture
-from bcfj_jax.io.plots import COLOURS, engineering, figure, label, save, style
+from bcfj_jax.io.plots import COLOURS, engineering, figure, label, plain, save, style
 from calibration.data.plot import reading_label
 from calibration.diagnostics.records import Record
 from calibration.fit import Fit
@@ -70,7 +70,7 @@ def _panel(upper: Axes, lower: Axes, record: Record, channel: str, run: Run) -> 
     curve = own["gain"] * run.readings[channel] + offset
     upper.plot((run.times + own["time_offset"]) * time_scale, curve * scale, color=colour, label=name)
     upper.plot(record.times * time_scale, data * scale, "o", ms=3.5, color=COLOURS[5], label="data")
-    upper.set_title(f"{record.name}: {channel}" + (" (held out)" if record.held_out else ""))
+    upper.set_title(f"{plain(record.name)}: {channel}" + (" (held out)" if record.held_out else ""))
     upper.set_ylabel(reading_label(channel, prefix))
     upper.legend(loc="upper right")
     strip = (data - record.prediction[channel]) / record.sigma[channel]

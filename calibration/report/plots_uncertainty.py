@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bcfj_jax.io.page import Picture
-from bcfj_jax.io.plots import COLOURS, engineering, figure, label, panels, save, style
+from bcfj_jax.io.plots import COLOURS, engineering, figure, label, panels, plain, save, style
 from calibration.fit import Fit
 from calibration.uncertainty.posterior import Posterior
 from calibration.uncertainty.profile import Profile
@@ -196,7 +196,7 @@ def residual_acf(series: Mapping[str, np.ndarray], path: Path) -> None:
             axis.plot(np.arange(1, lags + 1), values, "o", ms=3.5, color=COLOURS[0])
             axis.axhline(0.0, color=COLOURS[5], lw=0.8)
             outside = int(np.count_nonzero(np.abs(values) > bound))
-            axis.set_title(f"{name}: {outside} of {lags} lags outside (white: {0.05 * lags:.0f})")
+            axis.set_title(f"{plain(name)}: {outside} of {lags} lags outside (white: {0.05 * lags:.0f})")
             axis.set_ylim(-1.05, 1.05)
             axis.locator_params(axis="x", integer=True)
             axis.set_xlabel("lag [samples]")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
+import threading
+import time
 
 import jax
 import numpy as np
@@ -15,6 +17,7 @@ from typer.testing import CliRunner
 
 import bcfj_jax as bj
 from bcfj_jax.analysis import features
+from bcfj_jax.analysis.derivatives import sensitivity as verb
 from bcfj_jax.analysis.derivatives.command import FILES
 from bcfj_jax.analysis.derivatives.jacobian import Histories
 from bcfj_jax.analysis.derivatives.measures import measure
@@ -249,6 +252,24 @@ def test_command_line(here):
     assert "exponent drives contact.peak: -" in page
     assert page.index("Trusted") < page.index("data:image/png;base64,") < page.index("<table>")
     assert bcfj("impact", "--wrt", "mass", "--out", "out").exit_code == 2
+
+
+@pytest.mark.full
+def test_a_comparison_that_takes_too_long_is_left_behind(here, monkeypatch):
+    """A compilation cannot be stopped: the call ends within its budget, says so, and writes what it has."""
+    over, real = threading.Event(), verb.forces
+    monkeypatch.setattr(verb, "forces", lambda *given: over.wait(60.0) and real(*given))
+    begin = time.monotonic()
+    done = bcfj("impact", "--wrt", "stiffness, exponent,mass", "--budget", 0.5, "--out", "out")
+    assert done.exit_code == 0 and time.monotonic() - begin < 50.0, done.stderr
+    over.set()
+    said = "central differences do not check it: the budget of 0.5 s was spent, compiling included"
+    assert f"Of stiffness, exponent, mass {said}." in done.stdout and said in (here / "out/report.html").read_text()
+    assert {p.name for p in (here / "out").iterdir()} == set(FILES)
+    certificate = json.loads((here / "out/certificate.json").read_text())
+    assert certificate["verdict"] == "trusted" and certificate["direction"] is None
+    for check_ in certificate["parameters"].values():
+        assert check_["unchecked"] == said and len(check_["compared_with"]) == 1
 
 
 @pytest.mark.slow

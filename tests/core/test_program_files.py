@@ -309,7 +309,9 @@ def test_two_processes_at_once_and_a_third_that_traces_nothing(tmp_path):
     assert len(tables) == 1
 
 
-@pytest.mark.parametrize("words", [["--help"], ["simulate", "missing.toml"], ["study", "run", "missing.toml"]])
+@pytest.mark.parametrize(
+    "words", [["--help"], ["simulate", "missing.toml"], ["study", "run", "missing.toml"], ["report", "missing"]]
+)
 def test_help_and_a_missing_file_need_no_jax(words):
     probe = (
         "import sys\nfrom bcfj_jax.cli import main\n"

@@ -15,7 +15,7 @@ import bcfj_jax
 from bcfj_jax.analysis.studies import specification
 from bcfj_jax.core import backend
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.io import guard, outputs
+from bcfj_jax.io import guard, outputs, plots
 
 
 def bcfj(*arguments, stdout=subprocess.PIPE, **variables):
@@ -80,6 +80,13 @@ def test_a_full_disk_is_said_with_the_file(tmp_path):
 
     assert guard.guarded(write, out.append) == 2
     assert out == [f"error: {held}: No space left on device; free some space"] and not list(tmp_path.iterdir())
+
+
+def test_a_file_of_any_name_has_a_picture(tmp_path):
+    """A dollar sign would begin a formula, and what is no character cannot be drawn."""
+    with plots.panels(1, 1, tmp_path / "drawn.png", 4.0, 2.0) as axes:
+        axes[0].set_title(plots.plain("a$^$ and \udcff: scene"))
+    assert axes[0].get_title("left") == r"a\$^\$ and \udcff: scene" and (tmp_path / "drawn.png").stat().st_size > 100
 
 
 def test_options_of_xla_are_ours_or_the_users(monkeypatch):

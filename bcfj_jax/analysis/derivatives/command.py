@@ -162,10 +162,11 @@ def answer(found: Sensitivity, ranked: Ranking, sentences: Sequence[str]) -> Ver
     if found.certificate is None:
         return Verdict(PLAIN, "Not certified", f"{sentence} {said(found)}")
     known = np.isfinite(np.where(ranked.apart > BROKEN, np.nan, ranked.elasticity)).any() or bool(sentences)
-    verdicts = {check.verdict for check in found.certificate.parameters.values()}
+    checks = found.certificate.parameters.values()
+    verdicts, whole = {check.verdict for check in checks}, not any(check.unchecked for check in checks)
     kind = GOOD if verdicts == {TRUSTED} else FAIR if known else BAD
     word = "Trusted" if kind == GOOD else "Partly trusted" if kind == FAIR else "Not differentiable here"
-    return Verdict(kind, word, f"{sentence} {'' if kind == GOOD else said(found)}".strip())
+    return Verdict(kind, word, f"{sentence} {'' if kind == GOOD and whole else said(found)}".strip())
 
 
 def checked(what: str, wrt: Sequence[str], features: Sequence[str]) -> tuple[tuple[str, ...], list[str]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from jax.typing import ArrayLike
@@ -27,6 +27,7 @@ from bcfj_jax.core.progress import stage
 from bcfj_jax.core.quantities import Quantity, increasing, scalar, whole
 from bcfj_jax.core.status import OK, reason
 from bcfj_jax.core.threads import ahead, together
+from bcfj_jax.io.stop import OutOfTime, within
 from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.mechanism.observed import observing
@@ -38,6 +39,7 @@ DIFFERENCES = ("direction", "each", "none")
 _MANY = 50
 _AVERAGE = Quantity("average", "s", "width of the moving average", 0.0, open_low=True)
 _BUDGET = Quantity("budget", "s", "time for central differences", 0.0)
+T = TypeVar("T")
 # Pitches of steady motion over which central differences are taken.
 _PITCHES = 4
 # Features that do not hang on where samples are, and samples in a turn that they need.
@@ -120,7 +122,8 @@ def sensitivity(
             of each always; or none.
         levels: most tightenings by 4.
         steady: whether to differentiate the steady motion too (``derivatives.steady``), of a model that knows a pitch.
-        budget: seconds for central differences: none is begun that is not expected to end within; None: no end.
+        budget: seconds for central differences, compiling included: none is begun that is not expected to end within,
+            and one that does not is left behind, in a thread that may compute on; None: no end.
         tell: receives the result before central differences are taken.
 
     Raises:
@@ -156,7 +159,7 @@ def sensitivity(
     # Compiled beside the first solves.
     if steady and scene.recurs(full) and t[-1] >= scene.settled_from(full):
         ahead(partial(prepared, scene, full, names, max_steps))
-    if certify and differences != "none":
+    if certify and differences != "none" and budget != 0.0:
         ahead(partial(compiled, scene, full, t, plan(scene, _fine(scene, error, 1), MAX_STEPS)))
     climbed = _climb(scene, full, t, names, how, error, average, levels if certify else 0)
     last = climbed[-1]
@@ -298,19 +301,24 @@ def _certificate(
             return forces(scene, new, every, how).reshape(len(times), -1)[:count]
 
         def along(what: str, way: np.ndarray, enough: float) -> Comparison:
-            with spend, stage(f"comparing with {what}"):
-                compared = against(what, short, run, values, way, np.tensordot(way, slopes, 1), fine, width, enough)
+            slope = np.tensordot(way, slopes, 1)
+            with stage(f"comparing with {what}"):
+                compared = spend.on(lambda: against(what, short, run, values, way, slope, fine, width, enough))
             early = count < len(times) and not np.isfinite(compared.until)
             return compared._replace(what=f"{compared.what}, until {short[-1]:.4g} s") if early else compared
 
-        each = differences == "each"
+        each, both = differences == "each", None
         # What the levels know of already needs no second witness.
         strong = strength > verdicts.INFLUENCE
         known = max((c.pointwise.relative for (c,), s in zip(found, strong, strict=True) if s), default=0.0)
         known = max(verdicts.POINTWISE, known)
         if not each and np.any(step):
             what = "central differences along one random direction of all parameters"
-            both = along(what, step * signs(len(names)), min(known, target(error)))
+            try:
+                both = along(what, step * signs(len(names)), min(known, target(error)))
+            except OutOfTime:
+                unchecked = [f"central differences do not check it: {spend.over}" if s else "" for s in step]
+        if both is not None:
             direction = {"pointwise": both.pointwise.relative, "average": both.average.relative}
             each = both.average.relative > target(error) or both.pointwise.relative > known
             if np.isfinite(both.until) and not each:
@@ -320,12 +328,12 @@ def _certificate(
             also = [both.what if s and not each else "" for s in step]
         # The strongest first: the budget may end.
         for k in sorted(np.flatnonzero(step) if each else (), key=lambda k: -strength[k]):
-            if not spend.allows:
-                unchecked[k] = f"central differences do not check it alone: the budget of {budget:g} s was spent"
-                continue
             unit = np.where(np.arange(len(names)) == k, step, 0.0)
             alone = found[k][0].pointwise.relative
-            found[k].append(along("central differences", unit, max(verdicts.POINTWISE, alone)))
+            try:
+                found[k].append(along("central differences", unit, max(verdicts.POINTWISE, alone)))
+            except OutOfTime:
+                unchecked[k] = f"central differences do not check it alone: {spend.over}"
     end = last.end if last.code != OK else float("nan")
     checks: dict[str, Check] = {
         name: verdicts.check(found[k], features[name], grown[k], float(strength[k]), end, also[k], unchecked[k])
@@ -338,22 +346,32 @@ def _certificate(
 
 
 class _Budget:
-    """Seconds for comparisons: ``allows`` says whether one more is expected to end within, by the quickest until now."""
+    """Seconds for comparisons, compiling included: none is begun that is not expected to end within, by the quickest."""
 
     def __init__(self, seconds: float | None):
-        self.left, self.quickest = float("inf") if seconds is None else seconds, 0.0
+        self.seconds, self.left, self.quickest = seconds, seconds or 0.0, 0.0
 
-    def __enter__(self) -> None:
-        self.begin = time.perf_counter()
+    def on(self, comparing: Callable[[], T]) -> T:
+        """What a comparison gives.
 
-    def __exit__(self, *_: object) -> None:
-        took = time.perf_counter() - self.begin
-        self.left -= took
+        Raises:
+            OutOfTime: where it did not end within the budget, or was not begun.
+        """
+        if self.seconds is None:
+            return comparing()
+        begin = time.perf_counter()
+        try:
+            found = within(self.left if self.quickest <= self.left else 0.0, comparing)
+        finally:
+            took = time.perf_counter() - begin
+            self.left -= took
         self.quickest = min(self.quickest or took, took)
+        return found
 
     @property
-    def allows(self) -> bool:
-        return self.quickest <= self.left
+    def over(self) -> str:
+        """Why a comparison is missing."""
+        return f"the budget of {self.seconds:g} s was spent, compiling included"
 
 
 def _shortened(scene: AbstractModel, params: Params, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

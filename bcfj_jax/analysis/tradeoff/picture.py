@@ -33,7 +33,7 @@ def tradeoff(study: Study, advice: Mapping[str, Mapping[str, Any]], path: Path, 
         _panel(axes[0], study, walls, errors, least_error)
         _front(axes[0], study, errors, least_error)
         _chosen(axes[0], advice, walls, errors)
-        axes[0].set_title(f"{title}: worst of force rms, peak and impulse")
+        axes[0].set_title(f"{plots.plain(title)}: worst of force rms, peak and impulse")
         axes[0].set_ylabel("error [-]")
         axes[0].legend(fontsize=7.5, loc="upper left", bbox_to_anchor=(0.0, -0.13), ncols=4)
         if slopes:
