@@ -44,7 +44,7 @@ FILES = (
 _SO_FAR = "interrupted.json"
 # What an interval allows for, by its kind.
 MEANING = {
-    "noise": "if the law and the sensor are exact",
+    "noise": "noise alone",
     "runs": "runs differ",
     "robust": "runs, or blocks of samples, differ",
     "discrepancy": "the law misses a shape of the contact",

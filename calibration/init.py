@@ -9,6 +9,7 @@ import json
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from shlex import quote
 from typing import NamedTuple
 
 import numpy as np
@@ -96,7 +97,7 @@ def run(
         marks = "the question mark" if len(missing) == 1 else "the question marks"
         say(
             f"the record does not give {' and '.join(missing)}: write {'it' if len(missing) == 1 else 'them'} in {path} in place "
-            f"of {marks}, then: bcfj calibrate {path}"
+            f"of {marks}, then: bcfj calibrate {quote(str(path))}"
         )
         return 0
     try:
@@ -106,7 +107,7 @@ def run(
         path.unlink()
         raise
     say(f"wrote {path}")
-    say(f"next: bcfj calibrate {path}")
+    say(f"next: bcfj calibrate {quote(str(path))}")
     return 0
 
 
@@ -129,7 +130,7 @@ def _text(
     elastic = kind == "impact" and _ratio(s, known) > 1.0 + _ELASTIC
     parameters, missing = _parameters(known, kind, elastic)
     lines = [
-        f"# A contact law from {found.path.name}, proposed by bcfj init calibration. Next: bcfj calibrate {name}",
+        f"# A contact law from {found.path.name}, proposed by bcfj init calibration. Next: bcfj calibrate {quote(name)}",
         *([f"# Read as {found.said}."] if found.said else []),
         f"# Found: {_summary(found, s)}.",
         *(f"# {text}." for text in _other(found, kind)),

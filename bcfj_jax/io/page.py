@@ -180,6 +180,11 @@ def span(values: Iterable[float], unit: str = "1", digits: int = 3) -> str:
     return ends if unit == "1" else f"{ends} {prefix.replace('u', 'µ')}{unit}"
 
 
+def counted(number: int, what: str) -> str:
+    """A number of things: "1 record", "2 records"."""
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
 def percent(share: float | None, digits: int = 3) -> str:
     """A share in percent; "-" for None and NaN."""
     return "-" if share is None or not math.isfinite(share) else f"{brief(100.0 * share, '1', digits)} %"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bcfj_jax.io.page import Picture
+from bcfj_jax.io.page import Picture, counted
 from bcfj_jax.io.plots import COLOURS, engineering, label, panels, plain
 from bcfj_jax.mechanism.channels import unit_of
 from calibration.data.inspection import TOUCHING
@@ -31,7 +31,7 @@ def data(records: list[Prepared], path: Path) -> Picture | None:
         for axis, (record, observes) in zip(axes, shown, strict=True):
             _panel(axis, record, observes)
     kept = sum(int(np.isfinite(record.readings[observes].values).sum()) for record, observes in shown)
-    shows = f"{len(shown)} channel(s) as they were read: {kept} samples kept, with what was left out, gaps and windows."
+    shows = f"{counted(len(shown), 'channel')}, as read: {kept} samples kept, with what was left out, gaps and windows."
     return Picture(path.name, "The data as they were understood", shows)
 
 

@@ -148,7 +148,7 @@ def _runs_test(place: str, parts: list[np.ndarray], series: list[Series], residu
         f"{place}, residuals change their sign {changes} times; without a pattern they would {chances // 2} times or so"
     )
     if p <= LEVEL / 2:
-        reason += f": the model misses a shape ({share:.2g} of the peak, rms)"
+        reason += f": the model misses a shape ({100 * share:.2g} % of the peak, rms)"
     return Test(f"order of residuals {place}", p, LEVEL / 2, p > LEVEL / 2, reason)
 
 
@@ -170,7 +170,7 @@ def _correlation_test(
     correlation, p = correlation_of(residuals, basis, a, b, inside)
     again = "beyond what its correlation time explains" if any(s.declared for s in series) else ""
     reason = (
-        f"{place}, residuals of successive samples correlate by {correlation:.2f} {again}".rstrip()
+        f"{place}, residuals of successive samples correlate by {min(correlation, 1.0):.2f} {again}".rstrip()
         + ": the sensor has a memory, or the law misses a shape"
     )
     return Test(f"correlation of residuals {place}", p, CORRELATION_LEVEL / 2, p > CORRELATION_LEVEL / 2, reason)

@@ -95,7 +95,7 @@ def _searched(
     more = {
         labels[k]: float(way[k]) for k in range(len(labels)) if k != lead and model.coordinates[k].name not in NUISANCES
     }
-    same = f"{labels[lead]} 1 % larger with {_moves(more)} reads the same"
+    same = f"{labels[lead]} by +1 % together with {_moves(more)} gives the same readings"
     text = f"{_channels(model)} alone leave a scale open, and {only}: {same}"
     return [{"parameters": names, "moves": {names[0]: share}, "text": text, "remedy": _remedy(names, model, True)}]
 
@@ -145,7 +145,7 @@ def _fixed(
         beside = {names[k]: float(way[k] * outer_sizes[involved[0]] / outer_sizes[k]) for k in involved[1:]}
         together = (along / outer_sizes) @ way * outer_sizes[involved[0]]
         same = _moves(_shared(model, labels, {labels[i]: float(together[i]) for i in kept}))
-        said.insert(0, f"{own[0]} 1 % larger with {_moves(beside)} reads the same and moves {same}")
+        said.insert(0, f"{own[0]} by +1 % together with {_moves(beside)} gives the same readings and moves {same}")
     what = ", ".join(dict.fromkeys(model.coordinates[i].name for i in kept))
     text = f"{_channels(model)} alone determine {what} only for {given} given: {'; '.join(said)}"
     return [{"parameters": own, "moves": moves, "text": text, "remedy": _remedy(own, model, False)}]

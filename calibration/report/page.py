@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bcfj_jax.io.page import BAD, FAIR, GOOD, Listing, Rows, Table, Verdict, brief
+from bcfj_jax.io.page import BAD, FAIR, GOOD, Listing, Rows, Table, Verdict, bounded
 from calibration.fit import Fit, Parameter
 
 _KINDS = {"identified": GOOD, "adequate": GOOD, "not_identified": FAIR, "not_converged": BAD, "misfit": BAD}
@@ -18,11 +18,10 @@ def verdict(result: Fit) -> Verdict:
 
 
 def _known(name: str, p: Parameter) -> str:
-    value = f"{name} is {brief(p.value, p.unit, 4)}"
-    if not p.ci95:
-        return f"{value}, without an interval: the data do not determine it."
-    low, high = (brief(end, p.unit, 4) for end in p.ci95)
-    return f"{value}, with 95 % confidence {low} to {high}."
+    value, *ends = bounded([p.value, *(p.ci95 or ())], p.ci95 or (), p.unit)
+    if not ends:
+        return f"{name} is {value}, without an interval: the data do not determine it."
+    return f"{name} is {value}, with 95 % confidence {' to '.join(ends)}."
 
 
 def _unknown(result: Fit) -> str:

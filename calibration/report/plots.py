@@ -9,7 +9,7 @@ import numpy as np
 
 from bcfj_jax import Run
 from bcfj_jax.analysis.simulation.pictures import loops
-from bcfj_jax.io.page import Picture
+from bcfj_jax.io.page import Picture, counted
 from bcfj_jax.io.plots import COLOURS, engineering, figure, label, plain, save, style
 from calibration.data.plot import reading_label
 from calibration.diagnostics.records import Record
@@ -44,8 +44,10 @@ def records(fit: Fit, problem: Problem | None, path: Path) -> Picture | None:
     held = sum(record.held_out for record, _ in panels)
     strips = np.concatenate([(r.data[c] - r.prediction[c]) / r.sigma[c] for r, c in panels])
     inside = float(np.mean(np.abs(strips[np.isfinite(strips)]) <= 2.0))
-    shows = f"{len(panels)} record(s){f', {held} of them held out' if held else ''}: data, the fitted curve, and below each "
-    shows += f"the residuals in standard deviations; {100 * inside:.0f} % of them are within two."
+    shows = (
+        f"{counted(len(panels), 'record')}{f', {held} of them held out' if held else ''}: data, the fitted curve, and "
+    )
+    shows += f"below each the residuals in standard deviations; {100 * inside:.0f} % of them are within two."
     return Picture(path.name, "Data and fit", shows)
 
 
@@ -68,8 +70,9 @@ def _panel(upper: Axes, lower: Axes, record: Record, channel: str, run: Run) -> 
     own = record.params
     offset = sum(own.get(name, 0.0) for name in offsets_of(channel, run.readings))
     curve = own["gain"] * run.readings[channel] + offset
-    upper.plot((run.times + own["time_offset"]) * time_scale, curve * scale, color=colour, label=name)
-    upper.plot(record.times * time_scale, data * scale, "o", ms=3.5, color=COLOURS[5], label="data")
+    # The curve lies over the data, and is light enough in a dense record to leave them to be seen.
+    upper.plot(record.times * time_scale, data * scale, "o", ms=4, color=COLOURS[5], label="data")
+    upper.plot((run.times + own["time_offset"]) * time_scale, curve * scale, color=colour, lw=1.6, label=name)
     upper.set_title(f"{plain(record.name)}: {channel}" + (" (held out)" if record.held_out else ""))
     upper.set_ylabel(reading_label(channel, prefix))
     upper.legend(loc="upper right")

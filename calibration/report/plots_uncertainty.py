@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bcfj_jax.io.page import Picture
+from bcfj_jax.io.page import Picture, counted
 from bcfj_jax.io.plots import COLOURS, engineering, figure, label, panels, plain, save, style
 from calibration.fit import Fit
 from calibration.uncertainty.posterior import Posterior
@@ -48,7 +48,7 @@ def draw(fit: Fit, folder: Path) -> list[Picture]:
         found.append(Picture(FILES[2], "Correlation of the estimates", shows))
     if series := residual_series(fit):
         residual_acf(series, folder / FILES[3])
-        shows = f"Autocorrelation of the residuals of {len(series)} channel(s) by lag, with the bounds of white noise."
+        shows = f"Autocorrelation of the residuals of {counted(len(series), 'channel')} by lag, with the bounds of white noise."
         found.append(Picture(FILES[3], "Memory of the residuals", shows))
     return found
 

@@ -105,8 +105,10 @@ def lines(f: Found, scene: Scene, problem: Problem, result: Fit) -> str:
 
 
 def _free(name: str, lower: float, upper: float, start: float | None = None, scale: str = "") -> str:
-    more = ("" if start is None else f"start = {start:.6g}\n") + (f'scale = "{scale}"\n' if scale else "")
-    return f"[free.{name}]\nlower = {lower:.6g}\nupper = {upper:.6g}\n{more}"
+    # Three digits are enough of a box that spans decades; a narrow one, on a linear scale, needs more.
+    low, high, first = (None if x is None else x if scale else float(f"{x:.3g}") for x in (lower, upper, start))
+    more = ("" if first is None else f"start = {first:.6g}\n") + (f'scale = "{scale}"\n' if scale else "")
+    return f"[free.{name}]\nlower = {low:.6g}\nupper = {high:.6g}\n{more}"
 
 
 def _law_lines(f: Found, scene: Scene) -> str:

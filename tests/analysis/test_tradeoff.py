@@ -269,12 +269,21 @@ def test_no_reference_no_advice(base, monkeypatch):
 
 def test_references_that_disagree_say_so(done):
     certificate = {**done.json["reference"], "errors": dict.fromkeys(advice.MAIN, 1e-3), "reason": "too dear"}
-    doubtful = reference.Reference(SimpleNamespace(), None, certificate)
+    doubtful = reference.Reference(SimpleNamespace(force=np.ones(2)), None, certificate)
     assert "differ by 1.0e-03: budgets below 0.6 % cannot be tested: too dear" in advice.doubts(doubtful)[0]
     todo = settings(load(done.file), ("tsit5", "bosh3", "output"), False)
     found = advice.recommended(study.Study(todo, done.json["settings"], doubtful, False))
     assert [bool(one["setting"]) for one in found.values()] == [True, True, True, True, False, False]
     assert "certain to 3.0e-03 only" in found["0.1 %"]["reason"]
+
+
+def test_a_reference_without_contact_says_so(done):
+    """Every error is 0 then; derivatives that were not asked for are no doubt."""
+    left_out = {**done.json["reference"]["derivatives"], "reason": reference.NOT_ASKED}
+    certificate = {**done.json["reference"], "derivatives": left_out}
+    apart = reference.Reference(SimpleNamespace(force=np.zeros(2)), None, certificate)
+    (said,) = advice.doubts(apart)
+    assert "no contact touches" in said
 
 
 @pytest.mark.slow

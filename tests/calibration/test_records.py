@@ -205,7 +205,7 @@ def test_five_samples_a_contact_are_fitted(runs, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("observe", "known", "free", "words"),
     [
-        (FORCE, KNOWN, "", ["only for the mass and the approach_speed given", "with approach_speed by -1 % reads the same",
+        (FORCE, KNOWN, "", ["only for the mass and the approach_speed given", "approach_speed by -1 % gives the same readings",
                             "damping by +1 %", "weigh the mass and measure the speed"]),
         pytest.param(FORCE, 'mass = "0.4 kg"', 'approach_speed = { lower = 0.3, upper = 4 }\n',
                      ["only for the mass given", "approach_speed by -1 %"], marks=pytest.mark.full),

@@ -25,7 +25,7 @@ from bcfj_jax.analysis.derivatives.sensitivity import Sensitivity, sensitivity
 from bcfj_jax.core.programs import keep_asked
 from bcfj_jax.core.progress import stage
 from bcfj_jax.io import outputs, plots, report
-from bcfj_jax.io.page import BAD, FAIR, GOOD, PLAIN, Page, Picture, Table, Verdict
+from bcfj_jax.io.page import BAD, FAIR, GOOD, PLAIN, Page, Picture, Table, Verdict, counted
 from bcfj_jax.io.scenefile import load, shown
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import is_reading, unit_of
@@ -82,7 +82,16 @@ def run(
 
     def first(found: Sensitivity) -> None:
         seen.append(write(found))
-        show("\n\n".join([*_driven(found, params), *_texts(seen[0]), "By two tolerances alone: " + said(found)]) + "\n")
+        show(
+            "\n\n".join(
+                [
+                    *_driven(found, params),
+                    *_texts(seen[0]),
+                    "Before the comparison with central differences: " + said(found),
+                ]
+            )
+            + "\n"
+        )
         say(f"comparing with central differences, for {budget:g} s at most")
 
     say(f"differentiating {what} by {', '.join(names)}: {len(given.times)} samples to {given.times[-1]:.6g} s")
@@ -93,7 +102,7 @@ def run(
     )  # fmt: skip
     stats = found.stats
     say(
-        f"{stats['levels']} solve(s), the last of {stats['accepted']} steps, {stats['wall_s']:.2f} s, "
+        f"{counted(int(stats['levels']), 'solve')}, the last of {stats['accepted']} steps, {stats['wall_s']:.2f} s, "
         f"compiled in {stats['compile_s']:.1f} s"
     )
     tables = write(found)

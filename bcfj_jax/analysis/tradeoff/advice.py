@@ -17,8 +17,10 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from bcfj_jax.analysis.tradeoff.measures import MAIN, worst
-from bcfj_jax.analysis.tradeoff.reference import Reference
+from bcfj_jax.analysis.tradeoff.reference import NOT_ASKED, Reference
 from bcfj_jax.analysis.tradeoff.settings import AS_GIVEN, Setting
 from bcfj_jax.analysis.tradeoff.study import OK, Study
 
@@ -130,12 +132,16 @@ def doubts(reference: Reference | None) -> list[str]:
     if reference.truth is None:
         return [f"no reference: {certificate['reason']}"]
     found, smallest = [], BUDGETS[-1]
+    if not np.any(reference.truth.force):
+        found.append(
+            "no contact touches at any sample: every error is 0 and says nothing; a later [time] end is needed"
+        )
     if SAFETY * reference.least_error > smallest:
         why = f": {certificate['reason']}" if certificate["reason"] else ""
         found.append(
             f"the two references differ by {worst(certificate['errors']):.1e}: budgets below "
             f"{100 * SAFETY * reference.least_error:.2g} % cannot be tested{why}"
         )
-    if reference.slopes is None:
+    if reference.slopes is None and certificate["derivatives"]["reason"] != NOT_ASKED:
         found.append(f"no reference for derivatives: {certificate['derivatives']['reason']}")
     return found

@@ -26,6 +26,7 @@ DONE, FAILED, INTERRUPTED = 0, 3, 5
 FILES = ("tradeoff.csv", "tradeoff.json", "tradeoff.png", *report.FILES, "run.toml", "environment.json")
 # What tables, pictures and report take of the budget [s], at most a quarter of it.
 _REPORT_S = 4.0
+_AT_REFERENCE = "At the reference: the setting differs from the reference by less than the two reference runs differ."
 Rows = Sequence[Sequence[str]]
 
 
@@ -74,10 +75,13 @@ def write(folder: Path, found: Study, stem: str) -> str:
     advice, doubts = advise.recommended(found), advise.doubts(found.reference)
     outputs.write_csv(folder / "tradeoff.csv", COLUMNS, [[row[name] for name in COLUMNS] for row in found.rows])
     outputs.write_json(folder / "tradeoff.json", as_json(found, advice, doubts))
-    chosen, front = recommended_rows(advice), [row for row in found.rows if row["pareto"]]
+    chosen, front = (
+        recommended_rows(advice),
+        sorted((row for row in found.rows if row["pareto"]), key=lambda row: row["wall_s"]),
+    )
     said = verdict(advice, doubts, found)
     tables: list[tuple[str, Rows]] = [("Recommended settings", chosen)]
-    tables += [("Reference", reference_rows(found)), ("Pareto front", rows_of(front))]
+    tables += [("Reference", reference_rows(found)), ("Pareto front, the fastest first", _front(front))]
     pictures = []
     if any(np.isfinite(worst(row)) for row in found.rows if row["status"] == OK):
         pictures.append(tradeoff(found, advice, folder / "tradeoff.png", stem))
@@ -91,7 +95,7 @@ def write(folder: Path, found: Study, stem: str) -> str:
     sections = [
         Table("Recommended settings", chosen),
         *(Listing(head, "\n".join(row[0] for row in rows[1:])) for head, rows in blocks),
-        Table("Pareto front: no other setting is both faster and more accurate", rows_of(front), "", (every,))
+        Table("Pareto front: no other setting is both faster and more accurate", _front(front), _AT_REFERENCE, (every,))
         if front
         else Table("Pareto front", [["setting"], ["none ran"]], "", (every,)),
         Table("Reference: what errors are measured against", reference_rows(found)),
@@ -152,7 +156,7 @@ def verdict(advice: dict[str, Any], doubts: list[str], found: Study) -> str:
 
 def recommended_rows(advice: dict[str, Any]) -> Rows:
     """Table of what to take for which budget."""
-    rows = [["budget", "setting", "wall", "as fast as given", "worst error", "model"]]
+    rows = [["budget", "setting", "time of a run", "faster than given", "worst error", "model"]]
     for budget, one in advice.items():
         if not one["setting"]:
             rows.append([budget, "-", "-", "-", "-", one["reason"]])
@@ -192,7 +196,7 @@ def reference_rows(found: Study) -> Rows:
 def rows_of(rows: Sequence[dict[str, Any]]) -> Rows:
     """Table of settings."""
     head = [["setting", *(name.removesuffix("_error").replace("_", " ") for name in (*NAMES, "derivative_error"))]]
-    head[0] += ["wall", "compile", "front", "status"]
+    head[0] += ["time of a run", "compile", "front", "status"]
     for row in rows:
         status = f"{row['status']} {row['reason']}".strip()
         head.append(
@@ -206,6 +210,14 @@ def rows_of(rows: Sequence[dict[str, Any]]) -> Rows:
             ]
         )
     return head
+
+
+def _front(rows: Sequence[dict[str, Any]]) -> Rows:
+    """The same of the Pareto front, without the columns that say nothing there."""
+    table = rows_of(rows)
+    said = [any(row[k] not in ("-", "") for row in table[1:]) for k in range(len(table[0]))]
+    kept = [k for k, head in enumerate(table[0]) if said[k] and head not in ("compile", "front")]
+    return [[row[k] for k in kept] for row in table]
 
 
 def _share(value: float | None) -> str:

@@ -50,6 +50,9 @@ _LEAST_STEPS = 20_000
 _NO_TIME = "would take more than a third of the time left"
 _LATE = "took longer than was left"
 
+# Why there are no derivatives where the user left them out.
+NOT_ASKED = "not asked for"
+
 
 class Reference(NamedTuple):
     """The truth and its certificate.
@@ -102,7 +105,7 @@ def reference(
     if late or _still(given) or not names or not derivatives or dear:
         why = "no parameter to take them by" if not names else "fidelities without inertia have no solver"
         why = f"they {_NO_TIME}" if (late or dear) and names and not _still(given) else why
-        without["reason"] = why if derivatives else "not asked for"
+        without["reason"] = why if derivatives else NOT_ASKED
     else:
         say(f"reference derivatives by {', '.join(names)}")
         found, certificate["derivatives"], late = _slopes(given, names, left)
