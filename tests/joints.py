@@ -11,7 +11,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 import bcfj_jax as bj
-from bcfj_jax.models.joint import system
+from bcfj_jax.models.joint import energy, system
 from bcfj_jax.models.joint.arrowhead import Arrowhead
 from bcfj_jax.models.joint.constants import constants as make_constants
 from bcfj_jax.models.joint.scales import scales
@@ -87,6 +87,20 @@ def noisy(scene, params, seed, places=3e-5, speeds=0.3):
     if scene.drive == "prescribed":
         y[scene.moving - 1] = float(p["drive_speed"])
     return y
+
+
+def flows(scene, params):
+    """Power, store and the store's rate at (t, y), compiled."""
+    c = constants(scene, params)
+
+    @functools.partial(jax.jit, compiler_options=QUICK)
+    def read(t, y):
+        flow = energy.power(scene, c, t, y)
+        drift = system.field(t, y, (scene, c))
+        store, rate = jax.jvp(lambda t, y: energy.stored(scene, c, t, y), (t, y), (jnp.ones(()), drift))
+        return flow, store, rate
+
+    return read
 
 
 def _solved(scene, params, start, times, tolerance):

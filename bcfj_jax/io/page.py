@@ -69,6 +69,7 @@ class Page:
         more: further pictures.
         folded: members, input, solver; ``report`` adds the folder's run.toml and environment.json.
         animation: HTML of an animation, written by this package: it is not escaped.
+        model_form: how wrong the model may be, whatever the error of its computation.
     """
 
     title: str
@@ -79,12 +80,18 @@ class Page:
     more: tuple[Picture, ...] = ()
     folded: tuple[Table | Listing, ...] = ()
     animation: str = ""
+    model_form: str = ""
 
     def content(self) -> dict[str, Any]:
         """The page as ``report.json`` has it; the animation is left out."""
         found = asdict(self)
         del found["animation"]
         return found
+
+
+def model_form(known: str) -> str:
+    """The sentence of a report, by what a model says of itself (``AbstractModel.model_form``)."""
+    return f"The stated error is that of the computation; {known}."
 
 
 def from_content(content: Mapping[str, Any], where: str) -> Page:
@@ -102,6 +109,7 @@ def from_content(content: Mapping[str, Any], where: str) -> Page:
             tables=_blocks(content["tables"]),
             more=_pictures(content["more"]),
             folded=_blocks(content["folded"]),
+            model_form=_text(content.get("model_form", "")),
         )
     except (KeyError, TypeError, ValueError) as error:
         what = f"is not what a command of bcfj writes ({type(error).__name__}: {error})"

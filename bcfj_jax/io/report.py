@@ -19,7 +19,7 @@ from typing import Any
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.io.opening import LARGEST_TOML, content
 from bcfj_jax.io.outputs import inside, write_json, write_text
-from bcfj_jax.io.page import SIGNS, Listing, Page, Picture, Rows, Table, brief, from_content
+from bcfj_jax.io.page import SIGNS, Listing, Page, Picture, Rows, Table, brief, from_content, model_form
 from bcfj_jax.io.provenance import version
 
 HTML, JSON = "report.html", "report.json"
@@ -57,8 +57,13 @@ def solver_table(stats: Mapping[str, float], more: Sequence[Sequence[str]] = ())
     return Table("Solver", rows)
 
 
-def write(folder: Path, page: Page) -> Path:
-    """Write ``report.json`` and ``report.html`` into a folder that holds the page's pictures; the HTML file."""
+def write(folder: Path, page: Page, known: str = "") -> Path:
+    """Write ``report.json`` and ``report.html`` into a folder that holds the page's pictures; the HTML file.
+
+    ``known``: a model's ``model_form``, for a page that has none.
+    """
+    if known and not page.model_form:
+        page = replace(page, model_form=model_form(known))
     write_json(folder / JSON, page.content())
     path = folder / HTML
     write_text(path, html(page, folder))

@@ -120,16 +120,24 @@ def _factor(unit_text: str, si_unit: str, where: str, exponent: float | None, gi
         raise InputError(where, f"'{given}' {wrong}", right)
     if si_unit in ("rad/s", "Hz"):
         unit = _turning(unit_text, unit, si_unit, where, given)
-    quantity = registry().Quantity
-    try:
-        offset, factor = (float(quantity(x, unit).to(target).magnitude) for x in (0.0, 1.0))
-    except Exception:
-        offset, factor = 1.0, 1.0
+    offset, factor = _line(unit, target)
     if offset != 0.0:
         raise InputError(where, f"'{given}' is in a unit with an offset", right)
     if not (math.isfinite(factor) and factor > 0.0):
         raise InputError(where, f"'{given}' is in a unit of no finite size", right)
     return _snapped(factor)
+
+
+# A table has one unit and up to 100 000 rows.
+@functools.lru_cache(512)
+def _line(unit: pint.Unit, target: pint.Unit) -> tuple[float, float]:
+    """What 0 and 1 of a unit are in another."""
+    quantity = registry().Quantity
+    try:
+        zero, one = (float(quantity(x, unit).to(target).magnitude) for x in (0.0, 1.0))
+    except Exception:
+        return 1.0, 1.0
+    return zero, one
 
 
 def _turning(unit_text: str, unit: pint.Unit, si_unit: str, where: str, given: str) -> pint.Unit:

@@ -196,6 +196,14 @@ class Coarser(NamedTuple):
     physics: str
 
 
+class Variant(NamedTuple):
+    """Another choice for the same thing, none of them the truth: its name, changes to a scene file by section, words."""
+
+    name: str
+    change: dict[str, dict[str, Any]]
+    physics: str
+
+
 class AbstractModel(eqx.Module):
     """Every model, as everything outside sees it.
 
@@ -467,6 +475,16 @@ class AbstractModel(eqx.Module):
     def coarser(self) -> tuple[Coarser, ...]:
         """Cheaper models of the same thing, cheapest first; of an ``open`` model all that may be chosen."""
         return ()
+
+    def variants(self, params: Params) -> tuple[Variant, ...]:
+        """Other choices of the model, one change each, whose effect is the error of the model form; on the host."""
+        del params
+        return ()
+
+    @property
+    def model_form(self) -> str:
+        """What is known of the error of the model form, to go on "the error is that of the computation; "."""
+        return "laws, coefficients and rigid bodies are taken as given"
 
     def choose(
         self, params: Params, times: np.ndarray, budget: float, run: Callable[[AbstractModel, np.ndarray], Any]

@@ -41,14 +41,14 @@ class Observed(AbstractModel):
     first_step, structure, origin, instants, motions, flows = map(
         _of, ("first_step", "structure", "origin", "instants", "motions", "flows")
     )
-    body_names, body_members, drive_coordinate, settled_when, tables = map(  # pyright: ignore[reportAssignmentType]
-        _of, ("body_names", "body_members", "drive_coordinate", "settled_when", "tables")
+    body_names, body_members, drive_coordinate, settled_when, tables, model_form = map(  # pyright: ignore[reportAssignmentType]
+        _of, ("body_names", "body_members", "drive_coordinate", "settled_when", "tables", "model_form")
     )
     check, require, period, coordinates, neutral, envelope, settled_from = map(
         _of, ("check", "require", "period", "coordinates", "neutral", "envelope", "settled_from")
     )
     recurs, pitch, pitch_before, turned = map(_of, ("recurs", "pitch", "pitch_before", "turned"))
-    choice_options, whole, orbits = map(_of, ("choice_options", "whole", "orbits"))
+    choice_options, whole, orbits, variants = map(_of, ("choice_options", "whole", "orbits", "variants"))
     coefficient, canonical = map(_of, ("coefficient", "canonical"))
     drawing, carriers, scenery, level = map(_of, ("drawing", "carriers", "scenery", "level"))
 

@@ -75,9 +75,12 @@ def run(out: Path | None, say: Say, end: float = END) -> tuple[str, bool]:
     fitted = found.applied(params)
     simulate(CALIBRATED, fitted)
     used = {GIVEN: params, CALIBRATED: fitted}
+    instants = 0
     for name in sudden.VARIANTS:
-        say(f"simulating the joint to {end:g} s, {name}")
-        records[name], used[name] = sudden.simulate(name, end)
+        until = sudden.duration(name, end)
+        say(f"simulating the joint to {until:g} s, {name}")
+        records[name], used[name] = sudden.simulate(name, until, instants)
+        instants = records[name].fine.times.size
     text = _write(folder, scene, used, records, found, end, time.perf_counter() - begin)
     return f"{text}\n\nresults and pictures: {folder}", all(r.run.status == "ok" for r in records.values())
 
@@ -177,7 +180,7 @@ def _write(
     shown = {name: runs[name] for name in (GIVEN, CALIBRATED) if name in runs}
     started = records[SUDDEN].fine if SUDDEN in runs else None
     drawn = pictures.draw(folder, shown, runs.get(SMALL), records[GIVEN], started) if GIVEN in runs else []
-    report.write(folder, _page(found, records, measured, tests, parts, drawn, notes))
+    report.write(folder, _page(found, records, measured, tests, parts, drawn, notes), scene.model_form)
     figures = {row.id for row in CLAIMS if row.kind == FIGURE}
     brief = [main[0][:7]] + [row[:7] for row in main[1:] if row[0] in figures]
     brief = [[row[0], _short(row[1]), _short(row[2]), *row[3:]] for row in brief]

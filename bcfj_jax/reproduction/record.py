@@ -115,6 +115,7 @@ def record(
     step: float = STEP,
     start: tuple[float, float] | None = None,
     accuracy: float = ACCURACY,
+    instants: int = 0,
 ) -> Record:
     """Run a dynamic joint with a free cage as the paper did: output every ``step`` up to ``end`` [s].
 
@@ -123,6 +124,8 @@ def record(
         end, step: of the regular output [s].
         start: until when and how finely the start is looked at besides [s, s]; None for not.
         accuracy: force error asked for, a fraction of the peak.
+        instants: least number of instants to look at, the added ones before the end: runs of one scene with as many
+            share a compiled program.
     """
     regular = np.linspace(0.0, end, round(end / step) + 1)
     instant = INSTANT if end > INSTANT + _HALF else 0.5 * end
@@ -131,6 +134,8 @@ def record(
     times = np.unique(np.concatenate([regular, at, close]))
     # ``unique`` keeps two numbers that differ by rounding; an instant that is a sample is wanted once.
     times = times[np.concatenate([[True], np.diff(times) > 1e-9])]
+    added = np.linspace(times[-2], times[-1], max(instants - times.size, 0) + 2)[1:-1]
+    times = np.concatenate([times[:-1], added, times[-1:]])
     how = plan(scene, accuracy, _MAX_STEPS)
     arguments = (scene, dict(params), jnp.asarray(times), how)
     begin = time.perf_counter()

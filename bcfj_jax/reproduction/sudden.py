@@ -16,7 +16,7 @@ from bcfj_jax.models.joint.scene import Joint
 from bcfj_jax.models.scenes import joint
 from bcfj_jax.reproduction.fit import targets
 from bcfj_jax.reproduction.measures import resultant
-from bcfj_jax.reproduction.record import ACCURACY, Record, record
+from bcfj_jax.reproduction.record import STEP, Record, record
 from bcfj_jax.solve.simulation import Run
 
 # Until when and how finely the start is read [s].
@@ -72,11 +72,16 @@ def start(found: Record) -> Start:
     return Start({every * START[1]: six(run, every) for every in READINGS})
 
 
-def simulate(name: str, end: float) -> tuple[Record, Params]:
-    """A variant's run and its parameters."""
+def duration(name: str, end: float) -> float:
+    """How long a variant runs [s]: the first, whose settled joint is looked at too, to ``end``; others past the start."""
+    return end if name == SUDDEN else min(end, START[0] + STEP)
+
+
+def simulate(name: str, end: float, instants: int = 0) -> tuple[Record, Params]:
+    """A variant's run to ``end`` [s] and its parameters; ``instants`` as ``record`` takes them."""
     made = scene()
     params = made.parameters(VARIANTS[name][0])
-    return record(made, params, end, start=START, accuracy=ACCURACY), params
+    return record(made, params, end, start=START, instants=instants), params
 
 
 def rows(found: dict[str, Start]) -> list[list[str]]:

@@ -117,7 +117,11 @@ def run(
             pictures.tornado(ranked, folder / "tornado.png"),
             pictures.bands(found, params, folder / "histories.png"),
         )
-    report.write(folder, page(f"Sensitivity of {stem}", found, ranked, drivers(found, params), tables, drawn))
+    report.write(
+        folder,
+        page(f"Sensitivity of {stem}", found, ranked, drivers(found, params), tables, drawn),
+        given.scene.model_form,
+    )
     keep_asked()
     return "\n\n".join(parts), found.status == "ok"
 

@@ -86,7 +86,9 @@ def run(what: str, more: Mapping[str, Any], out: Path | None, say: Callable[[str
             pictures.slices(found, folder / "slices.png")
             shows = "The objective along each parameter, the others at the optimum; bounds and tolerances are marked."
             drawn.insert(0, Picture("slices.png", "The objective about the optimum", shows))
-    report.write(folder, page(f"Design of {stem}", found, asked.note, values, facts, drawn))
+    report.write(
+        folder, page(f"Design of {stem}", found, asked.note, values, facts, drawn), asked.given.scene.model_form
+    )
     keep_asked()
     parts = [f"{verdict(found)} {reason(found)}", report.text(values), report.text(facts), f"results in {folder}"]
     return "\n\n".join(parts), found.status != FAILED

@@ -12,7 +12,7 @@ import numpy as np
 from bcfj_jax.analysis import envelope, features, histories
 from bcfj_jax.analysis.simulation import page, pictures
 from bcfj_jax.io import outputs, report
-from bcfj_jax.io.page import Table
+from bcfj_jax.io.page import Table, model_form
 from bcfj_jax.io.scenefile import SceneFile
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.readings import STATES
@@ -309,7 +309,9 @@ def write(folder: Path, given: SceneFile, run: Run, stem: str) -> Written:
     peaks = "Peaks are those of the solver's steps. " if run.extremes else ""
     digits = [f"{page.note(content['contacts'])}{peaks}All digits: summary.json."] if run.force else []
     text = "\n\n".join([said, *map(report.text, tables), *digits])
-    return Written(f"{text}\n" + (f"\n{accuracy}" if accuracy else ""), warnings, content)
+    if accuracy:
+        accuracy = f"\n{accuracy}Model form: {model_form(given.scene.model_form)}\n"
+    return Written(f"{text}\n{accuracy}", warnings, content)
 
 
 def draw(folder: Path, given: SceneFile, run: Run, stem: str, written: Written, animations: Sequence[str] = ()) -> None:
@@ -323,7 +325,7 @@ def draw(folder: Path, given: SceneFile, run: Run, stem: str, written: Written, 
     from bcfj_jax.io.view import animation, export
 
     moving = animation.animation(given.scene, given.params, run, f"Simulation of {stem}")
-    report.write(folder, replace(found, animation="" if moving is None else _section(moving)))
+    report.write(folder, replace(found, animation="" if moving is None else _section(moving)), given.scene.model_form)
     if moving is not None:
         for name in animations:
             export.write(moving, folder / name)

@@ -187,7 +187,7 @@ def write(result: api.Result, study: Study, stem: str) -> str:
         rows.append([name, *(brief(x, units.get(name, "1")) for x in ends)])
     with stage("drawing"):
         drawn = pictures.overview(study, result, result.folder)
-    report.write(result.folder, page(f"Study {stem}", result, study, drawn))
+    report.write(result.folder, page(f"Study {stem}", result, study, drawn), study.given.scene.model_form)
     more = [f"  {text}: {count}" for text, count in found["reasons"].items()]
     return "\n".join([said, *more, "", report.text(rows)])
 

@@ -8,7 +8,8 @@ was asked for is promised (``benchmarks/analysis/advice.py``).
 
 The cheapest wins; of those as cheap, within the ``NOISE`` of walls, one that keeps the user's model, then one that
 keeps the solver, then the most accurate. Settings with other times of output are not recommended: the user asked for
-these times; nor are 32-bit numbers, which the package refuses.
+these times; nor are 32-bit numbers, which the package refuses; nor are other choices of the model, whose difference
+from the user's is no error of either.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import numpy as np
 
 from bcfj_jax.analysis.tradeoff.measures import MAIN, worst
 from bcfj_jax.analysis.tradeoff.reference import NOT_ASKED, Reference
-from bcfj_jax.analysis.tradeoff.settings import AS_GIVEN, Setting
+from bcfj_jax.analysis.tradeoff.settings import AS_GIVEN, MODEL, Setting
 from bcfj_jax.analysis.tradeoff.study import OK, Study
 
 BUDGETS = (0.1, 0.05, 0.02, 0.01, 0.005, 0.001)
@@ -39,7 +40,7 @@ def expected(study: Study) -> list[float]:
             ladders.setdefault(setting.ladder, []).append((setting.error, error if math.isfinite(error) else math.inf))
 
     def one(setting: Setting, row: Mapping[str, Any]) -> float:
-        if row["status"] != OK or setting.group in ("output", "precision"):
+        if row["status"] != OK or setting.group in ("output", "precision", MODEL):
             return math.inf
         ladder = ladders[setting.ladder]
         if any(error > LOST for _, error in ladder):

@@ -12,7 +12,7 @@ import numpy as np
 from bcfj_jax.analysis.tradeoff import advice as advise
 from bcfj_jax.analysis.tradeoff.measures import NAMES, worst
 from bcfj_jax.analysis.tradeoff.picture import tradeoff
-from bcfj_jax.analysis.tradeoff.settings import settings
+from bcfj_jax.analysis.tradeoff.settings import MODEL, settings
 from bcfj_jax.analysis.tradeoff.study import COLUMNS, NO_TIME, OK, Study, study
 from bcfj_jax.io import outputs, report
 from bcfj_jax.io.journal import NAME as JOURNAL
@@ -63,15 +63,15 @@ def run(
     options = {"only": list(only), "derivatives": derivatives, "budget": budget}
     outputs.write_toml(folder / "run.toml", {**given.resolved, "tradeoff": options}, f"{what}, every default, SI")
     outputs.write_json(folder / "environment.json", known)
-    text = write(folder, found, stem)
+    text = write(folder, found, stem, given.scene.model_form)
     if found.interrupted:
         say(f"interrupted; go on with: bcfj tradeoff {what} --out {folder}")
         return text, INTERRUPTED
     return text, DONE if found.reference and found.reference.truth else FAILED
 
 
-def write(folder: Path, found: Study, stem: str) -> str:
-    """Write the tables, the picture and the report; the results in words."""
+def write(folder: Path, found: Study, stem: str, known: str) -> str:
+    """Write the tables, the picture and the report; the results in words. ``known``: the scene's ``model_form``."""
     advice, doubts = advise.recommended(found), advise.doubts(found.reference)
     outputs.write_csv(folder / "tradeoff.csv", COLUMNS, [[row[name] for name in COLUMNS] for row in found.rows])
     outputs.write_json(folder / "tradeoff.json", as_json(found, advice, doubts))
@@ -79,8 +79,10 @@ def write(folder: Path, found: Study, stem: str) -> str:
         recommended_rows(advice),
         sorted((row for row in found.rows if row["pareto"]), key=lambda row: row["wall_s"]),
     )
+    choices, moved = model_rows(found), model_form(found)
     said = verdict(advice, doubts, found)
     tables: list[tuple[str, Rows]] = [("Recommended settings", chosen)]
+    tables += [("Model form: what other choices of the model change", choices)]
     tables += [("Reference", reference_rows(found)), ("Pareto front, the fastest first", _front(front))]
     pictures = []
     if any(np.isfinite(worst(row)) for row in found.rows if row["status"] == OK):
@@ -98,13 +100,15 @@ def write(folder: Path, found: Study, stem: str) -> str:
         Table("Pareto front: no other setting is both faster and more accurate", _front(front), _AT_REFERENCE, (every,))
         if front
         else Table("Pareto front", [["setting"], ["none ran"]], "", (every,)),
+        *([Table("Model form: what other choices of the model change", choices, moved)] if len(choices) > 1 else []),
         Table("Reference: what errors are measured against", reference_rows(found)),
     ]
     page = Page(
-        f"Speed and accuracy of {stem}", answer(advice, doubts, found), tuple(pictures), tuple(doubts), tuple(sections)
-    )
-    report.write(folder, page)
-    parts = [said, *(f"warning: {doubt}" for doubt in doubts)]
+        f"Speed and accuracy of {stem}", answer(advice, doubts, found), tuple(pictures), tuple(doubts), tuple(sections),
+        model_form=moved,
+    )  # fmt: skip
+    report.write(folder, page, known)
+    parts = [said, *([f"Model form: {moved}"] if moved else []), *(f"warning: {doubt}" for doubt in doubts)]
     parts += [f"{head}\n{report.text(rows)}" for head, rows in tables if len(rows) > 1]
     parts += [f"{head}\n" + "\n".join(row[0] for row in rows[1:]) for head, rows in blocks]
     return "\n\n".join([*parts, f"every setting, whole scene files to paste, pictures: {folder}"])
@@ -191,6 +195,34 @@ def reference_rows(found: Study) -> Rows:
         rows.append(["derivatives by", ", ".join(slopes["parameters"])])
         rows.append([f"{' and '.join(m['solver'] for m in slopes['methods'])} differ by", _share(slopes["error"])])
     return rows
+
+
+def model_rows(found: Study) -> Rows:
+    """Table of other choices of the model, what moves forces most first: each against the scene as given."""
+    rows = [row | {"physics": s.physics} for s, row in zip(found.settings, found.rows, strict=True) if s.group == MODEL]
+    own = found.rows[0]["wall_s"]
+    rows.sort(key=lambda row: -abs(row["peak_change"]) if np.isfinite(row["peak_change"]) else 1.0)
+    head = [["choice", "largest change of a peak", "force rms", "wall", "what differs", "status"]]
+    for row in rows:
+        change = f"{row['contact']} {100 * row['peak_change']:+.2g} %" if np.isfinite(row["peak_change"]) else "-"
+        times = row["wall_s"] / own if own else float("nan")
+        wall = f"{times:.2g} times" if np.isfinite(times) else "-"
+        status = f"{row['status']} {row['reason']}".strip()
+        head.append([row["setting"], change, _share(row["force_rms_error"]), wall, row["physics"], status])
+    return head
+
+
+def model_form(found: Study) -> str:
+    """How far other choices of the model moved the scene's peaks, in a sentence; "" where none was run."""
+    rows = [row for row in found.rows if row["group"] == MODEL and np.isfinite(row["peak_change"])]
+    if not rows:
+        return ""
+    most = max(rows, key=lambda row: abs(row["peak_change"]))
+    return (
+        f"{len(rows)} other choices of the model were run beside the given one. They move a peak by up to "
+        f"{100 * abs(most['peak_change']):.2g} % ({most['setting']}: {most['contact']} {100 * most['peak_change']:+.2g} %). "
+        "The errors in the other tables are those of the computation."
+    )
 
 
 def rows_of(rows: Sequence[dict[str, Any]]) -> Rows:

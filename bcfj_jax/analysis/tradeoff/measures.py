@@ -17,6 +17,7 @@ it moves.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -77,6 +78,30 @@ def measured(run: Run, times: np.ndarray, turning: bool) -> Measured:
         flat = stacked.reshape(len(run.times), -1)
         stacked = np.stack([np.interp(times, run.times, x) for x in flat.T], 1).reshape(len(times), *stacked.shape[1:])
     return Measured(stacked, np.array(owners), np.array(period), np.array(work), np.array(moved))
+
+
+def compared(
+    found: Measured, names: Sequence[str], truth: Measured, wanted: Sequence[str]
+) -> tuple[Measured, Measured]:
+    """What two models with contacts of these names have in common, contacts numbered as in ``wanted``."""
+    if list(names) == list(wanted):
+        return found, truth
+    return _of(found, names, wanted), _of(truth, wanted, names)
+
+
+def _of(one: Measured, names: Sequence[str], others: Sequence[str]) -> Measured:
+    both = [name for name in names if name in others]
+    keep = np.array([names[k] in both for k in one.contact])
+    number = np.array([both.index(names[k]) for k in one.contact[keep]])
+    return Measured(one.force[:, keep], number, one.period[keep], one.work[keep], one.moved[keep])
+
+
+def peak_changes(found: Measured, truth: Measured) -> np.ndarray:
+    """(contacts,) relative change of each contact's peak, the largest of its members'; NaN where the truth has none."""
+    tops = [np.abs(x.force[..., 0]).max(axis=0) for x in (found, truth)]
+    peaks = [np.array([top[truth.contact == k].max() for k in np.unique(truth.contact)]) for top in tops]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(peaks[1] > 0.0, peaks[0] / peaks[1] - 1.0, np.nan)
 
 
 def _repeats(run: Run, normal: np.ndarray) -> float:

@@ -24,6 +24,10 @@ from bcfj_jax.solve import named
 from bcfj_jax.solve.plan import LEVELS, plan
 
 AS_GIVEN = "as given"
+# Laws of the coefficient of restitution that the field uses most.
+_USUAL_LAWS = ("hunt_crossley", "lankarani_nikravesh", "flores")
+# Settings whose difference from the given scene is no error of its computation: none of them is the truth.
+MODEL = "model"
 ERRORS = (0.2, 0.1, 0.05, 0.02, 0.01, 5e-3, 2e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 1e-6)
 # Force errors at which anything but the tolerance is tried, by whether the scene is large: its runs are dear.
 _KNOBS_AT = {False: (1e-2, 1e-3), True: (5e-3,)}
@@ -46,7 +50,7 @@ class Setting:
 
     Attributes:
         name: unique in a study.
-        group: what is set: tolerance, fidelity, smoothing, friction speed, friction law, output or precision.
+        group: what is set: tolerance, fidelity, model, smoothing, friction speed, friction law, output or precision.
         ladder: settings of one ladder differ in tolerance alone.
         error: the force error asked for, a fraction of the peak.
         table: the whole scene file, as TOML holds it.
@@ -155,7 +159,7 @@ def _every(given: SceneFile) -> list[Setting]:
     # An empty change: the file as it stands.
     own = Setting(AS_GIVEN, "tolerance", solver, own_error(given), given.resolved, derivatives=moves)
     more = [*(_tolerances(given) if moves else ()), *_fidelities(given), *_knobs(given, moves), *_outputs(given)]
-    more += _precisions(given, moves)
+    more += [*_models(given), *_precisions(given, moves)]
     seen, found = {(_same(given.resolved), own.bits)}, [own]
     for setting in sorted(more, key=lambda s: (-s.error, s.group != "tolerance")):
         key = _same(setting.table), setting.bits
@@ -204,6 +208,22 @@ def _fidelities(given: SceneFile) -> Iterator[Setting]:
         yield Setting(
             coarse.name, "fidelity", coarse.name, 1.0, table, change, coarse.physics, integrated=steps
         )  # fmt: skip
+
+
+def _models(given: SceneFile) -> Iterator[Setting]:
+    """Other choices of the model: the scene's own, and other laws that read the same coefficients."""
+    same = _made(given.resolved)
+    changes = [(one.name, one.change, one.physics) for one in given.scene.variants(given.params)]
+    if "law" in given.resolved["scene"]:
+        changes += [(f"law {law}", {"scene": {"law": law}}, f"contacts follow the law {law}") for law in _USUAL_LAWS]
+    for name, change, physics in changes:
+        table = overlaid(given.resolved, change)
+        model = _made(table)
+        if model is None or (model == same and "scene" in change):
+            continue
+        if name.startswith("law ") and (same is None or set(model.quantities) != set(same.quantities)):
+            continue
+        yield Setting(name, MODEL, name, own_error(given), table, change, physics)
 
 
 def _knobs(given: SceneFile, moves: bool) -> Iterator[Setting]:

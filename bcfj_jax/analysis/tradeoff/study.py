@@ -11,9 +11,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bcfj_jax.analysis.tradeoff import reference as references
-from bcfj_jax.analysis.tradeoff.measures import UNKNOWN, derivative_error, errors, measured, worst
+from bcfj_jax.analysis.tradeoff.measures import (
+    UNKNOWN,
+    compared,
+    derivative_error,
+    errors,
+    measured,
+    peak_changes,
+    worst,
+)
 from bcfj_jax.analysis.tradeoff.reference import Reference, reference, restore
-from bcfj_jax.analysis.tradeoff.settings import Setting
+from bcfj_jax.analysis.tradeoff.settings import MODEL, Setting
 from bcfj_jax.analysis.tradeoff.single import single
 from bcfj_jax.analysis.tradeoff.trial import loaded, slopes, trial
 from bcfj_jax.core.errors import InputError
@@ -26,11 +34,12 @@ NO_TIME, CUT_OFF, NO_REFERENCE = "not run: budget", "not run: interrupted", "not
 COLUMNS = (
     "setting", "force_rms_error", "peak_error", "impulse_error", "derivative_error", "wall_s", "compile_s", "status",
     "pareto", "period_error", "dissipated_error", "group", "force_error", "precision", "steps", "repeats",
-    "derivative_wall_s", "derivative_compile_s", "at_reference", "reason",
+    "derivative_wall_s", "derivative_compile_s", "at_reference", "reason", "contact", "peak_change",
 )  # fmt: skip
 _NOTHING = {name: float("nan") for name in COLUMNS[1:7]} | {
     "status": FAILED, "pareto": False, **UNKNOWN, "precision": "", "steps": 0, "repeats": 0,
     "derivative_wall_s": float("nan"), "derivative_compile_s": float("nan"), "at_reference": False, "reason": "",
+    "contact": "", "peak_change": float("nan"),
 }  # fmt: skip
 # A row that lacks them is not kept: another call may have the time.
 _NO_SLOPES = "no derivatives: too little time was left"
@@ -180,8 +189,15 @@ def _measured(
     row: dict[str, Any] = {**cost, "precision": f"float{setting.bits}"}
     if found.status != "ok":
         return row | {"status": FAILED, "reason": f"{found.reason}, at {found.failure_time:g} s"}
-    row |= {"status": OK, **errors(measured(found, given.times, given.scene.traits.turning), truth.truth, given.times)}
+    names, wanted = ([contact.name for contact in x.scene.contacts] for x in (file, given))
+    ours = measured(found, given.times, given.scene.traits.turning)
+    ours, theirs = compared(ours, names, truth.truth, wanted)
+    row |= {"status": OK, **errors(ours, theirs, given.times)}
     row["at_reference"] = worst(row) <= truth.least_error
+    changes = peak_changes(ours, theirs)
+    if np.isfinite(changes).any():
+        most = int(np.nanargmax(np.abs(changes)))
+        row |= {"contact": [name for name in wanted if name in names][most], "peak_change": float(changes[most])}
     if setting.derivatives and truth.slopes is not None:
         row |= _differentiated(file, program, truth, row["wall_s"], clock)
     return row
@@ -207,10 +223,10 @@ def _differentiated(file: SceneFile, program: Any, truth: Reference, wall_s: flo
 def _fronted(rows: list[dict[str, Any]], truth: Reference | None) -> list[dict[str, Any]]:
     """Rows with the Pareto front of wall time and worst error marked; below the reference's own error all are equal.
 
-    Numbers that the package refuses are on no front.
+    Numbers that the package refuses are on no front, nor are other choices of the model.
     """
     least_error = truth.least_error if truth and truth.truth else 0.0
-    runs = [row["status"] == OK and row["group"] != "precision" for row in rows]
+    runs = [row["status"] == OK and row["group"] not in ("precision", MODEL) for row in rows]
     place = [
         (r["wall_s"], np.maximum(worst(r), least_error)) if here else None for r, here in zip(rows, runs, strict=True)
     ]

@@ -31,9 +31,10 @@ from bcfj_jax.mechanism.model import (
     Reading,
     Scenery,
     Solution,
+    Variant,
 )
 from bcfj_jax.mechanism.structure import AbstractStructure
-from bcfj_jax.models.joint import drawing, engineering, envelope, programmes, summary, system, validity
+from bcfj_jax.models.joint import drawing, engineering, envelope, programmes, summary, system, validity, variants
 from bcfj_jax.models.joint.arrowhead import Arrowhead
 from bcfj_jax.models.joint.batched_newton import origin
 from bcfj_jax.models.joint.checks import check_joint
@@ -293,6 +294,17 @@ class JointModel(Joint):
             return ()
         count = len(FIDELITIES) if self.fidelity == AUTO else FIDELITIES.index(self.fidelity)
         return tuple(Coarser(name, {"fidelity": name}, _PHYSICS[name]) for name in FIDELITIES[:count])
+
+    def variants(self, params: Params) -> tuple[Variant, ...]:
+        """``variants.variants``."""
+        return variants.variants(self, params)
+
+    @property
+    def model_form(self) -> str:
+        """What was measured of the default joint; of a joint without a motion what it leaves out."""
+        if not self.in_motion:
+            return "this level has neither friction nor inertia"
+        return variants.model_form()
 
     def choose(
         self, params: Params, times: np.ndarray, budget: float, run: Callable[[AbstractModel, np.ndarray], Any]

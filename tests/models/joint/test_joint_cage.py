@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from joints import QUICK, SEEDS, constants, noisy, plain_joint, solved
+from joints import QUICK, SEEDS, constants, flows, noisy, plain_joint, solved
 from oracles import within
 
 import bcfj_jax as bj
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.models.joint import attitude, deflection, energy, geometry, periodic, system
+from bcfj_jax.models.joint import attitude, deflection, geometry, periodic, system
 from bcfj_jax.models.joint.arrowhead import Arrowhead
 from bcfj_jax.models.joint.parts import as_mechanism
 from bcfj_jax.models.joint.quasistatic import quasistatic
@@ -236,19 +236,6 @@ def test_gyroscopic_couples_of_a_ring_are_small():
     couple = 0.375 * float(params["cage_mass"]) * float(params["pitch_radius"]) ** 2
     couple *= np.linalg.norm(np.cross(states.cage_spin, along), axis=-1).max()
     assert couple < 1e-3 < 1e-4 * 23.0
-
-
-def flows(scene, params):
-    c = constants(scene, params)
-
-    @functools.partial(jax.jit, compiler_options=QUICK)
-    def read(t, y):
-        flow = energy.power(scene, c, t, y)
-        drift = system.field(t, y, (scene, c))
-        store, rate = jax.jvp(lambda t, y: energy.stored(scene, c, t, y), (t, y), (jnp.ones(()), drift))
-        return flow, store, rate
-
-    return read
 
 
 @each(NEW)

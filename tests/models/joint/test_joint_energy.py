@@ -5,12 +5,11 @@ from __future__ import annotations
 import functools
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from joints import JOINT, QUICK, SEEDS, constants, noisy, plain_joint, view
+from joints import JOINT, QUICK, SEEDS, constants, flows, noisy, plain_joint, view
 from oracles import within
 
 from bcfj_jax.analysis import energy_balance
@@ -39,28 +38,19 @@ EACH = pytest.mark.parametrize(
 
 
 @functools.cache
-def flows(name):
-    """Power, store and the store's rate at (t, y) of a variant, compiled; its scene and parameters."""
+def variant(name):
+    """``joints.flows`` of a variant, its scene and parameters."""
     options, values = VARIANTS[name]
     scene = plain_joint(**options)
     params = scene.parameters(values)
-    c = constants(scene, params)
-
-    @functools.partial(jax.jit, compiler_options=QUICK)
-    def read(t, y):
-        flow = energy.power(scene, c, t, y)
-        drift = system.field(t, y, (scene, c))
-        store, rate = jax.jvp(lambda t, y: energy.stored(scene, c, t, y), (t, y), (jnp.ones(()), drift))
-        return flow, store, rate
-
-    return read, scene, params
+    return flows(scene, params), scene, params
 
 
 @EACH
 @given(seed=SEEDS, t=st.floats(0.0, 0.1))
 @settings(max_examples=25)
 def test_power_is_the_rate_of_what_is_stored(name, seed, t):
-    read, scene, params = flows(name)
+    read, scene, params = variant(name)
     flow, store, rate = read(t, noisy(scene, params, seed))
     # What balls and bodies exchange is much more than what is left over.
     size = sum(abs(x) for x in flow) + sum(abs(x) for x in rate)
@@ -73,7 +63,7 @@ def test_power_is_the_rate_of_what_is_stored(name, seed, t):
 @given(seed=SEEDS, places=st.floats(3e-5, 1e-4), speeds=st.floats(0.0, 3.0))
 @settings(max_examples=25)
 def test_contacts_never_create_energy(name, seed, places, speeds):
-    read, scene, params = flows(name)
+    read, scene, params = variant(name)
     flow, store, _ = read(0.05, noisy(scene, params, seed, places, speeds))
     assert float(flow.friction) >= 0.0 and float(flow.damping) >= 0.0
     assert scene.contact("seat_ball").friction is not None or float(flow.friction) == 0.0
@@ -83,7 +73,7 @@ def test_contacts_never_create_energy(name, seed, places, speeds):
 @pytest.mark.full
 def test_flank_ends_are_accounted_for():
     # A ball far to the side and pressed outwards by more than a service load: one flank's gate is half open.
-    read, scene, params = flows("default")
+    read, scene, params = variant("default")
     c = constants(scene, params)
     y = noisy(scene, params, 5)
     across = system.relative_motions(scene, c, system.view(scene, c, y)).across
@@ -132,7 +122,7 @@ def test_stored_energy_is_that_of_the_power_law(exponent):
 
 
 def test_stored_energy_of_motion():
-    read, scene, params = flows("flexible")
+    read, scene, params = variant("flexible")
     y = noisy(scene, params, 9)
     p = {k: float(v) for k, v in params.items()}
     state = view(scene, constants(scene, params), y)
@@ -188,6 +178,6 @@ def test_simpson_over_uneven_intervals():
 
 
 def test_a_fixed_cage_has_no_equation():
-    _, scene, params = flows("fixed cage")
+    _, scene, params = variant("fixed cage")
     with pytest.raises(InputError, match="fixed cage"):
         energy.cage_equilibrium(scene, constants(scene, params), noisy(scene, params, 0), 0.0)
