@@ -377,7 +377,7 @@ def _draw(
     report.write(folder, Page(
         f"Calibration of {path.name}", page.verdict(result), tuple(shown[:2]), (*result.reasons, *result.notes),
         tuple(found), tuple(shown[2:]), tuple(folded),
-    ), problem.experiments[0].scene.model_form)  # fmt: skip
+    ), outcome.base.scene.model_form)  # fmt: skip
 
 
 def _compared(outcome: Outcome) -> dict[str, Any]:

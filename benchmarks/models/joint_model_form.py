@@ -20,7 +20,7 @@ from bcfj_jax.analysis.tradeoff.study import study
 from bcfj_jax.io.journal import Journal
 from bcfj_jax.io.scenefile import from_table, shown
 from bcfj_jax.models.joint import variants
-from benchmarks.common import markdown, save
+from benchmarks.common import markdown, put_in_readme, save
 
 END, SAMPLES = 0.3, 301
 
@@ -62,7 +62,9 @@ def main() -> None:
         change = "-" if one["change"] is None else f"{one['change']:+.1%}"
         rms = "-" if one["force_rms"] is None else f"{one['force_rms']:.1%}"
         rows.append([one["choice"], one["contact"], change, rms, f"{one['wall']} times", one["physics"]])
-    print(markdown(rows))
+    table = markdown(rows)
+    put_in_readme("model_form", table, "docs/tradeoff.md")
+    print(table)
 
 
 if __name__ == "__main__":

@@ -8,11 +8,19 @@ from types import SimpleNamespace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from joints import plain_joint
+from joints import PLAIN, plain_joint
 
 import bcfj_jax as bj
-from bcfj_jax.analysis.tradeoff import advice, reference, study
-from bcfj_jax.analysis.tradeoff.measures import Measured, derivative_error, errors, measured, worst
+from bcfj_jax.analysis.tradeoff import advice, command, reference, study
+from bcfj_jax.analysis.tradeoff.measures import (
+    Measured,
+    compared,
+    derivative_error,
+    errors,
+    measured,
+    peak_changes,
+    worst,
+)
 from bcfj_jax.analysis.tradeoff.settings import settings
 from bcfj_jax.analysis.tradeoff.single import single
 from bcfj_jax.analysis.tradeoff.trial import loaded, trial
@@ -76,7 +84,7 @@ def test_settings_of_a_joint():
     given = load("joint")
     found = {s.name: s for s in settings(given)}
     assert {s.group for s in found.values()} == {
-        "tolerance", "fidelity", "smoothing", "friction speed", "friction law", "output", "precision",
+        "tolerance", "fidelity", "model", "smoothing", "friction speed", "friction law", "output", "precision",
     }  # fmt: skip
     # Every one of them is a scene file; what an option takes out of the model leaves the file, too.
     for s in found.values():
@@ -84,7 +92,7 @@ def test_settings_of_a_joint():
         own = {"lugre": {"bristle_stiffness", "bristle_damping"}, "memory": {"friction_memory"}}
         more = set().union(*(names for law, names in own.items() if law in s.name))
         read = {name: value for name, value in resolved["parameters"].items() if name not in more}
-        assert {**resolved, "parameters": read} == s.table
+        assert s.group == "model" or {**resolved, "parameters": read} == s.table
     none = next(s for name, s in found.items() if name.startswith("friction none"))
     assert "friction_static" not in none.table["parameters"] and "no friction" in none.physics
     assert found["quasistatic"].physics and not found["as given"].physics
@@ -93,6 +101,54 @@ def test_settings_of_a_joint():
     assert [s.name for s in settings(given, ("fidelity",))] == ["as given", "kinematic", "quasistatic"]
     with pytest.raises(bj.InputError, match="did you mean 'sdirk2'"):
         settings(given, ("sdirk",))
+
+
+@pytest.mark.parametrize("options", [{}, {"spin": True, "cage": "fixed", "head": "fixed", "track": "circular"}])
+def test_every_other_choice_of_a_joint_is_another_joint(options):
+    scene = plain_joint(**options)
+    made = [loaded(s.table).scene for s in settings(from_table({"scene": {"kind": "joint", **PLAIN, **options}}, None))
+            if s.group == "model" and "scene" in s.change]  # fmt: skip
+    assert len(made) == len(scene.variants(scene.parameters())) - 2
+    assert scene not in made and len(set(made)) == len(made)
+    assert plain_joint(**options, fidelity="quasistatic").variants({}) == ()
+
+
+def test_laws_of_one_coefficient_of_restitution_are_tried():
+    found = settings(from_table({"scene": {"kind": "impact", "law": "flores"}}, None), ["model"])
+    assert [s.name for s in found] == ["as given", "law hunt_crossley", "law lankarani_nikravesh"]
+
+
+def test_contacts_that_both_models_have_are_compared():
+    force = np.zeros((4, 3, 3))
+    force[1, :, 0] = 10.0, 4.0, 2.0
+    truth = Measured(force, np.array([0, 0, 1]), np.full(3, np.nan), np.ones(3), np.ones(3))
+    more = np.concatenate([3.0 * force[:, 2:], 1.2 * force[:, :2], force[:, 2:]], 1)
+    found = Measured(more, np.array([0, 1, 1, 2]), np.full(4, np.nan), np.ones(4), np.ones(4))
+    ours, theirs = compared(found, ["new", "ball", "ring"], truth, ["ball", "ring"])
+    assert peak_changes(ours, theirs) == pytest.approx([0.2, 0.0])
+    ours, theirs = compared(found, ["ring", "ball", "new"], truth, ["other", "ring"])
+    assert peak_changes(ours, theirs) == pytest.approx([2.0])
+
+
+def model_row(setting, **values):
+    return {"setting": setting, "group": "model", "status": "ok", "reason": "", "force_rms_error": 0.2, **values}
+
+
+def test_the_line_of_the_model_form_names_what_moves_most():
+    todo = [SimpleNamespace(group=group, physics=group) for group in ("tolerance", "model", "model", "model")]
+    rows = [
+        {"setting": "as given", "group": "tolerance", "wall_s": 2.0, "peak_change": 9.0},
+        model_row("balls roll", contact="seat_cage", peak_change=0.25, wall_s=3.0),
+        model_row("head fixed", contact="head_cage", peak_change=-0.75, wall_s=1.0),
+        model_row("no time", contact="", peak_change=float("nan"), wall_s=float("nan")),
+    ]
+    done = study.Study(todo, rows, None, False)
+    assert "2 other choices" in command.model_form(done)
+    assert "up to 75 % (head fixed: head_cage -75 %)" in command.model_form(done)
+    table = command.model_rows(done)
+    assert [row[0] for row in table[1:]] == ["head fixed", "balls roll", "no time"]
+    assert table[2][1:4] == ["seat_cage +25 %", "20 %", "1.5 times"] and table[3][1] == "-"
+    assert command.model_form(study.Study(todo[:1], rows[:1], None, False)) == ""
 
 
 @pytest.mark.slow

@@ -199,7 +199,8 @@ def reference_rows(found: Study) -> Rows:
 
 def model_rows(found: Study) -> Rows:
     """Table of other choices of the model, what moves forces most first: each against the scene as given."""
-    rows = [row | {"physics": s.physics} for s, row in zip(found.settings, found.rows, strict=True) if s.group == MODEL]
+    every = zip(found.settings, found.rows, strict=True)
+    rows: list[dict[str, Any]] = [row | {"physics": s.physics} for s, row in every if s.group == MODEL]
     own = found.rows[0]["wall_s"]
     rows.sort(key=lambda row: -abs(row["peak_change"]) if np.isfinite(row["peak_change"]) else 1.0)
     head = [["choice", "largest change of a peak", "force rms", "wall", "what differs", "status"]]

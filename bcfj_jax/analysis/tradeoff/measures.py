@@ -90,9 +90,10 @@ def compared(
 
 
 def _of(one: Measured, names: Sequence[str], others: Sequence[str]) -> Measured:
-    both = [name for name in names if name in others]
-    keep = np.array([names[k] in both for k in one.contact])
-    number = np.array([both.index(names[k]) for k in one.contact[keep]])
+    both: list[str] = [name for name in names if name in others]
+    owners = [names[int(k)] for k in one.contact]
+    keep = np.array([owner in both for owner in owners])
+    number = np.array([both.index(owner) for owner in owners if owner in both])
     return Measured(one.force[:, keep], number, one.period[keep], one.work[keep], one.moved[keep])
 
 

@@ -39,15 +39,17 @@ def _each(scene: Joint, params: Mapping[str, Array]) -> Iterator[Variant]:
     else:
         yield option("balls roll", "balls turn, and so roll in their grooves", spin=True)
     if scene.cage == "free":
-        yield option("cage fixed", "the cage stays on the bisecting plane", cage="fixed", window_ends=False)
+        left = [contact.name for contact in scene.contacts if contact.name not in ("seat_cage", WINDOW_END)]
+        without = {"contacts": left, "window_ends": False, "bands": False}
+        yield option("cage fixed", "the cage stays on the bisecting plane", cage="fixed", **without)
         if scene.has(WINDOW_END):
             yield option("windows without ends", "the cage slips through its own windows", window_ends=False)
         else:
             yield option("windows with ends", "windows end around the cage, so that it cannot slip", window_ends=True)
-    if scene.bands:
-        yield option("pilots all round", "the cage's pilots are full spheres", bands=False)
-    elif scene.pilots:
-        yield option("pilots as bands", "the cage's pilots end at a latitude, with an edge", bands=True)
+        if scene.bands:
+            yield option("pilots all round", "the cage's pilots are full spheres", bands=False)
+        elif scene.pilots:
+            yield option("pilots as bands", "the cage's pilots end at a latitude, with an edge", bands=True)
     head = "fixed" if scene.head == "free" else "free"
     yield option(
         f"head {head}", "the head cannot shift" if head == "fixed" else "the head shifts in its play", head=head
@@ -62,13 +64,13 @@ def _each(scene: Joint, params: Mapping[str, Array]) -> Iterator[Variant]:
     if "load_ramp" in params and float(params["load_ramp"]) > _SUDDEN:
         physics = "the torque comes within 0.1 ms: parts cross their play and strike"
         yield Variant("sudden torque", {"parameters": {"load_ramp": _SUDDEN}}, physics)
-    if scene.programmes.drive is None:
+    if scene.programmes.drive is None and scene.cage == "free":
         yield option("start from rest", "the drive speeds up from rest", drive_profile="smooth")
 
 
 @functools.cache
 def _measured() -> list[dict[str, Any]]:
-    return json.loads(resources.files(__package__).joinpath("model_form.json").read_text())["choices"]
+    return json.loads(resources.files("bcfj_jax.models.joint").joinpath("model_form.json").read_text())["choices"]
 
 
 def model_form() -> str:
