@@ -212,6 +212,38 @@ def test_guides_run(page, folder):
             Path(block.file).write_text(block.text, encoding="utf-8")
 
 
+def examples() -> dict[str, list[str]]:
+    """Example lines of each verb's help."""
+    import typer
+
+    from bcfj_jax.cli import app
+
+    def verbs(group, prefix: str):
+        for name, one in group.commands.items():
+            if hasattr(one, "commands"):
+                yield from verbs(one, f"{prefix}{name} ")
+            else:
+                yield f"{prefix}{name}", one
+
+    root = typer.main.get_command(app)
+    return {name: re.findall(r"^Example: bcfj (.*)$", one.epilog or "", re.MULTILINE) for name, one in verbs(root, "")}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("verb", examples())
+def test_examples_of_the_help_run(verb, folder):
+    """In order, as printed, in a folder that holds the examples."""
+    from typer.testing import CliRunner
+
+    from bcfj_jax.cli import app
+
+    for line in examples()[verb]:
+        command, _, target = line.partition(" > ")
+        done = CliRunner().invoke(app, shlex.split(command))
+        assert done.exit_code == 0, f"{line}\n{done.output}"
+        assert not target or done.stdout
+
+
 # The README's commands, and what they write beside run.toml and environment.json.
 WRITES = {
     "init impact": ("impact.toml",),

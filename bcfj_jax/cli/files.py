@@ -14,7 +14,7 @@ from bcfj_jax.cli.options import Code
 from bcfj_jax.core.errors import InputError
 
 
-@verb(app, example="bcfj validate my_scene.toml")
+@verb(app, example="bcfj validate examples/chung_ooi_fit.toml")
 def validate(
     file: Annotated[Path, typer.Argument(help="A scene, calibration, study or design file.")], code: Code = None
 ) -> int:
@@ -24,11 +24,14 @@ def validate(
 
     content = tables.read(file)
     if "experiment" in content or "free" in content:
+        from bcfj_jax.io.page import counted
         from calibration import problemfile
 
         problem = problemfile.load(file)
         kind, free, records = "calibration", [f.name for f in problem.free], len(problem.experiments)
-        text = f"a calibration of {', '.join(free)} from {records} records, of the scene '{problem.scene.kind}'"
+        text = (
+            f"a calibration of {', '.join(free)} from {counted(records, 'record')}, of the scene '{problem.scene.kind}'"
+        )
     elif "objective" in content:
         from bcfj_jax.analysis.designs import command, designfile
 
@@ -128,7 +131,7 @@ def init(
     return DONE
 
 
-@verb(app, example="bcfj report results/simulate-joint")
+@verb(app, example="bcfj simulate impact --out first\nbcfj report first")
 def report(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="A folder that a command of bcfj has written.")],
     code: Code = None,

@@ -53,7 +53,7 @@ def study_run(
 @verb(
     studies,
     "resume",
-    example="bcfj study resume clearance --out results/study-clearance",
+    example="bcfj study run clearance --out study\nbcfj study resume clearance --out study",
     changed=of_study,
     changes=CHANGES_DRAWN,
 )
@@ -64,7 +64,13 @@ def study_resume(
     return _study(study, code, out, workers, scheduler, False, True)
 
 
-@verb(studies, "status", example="bcfj study status clearance", changed=of_study, changes=CHANGES_DRAWN)
+@verb(
+    studies,
+    "status",
+    example="bcfj study run clearance --out study\nbcfj study status clearance --out study",
+    changed=of_study,
+    changes=CHANGES_DRAWN,
+)
 def study_status(study: StudyFile, out: StudyOut = None, code: Code = None) -> int:
     """Say what is finished, what failed and what is left (then the exit code is 5)."""
     ready(code, study)
@@ -78,7 +84,8 @@ def study_status(study: StudyFile, out: StudyOut = None, code: Code = None) -> i
 @verb(
     studies,
     "merge",
-    example="bcfj study merge STUDY.toml --out all --from first --from second",
+    example="bcfj study run clearance --out first\nbcfj study run clearance --out second\n"
+    "bcfj study merge clearance --out first --from second",
     changed=of_study,
     changes=CHANGES_DRAWN,
 )
@@ -97,7 +104,13 @@ Seed = Annotated[int, typer.Option(min=0, help="Seed of the bootstrap; of the st
 Slopes = Annotated[bool, typer.Option(help="Whether to use the study's derivatives, if it kept any.")]
 
 
-@verb(studies, "indices", example="bcfj study indices STUDY.toml --feature seat_cage.peak", changed=of_study)
+@verb(
+    studies,
+    "indices",
+    example="bcfj study run examples/impact_spread.toml --out spread\n"
+    "bcfj study indices examples/impact_spread.toml --out spread --feature contact.peak",
+    changed=of_study,
+)
 def study_indices(
     study: StudyFile, out: StudyOut = None, feature: Features = None, seed: Seed = 0, code: Code = None
 ) -> int:
@@ -113,7 +126,8 @@ def study_indices(
 @verb(
     studies,
     "surface",
-    example="bcfj study surface STUDY.toml --feature seat_cage.peak",
+    example="bcfj study run examples/impact_spread.toml --out spread\n"
+    "bcfj study surface examples/impact_spread.toml --out spread --feature contact.peak",
     changed=of_study,
     changes=CHANGES_DRAWN,
 )

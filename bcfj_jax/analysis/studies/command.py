@@ -20,7 +20,7 @@ from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.progress import stage
 from bcfj_jax.io import changes, report
 from bcfj_jax.io.changes import Change
-from bcfj_jax.io.page import BAD, FAIR, GOOD, Page, Picture, Table, Verdict, brief, span
+from bcfj_jax.io.page import BAD, FAIR, GOOD, Page, Picture, Table, Verdict, brief, counted, span
 from bcfj_jax.io.stop import heeded
 from bcfj_jax.io.units import format_si
 
@@ -77,7 +77,7 @@ def run(
     if dry:
         return estimate(study, workers), DONE
     store = api.prepare(study, folder)
-    say(f"{study.count} points in {len(store.blocks)} blocks of {store.blocks.size}, in {folder}")
+    say(f"{counted(study.count, 'point')} in {counted(len(store.blocks), 'block')} of {store.blocks.size}, in {folder}")
     with heeded():
         try:
             size = store.blocks.size
@@ -112,7 +112,7 @@ def estimate(study: Study, workers: int | None) -> str:
         ["blocks", f"{len(blocks)} of {blocks.size}"],
         ["compiling", f"{middle - begin - each * len(at):.1f} s"],
         ["computing", f"about {format_si(study.count * each / min(team, len(blocks)), 's', 2)} with {team} workers"],
-        ["disk", f"about {disk / 1e6:.3g} MB"],
+        ["disk", f"about {disk / 1e6:.3g} MB" if disk >= 1e6 else f"about {disk / 1e3:.3g} kB"],
     ]
     return report.text(rows)
 

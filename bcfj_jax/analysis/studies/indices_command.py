@@ -25,6 +25,12 @@ _BARS = {
     "Morris": (("mu_star", "mu*"), ("sigma", "sigma")),
     "RBD-FAST, PAWN": (("S1", "first order"), ("pawn", "PAWN")),
 }
+# What the columns mean, for the screen.
+_MEANINGS = {
+    "Sobol": "S1: share of the variance that this parameter brings alone; ST: with all its interactions; ±: 95 %.",
+    "Morris": "mu_star: mean size of an elementary effect; sigma: its standard deviation, by interactions and curvature.",
+    "RBD-FAST, PAWN": "S1: share of the variance that this parameter brings alone; pawn: how far it moves the distribution.",
+}
 
 
 def finished(what: str, out: Path | None) -> tuple[Finished | None, Path]:
@@ -61,7 +67,8 @@ def run(what: str, out: Path | None, features: Sequence[str], seed: int) -> tupl
         good, refused = sensitivity.every(found, seed)
     outputs.write_json(folder / JSON, content(good, refused, seed))
     picture(good, folder / PICTURE)
-    return f"{text(good, refused)}\nresults in {folder}", DONE
+    meant = dict.fromkeys(_MEANINGS[one.method] for one in good if one.method in _MEANINGS)
+    return "\n\n".join([text(good, refused), *meant, f"results in {folder}"]), DONE
 
 
 def content(good: Sequence[Indices], refused: dict[str, str], seed: int) -> dict[str, Any]:

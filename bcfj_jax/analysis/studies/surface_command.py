@@ -17,9 +17,14 @@ from bcfj_jax.analysis.studies.indices_command import finished, unfinished
 from bcfj_jax.analysis.studies.surface import Surface
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.io import outputs, plots, report
+from bcfj_jax.io.page import brief
 
 JSON = "surface.json"
 _CURVE, _MAP = 241, 81  # points
+# What the columns mean, for the screen.
+_MEANING = (
+    "Errors at each point of a surface through all other points; spread: standard deviation of the feature itself."
+)
 
 
 def run(what: str, out: Path | None, features: Sequence[str], derivatives: bool) -> tuple[str, int]:
@@ -64,11 +69,11 @@ def table(good: Sequence[Surface]) -> str:
     rows = [["", "points", "left out", "rms error", "largest", "spread", "within 1, 2 deviations"]]
     for one in good:
         e = one.error
-        numbers = (f"{x:.3g}" for x in (e.rms, e.largest, e.spread))
+        numbers = (brief(x, feature_unit(one.feature)) for x in (e.rms, e.largest, e.spread))
         within = f"{100 * e.within_1:.0f} %, {100 * e.within_2:.0f} %"
         called = f"{one.feature}{' (with derivatives)' if one.directions else ''}"
         rows.append([called, str(e.points), str(e.dropped), *numbers, within])
-    return report.text(rows)
+    return f"{report.text(rows)}\n\n{_MEANING}"
 
 
 def draw(one: Surface, found: Finished, path: Path) -> None:
