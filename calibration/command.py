@@ -212,7 +212,7 @@ def _shared(result: Fit) -> list[str]:
 
 
 def _moved(move: float, result: Fit, name: str) -> str:
-    share = f"{100 * move:.2g} %" if move >= 1e-4 else "< 0.01 %"
+    share = percent(move, 2) if move >= 1e-4 else "< 0.01 %"
     if name == REFERENCE or result.optimum.model.coordinates[result.labels.index(name)].log:
         return share
     return format_si(move, result.parameters[name].unit, 2)

@@ -32,8 +32,8 @@ _SHOWN = (
     ("environment.json", "Environment: versions, device, checksums of the data (environment.json)"),
 )
 _LONGEST = 40_000  # characters of such a file
-# Numbers with a unit, as the terminal prints them: "50 um".
-_MICRO = re.compile(r"(?<=\d) u(?=[A-Za-z])")
+# Numbers with a unit, as the terminal prints them: "50 um"; no word: "3 unknown".
+_MICRO = re.compile(r"(?<=\d) u(?=(?:m|s|g|N|J|W|V|A|C|Pa|Hz|rad)(?![A-Za-z]))")
 _ANIMATION = re.compile(r"<!-- animation: begin -->(.*)<!-- animation: end -->", re.DOTALL)
 
 

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from bcfj_jax.io import outputs, report
-from bcfj_jax.io.page import BAD, FAIR, GOOD, Page, Picture, Table, Verdict
+from bcfj_jax.io.page import BAD, FAIR, GOOD, Page, Picture, Table, Verdict, counted
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint.scene import Joint
@@ -32,6 +32,9 @@ GIVEN, SUDDEN, CALIBRATED = tables.VARIANTS
 SMALL = "small clearances"
 
 Say = Callable[[str], None]
+# Tables that the report shows beside the claims; the others are folded.
+_FITTED, _QUALITATIVE = "Peaks fitted: not predictions", "Qualitative claims"
+_OPEN = (_FITTED, _QUALITATIVE)
 
 
 def tightened(params: Params) -> Params:
@@ -104,8 +107,9 @@ def verdict(found: PeakFit, records: Mapping[str, Record]) -> str:
         else f"Misfit: no start found values within physical bounds that give all peaks; the best miss {', '.join(missed)}."
     )
     tested = (
-        f"The peaks determine {found.combinations} of the {len(found.estimates)} combinations of unknowns, and {count} "
-        f"unknown(s) by themselves{'' if not missed else ', were the model right'}.{bounds}"
+        f"The peaks determine {found.combinations} of the {len(found.estimates)} combinations of unknowns, and "
+        f"{counted(count, 'unknown')} by {'itself' if count == 1 else 'themselves'}"
+        f"{'' if not missed else ', were the model right'}.{bounds}"
     )
     hand = "" if SUDDEN not in records else by_hand(records[SUDDEN])
     return " ".join([*(f"{f[0].upper()}{f[1:]}." for f in failed), reached, tested, *([hand] if hand else [])])
@@ -155,11 +159,11 @@ def _write(
         ("Claims", main),
         ("The pilots' forces in the axes of different observers", tables.frame_rows(seen)),
         ("Sudden starts: six peaks met by hand", sudden.rows(starts)),
-        ("Peaks fitted: not predictions", tables.peak_rows(given, found, calibrated)),
+        (_FITTED, tables.peak_rows(given, found, calibrated)),
         ("Unknowns", tables.unknown_rows(params, found)),
         (f"Combinations of the unknowns that peaks known to {ERROR:.0%} determine", tables.combination_rows(found)),
         ("Residuals, absolute and relative", tables.residual_rows(both)),
-        ("Qualitative claims", tables.inequality_rows(tests)),
+        (_QUALITATIVE, tables.inequality_rows(tests)),
         ("Runs", _run_rows(records, seconds)),
     ]
     said = verdict(found, records)
@@ -213,9 +217,13 @@ def _page(
     """The report: how many of the paper's claims the model reaches, and the table of them."""
     first, *others = [Table(title, rows) for title, rows in parts]
     first = _folded(first, f"{tables.AS_GIVEN} {tables.CALIBRATED}")
+    folded = tuple(table for table in others if table.title not in _OPEN)
+    others = [table for table in others if table.title in _OPEN]
     name = CALIBRATED if CALIBRATED in measured else GIVEN
     if name not in measured:
-        return Page(TITLE, Verdict(BAD, "Failed", verdict(found, records)), (), tuple(notes), (first, *others))
+        return Page(
+            TITLE, Verdict(BAD, "Failed", verdict(found, records)), (), tuple(notes), (first, *others), folded=folded
+        )
     reached, missed, open_ = counts(measured[name])
     total = len(reached) + len(missed) + len(open_)
     held = [t.holds for t in tests[name]]
@@ -235,16 +243,24 @@ def _page(
     warnings = [note for note in notes if note not in (tables.AS_GIVEN, tables.CALIBRATED, tables.BOUNDED)]
     leading = sorted(drawn, key=lambda one: one.file not in pictures.LEADING)
     return Page(
-        TITLE, word, tuple(leading[:2]), (verdict(found, records), *warnings), (first, *others), tuple(leading[2:])
+        TITLE, word, tuple(leading[:2]), (verdict(found, records), *warnings), (first, *others), tuple(leading[2:]),
+        folded=folded,
     )  # fmt: skip
 
 
 def _folded(claims: Table, note: str) -> Table:
-    """The claims that the paper's simulation gave; inputs and statements are folded."""
+    """The claims that the paper's simulation gave, with verdicts; how each is read, inputs and statements are folded."""
     head, *rows = claims.rows
     figures = {row.id for row in CLAIMS if row.kind == FIGURE}
-    rest = Table("Inputs and statements of the paper", [head, *(row for row in rows if row[0] not in figures)])
-    return Table(claims.title, [head, *(row for row in rows if row[0] in figures)], note, (rest,))
+    at = head.index("verdict")
+    # What a reader looks for fits on the screen.
+    first = [[row[0], row[1], row[at], *row[2:at]] for row in (head, *(row for row in rows if row[0] in figures))]
+    how = [[row[0], row[1], *row[at + 1 :]] for row in (head, *(row for row in rows if row[0] in figures))]
+    rest = [head, *(row for row in rows if row[0] not in figures)]
+    return Table(
+        claims.title, first, note,
+        (Table("How each claim is read, and remarks", how), Table("Inputs and statements of the paper", rest)),
+    )  # fmt: skip
 
 
 def counts(found: Mapping[str, Measured]) -> tuple[list[str], list[str], list[str]]:

@@ -69,6 +69,16 @@ def test_a_page_has_its_parts_in_order_and_keeps_them(tmp_path):
     assert report.kept(tmp_path) == page
 
 
+def test_micro_is_a_unit_and_no_word(tmp_path):
+    page = Page(
+        "Units",
+        Verdict(GOOD, "Good", "."),
+        tables=(Table("T", [["what", "value"], ["a", "50 um"], ["b", "3 unknown"]]),),
+    )
+    text = report.html(page, tmp_path)
+    assert "50 µm" in text and "3 unknown" in text
+
+
 def test_an_animation_is_kept_when_the_page_is_made_again(tmp_path):
     scene = '<section aria-label="Animation"><canvas></canvas><script>1 < 2</script></section>'
     report.write(tmp_path, replace(page_in(tmp_path), animation=scene))
