@@ -46,7 +46,7 @@ MANY = 60
 @functools.cache
 def made(**options):
     """A joint of hashable options, its parameters and its constants."""
-    scene = bj.scenes.joint(**options)
+    scene = plain_joint(**options)
     params = scene.parameters()
     return scene, params, constants(scene, params)
 

@@ -49,7 +49,7 @@ def studied(points: int, workers: int, every: bool, folder: Path) -> dict[str, A
         clearance = np.geomspace(LOW, HIGH, points)
         vary = {f"clearance_{name}": {"values": clearance.tolist()} for name in PILOTS}
     table = {
-        "scene": {"scene": {"kind": "joint"}, "time": {"end": 3.0, "samples": SAMPLES}},
+        "scene": {"scene": {"kind": "joint", **PLAIN}, "time": {"end": 3.0, "samples": SAMPLES}},
         "design": {"kind": "list"}, "vary": vary,
         "results": {"features": [f"{name}.peak" for name in scene.members], "histories": True},
     }  # fmt: skip

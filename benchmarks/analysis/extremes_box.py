@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.stats import qmc
 
+from bcfj_jax.models.joint.scene import PLAIN
+
 # Share of the cases that sit on an axis's corner values, where it has any.
 SHARE = 0.2
 
@@ -103,7 +105,7 @@ _DAMPING = Axis("damping", 1e-4, 1e2, corners=(0.0,))
 # The seat's rim: 1 um/s to 50 m/s at the pitch radius.
 _DRIVE = Axis("drive_speed", 1e-6 / 0.0355, 50.0 / 0.0355, corners=(0.0, 100 * 2 * np.pi / 60))
 _BRIEF = Axis("end", 1e-7, 0.1)
-_ROUGH, _SMOOTH = {"law": "exact"}, {"friction": False}
+_ROUGH, _SMOOTH = {"law": "exact", **PLAIN}, {"friction": False, **PLAIN}
 # A joint that somebody would build, and a longer look at it: factors of 3 about the default numbers.
 _NEAR = (
     Axis("stiffness", 1.2e10, 1.1e11),
@@ -120,10 +122,10 @@ VARIANTS: tuple[Variant, ...] = (
     *(Variant("impact", law, {"law": law}, (*x, *_BODY, *_IMPACT), _TIME, 0.2, 20_000) for law, x in _LOSS.items()),
     *(Variant("bounce", law, {"law": law}, (*x, *_BODY, *_BOUNCE), _TIME, 0.2, 8_000) for law, x in _LOSS.items()),
     Variant(
-        "kinematic", "joint", {"fidelity": "kinematic"}, (*_ELASTIC, *_PLAY, *_LOAD, _DRIVE), _TURNS, 1.0, 1
+        "kinematic", "joint", {"fidelity": "kinematic", **PLAIN}, (*_ELASTIC, *_PLAY, *_LOAD, _DRIVE), _TURNS, 1.0, 1
     ),
     Variant(
-        "quasistatic", "joint", {"fidelity": "quasistatic"}, (*_ELASTIC, *_PLAY, *_LOAD, _DRIVE), _TURNS, 1.0, 1
+        "quasistatic", "joint", {"fidelity": "quasistatic", **PLAIN}, (*_ELASTIC, *_PLAY, *_LOAD, _DRIVE), _TURNS, 1.0, 1
     ),
     Variant("dynamic", "driven", _ROUGH, _FULL, _BRIEF, 0.65, 600),
     # Nothing drives it, nothing but its axial load pulls: its energy is known.

@@ -47,7 +47,7 @@ FEATURES = ["seat_cage.peak", "seat_ball.peak"]
 
 def dynamic(points: int) -> dict[str, Any]:
     return {
-        "scene": {"scene": {"kind": "joint"}, "time": {"end": 0.6, "samples": 601}},
+        "scene": {"scene": {"kind": "joint", **PLAIN}, "time": {"end": 0.6, "samples": 601}},
         "vary": {"clearance_seat_cage": {"lower": LOW, "upper": HIGH, "steps": points, "scale": "log"}},
         "results": {"features": FEATURES},
     }
@@ -57,7 +57,7 @@ def static(points: int) -> dict[str, Any]:
     return {
         # One ball's pitch at 100 r/min, after the ramp of the load.
         "scene": {
-            "scene": {"kind": "joint", "fidelity": "quasistatic"}, "time": {"end": 0.1, "samples": 13},
+            "scene": {"kind": "joint", "fidelity": "quasistatic", **PLAIN}, "time": {"end": 0.1, "samples": 13},
             "parameters": {"load_ramp": 1e-6},
         },
         "vary": {"clearance_seat_cage": {"lower": LOW, "upper": HIGH, "steps": points, "scale": "log"}},

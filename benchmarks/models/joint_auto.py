@@ -1,13 +1,14 @@
 """Does ``fidelity = "auto"`` keep its budget, and what does it save? Random joints, beside the dynamic model.
 
-    python -m benchmarks.models.joint_auto [--joints 100] [--seed 2025] [--budget 0.01] [--friction 1] [--name joint_auto]
+    python -m benchmarks.models.joint_auto [--joints 100] [--seed 2025] [--budget 0.01] [--friction 1] [--plain] [--name NAME]
 
 Every joint is drawn by ``random_scenes.joint``. Wanted is the last revolution before 3 s, the scene's own horizon, at
 180 angles. The error is that of a budget: of each contact the rms difference of normal forces from the dynamic model's
 at the same accuracy, its worst member's, over the contact's peak; the worst contact counts. Joints whose dynamic model
 does not finish in ``STEPS`` steps have no truth: they are counted, and others drawn in their place. Both programs are
 compiled before; seconds are the process's own, as other work shares the machine. ``--friction`` is a factor on both
-coefficients. The factors in ``bcfj_jax/models/joint/fidelity.py`` were found with other seeds.
+coefficients; ``--plain`` takes joints without rolling balls, window ends and bands. The factors in
+``bcfj_jax/models/joint/fidelity.py`` were found with other seeds.
 """
 
 from __future__ import annotations
@@ -30,7 +31,6 @@ from benchmarks.common import markdown, save
 from benchmarks.solve.random_scenes import BY_DECADES, EVENLY, joint
 
 END, ANGLES, STEPS = 3.0, 180, 20_000
-AUTO, MOTION = bj.scenes.joint(fidelity="auto", **PLAIN), bj.scenes.joint(**PLAIN)
 
 
 def window(params: Params) -> np.ndarray:
@@ -59,18 +59,21 @@ def error(found: Any, truth: Any) -> float:
     return worst
 
 
-def measured(count: int, seed: int, budget: float, friction: float) -> tuple[list[dict[str, Any]], int]:
+def measured(
+    count: int, seed: int, budget: float, friction: float, options: dict[str, bool]
+) -> tuple[list[dict[str, Any]], int]:
     """A row a joint, and how many the dynamic model did not finish."""
+    adaptive, motion = bj.scenes.joint(fidelity="auto", **options), bj.scenes.joint(**options)
     rng = np.random.default_rng(seed)
     rows: list[dict[str, Any]] = []
     unfinished = 0
     while len(rows) < count:
-        params = joint(rng, friction)
-        truth, full = timed(MOTION, params, budget)
+        params = joint(rng, friction, motion)
+        truth, full = timed(motion, params, budget)
         if truth.status != "ok":
             unfinished += 1
             continue
-        found, spent = timed(AUTO, params, budget)
+        found, spent = timed(adaptive, params, budget)
         steps = [run.stats["accepted"] + run.stats["rejected"] for run in (found, truth)]
         row = {"fidelity": found.choice.fidelity, "estimates": found.choice.errors, "error": error(found, truth)}
         rows.append(row | {"auto_s": spent, "dynamic_s": full, "auto_steps": steps[0], "dynamic_steps": steps[1]})
@@ -104,12 +107,20 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=2025)
     parser.add_argument("--budget", type=float, default=0.01)
     parser.add_argument("--friction", type=float, default=1.0)
+    parser.add_argument("--plain", action="store_true")
     parser.add_argument("--name", default="joint_auto")
     given = parser.parse_args()
-    rows, unfinished = measured(given.joints, given.seed, given.budget, given.friction)
+    options = PLAIN if given.plain else {}
+    rows, unfinished = measured(given.joints, given.seed, given.budget, given.friction, options)
     total = summed(rows, given.budget)
     box = {"logarithmic": BY_DECADES, "even": EVENLY, "friction": given.friction}
-    settings = {"end_s": END, "angles": ANGLES, "max_steps": STEPS, "seed": given.seed, "budget": given.budget}
+    settings = {
+        "end_s": END,
+        "angles": ANGLES,
+        "max_steps": STEPS,
+        "seed": given.seed,
+        "budget": given.budget,
+    } | options
     save(given.name, settings | {"box": box, "unfinished": unfinished, "summary": total, "joints": rows})
     print(markdown([["", ""], *([name.replace("_", " "), str(value)] for name, value in total.items())]))
 

@@ -27,7 +27,7 @@ from bcfj_jax import scenes
 from bcfj_jax.analysis.tradeoff.measures import Measured, errors, worst
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.models.joint.periodic import risen
-from bcfj_jax.models.joint.scene import PLAIN
+from bcfj_jax.models.joint.scene import PLAIN, Joint
 from bcfj_jax.solve.plan import LEVELS, Plan, plan
 from bcfj_jax.solve.simulation import outcome
 from benchmarks.common import RESULTS, ROOT, load, markdown, put_in_readme, save
@@ -103,15 +103,17 @@ def springs_down(kind: str, law: str, count: int, seed: int, ladder: Sequence[fl
     return rows
 
 
-def joints_down(count: int, seed: int, ladder: Sequence[float], wide: bool = False) -> Iterator[Row]:
+def joints_down(
+    count: int, seed: int, ladder: Sequence[float], wide: bool = False, scene: Joint | None = None
+) -> Iterator[Row]:
     """The same of dynamic joints, one after the other; the reference is BDF's, confirmed by RODAS3.
 
     A joint's promise is of its forces from a pitch after the load has risen: ``error``. ``whole`` counts what is
     before, too: the cage's knocks in its clearances, which no load holds yet.
     """
-    scene, tight = scenes.joint(**PLAIN), (3e-7, 3e-6)
+    scene, tight = scene or scenes.joint(**PLAIN), (3e-7, 3e-6)
     run, times = runner(scene, batched=False), jnp.asarray(JOINT_TIMES)
-    for params in joints(count, seed, wide):
+    for params in joints(count, seed, wide, scene):
         loaded = risen(scene, params, 1) <= JOINT_TIMES
 
         def at(tolerance: float, solver: str | None = None, params: Params = params) -> tuple[Any, int, int]:

@@ -21,6 +21,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from bcfj_jax.models.joint.scene import PLAIN
+
 os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import equinox as eqx
@@ -40,9 +42,9 @@ TIGHT = 1e-6
 CASES: dict[str, tuple[str, dict[str, Any], str, int, float | None]] = {
     "impact": ("impact", {}, "stiffness", 1001, None),
     "bounce": ("bounce", {}, "stiffness", 2001, None),
-    "joint, kinematic": ("joint", {"fidelity": "kinematic"}, "load_torque", 61, 0.6),
-    "joint, quasistatic": ("joint", {"fidelity": "quasistatic"}, "clearance_cage_ball", 61, 0.6),
-    "joint, dynamic": ("joint", {}, "clearance_cage_ball", 301, 0.3),
+    "joint, kinematic": ("joint", {"fidelity": "kinematic", **PLAIN}, "load_torque", 61, 0.6),
+    "joint, quasistatic": ("joint", {"fidelity": "quasistatic", **PLAIN}, "clearance_cage_ball", 61, 0.6),
+    "joint, dynamic": ("joint", PLAIN, "clearance_cage_ball", 301, 0.3),
 }
 
 

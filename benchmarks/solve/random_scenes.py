@@ -14,7 +14,7 @@ import numpy as np
 from bcfj_jax import AbstractModel, InputError, scenes
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint.checks import check_joint
-from bcfj_jax.models.joint.scene import OF_A_BALL, PLAIN
+from bcfj_jax.models.joint.scene import OF_A_BALL, PLAIN, Joint
 
 LAWS = ("memory_free", "exact", "kelvin_voigt", "adams_impact")
 # A joint's ranges around the defaults: those that ``joint/defaults.py`` calls usual, where it does.
@@ -85,9 +85,9 @@ def springs(kind: str, law: str, count: int, seed: int, wide: bool = False) -> t
     return scene, params, np.asarray(scene.horizon(params))
 
 
-def joint(rng: np.random.Generator, friction: float = 1.0) -> Params:
-    """A random joint that can be built; ``friction`` is a factor on both coefficients."""
-    scene = scenes.joint(**PLAIN)
+def joint(rng: np.random.Generator, friction: float = 1.0, scene: Joint | None = None) -> Params:
+    """A random joint that can be built, of the plain scene or another; ``friction`` is a factor on both coefficients."""
+    scene = scene or scenes.joint(**PLAIN)
     while True:
         values = {name: float(np.exp(rng.uniform(*np.log(ends)))) for name, ends in BY_DECADES.items()}
         values |= {name: float(rng.uniform(*ends)) for name, ends in EVENLY.items()}
@@ -101,7 +101,7 @@ def joint(rng: np.random.Generator, friction: float = 1.0) -> Params:
         return params
 
 
-def joints(count: int, seed: int, wide: bool = False) -> list[Params]:
+def joints(count: int, seed: int, wide: bool = False, scene: Joint | None = None) -> list[Params]:
     """Random joints, the first of many those of few.
 
     Their balls have less play than the onset of contact is wide, as the defaults' have: else balls that carry nothing
@@ -109,10 +109,10 @@ def joints(count: int, seed: int, wide: bool = False) -> list[Params]:
     """
     rng, found = np.random.default_rng([seed, int(wide)]), []
     for _ in range(count):
-        params = joint(rng)
+        params = joint(rng, scene=scene)
         if wide:
             found.append(params)
             continue
-        calm = {f"clearance_{name}": params["smoothing"] * rng.uniform(0.1, 0.6) for name in OF_A_BALL}
+        calm = {f"clearance_{name}": params["smoothing"] * rng.uniform(0.1, 0.6) for name in OF_A_BALL[:3]}
         found.append({**params, **calm})
     return found

@@ -102,12 +102,12 @@ _CHECKS: tuple[tuple[tuple[str, ...], Callable[..., Fault | None]], ...] = (
     (("seat_radius", *_BALL), deflection.reaches_seat),
     (("head_radius", *_BALL), deflection.reaches_head),
     (("seat_radius", "clearance_seat_cage", *_BALL), deflection.on_window),
-    (("seat_radius", "clearance_cage_window_end", "balls", *_BALL), deflection.webs),
-    (("clearance_cage_window_end", "balls", *_BALL), deflection.swings),
     (("pilot_band", "seat_radius", "clearance_cage_ball", "ball_radius"), _beside_windows),
     (("balls", *_BALL), deflection.apart),
     (("seat_radius", "ball_radius", "pitch_radius", "offset", "contact_angle", "joint_angle"), deflection.mouth_open),
     (("seat_radius", "pitch_radius", "offset", "joint_angle"), deflection.centres_in_mouth),
+    (("seat_radius", "clearance_cage_window_end", "balls", *_BALL), deflection.webs),
+    (("clearance_cage_window_end", "balls", *_BALL), deflection.swings),
 )
 
 

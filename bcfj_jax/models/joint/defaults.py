@@ -41,7 +41,10 @@ DEFAULTS: dict[str, tuple[float, str]] = {
     "clearance_head_cage": (50e-6, "GUESS: radial, 20 to 100 um"),
     "pilot_band": (math.radians(30.0), "GUESS: the cage ends at some 30 degrees of latitude"),
     "clearance_cage_ball": (10e-6, "GUESS: to either window face, up to 40 um"),
-    "clearance_cage_window_end": (1.5e-3, "GUESS: to either end; balls swing by 0.36 mm in the cage at 23 deg"),
+    "clearance_cage_window_end": (
+        2.5e-3,
+        "GUESS: to either end; balls swing by 0.36 mm in the cage at 23 deg, by 2.4 mm at 59",
+    ),
     "clearance_seat_ball": (10e-6, "GUESS: normal to the flank, 10 to 60 um"),
     "clearance_head_ball": (10e-6, "GUESS: normal to the flank, 10 to 60 um"),
     "stiffness": (3.70e10, "derived: elliptic Hertz, ball in groove of conformity 0.52 (mean of both races)"),

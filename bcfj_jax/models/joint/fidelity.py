@@ -30,7 +30,7 @@ from bcfj_jax.core.programs import program
 from bcfj_jax.mechanism.model import Choice, Params
 from bcfj_jax.models.joint import periodic
 from bcfj_jax.models.joint.model_error import Statics, statics
-from bcfj_jax.models.joint.scene import PILOTS, Joint
+from bcfj_jax.models.joint.scene import PILOTS, WINDOW_END, Joint
 
 # What estimates are multiplied by: of what equilibrium leaves out, of how far the last pitch is from repeating.
 _STATIC, _REPEAT = 12.0, 1.5
@@ -90,6 +90,9 @@ _COEFFICIENTS = ("friction_static", "friction_dynamic")
 
 def _statics_apply(scene: Joint, params: Params, budget: float) -> bool:
     held = scene.cage == "fixed" or any(scene.has(name) for name in PILOTS)
+    # Friction alone presses balls against the ends of their windows: a level without it is wrong there by all of it.
+    if scene.has(WINDOW_END) and any(contact.friction for contact in scene.contacts):
+        return False
     return held and scene.drive == "prescribed" and _FRICTION * _least_friction(scene, params) <= budget
 
 
@@ -147,7 +150,9 @@ def adaptive(
             index = np.where(times >= short.failure_time, folded.times.size - 1, folded.index)
             failed = _unfolded(motion, params, times, folded._replace(index=index), short)
             return chosen(failed, "dynamic", "the dynamic model failed")
-        errors["periodic"] = _REPEAT * max(periodic.mismatch(motion, params, folded, short.force).values())
+        errors["periodic"] = _REPEAT * max(
+            periodic.mismatch(motion, params, folded, short.force, short.trajectory).values()
+        )
         if errors["periodic"] <= enough:
             reason = (
                 f"the last pitch repeats the one before to {_percent(errors['periodic'])}, within {_percent(enough)}"

@@ -17,7 +17,7 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.mechanism.model import Params
-from bcfj_jax.models.joint.scene import OF_A_BALL, Joint
+from bcfj_jax.models.joint.scene import OF_A_BALL, WINDOW_END, Joint
 
 # Instants at which two pitches are compared: in the second half alone. A start that dies away is then larger in what is
 # compared than anywhere in the pitch that is repeated, as that comes later.
@@ -110,7 +110,7 @@ def unfolded_states(scene: Joint, params: Params, folded: Folded, states: np.nda
         part = wanted[:, first : first + n * size]
         balls = _renumbered(scene, params, part.reshape(len(part), n, size), folded.pitches)
         wanted[:, first : first + n * size] = balls.reshape(part.shape)
-    turned = 2.0 * np.pi * scene.pitches / n * np.sign(float(params["drive_speed"])) * folded.pitches
+    turned = _angle(scene, params) * folded.pitches
     wanted[:, _turning(scene)] += turned[:, None]
     return wanted
 
@@ -129,6 +129,11 @@ def pitch_before(scene: Joint, params: Params, state: Array) -> Array:
     return state.at[np.array(_turning(scene))].add(-turned)
 
 
+def _angle(scene: Joint, params: Params) -> float:
+    """By which the seat turns until a steady motion repeats itself [rad]."""
+    return 2.0 * np.pi * scene.pitches / scene.balls * float(np.sign(float(params["drive_speed"])))
+
+
 def _turning(scene: Joint) -> list[int]:
     """Where the angles stand that a pitch turns on: those of head, seat and cage, whose windows are renumbered too."""
     pieces = [scene.slices[name] for name in ("head_turn", "seat_turn")]
@@ -136,14 +141,19 @@ def _turning(scene: Joint) -> list[int]:
     return turns if scene.azimuth is None else [*turns, scene.azimuth]
 
 
-def mismatch(scene: Joint, params: Params, folded: Folded, force: Mapping[str, Any]) -> dict[str, float]:
+def mismatch(
+    scene: Joint, params: Params, folded: Folded, force: Mapping[str, Any], states: np.ndarray | None = None
+) -> dict[str, float]:
     """How far the last pitch is from repeating the one before.
 
     Of each contact the rms over its second half of the difference of normal forces, its worst member's, as a fraction
-    of the largest in the short run; 0 for one that never touches.
+    of the largest in the short run; 0 for one that never touches. A cage that drifts between the ends of its windows
+    repeats its forces until it is at one: while these bear nothing, it is the way that the cage drifts in the pitches left
+    out, as a fraction of the clearance.
 
     Args:
         force: by contact, (M, 3) or (M, balls, 3) [N], of the times of ``folded``.
+        states: (M, scene.states) of the same times; read where windows have ends alone.
     """
     found = {}
     one = np.ones(_PHASES, int)
@@ -154,4 +164,9 @@ def mismatch(scene: Joint, params: Params, folded: Folded, force: Mapping[str, A
             first = _renumbered(scene, params, first, one)
         off, top = np.sqrt(np.mean(np.square(second - first), axis=0)).max(), np.abs(normal).max()
         found[name] = float(off / top) if top != 0.0 else 0.0
+        if name == WINDOW_END and not (np.any(first) or np.any(second)):
+            assert states is not None
+            turned = np.median(states[folded.last, scene.azimuth] - states[folded.before, scene.azimuth])
+            way = abs(turned - _angle(scene, params)) * float(params["pitch_radius"]) * folded.pitches.max()
+            found[name] = float(way / params[f"clearance_{WINDOW_END}"])
     return found

@@ -70,6 +70,26 @@ def test_mismatch_is_the_difference_of_two_pitches():
     assert found["seat_ball"] < 1e-7
 
 
+def test_a_cage_that_drifts_between_the_ends_of_its_windows_does_not_repeat():
+    scene = plain_joint(window_ends=True)
+    params, folded = folded_at(10.0)
+    params = scene.parameters(params)
+    ends = np.zeros((folded.times.size, scene.balls, 3))
+    # The cage at 0.99 of the seat's speed falls behind by 0.01 pi/3 a pitch: by how much in the pitches left out?
+    states = np.zeros((folded.times.size, scene.states))
+    states[:, scene.azimuth] = 9.9 * folded.times
+    way = 0.01 * np.pi / 3 * folded.pitches.max() * 0.0355
+    found = periodic.mismatch(scene, params, folded, {"cage_window_end": ends}, states)
+    assert found["cage_window_end"] == pytest.approx(way / 2.5e-3, rel=1e-6)
+    # Ends that bear hold it.
+    ends[..., 0] = 100.0
+    assert periodic.mismatch(scene, params, folded, {"cage_window_end": ends}, states)["cage_window_end"] == 0.0
+    # Equilibrium knows no friction, which alone presses balls against ends.
+    few = {"friction_static": 1e-5, "friction_dynamic": 1e-5}
+    assert fidelity._statics_apply(AUTO, AUTO.parameters(few), 0.01)
+    assert not fidelity._statics_apply(scene, scene.parameters(few), 0.01)
+
+
 def test_states_are_unfolded_as_the_closed_form_motion_goes_on():
     scene = plain_joint(spin=True, friction="lugre")
     params = scene.parameters(drive_speed=-12.0)
