@@ -31,6 +31,8 @@ def main() -> None:
                 app()
             except SystemExit as end:
                 ended()
+                if end.code == SIGNALLED + signal.SIGINT:  # So typer has it of every signal that comes before the verb.
+                    end.code = SIGNALLED + last()
                 leave(end.code if isinstance(end.code, int) else DONE)
                 raise
     except KeyboardInterrupt:

@@ -1,7 +1,8 @@
 """Ctrl-C that does not get lost, and work that ends when its time is over.
 
 Python raises it wherever it happens to be, and within a callback of its garbage collector, of which JAX has one, it is
-reported and forgotten. Here it is sent again right after such a callback. Whoever works in batches asks before the next.
+reported and forgotten. Here it is sent again right after such a callback, and after an import, within which a library's
+compiled code would make something else of it. Whoever works in batches asks before the next.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ SIGNALLED = 128
 _asked = threading.Event()
 # Whether something was left behind that still computes.
 _abandoned = threading.Event()
-# Whether it was raised where nobody can hear it, and has not been raised since.
+# Whether it came where nobody can hear it, and has not been raised since.
 _unheard = threading.Event()
 # Whether it is being found out that it was: raised there, it would be lost again.
 _hearing = threading.Event()
@@ -35,6 +36,8 @@ _idle = threading.Event()
 _idle.set()
 # The signal that asked last.
 _last: list[int] = []
+# Imports that were under way when ``heeded`` began.
+_imports = [0]
 # After a callback in which Ctrl-C was lost [s]: it must have returned, or Ctrl-C is lost in it again.
 _RETURNED_S = 0.01
 
@@ -43,13 +46,34 @@ class OutOfTime(Exception):
     """What was not done in its time."""
 
 
-def _remember(number: int, __: FrameType | None) -> None:
+def _remember(number: int, frame: FrameType | None) -> None:
     _asked.set()
     _last[:] = [number]
     if _hearing.is_set():
         return  # It comes again.
+    if _importing(frame) > _imports[0]:
+        # A library's compiled code may swallow it, take it for a fault of its own, or end the process.
+        _send_again()
+        return
     _unheard.clear()
     raise KeyboardInterrupt
+
+
+def _importing(frame: FrameType | None) -> int:
+    """How many imports are under way in a stack."""
+    count = 0
+    while frame is not None:
+        count += frame.f_code.co_filename == "<frozen importlib._bootstrap>"
+        frame = frame.f_back
+    return count
+
+
+def _send_again() -> None:
+    _unheard.set()
+    if _idle.is_set():
+        _idle.clear()
+        # Not a Thread: the signal may have come while this thread holds the locks of their module.
+        _thread.start_new_thread(_send, ())
 
 
 @contextlib.contextmanager
@@ -63,11 +87,7 @@ def _sent_again() -> Iterator[None]:
             return
         _hearing.set()
         try:
-            _unheard.set()
-            if _idle.is_set():
-                _idle.clear()
-                # Not a Thread: the callback may have come while this thread holds the locks of their module.
-                _thread.start_new_thread(_send, ())
+            _send_again()
         finally:
             _hearing.clear()
 
@@ -122,6 +142,7 @@ def heeded(*others: signal.Signals) -> Iterator[None]:
     before = {number: known for number, known in before.items() if known not in (signal.SIG_IGN, None)}
     _asked.clear()
     _last.clear()
+    _imports[0] = _importing(sys._getframe())
     for number in before:
         signal.signal(number, _remember)
     try:

@@ -1,7 +1,8 @@
 """Verbs that are stopped by TERM, INT or KILL at random moments: resumed to equal results, or nothing is left.
 
-    python -m benchmarks.robustness.kills [--trials 100] [--only calibrate,study,...] [--more]
-writes results/kills.json; ``--more`` runs the trials that are not there. A verb is run undisturbed
+    python -m benchmarks.robustness.kills [--trials 100] [--only calibrate,study,...] [--more] [--within 0.5]
+writes results/kills.json; ``--more`` runs the trials that are not there. With ``--within`` signals come in so many
+seconds at the start, while libraries are imported, and the file is results/kills_early.json. A verb is run undisturbed
 first. A trial starts it in a folder of its own and sends a signal at a random moment of its processor time,
 which other work on the machine does not stretch. Then
 
@@ -175,8 +176,10 @@ def main() -> None:
     parser.add_argument("--only", default="calibrate,tradeoff,study,sensitivity,design,reproduce")
     parser.add_argument("--warm", type=int, default=2, help="undisturbed runs, the last of which is the measure")
     parser.add_argument("--more", action="store_true", help="run the trials that the results lack")
+    parser.add_argument("--within", type=float, default=math.inf, help="latest processor time [s] of a signal")
     given = parser.parse_args()
-    rows: list[dict[str, Any]] = load("kills")["trials"] if given.more else []
+    file = "kills_early" if math.isfinite(given.within) else "kills"
+    rows: list[dict[str, Any]] = load(file)["trials"] if given.more else []
     # Each trial draws its own number, so that those to come do not depend on where a run of them ended.
     draws = [random.Random(number).random() for number in range(given.trials)]
     lasts, good = {}, {}
@@ -195,12 +198,12 @@ def main() -> None:
         for number in sorted(set(range(given.trials)) - {row["number"] for row in rows}):
             name = list(known)[number % len(known)]
             how = SIGNALS[number // len(known) % len(SIGNALS)]
-            moment = 0.1 + draws[number] * (lasts[name] - 0.1)
+            moment = 0.1 + draws[number] * (min(lasts[name], given.within) - 0.1)
             rows.append({"number": number, **trial(name, known[name], place, how, moment, good[name])})
             print(rows[-1], flush=True)
-            save("kills", {"undisturbed_processor_s": lasts, "trials": rows})
+            save(file, {"undisturbed_processor_s": lasts, "trials": rows})
     counts = table(list(known), rows)
-    save("kills", {"undisturbed_processor_s": lasts, "counts": counts, "trials": rows})
+    save(file, {"undisturbed_processor_s": lasts, "counts": counts, "trials": rows})
     print(markdown(counts))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import importlib
 import os
 import signal
 import subprocess
@@ -12,6 +13,7 @@ import time
 
 import pytest
 
+from bcfj_jax import cli
 from bcfj_jax.io import folder, stop
 
 
@@ -81,6 +83,41 @@ def test_what_an_import_swallows_is_heard_before_work_begins(tmp_path):
         with pytest.raises(KeyboardInterrupt):
             folder.open_folder(tmp_path / "out", "simulate", "impact", ["forces.csv"])
     assert not (tmp_path / "out").exists()
+
+
+def test_what_comes_within_an_import_is_raised_after_it(tmp_path, monkeypatch):
+    """Compiled code in an import may take it for a fault of its own, or end the process."""
+    (tmp_path / "signalled.py").write_text("import signal\nsignal.raise_signal(signal.SIGTERM)\nwhole = True\n")
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def work():
+        with stop.heeded(signal.SIGTERM):
+            importlib.import_module("signalled")
+            time.sleep(10.0)
+            pytest.fail("the signal is lost")
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert stop.last() == signal.SIGTERM and sys.modules.pop("signalled").whole
+
+
+def test_a_signal_before_the_verb_has_its_own_exit_code(monkeypatch):
+    def app():
+        """As typer does it."""
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        except KeyboardInterrupt:
+            raise SystemExit(130) from None
+
+    for name, done in (("app", app), ("leave", lambda code: None), ("be_patient", lambda: None)):
+        monkeypatch.setattr(cli, name, done)
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert end.value.code == 143
 
 
 def test_another_fault_of_a_callback_is_reported(monkeypatch):
