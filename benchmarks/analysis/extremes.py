@@ -43,9 +43,12 @@ from benchmarks.common import RESULTS, ROOT, load, save
 KEPT = ROOT / "build" / "extremes"
 ACCURACY = "balanced"
 # Runs side by side, instants, and cases of a scene. An equilibrium is searched for case by case: no run waits.
-BATCH = {"impact": 512, "bounce": 512, "kinematic": 512, "quasistatic": 1, "dynamic": 20}
-SAMPLES = {"impact": 65, "bounce": 65, "kinematic": 17, "quasistatic": 5, "dynamic": 33}
-CASES = {"impact": 10_000, "bounce": 10_000, "kinematic": 10_000, "quasistatic": 10_000, "dynamic": 1_600}
+BATCH = {"impact": 512, "bounce": 512, "kinematic": 512, "quasistatic": 1, "dynamic": 20, "options": 20}
+SAMPLES = {"impact": 65, "bounce": 65, "kinematic": 17, "quasistatic": 5, "dynamic": 33, "options": 33}
+CASES = {
+    "impact": 10_000, "bounce": 10_000, "kinematic": 10_000, "quasistatic": 10_000, "dynamic": 1_600, "options": 1_600,
+}  # fmt: skip
+MOVING = ("dynamic", "options")
 # Energy above what was there at the start, as a fraction of it, that counts as created: the force error asked for.
 CREATED = 1e-2
 # A derivative, over the force, by a whole change of the parameters, that no certificate would trust.
@@ -184,7 +187,7 @@ def verdicts(variant: Variant, cases: dict[str, np.ndarray]) -> list[dict[str, A
             batch, move = ({n: jnp.asarray(v[some]) for n, v in x.items()} for x in (params, moves))
             t = jnp.asarray(times[some])
             # Of a joint in motion values have a solver of their own.
-            alone = variant.scene == "dynamic"
+            alone = variant.scene in MOVING
             got = jax.device_get(attempt(scene, batch, None if alone else move, t, how))
             above = created(variant, scene, own, t, got["states"])
             steep = jax.device_get(attempt(scene, batch, move, t, how)) if alone and variant.slopes else None
@@ -224,7 +227,7 @@ def pieces(variant: Variant, count: int) -> Iterator[tuple[Path, dict[str, np.nd
     """The variant's cases in pieces, each with the file that keeps it; cases of like cost side by side."""
     for kind, cases in (("sobol", sobol(variant, count)), ("corners", corners(variant, count // 4))):
         order = np.argsort(cost(variant, cases), kind="stable")
-        size = 2048 if variant.scene != "dynamic" else 100
+        size = 2048 if variant.scene not in MOVING else 100
         for k in range(0, order.size, size):
             some = order[k : k + size]
             name = f"{variant.scene}-{variant.name}-{count}-{kind}-{k // size}.jsonl"

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.stats import qmc
 
+import bcfj_jax as bj
 from bcfj_jax.models.joint.scene import PLAIN
 
 # Share of the cases that sit on an axis's corner values, where it has any.
@@ -118,6 +119,46 @@ _FULL = (*_ELASTIC, _RESTITUTION, *_PLAY, *_LOAD, *_MASSES, *_FRICTION, _DRIVE)
 _FREE = (*_ELASTIC, _RESTITUTION, *_PLAY, _AXIAL, _SMOOTHING, *_MASSES, *_FRICTION)
 _STILL = {"drive_speed": 0.0, "load_torque": 0.0}
 
+# Options of the joint as it is built, each drawn from these for a joint; and the axes that some of them add.
+_OPTIONS: dict[str, tuple[Any, ...]] = {
+    "law": ("exact", "memory_free", "flores"),
+    "friction": ("brown_mcphee", "memory"),
+    "track": ("gothic", "circular"),
+    "head": ("free", "fixed"),
+    "spin": (False, True),
+    "window_ends": (False, True),
+    "bands": (False, True),
+    "unequal": (False, True),
+    "stiffness": ("given", "geometry"),
+    "drive_profile": ("constant", "smooth", "step"),
+    "load_profile": ("smooth", "step", "linear"),
+    "stick_slip": (False, True),
+    "torque_reversal": (False, True),
+}
+_BUILT = {"law": "exact", "window_ends": True, "bands": True, "spin": True, "unequal": True}
+_ADDED = (
+    Axis("clearance_cage_window_end", 3e-4, 5e-3),
+    Axis("pilot_band", 0.3, 0.7, False),
+    Axis("load_ramp", 1e-5, 1.0),
+    Axis("drive_ramp", 1e-4, 1.0),
+    Axis("ball_2.oversize", -1e-4, 1e-4, False, (0.0,)),
+    Axis("seat_ball_3.extra_clearance", -1e-5, 1e-4, False, (0.0,)),
+)
+_JOINTS, _PILOTS = 6, ("clearance_seat_cage", "clearance_head_cage")
+
+
+def _drawn(number: int, axes: tuple[Axis, ...]) -> Variant:
+    """A joint whose options are drawn at random; of the axes it has those that its options read."""
+    rng = np.random.default_rng(2024 + number)
+    options = {name: values[rng.integers(len(values))] for name, values in _OPTIONS.items()}
+    scene = bj.scenes.make("joint", **options)
+    mine = [axis for axis in axes if axis.name in scene.quantities]
+    if options["stiffness"] == "geometry":
+        # Without a difference of radii there is no stiffness: such pilots are refused, whatever else is drawn.
+        mine = [axis._replace(corners=()) if axis.name in _PILOTS else axis for axis in mine]
+    return Variant("options", f"joint {number}", options, tuple(mine), _BRIEF, 0.9 / _JOINTS, 600)
+
+
 VARIANTS: tuple[Variant, ...] = (
     *(Variant("impact", law, {"law": law}, (*x, *_BODY, *_IMPACT), _TIME, 0.2, 20_000) for law, x in _LOSS.items()),
     *(Variant("bounce", law, {"law": law}, (*x, *_BODY, *_BOUNCE), _TIME, 0.2, 8_000) for law, x in _LOSS.items()),
@@ -132,6 +173,8 @@ VARIANTS: tuple[Variant, ...] = (
     Variant("dynamic", "passive", _ROUGH, _FREE, _BRIEF, 0.15, 600, fixed=_STILL),
     Variant("dynamic", "frictionless", _SMOOTH, (*_ELASTIC, _DAMPING, *_FULL[3:-3], _DRIVE), _BRIEF, 0.19, 600),
     Variant("dynamic", "30 s", _ROUGH, _NEAR, Axis("end", 30.0, 30.0), 0.01, 60_000, slopes=False),
+    *(_drawn(number, (*_FULL, _DAMPING, *_ADDED)) for number in range(1, _JOINTS + 1)),
+    Variant("options", "passive", _BUILT, (*_FREE, *_ADDED[:2], *_ADDED[4:]), _BRIEF, 0.1, 600, fixed=_STILL),
 )  # fmt: skip
 
 
