@@ -505,6 +505,9 @@ class AbstractModel(eqx.Module):
         """What a run says of the model as a whole: entries of the summary, and by file name tables.
 
         A table has (T,) columns by their heads, which hold a unit, as ``seat_ball.x [N]``; time is not among them.
+        An entry ``engineering`` is shown beside the contacts: by contact numbers, or pairs, of the keys in its ``units``,
+        called by its ``titles``; a ``note`` on them; a ``warning``; ``quantities``, by name numbers by what they are
+        (mean, peak), and their ``unit``; a ``quantities_note``.
         """
         del params, run
         return {}, {}

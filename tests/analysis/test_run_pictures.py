@@ -169,6 +169,10 @@ def test_bounces_between_samples_are_counted_and_warned_of_where_they_matter(res
 
 def test_a_column_of_contacts_between_samples_is_there_where_one_was_missed():
     scene = bj.scenes.impact()
-    assert "between samples" not in str(page.contact_rows(scene, {"contact": {"peak": 1.0, page.BETWEEN: 0}}))
+    assert "between samples" not in str(
+        page.contact_rows(scene, {"contacts": {"contact": {"peak": 1.0, page.BETWEEN: 0}}})
+    )
     contacts = {"contact": {"peak": 1.0, page.BETWEEN: 7}}
-    assert ["between samples", "7"] in page.contact_rows(scene, contacts) and "leave out" in page.note(contacts)
+    assert ["between samples", "7"] in page.contact_rows(scene, {"contacts": contacts}) and "leave out" in page.note(
+        contacts
+    )

@@ -15,6 +15,7 @@ from bcfj_jax.analysis.simulation.views import Turning
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.io import report
 from bcfj_jax.io.page import BAD, FAIR, GOOD, Page, Picture, Rows, Table, Verdict, brief, percent, span
+from bcfj_jax.io.units import engineering
 from bcfj_jax.mechanism.channels import Channel
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.mechanism.readings import STATES
@@ -134,15 +135,20 @@ def _rows(
     cell: Callable[[list[Any], str], str],
     without: Sequence[str] = (),
     between: bool = False,
+    beside: Mapping[str, Sequence[str]] | None = None,
 ) -> list[list[str]]:
-    """Features across and contacts down; the other way round for one or two contacts."""
+    """Features across and contacts down; the other way round for one or two contacts, and with more features ``beside``,
+    which would not fit on a screen: by heading a cell a contact.
+    """
     there = {key for _, group in groups for one in group for key in one} - set(without)
     known = [(key, unit) for key, unit in features.UNITS.items() if key in there]
     known += [(BETWEEN, "1")] if between else []
     rows = [["contact", *(key.replace("_", " ") for key, _ in known)]]
     for name, group in groups:
         rows.append([name, *(cell([one.get(key) for one in group], unit) for key, unit in known)])
-    return _turned(rows) if len(groups) < 3 else rows
+    for heading, cells in (beside or {}).items():
+        rows = [[*row, cell] for row, cell in zip(rows, (heading, *cells), strict=True)]
+    return _turned(rows) if len(groups) < 3 or beside else rows
 
 
 def _turned(rows: list[list[str]]) -> list[list[str]]:
@@ -167,18 +173,51 @@ def _shares(groups: Sequence[tuple[str, list[Mapping[str, Any]]]]) -> Rows:
     return rows
 
 
-def contact_rows(scene: AbstractModel, contacts: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
-    """Features of every contact, of its members the range, with three digits."""
-    groups = by_contact(scene, contacts)
+def contact_rows(scene: AbstractModel, content: Mapping[str, Any]) -> list[list[str]]:
+    """Features of every contact, of its members the range, with three digits; and what the model's engineers read."""
+    groups = by_contact(scene, content["contacts"])
     # Of several contacts what fits on a screen.
-    return _rows(groups, _cell, _ASIDE if len(groups) > 2 else (), bool(note(contacts)))
+    without = _ASIDE if len(groups) > 2 else ()
+    return _rows(groups, _cell, without, bool(note(content["contacts"])), _engineering(groups, content))
+
+
+def _engineering(groups: Sequence[tuple[str, Any]], content: Mapping[str, Any]) -> dict[str, list[str]]:
+    """By heading a cell a contact of the summary's entry ``engineering`` (``AbstractModel.whole``); the force is the peak."""
+    found = content.get("engineering", {})
+    known = [found.get(name.partition(" ")[0], {}) for name, _ in groups]
+    units = {key: unit for key, unit in found.get("units", {}).items() if key != "force"}
+    titles = found.get("titles", {})
+    return {
+        titles.get(key, key): [_pair(one.get(key), unit) for one in known]
+        for key, unit in units.items()
+        if any(key in one for one in known)
+    }
+
+
+def _pair(value: Any, unit: str) -> str:
+    """A number, or two as "1.2 x 0.3 mm"."""
+    if not isinstance(value, Sequence):
+        return brief(value, unit)
+    scale, prefix = engineering([x for x in value if x is not None], unit)
+    sizes = " x ".join("-" if x is None or math.isnan(x) else f"{x * scale:.3g}" for x in value)
+    return f"{sizes} {prefix.replace('u', 'µ')}{unit}"
+
+
+def quantity_rows(content: Mapping[str, Any]) -> list[list[str]]:
+    """What the model's engineers read of it as a whole: a row a quantity of ``engineering``; none without."""
+    found = content.get("engineering", {}).get("quantities", {})
+    columns = list(dict.fromkeys(key for one in found.values() for key in one if key != "unit"))
+    rows = [["quantity", *columns]] if found else []
+    for name, one in found.items():
+        rows.append([name, *(brief(one.get(key), one["unit"]) for key in columns)])
+    return rows
 
 
 def note(contacts: Mapping[str, Mapping[str, Any]]) -> str:
     """What the column of contacts that no sample shows means; "" where there is none."""
     if not any(one.get(BETWEEN) for one in contacts.values()):
         return ""
-    return "Between samples: contacts too short for the samples, which the other columns leave out. "
+    return "Between samples: contacts too short for the samples, which the other features leave out. "
 
 
 def tables(scene: AbstractModel, content: Mapping[str, Any]) -> list[Table]:
@@ -197,7 +236,11 @@ def tables(scene: AbstractModel, content: Mapping[str, Any]) -> list[Table]:
     text = f"{note(contacts)}Three significant digits; all digits: summary.json."
     if many:
         text = f"Of contacts with members the range over the members. {text}"
-    found = [Table("Contacts", contact_rows(scene, contacts), text, tuple(folded))]
+    read = content.get("engineering", {})
+    text = f"{read.get('note', '')} {text}".strip()
+    found = [Table("Contacts", contact_rows(scene, content), text, tuple(folded))]
+    if rows := quantity_rows(content):
+        found.append(Table("Moments and forces on parts", rows, read.get("quantities_note", "")))
     if accuracy := content.get("accuracy"):
         found.append(_accuracy(accuracy))
     return found
@@ -218,7 +261,9 @@ def whole_table(content: Mapping[str, Any]) -> list[Table]:
     """What the summary says of the model as a whole: every group of numbers that is neither contacts nor solver."""
     rows = [["quantity", "value"]]
     for group, values in content.items():
-        if group in ("contacts", "accuracy", "solver", "units", "fidelity") or not isinstance(values, Mapping):
+        if group in ("contacts", "accuracy", "solver", "units", "fidelity", "engineering") or not isinstance(
+            values, Mapping
+        ):
             continue
         units = values.get("units", {})
         for key, value in values.items():

@@ -298,9 +298,12 @@ def write(folder: Path, given: SceneFile, run: Run, stem: str) -> Written:
     for name, columns in extra.items():
         outputs.write_histories(folder / name, run.times, columns)
     content = summary(run, given.scene.traits.turning) | whole
+    warnings += filter(None, [whole.get("engineering", {}).get("warning")])
     content |= {"warnings": warnings}
     outputs.write_json(folder / "summary.json", content)
-    tables = [page.contact_rows(given.scene, content["contacts"])] if run.force else []
+    tables = [page.contact_rows(given.scene, content)] if run.force else []
+    if rows := page.quantity_rows(content):
+        tables.append(rows)
     if given.reads:
         tables.append(_readings_rows(given, run))
     answer = page.verdict(run, content)

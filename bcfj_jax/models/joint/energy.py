@@ -21,7 +21,7 @@ from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.numerics import positive, smooth_ramp
 from bcfj_jax.models.joint import system
 from bcfj_jax.models.joint.bands import Band, act
-from bcfj_jax.models.joint.constants import Constants
+from bcfj_jax.models.joint.constants import BALLS, Constants
 from bcfj_jax.models.joint.contacts import ContactForce, Geometry, dot
 from bcfj_jax.models.joint.guides import GUIDES
 from bcfj_jax.models.joint.law_pair import ContactLaws, LawPair
@@ -122,13 +122,26 @@ def _elastic(laws: ContactLaws | LawPair, penetration: Array) -> Array:
 
 
 def _friction(part: _Acting) -> Array:
-    """Power [W] that friction takes at all faces:  N mu(|u|) |u|,  of bristles what their actual force takes."""
+    """Power [W] that friction takes at each face:  N mu(|u|) |u|,  of bristles what their actual force takes."""
     if part.touch.rubbed is not None:
-        return jnp.sum(part.touch.rubbed)
+        return part.touch.rubbed
     if part.laws.friction is None:
-        return jnp.zeros(())
+        return jnp.zeros_like(part.touch.normal)
     squared = part.touch.slip**2
-    return jnp.sum(part.touch.normal * part.laws.mobility(squared) * squared)
+    return part.touch.normal * part.laws.mobility(squared) * squared
+
+
+def rubbed(scene: Joint, c: Constants, y: Array) -> dict[str, Array]:
+    """Power [W] that friction takes by contact, all members', in one flat state; their sum is ``Power.friction``."""
+    found: dict[str, Array] = {}
+    for name, part in _acting(scene, c, system.view(scene, c, y)).items():
+        faces = _friction(part)
+        if name == "pilots":
+            found |= dict(zip(scene.pilots, jnp.sum(faces, -1), strict=True))
+        else:
+            first = BALLS.index("cage_ball") if name == "windows" else 0
+            found |= dict(zip(BALLS[first : first + faces.shape[1]], jnp.sum(faces, (0, 2)), strict=True))
+    return {contact.name: found[contact.name] for contact in scene.contacts}
 
 
 def _damping(part: _Acting) -> Array:
@@ -193,7 +206,7 @@ def power(scene: Joint, c: Constants, t: Array, y: Array) -> Power:
         hold=_hold(scene, c, state),
         load=torque * state.head_spin,
         axial=axial * (state.head_velocity @ c.axes[1]),
-        friction=sum((_friction(part) for part in found.values()), jnp.zeros(())),
+        friction=sum((jnp.sum(_friction(part)) for part in found.values()), jnp.zeros(())),
         damping=sum((_damping(part) for part in found.values()), c.drive_damping * slip**2),
         edge=sum((_edge(part) for part in found.values()), jnp.zeros(())),
     )

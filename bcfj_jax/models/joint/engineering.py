@@ -6,11 +6,13 @@ ball in a groove, circle of a ball on a flat window, sphere in a socket for pilo
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.typing import ArrayLike
 
 from bcfj_jax.core.programs import ask
 from bcfj_jax.mechanism.model import Params
@@ -21,6 +23,11 @@ from bcfj_jax.models.joint.validity import LIMIT
 # ISO 76: largest pressure of a ball's static load rating [Pa]; a lasting dent of 1e-4 of the ball's diameter.
 ISO_76 = 4.2e9
 UNITS = {"force": "N", "pressure": "Pa", "half_axes": "m", "power": "W"}
+TITLES = {"pressure": "Hertz pressure", "half_axes": "half-axes of patch", "power": "friction power"}
+NOTE = (
+    "Pressure and half-axes of the patch are Hertz's at the highest normal force of each contact; friction power is that of "
+    "all members, the mean of the last two thirds."
+)
 
 
 def _patches(scene: Joint, params: Params, forces: dict[str, Array]) -> dict[str, tuple[Array, Array, Array, Array]]:
@@ -32,31 +39,46 @@ def _patches(scene: Joint, params: Params, forces: dict[str, Array]) -> dict[str
     return found
 
 
-def of_the_contacts(scene: Joint, params: Params, run: Any) -> dict[str, Any]:
+def of_the_contacts(
+    scene: Joint, params: Params, run: Any, rubbed: Mapping[str, ArrayLike] | None = None
+) -> dict[str, Any]:
     """By contact: pressure and half-axes at the highest force, mean power lost to friction, and what is void.
 
     Args:
         scene, params: the joint's.
         run: a run of it; NaN where it failed is left out.
+        rubbed: by contact (T,) power that friction takes of all members [W]; none of a model without friction.
 
     Returns:
-        By contact a dict with ``force``, ``pressure``, ``half_axes`` (long, short), ``power`` (all members', mean of
-        the last two thirds) and ``void``, a sentence or ""; and ``units``.
+        By contact a dict with ``force``, ``pressure``, ``half_axes`` (long, short), ``power`` (mean of the last
+        two thirds) and ``void``, a sentence or "". Beside them ``units``,
+        ``note`` and ``warning``, which says where elastic laws are void, or "".
     """
     forces = {name: jnp.asarray(np.nanmax(np.abs(run.force[name][..., 0]))) for name in run.force}
     patches = ask("joint's patches", _patches, (scene,), (dict(params), forces))
     late = run.times >= run.times[-1] / 3.0
     found: dict[str, Any] = {}
+    yields, wide = [], []
     for name, force in forces.items():
         pressure, long, short, radius = (float(x) for x in patches[name])
-        drag = np.linalg.norm(run.force[name][..., 1:], axis=-1)
-        rubbed = (drag * run.slip[name])[late] if name in run.slip else np.zeros(1)
-        power = float(np.nanmean(rubbed.reshape(len(rubbed), -1).sum(axis=1)))
         # A clearance of 0 has no patch.
         void = _void(name, pressure, max(long, short) / radius) if np.isfinite(pressure) else "no clearance, no patch"
         halves = [max(long, short), min(long, short)]
-        found[name] = {"force": float(force), "pressure": pressure, "half_axes": halves, "power": power, "void": void}
-    return found | {"units": UNITS}
+        found[name] = {"force": float(force), "pressure": pressure, "half_axes": halves}
+        found[name] |= {"power": float(np.nanmean(np.asarray(rubbed[name])[late]))} if rubbed else {}
+        found[name]["void"] = void
+        yields += [f"{name} {pressure / 1e9:.3g} GPa"] if pressure > ISO_76 else []
+        wide += [f"{name} {max(halves) / radius:.2g}"] if max(halves) > LIMIT * radius else []
+    return found | {"units": UNITS, "titles": TITLES, "note": NOTE, "warning": _warning(yields, wide)}
+
+
+def _warning(yields: list[str], wide: list[str]) -> str:
+    parts = []
+    if yields:
+        parts.append(f"the surface yields above 4.2 GPa (ISO 76, ball contact): {', '.join(yields)}")
+    if wide:
+        parts.append(f"a patch wider than {LIMIT:g} of the radius is too wide for Hertz: {', '.join(wide)}")
+    return f"elastic laws are void at the highest forces: {'; '.join(parts)}" if parts else ""
 
 
 def _void(name: str, pressure: float, width: float) -> str:

@@ -34,7 +34,17 @@ from bcfj_jax.mechanism.model import (
     Variant,
 )
 from bcfj_jax.mechanism.structure import AbstractStructure
-from bcfj_jax.models.joint import drawing, engineering, envelope, programmes, summary, system, validity, variants
+from bcfj_jax.models.joint import (
+    drawing,
+    engineering,
+    envelope,
+    moments,
+    programmes,
+    summary,
+    system,
+    validity,
+    variants,
+)
 from bcfj_jax.models.joint.arrowhead import Arrowhead
 from bcfj_jax.models.joint.batched_newton import origin
 from bcfj_jax.models.joint.checks import check_joint
@@ -74,7 +84,7 @@ _PHYSICS = {
     "quasistatic": "equilibrium at each instant: no inertia, no friction, no damping, no impacts",
     "dynamic": "",
 }
-_TABLE = "resultants.csv"
+_TABLE, _MOMENTS = "resultants.csv", "moments.csv"
 
 
 class JointModel(Joint):
@@ -314,22 +324,26 @@ class JointModel(Joint):
 
     @property
     def tables(self) -> tuple[str, ...]:
-        """Resultants, of a joint that moves."""
-        return (_TABLE,) if self.in_motion else ()
+        """Resultants and moments, of a joint that moves."""
+        return (_TABLE, _MOMENTS) if self.in_motion else ()
 
     def whole(self, params: Params, run: Any) -> tuple[dict[str, Any], dict[str, dict[str, np.ndarray]]]:
-        """Transmission, energy and the cage's equilibrium; resultants. Of motion only."""
+        """Pressure, patch and power of contacts; of motion transmission, energy, the cage's equilibrium, resultants."""
         scene = resolved(self, run.choice.fidelity) if run.choice else self
         if not scene.in_motion:
-            return {}, {}
+            return {"engineering": engineering.of_the_contacts(scene, params, run)}, {}
         found = whole(scene, params, run.times, run.trajectory)
+        assert found.moments is not None
         columns = {
             f"{contact.name}.{axis} [N]": np.asarray(found.resultants[contact.name])[:, k]
             for contact in self.contacts
             for k, axis in enumerate("xyz")
         }
         entries = summary.of_the_whole(run.times, found)
-        return entries | {"engineering": engineering.of_the_contacts(scene, params, run)}, {_TABLE: columns}
+        read = engineering.of_the_contacts(scene, params, run, found.rubbed)
+        read |= {"quantities": moments.quantities(scene, run.times, found.moments), "quantities_note": moments.NOTE}
+        tables = {_TABLE: columns, _MOMENTS: moments.table(scene, found.moments)}
+        return entries | {"engineering": read}, tables
 
     def orbits(self, params: Params, run: Any) -> dict[str, Orbit]:
         """The cage in the seat, across the seat's axis, and the head in the cage, across the head's; of motion only.

@@ -27,6 +27,7 @@ from bcfj_jax.models.joint import energy
 from bcfj_jax.models.joint.attitude import cage_axes
 from bcfj_jax.models.joint.constants import Constants, constants
 from bcfj_jax.models.joint.contacts import ContactForce, dot
+from bcfj_jax.models.joint.moments import Moments, moments
 from bcfj_jax.models.joint.scene import GROOVES, Joint
 from bcfj_jax.models.joint.system import (
     State,
@@ -183,6 +184,8 @@ class Whole(NamedTuple):
         cage_residual: (T, 3) Newton's law of the cage, ``energy.cage_equilibrium`` [N]; None for a fixed cage.
         angle_error: (T,) head's turn less seat's [rad].
         speed_ratio: (T,) head's speed over seat's [-].
+        rubbed: by contact (T,) power that friction takes [W].
+        moments: ``moments.Moments``; None in a summary made by hand.
     """
 
     resultants: dict[str, Array]
@@ -191,6 +194,8 @@ class Whole(NamedTuple):
     cage_residual: Array | None
     angle_error: Array
     speed_ratio: Array
+    rubbed: dict[str, Array] = {}
+    moments: Moments | None = None
 
 
 def whole(scene: Joint, params: Params, times: Array, states: Array) -> Whole:
@@ -215,6 +220,8 @@ def _whole(scene: Joint, params: Params, times: Array, states: Array) -> Whole:
             energy.cage_equilibrium(scene, c, y, t) if scene.cage == "free" else None,
             state.head_turn - state.seat_turn,
             state.head_spin / state.seat_spin,
+            energy.rubbed(scene, c, y),
+            moments(scene, c, t, y),
         )
         return jax.tree.map(lambda x: x + failed, found)
 

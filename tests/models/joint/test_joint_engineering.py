@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from joints import plain_joint
 
+from bcfj_jax.analysis.simulation.page import contact_rows
 from bcfj_jax.models.joint.coefficients import patch
 from bcfj_jax.models.joint.engineering import of_the_contacts
 
@@ -34,8 +35,11 @@ def test_patches_power_and_what_is_void():
     force = {name: np.zeros((31, 6, 3) if "ball" in name else (31, 3)) for name in ("cage_ball", "seat_cage")}
     force["cage_ball"][..., 0] = -5e3
     force["seat_cage"][:] = [20e3, 300.0, 400.0]
-    slip = {"cage_ball": np.zeros((31, 6)), "seat_cage": np.full(31, 0.02)}
-    found = of_the_contacts(scene, params, SimpleNamespace(times=times, force=force, slip=slip))
+    run, rubbed = (
+        SimpleNamespace(times=times, force=force),
+        {"cage_ball": 0.0 * times, "seat_cage": 10.0 * (times >= 1.0)},
+    )
+    found = of_the_contacts(scene, params, run, rubbed)
     window, pilot = found["cage_ball"], found["seat_cage"]
     # Circle of a ball on a flat: a^3 = 3 F r/(4 E*), p = 3 F/(2 pi a^2).
     a = (3 * 5e3 * 8e-3 / (4 * 113e9)) ** (1 / 3)
@@ -43,5 +47,12 @@ def test_patches_power_and_what_is_void():
     assert window["pressure"] == pytest.approx(1.5 * 5e3 / (np.pi * a * a), rel=1e-6)
     # The audit's 5.8 GPa at 5 kN.
     assert window["pressure"] == pytest.approx(5.8e9, rel=0.01) and "ISO 76" in window["void"]
-    assert pilot["power"] == pytest.approx(500.0 * 0.02) and window["power"] == 0.0
+    assert pilot["power"] == 10.0 and window["power"] == 0.0
     assert pilot["half_axes"][0] / 39.95e-3 > 0.3 and "too wide" in pilot["void"]
+    assert "yields above 4.2 GPa (ISO 76, ball contact): cage_ball 5.78 GPa; a patch" in found["warning"]
+    content = {"contacts": {"seat_cage": {"peak": 20e3}} | {f"cage_ball_{k}": {"peak": k} for k in range(1, 7)}}
+    rows = {row[0]: row[1:] for row in contact_rows(scene, content | {"engineering": found})}
+    assert rows["feature"] == ["seat_cage", "cage_ball (1 to 6)"] and rows["peak"] == ["20 kN", "1 to 6 N"]
+    assert rows["half-axes of patch"][1] == "643 x 643 µm" and rows["Hertz pressure"][1] == "5.78 GPa"
+    assert rows["friction power"] == ["10 W", "0 W"]
+    assert "power" not in of_the_contacts(scene, params, run)["seat_cage"]

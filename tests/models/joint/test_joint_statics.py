@@ -9,11 +9,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from joints import QUICK
 from oracles import within
 from scipy.optimize import root
 
 from bcfj_jax import laws
-from bcfj_jax.models.joint import geometry, system
+from bcfj_jax.models.joint import geometry, moments, system
 from bcfj_jax.models.joint.constants import constants, laws_of
 from bcfj_jax.models.joint.kinematic import ball_loads, kinematic_readings, kinematic_states, penetration
 from bcfj_jax.models.joint.model import JointModel
@@ -94,6 +95,30 @@ def test_deflected_joint_against_the_sheet():
     for race in (0, 1):
         assert touch.grooves.normal[0, :, race].sum(-1) == within(NORMAL[MIRROR], 5e-3)
     assert touch.windows.normal[0, :, 0] - touch.windows.normal[0, :, 1] == within(CAGE[MIRROR], 5e-3)
+
+
+@pytest.mark.full
+def test_secondary_couple_of_a_bent_joint():
+    # Stiff, without play or friction: constant velocity, and T tan(beta/2) on either shaft.
+    params = rigid(40.0, 10.0)
+    states, _ = solved(LINEAR, params, [turn(params)])
+    still = states[0].at[3 * LINEAR.balls + LINEAR.coupling :].set(0.0)
+    c = constants(LINEAR, params)
+
+    @functools.partial(jax.jit, compiler_options=QUICK)
+    def look(y):
+        return moments.moments(LINEAR, c, jnp.ones(()), y), moments.on_parts(LINEAR, c, system.view(LINEAR, c, y))
+
+    found, parts = look(still)
+    couple = 1800.0 * math.tan(math.radians(5.0))
+    for shaft in ("seat", "head"):
+        assert abs(found.secondary[shaft]) == within(couple, 5e-3)
+        assert found.bearings[shaft].moment == pytest.approx(np.array([-found.secondary[shaft], 0.0, 0.0]), abs=1.0)
+    # The balance of the held joint: couples of both shafts and torques cancel; across its axis the cage is in equilibrium.
+    seat, head = (sum(x.moment for x in parts[shaft].values()) for shaft in ("seat", "head"))
+    assert seat + head == pytest.approx(np.zeros(3), abs=1e-4)
+    assert sum(found.cage.values())[:2] == pytest.approx(np.zeros(2), abs=0.02)
+    assert head @ c.axes[1] == within(1800.0, 1e-6)
 
 
 # At azimuths 0, 60, ...; between them it is 24 % of the least loaded ball at 10 degrees.
