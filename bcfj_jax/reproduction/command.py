@@ -216,7 +216,9 @@ def _page(
 ) -> Page:
     """The report: how many of the paper's claims the model reaches, and the table of them."""
     first, *others = [Table(title, rows) for title, rows in parts]
-    first = _folded(first, f"{tables.AS_GIVEN} {tables.CALIBRATED}")
+    first = _folded(
+        first, f"Three verdicts are those of the three runs, in order. {tables.AS_GIVEN} {tables.CALIBRATED}"
+    )
     folded = tuple(table for table in others if table.title not in _OPEN)
     others = [table for table in others if table.title in _OPEN]
     name = CALIBRATED if CALIBRATED in measured else GIVEN
@@ -254,8 +256,9 @@ def _folded(claims: Table, note: str) -> Table:
     figures = {row.id for row in CLAIMS if row.kind == FIGURE}
     at = head.index("verdict")
     # What a reader looks for fits on the screen.
-    first = [[row[0], row[1], row[at], *row[2:at]] for row in (head, *(row for row in rows if row[0] in figures))]
-    how = [[row[0], row[1], *row[at + 1 :]] for row in (head, *(row for row in rows if row[0] in figures))]
+    shown = (head, *(row for row in rows if row[0] in figures))
+    first = [[row[0], row[1], row[at], _short(row[2], 30), *row[3:at]] for row in shown]
+    how = [[row[0], row[1], *row[at + 1 :]] for row in shown]
     rest = [head, *(row for row in rows if row[0] not in figures)]
     return Table(
         claims.title, first, note,

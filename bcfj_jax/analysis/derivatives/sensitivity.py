@@ -107,8 +107,7 @@ def sensitivity(
 
     One compiled program per scene, number of times and ``wrt``; other values, times and accuracies reuse it. With a
     certificate the tolerance is tightened by 4 until the averaged derivatives of every parameter with more than 1 %
-    of the largest influence agree with those before, within ``3 force_error`` (1 % to 10 %; 3 % at ``balanced``); or,
-    from the third tolerance on, until the derivatives of the ``features`` asked for agree within 3 %.
+    of the largest influence agree with those before, within ``3 force_error`` (1 % to 10 %; 3 % at ``balanced``).
 
     Args:
         scene, params, times, accuracy, max_steps: as ``simulate``.
@@ -162,8 +161,7 @@ def sensitivity(
         ahead(partial(prepared, scene, full, names, max_steps))
     if certify and differences != "none" and budget != 0.0:
         ahead(partial(compiled, scene, full, t, plan(scene, _fine(scene, error, 1), MAX_STEPS)))
-    answered = partial(_answered, scene, full, t, names, wanted) if asked else None
-    climbed = _climb(scene, full, t, names, how, error, average, levels if certify else 0, answered)
+    climbed = _climb(scene, full, t, names, how, error, average, levels if certify else 0)
     last = climbed[-1]
     turning = scene.traits.turning
     numbers, slopes = measure(t, last.value, last.derivative, wanted, contacts, turning)
@@ -237,22 +235,10 @@ def _values(params: Params, names: Sequence[str]) -> np.ndarray:
     return np.array([float(params[name]) for name in names])
 
 
-def _answered(scene, params, times, names, wanted, before: Level, last: Level) -> bool:
-    """Whether the derivatives of the features that were asked for agree within 3 % between two levels."""
-    known = [measure(times, x.value, x.derivative, wanted, scene.members, scene.traits.turning) for x in (before, last)]
-    (_, first), (numbers, second) = known
-    # NaN where one is unknown: not answered.
-    return bool(np.all(verdicts.apart(first, second, numbers, _values(params, names)) <= verdicts.POINTWISE))
-
-
-def _climb(
-    scene, params, times, names, how: Plan, error: float, average: float, levels: int,
-    answered: Callable[[Level, Level], bool] | None,
-) -> list[Level]:  # fmt: skip
+def _climb(scene, params, times, names, how: Plan, error: float, average: float, levels: int) -> list[Level]:
     """Solves at tolerances 4 times tighter each, until two agree, the budget is spent or nothing helps.
 
-    A stiff model whose first two disagree goes on at ``reference``, tangents in the step control. Where features were
-    asked for, it is enough from there on that their derivatives agree: histories may differ still.
+    A stiff model whose first two disagree goes on at ``reference``, tangents in the step control.
     """
     # The first two are always compared.
     starts = [how, Plan(np.asarray(0.25 * how.tolerance), how.max_steps, how.tangents)][: 1 + min(levels, 1)]  # pyright: ignore[reportArgumentType]
@@ -278,8 +264,6 @@ def _climb(
         lost = worst > 0.5 and any(map(verdicts.chaotic, verdicts.growths(times, climbed[-1], values), found))
         # A solve at a quarter of the tolerance takes 4^(1/2) times the steps at most.
         if worst <= target(error) or lost or 2 * climbed[-1].steps > how.max_steps:
-            break
-        if answered and len(climbed) > 2 and answered(*climbed[-2:]):
             break
     # A certificate compares two; a run that failed is compared with itself.
     return climbed if len(climbed) > 1 or not levels else climbed * 2
