@@ -38,7 +38,8 @@ def _study(
 @verb(
     studies,
     "run",
-    example="bcfj study run clearance --set vary.clearance_seat_cage.steps=8 --dry-run",
+    example="bcfj study run clearance --out study\n"
+    "bcfj study run examples/impact_spread.toml --set design.samples=16 --dry-run",
     changed=of_study,
     changes=CHANGES_DRAWN,
 )
