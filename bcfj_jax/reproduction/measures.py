@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bcfj_jax.analysis import features, histories
+from bcfj_jax.analysis.derivatives.starting import SETTLED, of_members, starting
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.reproduction.claims import claim
 from bcfj_jax.reproduction.frames import ORDER, WINDOW_AXIAL, WINDOW_NORMAL, later
@@ -20,9 +21,6 @@ from bcfj_jax.solve.simulation import Run
 
 # How many times the other components a force must be to be "far above" them.
 FAR_ABOVE = 5.0
-SETTLED_WITHIN = 0.05
-# Share of its settled peak at which a contact's load has begun.
-BEGUN = 0.05
 # Of ball centres [m].
 RIM = 35.5e-3
 
@@ -139,12 +137,10 @@ def _peaks(run: Run) -> dict[str, Measured]:
     }
 
 
-def _onset(run: Run, name: str, turn: float) -> float:
-    """When the first ball of a contact bears ``BEGUN`` of its settled peak [s]; NaN where none does."""
-    force = resultant(run.force[name])
-    found = [histories.start_up_time(run.times, force[:, k], BEGUN, turn) for k in range(force.shape[1])]
-    known = [time for time in found if math.isfinite(time)]
-    return min(known, default=math.nan)
+def _started(kind: str, times: np.ndarray, forces: np.ndarray, turn: float) -> float:
+    """A feature of ``starting`` [s] of the members' forces (T, k)."""
+    none = np.zeros((0, times.size))
+    return of_members(kind, [starting(kind, times, force, none, turn) for force in forces.T])[0]
 
 
 def _parted(run: Run) -> float:
@@ -159,18 +155,17 @@ def _parted(run: Run) -> float:
 def _start(run: Run, fine: Run, turn: float) -> dict[str, Measured]:
     """Onsets, start-up window and settling."""
     t, force = run.times, run.force["seat_ball"][..., 0]
-    try:
-        first, second = (_onset(fine, name, turn) for name in ("seat_ball", "head_ball"))
-        settled = max(histories.settling_time(t, force[:, k], turn, SETTLED_WITHIN) for k in range(force.shape[1]))
-    except InputError:
-        first = second = settled = math.nan
+    first, second = (
+        _started("onset", fine.times, resultant(fine.force[name]), turn) for name in ("seat_ball", "head_ball")
+    )
+    settled = _started("settling", t, force, turn)
     return {
         "Q29": Measured(
             (second - first,),
             f"loads begin at {1e3 * first:.3g} ms at point 4 and {1e3 * second:.3g} ms at point 5",
         ),
         "Q30": Measured((_parted(fine),), "both pilots bear without a break from there"),
-        "Q31": Measured((settled,), f"every ball repeats itself within {SETTLED_WITHIN:.0%} of its peak from there"),
+        "Q31": Measured((settled,), f"every ball repeats itself within {SETTLED:.0%} of its peak from there"),
     }
 
 

@@ -15,6 +15,7 @@ from bcfj_jax.analysis.derivatives.jacobian import channel_names, histories
 from bcfj_jax.analysis.derivatives.measures import vector as feature_vector
 from bcfj_jax.analysis.derivatives.names import Feature, complete
 from bcfj_jax.analysis.derivatives.names import feature as named
+from bcfj_jax.analysis.derivatives.starting import START
 from bcfj_jax.core.errors import InputError, texts
 from bcfj_jax.core.programs import program
 from bcfj_jax.core.quantities import increasing, real
@@ -57,7 +58,7 @@ def hessian_vector(
     contacts = scene.members
     (one,) = texts("feature", [feature], 'name one feature, such as "contact.mean"')
     wanted = named(one, contacts)
-    if wanted.kind in ("period", "delay"):
+    if wanted.kind in ("period", "delay", *START):
         raise InputError(f"feature '{feature}'", "no second derivatives", "take peak, mean, impulse or another")
     v = real("vector", "vector", vector)
     if v.shape != (len(names),) or not np.isfinite(v).all():

@@ -20,6 +20,7 @@ from bcfj_jax.analysis import features
 from bcfj_jax.analysis import histories as comparison
 from bcfj_jax.analysis.derivatives.jacobian import Histories, channel_names
 from bcfj_jax.analysis.derivatives.names import Feature, members
+from bcfj_jax.analysis.derivatives.starting import START, of_members, starting
 from bcfj_jax.analysis.histories import correlations, crest_lags, shifts
 
 _FEWEST = 11  # samples: a residual of order 9 over fewer is rounding
@@ -62,7 +63,7 @@ def vector(
     every = jax.vmap(lambda f, d: channel_features(times, f, d), in_axes=1)(normal, found.penetration)
 
     def one(feature: Feature) -> Array:
-        if feature.kind == "period":
+        if feature.kind in ("period", *START):
             return jnp.asarray(0.0)  # filled in by ``measure``
         if feature.kind == "delay":
             first, second = (members(c, contacts) for c in feature.contacts)
@@ -101,7 +102,9 @@ def measure(
     """
     names = channel_names(contacts)
     place = {name: i for i, name in enumerate(names)}
-    needed = {m for f in wanted if f.kind in ("period", "delay") for c in f.contacts for m in members(c, contacts)}
+    needed = {
+        m for f in wanted if f.kind in ("period", "delay", "settling") for c in f.contacts for m in members(c, contacts)
+    }
     periods = {n: _period(times, value, derivative, i, turning) for i, n in enumerate(names) if n in needed}
     even = _Even(times)
 
@@ -114,6 +117,13 @@ def measure(
         own = members(feature.contacts[0], contacts)
         if feature.kind == "period":
             return _mean([periods[m] for m in own])
+        if feature.kind in START:
+            each = [
+                starting(feature.kind, times, value.force[:, place[m], 0], derivative.force[:, :, place[m], 0], cycle)
+                for m in own
+                for cycle in (periods[m][0] if m in periods else float("nan"),)
+            ]
+            return of_members(feature.kind, each)
         found = [_along(feature.kind, times, value, derivative, place[m]) for m in own]
         if feature.kind in ("peak", "largest"):
             return found[int(np.argmax([x for x, _ in found]))]

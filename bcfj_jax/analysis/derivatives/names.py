@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from jax import Array
 
+from bcfj_jax.analysis.derivatives.starting import START
 from bcfj_jax.core.errors import InputError, nearest, texts
 from bcfj_jax.mechanism.channels import is_reading, unit_of
 from bcfj_jax.mechanism.model import AbstractModel, Params
@@ -16,9 +17,9 @@ FEATURES = (
     "peak", "mean", "impulse", "period", "dissipated_work", "residual_oscillation", "contact_fraction",
 )  # fmt: skip
 # By kind; ``largest`` is the greatest size of a reading of either sign, and ``ripple`` its greatest less its least value
-# over the last two thirds of the run. Both are taken where they are named.
+# over the last two thirds of the run; ``starting`` has those of a start. All are taken where they are named.
 UNITS: dict[str, str] = dict(zip((*FEATURES, "delay"), ("N", "N", "N s", "s", "J", "N", "1", "s"), strict=True))
-UNITS |= {"largest": "N", "ripple": "N"}
+UNITS |= {"largest": "N", "ripple": "N"} | dict.fromkeys(START, "s")
 READING_FEATURES = ("largest", "mean")
 
 

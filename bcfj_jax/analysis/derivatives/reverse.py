@@ -16,6 +16,7 @@ from bcfj_jax.analysis.derivatives.certificate import Certificate, Check
 from bcfj_jax.analysis.derivatives.jacobian import histories
 from bcfj_jax.analysis.derivatives.measures import vector
 from bcfj_jax.analysis.derivatives.names import Feature
+from bcfj_jax.analysis.derivatives.starting import START
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.programs import program
 from bcfj_jax.core.status import OK, STEEP
@@ -41,10 +42,12 @@ def reversible(wanted: Sequence[Feature]) -> list[Feature]:
     Raises:
         InputError: where there is none.
     """
-    good = [f for f in wanted if f.kind not in ("period", "delay")]
+    good = [f for f in wanted if f.kind not in ("period", "delay", *START)]
     if not good:
         found = ", ".join(f.name for f in wanted)
-        raise InputError("features", found, "periods and delays are differentiated with mode='forward'")
+        raise InputError(
+            "features", found, "periods, delays and times of a start are differentiated with mode='forward'"
+        )
     return good
 
 

@@ -24,12 +24,13 @@ from jax import Array
 from bcfj_jax.analysis.derivatives.jacobian import Histories, channel_names
 from bcfj_jax.analysis.derivatives.measures import vector
 from bcfj_jax.analysis.derivatives.names import UNITS, Feature, feature, feature_unit, members
+from bcfj_jax.analysis.derivatives.starting import START
 from bcfj_jax.core.errors import InputError, quoted, texts
 
 # Beside the features of ``derivatives``: the deepest penetration, and the greatest |F| where a force has two signs.
 OWN = {"peak_penetration": "m", "largest": "N"}
 _PEAKS = ("peak", *OWN)
-_NOT = ("period",)
+_NOT = ("period", *START)
 
 Combine = Callable[[Mapping[str, Array]], Array]
 

@@ -18,6 +18,7 @@ from jax.sharding import Mesh, PartitionSpec
 from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel, channel_names
 from bcfj_jax.analysis.derivatives.measures import vector
 from bcfj_jax.analysis.derivatives.names import Feature, members
+from bcfj_jax.analysis.derivatives.starting import START, of_members, starting
 from bcfj_jax.analysis.features import contact_interval
 from bcfj_jax.analysis.histories import delay, settled_period
 from bcfj_jax.core.programs import program
@@ -28,9 +29,9 @@ from bcfj_jax.solve.simulation import readings
 
 # What grows with the duration where the samples' times are those of a run that takes one second.
 _OF_FORCE = ("peak", "mean", "impulse")
-_PER_SECOND = ("impulse", "period", "delay")
-# A period and a delay are sought on the host.
-HOST = ("period", "delay")
+_PER_SECOND = ("impulse", "period", "delay", *START)
+# Periods, delays and times of a start are sought on the host.
+HOST = ("period", "delay", *START)
 # Points whose histories are in memory at once while features are taken.
 _AT_ONCE = 8
 
@@ -183,6 +184,13 @@ def _on_host(
     parts = [members(part, contacts) for part in feature.contacts]
     if feature.kind == "period":
         return float(np.mean([cycle(name) for name in parts[0]]))
+    if feature.kind in START:
+        none = np.zeros((0, len(grid)))
+        each = []
+        for name in parts[0]:
+            span = cycle(name) if feature.kind == "settling" else float("nan")
+            each.append(starting(feature.kind, grid, force[:, place[name]], none, span))
+        return of_members(feature.kind, each)[0]
     first, second = parts if len(parts[0]) == len(parts[1]) else (parts[0][:1], parts[1][:1])
     shifts = []
     for a, b in zip(first, second, strict=True):
