@@ -2,7 +2,7 @@
 
     python -m scripts.pythons python3.11 python3.12 python3.13                 versions of constraints.txt, fast tier
     python -m scripts.pythons python3.11 --versions pinned,lowest,newest      also the oldest and the newest allowed
-    python -m scripts.pythons python3.12 --tests "tests/contact tests/solve"    other tests
+    python -m scripts.pythons python3.12 --tests "tests/contact tests/solve"    other tests; once more: a row of its own
     python -m scripts.pythons python3.13 --versions newest --keep ~/tried       leaves the environment, and uses it again
 
 ``pinned`` is constraints.txt; ``newest`` what pip takes without it; ``lowest`` the lowest release that each direct requirement
@@ -13,6 +13,7 @@ outcome is a table, and JSON in the file that ``--out`` names; the exit code is 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import re
 import shlex
@@ -20,6 +21,7 @@ import shutil
 import sys
 import tempfile
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 
 from scripts import fresh
@@ -57,22 +59,21 @@ def _copy(to: Path) -> Path:
     return to
 
 
-def tried(python: str, kind: str, tests: list[str], timeout: float, keep: Path | None = None) -> dict:
+def tried(python: str, kind: str, tests: list[list[str]], timeout: float, keep: Path | None = None) -> Iterator[dict]:
     """Install and test in one environment: versions, counts of tests, seconds, and the end of what pytest said.
 
-    The environment is removed afterwards. In a folder ``keep`` it stays and is used again, with the package installed anew.
+    There is a row for each selection of tests, as soon as it has run. The environment is removed afterwards. In a folder
+    ``keep`` it stays and is used again, with the package installed anew.
     """
     asked = [python, "-c", "import sys; print(sys.version.split()[0])"]
     version = fresh.must(asked, fresh.ROOT, fresh.surroundings(Path(tempfile.gettempdir()))).stdout.strip()
-    if keep is not None:
-        place = keep.resolve() / f"{version}-{kind}"
+    with tempfile.TemporaryDirectory() if keep is None else contextlib.nullcontext(keep.resolve()) as name:
+        place = Path(name) / f"{version}-{kind}"
         place.mkdir(parents=True, exist_ok=True)
-        return _tried(place, python, version, kind, tests, timeout)
-    with tempfile.TemporaryDirectory() as name:
-        return _tried(Path(name), python, version, kind, tests, timeout)
+        yield from _tried(place, python, version, kind, tests, timeout)
 
 
-def _tried(place: Path, python: str, version: str, kind: str, tests: list[str], timeout: float) -> dict:
+def _tried(place: Path, python: str, version: str, kind: str, tests: list[list[str]], timeout: float) -> Iterator[dict]:
     project = tomllib.loads((fresh.ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     env = fresh.surroundings(place, JAX_PLATFORMS="cpu")
     bounds = place / "bounds.txt"
@@ -99,13 +100,16 @@ def _tried(place: Path, python: str, version: str, kind: str, tests: list[str], 
     # Old libraries use what newer ones below them deprecate; that is no fault of the package.
     lenient = ["-W", "default::DeprecationWarning"] if kind == "lowest" else []
     pytest = [programs / "python", "-m", "pytest", "-p", "no:cacheprovider", *lenient]
-    done = fresh.run([*pytest, *tests], work, env, timeout)
-    counts = {word: int(n) for n, word in re.findall(r"(\d+) (passed|failed|error|skipped|deselected)", done.stdout)}
-    return {
-        "python": version, "versions": kind, "installed": {n: installed.get(n, "") for n in _SHOWN},
-        "tests": tests, "exit_code": done.code, "counts": counts, "seconds": round(done.seconds, 1),
-        "end": "" if done.code == 0 else done.stdout[-6000:] + done.stderr[-2000:],
-    }  # fmt: skip
+    for chosen in tests:
+        done = fresh.run([*pytest, *chosen], work, env, timeout)
+        counts = {
+            word: int(n) for n, word in re.findall(r"(\d+) (passed|failed|error|skipped|deselected)", done.stdout)
+        }
+        yield {
+            "python": version, "versions": kind, "installed": {n: installed.get(n, "") for n in _SHOWN},
+            "tests": chosen, "exit_code": done.code, "counts": counts, "seconds": round(done.seconds, 1),
+            "end": "" if done.code == 0 else (done.stdout[-6000:] + done.stderr[-2000:]).replace(str(place), ""),
+        }  # fmt: skip
 
 
 def table(rows: list[dict]) -> str:
@@ -125,7 +129,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("pythons", nargs="+", help="interpreters, by name or path")
     parser.add_argument("--versions", default="pinned", help=f"of {', '.join(KINDS)}, separated by commas")
-    parser.add_argument("--tests", default=shlex.join(FAST), help="what pytest is given, in one word")
+    parser.add_argument("--tests", action="append", help="what pytest is given, in one word")
     parser.add_argument("--out", type=Path, help="a JSON file to add the rows to")
     parser.add_argument("--timeout", type=float, default=3600.0, help="seconds for the tests of one environment")
     parser.add_argument("--keep", type=Path, help="a folder where environments stay, to be used again")
@@ -133,14 +137,15 @@ def main() -> None:
     kinds = asked.versions.split(",")
     if not set(kinds) <= set(KINDS):
         sys.exit(f"--versions: use {', '.join(KINDS)}")
+    out, tests = asked.out, [shlex.split(one) for one in asked.tests or [shlex.join(FAST)]]
+    kept = json.loads(out.read_text(encoding="utf-8"))["rows"] if out is not None and out.exists() else []
     rows = []
     for python in asked.pythons:
-        for kind in kinds:
-            rows.append(tried(python, kind, shlex.split(asked.tests), asked.timeout, asked.keep))
-            print(rows[-1]["end"], table(rows), sep="\n", flush=True)
-    if asked.out is not None:
-        kept = json.loads(asked.out.read_text(encoding="utf-8"))["rows"] if asked.out.exists() else []
-        asked.out.write_text(json.dumps({"rows": kept + rows}, indent=2) + "\n", encoding="utf-8")
+        for row in (row for kind in kinds for row in tried(python, kind, tests, asked.timeout, asked.keep)):
+            rows.append(row)
+            print(row["end"], table(rows), sep="\n", flush=True)
+            if out is not None:
+                out.write_text(json.dumps({"rows": kept + rows}, indent=2) + "\n", encoding="utf-8")
     sys.exit(any(row["exit_code"] for row in rows))
 
 
