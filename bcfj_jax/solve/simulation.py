@@ -103,6 +103,8 @@ def readings(model: AbstractModel, params: Params, times: Array, states: Array) 
     return jax.vmap(lambda t, y: model.observe(t, y, prepared))(jnp.maximum(times, 0.0), states)
 
 
+# Compiled as one, and traced once a model, also where the caller compiles nothing.
+@partial(jax.jit, static_argnums=(0, 1, 5))
 def _forces(
     mode: Way, scene: AbstractModel, params: Params, times: Array, how: Plan, differentiable: bool
 ) -> dict[str, Array]:
@@ -186,10 +188,16 @@ def reading_history(
     wanted = _channels(scene, read)
     if mode not in ("forward", "reverse"):
         raise InputError("mode", f"no mode {quoted(mode)}", "use forward or reverse")
-    how = how if mode == "forward" else _backward(scene, how)
+    return _histories(mode, scene, params, t, how if mode == "forward" else _backward(scene, how), wanted)
+
+
+@partial(jax.jit, static_argnums=(0, 1, 5))
+def _histories(
+    mode: Way, scene: AbstractModel, params: Params, times: Array, how: Plan, wanted: tuple[Channel, ...]
+) -> dict[str, Array]:
     from bcfj_jax.solve.integrate import integrate
 
-    return channels.histories(scene, params, t, integrate(scene, params, t, how, mode, True).states, wanted)
+    return channels.histories(scene, params, times, integrate(scene, params, times, how, mode, True).states, wanted)
 
 
 def _given(

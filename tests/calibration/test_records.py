@@ -208,7 +208,7 @@ def test_five_samples_a_contact_are_fitted(runs, tmp_path, monkeypatch):
         (FORCE, KNOWN, "", ["only for the mass and the approach_speed given", "approach_speed by -1 % gives the same readings",
                             "damping by +1 %", "weigh the mass and measure the speed"]),
         pytest.param(FORCE, 'mass = "0.4 kg"', 'approach_speed = { lower = 0.3, upper = 4 }\n',
-                     ["only for the mass given", "approach_speed by -1 %"], marks=pytest.mark.full),
+                     ["only for the mass given", "approach_speed by -1 %"], marks=pytest.mark.slow),
         (FORCE, "", 'approach_speed = { lower = 0.3, upper = 4 }\nmass = { lower = 0.1, upper = 2 }\n',
          ["only the product of", "is determined", "or weigh the mass", "read a position, velocity or acceleration"]),
         (ACCELERATION, KNOWN, "", ["accelerations alone", "1 % of mass moves stiffness by +1 %", "read a force as well"]),

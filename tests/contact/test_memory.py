@@ -266,7 +266,7 @@ def test_every_bounce_has_the_restitution():
     ("law", "names"),
     [
         ("standard_linear_solid", ("relaxation", "relaxation_time", "stiffness")),
-        ("walton_braun", ("restitution", "stiffness", "approach_speed")),
+        pytest.param("walton_braun", ("restitution", "stiffness", "approach_speed"), marks=pytest.mark.slow),
         ("thornton", ("yield_penetration", "stiffness", "approach_speed")),
     ],
 )
@@ -297,7 +297,7 @@ def test_derivatives_are_those_of_an_accurate_solver(law, names):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("law", MEMORY)
+@pytest.mark.parametrize("law", [MEMORY[0], pytest.param(MEMORY[1], marks=pytest.mark.slow), MEMORY[2]])
 def test_energy_is_balanced_and_never_won(law):
     reference, values, end = REFERENCES[law]
     scene, times = scenes.impact(law, smoothing=False), np.linspace(0.0, end, 401)
