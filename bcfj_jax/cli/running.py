@@ -23,6 +23,10 @@ def simulate(
         str,
         typer.Option(help="Also write animation.html, .glb, .mp4 or .gif: html, gltf, mp4 or gif, several by commas."),
     ] = "",
+    frames: Annotated[
+        str,
+        typer.Option(help="Also write forces_in_frames.csv: forces in the axes of bodies, or world, by commas."),
+    ] = "",
     code: Code = None,
     out: Out = None,
     dry_run: Dry = False,
@@ -38,7 +42,7 @@ def simulate(
             "simulate", scene, out, [["runs", "2: one more measures the error" if measure_error else "1"]]
         )
     begin = time.perf_counter()
-    good = command.run(scene, out, say, typer.echo, measure_error, movies)
+    good = command.run(scene, out, say, typer.echo, measure_error, movies, split(frames))
     return plan.ended("simulate", scene, begin, good)
 
 

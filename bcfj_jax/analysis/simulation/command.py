@@ -36,6 +36,7 @@ def run(
     show: Callable[[str], None],
     measure_error: bool = True,
     animations: Sequence[str] = (),
+    frames: Sequence[str] = (),
 ) -> bool:
     """Simulate a scene file and write what ``results.files`` names: the numbers first, then the pictures.
 
@@ -45,6 +46,7 @@ def run(
         say: receives the progress and the warnings.
         measure_error: whether the run is made once more, ten times finer, to measure its force error.
         animations: files beside, as ``movies`` names them.
+        frames: bodies, or "world", in whose axes the forces of all contacts are written, too.
 
     Returns:
         Whether the run reached its end.
@@ -53,18 +55,20 @@ def run(
         InputError: for bad input, and where something would be overwritten.
     """
     given = quickest(load(what))
+    framed = results.framed(given.scene, frames)
+    names = list(dict.fromkeys(channel.name for channel in (*given.reads, *framed)))
     stem = given.source.stem if given.source else what
     channels = sum(max(1, members) for members in given.scene.members.values())
     size = LEAST_FREE + _BYTES * channels * len(given.times)
-    folder = open_folder(out, "simulate", stem, (*results.files(given), *animations), size=size)
+    folder = open_folder(out, "simulate", stem, (*results.files(given, framed), *animations), size=size)
     say(f"simulating {what}: {len(given.times)} samples to {given.times[-1]:.6g} s")
     get_ready()
     found = simulate(
         given.scene, given.params, given.times, accuracy=given.accuracy, max_steps=given.max_steps,
-        solver=given.solver, measure_error=measure_error, read=[channel.name for channel in given.reads],
+        solver=given.solver, measure_error=measure_error, read=names,
         resolved_peaks=given.resolved_peaks,
     )  # fmt: skip
-    written = results.write(folder, given, found, stem)
+    written = results.write(folder, given, found, stem, framed)
     show(f"{written.text}\nresults in {folder}")
     for warning in written.warnings:
         say(f"warning: {warning}")

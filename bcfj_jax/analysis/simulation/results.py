@@ -15,6 +15,8 @@ from bcfj_jax.io import outputs, report
 from bcfj_jax.io.page import Table, model_form
 from bcfj_jax.io.scenefile import SceneFile
 from bcfj_jax.io.units import format_si
+from bcfj_jax.mechanism.channels import Channel, channel
+from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.mechanism.readings import STATES
 from bcfj_jax.solve.measured_error import FACTOR, Accuracy
 from bcfj_jax.solve.simulation import Run
@@ -37,13 +39,33 @@ FILES = (
 )
 # Of contacts, and of what [[read]] asks for.
 PICTURES, READINGS = (page.FORCES, page.LOOPS), ("readings.csv", page.READINGS)
+# Of forces in the axes of bodies, which are asked for.
+FRAMED, WORLD = "forces_in_frames.csv", "world"
 
 
-def files(given: SceneFile) -> tuple[str, ...]:
-    """Names of the files that ``write`` may leave for a scene file."""
+def framed(scene: AbstractModel, frames: Sequence[str]) -> tuple[Channel, ...]:
+    """The whole force of every contact in the axes of bodies: its components as readings.
+
+    Args:
+        scene: whose contacts.
+        frames: names of bodies, or "world".
+
+    Raises:
+        InputError: for a body that the scene has not, with the nearest that it has.
+    """
+    return tuple(
+        channel(f"{name}.force.{axis}", scene, "" if frame == WORLD else frame, "--frames")
+        for frame in dict.fromkeys(frames)
+        for name in scene.members
+        for axis in "xyz"
+    )
+
+
+def files(given: SceneFile, framed: Sequence[Channel] = ()) -> tuple[str, ...]:
+    """Names of the files that ``write`` may leave for a scene file, with forces in frames where they are asked for."""
     drawn, asked = PICTURES if given.scene.contacts else (), READINGS if given.reads else ()
     more = page.VIEWS if given.scene.contacts else ()
-    return (*FILES, *drawn, *more, *given.scene.tables, *asked)
+    return (*FILES, *drawn, *more, *given.scene.tables, *asked, *([FRAMED] if framed else []))
 
 
 def choice_sentence(run: Run) -> str:
@@ -250,13 +272,13 @@ def input_rows(given: SceneFile) -> list[list[str]]:
     return rows
 
 
-def _readings(given: SceneFile, run: Run) -> dict[str, np.ndarray]:
+def _readings(reads: Sequence[Channel], run: Run) -> dict[str, np.ndarray]:
     """What [[read]] asks for, by heads that hold a unit; a column a member."""
     found: dict[str, np.ndarray] = {}
-    for channel in given.reads:
-        values = run.readings[channel.name]
+    for whole in reads:
+        values = run.readings[whole.name]
         members = range(values.shape[1]) if values.ndim > 1 else ()
-        parts = [(channel._replace(member=k + 1), values[:, k]) for k in members] or [(channel, values)]
+        parts = [(whole._replace(member=k + 1), values[:, k]) for k in members] or [(whole, values)]
         found |= {f"{one.name} [{one.unit}]": column for one, column in parts}
     return found
 
@@ -264,7 +286,7 @@ def _readings(given: SceneFile, run: Run) -> dict[str, np.ndarray]:
 def _readings_rows(given: SceneFile, run: Run, digits: int = 6) -> list[list[str]]:
     """What [[read]] asks for, for people: least, largest and last value."""
     rows = [["reading", "least", "largest", "at the end"]]
-    for head, column in _readings(given, run).items():
+    for head, column in _readings(given.reads, run).items():
         name, _, unit = head.removesuffix("]").rpartition(" [")
         known = column[np.isfinite(column)]
         values = (known.min(), known.max(), column[-1]) if known.size else [float("nan")] * 3
@@ -280,7 +302,7 @@ class Written(NamedTuple):
     content: dict[str, Any]
 
 
-def write(folder: Path, given: SceneFile, run: Run, stem: str) -> Written:
+def write(folder: Path, given: SceneFile, run: Run, stem: str, framed: Sequence[Channel] = ()) -> Written:
     """Write the numbers of a run: of ``files`` all but pictures and report, less tables that the level does not have."""
     warnings = resolution_warnings(run) + work_warnings(run)
     warnings += envelope.warnings(given.scene, given.params, run.times)
@@ -293,7 +315,9 @@ def write(folder: Path, given: SceneFile, run: Run, stem: str) -> Written:
     outputs.write_forces(folder / "forces.csv", run)
     outputs.write_contacts(folder / "contacts.csv", run)
     if given.reads:
-        outputs.write_histories(folder / READINGS[0], run.times, _readings(given, run))
+        outputs.write_histories(folder / READINGS[0], run.times, _readings(given.reads, run))
+    if framed:
+        outputs.write_histories(folder / FRAMED, run.times, _readings(framed, run))
     whole, extra = given.scene.whole(given.params, run)
     for name, columns in extra.items():
         outputs.write_histories(folder / name, run.times, columns)
