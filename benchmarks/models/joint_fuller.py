@@ -33,7 +33,7 @@ VARIANTS: dict[str, dict[str, Any]] = {"plain": PLAIN, "fuller": dict.fromkeys(P
 TIMES = np.linspace(0.0, 0.3, 301)
 CONTACTS = ("seat_cage", "head_cage", "cage_ball", "seat_ball", "head_ball")
 ONE_BALL, EXTRA = "seat_ball_2.extra_clearance", 5e-6
-NOISE, STARTS = 0.02, 3
+NOISE, STARTS = 0.02, 4
 
 
 def derivatives(options: dict[str, Any]) -> dict[str, Any]:
