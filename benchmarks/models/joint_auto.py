@@ -60,7 +60,7 @@ def error(found: Any, truth: Any) -> float:
 
 
 def measured(
-    count: int, seed: int, budget: float, friction: float, options: dict[str, bool]
+    count: int, seed: int, budget: float, friction: float, options: dict[str, Any]
 ) -> tuple[list[dict[str, Any]], int]:
     """A row a joint, and how many the dynamic model did not finish."""
     adaptive, motion = bj.scenes.joint(fidelity="auto", **options), bj.scenes.joint(**options)

@@ -241,7 +241,8 @@ def save(found: Reference, folder: Path) -> str:
     arrays = found.truth._asdict() | ({} if found.slopes is None else {"slopes": found.slopes})
     with atomic(folder / NAME) as temporary:
         with temporary.open("wb") as file:
-            np.savez_compressed(file, **arrays)  # Old releases of NumPy take allow_pickle for an array of that name.
+            # Old releases of NumPy take allow_pickle for an array of that name.
+            np.savez_compressed(file, **arrays)  # pyright: ignore[reportArgumentType]
         return hashlib.sha256(temporary.read_bytes()).hexdigest()
 
 

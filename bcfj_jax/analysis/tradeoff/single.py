@@ -77,7 +77,7 @@ def _child(table: Mapping[str, Any], out: Path) -> None:
         "cost": cost,
     }
     arrays = {f"{name} {c}": np.asarray(x, float) for name in _READ for c, x in getattr(run, name).items()}
-    np.savez(out, times=given.times, result=json.dumps(result), **arrays)
+    np.savez(out, times=given.times, result=json.dumps(result), **arrays)  # pyright: ignore[reportArgumentType]
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -36,7 +37,7 @@ TRACKS = ("gothic", "circular")
 CAGES = HEADS = ("free", "fixed")
 DRIVES = ("prescribed", "flexible")
 # Options without which the joint is the simplest that turns: balls are particles, windows have no ends, pilots are spheres.
-PLAIN = {"spin": False, "window_ends": False, "bands": False}
+PLAIN: dict[str, Any] = {"spin": False, "window_ends": False, "bands": False}
 # Where a contact's stiffness is from.
 STIFFNESSES = GIVEN, GEOMETRY = ("given", "geometry")
 
