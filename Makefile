@@ -4,6 +4,8 @@ BIN := .venv/bin
 RUNTIME := build/.installed
 TOOLS := build/.installed-test
 PAGES := build/.installed-docs
+# Bytecode of what is imported is made on import; that of all files takes a third of the installation.
+INSTALL := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check -c constraints.txt -e
 # A worker gets whole files, because the tests of a file share compiled programs and fixtures; tests/conftest.py orders them.
 PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
@@ -19,7 +21,9 @@ demo: $(RUNTIME)
 fast: $(TOOLS)
 	$(PYTEST) -m "not full and not slow" --hypothesis-profile fast
 
-test: lint types docs $(TOOLS)
+# Checks that run no test are made side by side; the installations before them are not.
+test: $(TOOLS) $(PAGES)
+	$(MAKE) --no-print-directory -j 2 --output-sync=target types docs lint
 	$(PYTEST) -m "not slow" --hypothesis-profile fast --durations 25
 
 all-tests: $(TOOLS)
@@ -66,13 +70,13 @@ clean:
 	$(PYTHON) -m venv .venv
 
 $(RUNTIME): pyproject.toml constraints.txt | .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .
+	$(INSTALL) .
 	mkdir -p build && touch $@
 
 $(TOOLS): pyproject.toml constraints.txt | .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[test,docs]"
+	$(INSTALL) ".[test,docs]"
 	mkdir -p build && touch $(RUNTIME) $(PAGES) $@
 
 $(PAGES): pyproject.toml constraints.txt | .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[docs]"
+	$(INSTALL) ".[docs]"
 	mkdir -p build && touch $(RUNTIME) $@

@@ -38,8 +38,8 @@ def test_a_contact_of_a_thousandth_of_the_flight_is_seen():
     assert 0.2 * deepest < np.exp(reference_depth(model, [point], 0.0)) < deepest
 
 
-@pytest.mark.full
-@pytest.mark.parametrize("seed", [pytest.param(4, marks=pytest.mark.slow), 7])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [4, 7])
 def test_ten_hard_bounces_are_met(seed):
     """Case 7 has 5 % of noise: after the first contacts the next is uncertain by many times its duration."""
     found = hard_bounces.one(seed)

@@ -170,10 +170,8 @@ def test_a_drop_is_fitted_by_whatever_was_read(observe, rig):
         assert abs(zeros[name] - 0.5 * (low + high)) < 0.8 * (high - low), name
 
 
-@pytest.mark.full
-@pytest.mark.parametrize(
-    "observe", [pytest.param(POSITION, id="position"), pytest.param(VELOCITY, id="velocity", marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("observe", [pytest.param(POSITION, id="position"), pytest.param(VELOCITY, id="velocity")])
 def test_motion_alone_says_what_it_leaves_open(observe, rig):
     """A position before contact goes on as it came: its line is fitted, too."""
     found = fit(load(problem(observe, free=LAW.replace("exponent = { lower = 1.0, upper = 2.5 }\n", ""),

@@ -367,9 +367,8 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize(
-    "law", [pytest.param(x, marks=pytest.mark.full if x == "thornton" else pytest.mark.slow) for x in CASES]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("law", CASES)
 def test_a_record_identifies_its_coefficients(law, tmp_path, monkeypatch):
     """SciPy's record with 0.5 % of noise in; the law's own coefficients out, by files."""
     monkeypatch.chdir(tmp_path)
