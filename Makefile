@@ -4,8 +4,7 @@ BIN := .venv/bin
 RUNTIME := build/.installed
 TOOLS := build/.installed-test
 PAGES := build/.installed-docs
-# Bytecode of what is imported is made on import; that of all files takes a third of the installation.
-INSTALL := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check -c constraints.txt -e
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e
 # A worker gets whole files, because the tests of a file share compiled programs and fixtures; tests/conftest.py orders them.
 PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
