@@ -164,6 +164,9 @@ def _done(
 
     heard, document = io.StringIO(), {}
     Session.content = None
+    if "bcfj_jax.io.outputs" in sys.modules:
+        # A verb before this one, in the same process, has written other files.
+        sys.modules["bcfj_jax.io.outputs"].written.clear()
 
     def run() -> int:
         try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import time
 import tomllib
 from pathlib import Path
@@ -23,7 +24,7 @@ from bcfj_jax.analysis.studies import command as studies
 from bcfj_jax.cli import app, plan
 from bcfj_jax.cli.options import asked
 from bcfj_jax.core.progress import Waiting, stage
-from bcfj_jax.io import changes, doctor, scenefile
+from bcfj_jax.io import changes, doctor, outputs, scenefile
 from calibration import problemfile
 
 STUDY = 'scene = "s.toml"\n[vary.mass]\nlower = "10 g"\nupper = "30 g"\nsteps = 3\n'
@@ -171,7 +172,12 @@ def test_groups_and_patterns_of_parameters():
 
 
 @pytest.mark.full
-def test_results_as_json_on_stdout_alone():
+def test_results_as_json_on_stdout_alone(tmp_path):
+    # What a verb before wrote is no result of this one.
+    earlier = tmp_path / "earlier" / "summary.json"
+    outputs.write_json(Path("out/summary.json"), {})
+    outputs.write_json(earlier, {"status": "of another"})
+    shutil.rmtree("out")
     done = bcfj("simulate", "impact", "--set", "mass=20 g", "--samples", "101", "--json", "-q", "--out", "out")
     assert done.exit_code == 0 and done.stderr == ""
     found = json.loads(done.stdout)
