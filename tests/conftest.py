@@ -15,7 +15,6 @@ is XLA's. A worker therefore runs whole files (``--dist loadfile``), whose tests
 
 from __future__ import annotations
 
-import gc
 import os
 from pathlib import Path
 
@@ -50,13 +49,6 @@ LONG = ("test_docs.py", "test_tradeoff.py", "test_extremes.py", "test_mechanism_
 def pytest_collection_modifyitems(items):
     """Long files first."""
     items.sort(key=lambda item: LONG.index(item.path.name) if item.path.name in LONG else len(LONG))
-
-
-def pytest_collection_finish():
-    """Collect garbage seldom: tracing makes much of it, and a process full of tests is long to go through."""
-    gc.collect()
-    gc.freeze()
-    gc.set_threshold(100_000, 20, 20)
 
 
 @pytest.fixture

@@ -133,37 +133,6 @@ def onset_time(times: ArrayLike, force: ArrayLike, share: float = 0.5, level: fl
     return float(t[0] if k == 0 else t[k - 1] + (limit - f[k - 1]) / (f[k] - f[k - 1]) * (t[k] - t[k - 1]))
 
 
-def settling_time(times: ArrayLike, force: ArrayLike, period: float, band: float = 0.05) -> float:
-    """From when on the mean of a force over a period stays within a band about its last one [s].
-
-    The control engineer's settling time, of the moving mean over one period, so that a steady ripple counts as settled; the
-    paper's stabilisation time of .585 s is one such. The time is that of the mean's first sample; infinite for a history
-    shorter than two periods. NumPy, not traced.
-
-    Args:
-        times, force: (T,) [s], [N]; even steps.
-        period: [s].
-        band: half-width as a share of the greatest moving mean's size.
-    """
-    t, f = np.asarray(times, dtype=float), np.asarray(force, dtype=float)
-    if not t[-1] - t[0] >= 2.0 * period:
-        return float("inf")
-    sums = np.concatenate([[0.0], np.cumsum(0.5 * (f[1:] + f[:-1]) * np.diff(t))])
-    begin = t[t <= t[-1] - period]
-    means = (np.interp(begin + period, t, sums) - np.interp(begin, t, sums)) / period
-    out = np.flatnonzero(np.abs(means - means[-1]) > band * np.max(np.abs(means)))
-    return float(begin[0] if not out.size else begin[min(int(out[-1]) + 1, begin.size - 1)])
-
-
-def start_window(times: ArrayLike, forces: ArrayLike, share: float = 0.5) -> tuple[float, float]:
-    """First and last ``onset_time`` of several contacts (k, T) [s]: from the first to carry load to the last one.
-
-    The paper's start-up impact window, 0 to .042 s; 0 is when the drive starts.
-    """
-    found = [onset_time(times, force, share) for force in np.asarray(forces)]
-    return min(found), max(found)
-
-
 def transfer_loss(force_in: ArrayLike, force_out: ArrayLike) -> Array:
     """Share of the peak force that is not passed on, (max F_in - max F_out)/max F_in [-]; NaN where max F_in <= 0.
 

@@ -1,7 +1,7 @@
-"""Histories held against time and against each other: windows, periods, delays, start-up, settling.
+"""Histories held against time and against each other: windows, periods, delays, settling.
 
-A history is an array of shape (T,) over times of shape (T,) [s]. ``period``, ``start_up_time`` and
-``settling_time`` are NumPy and give a float; ``delay`` is JAX, differentiable in the histories.
+A history is an array of shape (T,) over times of shape (T,) [s]. ``period`` and ``settling_time`` are
+NumPy and give a float; ``delay`` is JAX, differentiable in the histories.
 
 A window is a pair (start, end) [s], both ends included, None for all times. What takes one needs times that are
 known numbers (close over them under ``jit`` or ``vmap``; the force may be traced) and raises ``InputError`` where they
@@ -131,36 +131,6 @@ def delay(
     xp: Any = jnp if isinstance(a, Array) or isinstance(b, Array) else np
     place, best = shifts(xp.interp(even, t, a), xp.interp(even, t, b), most)
     return xp.where(best > 0, xp.clip(step * place, -0.5 * period, 0.5 * period), np.nan)
-
-
-def start_up_time(times: ArrayLike, force: ArrayLike, level: float = 0.5, period: float | None = None) -> float:
-    """End of the start-up: first time at which |F| reaches ``level`` of its settled peak [s].
-
-    The settled peak is max|F| over the last full period; F is linear between samples. The first sample's time where
-    |F| is there from the start. Without a period given, ``period`` of F over the later half is taken. NaN without a
-    period or a load.
-
-    Raises:
-        InputError: see the top of the file; or a level outside ]0, 1], a period not > 0 or longer than the history, or
-            fewer than 16 samples without a period.
-    """
-    t, (f,) = samples(times, None, force)
-    if not 0 < level <= 1:
-        raise InputError("level", f"{level:g}", "give a share of the settled peak, above 0 and at most 1")
-    if period is None and t.size < 16:
-        raise InputError("times", f"{t.size} samples", "give the period, or 16 or more samples to find it from")
-    if period is not None:
-        _check_period(t, period)
-    f = np.asarray(f)
-    cycle = _repeat(t[t.size // 2 :], f[t.size // 2 :]) if period is None else period
-    f = np.abs(f)
-    wanted = level * _settled_peak(t, f, cycle) if np.isfinite(f).all() and np.isfinite(cycle) else 0.0
-    if wanted == 0.0:
-        return float("nan")
-    k = int(np.argmax(f >= wanted))
-    if k == 0:
-        return float(t[0])
-    return float(t[k - 1] + (wanted - f[k - 1]) / (f[k] - f[k - 1]) * (t[k] - t[k - 1]))
 
 
 def settling_time(times: ArrayLike, force: ArrayLike, period: float, tolerance: float = 0.05) -> float:

@@ -286,16 +286,3 @@ def test_onset_is_where_a_force_first_reaches_a_share_of_its_settled_peak():
     assert features.onset_time(t, f, level=10.0) == np.inf == features.onset_time(t, 0.0 * t)
     # An overshoot before the last third is no settled peak.
     assert features.onset_time(t, f + 50.0 * (np.abs(t - 1.0) < 0.05)) == pytest.approx(0.4, abs=1e-12)
-    assert features.start_window(t, [f, np.minimum(2.5 * t, 4.0)]) == pytest.approx((0.4, 0.8), abs=1e-12)
-
-
-def test_settling_is_that_of_the_mean_over_a_period():
-    # Mean over a period T of 1 - exp(-t/s) + ripple of period T: 1 - exp(-t/s) (1 - exp(-T/s)) s/T, in closed form.
-    t, period, slow, band = np.linspace(0.0, 6.0, 6001), 0.6, 0.5, 0.05
-    f = 1.0 - np.exp(-t / slow) + 0.8 * np.sin(2.0 * np.pi * t / period)
-    scale = (1.0 - np.exp(-period / slow)) * slow / period
-    last = 1.0 - scale * np.exp(-(6.0 - period) / slow)
-    expected = -slow * np.log((1.0 - last + band * last) / scale)
-    assert features.settling_time(t, f, period, band) == pytest.approx(expected, abs=2e-3)
-    assert features.settling_time(t, np.ones_like(t), period) == 0.0
-    assert features.settling_time(t[:1000], f[:1000], period) == np.inf

@@ -64,7 +64,6 @@ def test_period_of_the_paper():
     assert histories.period(TIMES, force, (0.1, 3.0)) == pytest.approx(0.613, abs=2e-4)
     # The start-up holds more than all that follows: no period of the whole.
     assert math.isnan(histories.period(TIMES, force))
-    assert histories.start_up_time(TIMES, force, 0.5) == pytest.approx(0.02 - 0.008 * math.log(4) ** 0.5, abs=2e-3)
 
 
 def test_period_on_uneven_times():
@@ -116,12 +115,6 @@ def test_period_stands_noise(shape, turn, start, noise, seed):
     found = histories.period(TIMES, noisy)
     assert found == pytest.approx(turn, rel=5e-3)
     assert histories.period(TIMES, -7 * noisy + 3) == pytest.approx(found, rel=1e-9)
-
-
-def test_a_start_up_without_a_period_is_nan():
-    assert math.isnan(histories.start_up_time(TIMES, TIMES))
-    with pytest.raises(InputError, match="times: 15 samples; give the period"):
-        histories.start_up_time(TIMES[:15], TIMES[:15])
 
 
 def test_period_needs_samples():
@@ -220,39 +213,7 @@ def test_delay_needs_a_period_inside_the_history(wrong):
         histories.delay(TIMES, TIMES, TIMES, wrong)
 
 
-# --- start-up and settling
-
-
-def test_start_up_of_a_ramp():
-    force = np.clip(TIMES / 0.1, 0.0, 1.0) * (1e4 + 1e3 * np.sin(2 * np.pi * TIMES / 0.6))
-    settled = 1.1e4
-    for level in (0.1, 0.5, 0.8):
-        found = histories.start_up_time(TIMES, force, level)
-        assert np.interp(found, TIMES, force) == pytest.approx(level * settled, rel=1e-4)
-        assert np.all(force[found > TIMES] < level * settled)
-        assert histories.start_up_time(TIMES, -force, level) == pytest.approx(found)
-    assert histories.start_up_time(TIMES, TIMES / 3, 0.5, period=0.6) == pytest.approx(1.5)
-    assert histories.start_up_time(TIMES, 2 - TIMES / 3, 0.5, period=0.6) == 0.0
-
-
-def test_start_up_of_the_paper():
-    """Q30: no load up to an impact at 0.042 s."""
-    force = np.where(TIMES < 0.0415, 0.0, 1.5e4 * SHAPES["half_sines"]((TIMES - 0.0415) / 0.61 + 0.2))
-    assert histories.start_up_time(TIMES, force) == pytest.approx(0.042, abs=STEP)
-    assert math.isnan(histories.start_up_time(TIMES, 0 * force, period=0.6))
-    assert math.isnan(histories.start_up_time(TIMES, np.where(TIMES > 2, np.nan, force), period=0.6))
-
-
-@pytest.mark.parametrize("level", [0.0, -1.0, 1.1, math.nan])
-def test_a_level_is_a_share(level):
-    with pytest.raises(InputError, match="level"):
-        histories.start_up_time(TIMES, TIMES, level)
-
-
-@pytest.mark.parametrize("turn", [0.0, 3.01, math.nan])
-def test_start_up_needs_a_period_inside_the_history(turn):
-    with pytest.raises(InputError, match="period: "):
-        histories.start_up_time(TIMES, TIMES, period=turn)
+# --- settling
 
 
 @pytest.mark.parametrize("tolerance", [0.01, 0.05, 0.2])

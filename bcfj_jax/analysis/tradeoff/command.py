@@ -75,10 +75,8 @@ def write(folder: Path, found: Study, stem: str, known: str) -> str:
     advice, doubts = advise.recommended(found), advise.doubts(found.reference)
     outputs.write_csv(folder / "tradeoff.csv", COLUMNS, [[row[name] for name in COLUMNS] for row in found.rows])
     outputs.write_json(folder / "tradeoff.json", as_json(found, advice, doubts))
-    chosen, front = (
-        recommended_rows(advice),
-        sorted((row for row in found.rows if row["pareto"]), key=lambda row: row["wall_s"]),
-    )
+    chosen = recommended_rows(advice)
+    front = sorted((row for row in found.rows if row["pareto"]), key=lambda row: row["wall_s"])
     choices, moved = model_rows(found), model_form(found)
     said = verdict(advice, doubts, found)
     tables: list[tuple[str, Rows]] = [("Recommended settings", chosen)]

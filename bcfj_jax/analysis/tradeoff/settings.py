@@ -213,17 +213,18 @@ def _fidelities(given: SceneFile) -> Iterator[Setting]:
 def _models(given: SceneFile) -> Iterator[Setting]:
     """Other choices of the model: the scene's own, and other laws that read the same coefficients."""
     same = _made(given.resolved)
-    changes = [(one.name, one.change, one.physics) for one in given.scene.variants(given.params)]
-    if "law" in given.resolved["scene"]:
-        changes += [(f"law {law}", {"scene": {"law": law}}, f"contacts follow the law {law}") for law in _USUAL_LAWS]
-    for name, change, physics in changes:
+    error = own_error(given)
+    for one in given.scene.variants(given.params):
+        table = overlaid(given.resolved, one.change)
+        model = _made(table)
+        if model is not None and (model != same or "scene" not in one.change):
+            yield Setting(one.name, MODEL, one.name, error, table, one.change, one.physics)
+    for law in _USUAL_LAWS if same is not None and "law" in given.resolved["scene"] else ():
+        change = {"scene": {"law": law}}
         table = overlaid(given.resolved, change)
         model = _made(table)
-        if model is None or (model == same and "scene" in change):
-            continue
-        if name.startswith("law ") and (same is None or set(model.quantities) != set(same.quantities)):
-            continue
-        yield Setting(name, MODEL, name, own_error(given), table, change, physics)
+        if model is not None and model != same and set(model.quantities) == set(same.quantities):
+            yield Setting(f"law {law}", MODEL, f"law {law}", error, table, change, f"contacts follow the law {law}")
 
 
 def _knobs(given: SceneFile, moves: bool) -> Iterator[Setting]:
