@@ -82,16 +82,8 @@ def run(
 
     def first(found: Sensitivity) -> None:
         seen.append(write(found))
-        show(
-            "\n\n".join(
-                [
-                    *_driven(found, params),
-                    *_texts(seen[0]),
-                    "Before the comparison with central differences: " + said(found),
-                ]
-            )
-            + "\n"
-        )
+        first = f"Before the comparison with central differences: {said(found)}"
+        show("\n\n".join([*_driven(found, params), *_texts(seen[0]), first]) + "\n")
         say(f"comparing with central differences, for {budget:g} s at most")
 
     say(f"differentiating {what} by {', '.join(names)}: {len(given.times)} samples to {given.times[-1]:.6g} s")
