@@ -135,6 +135,8 @@ def _done(name: str, given: list[Any], params: Mapping[str, Any]) -> list[Any]:
         return [np.asarray(_SHAPED[name](*given, **params))]
     if name == "unstack":
         return list(np.moveaxis(given[0], params["axis"], 0))
+    if name == "split":
+        return np.split(given[0], np.cumsum(params["sizes"])[:-1], params["axis"])
     # From JAX 0.12 on the search within ``interp`` is one operation.
     searched: Any = params.get("_prim")
     if type(searched).__name__ == "SearchSorted" and not searched.batch_dims:

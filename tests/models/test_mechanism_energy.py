@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from by_numpy import by_numpy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mechanisms import GAPS, JOINTS, mechanism, poses
@@ -14,7 +15,6 @@ from bcfj_jax.mechanism.loads import Bush, Force, Gravity, JointSpring, Spring, 
 
 SEEDS = st.integers(0, 2**32 - 1)
 TREES = st.lists(st.sampled_from(JOINTS), min_size=1, max_size=5)
-MOST = 30
 TOUCHING = st.lists(st.sampled_from(sorted(GAPS)), min_size=1, max_size=6)
 
 
@@ -29,9 +29,7 @@ def axle(joints):
 def lagrange(scene, params, t):
     """Accelerations of the free velocities at the start; every velocity is a derivative of ``poses``."""
     x = [0.0 if key.startswith("w") else dict(b.start)[_place(key)] for b in scene.ordered for key in b.rates]
-    count, w = len(x), [dict(b.start)[key] for b in scene.ordered for key in b.rates]
-    # As many for every tree, so that what runs op by op is compiled once.
-    x, w = (jnp.asarray(np.pad(part, (0, MOST - count))) for part in (x, w))
+    w = [dict(b.start)[key] for b in scene.ordered for key in b.rates]
 
     def moving(x, w, t):
         """Poses and their time derivatives."""
@@ -49,7 +47,7 @@ def lagrange(scene, params, t):
             total += 0.5 * b.mass * v @ v + 0.5 * local @ (jnp.asarray(b.inertia) * local)
         return total
 
-    def power(w, forces):
+    def power(w, forces, x, t):
         now, rates = moving(x, w, t)
         total = 0.0
         for name, at, force, torque in forces:
@@ -57,16 +55,19 @@ def lagrange(scene, params, t):
             total += force @ (moved + turned @ at) + torque @ spin(turn, turned)
         return total
 
-    forces, single = pushes(scene, params, t, *moving(x, w, t), spin)
-    push = jax.grad(power)(w, forces)
-    for name, on in single.items():
-        j = [b.name for b in scene.ordered for _ in b.rates].index(name)
-        push = push.at[j].add(on(x[j], w[j]))
-    slope = jax.grad(kinetic, 1)
-    mass = jax.jacfwd(slope, 1)(x, w, t)
-    _, drift = jax.jvp(lambda x, t: slope(x, w, t), (x, t), (w, jnp.ones(())))
-    right = push + jax.grad(kinetic)(x, w, t) - drift
-    return np.linalg.solve(mass[:count, :count], right[:count])
+    def sides(x, w, t):
+        """Matrix of masses and right-hand side; forward derivatives alone, which NumPy evaluates."""
+        forces, single = pushes(scene, params, t, *moving(x, w, t), spin)
+        push = jax.jacfwd(power)(w, forces, x, t)
+        for name, on in single.items():
+            j = [b.name for b in scene.ordered for _ in b.rates].index(name)
+            push += np.eye(len(w))[j] * on(x[j], w[j])
+        slope = jax.jacfwd(kinetic, 1)
+        mass = jax.jacfwd(slope, 1)(x, w, t)
+        _, drift = jax.jvp(lambda x, t: slope(x, w, t), (x, t), (w, jnp.ones(())))
+        return mass, push + jax.jacfwd(kinetic)(x, w, t) - drift
+
+    return np.linalg.solve(*by_numpy(sides)(np.array(x), np.array(w), t))
 
 
 def _place(rate):
@@ -126,13 +127,13 @@ def test_accelerations_of_many_are_lagranges(joints, seed):
 
 
 def check_accelerations(joints, seed):
-    """The equations of motion, run op by op, against Lagrange's."""
+    """The equations of motion against Lagrange's."""
     scene, params = mechanism(axle(joints), [], seed)
     t, y = jnp.asarray(0.37), scene.initial_state(params)
     count = sum(len(b.rates) for b in scene.ordered)
     if not count:
         return
-    found = np.asarray(scene.vector_field(t, y, params))[-count:]
+    found = by_numpy(scene.vector_field)(t, y, params)[-count:]
     expected = lagrange(scene, params, t)
     assert np.abs(found - expected).max() < 1e-10 * (1.0 + np.abs(expected).max())
 
@@ -163,14 +164,18 @@ def check_power(joints, touching, seed):
     # Bristles that are bent, memories of some speed.
     count = sum(k or 1 for _, k in scene._memory)
     y = y.at[y.size - count :].add(np.random.default_rng(seed).uniform(0.0, 1e-3, count))
-    flows = scene.flows(t, y, params)
 
     def stored(t, y):
-        return sum(scene.flows(t, y, params).stored.values())
+        flows = scene.flows(t, y, params)
+        return sum(flows.stored.values()), flows
 
-    depths = [np.max(np.asarray(f.depth)) for c in scene.instant(t, y, params).faces.values() for f, _ in c]
+    def balance(t, y):
+        way = jnp.ones(()), scene.vector_field(t, y, params)
+        _, gain, flows = jax.jvp(stored, (t, y), way, has_aux=True)
+        return gain, flows, [jnp.max(f.depth) for c in scene.instant(t, y, params).faces.values() for f, _ in c]
+
+    gain, flows, depths = by_numpy(balance)(t, y)
     assert all(c.name for c in scene.contacts) and (not depths or max(depths) > 0.0)
-    _, gain = jax.jvp(stored, (t, y), (jnp.ones(()), scene.vector_field(t, y, params)))
     powers = [float(x) for x in (*flows.given.values(), *flows.taken.values())]
     given_, taken = sum(map(float, flows.given.values())), sum(map(float, flows.taken.values()))
     assert float(gain) == pytest.approx(given_ - taken, abs=1e-9 * (1.0 + np.abs(powers).sum()))
