@@ -5,18 +5,30 @@ Run op by op, a function of some hundred kinds of operations compiles each of th
 
 from __future__ import annotations
 
+import functools
+
 import jax
 import numpy as np
 
 from bcfj_jax.core import host
 
 
-def by_numpy(function):
-    """The function, traced and evaluated by NumPy; its arguments and results are pytrees of arrays."""
+def by_numpy(function, static=False):
+    """The function, traced once for given shapes and evaluated by NumPy.
 
+    Its arguments and results are pytrees of arrays; with ``static`` the first argument is structure.
+    """
+    jitted = jax.jit(function, static_argnums=0 if static else None)
+    traced = {}
+
+    @functools.wraps(function)
     def run(*arguments):
-        known = jax.jit(function).trace(*arguments)
-        found = host.evaluate(known.jaxpr, [np.asarray(x) for x in jax.tree.leaves(arguments)])
-        return jax.tree.unflatten(jax.tree.structure(known.out_info), found)
+        leaves, tree = jax.tree.flatten(arguments[static:])
+        leaves = [np.asarray(x) for x in leaves]
+        key = arguments[:static], tree, tuple((x.shape, x.dtype) for x in leaves)
+        if key not in traced:
+            traced[key] = jitted.trace(*arguments)
+        found = host.evaluate(traced[key].jaxpr, leaves)
+        return jax.tree.unflatten(jax.tree.structure(traced[key].out_info), found)
 
     return run

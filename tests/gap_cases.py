@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from by_numpy import by_numpy
 from joints import unit
 
 from bcfj_jax.contact.gaps import AbstractGap, Frame, make_gap
@@ -122,10 +123,10 @@ def stacked(gap: AbstractGap, a: Frame, b: Frame, c) -> tuple[jax.Array, ...]:
     return depth, normal, lever, jnp.stack([jnp.broadcast_to(jnp.asarray(face.gate), shape) for face in faces])
 
 
-found = jax.jit(stacked, static_argnums=0)
+found = by_numpy(stacked, static=True)
 
 
-@functools.partial(jax.jit, static_argnums=0)
+@functools.partial(by_numpy, static=True)
 def rate(gap: AbstractGap, a: Frame, b: Frame, moves: tuple, c):
     """Penetrations, and their rates by differentiation, while the frames move at ``moves``."""
     return jax.jvp(lambda a, b: stacked(gap, a, b, c), (a, b), moves)
