@@ -16,7 +16,8 @@ from bcfj_jax.core import host
 def by_numpy(function, static=False):
     """The function, traced once for given shapes and evaluated by NumPy.
 
-    Its arguments and results are pytrees of arrays; with ``static`` the first argument is structure.
+    Its arguments and results are pytrees of arrays; with ``static`` the first argument is structure. What NumPy does not
+    know is compiled.
     """
     jitted = jax.jit(function, static_argnums=0 if static else None)
     traced = {}
@@ -28,7 +29,10 @@ def by_numpy(function, static=False):
         key = arguments[:static], tree, tuple((x.shape, x.dtype) for x in leaves)
         if key not in traced:
             traced[key] = jitted.trace(*arguments)
-        found = host.evaluate(traced[key].jaxpr, leaves)
+        try:
+            found = host.evaluate(traced[key].jaxpr, leaves)
+        except host.Unknown:
+            return jax.tree.map(np.asarray, jitted(*arguments))
         return jax.tree.unflatten(jax.tree.structure(traced[key].out_info), found)
 
     return run
