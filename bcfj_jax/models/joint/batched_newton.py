@@ -1,6 +1,7 @@
 """The search for equilibrium: Newton's method at many instants in one batch.
 
-A line search on the slope (forces are all that is known; their energy is not). The batch works through the instants,
+A line search on the slope (forces are all that is known; their energy is not), and never up the energy: where both
+pilots bear on an edge, the cage is held by next to nothing and may stand on a saddle. The batch works through the instants,
 coarse ones first, so that the others start between solved neighbours; one that has converged is replaced by the next,
 and none waits for the slowest. Neighbours under steady load are those of like phase: a turn by one ball's
 pitch with the balls renumbered changes nothing, so one of them starts where another ended. It starts there and no
@@ -163,11 +164,14 @@ def search(scene: Joint, problem: Problem, drift: Problem, times: Array, near: P
         good = ~turned & (longest < _CLOSE)
         ended = good | (trials >= _TRIALS) | ~jnp.isfinite(longest)
         cut = jnp.clip(batch.slope / (batch.slope - slope), 0.1, 0.7)
+        # Where stiffness is negative along it, Newton's step leads up the energy, to the top of a hill: the other way.
+        uphill = jnp.sum(out * step, 0) < 0
+        down = jnp.where(uphill, -step, step)
         batch = _Batch(
             batch.index,
             jnp.where(turned, batch.base, x),
-            jnp.where(turned, batch.step, step),
-            jnp.where(turned, batch.slope, jnp.sum(out * step, 0)),
+            jnp.where(turned, batch.step, down),
+            jnp.where(turned, batch.slope, jnp.sum(out * down, 0)),
             jnp.where(turned, batch.part * cut, jnp.minimum(1.0, _REACH / longest)),
             trials,
         )
