@@ -31,6 +31,7 @@ def cases(stiff: bool) -> list[tuple[str, dict, dict]]:
     found = [("default", {}, {}), ("default, rolling", {"spin": True}, {})]
     for tau in MEMORIES:
         found.append((f"memory {1e3 * tau:g} ms", {"friction": "memory"}, SLOW | {"friction_memory": tau}))
+    found.append(("memory 5 ms, bands", {"friction": "memory", "bands": True}, SLOW))
     for tau in (50e-3, 20e-3, 5e-3):
         options = {"friction": "memory", "spin": True}
         found.append((f"memory {1e3 * tau:g} ms, rolling", options, SLOW | {"friction_memory": tau}))

@@ -24,7 +24,8 @@ even edge. With the contact's sliding  u(e) = (I - e e') v + l w x e  of twist (
     u = A v + l w x q    t = l q x v + l^2 A w    A = I - <e e'>    s^2 = u . v + t . w = <|u(e)|^2>
 
 and friction is the force  -D u  with the moment  -D t  about the sphere's centre,  D = N mu(s)/s:  it takes  D s^2.
-Bristles and memory are of points: a band has none, and a friction law with a state acts by its steady slip there.
+Friction that lags has a slip speed of late per pilot, which follows s. Bristles are of points: a band has none, and a law
+with bristles acts by its steady slip there.
 """  # noqa: E501
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from jax import Array
 from bcfj_jax.models.joint import contacts
 from bcfj_jax.models.joint.contacts import ContactForce, Geometry, dot
 from bcfj_jax.models.joint.law_pair import ContactLaws, LawPair
-from bcfj_jax.models.joint.slopes import Slopes, dyad
+from bcfj_jax.models.joint.slopes import Bond, Slopes, dyad
 
 # w over the clearance: how far off the axis an edge that bears all round bears on one side alone. Edges are pressed in by a
 # tenth of their clearance under load, and bear on one side alone when they have moved by about twice that. No less than LEAST.
@@ -134,13 +135,21 @@ def act(
     normal = laws.normal(at.penetration, rate)
     force = -normal * at.mean
     drag = moment = jnp.zeros_like(force)
+    bending = rubbed = None
     if laws.friction is not None:
-        hold = normal * laws.mobility(squared)
+        if bristles is None:
+            hold = normal * laws.mobility(squared)
+        else:
+            learnt, mobility = laws.lag(squared, bristles[..., 0])
+            hold, bending = normal * mobility, learnt[..., None]
+            rubbed = hold * squared
         drag, moment = -hold * slide, -hold * swing
-    return ContactForce(force + drag, moment, drag, normal, at.penetration, rate, jnp.sqrt(squared))
+    return ContactForce(force + drag, moment, drag, normal, at.penetration, rate, jnp.sqrt(squared), bending, rubbed)
 
 
-def slopes(laws: ContactLaws | LawPair, at: Band, velocity: Array, spin: Array) -> Slopes:
+def slopes(
+    laws: ContactLaws | LawPair, at: Band, velocity: Array, spin: Array, bristles: Array | None = None
+) -> Slopes:
     """Derivatives of ``act`` by place and twist in the cage's axes; as ``slopes.slopes``."""
     slide, swing, rate, squared = _slide(at, velocity, spin)
     one = jnp.ones_like(rate)
@@ -165,12 +174,21 @@ def slopes(laws: ContactLaws | LawPair, at: Band, velocity: Array, spin: Array) 
     squared_place = _times(jnp.swapaxes(slide_place, -1, -2), velocity) + _times(
         jnp.swapaxes(swing_place, -1, -2), spin
     )
-    mobility, slant = jax.jvp(laws.mobility, (squared,), (one,))
+    bond = None
+    if bristles is None:
+        mobility, slant = jax.jvp(laws.mobility, (squared,), (one,))
+    else:
+        late = bristles[..., 0]
+        (learnt, mobility), (follow, slant) = jax.jvp(lambda x: laws.lag(x, late), (squared,), (one,))
+        forget, slant_late = jax.jvp(lambda x: laws.lag(squared, x), (late,), (one,))[1]
+        felt = -(normal * slant_late) * pull
+        by_state = (x[:, None, None] for x in (follow * squared_place, 2.0 * follow * pull))
+        bond = Bond(bristles, learnt[..., None], felt[:, None, :, None], *by_state, -forget)
     hold, grip = normal * mobility, normal * slant
     hold_place, hold_twist = mobility * load_place + grip * squared_place, mobility * load_twist + 2.0 * grip * pull
     by_place = by_place - dyad(pull, hold_place) - hold[..., None] * jnp.concatenate([slide_place, swing_place], -2)
     by_twist = by_twist - dyad(pull, hold_twist) - hold[..., None] * moves
-    return Slopes(value - hold * pull, by_place, by_twist)
+    return Slopes(value - hold * pull, by_place, by_twist, bond)
 
 
 def _by_mean(at: Band, vector: Array) -> Array:

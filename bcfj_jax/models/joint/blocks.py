@@ -98,10 +98,8 @@ def _alone(scene: Joint, c: Constants, state: system.State, scale: Any) -> tuple
     if c.pilot_laws is not None:
         at, motion, bent, spin = system.piloted(scene, c, state)
         assert motion.spin is not None
-        if isinstance(at, Band):
-            found, freed = bands.slopes(c.pilot_laws, at, motion.velocity, motion.spin), None
-        else:
-            found, freed = slopes(c.pilot_laws, at, motion.velocity, motion.spin, bent), None
+        each = bands.slopes if isinstance(at, Band) else slopes
+        found, freed = each(c.pilot_laws, at, motion.velocity, motion.spin, bent), None
         if found.bond is not None:
             freed = free(found.bond, spin, scale)
             found, _, by_spin = effective(found, freed)
@@ -113,8 +111,7 @@ def _alone(scene: Joint, c: Constants, state: system.State, scale: Any) -> tuple
         rate = jnp.sum(back @ by_twist @ jnp.swapaxes(back, -1, -2), 0)
         tilt = scene.slices["cage_turn"]
         if isinstance(at, Band) and tilt is not None:
-            turned = jnp.cross(by_place, motion.arm[:, None]) + jnp.cross(by_twist[..., :3], motion.velocity[:, None])
-            turned = turned + jnp.cross(by_twist[..., 3:], motion.spin[:, None])
+            turned = _turned(by_place, by_twist, motion)
             carried = [jnp.cross(value[:, None, part], jnp.eye(3)) for part in (slice(3), slice(3, 6))]
             turned = turned + jnp.concatenate(carried, -2)
             place = place.at[:, tilt].add(jnp.sum(back @ turned, 0))
@@ -124,16 +121,23 @@ def _alone(scene: Joint, c: Constants, state: system.State, scale: Any) -> tuple
             rate = rate + jnp.sum(back @ by_spin @ turns, 0)
             by_place = freed.place[:, 0] - jnp.cross(freed.twist[:, 0, :, :3], spin[:, None, :])
             by_rate = freed.twist[:, 0] @ jnp.swapaxes(back, -1, -2) + freed.spin[:, 0] @ turns
+            by_place = by_place @ c.guides.moves
+            if isinstance(at, Band) and tilt is not None:
+                by_place = by_place.at[..., tilt].add(_turned(freed.place[:, 0], freed.twist[:, 0], motion))
             for i, name in enumerate(scene.pilots):
                 if name in scene.bristles:
-                    rows.append(
-                        (freed.inverse[i], back[i] @ freed.pull[i, 0], by_place[i] @ c.guides.moves[i], by_rate[i])
-                    )
+                    rows.append((freed.inverse[i], back[i] @ freed.pull[i, 0], by_place[i], by_rate[i]))
     if scene.drive == "flexible":
         seat = scene.slices["seat_turn"]
         assert seat is not None
         place, rate = place.at[seat, seat].add(-c.drive_stiffness), rate.at[seat, seat].add(-c.drive_damping)
     return place, rate, rows
+
+
+def _turned(by_place: Array, by_twist: Array, motion: system.Motion) -> Array:
+    """By turns of the cage: what a band sees turns the other way. (pilots, i, 3)."""
+    turned = jnp.cross(by_place, motion.arm[:, None]) + jnp.cross(by_twist[..., :3], motion.velocity[:, None])
+    return turned + jnp.cross(by_twist[..., 3:], motion.spin[:, None])
 
 
 def _rows(c: Constants, relative_motions: system.RelativeMotions, freed: Freed, bodies: Any) -> tuple[Array, ...]:

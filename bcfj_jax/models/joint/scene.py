@@ -234,14 +234,14 @@ class Joint(AbstractModel):
 
     @property
     def bristles(self) -> Mapping[str, int]:
-        """Faces of each contact whose friction has a state: of one ball's, and of a pilot that is no band."""
+        """Faces of each contact whose friction has a state: of one ball's, and of a pilot; a band has no bristles."""
         if self.fidelity != "dynamic":
             return {}
         faces = {"cage_ball": 2, WINDOW_END: 2}
         faces |= {"seat_ball": 2, "head_ball": 2} if self.track == "gothic" else {}
         frictions = {contact.name: contact.friction for contact in self.contacts if contact.friction}
         rough = {name for name, friction in frictions.items() if friction.bristles or friction.lags}
-        names = (*GROOVES, "cage_ball", WINDOW_END, *(() if self.bands else PILOTS))
+        names = (*GROOVES, "cage_ball", WINDOW_END, *(() if self.bands and self.width == 3 else PILOTS))
         return {name: faces.get(name, 1) for name in names if name in rough}
 
     @property

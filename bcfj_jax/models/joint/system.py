@@ -196,9 +196,10 @@ def guided(scene: Joint, c: Constants, state: State) -> tuple[Motion, Array]:
 def piloted(scene: Joint, c: Constants, state: State) -> tuple[Geometry | Band, Motion, Array | None, Array]:
     """The pilots' geometry, ``guided``'s motion, bristles, and the outer spheres' angular velocities."""
     motion, spin = guided(scene, c, state)
+    bent = beside(state.bristles, scene.pilots)
     if c.bands is not None:
-        return band(c.bands, motion.arm, state.cage_axis), motion, None, spin
-    return pilots(c.pilot_clearance, c.pilot_hollow, motion.arm), motion, beside(state.bristles, scene.pilots), spin
+        return band(c.bands, motion.arm, state.cage_axis), motion, bent, spin
+    return pilots(c.pilot_clearance, c.pilot_hollow, motion.arm), motion, bent, spin
 
 
 def on_inner(scene: Joint, pilots: ContactForce) -> ContactForce:

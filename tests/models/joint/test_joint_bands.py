@@ -76,33 +76,49 @@ def test_the_mean_direction_is_the_hulls_point_nearest_to_the_sphere():
     assert 20 < whole < 80
 
 
-def test_slopes_of_bands():
-    _, _, _, c = looked()
+@pytest.mark.parametrize("friction", ["default", pytest.param("memory", marks=pytest.mark.full)])
+def test_slopes_of_bands(friction):
+    lags = friction == "memory"
+    c = made(bands=True, friction="memory")[2] if lags else looked()[3]
     rng = np.random.default_rng(2)
+
+    def state(x):
+        return x[:, None, 9:] if lags else None
 
     def wrench(x):
         at = bands.band(c.bands, x[:, :3], jnp.asarray(AXIS))
-        found = bands.act(c.pilot_laws, at, x[:, 3:6], x[:, 6:])
-        return jnp.concatenate([found.force, found.moment], -1)
+        found = bands.act(c.pilot_laws, at, x[:, 3:6], x[:, 6:9], state(x))
+        late = [] if found.bending is None else [found.bending[:, 0]]
+        power = jnp.sum(found.drag * x[:, 3:6] + found.moment * x[:, 6:9], -1)
+        return jnp.concatenate([found.force, found.moment, *late], -1), found.rubbed, power
 
     @jax.jit
     def both(x):
-        full = jax.jacfwd(wrench)(x)
+        full = jax.jacfwd(lambda x: wrench(x)[0])(x)
         at = bands.band(c.bands, x[:, :3], jnp.asarray(AXIS))
-        slopes = bands.slopes(c.pilot_laws, at, x[:, 3:6], x[:, 6:])
-        return wrench(x), jnp.stack([full[k, :, k] for k in range(2)]), slopes[:3]
+        found = bands.slopes(c.pilot_laws, at, x[:, 3:6], x[:, 6:9], state(x))
+        value, by_x = found.value, jnp.concatenate([found.by_place, found.by_twist], -1)
+        if lags:
+            b = found.bond
+            value = jnp.concatenate([value, b.bending[:, 0]], -1)
+            by_x = jnp.concatenate([by_x, b.pull[:, 0]], -1)
+            late = jnp.concatenate([b.by_place, b.by_twist, -b.decay[..., None, None]], -1)[:, 0]
+            by_x = jnp.concatenate([by_x, late], -2)
+        return wrench(x), jnp.stack([full[k, :, k] for k in range(2)]), value, by_x
 
     pressed = 0
     for k in range(40):
-        place = off_centre(rng, k % 2)
-        x = np.concatenate([place, 0.2 * rng.normal(size=(2, 3)), 20.0 * rng.normal(size=(2, 3))], 1)
-        value, wanted, (same, by_place, by_twist) = jax.device_get(both(x))
+        place, late = off_centre(rng, k % 2), 0.1 * rng.uniform(size=(2, int(lags)))
+        x = np.concatenate([place, 0.2 * rng.normal(size=(2, 3)), 20.0 * rng.normal(size=(2, 3)), late], 1)
+        (value, rubbed, power), wanted, same, found = jax.device_get(both(x))
         assert np.allclose(same, value, rtol=0, atol=1e-12 * np.abs(value).max())
-        found = np.concatenate([by_place, by_twist], -1)
-        for rows in (slice(0, 3), slice(3, 6)):
-            for columns in (slice(0, 3), slice(3, 6), slice(6, 9)):
-                size = np.abs(wanted[:, rows, columns]).max()
-                assert np.abs(found - wanted)[:, rows, columns].max() <= 1e-12 * size
+        for rows in (slice(0, 3), slice(3, 6), slice(6, None)):
+            for columns in (slice(0, 3), slice(3, 6), slice(6, 9), slice(9, None)):
+                size = np.abs(wanted[:, rows, columns]).max(initial=0.0)
+                assert np.abs(found - wanted)[:, rows, columns].max(initial=0.0) <= 1e-12 * size
+        if lags:
+            # What friction takes, by its actual force.
+            assert np.allclose(rubbed[:, 0], -power, rtol=1e-9, atol=1e-12 * np.abs(power).max())
         pressed += np.abs(value).max() > 1.0
     assert pressed > 15
 
@@ -231,6 +247,7 @@ def test_bands_are_refused_where_there_is_no_cage():
     grooves = ("seat_ball", "head_ball")
     assert "pilot_band" not in plain_joint(bands=True, contacts=("cage_ball", *grooves)).quantities
     assert not {"seat_cage", "head_cage"} & set(plain_joint(bands=True, friction="lugre").bristles)
+    assert {"seat_cage", "head_cage"} <= set(plain_joint(bands=True, friction="memory").bristles)
 
 
 def test_friction_of_bands_is_compiled_with_bands_alone():

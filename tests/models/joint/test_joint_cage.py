@@ -47,6 +47,8 @@ NEW = {
         "window_ends": True, "bands": True, "spin": True, "friction": "lugre", "drive": "flexible",
     },
     "bands, fixed cage": {"bands": True, "cage": "fixed"},
+    "bands, memory": {"bands": True, "friction": "memory"},
+    "all, memory, fixed cage": {"bands": True, "spin": True, "cage": "fixed", "friction": "memory"},
 }  # fmt: skip
 FULL = ("all", "ends, spin, bristles")
 
@@ -85,7 +87,8 @@ def pressed(scene, params, seed, side=1.0):
     """A disturbed state whose balls press the ends of some windows, and spheres the edges of bands; bristles bent."""
     y = np.array(noisy(scene, params, seed, places=8e-5))
     draw = np.random.default_rng(seed)
-    y[scene.moving : scene.azimuth] = 1e-6 * draw.normal(size=y[scene.moving : scene.azimuth].size)
+    stated = draw.normal(size=y[scene.moving : scene.azimuth].size)
+    y[scene.moving : scene.azimuth] = 1e-6 * stated if scene.width == 3 else 0.05 * np.abs(stated)
     if scene.azimuth is not None:
         y[scene.azimuth] -= side * float(params["clearance_cage_window_end"]) / float(params["pitch_radius"])
     if scene.banded:
