@@ -38,7 +38,7 @@ def collected(times: int, number: signal.Signals) -> list[int]:
     gc.callbacks.append(callback)
     try:
         for _ in range(times):
-            gc.collect()
+            gc.collect(0)
     finally:
         gc.callbacks.remove(callback)
     return came
@@ -130,7 +130,7 @@ def test_another_fault_of_a_callback_is_reported(monkeypatch):
     with stop.heeded():
         gc.callbacks.append(callback)
         try:
-            gc.collect()
+            gc.collect(0)
         finally:
             gc.callbacks.remove(callback)
     assert {one.exc_type for one in found} == {ValueError}
