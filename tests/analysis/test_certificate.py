@@ -201,7 +201,7 @@ def test_a_failed_run_is_not_differentiable():
         assert (check.verdict, check.remark, check.breakdown) == (NOT, "the run failed", found.failure_time)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_each_parameter_by_differences_on_request():
     found = bounced("reference", differences="each")
     assert found.certificate.direction is None

@@ -139,7 +139,7 @@ def test_a_body_thrown_out_of_its_regularisation_is_measured_by_that():
     [
         ("impact", {"approach_speed": 0.0}),
         ("impact", {"approach_speed": 1e-6, "clearance_contact": 1e-9}),
-        ("bounce", {"drop_height": 0.0, "stiffness": 1e13}),
+        pytest.param("bounce", {"drop_height": 0.0, "stiffness": 1e13}, marks=pytest.mark.slow),
     ],
 )
 def test_a_body_at_rest_within_a_regularisation_has_no_approach_speed(kind, values):

@@ -13,7 +13,8 @@ from bcfj_jax import InputError, scenes
 from calibration import Channel, Experiment, Free, Problem, command, fit
 from calibration.diagnostics.records import features_of
 from calibration.forward import model
-from calibration.forward.observables import fine, low_pass
+from calibration.forward.observables import fine
+from calibration.forward.observables import low_pass as low_pass_by_steps
 from calibration.problem import Observation
 from calibration.report import plots
 from calibration.search.refinement import finish
@@ -28,6 +29,8 @@ IMPACT = scenes.impact(smoothing=False)
 LAW = {"mass": MASS, "stiffness": STIFFNESS, "exponent": 1.0, "damping": 0.0}
 DROP, GRAVITY = 0.05, 9.81
 BOUNCE = scenes.bounce(smoothing=False)
+# An operation at a time it compiles a hundred little programs.
+low_pass = jax.jit(low_pass_by_steps)
 
 
 def params(scene, **more) -> dict[str, float]:
@@ -55,7 +58,7 @@ def test_low_pass_of_nothing_and_of_no_time():
     # So fast a sensor reads what is there; over no time it moves by nothing, and its derivative stays finite.
     np.testing.assert_allclose(low_pass(times, values, jnp.asarray(1e12))[2:], values[2:], atol=1e-8)
     assert low_pass(times, values, jnp.asarray(50.0))[1, 0] == 1.0
-    slope = jax.jacfwd(lambda b: low_pass(times, values, b))(jnp.asarray(50.0))
+    slope = jax.jit(jax.jacfwd(lambda b: low_pass(times, values, b)))(jnp.asarray(50.0))
     assert np.isfinite(slope).all()
 
 

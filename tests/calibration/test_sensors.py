@@ -13,12 +13,15 @@ from scipy.signal import lsim
 from bcfj_jax import InputError, scenes, simulate
 from calibration import Channel, Experiment, Free, Problem
 from calibration.forward.model import build, predictions, residuals_and_jacobian
-from calibration.forward.observables import resonant, through
+from calibration.forward.observables import resonant as resonant_by_steps
+from calibration.forward.observables import through
 
 pytestmark = pytest.mark.filterwarnings("error")
 SCENE = scenes.impact(smoothing=False)
 PARAMS = {k: float(v) for k, v in SCENE.parameters({"mass": 0.1, "approach_speed": 1.0, "stiffness": 1e8}).items()}
 TIMES = np.linspace(0.0, 1.6e-3, 81)
+# An operation at a time it compiles a hundred little programs.
+resonant = jax.jit(resonant_by_steps)
 
 
 @pytest.mark.full
@@ -37,7 +40,7 @@ def test_a_second_order_sensor_is_scipys(damping):
 def test_a_stiff_sensor_reads_what_is_there_and_has_a_derivative():
     times, values = jnp.array([0.0, 0.0, 1e-3, 3e-3]), jnp.array([[1.0], [5.0], [2.0], [2.0]])
     np.testing.assert_allclose(resonant(times, values, jnp.asarray(1e12), jnp.asarray(0.05))[2:], values[2:], atol=1e-8)
-    slopes = jax.jacfwd(lambda p: resonant(times, values, p[0], p[1]))(jnp.array([500.0, 0.1]))
+    slopes = jax.jit(jax.jacfwd(lambda p: resonant(times, values, p[0], p[1])))(jnp.array([500.0, 0.1]))
     assert np.isfinite(slopes).all()
 
 
@@ -61,13 +64,20 @@ def two_runs(*free: Free, **known: float) -> Problem:
     return Problem(SCENE, PARAMS, tuple(runs), (Free("stiffness", 1e7, 1e9), *free))
 
 
-@pytest.mark.full
-def test_a_sensors_own_numbers_are_shared_and_a_records_are_not():
+def shared_and_own():
     problem = two_runs(Free("resonance", 1e3, 1e5), Free("drift", -1.0, 1.0), Free("gain", 0.5, 2.0, each=False))
-    model = build(problem, problem.experiments)
-    assert [(a.name, a.experiment) for a in model.coordinates] == [
+    return build(problem, problem.experiments)
+
+
+def test_a_sensors_own_numbers_are_shared_and_a_records_are_not():
+    assert [(a.name, a.experiment) for a in shared_and_own().coordinates] == [
         ("stiffness", None), ("resonance", None), ("gain", None), ("drift", 0), ("drift", 1),
     ]  # fmt: skip
+
+
+@pytest.mark.slow
+def test_derivatives_by_numbers_of_sensor_and_record_are_those_of_differences():
+    model = shared_and_own()
     point = model.point(np.array([1e8, 4e3, 1.1, 0.5, -0.5]), 0.0)
     _, jacobian = residuals_and_jacobian(model, point, 0.0)
     for k in range(5):

@@ -448,8 +448,10 @@ def test_a_good_mechanism_is_checked_without_compiling_and_then_compiled(monkeyp
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("kind", ["slider_crank", "bounce", "impact"])
-@pytest.mark.parametrize("law", ["memory_free", "exact", "zhang"])
+@pytest.mark.parametrize(
+    "kind", ["slider_crank", *(pytest.param(x, marks=pytest.mark.slow) for x in ("bounce", "impact"))]
+)
+@pytest.mark.parametrize("law", ["memory_free", "exact", pytest.param("zhang", marks=pytest.mark.slow)])
 def test_numpy_sees_of_a_start_what_the_compiled_program_sees(kind, law):
     scene = bj.scenes.make(kind, law=law)
     params = scene.parameters()

@@ -61,7 +61,7 @@ def test_elasto_gap(scene, exponent):
 def test_what_is_lost_is_what_the_reference_loses():
     params, made = case(DRIVEN, 1.5, 1.5)
     run = simulate(DRIVEN, params, TIMES, accuracy=1e-6)
-    flows = jax.vmap(lambda t, y: DRIVEN.flows(t, y, params))(jnp.asarray(TIMES), jnp.asarray(run.trajectory))
+    flows = jax.jit(jax.vmap(lambda t, y: DRIVEN.flows(t, y, params)))(jnp.asarray(TIMES), jnp.asarray(run.trajectory))
     lost = np.trapezoid(np.asarray(flows.taken["damping"]), TIMES)
     assert lost == pytest.approx(reference.simulate(made, TIMES, 1e-12, max_step=5e-3).loss[-1], rel=3e-3)
 

@@ -46,7 +46,7 @@ def test_control_torque(controller):
         return scene.loads[1].actions(t, bodies, params)[0].torque[2]
 
     rows = reference.PUBLISHED
-    found = jax.vmap(torque)(rows[:, 0], rows[:, 1], rows[:, 4])
+    found = jax.jit(jax.vmap(torque))(rows[:, 0], rows[:, 1], rows[:, 4])
     expected = [reference._torque(row[0], row[1], row[4], reference._pack(made)) for row in rows]
     assert np.abs(found - np.array(expected)).max() < 1e-9
     if controller == "siconos":

@@ -49,7 +49,7 @@ def rebound(run):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("friction", [True, "coulomb", pytest.param("step", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("friction", [True, *(pytest.param(x, marks=pytest.mark.slow) for x in ("coulomb", "step"))])
 @pytest.mark.parametrize("spin", [0.0, 500.0, -500.0])
 def test_gross_sliding(spin, friction):
     made = dataclasses.replace(KHARAZ, angle=math.radians(60.0), spin=spin, friction_speed=1e-3)
@@ -63,7 +63,7 @@ def test_gross_sliding(spin, friction):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("friction", [True, "coulomb", "lugre"])
+@pytest.mark.parametrize("friction", [pytest.param(True, marks=pytest.mark.slow), "coulomb", "lugre"])
 def test_sticking(friction):
     made = dataclasses.replace(
         KHARAZ, angle=math.radians(5.0), friction_speed=1e-5, friction_dynamic=0.3, friction_static=0.3,

@@ -57,7 +57,7 @@ def test_ideal_kinematics():
     params = scene.parameters()
     times = np.linspace(0.0, float(scene.horizon(params)), 101)
     assert simulate(scene, params, times).status == "ok"
-    found = jax.vmap(lambda t: scene.motions(t, jnp.zeros(0), params))(jnp.asarray(times))
+    found = jax.jit(jax.vmap(lambda t: scene.motions(t, jnp.zeros(0), params)))(jnp.asarray(times))
     exact, rim, pull = reference.ideal(B6, times), B6.crank * B6.speed, B6.crank * B6.speed**2
     slider, rod = found["slider"], found["rod"]
     for value, expected, size in (

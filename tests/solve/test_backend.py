@@ -119,8 +119,13 @@ _OURS = f"{_LOOPS}=1048576,xla_cpu_disable_new_fusion_emitters"
     ("before", "after"),
     [
         ("", f"--xla_backend_extra_options={_OURS}"),
-        ("--xla_cpu_use_thunk_runtime=true", f"--xla_cpu_use_thunk_runtime=true --xla_backend_extra_options={_OURS}"),
-        ("--xla_backend_extra_options=a=1", f"--xla_backend_extra_options={_OURS},a=1"),
+        pytest.param(
+            "--xla_cpu_use_thunk_runtime=true", f"--xla_cpu_use_thunk_runtime=true --xla_backend_extra_options={_OURS}",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            "--xla_backend_extra_options=a=1", f"--xla_backend_extra_options={_OURS},a=1", marks=pytest.mark.slow
+        ),
         (f"--xla_backend_extra_options={_LOOPS}=2", f"--xla_backend_extra_options={_LOOPS}=2"),
     ],
 )  # fmt: skip

@@ -83,7 +83,7 @@ def test_restitution_0_comes_to_rest():
 
 @pytest.mark.full
 @pytest.mark.parametrize("n", [1.0, 1.5, 3.0])
-@pytest.mark.parametrize("law", ["hertz", "memory_free"])
+@pytest.mark.parametrize("law", [pytest.param("hertz", marks=pytest.mark.slow), "memory_free"])
 def test_what_rests_presses_by_its_weight(law, n):
     scene = scenes.bounce(law)
     sag = 1e-6

@@ -76,7 +76,7 @@ def test_flank_ends_are_accounted_for():
     read, scene, params = variant("default")
     c = constants(scene, params)
     y = noisy(scene, params, 5)
-    across = system.relative_motions(scene, c, system.view(scene, c, y)).across
+    across = jax.jit(lambda y: system.relative_motions(scene, c, system.view(scene, c, y)).across)(y)
     side = np.asarray(across[0, 0])
     outward = y[:3] - (y[:3] @ side) * side
     outward /= np.linalg.norm(outward)
