@@ -57,6 +57,12 @@ from bcfj_jax.mechanism.model import (
     Solution,
 )
 
+# Fields of loads, and of drives, that may be a parameter's name.
+_OF_LOADS = (
+    "size", "ramp", "amplitude", "frequency", "reversal", "reversal_ramp",
+    "stiffness", "damping", "rest", "free_length", "turning_damping", "at",
+)  # fmt: skip
+_OF_DRIVES = ("speed", "over", "start", "first")
 # Local error a step, in units of ``error_scale``, per unit of force error asked for: of explicit methods, derived by
 # benchmarks/solve/levels.py on random impacts and bounces; of implicit ones, by benchmarks/solve/mechanisms.py.
 EXPLICIT, IMPLICIT, LOOSEST = 5e-4, 1e-2, 1e-3
@@ -180,15 +186,15 @@ class Mechanism(AbstractModel):
         for b in self.bodies:
             found += [*b.at, *b.center, b.mass, *(s for _, s in b.start), b.tilt[1] if b.tilt else None]
             found += list(b.inertia) if isinstance(b.inertia, tuple) else [b.inertia]
-            found += [b.drive.speed, b.drive.over, b.drive.start] if b.drive else []
+            found += [getattr(b.drive, name) for name in _OF_DRIVES] if b.drive else []
         for c in self.contacts:
             found += [*(s for _, s in c.values), *c.at[0], *c.at[1]]
         for load in self.loads:
-            for name in ("size", "ramp", "stiffness", "damping", "rest", "free_length", "turning_damping", "at"):
+            for name in _OF_LOADS:
                 part = getattr(load, name, None)
                 found += list(_flattened(part)) if isinstance(part, tuple) else [part]
             drive = getattr(load, "drive", None)
-            found += [drive.speed, drive.over, drive.start] if drive else []
+            found += [getattr(drive, name) for name in _OF_DRIVES] if drive else []
         return [x.removeprefix("-") for x in found if isinstance(x, str)]
 
     @property
