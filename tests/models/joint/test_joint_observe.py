@@ -161,7 +161,9 @@ def test_forces_of_the_tracks_add_up_to_the_torque():
     params = {name: jnp.asarray(1e13) if name.endswith(".stiffness") else x for name, x in params.items()}
     params |= {name: jnp.zeros(()) for name in params if name.startswith("clearance")}
     run = bj.simulate(scene, params, [1.0])
-    found = summed(scene, constants(scene, params), jnp.asarray(run.trajectory[0]))
+    # At rest, as the equilibrium is: damping has no part in it.
+    still = jnp.asarray(run.trajectory[0]).at[3 * scene.balls + scene.coupling :].set(0.0)
+    found = summed(scene, constants(scene, params), still)
     radius = math.hypot(0.0355, 0.0045)
     along = 1800.0 / 0.0355 / math.tan(math.radians(40.0)) * 0.0045 / radius
     for name in ("seat_ball", "head_ball"):

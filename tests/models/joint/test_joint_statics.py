@@ -214,7 +214,7 @@ def test_joint_with_play_against_an_independent_solve_and_its_sixfold_symmetry()
         assert np.asarray(part[1]) == pytest.approx(np.roll(part[0], -1, 0), rel=1e-7, abs=1e-4)
     assert np.asarray(touch.pilots.normal[1]) == pytest.approx(np.asarray(touch.pilots.normal[0]), rel=1e-7)
     # Rates: the balls move with the cage, about the bisector.
-    assert states[0, -1] == within(float(params["drive_speed"]), 1e-12)
+    assert states[0, PLAY.moving - 1] == within(float(params["drive_speed"]), 1e-12)
 
 
 def geometry_bisector(params):
