@@ -1,6 +1,6 @@
 """Derivatives and calibration of the joint with rolling balls, window ends and bands, beside those of the plain joint.
 
-    python -m benchmarks.models.joint_fuller                    both parts, into benchmarks/results/joint_fuller.json
+    python -m benchmarks.models.joint_fuller                    all parts, into benchmarks/results/joint_fuller.json
     python -m benchmarks.models.joint_fuller derivatives plain  or any other part, variant or both
 
 Derivatives: of the normal forces of 0.3 s by eight logarithms at the level ``balanced``, with their certificate: each
@@ -8,6 +8,7 @@ parameter's verdict and its difference, as averages over 5 ms, from derivatives 
 differences. Calibration: the seven coefficients that the record tells (``benchmarks.calibration.joint_calibration``) and the
 clearance of one ball in its groove, 5 um more than that of the others, from a record of 0.3 s with noise of 2 % of each
 peak, of the same joint solved to 1e-5 of the peak. The fit solves it at ``balanced``. Walls hang on what else runs.
+Tangents: how large they become by tolerance and method, here and in joints in which a ball carries nothing.
 """
 
 from __future__ import annotations
@@ -15,32 +16,42 @@ from __future__ import annotations
 import os
 import sys
 import time
+from collections.abc import Callable
 from typing import Any
 
 # Before equinox is imported: JAX keeps no program with host callbacks, which diffrax's checks are.
 os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 import bcfj_jax as bj
 from bcfj_jax.models.joint.scene import PLAIN
+from bcfj_jax.solve.plan import MAX_STEPS, Plan
 from benchmarks.calibration.joint_calibration import BOUNDS
 from benchmarks.common import RESULTS, ROOT, load, save
 from calibration import Channel, Experiment, Free, Problem, fit
 
 FULLER = dict.fromkeys(PLAIN, True)
-# Options and values. ``smoothing``: the default, 20 um, holds a ball that carries nothing with less than 0.2 N where pilots
-# are bands; its swing is then chaotic.
+BANDS = PLAIN | {"bands": True}
+# Contact regularisation of 20 um, the default, holds a ball that carries nothing with less than a newton.
+WIDE = {"smoothing": 30e-6}
+# Options and values.
 VARIANTS: dict[str, tuple[dict[str, Any], dict[str, float]]] = {
     "plain": (PLAIN, {}),
     "fuller": (FULLER, {}),
-    "fuller, 30 um": (FULLER, {"smoothing": 30e-6}),
+    "fuller, 30 um": (FULLER, WIDE),
+    "plain, 0.5 rad": (PLAIN, {"joint_angle": 0.5}),
+    "bands": (BANDS, {}),
+    "bands, 30 um": (BANDS, WIDE),
 }
 TIMES = np.linspace(0.0, 0.3, 301)
 CONTACTS = ("seat_cage", "head_cage", "cage_ball", "seat_ball", "head_ball")
 ONE_BALL, EXTRA = "seat_ball_2.extra_clearance", 5e-6
 NOISE, STARTS = 0.02, 4
+# Solver tolerances, and whether tangents count in the step control (BDF) or not (SDIRK2).
+TOLERANCES = ((5e-3, False), (1e-3, False), (1e-3, True), (1e-4, True), (1e-5, True))
 
 
 def derivatives(options: dict[str, Any], values: dict[str, float]) -> dict[str, Any]:
@@ -94,7 +105,31 @@ def calibration(options: dict[str, Any], values: dict[str, float]) -> dict[str, 
     }  # fmt: skip
 
 
-PARTS = {"derivatives": derivatives, "calibration": calibration}
+def tangents(options: dict[str, Any], values: dict[str, float]) -> dict[str, float]:
+    """Largest derivative [N] of any normal force of the first 0.12 s by the logarithm of ``stiffness``, by tolerance."""
+    scene = bj.scenes.joint(**options)
+    params = scene.parameters(values)
+
+    def largest(tolerance: Any, controlled: bool) -> Any:
+        def forces(log: Any) -> Any:
+            moved = {**params, "stiffness": params["stiffness"] * jnp.exp(log)}
+            how = Plan(tolerance, MAX_STEPS, controlled)
+            found = bj.force_history(scene, moved, TIMES[:121], accuracy=how, mode="forward")
+            return [force[..., 0] for force in found.values()]
+
+        slopes = jax.jvp(forces, (jnp.zeros(()),), (jnp.ones(()),))[1]
+        return jnp.max(jnp.stack([jnp.max(jnp.abs(slope)) for slope in slopes]))
+
+    programs = {controlled: jax.jit(lambda x, c=controlled: largest(x, c)) for controlled in (False, True)}
+    return {
+        f"{'BDF' if controlled else 'SDIRK2'} {tolerance:g}": float(programs[controlled](jnp.asarray(tolerance)))
+        for tolerance, controlled in TOLERANCES
+    }
+
+
+PARTS: dict[str, Callable[..., Any]] = {"derivatives": derivatives, "calibration": calibration, "tangents": tangents}
+# Of which variants, unless some are asked for.
+USUAL = {name: list(VARIANTS)[: 3 if name != "tangents" else None] for name in PARTS}
 
 
 def main() -> None:
@@ -102,7 +137,7 @@ def main() -> None:
     jax.config.update("jax_compilation_cache_dir", str(ROOT / "build" / "jax-cache"))
     asked = sys.argv[1:]
     for name in [x for x in asked if x in PARTS] or PARTS:
-        for variant in [x for x in asked if x in VARIANTS] or VARIANTS:
+        for variant in [x for x in asked if x in VARIANTS] or USUAL[name]:
             found = PARTS[name](*VARIANTS[variant])
             known = load("joint_fuller") if (RESULTS / "joint_fuller.json").exists() else {}
             known.pop("environment", None)
