@@ -25,7 +25,7 @@ fast: $(TOOLS)
 test: $(TOOLS) $(PAGES)
 	$(MAKE) --no-print-directory -j 2 --output-sync=target types docs lint
 	$(PYTEST) --assert=plain -m "not slow" --hypothesis-profile fast --durations 25 \
-		|| { $(PYTEST) --last-failed --last-failed-no-failures none --hypothesis-profile fast; exit 1; }
+		|| { $(PYTEST) --last-failed --last-failed-no-failures none -m "not slow" --hypothesis-profile fast; exit 1; }
 
 all-tests: $(TOOLS)
 	$(PYTEST)

@@ -42,7 +42,7 @@ settings.load_profile("all")
 
 
 # The files that take longest go first, so that no worker is left alone with one at the end.
-LONG = ("test_docs.py", "test_tradeoff.py", "test_extremes.py", "test_mechanism_energy.py")
+LONG = ("test_docs.py", "test_tradeoff.py", "test_extremes.py", "test_memory.py")
 
 
 @pytest.hookimpl(tryfirst=True)

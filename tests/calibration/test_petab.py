@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -17,8 +18,11 @@ from calibration import problemfile
 from calibration.petab import export, load
 from calibration.problem import Channel, Experiment, Free, Observation, Problem
 
-pytest.importorskip("petab.v2", reason="the extra petab is not installed")
-pytestmark = pytest.mark.filterwarnings("error")
+# Not imported here: every worker of pytest collects every file.
+pytestmark = [
+    pytest.mark.filterwarnings("error"),
+    pytest.mark.skipif(importlib.util.find_spec("petab") is None, reason="the extra petab is not installed"),
+]
 
 TIMES = np.linspace(-1e-4, 9e-4, 11)
 FORCE = 1e3 * np.sin(np.pi * np.clip(TIMES, 0.0, None) / 1e-3) + 1.0 / 3.0

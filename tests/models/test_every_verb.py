@@ -210,7 +210,7 @@ def swinging():
     return Mechanism("swing", bodies, loads=[loads.JointSpring("mount", "load", stiffness=800.0, damping=8.0)], own=own)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_the_exponent_of_a_drive_that_swings():
     scene = swinging()
     # Tangents of m x'' + c x' + k x fade by c/(2 m), whole periods of theirs apart.

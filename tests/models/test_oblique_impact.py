@@ -79,7 +79,10 @@ def test_sticking(friction):
 
 @pytest.mark.full
 @pytest.mark.parametrize("asked", [1e-2, 1e-4])
-@pytest.mark.parametrize(("name", "friction"), [("brown_mcphee", True), ("step", "step"), ("lugre", "lugre")])
+@pytest.mark.parametrize(
+    ("name", "friction"),
+    [("brown_mcphee", True), pytest.param("step", "step", marks=pytest.mark.slow), ("lugre", "lugre")],
+)
 def test_forces_are_those_of_the_reference(name, friction, asked):
     for angle in (8.0, 25.0, 55.0):
         made = dataclasses.replace(

@@ -38,7 +38,7 @@ def test_free_motion_to_the_printed_digits():
 @pytest.mark.full
 def test_first_touch():
     def depth(time):
-        return simulate(SCENE, PARAMS, np.array([0.0, time]), accuracy=1e-9).penetration["guide"][-1]
+        return simulate(SCENE, PARAMS, np.array([0.0, 1e-3, time]), accuracy=1e-9).penetration["guide"][-1]
 
     # Both corners of the upper side at once, to the last printed digit of 2.692503 ms.
     for corner in (0, 1):

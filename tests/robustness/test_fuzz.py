@@ -15,7 +15,7 @@ from benchmarks.robustness.mutations import of_bytes, of_toml
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 # Of each kind; the benchmark runs two thousand.
-COUNT = 24
+COUNT = 12
 
 
 @pytest.fixture(scope="module")
