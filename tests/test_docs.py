@@ -61,10 +61,11 @@ def code_lines(text: str) -> int:
     return sum(1 for line in text.splitlines() if line.strip() and not line.strip().startswith("#"))
 
 
-def run_toml(block: Block) -> None:
-    """Write the file that a block names, and do with it what its tables ask for."""
+def run_toml(block: Block, whole: bool) -> None:
+    """Write the file that a block names, and do with it what its tables ask for; a fit or a study is only read unless whole."""
     import bcfj_jax as bj
     import calibration
+    from bcfj_jax.analysis.studies import specification
     from bcfj_jax.io import scenefile
 
     if block.code:
@@ -72,10 +73,15 @@ def run_toml(block: Block) -> None:
     Path(block.file).write_text(block.text, encoding="utf-8")
     tables = tomllib.loads(block.text)
     if "experiment" in tables:
-        found = calibration.fit(calibration.load(block.file), starts=4)
-        assert found.verdict == "identified", found.reasons
+        problem = calibration.load(block.file)
+        if whole:
+            found = calibration.fit(problem, starts=4)
+            assert found.verdict == "identified", found.reasons
     elif "design" in tables:
-        bj.study(block.file, Path(block.file).with_suffix(""), workers=1)
+        if whole:
+            bj.study(block.file, Path(block.file).with_suffix(""), workers=1)
+        else:
+            specification.load(Path(block.file))
     else:
         file = scenefile.load(block.file)
         assert bj.simulate(file.scene, file.params, file.times).status == "ok"
@@ -165,15 +171,20 @@ def test_a_mechanism_is_short():
 
 
 @pytest.mark.parametrize(
-    "page", [ROOT / "README.md", pytest.param(MECHANISMS, marks=pytest.mark.full)], ids=lambda page: page.name
+    ("page", "whole"),
+    [
+        pytest.param(ROOT / "README.md", True, id="README.md"),
+        pytest.param(MECHANISMS, False, id="mechanisms.md", marks=pytest.mark.full),
+        pytest.param(MECHANISMS, True, id="mechanisms.md, its fit and its study", marks=pytest.mark.slow),
+    ],
 )
-def test_blocks_run(page, folder):
+def test_blocks_run(page, whole, folder):
     names: dict[str, object] = {}
     for block in blocks(page, "python", "toml"):
         if block.language == "python":
             run_python(block, names)
         elif block.file:
-            run_toml(block)
+            run_toml(block, whole)
 
 
 def run_commands(block: Block) -> None:

@@ -181,7 +181,7 @@ def test_delay_stands_noise(shape, shift, noise, seed):
     assert float(histories.delay(TIMES, first, second, TURN)) == pytest.approx(shift, abs=3 * STEP)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_delay_is_differentiable():
     first = jnp.asarray(SHAPES["sine"](TIMES / TURN))
 

@@ -119,7 +119,7 @@ def test_what_is_wrong_with_an_exponent_is_said():
         nonlinear.two_trajectories(lambda x: x, 0.3, 30, separation=0.0)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_run_out_of_steps_has_no_exponent():
     scene = scenes.bounce(smoothing=False)
     found = nonlinear.scene_exponent(scene, scene.parameters(), 4, interval=0.1, settle=0.3, max_steps=30, batches=2)

@@ -103,7 +103,7 @@ def test_bouncing_has_one_fixed_point_whatever_the_restitution():
     assert all(nonlinear.period_number(row[-4:], 0.1 * first) == 1 for row in settled)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_an_impact_run_that_fails_is_nan_and_says_why():
     scene = scenes.bounce("exact", smoothing=False)
     params = scene.parameters(drop_height=HEIGHT, stiffness=1e9)

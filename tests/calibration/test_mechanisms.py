@@ -208,7 +208,7 @@ def test_an_offset_is_in_the_channels_unit_and_of_one_unit():
         driven({"crank.torque": 0.01, "rod.angle": 0.01}, force_offset=(-0.1, 0.1))
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_whole_contact_is_found_by_the_contact_where_no_force_is_read():
     """A body that flies off is farthest away at the record's end; the contact was over long before."""
     scene = scenes.impact(smoothing=False)

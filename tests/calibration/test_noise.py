@@ -73,7 +73,7 @@ def test_one_estimated_deviation_is_cost_over_degrees_of_freedom(force):
     assert spread.half_width(np.array([1.0, 0.0])) == pytest.approx(half, rel=1e-6)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_stated_and_estimated_noise_mix(force):
     """Two records of one parameter, one ten times as noisy and not told so: each deviation is its own record's."""
     rng = np.random.default_rng(1)

@@ -70,7 +70,7 @@ def test_fine_times_hold_the_given_ones():
         assert float(sampled[0]) == min(first, 0.0) and np.all(np.diff(sampled) >= -1e-18)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 @pytest.mark.parametrize("bandwidth", [60.0, 1000.0])
 def test_a_slow_sensor_reads_the_filtered_force(bandwidth):
     """Forty readings of a contact by a sensor of first order, beside SciPy's at a hundred times the resolution."""

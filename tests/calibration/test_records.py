@@ -154,7 +154,7 @@ def test_events_of_every_kind_of_reading():
     [
         pytest.param(FORCE, marks=pytest.mark.slow),
         pytest.param(ACCELERATION, marks=pytest.mark.slow),
-        pytest.param(f"{FORCE}, {POSITION}", marks=pytest.mark.full),
+        pytest.param(f"{FORCE}, {POSITION}", marks=pytest.mark.slow),
     ],
     ids=["force", "acceleration", "both"],
 )

@@ -57,7 +57,7 @@ def test_elasto_gap(scene, exponent):
         assert (forces[:, 1] < 0).any() and ((forces[:, 0] > 0).any() or dashpot == 20.0)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_what_is_lost_is_what_the_reference_loses():
     params, made = case(DRIVEN, 1.5, 1.5)
     run = simulate(DRIVEN, params, TIMES, accuracy=1e-6)

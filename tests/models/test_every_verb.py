@@ -167,7 +167,7 @@ RUBBING = {"friction_static": 0.2, "friction_dynamic": 0.1, "friction_speed": 0.
 RUBBING |= {"bristle_damping": 0.1, "stiffness": 1e8, "exponent": 1.5, "damping": 0.0}
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_bristles_between_two_driven_bodies():
     slide = Body("slide", "slide", axis="x", mass=1.0, drive=Drive("constant", speed=SPEED))
     held = Body("held", "slide", axis="y", mass=1.0, drive=Drive("constant", speed=0.0, start=-NORMAL))

@@ -63,7 +63,7 @@ def test_gross_sliding(spin, friction):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("friction", [pytest.param(True, marks=pytest.mark.slow), "coulomb", "lugre"])
+@pytest.mark.parametrize("friction", ["coulomb", *(pytest.param(x, marks=pytest.mark.slow) for x in (True, "lugre"))])
 def test_sticking(friction):
     made = dataclasses.replace(
         KHARAZ, angle=math.radians(5.0), friction_speed=1e-5, friction_dynamic=0.3, friction_static=0.3,

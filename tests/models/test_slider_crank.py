@@ -110,7 +110,7 @@ def test_a_latched_approach_speed():
     assert off(run.force["journal"][:, 0], read.normal) < 5e-3
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_rubbing_takes_what_the_reference_says():
     made = dataclasses.replace(
         B6, friction="brown_mcphee", friction_static=0.1, friction_dynamic=0.05, friction_speed=0.1

@@ -102,7 +102,7 @@ def test_what_rests_presses_by_its_weight(law, n):
     assert mean == pytest.approx(MASS * GRAVITY, abs=2 * swing / run.times[-1] + 1e-3 * MASS * GRAVITY)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 @pytest.mark.parametrize("clearance", [0.0, 1e-9])
 @pytest.mark.parametrize("speed", [1e-6, 1e-9])
 def test_a_grazing_touch_is_an_impact_like_any_other(speed, clearance):
