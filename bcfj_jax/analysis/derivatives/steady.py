@@ -29,7 +29,6 @@ from bcfj_jax.core.programs import program
 from bcfj_jax.core.status import OK
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.mechanism.onward import BEGIN, START, Onward
-from bcfj_jax.solve.integrate import integrate
 from bcfj_jax.solve.plan import Plan, plan
 from bcfj_jax.solve.simulation import readings
 
@@ -74,6 +73,8 @@ def _pitch(
     shares: Array, how: Plan,
 ) -> _Pitch:  # fmt: skip
     """The map over one pitch from a state ``pitches`` pitches after time 0, and what contacts do meanwhile. Pure."""
+    from bcfj_jax.solve.integrate import integrate  # With diffrax, which a kept program does not need.
+
     scale = scene.error_scale(params)
 
     def moved(theta: Array) -> dict:
