@@ -111,7 +111,7 @@ def joints_down(
     A joint's promise is of its forces from a pitch after the load has risen: ``error``. ``whole`` counts what is
     before, too: the cage's knocks in its clearances, which no load holds yet.
     """
-    scene, tight = scene or scenes.joint(**PLAIN), (3e-7, 3e-6)
+    scene, tight = scene or scenes.joint(**PLAIN), (1e-7, 1e-6)
     run, times = runner(scene, batched=False), jnp.asarray(JOINT_TIMES)
     for params in joints(count, seed, wide, scene):
         loaded = risen(scene, params, 1) <= JOINT_TIMES
