@@ -35,7 +35,7 @@ _STEEL = {
     "bottoming_stiffness": 1e9, "bottoming_penetration": 2e-5, "bottoming_width": 2e-6, "bottoming_damping": 0.333,
     "relaxation": 0.1, "relaxation_time": 1e-5, "yield_penetration": 5e-6,
     "friction_static": 0.1, "friction_dynamic": 0.05, "friction_speed": 0.1,
-    "bristle_stiffness": 1e5, "bristle_damping": 1.0,
+    "bristle_stiffness": 1e5, "bristle_damping": 1.0, "friction_memory": 5e-3,
 }  # fmt: skip
 
 

@@ -379,7 +379,7 @@ def test_every_command_on_a_pendulum_between_stops():
     for verb in (
         ("simulate", "my.toml"),
         ("sensitivity", "my.toml", "--wrt", "stop.clearance,damping"),
-        ("tradeoff", "my.toml", "--only", "rodas3", "--no-derivatives", "--budget", 120),
+        ("tradeoff", "my.toml", "--only", "bosh3", "--no-derivatives", "--budget", 120),
     ):
         done = bcfj(*verb, "--out", f"out-{verb[0]}")
         assert done.exit_code == 0, done.stderr
