@@ -101,7 +101,8 @@ def drivers(found: Sensitivity, values: Mapping[str, Any]) -> list[str]:
     """Which parameter drives each feature, in sentences: "clearance_seat_cage drives seat_cage.peak: -0.54 % per %".
 
     Of three features at most: those that were asked for first; of more, the peak that a parameter moves most. Where
-    motion becomes steady, its features are taken, which do not depend on the start. No sentence where nothing is known.
+    motion becomes steady, its features are taken, which do not depend on the start. No sentence where nothing is known,
+    but of contacts that bear nothing at any sample.
     """
     if found.steady is not None and not found.steady.reason:
         ranked, kind = steady_ranking(found, values), "steady "
@@ -122,6 +123,12 @@ def drivers(found: Sensitivity, values: Mapping[str, Any]) -> list[str]:
             text += f", then {ranked.parameters[others[0]]}: {row[others[0]]:+.2g}"
         unsure = math.isfinite(apart[first]) and of_feature(float(apart[first])) == NOT
         sentences.append(text + (", a size only: two tolerances differ by more than 10 %" if unsure else ""))
+    empty = [name for name, force in found.force.items() if found.status == "ok" and not np.any(force)]
+    if empty:
+        count = len(found.times)
+        sentences.append(
+            f"at all {count} samples the force is 0 ({', '.join(empty)}): shorter contacts need more samples"
+        )
     return sentences
 
 

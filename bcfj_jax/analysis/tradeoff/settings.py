@@ -219,7 +219,9 @@ def _models(given: SceneFile) -> Iterator[Setting]:
         model = _made(table)
         if model is not None and (model != same or "scene" not in one.change):
             yield Setting(one.name, MODEL, one.name, error, table, one.change, one.physics)
-    for law in _USUAL_LAWS if same is not None and "law" in given.resolved["scene"] else ():
+    if same is None or "law" not in given.resolved["scene"]:
+        return
+    for law in _USUAL_LAWS:
         change = {"scene": {"law": law}}
         table = overlaid(given.resolved, change)
         model = _made(table)

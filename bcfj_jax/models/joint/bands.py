@@ -182,8 +182,8 @@ def slopes(
         (learnt, mobility), (follow, slant) = jax.jvp(lambda x: laws.lag(x, late), (squared,), (one,))
         forget, slant_late = jax.jvp(lambda x: laws.lag(squared, x), (late,), (one,))[1]
         felt = -(normal * slant_late) * pull
-        by_state = (x[:, None, None] for x in (follow * squared_place, 2.0 * follow * pull))
-        bond = Bond(bristles, learnt[..., None], felt[:, None, :, None], *by_state, -forget)
+        learnt_place, learnt_twist = ((follow * x)[:, None, None] for x in (squared_place, 2.0 * pull))
+        bond = Bond(bristles, learnt[..., None], felt[:, None, :, None], learnt_place, learnt_twist, -forget)
     hold, grip = normal * mobility, normal * slant
     hold_place, hold_twist = mobility * load_place + grip * squared_place, mobility * load_twist + 2.0 * grip * pull
     by_place = by_place - dyad(pull, hold_place) - hold[..., None] * jnp.concatenate([slide_place, swing_place], -2)

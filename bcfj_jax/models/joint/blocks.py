@@ -98,8 +98,9 @@ def _alone(scene: Joint, c: Constants, state: system.State, scale: Any) -> tuple
     if c.pilot_laws is not None:
         at, motion, bent, spin = system.piloted(scene, c, state)
         assert motion.spin is not None
-        each = bands.slopes if isinstance(at, Band) else slopes
-        found, freed = each(c.pilot_laws, at, motion.velocity, motion.spin, bent), None
+        laws, moving = c.pilot_laws, (motion.velocity, motion.spin, bent)
+        found = bands.slopes(laws, at, *moving) if isinstance(at, Band) else slopes(laws, at, *moving)
+        freed = None
         if found.bond is not None:
             freed = free(found.bond, spin, scale)
             found, _, by_spin = effective(found, freed)
@@ -136,6 +137,7 @@ def _alone(scene: Joint, c: Constants, state: system.State, scale: Any) -> tuple
 
 def _turned(by_place: Array, by_twist: Array, motion: system.Motion) -> Array:
     """By turns of the cage: what a band sees turns the other way. (pilots, i, 3)."""
+    assert motion.spin is not None
     turned = jnp.cross(by_place, motion.arm[:, None]) + jnp.cross(by_twist[..., :3], motion.velocity[:, None])
     return turned + jnp.cross(by_twist[..., 3:], motion.spin[:, None])
 
