@@ -7,7 +7,7 @@ Derivatives: of the normal forces of 0.3 s by eight logarithms at the level ``ba
 parameter's verdict and its difference, as averages over 5 ms, from derivatives four times tighter and from central
 differences. Calibration: the seven coefficients that the record tells (``benchmarks.calibration.joint_calibration``) and the
 clearance of one ball in its groove, 5 um more than that of the others, from a record of 0.3 s with noise of 2 % of each
-peak, of the same joint solved to 1e-5 of the peak. The fit solves it at ``balanced``. Walls hang on what else runs.
+peak, of the same joint solved to 1e-5 of the peak. The fit ends at 1e-3 of it. Walls hang on what else runs.
 Tangents: how large they become by tolerance and method, here and in joints in which a ball carries nothing.
 """
 
