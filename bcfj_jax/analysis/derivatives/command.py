@@ -20,6 +20,7 @@ from bcfj_jax.analysis.derivatives.ranking import (
     ranking,
     said,
     steady_ranking,
+    unknown,
 )  # fmt: skip
 from bcfj_jax.analysis.derivatives.sensitivity import Sensitivity, sensitivity
 from bcfj_jax.core.programs import keep_asked
@@ -161,9 +162,7 @@ def answer(found: Sensitivity, ranked: Ranking, sentences: Sequence[str]) -> Ver
     """Which parameter drives which feature (``ranking.drivers``), and whether to trust it."""
     if found.status != "ok":
         return Verdict(BAD, "Failed", said(found))
-    sentence = (
-        f"{'; '.join(sentences)}." if sentences else "No feature has a derivative that two tolerances agree about."
-    )
+    sentence = f"{'; '.join(sentences) or unknown(found)}."
     if found.certificate is None:
         return Verdict(PLAIN, "Not certified", f"{sentence} {said(found)}")
     known = np.isfinite(np.where(ranked.apart > BROKEN, np.nan, ranked.elasticity)).any() or bool(sentences)
@@ -195,7 +194,9 @@ def _tables(found: Sensitivity, params: Any) -> list[tuple[str, list[list[str]]]
 
 
 def _driven(found: Sensitivity, params: Any) -> list[str]:
-    return ["\n".join(sentences)] if (sentences := drivers(found, params)) else []
+    if found.status != "ok":
+        return []
+    return ["\n".join(drivers(found, params) or [unknown(found)])]
 
 
 def _texts(tables: Sequence[tuple[str, list[list[str]]]]) -> list[str]:

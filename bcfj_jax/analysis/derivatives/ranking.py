@@ -101,8 +101,8 @@ def drivers(found: Sensitivity, values: Mapping[str, Any]) -> list[str]:
     """Which parameter drives each feature, in sentences: "clearance_seat_cage drives seat_cage.peak: -0.54 % per %".
 
     Of three features at most: those that were asked for first; of more, the peak that a parameter moves most. Where
-    motion becomes steady, its features are taken, which do not depend on the start. No sentence where nothing is known,
-    but of contacts that bear nothing at any sample.
+    motion becomes steady, its features are taken, which do not depend on the start. No sentence where nothing is known
+    (``unknown``).
     """
     if found.steady is not None and not found.steady.reason:
         ranked, kind = steady_ranking(found, values), "steady "
@@ -123,13 +123,19 @@ def drivers(found: Sensitivity, values: Mapping[str, Any]) -> list[str]:
             text += f", then {ranked.parameters[others[0]]}: {row[others[0]]:+.2g}"
         unsure = math.isfinite(apart[first]) and of_feature(float(apart[first])) == NOT
         sentences.append(text + (", a size only: two tolerances differ by more than 10 %" if unsure else ""))
-    empty = [name for name, force in found.force.items() if found.status == "ok" and not np.any(force)]
-    if empty:
-        count = len(found.times)
-        sentences.append(
-            f"at all {count} samples the force is 0 ({', '.join(empty)}): shorter contacts need more samples"
-        )
     return sentences
+
+
+def unknown(found: Sensitivity) -> str:
+    """Why no parameter is known to drive a feature, and what would help."""
+    reasons = ["no derivative is finite"]
+    if empty := [name for name, force in found.force.items() if not np.any(force)]:
+        zero = f"at all {len(found.times)} samples the force of {', '.join(empty)} is 0"
+        reasons = [f"{zero}, and a shorter contact needs more samples"]
+    elif found.certificate is not None:
+        remarks = dict.fromkeys(check.remark for check in found.certificate.parameters.values() if check.remark)
+        reasons = list(remarks) or ["two tolerances disagree about every feature"]
+    return f"What drives {next(iter(found.features), 'the forces')} is not known: {'; '.join(reasons)}"
 
 
 def certificate_rows(certificate: Certificate) -> list[list[str]]:

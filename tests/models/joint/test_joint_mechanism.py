@@ -208,8 +208,10 @@ def test_bodies_and_bristles_move_as_in_the_joints_own_equations(name):
                 own = [(pair.rates[body, key], pair.own_rates[body, key]) for key in keys if (body, key) in pair.rates]
                 assert not own or apart(own) < TOLERANCE, (body, keys)
             if (body, "speed") in pair.rates:
-                off = abs(pair.rates[body, "speed"] - pair.own_rates[body, "speed"])
-                assert off < TOLERANCE * turned_by_balls(pair, body), (body, off)
+                found_speed, own_speed = pair.rates[body, "speed"], pair.own_rates[body, "speed"]
+                # A tenth of what is allowed of the largest where the sum of flanks that push against each other counts.
+                size = max(abs(own_speed), turned_by_balls(pair, body))
+                assert abs(found_speed - own_speed) < 0.1 * TOLERANCE * size, body
         assert bool(pair.bristles) == bool(joint.bristles)
         assert not pair.bristles or apart(pair.bristles) < TOLERANCE
 
