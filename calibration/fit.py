@@ -22,6 +22,7 @@ from calibration.diagnostics.clearance import clearance_tests, whole_contact_tes
 from calibration.diagnostics.records import Record, features_of, hold_out, records_of, rms, rms_of_peak, series_of
 from calibration.diagnostics.residual_tests import Series, overstated, residual_tests
 from calibration.diagnostics.scales import untold
+from calibration.diagnostics.solver_error import corrected
 from calibration.diagnostics.systematic import Budget
 from calibration.forward import integration
 from calibration.forward.coordinates import Coordinate
@@ -241,10 +242,13 @@ def _assess(
         best = averaged(evaluator(loosened(model), log_depth), best, spread.covariance, rotations)
         best = stepped(evaluator(model, log_depth), best) if model.loss == "linear" else best
         spread = fit_tests.spread(best, samples, noise.moved, model.loss)
+    errors = integration.errors(model, best.point, log_depth, best.residuals)
+    # Starts ended as loosely as was asked for, and are compared as such.
+    agreement, rivals = fit_tests.agreement((best, *ends[1:]), spread.covariance, errors, budget(model.scene).rough)
+    model, best, errors, said = corrected(model, best, log_depth, errors)
+    spread = fit_tests.spread(best, samples, noise.moved, model.loss)
     records = records_of(model, fitted, best.point, log_depth, False)
     seen = contacts(model, best.point, log_depth)
-    errors = integration.errors(model, best.point, log_depth, best.residuals)
-    agreement, rivals = fit_tests.agreement((best, *ends[1:]), spread.covariance, errors, budget(model.scene).rough)
     converged = [agreement, fit_tests.integration_test(errors, best.jacobian), contacts_met(records)]
     series = series_of(model, fitted, seen, noise, best.residuals, errors, problem.accuracy)
     quality = residual_tests(series, best.residuals, best.jacobian, model.loss != "linear")
@@ -326,7 +330,8 @@ def _assess(
         noise=_by_channel(noise),
         check=checked,
         optimum=Optimum(model, best, log_depth, spread, noise, series),
-        notes=[f"{s['text']}. What helps: {s['remedy']}" for s in scales]
+        notes=said
+        + [f"{s['text']}. What helps: {s['remedy']}" for s in scales]
         + _notes(noise)
         + _wide_notes(model, parameters)
         + _bent_notes(bent)

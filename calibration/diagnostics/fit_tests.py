@@ -179,17 +179,22 @@ def agreement(
     ]  # fmt: skip
 
 
-def integration_test(errors: np.ndarray, jacobian: np.ndarray) -> Test:
-    """Whether the integrator's error e moves any combination of coordinates by little of its deviation.
+def shift(errors: np.ndarray, jacobian: np.ndarray) -> float:
+    """Most deviations that the integrator's error e moves any combination of coordinates by; NaN where e is not known.
 
     A covariance (J^T J)^-1 and a shift J^+ e: at most |Q^T e| deviations, Q an orthonormal basis of J's columns.
     """
     left, singular, _ = np.linalg.svd(jacobian, full_matrices=False)
-    shift = float(np.linalg.norm(left[:, singular > 1e-10 * singular[0]].T @ errors))
-    reason = f"the integrator's error moves the estimates by {shift:.2g} of their deviation: ask for a smaller accuracy"
-    if not np.isfinite(shift):
+    return float(np.linalg.norm(left[:, singular > 1e-10 * singular[0]].T @ errors))
+
+
+def integration_test(errors: np.ndarray, jacobian: np.ndarray) -> Test:
+    """Whether the integrator's error moves any combination of coordinates by little of its deviation (``shift``)."""
+    moved = shift(errors, jacobian)
+    reason = f"the integrator's error moves the estimates by {moved:.2g} of their deviation: ask for a smaller accuracy"
+    if not np.isfinite(moved):
         reason = "a run at a tighter tolerance fails, so that the integrator's error is not known"
-    return Test("error of the integrator", shift, MOST_BLUR, shift < MOST_BLUR, reason)
+    return Test("error of the integrator", moved, MOST_BLUR, moved < MOST_BLUR, reason)
 
 
 def rank_test(singular: Spread) -> Test:

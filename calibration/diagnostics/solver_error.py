@@ -1,0 +1,101 @@
+"""The solver's error in an estimate: measured in deviations of the estimate, and taken out where it is no small part.
+
+A residual's error is systematic: it may move an estimate by more than one sample's noise does, though it is far smaller.
+So it is judged by what it moves the estimates by, not by its size. Where that is too much the fit goes on from its
+optimum with runs so many times as tight as those that measured the error (``solver_budget.tighter``).
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy import special
+
+from calibration.diagnostics.fit_tests import shift
+from calibration.forward import integration
+from calibration.forward.model import Model
+from calibration.noise.averaging import stepped
+from calibration.search.evaluate import evaluator
+from calibration.search.refinement import End, finish
+from calibration.solver_budget import budget
+
+log = logging.getLogger("calibration")
+
+# Deviations of the estimate that the solver's error may move it by: an interval of 95 % then covers 94.5 %.
+LITTLE = 0.2
+_ROUNDS = 2
+
+
+class Corrected(NamedTuple):
+    """An optimum on the model that it is one of.
+
+    Attributes:
+        model: with the tolerance of the last runs.
+        end: the best end on it.
+        errors: (N,) the solver's part in the white residuals; NaN where it is not known.
+        notes: what was done, and what is left, in words.
+    """
+
+    model: Model
+    end: End
+    errors: np.ndarray
+    notes: list[str]
+
+
+def corrected(model: Model, best: End, log_depth: float, errors: np.ndarray) -> Corrected:
+    """An optimum whose estimates the solver's error moves by at most ``LITTLE`` deviations, if tighter runs succeed.
+
+    Nothing is run where that holds already, nor where the error is not known.
+
+    Args:
+        model, best: the optimum, its Jacobian the one that the covariance is of.
+        log_depth: ln of the reference penetration [m].
+        errors: (N,) of the white residuals there (``integration.errors``).
+    """
+    first = now = shift(errors, best.jacobian)
+    rounds = 0
+    while now > LITTLE and rounds < _ROUNDS:
+        finer = integration.tighter(model)
+        end = _again(finer, best, log_depth)
+        left = np.full(1, np.nan) if end is None else integration.errors(finer, end.point, log_depth, end.residuals)
+        if end is None or not np.isfinite(left).all():
+            break
+        model, best, errors, rounds = finer, end, left, rounds + 1
+        now = shift(errors, best.jacobian)
+        log.info("refined at a tighter tolerance: chi2 %.6g", best.cost)
+    notes = []
+    if rounds:
+        times = budget(model.scene).tighter ** rounds
+        notes.append(
+            f"at the accuracy asked for, the integrator's error would move the estimates by {first:.2g} of their "
+            f"deviation: the fit went on at a tolerance {times:g} times tighter"
+        )
+    if now > LITTLE:
+        notes.append(
+            f"the integrator's error may move an estimate by {now:.2g} of its deviation: then an interval of 95 % "
+            f"covers {100.0 * covered(now):.0f} %"
+        )
+    return Corrected(model, best, errors, notes)
+
+
+def covered(moved: float) -> float:
+    """What an interval of 95 % covers where the estimate is moved by so many of its deviations."""
+    half = float(special.ndtri(0.975))
+    return float(special.ndtr(half - moved) - special.ndtr(-half - moved))
+
+
+def _again(finer: Model, best: End, log_depth: float) -> End | None:
+    """The optimum on a tighter model, from that on the looser one; None where there is no way to it."""
+    if not budget(finer.scene).rough:
+        end = finish(finer, best.start, np.clip(best.point, 1e-9, 1.0 - 1e-9), log_depth)
+        return None if end.failure else end
+    if finer.loss != "linear":
+        return None
+    # With the mean Jacobian: where the cost is rough, that at one point leads nowhere.
+    evaluate = evaluator(finer, log_depth)
+    begin = replace(best, residuals=evaluate(best.point[None])[0][0])
+    end = stepped(evaluate, begin) if np.isfinite(begin.residuals).all() else begin
+    return None if end is begin else end
