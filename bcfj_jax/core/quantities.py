@@ -88,6 +88,7 @@ CATALOGUE: dict[str, Quantity] = {
         _not_negative("friction_dynamic", "1", "friction coefficient mu_d of fast sliding"),
         _positive("friction_speed", "m/s", "transition speed of friction: v_t, or v_s of the static peak"),
         _positive("friction_memory", "s", "time tau by which the friction coefficient lags behind the slip"),
+        _not_negative("friction_viscous", "s/m", "viscous part of friction: coefficient over slip speed"),
         _positive("bristle_stiffness", "1/m", "sigma0 of LuGre: tangential stiffness over normal force"),
         _not_negative("bristle_damping", "s/m", "sigma1 of LuGre: bristle damping over normal force"),
         # sizes of the gaps

@@ -2,7 +2,7 @@
 
 A contact has a state for three reasons, kept in one way (``Contact.memory``): a law stated by restitution remembers the
 approach speed of the impact (one number a face), a law with states keeps those (``contact.normal``), and friction its own:
-bristles their deflection (three numbers a face, world axes), friction that lags the slip speed of late (one).
+bristles their deflection (three numbers a face, world axes), friction that lags one number.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ SLOWEST = 1e-3
 _NEAR = 1e-7
 # What bristles remember, and friction that lags.
 _BRISTLE = ("bristle_x", "bristle_y", "bristle_z")
-_LATE = ("late_slip",)
+_LATE = ("late",)
 
 
 class Approach(eqx.Module):

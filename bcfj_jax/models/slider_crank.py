@@ -36,6 +36,7 @@ _STEEL = {
     "relaxation": 0.1, "relaxation_time": 1e-5, "yield_penetration": 5e-6,
     "friction_static": 0.1, "friction_dynamic": 0.05, "friction_speed": 0.1,
     "bristle_stiffness": 1e5, "bristle_damping": 1.0, "friction_memory": 5e-3,
+    "friction_viscous": 0.1,
 }  # fmt: skip
 
 

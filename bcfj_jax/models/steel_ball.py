@@ -38,11 +38,13 @@ STEEL_BALL: dict[str, float] = {
     "bristle_stiffness": 1e5,
     "bristle_damping": 1.0,
     "friction_memory": 5e-3,
+    "friction_viscous": 0.1,
 }
 
 SOURCES = {
     "damping": "GUESS, nowhere stated: gives e = 0.9 at 1.5 m/s",
     "friction_memory": "GUESS: 3 to 9 ms in a lubricated line contact (Hess and Soom 1990)",
+    "friction_viscous": "GUESS: of a lubricant film",
 }
 
 

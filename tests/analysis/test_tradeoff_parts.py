@@ -90,6 +90,7 @@ def test_settings_of_a_joint():
     for s in found.values():
         resolved = from_table(s.table, None).resolved
         own = {"lugre": {"bristle_stiffness", "bristle_damping"}, "memory": {"friction_memory"}}
+        own["frictional_lag"] = {"friction_memory", "friction_viscous"}
         more = set().union(*(names for law, names in own.items() if law in s.name))
         read = {name: value for name, value in resolved["parameters"].items() if name not in more}
         assert s.group == "model" or {**resolved, "parameters": read} == s.table

@@ -216,6 +216,23 @@ def test_memory_answers_a_sudden_slip_with_no_falling_coefficient():
     assert np.any(np.diff(np.asarray(law.coefficient(u[0], C))) < -1e-4)
 
 
+def test_frictional_lag_relaxes_within_tau_to_the_curve_of_memory_and_a_viscous_part():
+    law, c = FRICTION["frictional_lag"], C | {"friction_viscous": 0.2}
+    square = np.array([1e-4, 0.03, 0.1, 0.4, 3.0, 1e6]) ** 2
+    steady = FRICTION["memory"].mobility(square, C) + 0.2
+    assert np.allclose(law.mobility(square, c), steady, rtol=1e-13, atol=0.0)
+    # By hand: from rest to 3 v_t, where half of the fall is due, it has 1 - 1/e of that half after tau.
+    times = np.array([0.0, 1.0, 3.0]) * C["friction_memory"]
+    fallen = 0.5 * (1.0 - np.exp(-times / C["friction_memory"]))
+    rate, mobility = law.lag(np.full(3, 0.09), fallen, c)
+    assert np.allclose(rate, 0.5 * np.exp(-times / C["friction_memory"]) / C["friction_memory"], rtol=1e-13, atol=0.0)
+    assert np.allclose(0.3 * mobility, (0.12 - 0.09 * fallen) * np.tanh(12.0) + 0.06, rtol=1e-13, atol=0.0)
+    # At once no faster slip meets less friction, however far the fall is.
+    u, x = np.meshgrid(np.linspace(0.0, 2.0, 401), np.linspace(0.0, 1.0, 41))
+    drag = np.asarray(law.lag(u * u, x, c)[1]) * u
+    assert np.all(np.diff(drag, axis=1) >= 0.199 * 0.005)
+
+
 # --- names
 
 
@@ -224,7 +241,7 @@ def test_laws_by_name():
     assert laws.make_friction(True) is laws.make_friction("brown_mcphee") is laws.FRICTION["brown_mcphee"]
     for name, law in laws.FRICTION.items():
         assert laws.make_friction(name) is law and isinstance(law, laws.AbstractFriction)
-        assert law.bristles == (name == "lugre") and law.lags == (name == "memory")
+        assert law.bristles == (name == "lugre") and law.lags == (name in ("memory", "frictional_lag"))
         assert set(law.needs) <= set(CATALOGUE)
         assert all(CATALOGUE[coefficient].valid(C[coefficient]) for coefficient in law.needs)
 
@@ -234,7 +251,7 @@ def test_laws_by_name():
     [
         ("brown-mcphee", "friction: no friction law 'brown-mcphee'; did you mean 'brown_mcphee'"),
         ("lugr", "did you mean 'lugre'"),
-        ("qq", "known here: brown_mcphee, coulomb, lugre, memory, step"),
+        ("qq", "known here: brown_mcphee, coulomb, frictional_lag, lugre, memory, step"),
     ],
 )
 def test_unknown_names_are_answered_with_the_nearest(name, remedy):

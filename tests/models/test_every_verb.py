@@ -186,6 +186,26 @@ def test_bristles_between_two_driven_bodies():
     np.testing.assert_allclose(run.readings["slide.drive"], drag, rtol=0, atol=2e-3 * drag.max())
 
 
+@pytest.mark.slow
+def test_frictional_lag_between_two_driven_bodies():
+    own = {
+        name: RUBBING[name]
+        for name in ("friction_static", "friction_dynamic", "friction_speed", "stiffness", "exponent", "damping")
+    }
+    own |= {"friction_memory": 2e-3, "friction_viscous": 0.5}
+    slide = Body("slide", "slide", axis="x", mass=1.0, drive=Drive("constant", speed=SPEED))
+    held = Body("held", "slide", axis="y", mass=1.0, drive=Drive("constant", speed=0.0, start=-NORMAL))
+    touch = Contact("touch", ("slide", "held"), gaps.PointOnPlane("y"), law="memory_free", friction="frictional_lag")
+    scene = Mechanism("rubbing", [slide, held], [touch], given=own)
+    times = np.linspace(0.0, 1e-2, 51)
+    run = bj.simulate(scene, scene.parameters(), times, read=["slide.drive"])
+    # In closed form at constant slip v = 2 v_t: x = 16/97 (1 - exp(-t/tau)).
+    fallen = 16.0 / 97.0 * (1.0 - np.exp(-times / 2e-3))
+    drag = 1e8 * NORMAL**1.5 * ((0.2 - 0.1 * fallen) * np.tanh(8.0) + 0.5 * SPEED)
+    np.testing.assert_allclose(run.readings["slide.drive"], drag, rtol=0, atol=1e-4 * drag.max())
+    assert drag.min() < 0.94 * drag.max()
+
+
 @pytest.mark.full
 def test_an_approach_is_remembered_between_two_driven_bodies():
     own = {"stiffness": 1e8, "exponent": 1.5, "restitution": 0.6}

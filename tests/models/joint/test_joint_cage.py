@@ -48,6 +48,7 @@ NEW = {
     },
     "bands, fixed cage": {"bands": True, "cage": "fixed"},
     "bands, memory": {"bands": True, "friction": "memory"},
+    "all, frictional lag": {"window_ends": True, "bands": True, "spin": True, "friction": "frictional_lag"},
     "all, memory, fixed cage": {"bands": True, "spin": True, "cage": "fixed", "friction": "memory"},
 }  # fmt: skip
 # Of the old ones the plain joint, of the new ones that with most in it.

@@ -32,6 +32,7 @@ OPTIONS = {
     "no friction": {"friction": False},
     "bristles": {"friction": "lugre"},
     "memory, spin": {"friction": "memory", "spin": True},
+    "frictional lag, spin": {"friction": "frictional_lag", "spin": True},
     "bristles, spin, flexible": {"friction": "lugre", "spin": True, "drive": "flexible"},
     "unlike laws, five balls": {
         "laws": {"head_ball": "kelvin_voigt", "head_cage": "flores"}, "balls": 5, "smoothing": False,
