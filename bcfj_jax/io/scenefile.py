@@ -278,6 +278,9 @@ def _resolved_options(scene: AbstractModel, options: Mapping[str, Any]) -> dict[
     # With several contacts there may be no one elastic part to name: each contact's law has its own.
     if "elastic" in options and len(scene.contacts) == 1:
         found["elastic"] = _elastic_name(scene)
+    # Switches that follow from other options unless they are given.
+    open_ones = [name for name, value in options.items() if value is None]
+    found |= {name: value for name in open_ones if isinstance(value := getattr(scene, name, None), bool)}
     return {name: value for name, value in found.items() if value is not None}
 
 

@@ -115,6 +115,8 @@ def _options(kind: str, scene: AbstractModel) -> Iterator[str]:
             yield _commented(f'# {name} = "{name.removesuffix("_table")}.csv"  # ', said.get(name, ""))
         elif name == "fluctuating":
             yield _commented('# fluctuating = ["torque"]  # ', said.get(name, ""))
+        elif isinstance(follows := getattr(scene, name, None), bool) and option.default is None:
+            yield _commented(f"# {name} = {json.dumps(follows)}  # ", said.get(name, ""))
         elif option.default is None:
             yield _commented(f"# {name}: ", said.get(name, ""))
         else:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bcfj_jax.mechanism.model import Params
-from bcfj_jax.models.joint.scene import Joint
+from bcfj_jax.models.joint.scene import PLAIN, Joint
 from bcfj_jax.models.scenes import joint
 from bcfj_jax.reproduction.fit import targets
 from bcfj_jax.reproduction.measures import resultant
@@ -51,8 +51,8 @@ class Start(NamedTuple):
 
 
 def scene() -> Joint:
-    """Balls without spin, windows without ends: as the knobs were turned."""
-    return joint(law="adams_impact", spin=False, window_ends=False)
+    """The plain joint, in which the knobs were turned."""
+    return joint(law="adams_impact", **PLAIN)
 
 
 def six(run: Run, every: int = 1) -> np.ndarray:

@@ -27,7 +27,7 @@ from bcfj_jax import scenes
 from bcfj_jax.analysis.tradeoff.measures import Measured, errors, worst
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.models.joint.periodic import risen
-from bcfj_jax.models.joint.scene import PLAIN, Joint
+from bcfj_jax.models.joint.scene import WINDOW_END, Joint
 from bcfj_jax.solve.plan import LEVELS, Plan, plan
 from bcfj_jax.solve.simulation import outcome
 from benchmarks.common import RESULTS, ROOT, load, markdown, put_in_readme, save
@@ -45,6 +45,9 @@ BUDGET, JOINT_BUDGET = 200_000, 1_500_000
 Row = dict[str, Any]
 # Stands for the error of a failed run.
 LOST = 1e9
+# Of a joint: with a promise, and two without.
+JOINT_ERRORS = ("error", "ends", "whole")
+OTHER_ERRORS = {"ends": "its window ends", "whole": "its start, too"}
 # A ball's speed along its track over friction's transition speed, beyond which not every joint has a reference.
 SLIDES = 2.0
 SAMPLES, JOINT_TIMES = {"impact": 2001, "bounce": 20001}, np.linspace(0.0, 0.6, 601)
@@ -108,10 +111,11 @@ def joints_down(
 ) -> Iterator[Row]:
     """The same of dynamic joints, one after the other; the reference is BDF's, confirmed by RODAS3.
 
-    A joint's promise is of its forces from a pitch after the load has risen: ``error``. ``whole`` counts what is
-    before, too: the cage's knocks in its clearances, which no load holds yet.
+    A joint's promise is of the contacts that carry its load, from a pitch after the load has risen: ``error``. Two
+    more errors have no promise. ``ends``: of the window ends in this time, which bear what is left of friction.
+    ``whole``: of what is before, too: the cage's knocks in its clearances, which no load holds yet.
     """
-    scene, tight = scene or scenes.joint(**PLAIN), (1e-7, 1e-6)
+    scene, tight = scene or scenes.joint(), (1e-7, 1e-6)
     run, times = runner(scene, batched=False), jnp.asarray(JOINT_TIMES)
     for params in joints(count, seed, wide, scene):
         loaded = risen(scene, params, 1) <= JOINT_TIMES
@@ -121,22 +125,31 @@ def joints_down(
             forces, code, steps = jax.device_get(run(params, times, how))
             return forces, int(code), int(steps)
 
-        def both(found: Any, truth: Any, good: bool, loaded: np.ndarray = loaded) -> tuple[float, float]:
-            """Error once loaded, and of all."""
+        def both(found: Any, truth: Any, good: bool, loaded: np.ndarray = loaded) -> dict[str, float]:
+            """The errors by name."""
             if not good:
-                return LOST, LOST
+                return dict.fromkeys(JOINT_ERRORS, LOST)
             late, true = ({name: f[loaded] for name, f in some.items()} for some in (found, truth))
-            return off(late, true, JOINT_TIMES[loaded]), off(found, truth, JOINT_TIMES)
+            ends = [{WINDOW_END: some.pop(WINDOW_END)} for some in (late, true) if WINDOW_END in some]
+            left = JOINT_TIMES[loaded]
+            found, truth = ({name: f for name, f in some.items() if name != WINDOW_END} for some in (found, truth))
+            return {
+                "error": off(late, true, left),
+                "ends": off(*ends, left) if ends else 0.0,
+                "whole": off(found, truth, JOINT_TIMES),
+            }
 
         truth, code, _ = at(tight[0], "bdf")
         other, code_2, _ = at(tight[1]) if code == 0 else ({}, 1, 0)
-        apart, apart_whole = both(other, truth, code == code_2 == 0)
-        row: Row = {"law": "default", "apart": apart, "apart_whole": apart_whole, "error": [], "whole": [], "steps": []}
+        between = both(other, truth, code == code_2 == 0)
+        apart = between["error"]
+        row: Row = {"law": "default", "apart": apart, "steps": [], **{name: [] for name in JOINT_ERRORS}}
+        row |= {f"apart_{name}": between[name] for name in JOINT_ERRORS[1:]}
         row["measures"] = scene.envelope(params, JOINT_TIMES)[0]
         for tolerance in ladder:
             # Without a truth there is no error to tell.
             found, code, steps = at(tolerance) if apart < LOST else ({}, 1, 0)
-            for name, error in zip(("error", "whole"), both(found, truth, apart < LOST and code == 0), strict=True):
+            for name, error in both(found, truth, apart < LOST and code == 0).items():
                 row[name].append(error)
             row["steps"].append(steps)
         print("joint:", {k: np.array(v) for k, v in row.items() if k != "law"}, flush=True)
@@ -162,10 +175,11 @@ def derived(kind: str, rows: list[Row]) -> list[Row]:
     return table
 
 
-def at_level(kind: str, rows: list[Row], level: str, whole: bool = False) -> list[str]:
+def at_level(kind: str, rows: list[Row], level: str, error: str = "error") -> list[str]:
     """A row of the table: a level's promise, and what came of it at the next tighter level of the ladder."""
     rows = [row for row in rows if calm(row)]
-    error, apart = ("whole", "apart_whole") if whole else ("error", "apart")
+    promised = error == "error"
+    apart = "apart" if promised else f"apart_{error}"
     promise, tolerance = LEVELS[level], float(plan(scenes.make(kind), level).tolerance)
     k = next((k for k, level in enumerate(LADDER[kind]) if level <= tolerance * 1.001), len(LADDER[kind]) - 1)
     sure = [row[error][k] for row in rows if row[apart] <= CERTAIN * promise]
@@ -173,9 +187,9 @@ def at_level(kind: str, rows: list[Row], level: str, whole: bool = False) -> lis
     kept = sum(e <= promise for e in sure)
     worst_seen = f"{100 * max(sure):.2g} %" if sure else "-"
     return [
-        f"{kind}, its start, too" if whole else kind,
+        kind if promised else f"{kind}, {OTHER_ERRORS[error]}",
         level,
-        "none" if whole else f"{100 * promise:g} %",
+        f"{100 * promise:g} %" if promised else "none",
         f"{tolerance:.1g}",
         f"{kept} of {len(sure)}",
         worst_seen,
@@ -192,7 +206,8 @@ def report(kept: dict[str, Any]) -> None:
             continue
         rows, scene = kept[kind]["rows"], scenes.make(kind)
         table += [at_level(kind, rows, level) for level in LEVELS]
-        table += [at_level(kind, rows, level, whole=True) for level in LEVELS if kind == "joint"]
+        others = JOINT_ERRORS[1:] if kind == "joint" else ()
+        table += [at_level(kind, rows, level, name) for name in others for level in LEVELS]
         errors_ = np.array([row["error"] for row in rows if row["apart"] < LOST and calm(row)])
         axis.loglog(LADDER[kind], np.maximum(errors_, 1e-12).T, color="0.7", lw=0.6)
         axis.loglog(LADDER[kind], errors_.max(axis=0), "C3", label="worst scene")

@@ -14,7 +14,7 @@ import numpy as np
 from bcfj_jax import AbstractModel, InputError, scenes
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint.checks import check_joint
-from bcfj_jax.models.joint.scene import OF_A_BALL, PLAIN, Joint
+from bcfj_jax.models.joint.scene import OF_A_BALL, Joint
 
 LAWS = ("memory_free", "exact", "kelvin_voigt", "adams_impact")
 # A joint's ranges around the defaults: those that ``joint/defaults.py`` calls usual, where it does.
@@ -86,8 +86,8 @@ def springs(kind: str, law: str, count: int, seed: int, wide: bool = False) -> t
 
 
 def joint(rng: np.random.Generator, friction: float = 1.0, scene: Joint | None = None) -> Params:
-    """A random joint that can be built, of the plain scene or another; ``friction`` is a factor on both coefficients."""
-    scene = scene or scenes.joint(**PLAIN)
+    """A random joint that can be built, of the default scene or another; ``friction`` is a factor on both coefficients."""
+    scene = scene or scenes.joint()
     while True:
         values = {name: float(np.exp(rng.uniform(*np.log(ends)))) for name, ends in BY_DECADES.items()}
         values |= {name: float(rng.uniform(*ends)) for name, ends in EVENLY.items()}

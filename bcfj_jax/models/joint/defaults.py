@@ -9,6 +9,8 @@ LEGEND = (
     "7591), read as sphere diameters. derived: computed from these. GUESS: nowhere stated, chosen within what is usual. "
     "None of them was measured."
 )
+# Bands bear more than full spheres and leave a ball that carries nothing freer: 20 um holds it by 0.1 N, and it swings unstably.
+SMOOTHING_OF_BANDS = 30e-6
 DEFAULTS: dict[str, tuple[float, str]] = {
     "drive_speed": (100.0 * 2.0 * math.pi / 60.0, "paper: 100 r/min"),
     "load_torque": (1800.0, "paper: resisting torque 1.8 kN m"),
@@ -56,7 +58,8 @@ DEFAULTS: dict[str, tuple[float, str]] = {
     "damping": (0.111, "GUESS: restitution 0.9 at 1.5 m/s"),
     "smoothing": (
         20e-6,
-        "chosen: twice the balls' clearance: free balls do not rattle; benchmarks/models/joint_knobs.py",
+        "chosen: wider than the balls' clearance, so that free balls do not rattle: 30 um, 20 um without bands; "
+        "benchmarks/models/joint_knobs.py, joint_fuller.py",
     ),
     "friction_static": (0.12, "paper"),
     "friction_dynamic": (0.03, "paper"),

@@ -381,11 +381,11 @@ def joint(
     stiffnesses: Mapping[str, str] | None = None,
     contacts: Sequence[str] | None = None,
     track: str = "gothic",
-    spin: bool = False,
+    spin: bool | None = None,
     unequal: bool = False,
     cage: str = "free",
-    window_ends: bool = False,
-    bands: bool = False,
+    window_ends: bool | None = None,
+    bands: bool | None = None,
     head: str = "free",
     drive: str = "prescribed",
     fidelity: str = "dynamic",
@@ -414,17 +414,21 @@ def joint(
         stiffness: one of given, geometry. given: a parameter. geometry: of Hertz contacts of the joint's own radii,
             conformity and clearances, and of effective_modulus.
         stiffnesses: as stiffness for single contacts, by name, such as seat_cage = "geometry".
-        contacts: those there are; by default all, but seat_cage where the cage is fixed, and cage_window_end by
-            window_ends alone. Balls need both of theirs.
+        contacts: those there are; by default all, but seat_cage and cage_window_end where the cage is fixed. Balls need
+            both of theirs.
         track: one of gothic, circular: two flanks at the contact angle, or one, of the ball's radius and clearance.
-        spin: true lets the balls turn, and so roll; without, a ball is a particle at its centre.
+        spin: true lets the balls turn, and so roll; false makes each a particle at its centre. By default true where
+            friction turns them, but not where it keeps a state (memory, lugre): they then roll and slip by turns, in many
+            times the steps.
         unequal: true gives each ball an oversize of its radius and each of its contacts an extra clearance, by default
             0: ball_2.oversize, seat_ball_2.extra_clearance and so on.
         cage: one of free, fixed: to the bisecting plane, turning with the drive.
         window_ends: true gives a free cage's windows ends: the contact cage_window_end of every ball, and the cage's
-            azimuth as a state. Without, friction lets the cage slip through its own windows.
+            azimuth as a state. By default true where contacts are not listed. Without, friction lets the cage slip
+            through its own windows.
         bands: true lets the cage's pilots, seat_cage and head_cage, bear up to the latitude pilot_band alone, where a cage
-            ends, and on its edges. Without, they are full spheres.
+            ends, and on its edges; false makes them full spheres. By default true unless they have bristles (lugre), which
+            a band has not.
         head: one of free, fixed: at the centre; it turns about its own axis either way.
         drive: one of prescribed, flexible: adds seat_inertia, drive_stiffness and drive_damping.
         fidelity: one of kinematic, quasistatic, dynamic, auto. kinematic: closed-form load sharing. quasistatic:
@@ -458,7 +462,9 @@ def joint(
     if balls < 3:
         raise InputError(f"{where} balls", f"{balls} balls", "give 3 or more")
     names = tuple(contacts) if contacts is not None else USUAL[1:] if cage == "fixed" else USUAL
-    if window_ends and cage == "free" and "cage_ball" in names and WINDOW_END not in names:
+    # Who lists contacts has listed those of the windows.
+    ends = contacts is None if window_ends is None else window_ends
+    if ends and cage == "free" and "cage_ball" in names and WINDOW_END not in names:
         names = (*names, WINDOW_END)
     own = {"laws": laws, "frictions": frictions, "elastics": elastics, "stiffnesses": stiffnesses}
     for what, group in {"contacts": names, **own}.items():
@@ -514,6 +520,12 @@ def joint(
         )
         for name in ordered
     )
+    rubs = {contact.name: contact.friction for contact in made if contact.friction}
+    balls_rub = [rubs[name] for name in OF_A_BALL if name in rubs]
+    if spin is None:
+        spin = bool(balls_rub) and not any(law.bristles or law.lags for law in balls_rub)
+    if bands is None:
+        bands = not any(rubs[name].bristles for name in PILOTS if name in rubs)
     return JointModel(
         contacts=made, balls=balls, track=track, spin=spin, unequal=unequal, cage=cage, bands=bands, head=head,
         drive=drive, smoothing=smoothing, fidelity=fidelity, programmes=over_time,

@@ -19,11 +19,11 @@ from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
 from bcfj_jax.mechanism.contacts import own_quantities
 from bcfj_jax.mechanism.model import AbstractModel, Params
-from bcfj_jax.models.joint.defaults import DEFAULTS
+from bcfj_jax.models.joint.defaults import DEFAULTS, SMOOTHING_OF_BANDS
 from bcfj_jax.models.joint.programmes import Programmes
 
 CONTACTS = ("seat_cage", "head_cage", "cage_ball", "seat_ball", "head_ball", "cage_window_end")
-# Contact of a ball with either end of its window, around the cage; on request.
+# Contact of a ball with either end of its window, around a free cage.
 WINDOW_END = CONTACTS[5]
 USUAL = CONTACTS[:5]
 GROOVES = ("seat_ball", "head_ball")
@@ -102,6 +102,8 @@ class Joint(AbstractModel):
         smoothing: whether contacts are regularised.
         fidelity: "dynamic", "quasistatic" or "kinematic"; "auto" for a scene that ``simulate`` alone can run.
         programmes: what of drive and loads is not constant.
+
+    Where a field is left out it is the plain joint's; ``model.joint`` gives every one.
     """
 
     contacts: tuple[JointContact, ...]
@@ -124,6 +126,7 @@ class Joint(AbstractModel):
         """Default values of the parameters the scene has."""
         nominal = dict.fromkeys(self.each_ball, 0.0)
         known = {name: nominal[name] if name in nominal else DEFAULTS.get(name, (None,))[0] for name in self.quantities}
+        known |= {"smoothing": SMOOTHING_OF_BANDS} if self.banded and self.smoothing else {}
         known |= dict(self.programmes.greatest)
         return tuple((name, value) for name, value in known.items() if value is not None)
 
@@ -194,6 +197,11 @@ class Joint(AbstractModel):
     def azimuths(self) -> np.ndarray:
         """Azimuths (balls,) of the tracks about their race's axis at turn 0 [rad]."""
         return 2.0 * np.pi * np.arange(self.balls) / self.balls
+
+    @property
+    def window_ends(self) -> bool:
+        """Whether its windows end."""
+        return self.has(WINDOW_END)
 
     @property
     def pilots(self) -> tuple[str, ...]:

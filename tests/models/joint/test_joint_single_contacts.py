@@ -12,6 +12,7 @@ from joints import QUICK, make_constants, noisy, plain_joint
 from oracles import within
 
 import bcfj_jax as bj
+from bcfj_jax import scenes
 from bcfj_jax.analysis.histories import settled_period
 from bcfj_jax.contact import laws
 from bcfj_jax.core.errors import InputError
@@ -104,7 +105,7 @@ def test_a_scene_file_says_the_same():
         "parameters": {"ball_2": {"oversize": "10 um"}, "seat_ball_3": {"extra_clearance": "5 um"}},
     }  # fmt: skip
     given = from_table(table, None)
-    same = plain_joint(elastics={"seat_cage": "liu_sphere"}, stiffnesses={"seat_ball": "geometry"}, unequal=True)
+    same = scenes.joint(elastics={"seat_cage": "liu_sphere"}, stiffnesses={"seat_ball": "geometry"}, unequal=True)
     assert given.scene == same
     assert (
         float(given.params["ball_2.oversize"]) == 10e-6 and float(given.params["seat_ball_3.extra_clearance"]) == 5e-6
