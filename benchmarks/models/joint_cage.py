@@ -29,7 +29,7 @@ from bcfj_jax.analysis import energy_balance
 from bcfj_jax.models.joint import system
 from bcfj_jax.models.joint.constants import constants
 from bcfj_jax.models.joint.scene import PLAIN
-from benchmarks.common import RESULTS, load, markdown, save
+from benchmarks.common import RESULTS, load, markdown, put_in_readme, save
 
 TURN = 0.6
 VARIANTS: dict[str, dict[str, Any]] = {
@@ -70,9 +70,12 @@ def cost(accuracy: Any) -> dict[str, dict[str, float]]:
         row["us_per_step"] = 1e6 * row["cpu_s"] / row["steps"]
     for row in found.values():
         row["over_plain"] = row["cpu_s"] / found["plain"]["cpu_s"]
-    head = ["joint", "steps", "us a step", "s", "over plain", "first run"]
-    cells = ("steps", "us_per_step", "cpu_s", "over_plain", "first_s")
-    print(markdown([head, *([name, *(f"{row[cell]:.3g}" for cell in cells)] for name, row in found.items())]))
+    table = [["joint", "steps", "us a step", "seconds over plain"]]
+    for name, row in found.items():
+        table.append([name, f"{row['steps']:.0f}", f"{row['us_per_step']:.0f}", f"{row['over_plain']:.2f}"])
+    print(markdown(table))
+    if accuracy == "balanced":
+        put_in_readme("joint_cost", markdown(table), "docs/joint.md")
     return found
 
 

@@ -115,7 +115,7 @@ def test_a_joint_beyond_the_envelope_is_reported():
     assert stated() == [] and stated(fidelity="auto") == [] and stated(friction="lugre", fidelity="quasistatic") == []
     (fast,) = stated(parameters={"drive_speed": 30.0})
     assert "along its track over friction's transition speed is 4.16" in fast
-    (wide,) = stated(parameters={"clearance_seat_ball": 60e-6})
+    (wide,) = stated(parameters={"clearance_seat_ball": 90e-6})
     assert "a ball's clearance over the width of contact regularisation is 3," in wide
     (own,) = stated(parameters={"seat_cage.exponent": 2.5})
     assert "exponent is 2.5, measured from 1.5 to 1.5" in own

@@ -9,8 +9,8 @@ LEGEND = (
     "7591), read as sphere diameters. derived: computed from these. GUESS: nowhere stated, chosen within what is usual. "
     "None of them was measured."
 )
-# Bands bear more than full spheres and leave a ball that carries nothing freer: 20 um holds it by 0.1 N, and it swings unstably.
-SMOOTHING_OF_BANDS = 30e-6
+# Contact regularisation where pilots are full spheres: 20 um hold a ball that carries nothing. With bands it swings unstably.
+SMOOTHING_OF_SPHERES = 20e-6
 DEFAULTS: dict[str, tuple[float, str]] = {
     "drive_speed": (100.0 * 2.0 * math.pi / 60.0, "paper: 100 r/min"),
     "load_torque": (1800.0, "paper: resisting torque 1.8 kN m"),
@@ -57,8 +57,8 @@ DEFAULTS: dict[str, tuple[float, str]] = {
     "exponent": (1.5, "paper: nonlinear index 1.5"),
     "damping": (0.111, "GUESS: restitution 0.9 at 1.5 m/s"),
     "smoothing": (
-        20e-6,
-        "chosen: wider than the balls' clearance, so that free balls do not rattle: 30 um, 20 um without bands; "
+        30e-6,
+        "chosen: wider than the balls' clearance, so that free balls do not rattle; 20 um where pilots are no bands; "
         "benchmarks/models/joint_knobs.py, joint_fuller.py",
     ),
     "friction_static": (0.12, "paper"),

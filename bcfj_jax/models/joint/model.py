@@ -135,7 +135,7 @@ class JointModel(Joint):
 
     def tolerance(self, force_error: float) -> float:
         """``scales.tolerance``."""
-        return tolerance(force_error)
+        return tolerance(self, force_error)
 
     def origin(self, count: int) -> Any:
         """``batched_newton.origin``."""

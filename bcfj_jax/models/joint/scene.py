@@ -19,7 +19,7 @@ from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
 from bcfj_jax.mechanism.contacts import own_quantities
 from bcfj_jax.mechanism.model import AbstractModel, Params
-from bcfj_jax.models.joint.defaults import DEFAULTS, SMOOTHING_OF_BANDS
+from bcfj_jax.models.joint.defaults import DEFAULTS, SMOOTHING_OF_SPHERES
 from bcfj_jax.models.joint.programmes import Programmes
 
 CONTACTS = ("seat_cage", "head_cage", "cage_ball", "seat_ball", "head_ball", "cage_window_end")
@@ -126,7 +126,7 @@ class Joint(AbstractModel):
         """Default values of the parameters the scene has."""
         nominal = dict.fromkeys(self.each_ball, 0.0)
         known = {name: nominal[name] if name in nominal else DEFAULTS.get(name, (None,))[0] for name in self.quantities}
-        known |= {"smoothing": SMOOTHING_OF_BANDS} if self.banded and self.smoothing else {}
+        known |= {"smoothing": SMOOTHING_OF_SPHERES} if self.smoothing and not self.banded else {}
         known |= dict(self.programmes.greatest)
         return tuple((name, value) for name, value in known.items() if value is not None)
 
