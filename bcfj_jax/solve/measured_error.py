@@ -29,6 +29,7 @@ class Accuracy(NamedTuple):
             integral of normal force.
         agree_until: first time [s] at which a force differs by more than ``FACTOR`` times ``asked`` times the
             contact's peak, or at which one of the runs has failed; NaN for none.
+        differs: the contact whose force does so, "" for none.
         wall_s: seconds that the tighter run took.
     """
 
@@ -39,6 +40,7 @@ class Accuracy(NamedTuple):
     peak: dict[str, float]
     impulse: dict[str, float]
     agree_until: float
+    differs: str
     wall_s: float
 
     @property
@@ -70,7 +72,7 @@ def measured(
         begin, late = 0.0, times >= times[0]
     times = times[late]
     rms, peaks, impulse = {}, {}, {}
-    apart = np.zeros(times.size, bool)
+    first, differs = float("nan"), ""
     for name in force:
         ours, truth = (side[name][late].reshape(times.size, -1, 3) for side in (force, finer))
         off = ours - truth
@@ -82,9 +84,19 @@ def measured(
         peaks[name] = _share(np.abs(tops[0] - tops[1]).max(), peak)
         impulse[name] = _share(np.abs(np.trapezoid(off[..., 0], times, axis=0)).max(), pushed)
         # Not ``>``: NaN is no agreement.
-        apart |= ~(np.abs(off).max(axis=(1, 2)) <= FACTOR * asked * peak)
-    first = float(times[np.argmax(apart)]) if apart.any() else float("nan")
-    return Accuracy(asked=asked, begin=float(begin), rms=rms, peak=peaks, impulse=impulse, agree_until=first, **more)
+        apart = times[~(np.abs(off).max(axis=(1, 2)) <= FACTOR * asked * peak)]
+        if apart.size and not apart[0] >= first:
+            first, differs = float(apart[0]), name
+    return Accuracy(
+        asked=asked,
+        begin=float(begin),
+        rms=rms,
+        peak=peaks,
+        impulse=impulse,
+        agree_until=first,
+        differs=differs,
+        **more,
+    )
 
 
 def _share(part: float, whole: float) -> float:

@@ -100,7 +100,7 @@ def test_the_force_error_is_measured_and_reported(here):
 
 
 def test_runs_that_do_not_agree_are_reported():
-    found = Accuracy(0.01, 5e-6, 0.0, {"pin": 0.003}, {"pin": 0.25}, {"pin": 0.02}, 0.41, 1.0)
+    found = Accuracy(0.01, 5e-6, 0.0, {"pin": 0.003}, {"pin": 0.25}, {"pin": 0.02}, 0.41, "pin", 1.0)
     blank = np.zeros((2, 3))
     run = Run(np.zeros(2), {"pin": blank}, {}, {}, {}, "ok", "", float("nan"), {}, accuracy=found)
     first, second = accuracy_sentences(run)

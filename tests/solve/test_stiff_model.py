@@ -115,7 +115,9 @@ def test_where_two_runs_part():
         0.01, 0.0, times, {"one": ours, "ball": np.stack([truth, ours], 1)}, twice, tolerance=1.0, wall_s=0.0
     )
     # Apart by 15 %, where 1 % was asked for and ten times that is let pass.
-    assert found.agree_until == times[7] and found.peak == pytest.approx({"one": 0.15, "ball": 0.15})
+    assert (found.agree_until, found.differs) == (times[7], "one") and found.peak == pytest.approx(
+        {"one": 0.15, "ball": 0.15}
+    )
     assert found.rms["ball"] == pytest.approx(0.15 * np.sqrt(4 / 11))
     assert found.impulse["one"] == pytest.approx(1.5 * 0.35 / 10.0)
     assert measured(0.02, 0.0, times, {"one": ours}, twice, tolerance=1.0, wall_s=0.0).agree_until is not None

@@ -253,7 +253,8 @@ def _accuracy(accuracy: Mapping[str, Any]) -> Table:
     until = accuracy.get("agree_until")
     note = "Against the same run at a tenth of the tolerance. Shares of each contact's peak force and impulse."
     if until is not None and np.isfinite(until):
-        note += f" Both runs agree until {brief(until, 's')}; later forces differ by more than the error asked for."
+        where = accuracy.get("differs") or "a force"
+        note += f" Both runs agree until {brief(until, 's')}; then {where} differs by more than the error asked for."
     return Table("Measured force error", rows, note)
 
 

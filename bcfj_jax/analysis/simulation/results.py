@@ -104,7 +104,7 @@ def accuracy_sentences(run: Run) -> list[str]:
     if np.isfinite(accuracy.agree_until):
         lines.append(
             f"This run and the same at a tenth of its tolerance agree until {format_si(accuracy.agree_until, 's', 4)}: "
-            f"from then on a force differs by more than {FACTOR:g} times the error asked for."
+            f"then the force of {accuracy.differs} differs by more than {FACTOR:g} times the error asked for."
         )
     return lines
 
@@ -119,6 +119,7 @@ def _accuracy_json(accuracy: Accuracy) -> dict[str, Any]:
         "measured": measured_errors(accuracy),
         "from": accuracy.begin,
         "agree_until": accuracy.agree_until,
+        "differs": accuracy.differs or None,
         "tolerance": accuracy.tolerance,
         "wall_s": accuracy.wall_s,
         "units": {"asked": "1", "measured": "1", "from": "s", "agree_until": "s", "wall_s": "s"},
