@@ -66,7 +66,7 @@ NOISE, STARTS = 0.02, 4
 # Reference of the noise's part, and the accuracies of which the solver's part is told.
 TIGHT, ASKED = 1e-5, (1e-2, 1e-3)
 # Seeds of the last legs; ln of a reference penetration [m].
-DRAWS, DEPTH = range(14), float(np.log(1e-5))
+DRAWS, DEPTH = range(12), float(np.log(1e-5))
 QUANTILE = float(special.ndtri(0.975))
 # Solver tolerances, and whether tangents count in the step control (BDF) or not (SDIRK2).
 TOLERANCES = ((5e-3, False), (1e-3, False), (1e-3, True), (1e-4, True), (1e-5, True))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bcfj_jax import scenes
+from bcfj_jax.models.joint.scene import PLAIN
 from calibration import Channel, Experiment, Free, Problem
 from calibration.diagnostics import fit_tests
 from calibration.diagnostics.solver_error import LITTLE, corrected, covered
@@ -79,3 +80,18 @@ def test_a_solver_that_is_good_enough_is_left_as_it_is(coarse):
     # Nor where nothing is known of it: the test of the fit says that.
     unknown = corrected(built, end, 0.0, errors + np.nan)
     assert unknown.model is built and unknown.end is end and not unknown.notes
+
+
+@pytest.mark.slow
+def test_the_joint_with_all_options_runs_at_the_accuracy_asked_for_next():
+    """Steps that BDF chooses for the tangents, too, are many at loose tolerances, and a fit's budget is enough for them."""
+    scene = scenes.joint(unequal=True, **dict.fromkeys(PLAIN, True))
+    truth = {name: float(v) for name, v in scene.parameters(smoothing=30e-6).items()}
+    times = np.linspace(0.0, 0.3, 31)
+    record = Experiment("a", times, (Channel("seat_cage.normal", np.zeros(31), 1.0),))
+    free = tuple(Free(name, truth[name] / 3, truth[name] * 3) for name in ("stiffness", "clearance_cage_ball"))
+    problem = Problem(scene, truth, (record,), free, 3e-4)
+    built = model.build(problem, (record,))
+    at = built.point(np.array([truth[axis.name] for axis in built.coordinates]), 0.0)
+    residuals, jacobian = model.residuals_and_jacobian(built, at, 0.0)
+    assert built.how.tangents and np.isfinite(residuals).all() and np.isfinite(jacobian).all()
