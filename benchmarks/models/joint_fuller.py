@@ -215,8 +215,10 @@ def draws(options: dict[str, Any], values: dict[str, float], seed: int) -> dict[
         begin = np.clip(truth + off, 1e-3, 1.0 - 1e-3)
         end = finish(model, begin, begin, DEPTH)
         covariance = spread(end, end.residuals.size, [], "linear").covariance
+        assert covariance is not None
         end = stepped(evaluator(model, DEPTH), averaged(evaluator(loosened(model), DEPTH), end, covariance))
         covariance = spread(end, end.residuals.size, [], "linear").covariance
+        assert covariance is not None
         zero = End(truth, truth, 0.0, end.residuals, end.jacobian, True)
         (z, slopes), (at, _) = placed(model, end, DEPTH), placed(model, zero, DEPTH)
         ends.append((z - at) / np.sqrt(np.diag(slopes @ covariance @ slopes.T)))
@@ -226,7 +228,7 @@ def draws(options: dict[str, Any], values: dict[str, float], seed: int) -> dict[
     return {
         "draws": len(ends), "intervals": int(np.size(ends)), "cpu_s": time.process_time() - cpu,
         "last_legs": _told(np.array(ends), chi2), "noise_alone": _told(np.array(own), best),
-        "together_up_to": float(special.chdtri(np.shape(ends)[1], 0.05)),
+        "together_up_to": float(special.chdtri(len(linear.names), 0.05)),
     }  # fmt: skip
 
 
