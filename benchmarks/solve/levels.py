@@ -115,7 +115,7 @@ def joints_down(
     more errors have no promise. ``ends``: of the window ends in this time, which bear what is left of friction.
     ``whole``: of what is before, too: the cage's knocks in its clearances, which no load holds yet.
     """
-    scene, tight = scene or scenes.joint(), (1e-7, 1e-6)
+    scene, tight = scene or scenes.joint(), (1e-8, 1e-6)
     run, times = runner(scene, batched=False), jnp.asarray(JOINT_TIMES)
     for params in joints(count, seed, wide, scene):
         loaded = risen(scene, params, 1) <= JOINT_TIMES

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any, cast
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -194,6 +197,14 @@ def test_no_influence_is_trusted():
     zero = "at all 51 samples the force of contact is 0, and a shorter contact needs more samples"
     assert drivers(far, scene.parameters()) == []
     assert unknown(far) == f"What drives contact.peak is not known: {zero}"
+
+
+def test_the_first_line_is_of_the_peak_that_moves_by_most_newtons():
+    peaks = {"loaded.peak": 1e4, "grazed.peak": 10.0, "loaded.mean": 5e3, "grazed.mean": 1.0}
+    slopes = {"gap": {"loaded.peak": 1e3, "grazed.peak": 5.0, "loaded.mean": 0.0, "grazed.mean": float("nan")}}
+    found = SimpleNamespace(steady=None, certificate=None, wrt=["gap"], features=peaks, feature_derivatives=slopes)
+    (line,) = drivers(cast(Any, found), {"gap": 1.0})
+    assert line == "gap drives loaded.peak: +0.1 % per %"
 
 
 @pytest.mark.slow

@@ -100,18 +100,21 @@ def _cell(elasticity: float, apart: float) -> str:
 def drivers(found: Sensitivity, values: Mapping[str, Any]) -> list[str]:
     """Which parameter drives each feature, in sentences: "clearance_seat_cage drives seat_cage.peak: -0.54 % per %".
 
-    Of three features at most: those that were asked for first; of more, the peak that a parameter moves most. Where
+    Of three features at most: those that were asked for first; of more, the peak that a parameter moves by most
+    newtons, so that no contact that bears next to nothing stands for the forces. Where
     motion becomes steady, its features are taken, which do not depend on the start. No sentence where nothing is known
     (``unknown``).
     """
     if found.steady is not None and not found.steady.reason:
-        ranked, kind = steady_ranking(found, values), "steady "
+        ranked, kind, size_of = steady_ranking(found, values), "steady ", found.steady.features
     else:
-        ranked, kind = ranking(found, values), ""
+        ranked, kind, size_of = ranking(found, values), "", found.features
     known = {name: k for k, name in enumerate(ranked.features)}
     wanted = [name for name in found.features if name in known]
     sentences = []
+    moved = np.abs(np.nan_to_num(ranked.elasticity)).max(axis=1, initial=0.0)
     peaks = [name for name in ranked.features if name.endswith(".peak")]
+    peaks.sort(key=lambda name: -moved[known[name]] * abs(float(np.nan_to_num(size_of[name]))))
     for name in wanted if len(wanted) <= 3 else (peaks or ranked.features)[:1]:
         row, apart = ranked.elasticity[known[name]], ranked.apart[known[name]]
         size = np.where(np.isfinite(row), np.abs(row), -1.0)
