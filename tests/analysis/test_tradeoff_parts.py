@@ -104,7 +104,11 @@ def test_settings_of_a_joint():
         settings(given, ("sdirk",))
 
 
-@pytest.mark.parametrize("options", [{}, {"spin": True, "cage": "fixed", "head": "fixed", "track": "circular"}])
+@pytest.mark.parametrize(
+    "options",
+    [{}, dict.fromkeys(PLAIN, True), {"spin": True, "cage": "fixed", "head": "fixed", "track": "circular"}],
+    ids=["plain", "default", "fixed"],
+)
 def test_every_other_choice_of_a_joint_is_another_joint(options):
     scene = plain_joint(**options)
     made = [loaded(s.table).scene for s in settings(from_table({"scene": {"kind": "joint", **PLAIN, **options}}, None))
