@@ -97,12 +97,16 @@ def _of(one: Measured, names: Sequence[str], others: Sequence[str]) -> Measured:
     return Measured(one.force[:, keep], number, one.period[keep], one.work[keep], one.moved[keep])
 
 
-def peak_changes(found: Measured, truth: Measured) -> np.ndarray:
-    """(contacts,) relative change of each contact's peak, the largest of its members'; NaN where the truth has none."""
+def peak_change(found: Measured, truth: Measured) -> tuple[int, float] | None:
+    """The contact whose peak, the largest of its members', moves by the most newtons, and its relative change.
+
+    In newtons, so that no contact that bears next to nothing stands for the model. None where no contact has a peak.
+    """
     tops = [np.abs(x.force[..., 0]).max(axis=0) for x in (found, truth)]
-    peaks = [np.array([top[truth.contact == k].max() for k in np.unique(truth.contact)]) for top in tops]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.where(peaks[1] > 0.0, peaks[0] / peaks[1] - 1.0, np.nan)
+    ours, theirs = (np.array([top[truth.contact == k].max() for k in np.unique(truth.contact)]) for top in tops)
+    moved = np.where((theirs > 0.0) & np.isfinite(ours), np.abs(ours - theirs), -1.0)
+    most = int(np.argmax(moved)) if moved.size else -1
+    return (most, float(ours[most] / theirs[most] - 1.0)) if most >= 0 and moved[most] >= 0.0 else None
 
 
 def _repeats(run: Run, normal: np.ndarray) -> float:

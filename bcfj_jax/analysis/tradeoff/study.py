@@ -17,7 +17,7 @@ from bcfj_jax.analysis.tradeoff.measures import (
     derivative_error,
     errors,
     measured,
-    peak_changes,
+    peak_change,
     worst,
 )
 from bcfj_jax.analysis.tradeoff.reference import Reference, reference, restore
@@ -194,10 +194,8 @@ def _measured(
     ours, theirs = compared(ours, names, truth.truth, wanted)
     row |= {"status": OK, **errors(ours, theirs, given.times)}
     row["at_reference"] = worst(row) <= truth.least_error
-    changes = peak_changes(ours, theirs)
-    if np.isfinite(changes).any():
-        most = int(np.nanargmax(np.abs(changes)))
-        row |= {"contact": [name for name in wanted if name in names][most], "peak_change": float(changes[most])}
+    if moved := peak_change(ours, theirs):
+        row |= {"contact": [name for name in wanted if name in names][moved[0]], "peak_change": moved[1]}
     if setting.derivatives and truth.slopes is not None:
         row |= _differentiated(file, program, truth, row["wall_s"], clock)
     return row
