@@ -35,7 +35,11 @@ from benchmarks.solve.random_scenes import LAWS, joints, springs
 
 KINDS = ("impact", "bounce", "joint")
 _HALVES = tuple(4e-4 * 0.5**k for k in range(19))
-LADDER = {"impact": _HALVES, "bounce": _HALVES, "joint": (0.1, 0.05, 0.02, 0.01, 5e-3, 2e-3, 5e-4, 2e-4, 5e-5, 2e-5)}
+LADDER = {
+    "impact": _HALVES,
+    "bounce": _HALVES,
+    "joint": (0.1, 0.05, 0.02, 0.01, 5e-3, 2e-3, 5e-4, 2e-4, 5e-5, 2e-5, 5e-6, 2e-6),
+}
 PROMISES = (5e-2, 1e-2, 1e-3, 1e-4, 1e-5)
 # References further apart than this fraction of the promise are none.
 CERTAIN = 0.05

@@ -418,8 +418,8 @@ def joint(
             both of theirs.
         track: one of gothic, circular: two flanks at the contact angle, or one, of the ball's radius and clearance.
         spin: true lets the balls turn, and so roll; false makes each a particle at its centre. By default true where
-            friction turns them, but not where it keeps a state (memory, lugre): they then roll and slip by turns, in many
-            times the steps.
+            friction turns them, but not where it keeps a state (memory, frictional_lag, lugre): they then roll and slip
+            by turns, in many times the steps.
         unequal: true gives each ball an oversize of its radius and each of its contacts an extra clearance, by default
             0: ball_2.oversize, seat_ball_2.extra_clearance and so on.
         cage: one of free, fixed: to the bisecting plane, turning with the drive.

@@ -73,11 +73,13 @@ def _reach(scene: Joint, params: Params, name: str) -> Array:
 
 
 def tolerance(scene: Joint, force_error: float) -> float:
-    """Local error per step in units of ``scales``: twice the force error, at most 0.02; of balls that do not roll five
-    times it from 0.05 % on.
+    """Local error per step in units of ``scales``: twice the force error, at most 0.02; of balls that roll a fifth of it
+    below 0.05 %, of others five times it from there on.
 
     Derived by ``benchmarks/solve/levels.py`` on random joints: from a pitch after the load has risen rms, peak and impulse of
     every contact are then as right as was asked. Looser than 0.02 saves next to no steps: contacts that begin and end
     set them, and steps that jump into one are rejected.
     """
-    return min(0.02, (5.0 if force_error >= 5e-4 and not scene.spin else 2.0) * force_error)
+    if force_error >= 5e-4:
+        return min(0.02, (2.0 if scene.spin else 5.0) * force_error)
+    return (0.2 if scene.spin else 2.0) * force_error
