@@ -20,11 +20,11 @@ import numpy as np
 import bcfj_jax as bj
 from bcfj_jax.analysis.histories import settled_period
 from bcfj_jax.analysis.studies.specification import load
-from bcfj_jax.models.joint.scene import PLAIN
 from benchmarks.common import ROOT, markdown, put_in_readme, save
 
 TIMES = np.linspace(0.0, 3.0, 3001)
 PILOT, ROUNDS = "seat_cage", 7
+TURN = 0.6
 UM = 1e-6
 QUANTILES = [0.0, 0.05, 0.5, 0.95, 1.0]
 
@@ -45,7 +45,7 @@ def sizes() -> dict[str, dict[str, float]]:
 
 def looked_at(values: dict[str, float]) -> dict[str, Any]:
     """Period [s] and ripple [N] of the pilot's force, and the largest ball force [N]."""
-    scene = bj.scenes.joint(unequal=True, **PLAIN)
+    scene = bj.scenes.joint(unequal=True)
     run = bj.simulate(scene, scene.parameters(values), TIMES)
     settled = TIMES[-1] / 3.0 <= TIMES
     pilot = np.asarray(run.force[PILOT])[:, 0]
@@ -73,7 +73,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
 def prices() -> dict[str, dict[str, float]]:
     """Of each option steps and CPU seconds of 0.6 s, and the pilot's mean force."""
     times = np.linspace(0.0, 0.6, 601)
-    cases = {name: bj.scenes.joint(**PLAIN | options) for name, options in OPTIONS.items()}
+    cases = {name: bj.scenes.joint(**options) for name, options in OPTIONS.items()}
     spent: dict[str, list[float]] = {name: [] for name in cases}
     found = {}
     for _ in range(ROUNDS + 1):
@@ -98,7 +98,9 @@ def spread() -> dict[str, Any]:
         good = found.column("status") == "ok"
         names = [feature.name for feature in load(ROOT / "examples" / "joint_tolerances.toml").features]
         quantiles = {name: np.quantile(found.column(name)[good], QUANTILES).tolist() for name in names}
-    return {"joints": len(good), "failed": int((~good).sum()), "quantiles": QUANTILES, "features": quantiles}
+        turns = int((np.abs(found.column(f"{PILOT}.period")[good] - TURN) <= 0.01).sum())
+    counts = {"joints": len(good), "failed": int((~good).sum()), "with the period of a turn": turns}
+    return counts | {"quantiles": QUANTILES, "features": quantiles}
 
 
 def main() -> None:
