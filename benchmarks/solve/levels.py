@@ -139,7 +139,7 @@ def joints_down(
             found, truth = ({name: f for name, f in some.items() if name != WINDOW_END} for some in (found, truth))
             return {
                 "error": off(late, true, left),
-                "ends": off(*ends, left) if ends else 0.0,
+                "ends": off(ends[0], ends[1], left) if ends else 0.0,
                 "whole": off(found, truth, JOINT_TIMES),
             }
 
