@@ -87,7 +87,7 @@ def limited(seconds: float) -> Iterator[None]:
 def message_fault(message: str, file: Path, content: bytes) -> str:
     """What is wrong with a refusal's words; "" for nothing."""
     # What is kept has a name of its own, and a file may name another that is at fault.
-    where = message.partition(": ")[0]
+    where = Path(message.partition(": ")[0]).name
     if file.name not in message and file.suffix != ".kept" and where.encode() not in content:
         return "does not name the file"
     if "; " not in message:

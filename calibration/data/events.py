@@ -50,7 +50,8 @@ def quantity(observes: str) -> str:
 def rest(values: np.ndarray) -> float | None:
     """The reading at rest: the middle of the quarter of the samples that lie closest together.
 
-    The record must begin there. None where that is none: one that is all contact has no rest.
+    The record must begin there and stay for some samples: an oscillating force that begins near a turning point, where
+    its samples lie close together, has no rest. None where that is none: a record that is all contact has no rest.
     """
     seen = values[np.isfinite(values)]
     span, count = float(np.ptp(seen)) if seen.size else 0.0, max(seen.size // 4, _LEVEL)
@@ -60,7 +61,8 @@ def rest(values: np.ndarray) -> float | None:
     widths = ordered[count - 1 :] - ordered[: seen.size - count + 1]
     first = int(np.argmin(widths))
     level = float(np.median(ordered[first : first + count]))
-    return level if abs(float(seen[0]) - level) < _NARROW * span and widths[first] < _NARROW * span else None
+    begins = bool(np.all(np.abs(seen[:_LEVEL] - level) < _NARROW * span))
+    return level if begins and widths[first] < _NARROW * span else None
 
 
 def rise(observes: str, times: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ from scipy.integrate import solve_ivp
 from bcfj_jax import InputError
 from calibration import fit, load
 from calibration.data.events import contacts, rest
+from calibration.data.inspection import check_channel
 from calibration.problemfile import prepared
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -147,6 +148,13 @@ def test_events_of_every_kind_of_reading():
         assert TOUCH < one.begin < TOUCH + 8e-3, name
     assert rest(np.array([3.0, 3.0, 3.1, 5.0, 9.0, 8.0, 3.0, 3.1])) == pytest.approx(3.0, abs=0.1)
     assert rest(force[100:150]) is None
+
+
+def test_a_loaded_force_that_swings_has_no_rest_where_it_turns():
+    """Samples lie close together at a turning point; read as the rest, a pushing force would look like a pulling one."""
+    swing = 9500.0 + 1500.0 * np.cos(2.0 * np.pi * np.arange(41) / 6.7)
+    assert rest(swing) is None
+    check_channel("head_cage.normal", swing, np.zeros(41, dtype=bool), rest(swing) or 0.0, "head")
 
 
 @pytest.mark.parametrize(
