@@ -1,18 +1,19 @@
 """Friction that uses both coefficients at the joint's sliding speeds: what each law costs, and what it changes.
 
-    python -m benchmarks.models.joint_friction [--stiff]
+    python -m benchmarks.models.joint_friction [--stiff] [--lag] [--only TEXT]
 
 Side by side in one process: the plain joint, with rolling balls, and with all options (rolling balls, window ends, bands), by
 the default friction and by friction with a transition speed of 10 mm/s. A revolution (0.6 s) after the load is up is read.
 Cost is in solver steps (attempted) and in seconds of the processor for the whole run, the least of some repetitions.
 Rows of the law ``frictional_lag`` stand beside a run 25 times as accurate. ``--stiff`` adds the laws without memory at 10 mm/s,
-minutes each; ``--lag`` measures ``frictional_lag`` and its neighbours alone and keeps the other rows.
+minutes each; ``--lag`` measures ``frictional_lag`` and its neighbours alone and keeps the other rows; ``--only`` measures
+the rows that contain a text, and the defaults, and keeps the other rows.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
-import sys
 import time
 
 import numpy as np
@@ -39,6 +40,7 @@ LAGS = {
     ", 10 ms": {"friction_memory": 10e-3},
     ", 0.05 s/m": {"friction_viscous": 0.05},
     ", not viscous": {"friction_viscous": 0.0},
+    ", 10 ms, 0.2 s/m": {"friction_memory": 10e-3, "friction_viscous": 0.2},
 }
 
 
@@ -108,9 +110,15 @@ def off(found: np.ndarray, known: np.ndarray) -> float:
 
 
 def main() -> None:
-    lag = "--lag" in sys.argv[1:]
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--stiff", action="store_true")
+    parser.add_argument("--lag", action="store_true")
+    parser.add_argument("--only", default="")
+    given = parser.parse_args()
     rows, forces = {}, {}
-    for name, options, values in cases("--stiff" in sys.argv[1:], lag):
+    for name, options, values in cases(given.stiff, given.lag):
+        if given.only not in name and not name.startswith("default"):
+            continue
         rows[name], forces[name] = measured(options, values)
         if name.startswith("frictional_lag"):
             tight, known = measured(options, values, TIGHT)
@@ -124,7 +132,7 @@ def main() -> None:
             row["rms_from_5_ms"] = off(forces[name], forces[near])
         row["cost_of_default"] = row["cpu_s"] / rows["default"]["cpu_s"]
         row["cost_of_default_alike"] = row["cpu_s"] / rows[base]["cpu_s"]
-    if lag:
+    if given.lag or given.only:
         kept = json.loads((RESULTS / "joint_friction.json").read_text())
         del kept["environment"]
         rows = kept | rows
