@@ -7,7 +7,7 @@ history. What is constant in the certificate (how far the tolerances are apart, 
 is seed 2.
 
     python -m benchmarks.analysis.derivative_bounds [--scenes 100] [--only KIND ...] [--table]
-        keeps each scene in build/derivative_bounds and goes on from there; writes results/derivative_bounds.json and
+        keeps scenes and references in build/derivative_bounds and goes on from there; writes results/derivative_bounds.json and
         the table in docs/derivatives.md
 """
 
@@ -19,6 +19,7 @@ import json
 import math
 import os
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("EQX_ON_ERROR", "nan")
@@ -142,10 +143,24 @@ def _decades(rng: np.random.Generator, low: float, high: float) -> float:
 
 
 class References:
-    """True histories and their derivatives by shares of the parameters, twice: the better one first."""
+    """True histories and their derivatives by shares of the parameters, twice: the better one first; kept in files."""
 
-    def __init__(self) -> None:
+    def __init__(self, folder: Path) -> None:
         self.made: dict[Any, Variational] = {}
+        self.folder = folder
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def kept(self, k: int, case: Case) -> list[tuple[Histories, Histories] | None]:
+        """Of case k, from its file where there is one."""
+        path = self.folder / f"{k:04d}.npz"
+        if not path.exists():
+            parts = [x for pair in self(case) if pair for one in pair for x in one[:3]]
+            np.savez_compressed(path, *parts)
+        with np.load(path, allow_pickle=False) as file:
+            every = [file[name] for name in file.files]
+        pairs = [every[i : i + 6] for i in range(0, len(every), 6)]
+        found = [(Histories(*x[:3], state=None), Histories(*x[3:], state=None)) for x in pairs]
+        return found if len(found) == 2 else [None, None]
 
     def __call__(self, case: Case) -> list[tuple[Histories, Histories] | None]:
         """Of one case; None where it failed."""
@@ -166,10 +181,10 @@ def _by_bdf(scene, full, times, names, values, tolerance) -> tuple[Histories, Hi
     return found.value, Histories(*(np.einsum("k,k...->k...", values, x) for x in found.derivative))
 
 
-def examined(case: Case, references: References) -> Row:
+def examined(k: int, case: Case, references: References) -> Row:
     """What is stated and what is true, of one scene's derivatives."""
     scene, wrt, p, times = case
-    true, looser = references(case)
+    true, looser = references.kept(k, case)
     found = bj.sensitivity(scene, p, times, wrt)  # pyright: ignore[reportArgumentType]
     row: Row = {"params": p, "end": float(times[-1]), "levels": found.stats["levels"], "derivatives": []}
     if true is None or looser is None or found.certificate is None:
@@ -212,13 +227,13 @@ def _errors(times: np.ndarray, found: np.ndarray, true: np.ndarray, width: float
 
 def collect(kind: str, count: int) -> None:
     """Examine the scenes of a kind that are not kept yet, each into a file."""
-    folder, references = FOLDER / kind, References()
+    folder, references = FOLDER / kind, References(FOLDER / f"{kind}_references")
     folder.mkdir(parents=True, exist_ok=True)
     for k, case in enumerate(cases(kind, count)):
         path = folder / f"{k:04d}.json"
         if path.exists():
             continue
-        row = examined(case, references)
+        row = examined(k, case, references)
         path.write_text(json.dumps(row))
         worst = [f"{d['verdict'][:4]} {d['error'][0] / max(d['stated'][0], 1e-300):.2f}" for d in row["derivatives"]]
         print(kind, k, *worst, flush=True)

@@ -13,7 +13,8 @@ from jaxtyping import Float
 from bcfj_jax.analysis.derivatives import certificate as verdicts
 from bcfj_jax.analysis.derivatives.bounds import Budget, Climb, bounded, climb, feature_bounds, target
 from bcfj_jax.analysis.derivatives.certificate import Certificate, Check, Comparison
-from bcfj_jax.analysis.derivatives.differences import against, scales, signs
+from bcfj_jax.analysis.derivatives.differences import against, scales
+from bcfj_jax.analysis.derivatives.differences import direction as random_direction
 from bcfj_jax.analysis.derivatives.jacobian import Histories, Level, forces
 from bcfj_jax.analysis.derivatives.measures import measure, sampling
 from bcfj_jax.analysis.derivatives.names import Feature, complete, default_features
@@ -280,7 +281,7 @@ def _certificate(
         if not each and np.any(step):
             what = "central differences along one random direction of all parameters"
             try:
-                both = along(what, step * signs(len(names)), min(known, target(error)))
+                both = along(what, step * random_direction(len(names)), min(known, target(error)))
             except OutOfTime:
                 late = f"central differences do not check it: {spend.over}"
                 unchecked = [verdicts.joined(x, late) if s else x for x, s in zip(unchecked, step, strict=True)]
