@@ -160,7 +160,7 @@ class References:
             every = [file[name] for name in file.files]
         pairs = [every[i : i + 6] for i in range(0, len(every), 6)]
         found = [(Histories(*x[:3], state=None), Histories(*x[3:], state=None)) for x in pairs]
-        return found if len(found) == 2 else [None, None]
+        return [*found] if len(found) == 2 else [None, None]
 
     def __call__(self, case: Case) -> list[tuple[Histories, Histories] | None]:
         """Of one case; None where it failed."""
@@ -194,7 +194,7 @@ def examined(k: int, case: Case, references: References) -> Row:
         found.certificate.average,
     )
     wanted = default_features(scene.members)
-    per = Histories(*(np.einsum("k,k...->k...", 1.0 / values, x) for x in true[1]))
+    per = Histories(*(np.einsum("k,k...->k...", 1.0 / values, x) for x in true[1][:3]), state=None)
     numbers, exact = measure(times, true[0], per, wanted, scene.members, scene.traits.turning)
     for k, name in enumerate(found.wrt):
         check = found.certificate.parameters[name]

@@ -121,7 +121,9 @@ def test_a_loose_tolerance_is_caught_and_tightened_away():
 def over_stated(height):
     """Pointwise errors of the derivatives of a drop from there, over the figures that the certificate states."""
     params = {**SOFT, "drop_height": jnp.asarray(height)}
-    tight, found = (bj.sensitivity(BOUNCE, params, TIMES, NAMES, accuracy=x) for x in ("reference", "balanced"))
+    # Variational equations by SciPy are 1e-5 to 4e-5 away from these.
+    tight = bj.sensitivity(BOUNCE, params, TIMES, NAMES, accuracy=1e-9, certify=False)
+    found = bj.sensitivity(BOUNCE, params, TIMES, NAMES)
     ratios = []
     for name in NAMES:
         best = tight.derivative[name]["contact"]
@@ -131,7 +133,6 @@ def over_stated(height):
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason="two levels may agree by luck: 0.05 to 4.8 times the figure was measured", strict=False)
 @pytest.mark.parametrize("height", [0.09, 0.1])
 def test_the_figure_stated_is_not_less_than_the_error_itself(height):
     assert max(over_stated(height)) < 1.0
@@ -140,7 +141,7 @@ def test_the_figure_stated_is_not_less_than_the_error_itself(height):
 @pytest.mark.slow
 def test_the_figure_stated_is_the_size_of_the_error():
     ratios = [ratio for height in (0.08, 0.09, 0.0999, 0.1, 0.1001, 0.11, 0.12) for ratio in over_stated(height)]
-    assert np.median(ratios) < 1.0, ratios
+    assert max(ratios) < 1.0 and np.median(ratios) > 1.0 / 3.0, ratios
 
 
 @pytest.mark.full

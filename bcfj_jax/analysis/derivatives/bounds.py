@@ -196,6 +196,11 @@ def _with(found: Comparison, pointwise: Difference, average: Difference) -> Comp
     return found._replace(pointwise=pointwise, average=average)
 
 
+def safer(found: Comparison) -> Comparison:
+    """A comparison with central differences, 1.2 times what they find."""
+    return _with(found, *(x._replace(relative=SAFETY * x.relative) for x in (found.pointwise, found.average)))
+
+
 def _bound(apart: Difference, own: Difference) -> Difference:
     return apart._replace(relative=SAFETY * apart.relative + own.relative)
 

@@ -41,6 +41,7 @@ POINTWISE, BROKEN = 0.03, 0.10
 INFLUENCE = 0.01
 # Elasticity below which a feature's derivative counts as that much: 0.01 % per 1 %.
 LEAST = 0.01
+INF = float("inf")
 # Of a history whose levels disagree; a feature's number may still agree.
 _LOOSE = "it depends on the tolerance"
 _OPEN = f"{_LOOSE}, and its error cannot be bounded, since tighter solves do not agree better"
@@ -209,6 +210,10 @@ def check(
     solved = comparisons[0].average.relative <= POINTWISE
     pointwise = max(c.pointwise.relative for c in comparisons)
     nothing = influence == 0.0
+    # What differences alone find, a kink or a jump, no tolerance shows in the features either.
+    kinked = max((c.pointwise.relative - comparisons[0].pointwise.relative for c in comparisons[1:]), default=0.0)
+    least = INF if kinked > POINTWISE else max(kinked, 0.0)
+    features = {name: float(np.maximum(x, least)) for name, x in features.items()}
     remark, breakdown, numbers = "", float("nan"), {name: of_feature(x) for name, x in features.items()}
     if np.isfinite(end):
         verdict, remark, breakdown = NOT, "the run failed", end

@@ -11,7 +11,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from bcfj_jax.analysis.derivatives import certificate as verdicts
-from bcfj_jax.analysis.derivatives.bounds import Budget, Climb, bounded, climb, feature_bounds, target
+from bcfj_jax.analysis.derivatives.bounds import Budget, Climb, bounded, climb, feature_bounds, safer, target
 from bcfj_jax.analysis.derivatives.certificate import Certificate, Check, Comparison
 from bcfj_jax.analysis.derivatives.differences import against, scales
 from bcfj_jax.analysis.derivatives.differences import direction as random_direction
@@ -19,6 +19,7 @@ from bcfj_jax.analysis.derivatives.jacobian import Histories, Level, forces
 from bcfj_jax.analysis.derivatives.measures import measure, sampling
 from bcfj_jax.analysis.derivatives.names import Feature, complete, default_features
 from bcfj_jax.analysis.derivatives.names import feature as named
+from bcfj_jax.analysis.derivatives.norms import norm
 from bcfj_jax.analysis.derivatives.reverse import Gradient, gradient, reversed_certificate, reversible
 from bcfj_jax.analysis.derivatives.steady import Steady, prepared
 from bcfj_jax.analysis.derivatives.steady import steady as of_steady
@@ -44,6 +45,8 @@ _BUDGET = Quantity("budget", "s", "time for far tighter solves and central diffe
 _BACKWARD = {False: 64.0, True: 8.0}
 # Pitches of steady motion over which central differences are taken.
 _PITCHES = 4
+# Difference from central differences that is looked into.
+_SEEN = 1e-3
 # Features that do not hang on where samples are, and samples in a turn that they need.
 _INTEGRATED, _TURN = ("mean", "impulse", "contact_fraction"), 100
 
@@ -274,20 +277,21 @@ def _certificate(
             return compared._replace(what=f"{compared.what}, until {short[-1]:.4g} s") if early else compared
 
         each, both = differences == "each", None
-        # What the levels know of already needs no second witness.
-        strong = strength > verdicts.INFLUENCE
-        known = max((c.pointwise.relative for (c,), s in zip(found, strong, strict=True) if s), default=0.0)
-        known = max(verdicts.POINTWISE, known)
+        way = step * random_direction(len(names))
         if not each and np.any(step):
             what = "central differences along one random direction of all parameters"
+            # What the levels know of needs no second witness.
+            sizes = np.abs(way) * norm(short, slopes) / max(float(norm(short, np.tensordot(way, slopes, 1))), 1e-300)
+            stated = [(c.pointwise.relative, c.average.relative) for (c,) in found]
+            known = np.maximum(np.nan_to_num(sizes @ np.array(stated), nan=np.inf), _SEEN)
             try:
-                both = along(what, step * random_direction(len(names)), min(known, target(error)))
+                both = along(what, way, known[0])
             except OutOfTime:
                 late = f"central differences do not check it: {spend.over}"
                 unchecked = [verdicts.joined(x, late) if s else x for x, s in zip(unchecked, step, strict=True)]
         if both is not None:
             direction = {"pointwise": both.pointwise.relative, "average": both.average.relative}
-            each = both.average.relative > target(error) or both.pointwise.relative > known
+            each = bool(both.pointwise.relative > known[0] or both.average.relative > known[1])
             if np.isfinite(both.until) and not each:
                 late = f"central differences check nothing after {both.until:.4g} s: a run beside this one failed there"
                 unchecked = [verdicts.joined(x, late) for x in unchecked]
@@ -296,9 +300,9 @@ def _certificate(
         # The strongest first: the budget may end.
         for k in sorted(np.flatnonzero(step) if each else (), key=lambda k: -strength[k]):
             unit = np.where(np.arange(len(names)) == k, step, 0.0)
-            alone = found[k][0].pointwise.relative
             try:
-                found[k].append(along("central differences", unit, max(verdicts.POINTWISE, alone)))
+                alone = along("central differences", unit, max(_SEEN, found[k][0].pointwise.relative))
+                found[k].append(safer(alone))
             except OutOfTime:
                 unchecked[k] = verdicts.joined(unchecked[k], f"central differences do not check it alone: {spend.over}")
     end = last.end if last.code != OK else float("nan")
