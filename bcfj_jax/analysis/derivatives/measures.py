@@ -25,6 +25,7 @@ from bcfj_jax.analysis.derivatives.starting import START, of_members, starting
 from bcfj_jax.analysis.histories import correlations, crest_lags, shifts
 
 _FEWEST = 11  # samples: a residual of order 9 over fewer is rounding
+_FEW = 6  # samples: of fewer in a contact the loop of force against penetration is not known
 
 
 def channel_features(times: np.ndarray, force: Array, depth: Array) -> dict[str, Array]:
@@ -147,8 +148,8 @@ def sampling(
     """Relative errors (F, P) of features' derivatives that come from the samples, whatever the solver; 0 where unknown.
 
     Of works: what every second sample, even or odd, gives otherwise, which is three times the error of the trapezoidal
-    rule where samples are many; infinite where a member's contact has fewer than ``_FEWEST`` samples that bear a twentieth of
-    its peak. ``values`` (P,) are the parameters'.
+    rule where samples are many; infinite where fewer than ``_FEW`` samples bear more than a twentieth of the peak in a
+    contact, on average. ``values`` (P,) are the parameters'.
     """
     found = np.zeros((len(wanted), len(values)))
     works = [i for i, f in enumerate(wanted) if f.kind == "dissipated_work"]
@@ -163,11 +164,12 @@ def sampling(
         coarse = measure(times[every], thin, thinner, kept, contacts, False)[1]
         found[works] = np.maximum(found[works], apart(coarse, slopes, numbers, values))
     place = {name: i for i, name in enumerate(channel_names(contacts))}
-    for i in works:
+    for i, slope in zip(works, slopes, strict=True):
         force = np.abs(value.force[:, [place[m] for m in members(wanted[i].contacts[0], contacts)], 0])
-        few = np.count_nonzero(force > 0.05 * force.max(axis=0, initial=0.0), axis=0) < _FEWEST
-        if np.any(few & (force.max(axis=0, initial=0.0) > 0.0)):
-            found[i] = np.where(slopes[works.index(i)] != 0.0, np.inf, 0.0)
+        bears = force > 0.05 * force.max(axis=0, initial=0.0)
+        begins = np.count_nonzero(bears[1:] & ~bears[:-1], axis=0) + bears[0]
+        if np.any((begins > 0) & (bears.sum(axis=0) < _FEW * begins)):
+            found[i] = np.where(slope != 0.0, np.inf, 0.0)
     return found
 
 
