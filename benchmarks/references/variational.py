@@ -21,7 +21,7 @@ from scipy.integrate import solve_ivp
 from bcfj_jax.analysis.derivatives.jacobian import Histories
 from bcfj_jax.mechanism.model import AbstractModel
 
-# Share of the horizon by which the field is looked at beside a kink, and that an event after one is not looked for.
+# Share of the horizon by which the field is looked at beside a kink, and by which an integration begins after one.
 _BESIDE = 1e-10
 
 
@@ -71,6 +71,7 @@ class Variational:
 
         # Parameters as one array, which costs less to hand over.
         self._start = jax.jit(lambda p: start(named(p)))
+        self._scales = jax.jit(lambda p, end: scene.error_scale(named(p), end))
         self._whole = jax.jit(lambda t, z, p: whole(t, z, named(p)))
         self._edge = jax.jit(lambda t, y, p: edge(t, y, named(p), zero))
         self._edges = jax.jit(lambda t, y, rows, p: ahead(edge, t, y, rows, named(p)))
@@ -89,7 +90,7 @@ class Variational:
         """
         p, end = jnp.asarray([float(params[name]) for name in self.names]), float(times[-1])
         rows = np.asarray(self._start(p))
-        scales = np.asarray(self.scene.error_scale(dict(params), jnp.asarray(end)))
+        scales = np.asarray(self._scales(p, end))
         atol = rtol * np.broadcast_to(scales, rows.shape).ravel()
         n, now, z, kinks, gap = rows.shape[1], 0.0, rows.ravel(), 0, _BESIDE * end
         out = np.full((len(times), *rows.shape), np.nan)
@@ -109,9 +110,10 @@ class Variational:
             return [one(k) for k in range(len(inside))]
 
         while now < end:
-            after = z + gap * np.asarray(self._whole(now, z, p))
-            inside = np.asarray(self._edge(now + gap, after[:n], p)) > 0.0
-            run = solve_ivp(lambda t, z: np.asarray(self._whole(t, z, p)), (now, end), z, method=method, rtol=rtol,
+            # Away from the kink that was just met; the square of this step is far below every tolerance.
+            begin, z = min(now + gap, end), z + gap * np.asarray(self._whole(now, z, p))
+            inside = np.asarray(self._edge(begin, z[:n], p)) > 0.0
+            run = solve_ivp(lambda t, z: np.asarray(self._whole(t, z, p)), (begin, end), z, method=method, rtol=rtol,
                             atol=atol, events=events(inside), dense_output=True, max_step=end / 200.0)  # fmt: skip
             if run.status < 0:
                 return None
