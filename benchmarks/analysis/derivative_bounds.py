@@ -1,7 +1,7 @@
 """Whether the error that a certificate states bounds the true one: random derivatives beside variational equations.
 
 Random scenes within the ranges that engineers use, five parameters each, ``bj.sensitivity`` at ``balanced`` as it
-is, against ``references.variational`` (SciPy's DOP853 at 1e-11, confirmed at 1e-9) for the explicit scenes, and for
+is, against ``analysis.variational`` (SciPy's DOP853 at 1e-11, confirmed at 1e-9) for the explicit scenes, and for
 the joint against BDF at 1e-9 with tangents in its error control, confirmed at 1e-8. A derivative is one parameter's
 history. What is constant in the certificate (how far the tolerances are apart, the factor 1.2) was chosen on seed 1; here
 is seed 2.
@@ -35,8 +35,8 @@ from bcfj_jax.analysis.derivatives.norms import averaged, norm
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve.plan import Plan
+from benchmarks.analysis.variational import Variational
 from benchmarks.common import RESULTS, ROOT, load, markdown, put_in_readme, save
-from benchmarks.references.variational import Variational
 from benchmarks.solve.random_scenes import LAWS, joints, springs
 
 KINDS = ("impact", "bounce", "oblique_impact", "slider_crank", "joint", "joint_plain")

@@ -160,6 +160,20 @@ def test_a_jump_exactly_at_an_output_time_is_caught():
 
 
 @pytest.mark.slow
+def test_a_jump_that_parameters_hide_from_each_other_is_caught():
+    # A touch at clearance over speed: both grown alike leave it where it is, and the mass moves the force by far more.
+    scene = bj.scenes.impact("kelvin_voigt", smoothing=False)
+    given = {"stiffness": 5.1e10, "dashpot": 1.32e5, "mass": 2.35, "approach_speed": 0.246, "clearance_contact": 3.4e-7}
+    wrt = ("mass", "approach_speed", "clearance_contact")
+    found = bj.sensitivity(scene, scene.parameters(given), np.linspace(0.0, 3.3e-5, 401), wrt)
+    checks = found.certificate.parameters
+    assert checks["mass"].verdict == TRUSTED and checks["clearance_contact"].verdict == NOT
+    # The peak's derivative misses the shift of the touch as the history's does.
+    assert checks["approach_speed"].verdict != TRUSTED
+    assert checks["approach_speed"].feature_verdicts["contact.peak"] == NOT
+
+
+@pytest.mark.slow
 def test_a_kink_at_the_only_output_time_is_caught():
     # A linear spring without smoothing: dF/d(clearance) is 0 before the touch and K v after it.
     scene = bj.scenes.impact("hertz", smoothing=False)
