@@ -185,10 +185,13 @@ def examined(k: int, case: Case, references: References) -> Row:
     """What is stated and what is true, of one scene's derivatives."""
     scene, wrt, p, times = case
     true, looser = references.kept(k, case)
+    row: Row = {"params": p, "end": float(times[-1]), "reference": true is not None, "derivatives": []}
+    if true is None or looser is None:
+        return row
     found = bj.sensitivity(scene, p, times, wrt)  # pyright: ignore[reportArgumentType]
-    row: Row = {"params": p, "end": float(times[-1]), "levels": found.stats["levels"], "derivatives": []}
-    if true is None or looser is None or found.certificate is None:
-        return row | {"reference": False}
+    row["levels"] = found.stats["levels"]
+    if found.certificate is None:
+        return row
     values, width = (
         np.array([p[name] if name in p else found.values[name] for name in found.wrt]),
         found.certificate.average,
@@ -250,7 +253,7 @@ def summary(rows: Sequence[Row]) -> Row:
     told = [f for d in known for f in d["features"].values() if f[0] == verdicts.TRUSTED and np.isfinite(f[2])]
     good = np.array([f[1] - f[2] for f in told if f[1] > 1e-9])
     return {
-        "scenes": len(rows), "derivatives": len(every), "without a reference": len(every) - len(known),
+        "scenes": len(rows), "scenes without a reference": sum(not row["reference"] for row in rows), "derivatives": len(every), "without a reference": len(every) - len(known),
         "trusted": len(trusted), "averaged only": len(mean),
         "bounded": [float(np.mean(x >= 1.0)) for x in over.values()] if trusted else None,
         "worst": [float(np.max(1.0 / x)) for x in over.values()] if trusted else None,

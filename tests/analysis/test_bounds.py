@@ -44,9 +44,9 @@ class Solved:
 
 def climbed(monkeypatch, solved, stiff=False, tolerance=1e-5, levels=6, budget=None, max_steps=100_000, error=0.01):
     monkeypatch.setattr(bounds, "level", solved)
-    monkeypatch.setattr(bounds, "plan", lambda *_: Plan(np.asarray(1e-5), max_steps, True))
-    params = {"a": np.asarray(VALUES[0]), "b": np.asarray(VALUES[1])}
-    how = Plan(np.asarray(tolerance), max_steps)
+    monkeypatch.setattr(bounds, "plan", lambda *_: Plan(cast(Any, np.asarray(1e-5)), max_steps, True))
+    params = cast(Any, dict(zip("ab", VALUES, strict=True)))
+    how = Plan(cast(Any, np.asarray(tolerance)), max_steps)
     scene, spend = cast(Any, SCENE[stiff]), Budget(budget)
     return climb(scene, params, TIMES, ("a", "b"), how, error, 0.0, levels, spend)
 
