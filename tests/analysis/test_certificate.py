@@ -121,7 +121,9 @@ def test_a_loose_tolerance_is_caught_and_tightened_away():
 def over_stated(height):
     """Pointwise errors of the derivatives of a drop from there, over the figures that the certificate states."""
     params = {**SOFT, "drop_height": jnp.asarray(height)}
-    tight, found = (bj.sensitivity(BOUNCE, params, TIMES, NAMES, accuracy=x) for x in ("reference", "balanced"))
+    # Variational equations by SciPy are 1e-5 to 4e-5 away from these.
+    tight = bj.sensitivity(BOUNCE, params, TIMES, NAMES, accuracy=1e-9, certify=False)
+    found = bj.sensitivity(BOUNCE, params, TIMES, NAMES)
     ratios = []
     for name in NAMES:
         best = tight.derivative[name]["contact"]
@@ -131,7 +133,6 @@ def over_stated(height):
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason="two levels may agree by luck: 0.05 to 4.8 times the figure was measured", strict=False)
 @pytest.mark.parametrize("height", [0.09, 0.1])
 def test_the_figure_stated_is_not_less_than_the_error_itself(height):
     assert max(over_stated(height)) < 1.0
@@ -140,7 +141,7 @@ def test_the_figure_stated_is_not_less_than_the_error_itself(height):
 @pytest.mark.slow
 def test_the_figure_stated_is_the_size_of_the_error():
     ratios = [ratio for height in (0.08, 0.09, 0.0999, 0.1, 0.1001, 0.11, 0.12) for ratio in over_stated(height)]
-    assert np.median(ratios) < 1.0, ratios
+    assert max(ratios) < 1.0 and np.median(ratios) > 1.0 / 3.0, ratios
 
 
 @pytest.mark.full
@@ -156,6 +157,20 @@ def test_a_jump_exactly_at_an_output_time_is_caught():
         assert "kink or a jump" in check.remark
         assert any("central differences" in what for what in check.compared_with)
         assert found.certificate.parameters["dashpot"].verdict == TRUSTED
+
+
+@pytest.mark.slow
+def test_a_jump_that_parameters_hide_from_each_other_is_caught():
+    # A touch at clearance over speed: both grown alike leave it where it is, and the mass moves the force by far more.
+    scene = bj.scenes.impact("kelvin_voigt", smoothing=False)
+    given = {"stiffness": 5.1e10, "dashpot": 1.32e5, "mass": 2.35, "approach_speed": 0.246, "clearance_contact": 3.4e-7}
+    wrt = ("mass", "approach_speed", "clearance_contact")
+    found = bj.sensitivity(scene, scene.parameters(given), np.linspace(0.0, 3.3e-5, 401), wrt)
+    checks = found.certificate.parameters
+    assert checks["mass"].verdict == TRUSTED and checks["clearance_contact"].verdict == NOT
+    # The peak's derivative misses the shift of the touch as the history's does.
+    assert checks["approach_speed"].verdict != TRUSTED
+    assert checks["approach_speed"].feature_verdicts["contact.peak"] == NOT
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bcfj_jax.analysis.derivatives.jacobian import Histories, channel_names
-from bcfj_jax.analysis.derivatives.measures import measure, vector
+from bcfj_jax.analysis.derivatives.measures import measure, sampling, vector
 from bcfj_jax.analysis.derivatives.names import feature
 from bcfj_jax.analysis.histories import correlations, shifts
 
@@ -71,3 +71,24 @@ def test_shifts_of_the_host_are_those_of_jax():
     )
     host, traced = shifts(a, b, 60), shifts(jnp.asarray(a), jnp.asarray(b), 60)
     assert [float(x) for x in host] == pytest.approx([float(x) for x in traced], rel=1e-9)
+
+
+def test_the_sampling_of_a_work_bounds_its_error():
+    # d = sin(pi s), F = K d (1 + a d'), three contacts of s from 0 to 1: dW/da = 3 int K d d'^2 ds = 2 pi K.
+    stiffness, loss = 1e3, 0.1
+    for count in (3, 5, 8, 12, 30, 101):
+        t = np.arange(0.0, 6.0, 1.0 / count) + 0.3 / count
+        inside = (t % 2.0) < 1.0
+        depth, rate = np.sin(np.pi * t), np.pi * np.cos(np.pi * t)
+        slope = stiffness * depth * rate * inside
+        force = stiffness * depth * inside + loss * slope
+        full = np.zeros((t.size, 1, 3))
+        value = Histories(full + force[:, None, None] * [1.0, 0.0, 0.0], depth[:, None], rate[:, None], None)
+        moved = Histories((full + slope[:, None, None] * [1.0, 0.0, 0.0])[None], 0.0 * value.rate[None], None, None)
+        moved = moved._replace(rate=moved.penetration)
+        wanted = [feature("a.dissipated_work", {"a": 0}), feature("a.peak", {"a": 0})]
+        found = measure(t, value, moved, wanted, {"a": 0}, False)[1][0, 0]
+        at_most = sampling(t, value, moved, wanted, {"a": 0}, np.array([loss]))
+        assert abs(found / (2.0 * np.pi * stiffness) - 1.0) < at_most[0, 0] and at_most[1, 0] == 0.0
+        assert np.isinf(at_most[0, 0]) == (count < 6)
+    assert at_most[0, 0] < 0.01

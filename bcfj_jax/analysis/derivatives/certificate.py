@@ -1,19 +1,20 @@
 """The certificate: what each derivative was compared with, by how much it differs, and what it is good for.
 
-Two comparisons. *Levels*: the same derivative at a tolerance four times tighter; this puts it into the error control.
+Two comparisons. *Levels*: the same derivative by far tighter solves, which bound its error (``bounds``).
 *Differences*: central differences of force histories that were computed without any derivative, by the solver meant
 for values; along one random direction of all parameters first, one by one where that one disagrees. Differences
 have errors of their own, which a second step a quarter as long measures, and only what exceeds these counts.
 
 | verdict | when |
 |---|---|
-| ``trusted`` | the pointwise difference is at most 3 % |
+| ``trusted`` | the pointwise error is at most 3 % |
 | ``averaged only`` | that of the moving average is at most 10 % |
-| ``not differentiable here`` | larger differences, or chaotic motion: tangents grow by more than 1e6 and levels disagree |
+| ``not differentiable here`` | larger errors, or chaotic motion: tangents grow by more than 1e6 and levels disagree |
 
-A feature's derivative has its own verdict, by the difference of that number between the levels: at most 3 %, at most
-10 %, more. It may be good where the history's is not. Where a run beside fails, or the budget ends, the verdict is that
-of the comparisons that were made, and ``unchecked`` says what was not.
+A feature's derivative has its own verdict, by the bound of that number's error: at most 3 %, at most 10 %, more. It may
+be good where the history's is not. Where no far tighter solve was made, or a run beside fails, or the budget ends, the
+verdict is that of the comparisons that were made, and ``unchecked`` says what was not. Where tighter solves do not agree
+better than looser ones, nothing bounds an error above 3 %, and the remark says so.
 """
 
 from __future__ import annotations
@@ -40,8 +41,10 @@ POINTWISE, BROKEN = 0.03, 0.10
 INFLUENCE = 0.01
 # Elasticity below which a feature's derivative counts as that much: 0.01 % per 1 %.
 LEAST = 0.01
+INF = float("inf")
 # Of a history whose levels disagree; a feature's number may still agree.
 _LOOSE = "it depends on the tolerance"
+_OPEN = f"{_LOOSE}, and its error cannot be bounded, since tighter solves do not agree better"
 
 
 class Check(NamedTuple):
@@ -51,14 +54,14 @@ class Check(NamedTuple):
         verdict: ``trusted``, ``averaged only`` or ``not differentiable here``.
         remark: why, in words; "" where the figures say it.
         compared_with: in words, each comparison.
-        pointwise, average: relative L2 differences over the horizon, the worst of the comparisons.
-        features: relative difference of each feature's derivative between the last levels.
+        pointwise, average: relative L2 errors over the horizon at most, the worst of the comparisons.
+        features: relative error of each feature's derivative at most.
         growth: of the state's tangent over the horizon [-]; exponent: of that growth [1/s].
         influence: ||p dF/dp|| over that of the strongest parameter [-].
         where: time by which half of the pointwise difference has come about [s].
         breakdown: time after which the averages' running difference exceeds 10 % [s]; NaN: it does not at the end.
         feature_verdicts: of each feature's derivative.
-        unchecked: what central differences did not check, and why, in a sentence; "" where they checked all.
+        unchecked: what far tighter solves or central differences did not check, and why, in a sentence; or "".
     """
 
     verdict: str
@@ -88,10 +91,11 @@ class Certificate(NamedTuple):
         verdict: the worst of the parameters'.
         parameters: a ``Check`` by name.
         average: width of the moving average [s].
-        target: relative difference of the averages that ended the tightening, where it was reached.
-        tolerances, steps: of every level, loosest first; derivatives reported are the last's.
+        target: bound of the averages' relative error that ended the tightening, where it was reached.
+        tolerances, steps: of every level, loosest first.
         direction: pointwise and average difference from central differences along one random direction of all
             parameters, less the differences' own error; None: not taken.
+        reported: tolerance of the level whose derivatives are reported; tighter ones bound their error.
     """
 
     verdict: str
@@ -101,15 +105,20 @@ class Certificate(NamedTuple):
     tolerances: tuple[float, ...]
     steps: tuple[int, ...]
     direction: dict[str, float] | None
+    reported: float = float("nan")
 
 
 class Comparison(NamedTuple):
-    """What was found for one parameter in one comparison; until when [s] it could be made, NaN for the whole horizon."""
+    """What was found for one parameter in one comparison; until when [s] it could be made, NaN for the whole horizon.
+
+    ``unbounded``: of levels, whether they show no limit.
+    """
 
     what: str
     pointwise: Difference
     average: Difference
     until: float = float("nan")
+    unbounded: bool = False
 
 
 def flat(derivative: np.ndarray) -> np.ndarray:
@@ -165,7 +174,7 @@ def apart(first: np.ndarray, second: np.ndarray, numbers: np.ndarray, values: np
 
 
 def of_feature(apart: float) -> str:
-    """Verdict of one feature's derivative, from its relative difference between two levels."""
+    """Verdict of one feature's derivative, from its relative error at most."""
     return TRUSTED if apart <= POINTWISE else AVERAGED if apart <= BROKEN else NOT
 
 
@@ -190,16 +199,21 @@ def check(
     # A run beside that failed says nothing of this one.
     failed = [c for c in comparisons[1:] if not np.isfinite(c.average.relative)]
     if failed:
-        unchecked = "central differences check nothing: a run beside this one failed"
+        unchecked = joined(unchecked, "central differences check nothing: a run beside this one failed")
     comparisons = [c for c in comparisons if c not in failed]
     early = [c.until for c in comparisons if np.isfinite(c.until)]
-    if early and not unchecked:
-        unchecked = f"central differences check nothing after {min(early):.4g} s: a run beside this one failed there"
+    if early and "central differences" not in unchecked:
+        late = f"central differences check nothing after {min(early):.4g} s: a run beside this one failed there"
+        unchecked = joined(unchecked, late)
     worst = max(comparisons, key=lambda c: c.average.relative)
     # Before two tolerances agree, differences can only tell that the derivative is not solved yet.
     solved = comparisons[0].average.relative <= POINTWISE
     pointwise = max(c.pointwise.relative for c in comparisons)
     nothing = influence == 0.0
+    # What differences alone find, a kink or a jump, no tolerance shows in the features either.
+    kinked = max((c.pointwise.relative - comparisons[0].pointwise.relative for c in comparisons[1:]), default=0.0)
+    least = INF if kinked > POINTWISE else max(kinked, 0.0)
+    features = {name: float(np.maximum(x, least)) for name, x in features.items()}
     remark, breakdown, numbers = "", float("nan"), {name: of_feature(x) for name, x in features.items()}
     if np.isfinite(end):
         verdict, remark, breakdown = NOT, "the run failed", end
@@ -209,7 +223,7 @@ def check(
         remark = f"chaotic: the largest Lyapunov exponent is {rate}"
     elif pointwise <= POINTWISE:
         verdict, remark = TRUSTED, "no influence" if nothing else ""
-    elif worst.average.relative <= BROKEN:
+    elif worst.average.relative <= BROKEN and not comparisons[0].unbounded:
         verdict = AVERAGED
     else:
         verdict, breakdown = NOT, worst.average.broken
@@ -218,7 +232,7 @@ def check(
         elif grown.factor > CHAOTIC_GROWTH:
             remark = "tangents grow by more than a million"
         else:
-            remark = f"{_LOOSE}: give a tighter accuracy or a larger smoothing"
+            remark = f"{_OPEN if comparisons[0].unbounded else _LOOSE}: give a tighter accuracy or a larger smoothing"
             remark += "; its influence is weak" if influence < INFLUENCE else ""
     if verdict == NOT and not remark.startswith(_LOOSE):
         numbers = dict.fromkeys(numbers, NOT)
@@ -228,6 +242,11 @@ def check(
         grown.factor, grown.exponent, float(influence), worst.pointwise.where, breakdown,
         numbers, unchecked,
     )  # fmt: skip
+
+
+def joined(said: str, more: str) -> str:
+    """Two reasons in a sentence."""
+    return "; ".join(filter(None, (said, more)))
 
 
 def worst_verdict(checks: Mapping[str, Check]) -> str:

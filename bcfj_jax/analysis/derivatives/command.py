@@ -144,7 +144,7 @@ def page(
         for k, (head, rows) in enumerate(tables)
     ]
     if certificate:
-        note = "Pointwise and averaged: how far two tolerances differ, shares of the largest derivative. "
+        note = "Pointwise and averaged: the relative error at most, over the whole run. "
         note += "Tangent growth: how much a small change grows over the run."
         shown.append(Table("Certificate of the histories' derivatives", certificate_rows(certificate), note))
     solver = report.solver_table(found.stats, [["solves", str(found.stats["levels"])]])

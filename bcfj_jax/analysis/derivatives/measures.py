@@ -18,12 +18,14 @@ from numpy.polynomial.chebyshev import chebvander
 
 from bcfj_jax.analysis import features
 from bcfj_jax.analysis import histories as comparison
+from bcfj_jax.analysis.derivatives.certificate import apart
 from bcfj_jax.analysis.derivatives.jacobian import Histories, channel_names
 from bcfj_jax.analysis.derivatives.names import Feature, members
 from bcfj_jax.analysis.derivatives.starting import START, of_members, starting
 from bcfj_jax.analysis.histories import correlations, crest_lags, shifts
 
 _FEWEST = 11  # samples: a residual of order 9 over fewer is rounding
+_FEW = 6  # samples: of fewer in a contact the loop of force against penetration is not known
 
 
 def channel_features(times: np.ndarray, force: Array, depth: Array) -> dict[str, Array]:
@@ -133,6 +135,42 @@ def measure(
         found = [one(feature) for feature in wanted]
     slopes = np.array([d for _, d in found]).reshape(len(found), len(derivative.force))
     return np.array([x for x, _ in found]), slopes
+
+
+def sampling(
+    times: np.ndarray,
+    value: Histories,
+    derivative: Histories,
+    wanted: Sequence[Feature],
+    contacts: Mapping[str, int],
+    values: np.ndarray,
+) -> np.ndarray:
+    """Relative errors (F, P) of features' derivatives that come from the samples, whatever the solver; 0 where unknown.
+
+    Of works: what every second sample, even or odd, gives otherwise, which is three times the error of the trapezoidal
+    rule where samples are many; infinite where fewer than ``_FEW`` samples bear more than a twentieth of the peak in a
+    contact, on average. ``values`` (P,) are the parameters'.
+    """
+    found = np.zeros((len(wanted), len(values)))
+    works = [i for i, f in enumerate(wanted) if f.kind == "dissipated_work"]
+    if not works or len(times) < 4:
+        return found
+    kept, last = [wanted[i] for i in works], len(times) - 1
+    numbers, slopes = measure(times, value, derivative, kept, contacts, False)
+    for first in (0, 1):
+        every = np.unique(np.concatenate([[0], np.arange(first, last, 2), [last]]))
+        thin = Histories(*(x[every] for x in value[:3]), state=None)
+        thinner = Histories(*(x[:, every] for x in derivative[:3]), state=None)
+        coarse = measure(times[every], thin, thinner, kept, contacts, False)[1]
+        found[works] = np.maximum(found[works], apart(coarse, slopes, numbers, values))
+    place = {name: i for i, name in enumerate(channel_names(contacts))}
+    for i, slope in zip(works, slopes, strict=True):
+        force = np.abs(value.force[:, [place[m] for m in members(wanted[i].contacts[0], contacts)], 0])
+        bears = force > 0.05 * force.max(axis=0, initial=0.0)
+        begins = np.count_nonzero(bears[1:] & ~bears[:-1], axis=0) + bears[0]
+        if np.any((begins > 0) & (bears.sum(axis=0) < _FEW * begins)):
+            found[i] = np.where(slope != 0.0, np.inf, 0.0)
+    return found
 
 
 def _mean(found: Sequence[tuple[float, np.ndarray]]) -> tuple[float, np.ndarray]:

@@ -24,7 +24,7 @@ _CHANGES, _SEEN = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5), 0.05
 def tornado(ranked: Ranking, path: Path) -> Picture:
     """Bars of % per %, one panel for each of the strongest features, the strongest parameter on top.
 
-    What two tolerances do not agree about within 10 % has no bar.
+    What is not known within 10 % has no bar.
     """
     ranked = ranked._replace(elasticity=np.where(ranked.apart > BROKEN, np.nan, ranked.elasticity))
     known = np.isfinite(ranked.elasticity).any(axis=1) if len(ranked.features) else np.zeros(0, bool)
@@ -48,7 +48,7 @@ def tornado(ranked: Ranking, path: Path) -> Picture:
             strongest = ranked.parameters[order[-1]]
             said.append(f"{ranked.features[row]} most by {strongest} ({line[order[-1]]:+.2g} % per %)")
     if not said:
-        return Picture(path.name, title, "No feature has a derivative that two tolerances agree about.")
+        return Picture(path.name, title, "No feature has a derivative that is known within 10 %.")
     return Picture(path.name, title, f"Change of each feature per 1 % of each parameter: {'; '.join(said)}.")
 
 

@@ -18,7 +18,7 @@ from bcfj_jax.io.units import format_si
 class Ranking(NamedTuple):
     """Elasticities (F, P), d ln f/d ln p [-], features and parameters strongest first; NaN where there is none.
 
-    ``apart`` (F, P): relative difference of each between the last two tolerances; NaN without a certificate.
+    ``apart`` (F, P): relative error of each at most; NaN without a certificate.
     """
 
     features: list[str]
@@ -77,8 +77,8 @@ def ranked_rows(features: Mapping[str, float], ranked: Ranking) -> list[list[str
 
 
 LEGEND = (
-    "Without a mark: two tolerances agree within 3 % (a small number within 0.0003). ±: how far they are apart. "
-    "In brackets: they differ by more than 10 % (0.001), so that only the size is known. 0: below 0.0001. -: no derivative."
+    "Without a mark: good to 3 % (a small number to 0.0003). ±: its error at most. "
+    "In brackets: not known within 10 % (0.001), so that it is a size only. 0: below 0.0001. -: no derivative."
 )
 
 
@@ -88,6 +88,8 @@ def _cell(elasticity: float, apart: float) -> str:
         return "-"
     if math.isnan(apart):
         return f"{elasticity:+.3g}"
+    if math.isinf(apart):
+        return f"({elasticity:+.1g} ±?)"
     verdict, small = of_feature(apart), abs(elasticity) < LEAST
     if verdict == TRUSTED:
         return f"{elasticity:+.3g}" if not small else "0" if abs(elasticity) < 1e-4 else f"{elasticity:+.4f}"
@@ -125,7 +127,7 @@ def drivers(found: Sensitivity, values: Mapping[str, Any]) -> list[str]:
         if others and size[others[0]] > 0.0:
             text += f", then {ranked.parameters[others[0]]}: {row[others[0]]:+.2g}"
         unsure = math.isfinite(apart[first]) and of_feature(float(apart[first])) == NOT
-        sentences.append(text + (", a size only: two tolerances differ by more than 10 %" if unsure else ""))
+        sentences.append(text + (", a size only: not known within 10 %" if unsure else ""))
     return sentences
 
 
@@ -137,7 +139,7 @@ def unknown(found: Sensitivity) -> str:
         reasons = [f"{zero}, and a shorter contact needs more samples"]
     elif found.certificate is not None:
         remarks = dict.fromkeys(check.remark for check in found.certificate.parameters.values() if check.remark)
-        reasons = list(remarks) or ["two tolerances disagree about every feature"]
+        reasons = list(remarks) or ["of no feature is it known within 10 %"]
     return f"What drives {next(iter(found.features), 'the forces')} is not known: {'; '.join(reasons)}"
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.analysis.derivatives import certificate as verdicts
+from bcfj_jax.analysis.derivatives.bounds import feature_bounds
 from bcfj_jax.analysis.derivatives.certificate import Certificate, Check
 from bcfj_jax.analysis.derivatives.jacobian import histories
 from bcfj_jax.analysis.derivatives.measures import vector
@@ -93,21 +94,20 @@ def _gradient(
 def reversed_certificate(
     names: Sequence[str], values: np.ndarray, wanted: Sequence[Feature], solved: Sequence[Gradient]
 ) -> Certificate:
-    """How far the gradients at two tolerances are apart; the values (P,) are the parameters'."""
-    apart = verdicts.apart(solved[0].slopes, solved[1].slopes, solved[1].numbers, values)
-    loose, tight = (s.tolerance for s in solved)
+    """Bounds of gradients that were solved at three tolerances far apart; the values (P,) are the parameters'."""
+    found = feature_bounds([s.slopes for s in solved], solved[0].numbers, values)
+    loose, tight = solved[0].tolerance, solved[-1].tolerance
     what = f"the same derivatives of features at a tolerance of {loose:.3g} against {tight:.3g}"
-    nan, failed = float("nan"), solved[-1].code != OK
-    broken = solved[-1].end if failed else nan
+    nan, worst = float("nan"), next((s for s in solved if s.code != OK), None)
+    failed, broken = worst is not None, worst.end if worst else nan
     checks: dict[str, Check] = {}
     for k, name in enumerate(names):
-        found = {f.name: float(apart[i, k]) for i, f in enumerate(wanted)}
-        worst = float(np.max(apart[:, k]))
-        verdict = verdicts.TRUSTED if worst <= verdicts.POINTWISE else verdicts.NOT
-        remark = "" if np.any(solved[-1].slopes[:, k]) else "no influence"
+        each = {f.name: float(found[i, k]) for i, f in enumerate(wanted)}
+        verdict = verdicts.TRUSTED if float(np.max(found[:, k])) <= verdicts.POINTWISE else verdicts.NOT
+        remark = "" if np.any(solved[0].slopes[:, k]) else "no influence"
         remark = "the run failed" if failed else remark
-        checks[name] = Check(verdict, remark, (what,), nan, nan, found, nan, nan, nan, nan, broken)
+        checks[name] = Check(verdict, remark, (what,), nan, nan, each, nan, nan, nan, nan, broken)
     return Certificate(
         verdicts.worst_verdict(checks), checks, 0.0, verdicts.POINTWISE, tuple(s.tolerance for s in solved),
-        tuple(int(s.stats["accepted"] + s.stats["rejected"]) for s in solved), None,
+        tuple(int(s.stats["accepted"] + s.stats["rejected"]) for s in solved), None, loose,
     )  # fmt: skip

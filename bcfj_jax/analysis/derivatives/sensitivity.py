@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from bcfj_jax.analysis.derivatives import certificate as verdicts
+from bcfj_jax.analysis.derivatives.bounds import Budget, Climb, bounded, climb, feature_bounds, safer, target
 from bcfj_jax.analysis.derivatives.certificate import Certificate, Check, Comparison
-from bcfj_jax.analysis.derivatives.differences import against, scales, signs
-from bcfj_jax.analysis.derivatives.jacobian import Histories, Level, forces, level
-from bcfj_jax.analysis.derivatives.measures import measure
+from bcfj_jax.analysis.derivatives.differences import against, scales
+from bcfj_jax.analysis.derivatives.differences import direction as random_direction
+from bcfj_jax.analysis.derivatives.jacobian import Histories, Level, forces
+from bcfj_jax.analysis.derivatives.measures import measure, sampling
 from bcfj_jax.analysis.derivatives.names import Feature, complete, default_features
 from bcfj_jax.analysis.derivatives.names import feature as named
+from bcfj_jax.analysis.derivatives.norms import norm
 from bcfj_jax.analysis.derivatives.reverse import Gradient, gradient, reversed_certificate, reversible
 from bcfj_jax.analysis.derivatives.steady import Steady, prepared
 from bcfj_jax.analysis.derivatives.steady import steady as of_steady
@@ -26,8 +28,8 @@ from bcfj_jax.core.errors import InputError, nearest, quoted, texts
 from bcfj_jax.core.progress import stage
 from bcfj_jax.core.quantities import Quantity, increasing, scalar, whole
 from bcfj_jax.core.status import OK, reason
-from bcfj_jax.core.threads import ahead, together
-from bcfj_jax.io.stop import OutOfTime, within
+from bcfj_jax.core.threads import ahead
+from bcfj_jax.io.stop import OutOfTime
 from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.mechanism.observed import observing
@@ -38,10 +40,13 @@ MODES = ("auto", "forward", "reverse")
 DIFFERENCES = ("direction", "each", "none")
 _MANY = 50
 _AVERAGE = Quantity("average", "s", "width of the moving average", 0.0, open_low=True)
-_BUDGET = Quantity("budget", "s", "time for central differences", 0.0)
-T = TypeVar("T")
+_BUDGET = Quantity("budget", "s", "time for far tighter solves and central differences", 0.0)
+# In reverse mode, by whether the model is stiff: ratio of the tolerances that a bound is from (Tsit5, SDIRK2).
+_BACKWARD = {False: 64.0, True: 8.0}
 # Pitches of steady motion over which central differences are taken.
 _PITCHES = 4
+# Difference from central differences that is looked into.
+_SEEN = 1e-3
 # Features that do not hang on where samples are, and samples in a turn that they need.
 _INTEGRATED, _TURN = ("mean", "impulse", "contact_fraction"), 100
 
@@ -106,8 +111,9 @@ def sensitivity(
     """Derivatives of force histories and features by named parameters, with a certificate.
 
     One compiled program per scene, number of times and ``wrt``; other values, times and accuracies reuse it. With a
-    certificate the tolerance is tightened by 4 until the averaged derivatives of every parameter with more than 1 %
-    of the largest influence agree with those before, within ``3 force_error`` (1 % to 10 %; 3 % at ``balanced``).
+    certificate derivatives are bounded by far tighter solves (``derivatives.bounds``), and the tolerance is tightened
+    until the bound of the averaged derivatives of every parameter with more than 1 % of the largest influence is
+    within ``3 force_error`` (1 % to 10 %; 3 % at ``balanced``). Those of a stiff model are then BDF's.
 
     Args:
         scene, params, times, accuracy, max_steps: as ``simulate``.
@@ -120,10 +126,10 @@ def sensitivity(
         certify: whether to certify.
         differences: central differences along one random direction, and of "each" parameter where that disagrees;
             of each always; or none.
-        levels: most tightenings by 4.
+        levels: most tightenings; fewer than two leave no solve that bounds the error.
         steady: whether to differentiate the steady motion too (``derivatives.steady``), of a model that knows a pitch.
-        budget: seconds for central differences, compiling included: none is begun that is not expected to end within,
-            and one that does not is left behind, in a thread that may compute on; None: no end.
+        budget: seconds for far tighter solves and central differences, compiling included: none is begun that is not
+            expected to end within, and one that does not is left behind, in a thread that may compute on; None: no end.
         tell: receives the result before central differences are taken.
 
     Raises:
@@ -151,8 +157,9 @@ def sensitivity(
     how = plan(scene, accuracy, max_steps)
     if mode == "reverse" or (mode == "auto" and len(names) > _MANY):
         able = reversible(wanted)
-        # The second is a certificate's level.
-        plans = [how, Plan(how.tolerance * 0.25, max_steps, how.tangents)] if certify else [how]
+        # The others are a certificate's.
+        ratios = _BACKWARD[scene.traits.stiff] ** -np.arange(3 if certify else 1)
+        plans = [Plan(how.tolerance * x, max_steps, how.tangents) for x in ratios]
         solved = [gradient(scene, full, t, names, each, able, contacts) for each in plans]
         return _reverse(t, names, _values(full, names), able, contacts, solved, max_steps)
     error = force_error(accuracy)
@@ -160,9 +167,10 @@ def sensitivity(
     if steady and scene.recurs(full) and t[-1] >= scene.settled_from(full):
         ahead(partial(prepared, scene, full, names, max_steps))
     if certify and differences != "none" and budget != 0.0:
-        ahead(partial(compiled, scene, full, t, plan(scene, _fine(scene, error, 1), MAX_STEPS)))
-    climbed = _climb(scene, full, t, names, how, error, average, levels if certify else 0)
-    last = climbed[-1]
+        ahead(partial(compiled, scene, full, t, plan(scene, _fine(scene, error), MAX_STEPS)))
+    spend, values = Budget(budget), _values(full, names)
+    climbed = climb(scene, full, t, names, how, error, _width(t, average), levels if certify else 0, spend)
+    last = climbed.last
     turning = scene.traits.turning
     numbers, slopes = measure(t, last.value, last.derivative, wanted, contacts, turning)
     failed = last.code != OK
@@ -181,9 +189,9 @@ def sensitivity(
             "accepted": last.accepted,
             "rejected": last.rejected,
             "tolerance": last.tolerance,
-            "wall_s": sum(r.wall_s for r in climbed),
-            "compile_s": sum(r.compile_s for r in climbed),
-            "levels": len(climbed),
+            "wall_s": sum(r.wall_s for r in climbed.levels),
+            "compile_s": sum(r.compile_s for r in climbed.levels),
+            "levels": len(climbed.levels),
         },
         values={name: float(full[name]) for name in names},
     )
@@ -192,15 +200,16 @@ def sensitivity(
         found = found._replace(steady=of_steady(scene, full, end, float(t[-1]), names, wanted, max_steps))
     if not certify:
         return found
-    before = measure(t, climbed[-2].value, climbed[-2].derivative, wanted, contacts, turning)[1]
-    agree = verdicts.apart(before, slopes, numbers, _values(full, names))
+    tighter = [measure(t, r.value, r.derivative, wanted, contacts, turning)[1] for r in climbed.beside or ()]
+    agree = feature_bounds([slopes, *tighter], numbers, values) if tighter else np.full(slopes.shape, np.inf)
+    agree = agree + sampling(t, last.value, last.derivative, wanted, contacts, values)
     if found.steady is not None:
         agree = np.maximum(agree, _off_steady(scene, full, t, last, found.steady, wanted, names))
     table = {n: {f.name: float(agree[i, k]) for i, f in enumerate(wanted)} for k, n in enumerate(names)}
     judge = partial(_certificate, scene, full, t, names, climbed, error, average, table)
     if tell is not None and differences != "none" and not failed:
-        tell(found._replace(certificate=judge("none", None)))
-    return found._replace(certificate=judge(differences, budget))
+        tell(found._replace(certificate=judge("none", spend)))
+    return found._replace(certificate=judge(differences, spend))
 
 
 def _off_steady(scene, params, times, last: Level, steady: Steady, wanted, names: tuple[str, ...]) -> np.ndarray:
@@ -222,11 +231,6 @@ def _off_steady(scene, params, times, last: Level, steady: Steady, wanted, names
     return found
 
 
-def target(error: float) -> float:
-    """Difference of averages at which the tightening ends: 10 % fast, 3 % balanced, 1 % reference."""
-    return float(np.clip(3.0 * error, 0.01, 0.10))
-
-
 def _width(times: np.ndarray, average: float) -> float:
     return min(average, 0.1 * float(times[-1] - times[0]))
 
@@ -235,61 +239,26 @@ def _values(params: Params, names: Sequence[str]) -> np.ndarray:
     return np.array([float(params[name]) for name in names])
 
 
-def _climb(scene, params, times, names, how: Plan, error: float, average: float, levels: int) -> list[Level]:
-    """Solves at tolerances 4 times tighter each, until two agree, the budget is spent or nothing helps.
-
-    A stiff model whose first two disagree goes on at ``reference``, tangents in the step control.
-    """
-    # The first two are always compared.
-    starts = [how, Plan(np.asarray(0.25 * how.tolerance), how.max_steps, how.tangents)][: 1 + min(levels, 1)]  # pyright: ignore[reportArgumentType]
-    with stage("solving with derivatives at two tolerances" if len(starts) > 1 else "solving with derivatives"):
-        first, *second = together(*(partial(level, scene, params, times, names, each) for each in starts))
-    climbed = [first]
-    values, width = _values(params, names), _width(times, average)
-    while len(climbed) <= levels and climbed[-1].good:
-        tolerance: Any = np.asarray(0.25 * climbed[-1].tolerance)
-        tighter = Plan(tolerance, how.max_steps, how.tangents)
-        if scene.traits.stiff and len(climbed) > 1 and not how.tangents:
-            # In between errors have a hump: a free ball's swing, there with a wrong phase (docs/derivatives.md).
-            good = plan(scene, "reference")
-            tolerance = np.minimum(tolerance, good.tolerance)
-            how = tighter = Plan(tolerance, how.max_steps, good.tangents)
-        with stage(f"solving with derivatives, tolerance {len(climbed) + 1} of {levels + 1} at most"):
-            climbed.append(second.pop() if second else level(scene, params, times, names, tighter))
-        if not climbed[-1].good:
-            break
-        found = verdicts.between(times, climbed[-2], climbed[-1], values, width)
-        strong = verdicts.influences(times, climbed[-1], values) > verdicts.INFLUENCE
-        worst = max((c.average.relative for c, s in zip(found, strong, strict=True) if s), default=0.0)
-        lost = worst > 0.5 and any(map(verdicts.chaotic, verdicts.growths(times, climbed[-1], values), found))
-        # A solve at a quarter of the tolerance takes 4^(1/2) times the steps at most.
-        if worst <= target(error) or lost or 2 * climbed[-1].steps > how.max_steps:
-            break
-    # A certificate compares two; a run that failed is compared with itself.
-    return climbed if len(climbed) > 1 or not levels else climbed * 2
-
-
 def _certificate(
     scene: AbstractModel,
     params: Params,
     times: np.ndarray,
     names: tuple[str, ...],
-    climbed: Sequence[Level],
+    climbed: Climb,
     error: float,
     average: float,
     features: Mapping[str, Mapping[str, float]],
     differences: str,
-    budget: float | None,
+    spend: Budget,
 ) -> Certificate:
-    values, width, last = _values(params, names), _width(times, average), climbed[-1]
-    found: list[list[Comparison]] = [[c] for c in verdicts.between(times, climbed[-2], last, values, width)]
+    values, width, last = _values(params, names), _width(times, average), climbed.last
+    found: list[list[Comparison]] = [[c] for c in bounded(times, climbed, values, width)]
     grown, strength = verdicts.growths(times, last, values), verdicts.influences(times, last, values)
-    direction, also, unchecked = None, [""] * len(names), [""] * len(names)
+    direction, also, unchecked = None, [""] * len(names), [climbed.unchecked] * len(names)
     lost = any(verdicts.chaotic(g, c[0]) for g, c in zip(grown, found, strict=True))
     if differences != "none" and last.good and not lost:
-        spend = _Budget(budget)
-        fine = _fine(scene, error, len(climbed))
-        how = plan(scene, fine, last_budget(climbed))
+        fine = _fine(scene, error * last.tolerance / climbed.levels[0].tolerance)
+        how = plan(scene, fine, last_budget(last.steps))
         short, every = _shortened(scene, params, times)
         count = len(short)
         slopes = verdicts.flat(last.derivative.force)[:, :count]
@@ -308,70 +277,43 @@ def _certificate(
             return compared._replace(what=f"{compared.what}, until {short[-1]:.4g} s") if early else compared
 
         each, both = differences == "each", None
-        # What the levels know of already needs no second witness.
-        strong = strength > verdicts.INFLUENCE
-        known = max((c.pointwise.relative for (c,), s in zip(found, strong, strict=True) if s), default=0.0)
-        known = max(verdicts.POINTWISE, known)
+        way = step * random_direction(len(names))
         if not each and np.any(step):
             what = "central differences along one random direction of all parameters"
+            # What the levels know of needs no second witness.
+            sizes = np.abs(way) * norm(short, slopes) / max(float(norm(short, np.tensordot(way, slopes, 1))), 1e-300)
+            stated = [(c.pointwise.relative, c.average.relative) for (c,) in found]
+            known = np.maximum(np.nan_to_num(sizes @ np.array(stated), nan=np.inf), _SEEN)
             try:
-                both = along(what, step * signs(len(names)), min(known, target(error)))
+                both = along(what, way, known[0])
             except OutOfTime:
-                unchecked = [f"central differences do not check it: {spend.over}" if s else "" for s in step]
+                late = f"central differences do not check it: {spend.over}"
+                unchecked = [verdicts.joined(x, late) if s else x for x, s in zip(unchecked, step, strict=True)]
         if both is not None:
             direction = {"pointwise": both.pointwise.relative, "average": both.average.relative}
-            each = both.average.relative > target(error) or both.pointwise.relative > known
+            each = bool(both.pointwise.relative > known[0] or both.average.relative > known[1])
             if np.isfinite(both.until) and not each:
                 late = f"central differences check nothing after {both.until:.4g} s: a run beside this one failed there"
-                unchecked = [late] * len(names)
+                unchecked = [verdicts.joined(x, late) for x in unchecked]
             # A parameter at 0 was not moved.
             also = [both.what if s and not each else "" for s in step]
         # The strongest first: the budget may end.
         for k in sorted(np.flatnonzero(step) if each else (), key=lambda k: -strength[k]):
             unit = np.where(np.arange(len(names)) == k, step, 0.0)
-            alone = found[k][0].pointwise.relative
             try:
-                found[k].append(along("central differences", unit, max(verdicts.POINTWISE, alone)))
+                alone = along("central differences", unit, max(_SEEN, found[k][0].pointwise.relative))
+                found[k].append(safer(alone))
             except OutOfTime:
-                unchecked[k] = f"central differences do not check it alone: {spend.over}"
+                unchecked[k] = verdicts.joined(unchecked[k], f"central differences do not check it alone: {spend.over}")
     end = last.end if last.code != OK else float("nan")
     checks: dict[str, Check] = {
         name: verdicts.check(found[k], features[name], grown[k], float(strength[k]), end, also[k], unchecked[k])
         for k, name in enumerate(names)
     }
     return Certificate(
-        verdicts.worst_verdict(checks), checks, width, target(error), tuple(r.tolerance for r in climbed),
-        tuple(r.steps for r in climbed), direction,
+        verdicts.worst_verdict(checks), checks, width, target(error), tuple(r.tolerance for r in climbed.levels),
+        tuple(r.steps for r in climbed.levels), direction, last.tolerance,
     )  # fmt: skip
-
-
-class _Budget:
-    """Seconds for comparisons, compiling included: none is begun that is not expected to end within, by the quickest."""
-
-    def __init__(self, seconds: float | None):
-        self.seconds, self.left, self.quickest = seconds, seconds or 0.0, 0.0
-
-    def on(self, comparing: Callable[[], T]) -> T:
-        """What a comparison gives.
-
-        Raises:
-            OutOfTime: where it did not end within the budget, or was not begun.
-        """
-        if self.seconds is None:
-            return comparing()
-        begin = time.perf_counter()
-        try:
-            found = within(self.left if self.quickest <= self.left else 0.0, comparing)
-        finally:
-            took = time.perf_counter() - begin
-            self.left -= took
-        self.quickest = min(self.quickest or took, took)
-        return found
-
-    @property
-    def over(self) -> str:
-        """Why a comparison is missing."""
-        return f"the budget of {self.seconds:g} s was spent, compiling included"
 
 
 def _shortened(scene: AbstractModel, params: Params, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -389,18 +331,18 @@ def _shortened(scene: AbstractModel, params: Params, times: np.ndarray) -> tuple
     return times[:count], np.concatenate([times[:count], times[count - 1] + apart])
 
 
-def _fine(scene: AbstractModel, error: float, levels: int) -> float:
+def _fine(scene: AbstractModel, error: float) -> float:
     """Error of the forces that differences are taken of: their noise is amplified by 1/h."""
-    return max(min(error * 0.25 ** (levels - 1), 1e-5 if scene.traits.stiff else 1e-7), 1e-9)
+    return max(min(error, 1e-5 if scene.traits.stiff else 1e-7), 1e-9)
 
 
-def last_budget(climbed: Sequence[Level]) -> int:
-    """Steps allowed to the forces that differences are taken of: ten times those of the last level, or more.
+def last_budget(steps: int) -> int:
+    """Steps allowed to the forces that differences are taken of: ten times those of the derivatives, or more.
 
     Few different numbers, since each is a program of its own.
     """
     allowed = MAX_STEPS
-    while allowed < 10 * climbed[-1].steps:
+    while allowed < 10 * steps:
         allowed *= 10
     return allowed
 
@@ -423,8 +365,8 @@ def _reverse(
     solved: Sequence[Gradient],
     max_steps: int,
 ) -> Sensitivity:
-    """Features only; certified where two tolerances were solved."""
-    last = solved[-1]
+    """Features only; certified where tighter tolerances were solved beside the first, which is reported."""
+    last = solved[0]
     slopes = {n: {f.name: float(last.slopes[i, k]) for i, f in enumerate(wanted)} for k, n in enumerate(names)}
     spent = {key: sum(s.stats[key] for s in solved) for key in ("wall_s", "compile_s")}
     failed = last.code != OK

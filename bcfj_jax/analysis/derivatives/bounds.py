@@ -1,0 +1,217 @@
+"""Bounds of derivatives, from solves at tolerances far apart.
+
+R is the derivative that is reported, T that of a far tighter solve, C that of one in between, D the exact one:
+
+    |R - D| <= |R - T| + |T - D|,    |T - D| <= |C - T|  where T is at most half as wrong as C,
+    stated = 1.2 |R - T| + |C - T|.
+
+An explicit method's errors of derivatives do not fall evenly with the tolerance, because an error depends on where in a
+step a contact begins: two solves a factor 4 apart agree by luck. From R to C and from C to T the tolerance falls by 64, which
+costs 2.3 times the steps each. BDF has the tangents' error in its step control, and its errors fall evenly: T is R's
+at a tolerance 40 times tighter, which costs 1.4 times the steps, and there is no C. The factor 1.2 pays for T's error. These
+three numbers were chosen on some scenes and are held to others by ``benchmarks/analysis/derivative_bounds.py``.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+
+from bcfj_jax.analysis.derivatives import certificate as verdicts
+from bcfj_jax.analysis.derivatives.certificate import Comparison
+from bcfj_jax.analysis.derivatives.jacobian import Level, level
+from bcfj_jax.analysis.derivatives.norms import Difference
+from bcfj_jax.core.progress import stage
+from bcfj_jax.core.threads import together
+from bcfj_jax.io.stop import OutOfTime, within
+from bcfj_jax.mechanism.model import AbstractModel, Params
+from bcfj_jax.solve.plan import Plan, plan
+
+SAFETY = 1.2
+# |C - T| over |R - T| above which solves are not seen to converge.
+_WELL = 0.5
+INF = float("inf")
+# By whether the model is stiff: solves that a bound takes; the ratio of their tolerances; the tightest that there is.
+NEEDED, APART = {False: 3, True: 2}, {False: 64.0, True: 40.0}
+_TIGHTEST = {False: 1e-14, True: 2.5e-13}
+# Force error at which a stiff model's solves begin: BDF's tangents are not good at looser ones.
+_STIFF = 1e-4
+T = TypeVar("T")
+
+
+class Climb(NamedTuple):
+    """Solves of one problem, loosest first: the last ``needed`` that are good are R, C and T, or R and T.
+
+    ``unchecked``: why T is missing, in a sentence, or "".
+    """
+
+    levels: tuple[Level, ...]
+    needed: int
+    unchecked: str = ""
+
+    @property
+    def _good(self) -> tuple[Level, ...]:
+        return tuple(r for r in self.levels if r.good)[-self.needed :]
+
+    @property
+    def bounded(self) -> bool:
+        """Whether all that are needed are there."""
+        return len(self._good) == self.needed
+
+    @property
+    def last(self) -> Level:
+        """R, whose derivatives are reported; where none is good, the last that failed."""
+        return self._good[0] if self._good else self.levels[-1]
+
+    @property
+    def beside(self) -> tuple[Level, Level] | None:
+        """C and T, the same where there is one; None where there is none."""
+        return (self._good[1], self._good[-1]) if len(self._good) > 1 else None
+
+
+class Budget:
+    """Seconds for comparisons, compiling included: none is begun that is not expected to end within, by the quickest."""
+
+    def __init__(self, seconds: float | None):
+        self.seconds, self.left, self.quickest = seconds, seconds or 0.0, 0.0
+
+    def on(self, comparing: Callable[[], T], expected: float | None = None) -> T:
+        """What a comparison gives.
+
+        Raises:
+            OutOfTime: where it did not end within the budget, or was not begun, since as much is ``expected`` [s].
+        """
+        if self.seconds is None:
+            return comparing()
+        begin = time.perf_counter()
+        least = self.quickest if expected is None else expected
+        try:
+            found = within(self.left if least <= self.left else 0.0, comparing)
+        finally:
+            took = time.perf_counter() - begin
+            self.left -= took
+        self.quickest = min(self.quickest or took, took) if expected is None else self.quickest
+        return found
+
+    @property
+    def over(self) -> str:
+        """Why a comparison is missing."""
+        return f"the budget of {self.seconds:g} s was spent, compiling included"
+
+
+def climb(
+    scene: AbstractModel,
+    params: Params,
+    times: np.ndarray,
+    names: tuple[str, ...],
+    how: Plan,
+    error: float,
+    width: float,
+    levels: int,
+    spend: Budget,
+) -> Climb:
+    """Solve R, C and T, and go on until the averages of R are within ``target``, or nothing helps.
+
+    Args:
+        scene, params, times, names, how: as ``level``; ``how`` is what was asked for.
+        error: force error that was asked for.
+        width: of the moving average [s].
+        levels: most tightenings; 0 for R alone.
+        spend: time for what is tighter than the first two.
+    """
+    values, stiff = np.array([float(params[name]) for name in names]), scene.traits.stiff
+    if stiff and levels:
+        good = plan(scene, min(error, _STIFF), how.max_steps)
+        how = Plan(np.minimum(how.tolerance, good.tolerance), how.max_steps, good.tangents)  # pyright: ignore[reportArgumentType]
+    tolerances = _ladder(float(how.tolerance), stiff, levels)
+
+    def solve(tolerance: float) -> Level:
+        at: Any = np.asarray(tolerance)
+        return level(scene, params, times, names, Plan(at, how.max_steps, how.tangents))
+
+    with stage("solving with derivatives at two tolerances" if levels else "solving with derivatives"):
+        found = list(together(*(partial(solve, each) for each in tolerances[:2])))
+    now, why = Climb(tuple(found), NEEDED[stiff]), ""
+    for tolerance in tolerances[2:] if scene.traits.history else ():
+        if now.bounded and _enough(times, now, values, width, target(error)):
+            break
+        longer = (found[-1].tolerance / tolerance) ** 0.2
+        if not found[-1].good or 2.0 * longer * found[-1].steps > how.max_steps:
+            why = "it failed" if not found[-1].good else f"it would take more than {how.max_steps} steps"
+            break
+        with stage(f"solving with derivatives, tolerance {len(found) + 1} of {len(tolerances)} at most"):
+            try:
+                found.append(spend.on(partial(solve, tolerance), longer * found[-1].wall_s))
+            except OutOfTime:
+                why = spend.over
+                break
+        now = now._replace(levels=tuple(found))
+    if now.bounded or not scene.traits.history or not now.last.good:
+        return now
+    why = why or ("no tightening was left for it" if found[-1].good else "it failed")
+    return now._replace(unchecked=f"no far tighter solve bounds its error: {why}")
+
+
+def _enough(times: np.ndarray, now: Climb, values: np.ndarray, width: float, limit: float) -> bool:
+    """Whether the averages of all that has influence are within the limit, or nothing is gained by going on."""
+    every = bounded(times, now, values, width)
+    strong = verdicts.influences(times, now.last, values) > verdicts.INFLUENCE
+    worst = max((c.average.relative for c, s in zip(every, strong, strict=True) if s), default=0.0)
+    lost = worst > 0.5 and any(map(verdicts.chaotic, verdicts.growths(times, now.last, values), every))
+    return worst <= limit or lost
+
+
+def _ladder(tolerance: float, stiff: bool, levels: int) -> list[float]:
+    """Tolerances, loosest first: R's, and as many tighter ones as are allowed and are above rounding."""
+    apart, least = APART[stiff], min(tolerance, _TIGHTEST[stiff])
+    needed = min(NEEDED[stiff], levels + 1)
+    # Near rounding as far apart as there is room.
+    apart = min(apart, (tolerance / least) ** (1.0 / max(needed - 1, 1)))
+    ladder = [tolerance * apart**-k for k in range(levels + 1)]
+    return [x for k, x in enumerate(ladder) if k < needed or x >= least]
+
+
+def bounded(times: np.ndarray, climb: Climb, values: np.ndarray, width: float) -> list[Comparison]:
+    """What bounds the error of R's histories, one comparison a parameter; infinite where R is alone."""
+    reported = climb.last
+    if climb.beside is None:
+        alone = verdicts.between(times, reported, reported, values, width)
+        return [_with(c, c.pointwise._replace(relative=INF), c.average._replace(relative=INF)) for c in alone]
+    between, tight = climb.beside
+    apart = verdicts.between(times, reported, tight, values, width)
+    own = verdicts.between(times, between, tight, values, width)
+    return [
+        _with(a, _bound(a.pointwise, b.pointwise), _bound(a.average, b.average))._replace(
+            unbounded=b.average.relative > _WELL * a.average.relative
+        )
+        for a, b in zip(apart, own, strict=True)
+    ]
+
+
+def _with(found: Comparison, pointwise: Difference, average: Difference) -> Comparison:
+    return found._replace(pointwise=pointwise, average=average)
+
+
+def safer(found: Comparison) -> Comparison:
+    """A comparison with central differences, 1.2 times what they find."""
+    return _with(found, *(x._replace(relative=SAFETY * x.relative) for x in (found.pointwise, found.average)))
+
+
+def _bound(apart: Difference, own: Difference) -> Difference:
+    return apart._replace(relative=SAFETY * apart.relative + own.relative)
+
+
+def feature_bounds(slopes: Sequence[np.ndarray], numbers: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Bounds (F, P) of the derivatives of features (F,) by parameters (P,): relative, of R's, from R's, C's and T's."""
+    reported, between, tight = slopes
+    apart, own = (verdicts.apart(x, tight, numbers, values) for x in (reported, between))
+    return SAFETY * apart + own
+
+
+def target(error: float) -> float:
+    """Bound of the averages at which the tightening ends: 10 % fast, 3 % balanced, 1 % reference."""
+    return float(np.clip(3.0 * error, 0.01, 0.10))
