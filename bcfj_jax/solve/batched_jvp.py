@@ -67,6 +67,30 @@ def with_jacobian(function: Callable[[Array], Array], x: Array) -> tuple[Array, 
     return value, jacobian
 
 
+def changes(function: Callable[[Array], Any], x: Array) -> Any:
+    """Forward derivatives of a pytree by every coordinate of x (P,): leaves (P, ...), None of what never changes."""
+    moving: list[bool] = []
+
+    @jax.custom_jvp
+    def seen(leaves: list) -> Array:
+        return jnp.zeros(())
+
+    @partial(seen.defjvp, symbolic_zeros=True)
+    def _(primals, tangents):
+        moving[:] = [not isinstance(slope, SymbolicZero) for slope in tangents[0]]
+        return seen(*primals), jnp.zeros(())
+
+    jax.eval_shape(lambda x: jax.jvp(lambda x: seen(jax.tree.leaves(function(x))), (x,), (x,)), x)
+    structure = jax.tree.structure(jax.eval_shape(function, x))
+
+    def parts(x: Array) -> list:
+        return [leaf for leaf, moves in zip(jax.tree.leaves(function(x)), moving, strict=True) if moves]
+
+    along = jax.vmap(lambda direction: jax.jvp(parts, (x,), (direction,))[1])(jnp.eye(x.size))
+    spread = iter(along)
+    return jax.tree.unflatten(structure, [next(spread) if moves else None for moves in moving])
+
+
 def _gathered(many: Callable[[list, list], tuple]) -> Callable[[list, list], tuple]:
     """One direction of ``many``, whose vmap over directions is ``many`` itself."""
 

@@ -40,7 +40,7 @@ _LOOSER = 10.0
 # A motion repeats itself where Newton's last correction is less, in units of the states' natural sizes.
 _SETTLED = 0.1
 # What a turn of steady motion has; its impulse is that of one turn. Its work is a small rest of what samples resolve.
-_KINDS = ("peak", "largest", "mean", "impulse", "period", "contact_fraction")
+KINDS = ("peak", "largest", "mean", "impulse", "period", "contact_fraction")
 
 
 class _Pitch(NamedTuple):
@@ -160,7 +160,7 @@ def steady(
     settled = scene.settled_from(params)
     if time < settled:
         return _none(f"the run ends before {settled:.4g} s, when {scene.settled_when}")
-    kinds = [f for f in wanted if f.kind in _KINDS]
+    kinds = [f for f in wanted if f.kind in KINDS]
     if not kinds:
         return _none("it has none of these features")
     turn, pitch = scene.period(params)

@@ -1,0 +1,191 @@
+"""Histories and their derivatives of many runs at once: one compiled program for a number of runs.
+
+What ``jacobian.level`` gives of one run. Tangents go beside the states through the work queue
+(``solve.work_queue``), so that no run waits for the slowest. Instants that are solved for themselves are each searched
+from the run before. On several devices each has its own part of the batch and its own queue.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.sharding import Mesh, PartitionSpec
+
+from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel
+from bcfj_jax.core.programs import program
+from bcfj_jax.core.status import NO_FORCE, OK, STEEP
+from bcfj_jax.mechanism.model import AbstractModel
+from bcfj_jax.solve.plan import Plan
+from bcfj_jax.solve.simulation import readings
+
+# Runs under way at one time on a core: with its tangents and matrices a run takes several times a run's place in a cache.
+_PLACES = 32
+# Points whose histories are read at once.
+_AT_ONCE = 4
+
+
+class Runs(NamedTuple):
+    """What N runs left, and how they ended.
+
+    Attributes:
+        value: (N, ...) of ``Histories`` without states.
+        derivative: (N, P, ...) per SI unit, of a force only the normal part, (N, P, T, C, 1).
+        code, end: (N,) how and when [s] they ended; steps: (N,) attempted.
+        rounds: of all places of the batch; 0 where there are none.
+        compile_s: seconds that it took to get the program.
+    """
+
+    value: Histories
+    derivative: Histories
+    code: np.ndarray
+    end: np.ndarray
+    steps: np.ndarray
+    rounds: int
+    compile_s: float
+
+
+def possible(scene: AbstractModel, how: Plan) -> bool:
+    """Whether derivatives of many runs go through one batch: not where tangents have a say in the steps."""
+    return not (scene.traits.open or how.solver or (scene.traits.history and scene.traits.stiff and how.tangents))
+
+
+def run(
+    scene: AbstractModel, params: Mapping[str, np.ndarray], ends: np.ndarray, grid: np.ndarray, wrt: tuple[str, ...],
+    how: Plan, size: int,
+) -> Runs:  # fmt: skip
+    """Run N points, N at most ``size``, with derivatives by ``wrt``.
+
+    Args:
+        scene: one whose level is chosen.
+        params: leaves (N,).
+        ends: (N,) last time of each [s].
+        grid: (T,) from 0 to 1.
+        wrt: names that the parameters have values of.
+        how: as ``possible`` allows.
+        size: of the program; fewer points need no other one.
+    """
+    count = len(ends)
+    fill, mesh = filled(count, size)
+    arguments = {k: leaf[fill] for k, leaf in params.items()}, ends[fill], how, np.asarray(count), np.asarray(grid)
+    batch, compile_s = program("batched jacobian", _program, (scene, wrt, mesh), arguments)
+    found = batch(*arguments)
+    rounds = int(np.max(found[4]))
+    value, derivative, code, end, steps = (jax.tree.map(lambda x: x[:count], part) for part in (*found[:4], found[5]))
+    return Runs(Histories(*value, None), Histories(*derivative, None), code, end, steps, rounds, compile_s)
+
+
+def filled(count: int, size: int) -> tuple[np.ndarray, Mesh | None]:
+    """Numbers of runs that fill a batch, and its devices, where there are several.
+
+    What fills up is the first run again, which is computed only where there is no work queue.
+    """
+    devices = jax.local_devices()
+    size = -(-size // len(devices)) * len(devices)
+    mesh = Mesh(np.array(devices), ("runs",)) if len(devices) > 1 else None
+    return np.where(np.arange(size) < count, np.arange(size), 0), mesh
+
+
+def divided(
+    part: Callable[..., tuple], mesh: Mesh | None, params: dict, ends: Array, how: Plan, count: Array, *more: Array
+) -> tuple:
+    """``part(params, ends, how, count, *more)`` on every device for its share of the runs; the fifth result is one number."""
+    if mesh is None:
+        return part(params, ends, how, count, *more)
+    share = ends.size // mesh.size
+    runs, every = PartitionSpec("runs"), PartitionSpec()
+
+    def mine(params: dict, ends: Array, how: Plan, count: Array, *more: Array) -> tuple:
+        own = jnp.clip(count - share * jax.lax.axis_index("runs"), 0, share)
+        found = part(params, ends, how, own, *more)
+        return (*found[:4], found[4][None], *found[5:])
+
+    specs = (runs, runs, every, every, *[every for _ in more])
+    return jax.shard_map(mine, mesh=mesh, in_specs=specs, out_specs=runs, check_vma=False)(
+        params, ends, how, count, *more
+    )
+
+
+def _program(
+    scene: AbstractModel, wrt: tuple[str, ...], mesh: Mesh | None, params: dict, ends: Array, how: Plan, count: Array,
+    grid: Array,
+) -> tuple:  # fmt: skip
+    def part(params: dict, ends: Array, how: Plan, count: Array, grid: Array) -> tuple:
+        return jacobians(scene, wrt, params, ends, grid, how, count)
+
+    return divided(part, mesh, params, ends, how, count, grid)
+
+
+def places() -> int:
+    """Runs under way at one time."""
+    return _PLACES if jax.default_backend() == "cpu" else 1024
+
+
+def jacobians(
+    scene: AbstractModel, wrt: Sequence[str], params: dict, ends: Array, grid: Array, how: Plan, count: Array
+) -> tuple:
+    """Values and derivatives of (force, penetration, rate), codes, ends, rounds and steps, as ``Runs``. Pure.
+
+    Args: as ``work_queue.integrate_queue``.
+    """
+    from bcfj_jax.solve.work_queue import (
+        integrate_queue,
+        shifted,
+        sizes,
+    )  # With diffrax, which a kept program needs not.
+
+    def read(params: dict, shares: Array, times: Array, states: Array) -> tuple:
+        return by_channel(scene, readings(scene, {**params, **shifted(params, wrt, shares)}, times, states))
+
+    still, axes = jnp.zeros(len(wrt)), jnp.eye(len(wrt))
+
+    def look(one: tuple) -> tuple:
+        """What a run's contacts read, and how that changes along the tangents."""
+        params, end, rows = one
+        times = end * grid
+
+        def push(direction: Array, states: Array) -> tuple:
+            return jax.jvp(lambda s, y: read(params, s, times, y), (still, rows[:, 0]), (direction, states))
+
+        return jax.vmap(push, (0, 1), (None, 0))(axes, rows[:, 1:])
+
+    def instants(near: Any, one: tuple) -> tuple:
+        params, end = one
+
+        def at(shares: Array) -> tuple:
+            moved = {**params, **shifted(params, wrt, shares)}
+            solution, ahead = scene.instants(moved, end * grid, near)
+            value = read(params, shares, end * grid, solution.states)
+            return (value, solution.states), (value, solution, ahead)
+
+        slopes, (value, solution, ahead) = jax.jacfwd(at, has_aux=True)(still)
+        return ahead, (value, *jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), slopes), solution)
+
+    rounds = jnp.asarray(0)
+    if scene.traits.history:
+        width = min(places(), ends.size)
+        solution, rounds = integrate_queue(scene, params, ends, grid, how, count, width, wrt)
+        each = (params, ends, solution.states)
+        value, derivative = jax.lax.map(look, each, batch_size=min(_AT_ONCE, ends.size))
+        tangents = jnp.moveaxis(solution.states[:, :, 1:], 2, 1)
+    else:
+        near = jax.tree.map(jnp.asarray, scene.origin(grid.size))
+        if jax.tree.leaves(near):
+            value, derivative, tangents, solution = jax.lax.scan(instants, near, (params, ends))[1]
+        else:
+            value, derivative, tangents, solution = jax.vmap(lambda *one: instants(near, one)[1])(params, ends)
+    force, slopes = value[0], derivative[0]
+    # As ``jacobian.level``: a force that is 0 has a derivative of 0, whatever the state's is.
+    lost = ~jnp.isfinite(force).all(axis=(2, 3))
+    steep = ~(jnp.isfinite(slopes).all(axis=(1, 3, 4)) & jnp.isfinite(tangents).all(axis=(1, 3)))
+    code, end = solution.code, solution.end
+    for bad, why in ((lost, NO_FORCE), (steep, STEEP)):
+        now = (code == OK) & bad.any(axis=1)
+        code, end = jnp.where(now, why, code), jnp.where(now, ends * grid[jnp.argmax(bad, axis=1)], end)
+    unit = jax.vmap(lambda p: sizes(p, wrt))(params)
+    slopes, *others = (x / unit.reshape(*unit.shape, *[1] * (x.ndim - 2)) for x in derivative)
+    return value, (slopes[..., :1], *others), code, end, rounds, solution.accepted + solution.rejected
