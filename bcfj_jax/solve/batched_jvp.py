@@ -6,6 +6,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, TypeVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -89,6 +90,22 @@ def changes(function: Callable[[Array], Any], x: Array) -> Any:
     along = jax.vmap(lambda direction: jax.jvp(parts, (x,), (direction,))[1])(jnp.eye(x.size))
     spread = iter(along)
     return jax.tree.unflatten(structure, [next(spread) if moves else None for moves in moving])
+
+
+def along(function: Callable[[Any], Y], x: Any, changes: Any) -> tuple[Y, Y]:
+    """Value of ``function(x)`` and its changes in k directions, leaves (k, ...).
+
+    Args:
+        function: over a pytree.
+        x: where.
+        changes: of x in each direction, leaves (k, ...); None of what does not change, not of everything.
+    """
+    moving = jax.tree.map(lambda d, x: None if d is None else x, changes, x, is_leaf=lambda d: d is None)
+
+    def push(change: Any) -> tuple:
+        return jax.jvp(lambda moving: function(eqx.combine(moving, x)), (moving,), (change,))
+
+    return jax.vmap(push, out_axes=(None, 0))(changes)
 
 
 def _gathered(many: Callable[[list, list], tuple]) -> Callable[[list, list], tuple]:

@@ -20,6 +20,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from bcfj_jax.solve import batched_jvp
 from bcfj_jax.solve.sdirk import GAMMA, NODES, Sdirk, following, newton, stages
 
 
@@ -83,13 +84,7 @@ def beside(posed: Any, changes: Any, start: Array) -> Any:
 
 def _variational(field: Callable, t: Any, rows: Array, both: Any) -> Array:
     args, changes = both
-    moving = jax.tree.map(lambda d, x: None if d is None else x, changes, args, is_leaf=lambda d: d is None)
-
-    def push(dy: Array, change: Any) -> tuple[Array, Array]:
-        at = rows[0], moving
-        return jax.jvp(lambda y, moving: field(t, y, eqx.combine(moving, args)), at, (dy, change))
-
-    slope, slopes = jax.vmap(push, out_axes=(None, 0))(rows[1:], changes)
+    slope, slopes = batched_jvp.along(lambda x: field(t, *x), (rows[0], args), (rows[1:], changes))
     return jnp.concatenate([slope[None], slopes])
 
 
@@ -97,12 +92,7 @@ def along(solver: Sdirk, t: Any, y: Array, args: Any, changes: Any) -> Array:
     """(df/dp) dp of every direction (k, n), or 0."""
     if not jax.tree.leaves(changes):
         return jnp.zeros(())
-    moving = jax.tree.map(lambda d, x: None if d is None else x, changes, args, is_leaf=lambda d: d is None)
-
-    def field(moving):
-        return solver.structure.field(t, y, eqx.combine(moving, args))
-
-    return jax.vmap(lambda change: jax.jvp(field, (moving,), (change,))[1])(changes)
+    return batched_jvp.along(lambda args: solver.structure.field(t, y, args), args, changes)[1]
 
 
 @eqx.filter_jit

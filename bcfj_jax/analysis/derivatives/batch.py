@@ -20,13 +20,14 @@ from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel
 from bcfj_jax.core.programs import program
 from bcfj_jax.core.status import NO_FORCE, OK, STEEP
 from bcfj_jax.mechanism.model import AbstractModel
+from bcfj_jax.solve.batched_jvp import along, changes
 from bcfj_jax.solve.plan import Plan
 from bcfj_jax.solve.simulation import readings
 
 # Runs under way at one time on a core: with its tangents and matrices a run takes several times a run's place in a cache.
 _PLACES = 32
-# Points whose histories are read at once.
-_AT_ONCE = 4
+# Samples that are read at once.
+_SAMPLES = 64
 
 
 class Runs(NamedTuple):
@@ -138,28 +139,41 @@ def jacobians(
         sizes,
     )  # With diffrax, which a kept program needs not.
 
-    def read(params: dict, shares: Array, times: Array, states: Array) -> tuple:
-        return by_channel(scene, readings(scene, {**params, **shifted(params, wrt, shares)}, times, states))
+    still = jnp.zeros(len(wrt))
 
-    still, axes = jnp.zeros(len(wrt)), jnp.eye(len(wrt))
+    def moved(params: dict, shares: Array) -> dict:
+        return {**params, **shifted(params, wrt, shares)}
 
     def look(one: tuple) -> tuple:
-        """What a run's contacts read, and how that changes along the tangents."""
+        """What a run's contacts read, and how that changes along the tangents; some samples at once."""
         params, end, rows = one
-        times = end * grid
+        prepare = lambda shares: scene.prepare(moved(params, shares))  # noqa: E731
+        prepared, by_shares = prepare(still), changes(prepare, still)
 
-        def push(direction: Array, states: Array) -> tuple:
-            return jax.jvp(lambda s, y: read(params, s, times, y), (still, rows[:, 0]), (direction, states))
+        def some(each: tuple) -> tuple:
+            times, rows = each
 
-        return jax.vmap(push, (0, 1), (None, 0))(axes, rows[:, 1:])
+            def read(x: tuple) -> tuple:
+                states, prepared = x
+                every = jax.vmap(scene.observe, (0, 0, None))(jnp.maximum(times, 0.0), states, prepared)
+                return by_channel(scene, every)
+
+            return along(read, (rows[:, 0], prepared), (jnp.moveaxis(rows[:, 1:], 1, 0), by_shares))
+
+        # The last sample again fills up.
+        take = jnp.minimum(jnp.arange(-(-grid.size // _SAMPLES) * _SAMPLES), grid.size - 1).reshape(-1, _SAMPLES)
+        value, slopes = jax.lax.map(lambda at: some(((end * grid)[at], rows[at])), take)
+        value = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[: grid.size], value)
+        slopes = jax.tree.map(lambda x: jnp.moveaxis(x, 0, 1), slopes)
+        return value, jax.tree.map(lambda x: x.reshape(len(wrt), -1, *x.shape[3:])[:, : grid.size], slopes)
 
     def instants(near: Any, one: tuple) -> tuple:
         params, end = one
 
         def at(shares: Array) -> tuple:
-            moved = {**params, **shifted(params, wrt, shares)}
-            solution, ahead = scene.instants(moved, end * grid, near)
-            value = read(params, shares, end * grid, solution.states)
+            given, times = moved(params, shares), end * grid
+            solution, ahead = scene.instants(given, times, near)
+            value = by_channel(scene, readings(scene, given, times, solution.states))
             return (value, solution.states), (value, solution, ahead)
 
         slopes, (value, solution, ahead) = jax.jacfwd(at, has_aux=True)(still)
@@ -170,7 +184,7 @@ def jacobians(
         width = min(places(), ends.size)
         solution, rounds = integrate_queue(scene, params, ends, grid, how, count, width, wrt)
         each = (params, ends, solution.states)
-        value, derivative = jax.lax.map(look, each, batch_size=min(_AT_ONCE, ends.size))
+        value, derivative = jax.lax.map(look, each)
         tangents = jnp.moveaxis(solution.states[:, :, 1:], 2, 1)
     else:
         near = jax.tree.map(jnp.asarray, scene.origin(grid.size))

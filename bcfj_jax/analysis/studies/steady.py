@@ -6,17 +6,13 @@ whose matrix over all states leaves nothing to gain by doing several side by sid
 
 from __future__ import annotations
 
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
 
 from bcfj_jax.analysis.derivatives.names import complete
-from bcfj_jax.analysis.derivatives.steady import steady
-from bcfj_jax.analysis.studies.batch import Batch, places
+from bcfj_jax.analysis.derivatives.steady import steady, to_the_end
+from bcfj_jax.analysis.studies.batch import Batch
 from bcfj_jax.analysis.studies.specification import Study
-from bcfj_jax.core.programs import program
 from bcfj_jax.core.status import OK, reason
-from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve.plan import Plan
 
 
@@ -31,13 +27,10 @@ def of_steady(study: Study, values: np.ndarray, last: np.ndarray, how: Plan, siz
     """
     scene, count = study.given.scene, len(last)
     params = study.params(values)
-    fill = np.where(np.arange(size) < count, np.arange(size), 0)
-    how = Plan(how.tolerance, how.max_steps)
-    arguments = {name: leaf[fill] for name, leaf in params.items()}, last[fill], how, np.asarray(count)
-    ends, compile_s = program("batch to the end", _ends, (scene,), arguments)
-    states, codes, stops, steps, rounds = ends(*arguments)
+    found = to_the_end(scene, params, last, how, size)
+    states, codes, compile_s = found.state, found.code, found.compile_s
     rows, reasons = np.full((count, len(study.columns)), np.nan), []
-    stops, steps = stops[:count].copy(), steps[:count].copy()
+    stops, steps, rounds = found.end, found.steps.copy(), found.rounds
     for i, end in enumerate(last):
         if codes[i] != OK:
             reasons.append(reason(int(codes[i]), how.max_steps))
@@ -45,20 +38,11 @@ def of_steady(study: Study, values: np.ndarray, last: np.ndarray, how: Plan, siz
         one, wrt = {name: leaf[i] for name, leaf in params.items()}, ()
         if study.derivatives:
             one, wrt = complete(scene, one, study.derivatives)
-        found = steady(scene, one, states[i], float(end), wrt, study.features, how.max_steps)
-        reasons.append("no steady motion: it has no pitch" if found is None else found.reason)
-        if found is None or found.reason:
+        orbit = steady(scene, one, states[i], float(end), wrt, study.features, how.max_steps)
+        reasons.append("its motion has no pitch" if orbit is None else orbit.reason)
+        if orbit is None or orbit.reason:
             continue
-        steps[i], compile_s = steps[i] + found.steps, compile_s + found.compile_s
-        numbers = [found.features[f.name] for f in study.features]
-        rows[i] = numbers + [found.feature_derivatives[p][f.name] for f in study.features for p in wrt]
-    return Batch(rows, reasons, stops, steps, int(rounds), np.zeros((count, 0, 0, 0)), compile_s)
-
-
-def _ends(scene: AbstractModel, params: dict, ends: Array, how: Plan, count: Array) -> tuple:
-    """State (N, n) at the end of each run, and how it ended."""
-    from bcfj_jax.solve.work_queue import integrate_queue  # With diffrax, which a kept program needs not.
-
-    grid = jnp.array([0.0, 1.0])
-    found, rounds = integrate_queue(scene, params, ends, grid, how, count, min(places(), ends.size))
-    return found.states[:, -1], found.code, found.end, found.accepted + found.rejected, rounds
+        steps[i], compile_s = steps[i] + orbit.steps, compile_s + orbit.compile_s
+        numbers = [orbit.features[f.name] for f in study.features]
+        rows[i] = numbers + [orbit.feature_derivatives[p][f.name] for f in study.features for p in wrt]
+    return Batch(rows, reasons, stops, steps, rounds, np.zeros((count, 0, 0, 0)), compile_s)
