@@ -120,7 +120,7 @@ def workers(table: dict[str, Any], loop_wall: float) -> dict[str, Any]:
             begin = time.perf_counter()
             study = from_table(table)
             size, total = block.Blocks(study).size, len(block.Blocks(study))
-            api.study(table, Path(folder) / "out", workers=2, progress=lambda done, _: seen.append((time.perf_counter(), done)))  # noqa: B023, E501  # fmt: skip
+            api.study(table, Path(folder) / "out", workers=2, progress=lambda done, _: seen.append((time.perf_counter(), done)))  # noqa: B023  # fmt: skip
             first, before = next((at, done) for at, done in seen if done >= 2)
             last = next(at for at, done in seen if done == total)
             each = (last - first) / ((total - before) * size) if total > before else float("nan")

@@ -34,8 +34,8 @@ class Runs(NamedTuple):
     """What N runs left, and how they ended.
 
     Attributes:
-        value: (N, ...) of ``Histories`` without states.
-        derivative: (N, P, ...) per SI unit, of a force only the normal part, (N, P, T, C, 1).
+        value: (N, ...) of ``Histories`` without states; of a force the normal part, (N, T, C, 1), or all.
+        derivative: (N, P, ...) per SI unit, of a force the normal part.
         code, end: (N,) how and when [s] they ended; steps: (N,) attempted.
         rounds: of all places of the batch; 0 where there are none.
         compile_s: seconds that it took to get the program.
@@ -57,7 +57,7 @@ def possible(scene: AbstractModel, how: Plan) -> bool:
 
 def run(
     scene: AbstractModel, params: Mapping[str, np.ndarray], ends: np.ndarray, grid: np.ndarray, wrt: tuple[str, ...],
-    how: Plan, size: int,
+    how: Plan, size: int, whole: bool = False,
 ) -> Runs:  # fmt: skip
     """Run N points, N at most ``size``, with derivatives by ``wrt``.
 
@@ -69,15 +69,18 @@ def run(
         wrt: names that the parameters have values of.
         how: as ``possible`` allows.
         size: of the program; fewer points need no other one.
+        whole: whether all of a force is given back.
     """
     count = len(ends)
     fill, mesh = filled(count, size)
     arguments = {k: leaf[fill] for k, leaf in params.items()}, ends[fill], how, np.asarray(count), np.asarray(grid)
-    batch, compile_s = program("batched jacobian", _program, (scene, wrt, mesh), arguments)
+    batch, compile_s = program("batched jacobian", _program, (scene, wrt, whole, mesh), arguments)
     found = batch(*arguments)
     rounds = int(np.max(found[4]))
-    value, derivative, code, end, steps = (jax.tree.map(lambda x: x[:count], part) for part in (*found[:4], found[5]))
-    return Runs(Histories(*value, None), Histories(*derivative, None), code, end, steps, rounds, compile_s)
+    value, slopes, code, end, steps = (jax.tree.map(lambda x: x[:count], part) for part in (*found[:4], found[5]))
+    force, *others = (np.moveaxis(x, 2, 1) for x in slopes)
+    derivative = Histories(force[..., None], *others, None)
+    return Runs(Histories(*value, None), derivative, code, end, steps, rounds, compile_s)
 
 
 def filled(count: int, size: int) -> tuple[np.ndarray, Mesh | None]:
@@ -112,11 +115,11 @@ def divided(
 
 
 def _program(
-    scene: AbstractModel, wrt: tuple[str, ...], mesh: Mesh | None, params: dict, ends: Array, how: Plan, count: Array,
-    grid: Array,
+    scene: AbstractModel, wrt: tuple[str, ...], whole: bool, mesh: Mesh | None, params: dict, ends: Array, how: Plan,
+    count: Array, grid: Array,
 ) -> tuple:  # fmt: skip
     def part(params: dict, ends: Array, how: Plan, count: Array, grid: Array) -> tuple:
-        return jacobians(scene, wrt, params, ends, grid, how, count)
+        return jacobians(scene, wrt, params, ends, grid, how, count, whole)
 
     return divided(part, mesh, params, ends, how, count, grid)
 
@@ -127,11 +130,19 @@ def places() -> int:
 
 
 def jacobians(
-    scene: AbstractModel, wrt: Sequence[str], params: dict, ends: Array, grid: Array, how: Plan, count: Array
-) -> tuple:
-    """Values and derivatives of (force, penetration, rate), codes, ends, rounds and steps, as ``Runs``. Pure.
+    scene: AbstractModel, wrt: Sequence[str], params: dict, ends: Array, grid: Array, how: Plan, count: Array,
+    whole: bool = False,
+) -> tuple:  # fmt: skip
+    """Force, penetration and rate of N runs with their derivatives per SI unit. Pure.
 
-    Args: as ``work_queue.integrate_queue``.
+    Args:
+        scene, params, ends, grid, how, count: as ``work_queue.integrate_queue``.
+        wrt: names that the parameters have values of.
+        whole: whether all of a force is given back; else the normal part alone.
+
+    Returns:
+        Values (N, T, C, 3 or 1), (N, T, C) twice; derivatives (N, T, P, C) of normal force, penetration and rate; then
+        (N,) codes and ends, the rounds of all places, and (N,) attempted steps.
     """
     from bcfj_jax.solve.work_queue import (
         integrate_queue,
@@ -144,28 +155,39 @@ def jacobians(
     def moved(params: dict, shares: Array) -> dict:
         return {**params, **shifted(params, wrt, shares)}
 
+    def kept(value: tuple, slopes: tuple, tangents: Array, unit: Array) -> tuple:
+        """What is kept of some samples, and in which of them forces or derivatives are not finite.
+
+        As ``jacobian.level``: a force that is 0 has a derivative of 0, whatever the state's is. Slopes (k, S, ...).
+        """
+        force, by = value[0], slopes[0]
+        lost = ~jnp.isfinite(force).all(axis=(1, 2))
+        steep = ~(jnp.isfinite(by).all(axis=(0, 2, 3)) & jnp.isfinite(tangents).all(axis=(0, 2)))
+        slopes = tuple(x / unit[:, None, None] for x in (by[..., 0], *slopes[1:]))
+        return (force if whole else force[..., :1], *value[1:]), slopes, lost, steep
+
     def look(one: tuple) -> tuple:
         """What a run's contacts read, and how that changes along the tangents; some samples at once."""
         params, end, rows = one
         prepare = lambda shares: scene.prepare(moved(params, shares))  # noqa: E731
-        prepared, by_shares = prepare(still), changes(prepare, still)
+        prepared, by_shares, unit = prepare(still), changes(prepare, still), sizes(params, wrt)
 
-        def some(each: tuple) -> tuple:
-            times, rows = each
+        def some(at: Array) -> tuple:
+            times, here = jnp.maximum((end * grid)[at], 0.0), rows[at]
 
             def read(x: tuple) -> tuple:
                 states, prepared = x
-                every = jax.vmap(scene.observe, (0, 0, None))(jnp.maximum(times, 0.0), states, prepared)
-                return by_channel(scene, every)
+                return by_channel(scene, jax.vmap(scene.observe, (0, 0, None))(times, states, prepared))
 
-            return along(read, (rows[:, 0], prepared), (jnp.moveaxis(rows[:, 1:], 1, 0), by_shares))
+            tangents = jnp.moveaxis(here[:, 1:], 1, 0)
+            value, slopes = along(read, (here[:, 0], prepared), (tangents, by_shares))
+            value, slopes, lost, steep = kept(value, slopes, tangents, unit)
+            return value, tuple(jnp.moveaxis(x, 0, 1) for x in slopes), lost, steep
 
         # The last sample again fills up.
         take = jnp.minimum(jnp.arange(-(-grid.size // _SAMPLES) * _SAMPLES), grid.size - 1).reshape(-1, _SAMPLES)
-        value, slopes = jax.lax.map(lambda at: some(((end * grid)[at], rows[at])), take)
-        value = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[: grid.size], value)
-        slopes = jax.tree.map(lambda x: jnp.moveaxis(x, 0, 1), slopes)
-        return value, jax.tree.map(lambda x: x.reshape(len(wrt), -1, *x.shape[3:])[:, : grid.size], slopes)
+        found = jax.lax.map(some, take)
+        return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[: grid.size], found)
 
     def instants(near: Any, one: tuple) -> tuple:
         params, end = one
@@ -177,29 +199,24 @@ def jacobians(
             return (value, solution.states), (value, solution, ahead)
 
         slopes, (value, solution, ahead) = jax.jacfwd(at, has_aux=True)(still)
-        return ahead, (value, *jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), slopes), solution)
+        by, tangents = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), slopes)
+        value, by, lost, steep = kept(value, by, tangents, sizes(params, wrt))
+        return ahead, (value, tuple(jnp.moveaxis(x, 0, 1) for x in by), lost, steep, solution._replace(states=still))
 
     rounds = jnp.asarray(0)
     if scene.traits.history:
         width = min(places(), ends.size)
         solution, rounds = integrate_queue(scene, params, ends, grid, how, count, width, wrt)
-        each = (params, ends, solution.states)
-        value, derivative = jax.lax.map(look, each)
-        tangents = jnp.moveaxis(solution.states[:, :, 1:], 2, 1)
+        value, slopes, lost, steep = jax.lax.map(look, (params, ends, solution.states))
     else:
         near = jax.tree.map(jnp.asarray, scene.origin(grid.size))
         if jax.tree.leaves(near):
-            value, derivative, tangents, solution = jax.lax.scan(instants, near, (params, ends))[1]
+            found = jax.lax.scan(instants, near, (params, ends))[1]
         else:
-            value, derivative, tangents, solution = jax.vmap(lambda *one: instants(near, one)[1])(params, ends)
-    force, slopes = value[0], derivative[0]
-    # As ``jacobian.level``: a force that is 0 has a derivative of 0, whatever the state's is.
-    lost = ~jnp.isfinite(force).all(axis=(2, 3))
-    steep = ~(jnp.isfinite(slopes).all(axis=(1, 3, 4)) & jnp.isfinite(tangents).all(axis=(1, 3)))
+            found = jax.vmap(lambda *one: instants(near, one)[1])(params, ends)
+        value, slopes, lost, steep, solution = found
     code, end = solution.code, solution.end
     for bad, why in ((lost, NO_FORCE), (steep, STEEP)):
         now = (code == OK) & bad.any(axis=1)
         code, end = jnp.where(now, why, code), jnp.where(now, ends * grid[jnp.argmax(bad, axis=1)], end)
-    unit = jax.vmap(lambda p: sizes(p, wrt))(params)
-    slopes, *others = (x / unit.reshape(*unit.shape, *[1] * (x.ndim - 2)) for x in derivative)
-    return value, (slopes[..., :1], *others), code, end, rounds, solution.accepted + solution.rejected
+    return value, slopes, code, end, rounds, solution.accepted + solution.rejected

@@ -232,7 +232,7 @@ def _steady(scene: AbstractModel, params: Params, wanted: Objective) -> None:
 
 
 def _confirmed(
-    scene: AbstractModel, checker: Any, designs: tuple, times: tuple[np.ndarray, np.ndarray], wanted: Objective, sign: float, gain: float,
+    scene: AbstractModel, checker: Any, designs: tuple, times: tuple, wanted: Objective, sign: float, gain: float,
     accuracy: str | float,
 ) -> Confirmation | None:  # fmt: skip
     if checker is None:

@@ -144,7 +144,8 @@ def load(what: str, more: Mapping[str, Any]) -> Question:
     vary = {**tables.nested(vary, VaryTable), **more.get("vary", {})} if isinstance(vary, Mapping) else vary
     search = {**search, **more.get("search", {})} if isinstance(search, Mapping) else search
     wanted = table.get("objective", {})
-    wanted = more.get("objective") or wanted if isinstance(wanted, Mapping) else wanted
+    if isinstance(wanted, Mapping) and more.get("objective"):
+        wanted = {key: wanted[key] for key in ("steady",) if key in wanted} | dict(more["objective"])
     table = {**table, "vary": vary, "search": search, "objective": wanted}
     file = tables.validated(File, table, what)
     asked = file.objective

@@ -216,7 +216,7 @@ def _runs(
         params |= {name: points[:, k] for k, name in enumerate(names)}
         ends, grid = jnp.full(size, times[-1]), times / times[-1]
         value, slopes, code, *_ = jacobians(scene, names, params, ends, grid, how, count)
-        moved = (jnp.moveaxis(x, 1, -1) for x in (slopes[0][..., 0], slopes[1]))
+        moved = (jnp.moveaxis(x, 2, -1) for x in slopes[:2])
         return value[0][..., 0], value[1], *moved, code, near
 
     def one(theta: Array) -> tuple[tuple, tuple]:

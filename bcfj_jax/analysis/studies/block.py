@@ -199,7 +199,7 @@ def _with_derivatives(
     """As ``batch.run``, with derivatives of the features."""
     scene = study.given.scene
     params, wrt = complete(scene, study.params(values), study.derivatives)
-    found = derivatives.run(scene, params, last, grid, wrt, how, size)
+    found = derivatives.run(scene, params, last, grid, wrt, how, size, study.histories)
     rows = [
         _row(
             study, end * grid, *(Histories(*(x[i] for x in part[:3]), None) for part in (found.value, found.derivative))
