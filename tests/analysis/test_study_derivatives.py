@@ -85,7 +85,7 @@ def test_a_block_with_derivatives_that_is_lost_comes_back_in_the_same_bytes(done
 
 
 @pytest.mark.full
-def test_a_point_that_fails_is_a_row_with_its_time_and_harms_no_other(here, monkeypatch):
+def test_a_point_that_fails_is_a_row_with_its_time_and_harms_no_other():
     table = {
         "scene": {
             "scene": {"kind": "bounce"}, "time": {"end": 1.0, "samples": 101},
@@ -97,13 +97,10 @@ def test_a_point_that_fails_is_a_row_with_its_time_and_harms_no_other(here, monk
     study = from_table(table)
     found = block.compute(study, np.arange(3), 4)
     assert found.status == ["failed", "ok", "failed"]
-    assert "30 steps" in found.reason[0] and "with a tenth of the tolerance" in found.reason[0]
+    for k in (0, 2):
+        assert "30 steps was spent at 0." in found.reason[k] and "with a tenth of the tolerance" in found.reason[k]
     # From 10 m the mass is still in the air when the run ends.
     assert found.results[1, 0] == 0.0 and np.isnan(found.results[[0, 2]]).all()
-    # As one by one, but for the time: in free flight the next step follows from an error that is rounding.
-    alone = one_by_one(monkeypatch, table)
-    kinds = [text.partition(" at ")[0] for text in found.reason]
-    assert [alone.reason[k].partition(" at ")[0] for k in np.argsort(alone.point)] == kinds
 
 
 def stiff(order: np.ndarray, accuracy: float = 1e-3) -> batch.Runs:

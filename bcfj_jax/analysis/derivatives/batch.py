@@ -56,7 +56,7 @@ def possible(scene: AbstractModel, how: Plan) -> bool:
 
 
 def run(
-    scene: AbstractModel, params: Mapping[str, np.ndarray], ends: np.ndarray, grid: np.ndarray, wrt: tuple[str, ...],
+    scene: AbstractModel, params: Mapping[str, Any], ends: np.ndarray, grid: np.ndarray, wrt: tuple[str, ...],
     how: Plan, size: int, whole: bool = False,
 ) -> Runs:  # fmt: skip
     """Run N points, N at most ``size``, with derivatives by ``wrt``.
@@ -79,8 +79,8 @@ def run(
     rounds = int(np.max(found[4]))
     value, slopes, code, end, steps = (jax.tree.map(lambda x: x[:count], part) for part in (*found[:4], found[5]))
     force, *others = (np.moveaxis(x, 2, 1) for x in slopes)
-    derivative = Histories(force[..., None], *others, None)
-    return Runs(Histories(*value, None), derivative, code, end, steps, rounds, compile_s)
+    derivative = Histories(force[..., None], *others, state=None)
+    return Runs(Histories(*value, state=None), derivative, code, end, steps, rounds, compile_s)
 
 
 def filled(count: int, size: int) -> tuple[np.ndarray, Mesh | None]:

@@ -197,17 +197,16 @@ def _with_derivatives(
     study: Study, values: np.ndarray, last: np.ndarray, grid: np.ndarray, how: Plan, size: int
 ) -> Batch:
     """As ``batch.run``, with derivatives of the features."""
-    scene = study.given.scene
-    params, wrt = complete(scene, study.params(values), study.derivatives)
+    scene, given = study.given.scene, study.params(values)
+    params, wrt = complete(scene, given, study.derivatives)  # pyright: ignore[reportArgumentType]
     found = derivatives.run(scene, params, last, grid, wrt, how, size, study.histories)
-    rows = [
-        _row(
-            study, end * grid, *(Histories(*(x[i] for x in part[:3]), None) for part in (found.value, found.derivative))
-        )
-        if code == OK
-        else np.full(len(study.columns), np.nan)
-        for i, (end, code) in enumerate(zip(last, found.code, strict=True))
-    ]
+    rows = []
+    for i, (end, code) in enumerate(zip(last, found.code, strict=True)):
+        if code != OK:
+            rows.append(np.full(len(study.columns), np.nan))
+            continue
+        value, slopes = (Histories(*(x[i] for x in part[:3]), state=None) for part in (found.value, found.derivative))
+        rows.append(_row(study, end * grid, value, slopes))
     reasons = [reason(code, how.max_steps) for code in found.code]
     force = found.value.force if study.histories else np.zeros((len(last), 0, 0, 0))
     return Batch(np.array(rows), reasons, found.end, found.steps, found.rounds, force, found.compile_s)
