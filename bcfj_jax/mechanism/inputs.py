@@ -49,9 +49,10 @@ def named(scene: AbstractModel, given: Any, where: str) -> dict[str, Any]:
     """
     if not isinstance(given, Mapping):
         raise InputError(where, f"{quoted(given)} is no table of parameters", "give scene.parameters(...)")
-    known, found = scene.quantities, {}
+    # Once: an equinox module makes a method anew each time that it is asked for.
+    known, canonical, found = scene.quantities, scene.canonical, {}
     for key, value in given.items():
-        name = scene.canonical(key) if isinstance(key, str) else key
+        name = canonical(key) if isinstance(key, str) else key
         if not isinstance(name, str) or name not in known:
             # A right name in the wrong place is no misspelling: the law, or another option, does not read it.
             hint = f"known here: {', '.join(sorted(known))}" if name in CATALOGUE else nearest(key, known)
@@ -98,11 +99,11 @@ def values(scene: AbstractModel, given: Any, where: str = "") -> dict[str, Any]:
     """
     where = where or f"scene '{scene.kind}'"
     by_name, defaults, found = named(scene, given, where), dict(scene.defaults), {}
+    known: Mapping[str, Quantity] = scene.quantities
     for name in sorted(by_name, key=exponents_first):
-        quantity: Quantity = scene.quantities[name]
         power = exponent(scene, name, found, defaults) if isinstance(by_name[name], str) else None
-        found[name] = number(where, quantity, by_name[name], power)
-    check_order(where, scene.quantities, {**defaults, **found})
+        found[name] = number(where, known[name], by_name[name], power)
+    check_order(where, known, {**defaults, **found})
     return {name: found[name] for name in by_name}
 
 

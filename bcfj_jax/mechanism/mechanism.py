@@ -203,8 +203,8 @@ class Mechanism(AbstractModel):
         found = {name: default for name, (_, default) in self._parameters.items() if default is not None}
         if "smoothing" in self._parameters:
             found.setdefault("smoothing", 0.0)
-        given = {self.canonical(name): float(value) for name, value in self.given}
-        known = self._parameters
+        known, canonical = self._parameters, self.canonical
+        given = {canonical(name): float(value) for name, value in self.given}
         values = {**found, **given}
         return tuple((name, values[name]) for name in known if name in values)
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, TypeVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -65,6 +66,46 @@ def with_jacobian(function: Callable[[Array], Array], x: Array) -> tuple[Array, 
 
     jacobian, value = jax.jacfwd(twice, has_aux=True)(x)
     return value, jacobian
+
+
+def changes(function: Callable[[Array], Any], x: Array) -> Any:
+    """Forward derivatives of a pytree by every coordinate of x (P,): leaves (P, ...), None of what never changes."""
+    moving: list[bool] = []
+
+    @jax.custom_jvp
+    def seen(leaves: list) -> Array:
+        return jnp.zeros(())
+
+    @partial(seen.defjvp, symbolic_zeros=True)
+    def _(primals, tangents):
+        moving[:] = [not isinstance(slope, SymbolicZero) for slope in tangents[0]]
+        return seen(*primals), jnp.zeros(())
+
+    jax.eval_shape(lambda x: jax.jvp(lambda x: seen(jax.tree.leaves(function(x))), (x,), (x,)), x)
+    structure = jax.tree.structure(jax.eval_shape(function, x))
+
+    def parts(x: Array) -> list:
+        return [leaf for leaf, moves in zip(jax.tree.leaves(function(x)), moving, strict=True) if moves]
+
+    along = jax.vmap(lambda direction: jax.jvp(parts, (x,), (direction,))[1])(jnp.eye(x.size))
+    spread = iter(along)
+    return jax.tree.unflatten(structure, [next(spread) if moves else None for moves in moving])
+
+
+def along(function: Callable[[Any], Y], x: Any, changes: Any) -> tuple[Y, Y]:
+    """Value of ``function(x)`` and its changes in k directions, leaves (k, ...).
+
+    Args:
+        function: over a pytree.
+        x: where.
+        changes: of x in each direction, leaves (k, ...); None of what does not change, not of everything.
+    """
+    moving = jax.tree.map(lambda d, x: None if d is None else x, changes, x, is_leaf=lambda d: d is None)
+
+    def push(change: Any) -> tuple:
+        return jax.jvp(lambda moving: function(eqx.combine(moving, x)), (moving,), (change,))
+
+    return jax.vmap(push, out_axes=(None, 0))(changes)
 
 
 def _gathered(many: Callable[[list, list], tuple]) -> Callable[[list, list], tuple]:

@@ -36,7 +36,7 @@ from bcfj_jax.solve.extremes import Watched
 from bcfj_jax.solve.plan import Plan, Way
 from bcfj_jax.solve.rodas import Rodas
 from bcfj_jax.solve.sdirk import Sdirk
-from bcfj_jax.solve.tangents import SdirkTangents
+from bcfj_jax.solve.tangents import beside
 
 _ADJOINTS = {"forward": dfx.ForwardMode(), "reverse": dfx.RecursiveCheckpointAdjoint()}
 
@@ -213,12 +213,7 @@ def _with_tangents(problem: Problem, times: Array, how: Plan) -> Solution:
         if controlled:
             found, *rest = _by_bdf(made, solver, (model, by_args), start, times, how)
         else:
-            rows = made._replace(
-                field=lambda t, rows, args: rows.at[0].set(made.field(t, rows[0], args[0])),
-                args=(made.args, (model, by_args)), start=start, solver=SdirkTangents(solver),
-                norm=lambda errors: _safe_norm(errors[0]),
-            )  # fmt: skip
-            found, *rest = _solved(rows, times, how, "forward")
+            found, *rest = _solved(beside(made, (model, by_args), start), times, how, "forward")
         states, moved = found[:, 0], jnp.moveaxis(found[:, 1:], 1, 0)
         if by_times is not None:
             moved = moved + by_times[:, :, None] * jax.vmap(lambda t, y: made.field(t, y, made.args))(times, states)

@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.custom_batching import custom_vmap
 
 from bcfj_jax.mechanism.structure import AbstractStructure
 from bcfj_jax.solve.batched_jvp import still
@@ -26,6 +27,8 @@ GAMMA = 1.0 - 0.5**0.5
 NODES = np.array([GAMMA, 1.0])
 # Leading term of the local error over h^3 d3y/dt3, for a linear field: coefficient of z^3 in R(z) - exp(z).
 ERROR = abs(3.0 * GAMMA**2 - 2.0 * GAMMA**3 - 1.0 / 6.0)
+# Matrices that a batch makes at once where some of its runs ask for new ones.
+_MATRICES = 8
 
 
 class Sdirk(dfx.AbstractAdaptiveSolver):
@@ -125,15 +128,32 @@ def newton(
     """The y of  y = base + s f(t, y)  or else the base, whether Newton got there, and the last matrix it used.
 
     Newton keeps its matrix while it converges quickly: contact springs appear within a step, and then it must not.
+    Under ``vmap`` all runs iterate until the last one has converged, and new matrices are made of those alone that ask.
     """
-    structure = solver.structure
+    arrays, static = eqx.partition((solver, args), eqx.is_array)
+
+    @custom_vmap
+    def alone(where: tuple, guess: Array, factors: Any) -> tuple[Array, Array, Any]:
+        return _newton(static, where, guess, factors)
+
+    @alone.def_vmap
+    def _(size: int, batched: list, where: tuple, guess: Array, factors: Any) -> tuple:
+        found = _newtons(static, size, batched[0], where, *_whole(size, batched[1:], (guess, factors)))
+        return found, jax.tree.map(lambda _: True, found)
+
+    return alone((jnp.asarray(t), base, jnp.asarray(s), arrays), guess, factors)
+
+
+def _newton(static: Any, where: tuple, guess: Array, factors: Any) -> tuple[Array, Array, Any]:
+    """``newton`` of one run; ``where``: time, base, scale, and the arrays of solver and arguments."""
+    t, base, s, arrays = where
+    solver, args = eqx.combine(arrays, static)
 
     def step(carry):
         y, size, count, slow, factors = carry
-        factors = jax.lax.cond(slow, lambda y, _: structure.factor(t, y, args, s), lambda _, f: f, y, factors)
-        change = structure.solve(factors, (base - y) / s + structure.field(t, y, args))
-        new = jnp.sqrt(jnp.mean(jnp.square(change / solver.tolerance)))
-        return y + change, new, count + 1, ~(new < solver.contraction * size), factors
+        factors = jax.lax.cond(slow, lambda y, _: solver.structure.factor(t, y, args, s), lambda _, f: f, y, factors)
+        y, new = _closer(static, where, y, factors)
+        return y, new, count + 1, ~(new < solver.contraction * size), factors
 
     def more(carry):
         _, size, count, *_ = carry
@@ -144,6 +164,68 @@ def newton(
     # Where it did not, y may be anything; the step is rejected, and reverse mode multiplies its slopes by 0.
     good = size <= solver.newton
     return jnp.where(good, y, base), good, factors
+
+
+def _closer(static: Any, where: tuple, y: Array, factors: Any) -> tuple[Array, Array]:
+    """One iteration of Newton's method, and the size of its change over the tolerance."""
+    t, base, s, arrays = where
+    solver, args = eqx.combine(arrays, static)
+    change = solver.structure.solve(factors, (base - y) / s + solver.structure.field(t, y, args))
+    return y + change, jnp.sqrt(jnp.mean(jnp.square(change / solver.tolerance)))
+
+
+def _newtons(
+    static: Any, count: int, batched: Any, where: tuple, guess: Array, factors: Any
+) -> tuple[Array, Array, Any]:
+    """``_newton`` of many runs: each iterates as it would alone, and gets a new matrix when it would alone.
+
+    A matrix costs as much as ten iterations, and few runs need one at a time; a plain ``vmap`` makes one for every
+    run in every iteration.
+    """
+    solver = eqx.combine(where[-1], static)[0]
+    axes = jax.tree.map(lambda b: 0 if b else None, batched)
+    few = min(count, _MATRICES) if jax.default_backend() == "cpu" else count
+
+    def factored(where: tuple, y: Array) -> Any:
+        t, _, s, arrays = where
+        own, args = eqx.combine(arrays, static)
+        return own.structure.factor(t, y, args, s)
+
+    def some(carry: tuple) -> tuple:
+        """New matrices of the first few runs that want one."""
+        wanted, y, factors = carry
+        at = jnp.argsort(~wanted, stable=True)[:few]
+        here = jax.tree.map(lambda x, b: x[at] if b else x, where, batched)
+        fresh = jax.vmap(factored, (axes, 0))(here, y[at])
+        mine = wanted[at]
+
+        def placed(old: Array, new: Array) -> Array:
+            return old.at[at].set(jnp.where(mine.reshape(-1, *[1] * (new.ndim - 1)), new, old[at]))
+
+        return wanted.at[at].set(False), y, jax.tree.map(placed, factors, fresh)
+
+    def step(carry: tuple) -> tuple:
+        y, size, number, slow, going, factors = carry
+        wanted = (going & slow, y, factors)
+        factors = jax.lax.while_loop(lambda carry: jnp.any(carry[0]), some, wanted)[-1]
+        ahead, new = jax.vmap(lambda *x: _closer(static, *x), (axes, 0, 0))(where, y, factors)
+        slow = ~(new < solver.contraction * size)
+        y, size, number = jnp.where(going[:, None], ahead, y), jnp.where(going, new, size), number + 1
+        going = going & (size > solver.newton) & jnp.isfinite(size) & (number < solver.iterations)
+        return y, size, number, slow, going, factors
+
+    every = jnp.ones(count, bool)
+    start = (guess, jnp.full(count, jnp.inf), 0, ~every, every, factors)
+    y, size, *_, factors = jax.lax.while_loop(lambda carry: jnp.any(carry[4]), step, start)
+    good = size <= solver.newton
+    return jnp.where(good[:, None], y, where[1]), good, factors
+
+
+def _whole(count: int, batched: Any, x: Any) -> Any:
+    """Leaves with a leading axis of ``count``, also those that had none."""
+    return jax.tree.map(
+        lambda leaf, b: leaf if b else jnp.broadcast_to(leaf, (count, *leaf.shape)), tuple(x), tuple(batched)
+    )
 
 
 def _solved(

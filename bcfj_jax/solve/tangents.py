@@ -20,6 +20,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from bcfj_jax.solve import batched_jvp
 from bcfj_jax.solve.sdirk import GAMMA, NODES, Sdirk, following, newton, stages
 
 
@@ -59,16 +60,39 @@ class SdirkTangents(dfx.AbstractAdaptiveSolver):
         return rows, error, dict(y0=y0, y1=rows, k0=ends[0], k1=ends[1]), slopes, dfx.RESULTS.successful
 
 
+def beside(posed: Any, changes: Any, start: Array) -> Any:
+    """A problem (``integrate.Problem``) over rows (1 + k, n), the state and its k tangents, whose steps are the state's.
+
+    An explicit method of the variational equation, dy' = (df/dy) dy + (df/dp) dp, gives the tangents of its own discrete
+    solution (Hairer, Norsett, Wanner, Solving ODEs I, section I.14).
+
+    Args:
+        posed: of the state.
+        changes: of its ``args``, k of each; None where nothing changes.
+        start: (1 + k, n).
+    """
+    field = posed.field
+    if isinstance(posed.solver, Sdirk):
+        solver = SdirkTangents(posed.solver)
+        moved = lambda t, rows, both: rows.at[0].set(field(t, rows[0], both[0]))  # noqa: E731
+    else:
+        solver, moved = posed.solver, lambda t, rows, both: _variational(field, t, rows, both)
+    return posed._replace(
+        field=moved, args=(posed.args, changes), start=start, solver=solver, norm=lambda errors: posed.norm(errors[0])
+    )
+
+
+def _variational(field: Callable, t: Any, rows: Array, both: Any) -> Array:
+    args, changes = both
+    slope, slopes = batched_jvp.along(lambda x: field(t, *x), (rows[0], args), (rows[1:], changes))
+    return jnp.concatenate([slope[None], slopes])
+
+
 def along(solver: Sdirk, t: Any, y: Array, args: Any, changes: Any) -> Array:
     """(df/dp) dp of every direction (k, n), or 0."""
     if not jax.tree.leaves(changes):
         return jnp.zeros(())
-    moving = jax.tree.map(lambda d, x: None if d is None else x, changes, args, is_leaf=lambda d: d is None)
-
-    def field(moving):
-        return solver.structure.field(t, y, eqx.combine(moving, args))
-
-    return jax.vmap(lambda change: jax.jvp(field, (moving,), (change,))[1])(changes)
+    return batched_jvp.along(lambda args: solver.structure.field(t, y, args), args, changes)[1]
 
 
 @eqx.filter_jit

@@ -8,6 +8,8 @@ depend on the runs beside it.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import diffrax as dfx
@@ -18,8 +20,10 @@ from jax import Array
 
 from bcfj_jax.core.status import NOT_FINITE, OK, SOLVER, STEPS
 from bcfj_jax.mechanism.model import AbstractModel, Params, Solution
-from bcfj_jax.solve.integrate import controller, problem
+from bcfj_jax.solve.batched_jvp import changes
+from bcfj_jax.solve.integrate import Problem, controller, problem
 from bcfj_jax.solve.plan import Plan
+from bcfj_jax.solve.tangents import beside
 
 # Numbers that a place reads from a step in one round, and samples at least; for more the step is taken again.
 _READ, _FEWEST = 128, 8
@@ -52,9 +56,10 @@ class _Outcome(NamedTuple):
 
 
 def integrate_queue(
-    model: AbstractModel, params: Params, ends: Array, grid: Array, how: Plan, count: Array, places: int
-) -> tuple[Solution, Array]:
-    """Solve the first ``count`` of N runs. Pure; values only.
+    model: AbstractModel, params: Params, ends: Array, grid: Array, how: Plan, count: Array, places: int,
+    wrt: Sequence[str] = (),
+) -> tuple[Solution, Array]:  # fmt: skip
+    """Solve the first ``count`` of N runs. Pure; not to be differentiated.
 
     Args:
         model: one with a history.
@@ -64,17 +69,33 @@ def integrate_queue(
         how: as ``integrate``; its budget of steps is each run's own.
         count: may be traced, so that a shorter queue needs no other program.
         places: runs under way at one time.
+        wrt: names of parameters whose tangents go beside the state, by shares of their sizes (``sizes``). They have no
+            say in the steps, whatever ``how`` says.
 
     Returns:
         As ``integrate``, with a leading axis (N,), and how many rounds all places went through. Runs beyond ``count``
-        are NaN.
+        are NaN. With ``wrt`` of k names the states are rows (N, T, 1 + k, n), the state and its tangents.
     """
     total, rows = ends.size, grid.size
     one = {name: leaf[0] for name, leaf in params.items()}
-    shapes = eqx.filter_eval_shape(lambda p, end: problem(model, p, end, how, False), one, ends[0])
+
+    def pose(params: Params, end: Array) -> Problem:
+        posed = problem(model, params, end, how, bool(wrt))
+        if not wrt:
+            return posed
+
+        def at(shares: Array) -> tuple:
+            moved = {**params, **shifted(params, wrt, shares)}
+            return model.prepare(moved), model.initial_state(moved)
+
+        by_args, by_start = changes(at, jnp.zeros(len(wrt)))
+        by_start = jnp.zeros((len(wrt), posed.start.size)) if by_start is None else by_start
+        return beside(posed, (model, by_args), jnp.concatenate([posed.start[None], by_start]))
+
+    shapes = eqx.filter_eval_shape(pose, one, ends[0])
     static = eqx.partition(shapes, lambda x: isinstance(x, jax.ShapeDtypeStruct))[1]
-    width = shapes.start.shape[0]
-    read = max(_FEWEST, _READ // width)
+    shape = shapes.start.shape
+    read = max(_FEWEST, _READ // math.prod(shape))
 
     def due(end: Array, sample: Array) -> Array:
         """Time of a sample [s]; infinity for those that are no more."""
@@ -82,7 +103,7 @@ def integrate_queue(
 
     def load(run: Array) -> _Place:
         at = jnp.minimum(run, total - 1)
-        posed = problem(model, {name: leaf[at] for name, leaf in params.items()}, ends[at], how, False)
+        posed = pose({name: leaf[at] for name, leaf in params.items()}, ends[at])
         terms, solver, zero, none = dfx.ODETerm(posed.field), posed.solver, jnp.zeros(()), jnp.zeros((), int)  # pyright: ignore[reportArgumentType]
         goal, control = controller(posed, how).init(
             terms, zero, posed.first_step, posed.start, posed.first_step, posed.args, solver.func,
@@ -134,7 +155,9 @@ def integrate_queue(
         after, values, code = jax.vmap(advance)(before)
         # One by one, in place: a scatter would copy all states in every round. Rows written too far are written again.
         for i in range(places):
-            states = jax.lax.dynamic_update_slice(states, values[i][None], (before.run[i], before.sample[i], 0))
+            states = jax.lax.dynamic_update_slice(
+                states, values[i][None], (before.run[i], before.sample[i], *[0] * len(shape))
+            )
         ended = code != _GOING_ON
 
         def hand_over(now: tuple) -> tuple:
@@ -155,16 +178,27 @@ def integrate_queue(
     none = jnp.zeros(total + 1, int)
     outcome = _Outcome(none + NOT_FINITE, jnp.zeros(total + 1), none, none)
     # ``read`` rows beyond the last sample, which the last step's writing may reach.
-    states = jnp.full((total + 1, rows + read, width), jnp.nan)
+    states = jnp.full((total + 1, rows + read, *shape), jnp.nan)
     carry = (jnp.asarray(places), start, outcome, states, jnp.asarray(0))
     *_, outcome, states, rounds = jax.lax.while_loop(lambda carry: jnp.any(carry[1].run < total), body, carry)
     # Beyond the last sample that was reached stands what was written too far.
     reached = ends[:, None] * grid <= jnp.where(outcome.code[:-1] == OK, jnp.inf, outcome.end[:-1])[:, None]
-    states = jnp.where(reached[..., None], states[:-1, :rows], jnp.nan)
-    code = jnp.where(
-        (outcome.code[:-1] == OK) & ~jnp.all(jnp.isfinite(states), axis=(1, 2)), NOT_FINITE, outcome.code[:-1]
-    )
+    states = jnp.where(reached.reshape(total, rows, *[1] * len(shape)), states[:-1, :rows], jnp.nan)
+    finite = jnp.all(jnp.isfinite(states[:, :, 0] if wrt else states), axis=(1, 2))
+    code = jnp.where((outcome.code[:-1] == OK) & ~finite, NOT_FINITE, outcome.code[:-1])
     return Solution(states, code, outcome.end[:-1], outcome.accepted[:-1], outcome.rejected[:-1]), rounds
+
+
+def sizes(params: Params, names: Sequence[str]) -> Array:
+    """What a share of each parameter is a share of: its size, or 1 of its unit at 0."""
+    values = jnp.stack([jnp.asarray(params[name], float) for name in names])
+    return jnp.where(values == 0.0, 1.0, jnp.abs(values))
+
+
+def shifted(params: Params, names: Sequence[str], shares: Array) -> dict[str, Array]:
+    """The named parameters, moved by shares (P,) of their sizes."""
+    moved = jax.lax.stop_gradient(sizes(params, names)) * shares
+    return {name: params[name] + moved[k] for k, name in enumerate(names)}
 
 
 def equilibria(model: AbstractModel, params: Params, ends: Array, grid: Array) -> Solution:

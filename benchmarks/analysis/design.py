@@ -56,7 +56,7 @@ def main(names: list[str]) -> None:
         print(f"{name}: {found.status}, {wall:.0f} s of one core\n  {found.reason}", flush=True)
         wanted = objective(name, (), motion.members)
         designs = params, {**params, **found.values}
-        other = confirm(scene, motion, "sdirk2", designs, t, wanted, 1.0, found.gain, 1e-4)
+        other = confirm(scene, motion, "sdirk2", designs, (t, t), wanted, 1.0, found.gain, 1e-4)
         print(f"  {found.values}\n  {found.confirmation}\n  {other}\n  {found.robustness}")
         images = ROOT / "docs" / "images"
         if name == OBJECTIVES[0]:

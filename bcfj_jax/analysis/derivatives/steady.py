@@ -12,7 +12,7 @@ Times are shares of the pitch. One program: a solve of one pitch with all tangen
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from time import perf_counter as clock
 from typing import Any, NamedTuple
 
@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from bcfj_jax.analysis.derivatives.batch import places
 from bcfj_jax.analysis.derivatives.certificate import apart, of_feature
 from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel
 from bcfj_jax.analysis.derivatives.measures import measure
@@ -40,7 +41,7 @@ _LOOSER = 10.0
 # A motion repeats itself where Newton's last correction is less, in units of the states' natural sizes.
 _SETTLED = 0.1
 # What a turn of steady motion has; its impulse is that of one turn. Its work is a small rest of what samples resolve.
-_KINDS = ("peak", "largest", "mean", "impulse", "period", "contact_fraction")
+KINDS = ("peak", "largest", "mean", "impulse", "period", "contact_fraction")
 
 
 class _Pitch(NamedTuple):
@@ -157,41 +158,115 @@ def steady(
     if not scene.recurs(params):
         return None
     begin = clock()
-    settled = scene.settled_from(params)
-    if time < settled:
-        return _none(f"the run ends before {settled:.4g} s, when {scene.settled_when}")
-    kinds = [f for f in wanted if f.kind in _KINDS]
+    kinds = [f for f in wanted if f.kind in KINDS]
     if not kinds:
         return _none("it has none of these features")
-    turn, pitch = scene.period(params)
-    sizes = _sizes(params, wrt)
-    start = clock()
+    (first, last), why, compile_s = _orbits(scene, params, state, time, wrt, max_steps)
+    if why:
+        return _none(why)
+    sizes, pitch = _sizes(params, wrt), last.pitch
+    numbers, slopes = _features(scene, params, last, kinds)
+    loose_slopes = _features(scene, params, first, kinds)[1]
+    distance = apart(loose_slopes, slopes, numbers, np.ones(len(wrt)))
+    named = {n: {f.name: float(distance[i, k]) for i, f in enumerate(kinds)} for k, n in enumerate(wrt)}
+    per_unit = {n: {f.name: float(slopes[i, k] / sizes[k]) for i, f in enumerate(kinds)} for k, n in enumerate(wrt)}
+    return Steady(
+        pitch, scene.period(params)[0], {f.name: float(x) for f, x in zip(kinds, numbers, strict=True)}, per_unit, named,
+        {n: {name: of_feature(x) for name, x in row.items()} for n, row in named.items()},
+        last.value.force, last.derivative.force / sizes[:, None, None, None], last.off, last.memory, "",
+        first.steps + last.steps, clock() - begin - compile_s, compile_s,
+    )  # fmt: skip
+
+
+class Turn(NamedTuple):
+    """One turn of steady motion at even shares of it, both ends included; the reason why there is none, or "".
+
+    ``derivative`` is per SI unit, at a fixed share of the turn.
+    """
+
+    value: Histories
+    derivative: Histories
+    reason: str
+    compile_s: float
+
+
+def turn(
+    scene: AbstractModel, params: Params, state: np.ndarray, time: float, wrt: tuple[str, ...], max_steps: int
+) -> Turn:
+    """Histories of one turn of the steady motion to which a run has come; arguments are those of ``steady``."""
+    nothing = Histories(None, None, None, None)
+    if not scene.recurs(params):
+        return Turn(nothing, nothing, "its motion has no pitch", 0.0)
+    (_, last), why, compile_s = _orbits(scene, params, state, time, wrt, max_steps)
+    if why:
+        return Turn(nothing, nothing, why, compile_s)
+    value, slopes = _turn(scene, params, last)
+    unit = _sizes(params, wrt)
+    by = [x / unit.reshape(-1, *[1] * (x.ndim - 1)) for x in slopes[:3]]
+    return Turn(value, Histories(*by, state=None), "", compile_s)
+
+
+def shares(scene: AbstractModel, params: Params) -> np.ndarray:
+    """(K,) instants of ``turn`` as shares of it, from 0 to 1."""
+    return np.linspace(0.0, 1.0, _pitches(scene, params) * (SAMPLES - 1) + 1)
+
+
+class Ends(NamedTuple):
+    """States (N, n) at the ends of N runs, how and when [s] each ended, attempted steps, rounds of the batch."""
+
+    state: np.ndarray
+    code: np.ndarray
+    end: np.ndarray
+    steps: np.ndarray
+    rounds: int
+    compile_s: float
+
+
+def to_the_end(scene: AbstractModel, params: Mapping[str, np.ndarray], last: np.ndarray, how: Plan, size: int) -> Ends:
+    """Run N points, at most ``size``, to their ends (N,) [s] in one batch; leaves of ``params`` are (N,)."""
+    count = len(last)
+    fill = np.where(np.arange(size) < count, np.arange(size), 0)
+    given = {name: leaf[fill] for name, leaf in params.items()}
+    arguments = given, last[fill], Plan(how.tolerance, how.max_steps), np.asarray(count)
+    batch, compile_s = program("batch to the end", _ends, (scene,), arguments)
+    *found, rounds = batch(*arguments)
+    state, code, end, steps = (x[:count] for x in found)
+    return Ends(state, code, end, steps, int(rounds), compile_s)
+
+
+def _ends(scene: AbstractModel, params: dict, ends: Array, how: Plan, count: Array) -> tuple:
+    from bcfj_jax.solve.work_queue import integrate_queue  # With diffrax, which a kept program does not need.
+
+    grid, width = jnp.array([0.0, 1.0]), min(places(), ends.size)
+    found, rounds = integrate_queue(scene, params, ends, grid, how, count, width)
+    return found.states[:, -1], found.code, found.end, found.accepted + found.rejected, rounds
+
+
+def _orbits(
+    scene: AbstractModel, params: Params, state: np.ndarray, time: float, wrt: tuple[str, ...], max_steps: int
+) -> tuple[list[_Orbit], str, float]:
+    """The orbit at two tolerances, why there is none or "", and the seconds that getting the program took."""
+    nothing: list[Any] = [None, None]
+    settled = scene.settled_from(params)
+    if time < settled:
+        return nothing, f"the run ends before {settled:.4g} s, when {scene.settled_when}", 0.0
+    pitch, sizes, start = scene.period(params)[1], _sizes(params, wrt), clock()
     solve, tight = prepared(scene, params, wrt, max_steps)
     compile_s = clock() - start
     loose = Plan(_LOOSER * tight.tolerance, max_steps, tight.tangents)
-    orbits = []
+    orbits: list[_Orbit] = []
     for how in (loose, tight):
         found = solve(dict(params), sizes, state, np.asarray(time / pitch), _SHARES, how)
         orbits.append(_orbit(params, wrt, found, state, scene))
         state = orbits[-1].state
         if not orbits[-1].good:
-            return _none("no motion was found that repeats itself every pitch")
-    first, last = orbits
+            return nothing, "no motion was found that repeats itself every pitch", compile_s
+    last = orbits[-1]
     # Newton's correction at the tighter tolerance says how far the first was from repeating itself.
     if not last.off <= _SETTLED or not last.memory < 1.0:
-        return _none(f"the motion does not repeat itself: a disturbance keeps {last.memory:.2g} of itself in a pitch")
-    count = round(turn / pitch)
-    numbers, slopes = _features(scene, params, last, kinds, count)
-    loose_slopes = _features(scene, params, first, kinds, count)[1]
-    distance = apart(loose_slopes, slopes, numbers, np.ones(len(wrt)))
-    named = {n: {f.name: float(distance[i, k]) for i, f in enumerate(kinds)} for k, n in enumerate(wrt)}
-    per_unit = {n: {f.name: float(slopes[i, k] / sizes[k]) for i, f in enumerate(kinds)} for k, n in enumerate(wrt)}
-    return Steady(
-        pitch, turn, {f.name: float(x) for f, x in zip(kinds, numbers, strict=True)}, per_unit, named,
-        {n: {name: of_feature(x) for name, x in row.items()} for n, row in named.items()},
-        last.value.force, last.derivative.force / sizes[:, None, None, None], last.off, last.memory, "",
-        first.steps + last.steps, clock() - begin - compile_s, compile_s,
-    )  # fmt: skip
+        why = f"the motion does not repeat itself: a disturbance keeps {last.memory:.2g} of itself in a pitch"
+        return nothing, why, compile_s
+    return orbits, "", compile_s
 
 
 def prepared(
@@ -237,15 +312,18 @@ def _orbit(params: Params, wrt: Sequence[str], found: _Pitch, state: np.ndarray,
     )  # fmt: skip
 
 
-def _features(
-    scene: AbstractModel, params: Params, orbit: _Orbit, wanted: Sequence[Feature], count: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Features (F,) over one turn of ``count`` pitches, and their derivatives (F, P) by shares."""
+def _pitches(scene: AbstractModel, params: Params) -> int:
+    """Pitches of a turn."""
+    whole, pitch = scene.period(params)
+    return round(whole / pitch)
+
+
+def _turn(scene: AbstractModel, params: Params, orbit: _Orbit) -> tuple[Histories, Histories]:
+    """Histories of a turn, pitch by pitch, members renumbered, and their derivatives by shares."""
     contacts, turned = scene.members, scene.turned(params)
-    times = orbit.pitch * np.linspace(0.0, count, count * (SAMPLES - 1) + 1)
     channel = np.arange(orbit.value.force.shape[1])
     pieces = []
-    for k in range(count):
+    for k in range(_pitches(scene, params)):
         # Pitches later member j does what member j + turned did.
         later, first = channel.copy(), 0
         for members in contacts.values():
@@ -260,7 +338,16 @@ def _features(
         return np.concatenate([*ends, whole[-1]], axis)
 
     value = Histories(*(unfolded(x, 0) for x in orbit.value[:3]), state=None)
-    derivative = Histories(*(unfolded(x, 1) for x in orbit.derivative[:3]), state=None)
+    return value, Histories(*(unfolded(x, 1) for x in orbit.derivative[:3]), state=None)
+
+
+def _features(
+    scene: AbstractModel, params: Params, orbit: _Orbit, wanted: Sequence[Feature]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Features (F,) over one turn, and their derivatives (F, P) by shares."""
+    contacts, count = scene.members, _pitches(scene, params)
+    times = count * orbit.pitch * shares(scene, params)
+    value, derivative = _turn(scene, params, orbit)
     found, slopes = measure(times, value, derivative, [f for f in wanted if f.kind != "period"], contacts, True)
     numbers, changes, rest = [], [], iter(zip(found, slopes, strict=True))
     for feature in wanted:

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from bcfj_jax.analysis.derivatives.certificate import NOT, Certificate
 from bcfj_jax.analysis.derivatives.names import FEATURES, complete
 from bcfj_jax.analysis.derivatives.sensitivity import sensitivity
+from bcfj_jax.analysis.derivatives.steady import shares
 from bcfj_jax.analysis.designs.confirm import Confirmation, confirm, independent, tighter
 from bcfj_jax.analysis.designs.descent import Path, descend, starts
 from bcfj_jax.analysis.designs.evaluate import Evaluator, Spent
@@ -67,6 +68,7 @@ def design(
     certify: bool = True,
     slices: bool = True,
     seed: int = 0,
+    steady: bool = False,
 ) -> Design:
     """Make a feature least, or most, over free parameters within bounds, and say what the optimum is worth.
 
@@ -95,6 +97,9 @@ def design(
         certify: whether the gradient at the optimum gets its certificate; equilibria have none.
         slices: whether the objective along each parameter is taken, for the pictures.
         seed: of all Sobol designs.
+        steady: whether the objective is of one turn of the steady motion to which a run until the last of ``times`` comes
+            (``derivatives.steady``), of a model that knows a pitch. Where the motion does not repeat itself, a design has no
+            value. Its derivatives hold to two tolerances, or there is no value; no certificate is made.
 
     Raises:
         InputError: for names, bounds, tolerances and options that are not right.
@@ -119,7 +124,11 @@ def design(
         # The largest of several members is another's from place to place.
         norms = (40.0,) if any(scene.members.values()) and wanted.peaked else ()
     how = plan(scene, accuracy, max_steps)
-    plain = Evaluator(scene, full, t, how, box, wanted, sign, starts, Spent())
+    end = float(t[-1]) if steady else None
+    if steady:
+        _steady(scene, full, wanted)
+        t, certify = shares(scene, full), False
+    plain = Evaluator(scene, full, t, how, box, wanted, sign, starts, Spent(), end)
     goal = robust(plain, kappa)
     given = np.array([float(full[name]) for name in box.names])
     before = plain.at(given[None])
@@ -149,7 +158,8 @@ def design(
     agree, near = _agreement(ways, best)
     designs = full, {**full, **dict(zip(box.names, at, strict=True))}
     with stage("checking by independent runs"):
-        checked = _confirmed(scene, confirm, designs, t, wanted, sign, gain, accuracy)
+        spans = tuple(t if end is None else end - scene.period(one)[0] * (1.0 - t) for one in designs)
+        checked = _confirmed(scene, confirm, designs, spans, wanted, sign, gain, accuracy)
     certificate = _certified(scene, designs[1], t, box, wanted, accuracy, max_steps) if certify else None
     wide = robustness(plain, refined.point, here, distribution, samples, seed, kink is not None)
     wide_before = None
@@ -171,6 +181,8 @@ def design(
 
 _objective, _starts, _confirm = objective, starts, confirm
 
+# What does not ask how long a turn lasts.
+_OF_A_TURN = ("peak", "largest", "mean", "contact_fraction", "peak_penetration")
 _KAPPA = Quantity("kappa", "1", "weight of the linear worst change", 0.0)
 _NORM = Quantity("norms", "1", "exponent of a norm", 1.0, open_low=True)
 
@@ -208,8 +220,19 @@ def _agreement(ways: Sequence[Path], best: Path) -> tuple[int, int]:
     return len(same), sum(bool(np.all(np.abs(way.end - best.end) <= _NEAR)) for way in same)
 
 
+def _steady(scene: AbstractModel, params: Params, wanted: Objective) -> None:
+    """Refuse what has no steady motion."""
+    if not scene.recurs(params):
+        found = f"the steady motion of the scene '{scene.kind}' is not known to repeat itself every pitch"
+        raise InputError("steady", found, "leave it out, or take a joint with an even drive and a steady load")
+    for feature in wanted.features:
+        if feature.kind not in _OF_A_TURN:
+            remedy = f"take {', '.join(_OF_A_TURN)}"
+            raise InputError(f"feature '{feature.name}'", "is no objective of steady motion", remedy)
+
+
 def _confirmed(
-    scene: AbstractModel, checker: Any, designs: tuple, times: np.ndarray, wanted: Objective, sign: float, gain: float,
+    scene: AbstractModel, checker: Any, designs: tuple, times: tuple, wanted: Objective, sign: float, gain: float,
     accuracy: str | float,
 ) -> Confirmation | None:  # fmt: skip
     if checker is None:

@@ -114,7 +114,7 @@ def found_of(asked: Question) -> Design:
         asked.scene, asked.given.params, asked.times, asked.objective, asked.free, sense=asked.sense,
         kappa=search.kappa, distribution=search.distribution, samples=search.samples, starts=search.starts,
         iterations=search.iterations, max_steps=asked.given.max_steps, confirm="auto" if search.confirm else None,
-        certify=search.certify, seed=search.seed,
+        certify=search.certify, seed=search.seed, steady=asked.steady,
     )  # fmt: skip
 
 

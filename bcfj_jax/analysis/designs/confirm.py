@@ -64,7 +64,7 @@ def confirm(
     checker: AbstractModel,
     solver: str | None,
     designs: tuple[Params, Params],
-    times: np.ndarray,
+    times: tuple[np.ndarray, np.ndarray],
     objective: Objective,
     sign: float,
     gain: float,
@@ -75,8 +75,8 @@ def confirm(
     Args:
         scene: the one that was optimised; checker: the one that checks.
         solver: of the check.
-        designs: parameters before and after.
-        times, objective, sign: as the optimiser had them.
+        designs: parameters before and after; times: of either.
+        objective, sign: as the optimiser had them.
         gain: that the optimiser saw.
         accuracy: force error of the check.
 
@@ -88,8 +88,10 @@ def confirm(
     both: list[Any] = [
         {name: np.asarray(x, dtype=float) for name, x in one.items() if name in known} for one in designs
     ]
-    runs = [simulate(checker, params, times, accuracy=accuracy, solver=solver) for params in both]
-    (before, first), (after, second) = (features(run, checker, times, objective) for run in runs)
+    runs = [simulate(checker, p, t, accuracy=accuracy, solver=solver) for p, t in zip(both, times, strict=True)]
+    (before, first), (after, second) = (
+        features(run, checker, t, objective) for run, t in zip(runs, times, strict=True)
+    )
     found = sign * (before - after)
     share = found / gain if gain else np.nan
     same = checker == scene

@@ -2,6 +2,7 @@
 
 scene        a scene file (beside this one), or a built-in scene's name
 [objective]  minimize (or maximize) = "seat_cage.peak", or weights by feature: { "a.peak" = 1.0, "b.peak" = 0.5 }
+             steady = true: of one turn of steady motion
 [vary.NAME]  lower, upper, tolerance, relative, scale: as ``Free``; or NAME = ["10 um", "200 um"] under [vary]
 [search]     starts, kappa, distribution, samples, iterations, seed, confirm, certify: as ``design``
 """
@@ -46,6 +47,7 @@ class VaryTable(tables.Table):
 class _Objective(tables.Table):
     minimize: str | dict[str, float] | None = None
     maximize: str | dict[str, float] | None = None
+    steady: bool = False
 
 
 class Search(tables.Table):
@@ -80,6 +82,7 @@ class Question:
         objective, sense: what is made least or most.
         free: by name, as ``design`` takes it.
         search: its options.
+        steady: whether the objective is of steady motion.
     """
 
     given: SceneFile
@@ -90,6 +93,7 @@ class Question:
     sense: Literal["minimise", "maximise"]
     free: dict[str, Free]
     search: Search
+    steady: bool = False
 
     @property
     def resolved(self) -> dict[str, Any]:
@@ -98,7 +102,7 @@ class Question:
             **self.given.resolved,
             "design": {
                 ("minimize" if self.sense == "minimise" else "maximize"): self.objective,
-                "begin": float(self.times[0]), "end": float(self.times[-1]), "samples": len(self.times),
+                "steady": self.steady, "begin": float(self.times[0]), "end": float(self.times[-1]), "samples": len(self.times),
                 "vary": {name: one._asdict() for name, one in self.free.items()},
                 **self.search.model_dump(),
             },
@@ -140,7 +144,8 @@ def load(what: str, more: Mapping[str, Any]) -> Question:
     vary = {**tables.nested(vary, VaryTable), **more.get("vary", {})} if isinstance(vary, Mapping) else vary
     search = {**search, **more.get("search", {})} if isinstance(search, Mapping) else search
     wanted = table.get("objective", {})
-    wanted = more.get("objective") or wanted if isinstance(wanted, Mapping) else wanted
+    if isinstance(wanted, Mapping) and more.get("objective"):
+        wanted = {key: wanted[key] for key in ("steady",) if key in wanted} | dict(more["objective"])
     table = {**table, "vary": vary, "search": search, "objective": wanted}
     file = tables.validated(File, table, what)
     asked = file.objective
@@ -151,11 +156,15 @@ def load(what: str, more: Mapping[str, Any]) -> Question:
         raise InputError(f"{what}: [vary]", "nothing is varied", "say --vary clearance_seat_cage=10um:200um")
     scene = str(beside / file.scene) if file.scene.endswith(".toml") else file.scene
     given = scenefile.load(scene)
-    model, times, note = searched(given, "end" in scenefile.content(scene).get("time", {}))
+    if asked.steady:
+        model, times, note = given.scene.full(), given.times, ""
+    else:
+        model, times, note = searched(given, "end" in scenefile.content(scene).get("time", {}))
     return Question(
         given, model, times, note, asked.minimize or asked.maximize or "",
         "minimise" if asked.maximize is None else "maximise",
         {name: Free(**one.model_dump()) for name, one in file.vary.items()}, file.search,
+        asked.steady,
     )  # fmt: skip
 
 

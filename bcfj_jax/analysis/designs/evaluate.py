@@ -19,12 +19,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from bcfj_jax.analysis.derivatives.batch import jacobians, possible
 from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel, histories
+from bcfj_jax.analysis.derivatives.steady import to_the_end, turn
 from bcfj_jax.analysis.designs.objective import Objective, measured, sampled
 from bcfj_jax.analysis.designs.space import Space
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.programs import program
-from bcfj_jax.core.status import OK, STEEP, reason
+from bcfj_jax.core.status import NOT_FINITE, OK, STEEP, reason
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.plan import Plan
 from bcfj_jax.solve.simulation import readings
@@ -69,6 +71,8 @@ class Evaluator:
         sign: 1 to make it least, -1 to make it most.
         batch: points in one batch.
         spent: the account of all calls.
+        steady: when the runs end [s] whose steady motion is looked at (``derivatives.steady``); ``times`` are then
+            shares of a turn. None for the runs themselves.
     """
 
     scene: AbstractModel
@@ -80,6 +84,7 @@ class Evaluator:
     sign: float
     batch: int
     spent: Spent
+    steady: float | None = None
 
     def __call__(self, unit: np.ndarray, norm: float = np.inf) -> Values:
         """Values at points (N, P), with the norm q in place of peaks; infinity takes crests."""
@@ -101,7 +106,7 @@ class Evaluator:
         found = Values(nothing.copy(), np.full(values.shape, np.nan), nothing.copy(), nothing.copy(), refused)
         if not good:
             return found
-        *read, code = self._read(values[good])
+        *read, code, whys = self._read(values[good])
         given = *read, np.asarray(float(norm))
         static = self.times.tobytes(), self.objective, tuple(self.scene.members.items())
         objectives, compile_s = program("design objective", _objectives, static, given)
@@ -117,7 +122,7 @@ class Evaluator:
                 found.smooth[k], found.goal[k] = self.sign * smooth[i], self.sign * goal[i]
                 found.slope[k], found.true[k] = slope[i], true[i]
             else:
-                found.reasons[k] = reason(int(code[i]), self.how.max_steps)
+                found.reasons[k] = whys[i] or reason(int(code[i]), self.how.max_steps)
                 self.spent.failures[found.reasons[k]] += 1
         return found
 
@@ -130,7 +135,7 @@ class Evaluator:
         self.spent.points += 1
         if not self.objective.sampled or self._refusal(values):
             return None
-        *read, code = (np.asarray(x)[0] for x in self._read(values[None]))
+        *read, code, _ = (x[0] for x in self._read(values[None]))
         if code != OK:
             return None
         return sampled(read, self.objective, self.scene.members, self.space.slope(values))
@@ -145,8 +150,36 @@ class Evaluator:
         return jax.tree.map(lambda x: x[0], found[-1])
 
     def _read(self, points: np.ndarray) -> tuple:
-        """What ``_runs`` gives of points that can be built, (n, P) SI, n up to the batch, but for the last."""
-        return self._batch(points, self.near)[:-1]
+        """What ``_runs`` gives of points that can be built, (n, P) SI, n up to the batch; for the last, reasons."""
+        if self.steady is not None:
+            return self._turns(points, self.steady)
+        return *self._batch(points, self.near)[:-1], [""] * self.batch
+
+    def _turns(self, points: np.ndarray, end: float) -> tuple:
+        """As ``_read``, of a turn of the steady motion."""
+        begin, count = time.perf_counter(), len(points)
+        params = {name: np.full(count, float(x)) for name, x in self.params.items()}
+        params |= {name: points[:, k] for k, name in enumerate(self.space.names)}
+        runs = to_the_end(self.scene, params, np.full(count, end), self.how, self.batch)
+        shape = self.batch, len(self.times), sum(max(1, members) for members in self.scene.members.values())
+        force, depth = np.full(shape, np.nan), np.full(shape, np.nan)
+        slopes = [np.full((*shape, len(self.space.names)), np.nan) for _ in range(2)]
+        code, whys, compile_s = np.full(self.batch, NOT_FINITE), [""] * self.batch, runs.compile_s
+        code[:count] = runs.code
+        for i in np.flatnonzero(runs.code == OK):
+            one = {name: leaf[i] for name, leaf in params.items()}
+            found = turn(self.scene, one, runs.state[i], end, self.space.names, self.how.max_steps)
+            compile_s += found.compile_s
+            if found.reason:
+                code[i], whys[i] = NOT_FINITE, found.reason
+                continue
+            force[i], depth[i] = found.value.force[:, :, 0], found.value.penetration
+            slopes[0][i] = np.moveaxis(found.derivative.force[..., 0], 0, -1)
+            slopes[1][i] = np.moveaxis(found.derivative.penetration, 0, -1)
+        self.spent.wall_s += time.perf_counter() - begin - compile_s
+        self.spent.compile_s += compile_s
+        self.spent.batches += 1
+        return force, depth, *slopes, code, whys
 
     def _batch(self, points: np.ndarray, near: Any) -> tuple:
         """``_runs``, filled up with the first point."""
@@ -177,6 +210,14 @@ def _runs(
     near: Any,
 ) -> tuple:  # fmt: skip
     """Normal forces and penetrations (N, T, C), their tangents (N, T, C, P), codes and equilibria, for any objective."""
+    if scene.traits.history and possible(scene, how):
+        size = len(points)
+        params = {name: jnp.full(size, value) for name, value in fixed.items()}
+        params |= {name: points[:, k] for k, name in enumerate(names)}
+        ends, grid = jnp.full(size, times[-1]), times / times[-1]
+        value, slopes, code, *_ = jacobians(scene, names, params, ends, grid, how, count)
+        moved = (jnp.moveaxis(x, 2, -1) for x in slopes[:2])
+        return value[0][..., 0], value[1], *moved, code, near
 
     def one(theta: Array) -> tuple[tuple, tuple]:
         params = {**fixed, **{name: theta[k] for k, name in enumerate(names)}}

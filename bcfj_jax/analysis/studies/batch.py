@@ -13,8 +13,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.sharding import Mesh, PartitionSpec
+from jax.sharding import Mesh
 
+from bcfj_jax.analysis.derivatives.batch import divided, filled
 from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel, channel_names
 from bcfj_jax.analysis.derivatives.measures import vector
 from bcfj_jax.analysis.derivatives.names import Feature, members
@@ -91,13 +92,10 @@ def run(
         size: of the program; fewer points need no other one.
         forces: whether forces are given back.
     """
-    count, devices = len(ends), jax.local_devices()
-    size = -(-size // len(devices)) * len(devices)
-    # What fills up is the first point again, which is computed only where there is no work queue.
-    fill = np.where(np.arange(size) < count, np.arange(size), 0)
+    count = len(ends)
+    fill, mesh = filled(count, size)
     host = forces or any(feature.kind in HOST for feature in wanted)
     arguments = {name: leaf[fill] for name, leaf in params.items()}, ends[fill], how, np.asarray(count)
-    mesh = Mesh(np.array(devices), ("runs",)) if len(devices) > 1 else None
     # The grid as bytes, which are hashable.
     static = scene, grid.tobytes(), tuple(wanted), host, mesh
     batch, compile_s = program("batch", _program, static, arguments)
@@ -129,19 +127,11 @@ def _program(
     ends: Array, how: Plan, count: Array,
 ) -> tuple:  # fmt: skip
     shares = np.frombuffer(grid)
-    if mesh is None:
-        return _part(scene, shares, wanted, host, params, ends, how, count)
-    share = ends.size // mesh.size
-    runs, every = PartitionSpec("runs"), PartitionSpec()
 
     def part(params: dict, ends: Array, how: Plan, count: Array) -> tuple:
-        mine = jnp.clip(count - share * jax.lax.axis_index("runs"), 0, share)
-        found = _part(scene, shares, wanted, host, params, ends, how, mine)
-        return (*found[:4], found[4][None], *found[5:])
+        return _part(scene, shares, wanted, host, params, ends, how, count)
 
-    return jax.shard_map(
-        part, mesh=mesh, in_specs=(runs, runs, every, every), out_specs=runs, check_vma=False
-    )(params, ends, how, count)  # fmt: skip
+    return divided(part, mesh, params, ends, how, count)
 
 
 def _part(

@@ -17,16 +17,18 @@ import jax
 import numpy as np
 from jax import Array
 
+from bcfj_jax.analysis.derivatives import batch as derivatives
 from bcfj_jax.analysis.derivatives.jacobian import Histories, level
 from bcfj_jax.analysis.derivatives.measures import measure
 from bcfj_jax.analysis.derivatives.names import complete, members
 from bcfj_jax.analysis.simulation.results import resolved
 from bcfj_jax.analysis.studies.batch import Batch, has_history, run
 from bcfj_jax.analysis.studies.specification import Study
+from bcfj_jax.analysis.studies.steady import of_steady
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.programs import program
 from bcfj_jax.core.quantities import ORDERED, check_order, check_value
-from bcfj_jax.core.status import reason
+from bcfj_jax.core.status import OK, reason
 from bcfj_jax.io import outputs
 from bcfj_jax.io.journal import key_of
 from bcfj_jax.mechanism.model import AbstractModel
@@ -77,7 +79,8 @@ class Blocks:
         scene = study.given.scene
         large = scene.traits.large
         few = _OF_MOTION if large and has_history(scene) else _OTHERS
-        held = _NUMBERS // ((64 if large else 4) * len(study.given.times))
+        # Tangents are as many numbers again for each parameter; contacts' readings stay until features are taken.
+        held = _NUMBERS // ((64 if large else 4) * len(study.given.times) * (1 + 2 * len(study.derivatives)))
         # Four blocks at least, so that there is work for several.
         self.size = max(_FEWEST, min(few, held, -(-study.count // 4)))
 
@@ -178,14 +181,48 @@ def compute(study: Study, at: np.ndarray, size: int) -> Table:
 def _run(study: Study, values: np.ndarray, last: np.ndarray, grid: np.ndarray, size: int, safety: float) -> Batch:
     given = study.given
     scene: Any = given.scene
+    how = plan(scene, given.accuracy, given.max_steps, given.solver)
+    how = eqx.tree_at(lambda h: h.tolerance, how, how.tolerance * safety)
+    if study.steady:
+        return of_steady(study, values, last, how, size)
+    if study.derivatives and derivatives.possible(scene, how):
+        return _with_derivatives(study, values, last, grid, how, size)
     if study.derivatives or given.solver is not None or given.resolved_peaks or scene.traits.open:
         return _one_by_one(study, values, last, grid, safety)
-    how = Plan(safety * plan(scene, given.accuracy).tolerance, given.max_steps)
+    how = Plan(how.tolerance, given.max_steps)
     return run(scene, study.params(values), last, grid, study.features, how, size, study.histories)
 
 
+def _with_derivatives(
+    study: Study, values: np.ndarray, last: np.ndarray, grid: np.ndarray, how: Plan, size: int
+) -> Batch:
+    """As ``batch.run``, with derivatives of the features."""
+    scene, given = study.given.scene, study.params(values)
+    params, wrt = complete(scene, given, study.derivatives)  # pyright: ignore[reportArgumentType]
+    found = derivatives.run(scene, params, last, grid, wrt, how, size, study.histories)
+    rows = []
+    for i, (end, code) in enumerate(zip(last, found.code, strict=True)):
+        if code != OK:
+            rows.append(np.full(len(study.columns), np.nan))
+            continue
+        value, slopes = (Histories(*(x[i] for x in part[:3]), state=None) for part in (found.value, found.derivative))
+        rows.append(_row(study, end * grid, value, slopes))
+    reasons = [reason(code, how.max_steps) for code in found.code]
+    force = found.value.force if study.histories else np.zeros((len(last), 0, 0, 0))
+    return Batch(np.array(rows), reasons, found.end, found.steps, found.rounds, force, found.compile_s)
+
+
+def _row(study: Study, times: np.ndarray, value: Histories, slopes: Histories) -> np.ndarray:
+    """Features of one run, then their derivatives."""
+    scene = study.given.scene
+    numbers, by = measure(times, value, slopes, study.features, scene.members, scene.traits.turning)
+    return np.concatenate([numbers, by.ravel()])
+
+
 def _one_by_one(study: Study, values: np.ndarray, last: np.ndarray, grid: np.ndarray, safety: float) -> Batch:
-    """As ``batch.run``, for what has no batch: derivatives, a solver of one's own, a level to be chosen."""
+    """As ``batch.run``, for what has no batch: a solver of one's own, a level to be chosen, tangents that have a say
+    in the steps (``derivatives.batch.possible``).
+    """
     given = study.given
     scene, contacts, params = given.scene, given.scene.members, study.params(values)
     rows: list[tuple] = []
@@ -212,13 +249,12 @@ def _one_by_one(study: Study, values: np.ndarray, last: np.ndarray, grid: np.nda
             value, slopes = (Histories(read[0], read[1], read[2], None), _no_slopes(read))
             why, stop = single.reason, single.failure_time
             steps = int(single.stats["accepted"] + single.stats["rejected"])
-        numbers, by = measure(times, value, slopes, study.features, contacts, scene.traits.turning)
+        row = _row(study, times, value, slopes)
         if given.resolved_peaks and not study.derivatives:
             peaks = {name: x["peak"] for name, x in resolved(single).items()}
             of_peak = {k: f for k, f in enumerate(study.features) if f.kind == "peak" and peaks}
             for k, f in of_peak.items():
-                numbers[k] = max(peaks[name] for name in members(f.contacts[0], contacts))
-        row = np.concatenate([numbers, by.ravel()])
+                row[k] = max(peaks[name] for name in members(f.contacts[0], contacts))
         rows.append((np.full_like(row, np.nan) if why else row, why, stop, steps, value.force))
     features, whys, stop, steps, force = zip(*rows, strict=True)
     return Batch(np.array(features), list(whys), np.array(stop), np.array(steps), 0, np.array(force))

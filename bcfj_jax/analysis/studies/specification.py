@@ -4,13 +4,13 @@ scene     a scene file (beside the study file), a built-in scene's name, or a ta
 [design]  kind = grid | list | latin_hypercube | sobol; points and seed of the last two
           saltelli: samples, second_order, seed; morris: trajectories, levels, seed (for global sensitivities)
 [vary.X]  lower, upper, steps, scale = linear | log | normal; or values. X may be a pattern: "ball_*.oversize"
-[results] features, histories, derivatives
+[results] features, histories, derivatives, steady
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -23,6 +23,7 @@ import pydantic
 from jax import Array
 
 from bcfj_jax.analysis.derivatives.names import Feature, complete, expanded, feature
+from bcfj_jax.analysis.derivatives.steady import KINDS as OF_STEADY
 from bcfj_jax.analysis.studies.design import DEFAULTS, DRAWN, KINDS, SCALES, Axis, Options, block_length, number, points
 from bcfj_jax.core.errors import InputError, clip, nearest
 from bcfj_jax.core.programs import program
@@ -47,6 +48,7 @@ class Study:
         features: what is kept of each point.
         histories: whether forces are kept, too.
         derivatives: parameters by which features are differentiated.
+        steady: whether features are those of the steady motion (``derivatives.steady``).
         own_end: whether each point runs to the horizon of its own parameters.
         resolved: the study with every default, SI: a study file itself.
     """
@@ -62,6 +64,7 @@ class Study:
     own_end: bool
     resolved: dict[str, Any]
     options: Options = DEFAULTS
+    steady: bool = False
 
     @cached_property
     def points(self) -> np.ndarray:
@@ -119,6 +122,7 @@ class _Results(tables.Table):
     features: list[str] | None = None
     histories: bool = False
     derivatives: list[str] = pydantic.Field(default_factory=list)
+    steady: bool = False
 
 
 class _File(tables.Table):
@@ -187,6 +191,8 @@ def from_table(table: Mapping[str, Any], where: str = "study", beside: Path = Pa
         features = tuple(feature(name, given.scene.members) for name in wanted)
         if slopes:
             complete(given.scene, given.params, slopes)
+        if file.results.steady:
+            _steady(given, features, file.results.histories)
     except InputError as error:
         raise InputError(f"{where}: [results] {error.where}", error.found, error.remedy) from None
     resolved = {
@@ -194,7 +200,8 @@ def from_table(table: Mapping[str, Any], where: str = "study", beside: Path = Pa
         "design": {"kind": kind, "seed": file.design.seed} | _resolved_design(kind, size, options),
         "vary": {axis.name: _resolved(axis, drawn) for axis in axes},
         "results": {
-            "features": [f.name for f in features], "histories": file.results.histories, "derivatives": list(slopes)
+            "features": [f.name for f in features], "histories": file.results.histories, "derivatives": list(slopes),
+            "steady": file.results.steady,
         },
     }  # fmt: skip
     return Study(
@@ -209,7 +216,23 @@ def from_table(table: Mapping[str, Any], where: str = "study", beside: Path = Pa
         own_end,
         resolved,
         options,
+        file.results.steady,
     )
+
+
+def _steady(given: SceneFile, features: Sequence[Feature], histories: bool) -> None:
+    """Refuse what a study of steady motion cannot have."""
+    scene = given.scene
+    if scene.traits.open or not scene.recurs(given.params):
+        found = f"the steady motion of the scene '{scene.kind}' is not known to repeat itself every pitch"
+        raise InputError("steady", found, "leave it out, or take a joint with an even drive and a steady load")
+    if given.solver is not None:
+        raise InputError("steady", f"with the solver '{given.solver}'", "leave the solver out")
+    if histories:
+        raise InputError("histories", "with steady = true", "say histories = false: a turn's forces are not kept")
+    for one in features:
+        if one.kind not in OF_STEADY:
+            raise InputError(f"feature '{one.name}'", "is none of steady motion", f"take {', '.join(OF_STEADY)}")
 
 
 # What says how large a design is, and what else it may say.

@@ -77,12 +77,14 @@ class JointContact(eqx.Module):
         """Coefficients that the joint's geometry gives (``coefficients``). A flat window has no radius difference."""
         radii = ("radius",) if self.name in FLAT else ("radius", "radius_difference")
         wanted = (*radii, "stiffness", "exponent") if self.geometric else radii
-        return tuple(name for name in wanted if name in self.needs)
+        needs = self.needs
+        return tuple(name for name in wanted if name in needs)
 
     @property
     def own(self) -> tuple[str, ...]:
         """Coefficients that are parameters: the others that it needs, and what a geometric stiffness is made of."""
-        rest = [name for name in self.needs if name not in self.derived]
+        derived = self.derived
+        rest = [name for name in self.needs if name not in derived]
         return tuple(dict.fromkeys([*rest, *(["effective_modulus"] if self.geometric else [])]))
 
 

@@ -1,0 +1,222 @@
+"""Histories and their derivatives of many runs at once: one compiled program for a number of runs.
+
+What ``jacobian.level`` gives of one run. Tangents go beside the states through the work queue
+(``solve.work_queue``), so that no run waits for the slowest. Instants that are solved for themselves are each searched
+from the run before. On several devices each has its own part of the batch and its own queue.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.sharding import Mesh, PartitionSpec
+
+from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel
+from bcfj_jax.core.programs import program
+from bcfj_jax.core.status import NO_FORCE, OK, STEEP
+from bcfj_jax.mechanism.model import AbstractModel
+from bcfj_jax.solve.batched_jvp import along, changes
+from bcfj_jax.solve.plan import Plan
+from bcfj_jax.solve.simulation import readings
+
+# Runs under way at one time on a core: with its tangents and matrices a run takes several times a run's place in a cache.
+_PLACES = 32
+# Samples that are read at once.
+_SAMPLES = 64
+
+
+class Runs(NamedTuple):
+    """What N runs left, and how they ended.
+
+    Attributes:
+        value: (N, ...) of ``Histories`` without states; of a force the normal part, (N, T, C, 1), or all.
+        derivative: (N, P, ...) per SI unit, of a force the normal part.
+        code, end: (N,) how and when [s] they ended; steps: (N,) attempted.
+        rounds: of all places of the batch; 0 where there are none.
+        compile_s: seconds that it took to get the program.
+    """
+
+    value: Histories
+    derivative: Histories
+    code: np.ndarray
+    end: np.ndarray
+    steps: np.ndarray
+    rounds: int
+    compile_s: float
+
+
+def possible(scene: AbstractModel, how: Plan) -> bool:
+    """Whether derivatives of many runs go through one batch: not where tangents have a say in the steps."""
+    return not (scene.traits.open or how.solver or (scene.traits.history and scene.traits.stiff and how.tangents))
+
+
+def run(
+    scene: AbstractModel, params: Mapping[str, Any], ends: np.ndarray, grid: np.ndarray, wrt: tuple[str, ...],
+    how: Plan, size: int, whole: bool = False,
+) -> Runs:  # fmt: skip
+    """Run N points, N at most ``size``, with derivatives by ``wrt``.
+
+    Args:
+        scene: one whose level is chosen.
+        params: leaves (N,).
+        ends: (N,) last time of each [s].
+        grid: (T,) from 0 to 1.
+        wrt: names that the parameters have values of.
+        how: as ``possible`` allows.
+        size: of the program; fewer points need no other one.
+        whole: whether all of a force is given back.
+    """
+    count = len(ends)
+    fill, mesh = filled(count, size)
+    arguments = {k: leaf[fill] for k, leaf in params.items()}, ends[fill], how, np.asarray(count), np.asarray(grid)
+    batch, compile_s = program("batched jacobian", _program, (scene, wrt, whole, mesh), arguments)
+    found = batch(*arguments)
+    rounds = int(np.max(found[4]))
+    value, slopes, code, end, steps = (jax.tree.map(lambda x: x[:count], part) for part in (*found[:4], found[5]))
+    force, *others = (np.moveaxis(x, 2, 1) for x in slopes)
+    derivative = Histories(force[..., None], *others, state=None)
+    return Runs(Histories(*value, state=None), derivative, code, end, steps, rounds, compile_s)
+
+
+def filled(count: int, size: int) -> tuple[np.ndarray, Mesh | None]:
+    """Numbers of runs that fill a batch, and its devices, where there are several.
+
+    What fills up is the first run again, which is computed only where there is no work queue.
+    """
+    devices = jax.local_devices()
+    size = -(-size // len(devices)) * len(devices)
+    mesh = Mesh(np.array(devices), ("runs",)) if len(devices) > 1 else None
+    return np.where(np.arange(size) < count, np.arange(size), 0), mesh
+
+
+def divided(
+    part: Callable[..., tuple], mesh: Mesh | None, params: dict, ends: Array, how: Plan, count: Array, *more: Array
+) -> tuple:
+    """``part(params, ends, how, count, *more)`` on every device for its share of the runs; the fifth result is one number."""
+    if mesh is None:
+        return part(params, ends, how, count, *more)
+    share = ends.size // mesh.size
+    runs, every = PartitionSpec("runs"), PartitionSpec()
+
+    def mine(params: dict, ends: Array, how: Plan, count: Array, *more: Array) -> tuple:
+        own = jnp.clip(count - share * jax.lax.axis_index("runs"), 0, share)
+        found = part(params, ends, how, own, *more)
+        return (*found[:4], found[4][None], *found[5:])
+
+    specs = (runs, runs, every, every, *[every for _ in more])
+    return jax.shard_map(mine, mesh=mesh, in_specs=specs, out_specs=runs, check_vma=False)(
+        params, ends, how, count, *more
+    )
+
+
+def _program(
+    scene: AbstractModel, wrt: tuple[str, ...], whole: bool, mesh: Mesh | None, params: dict, ends: Array, how: Plan,
+    count: Array, grid: Array,
+) -> tuple:  # fmt: skip
+    def part(params: dict, ends: Array, how: Plan, count: Array, grid: Array) -> tuple:
+        return jacobians(scene, wrt, params, ends, grid, how, count, whole)
+
+    return divided(part, mesh, params, ends, how, count, grid)
+
+
+def places() -> int:
+    """Runs under way at one time."""
+    return _PLACES if jax.default_backend() == "cpu" else 1024
+
+
+def jacobians(
+    scene: AbstractModel, wrt: Sequence[str], params: dict, ends: Array, grid: Array, how: Plan, count: Array,
+    whole: bool = False,
+) -> tuple:  # fmt: skip
+    """Force, penetration and rate of N runs with their derivatives per SI unit. Pure.
+
+    Args:
+        scene, params, ends, grid, how, count: as ``work_queue.integrate_queue``.
+        wrt: names that the parameters have values of.
+        whole: whether all of a force is given back; else the normal part alone.
+
+    Returns:
+        Values (N, T, C, 3 or 1), (N, T, C) twice; derivatives (N, T, P, C) of normal force, penetration and rate; then
+        (N,) codes and ends, the rounds of all places, and (N,) attempted steps.
+    """
+    from bcfj_jax.solve.work_queue import (
+        integrate_queue,
+        shifted,
+        sizes,
+    )  # With diffrax, which a kept program needs not.
+
+    still = jnp.zeros(len(wrt))
+
+    def moved(params: dict, shares: Array) -> dict:
+        return {**params, **shifted(params, wrt, shares)}
+
+    def kept(value: tuple, slopes: tuple, tangents: Array, unit: Array) -> tuple:
+        """What is kept of some samples, and in which of them forces or derivatives are not finite.
+
+        As ``jacobian.level``: a force that is 0 has a derivative of 0, whatever the state's is. Slopes (k, S, ...).
+        """
+        force, by = value[0], slopes[0]
+        lost = ~jnp.isfinite(force).all(axis=(1, 2))
+        steep = ~(jnp.isfinite(by).all(axis=(0, 2, 3)) & jnp.isfinite(tangents).all(axis=(0, 2)))
+        slopes = tuple(x / unit[:, None, None] for x in (by[..., 0], *slopes[1:]))
+        return (force if whole else force[..., :1], *value[1:]), slopes, lost, steep
+
+    def look(one: tuple) -> tuple:
+        """What a run's contacts read, and how that changes along the tangents; some samples at once."""
+        params, end, rows = one
+        prepare = lambda shares: scene.prepare(moved(params, shares))  # noqa: E731
+        prepared, by_shares, unit = prepare(still), changes(prepare, still), sizes(params, wrt)
+
+        def some(at: Array) -> tuple:
+            times, here = jnp.maximum((end * grid)[at], 0.0), rows[at]
+
+            def read(x: tuple) -> tuple:
+                states, prepared = x
+                return by_channel(scene, jax.vmap(scene.observe, (0, 0, None))(times, states, prepared))
+
+            tangents = jnp.moveaxis(here[:, 1:], 1, 0)
+            value, slopes = along(read, (here[:, 0], prepared), (tangents, by_shares))
+            value, slopes, lost, steep = kept(value, slopes, tangents, unit)
+            return value, tuple(jnp.moveaxis(x, 0, 1) for x in slopes), lost, steep
+
+        # The last sample again fills up.
+        take = jnp.minimum(jnp.arange(-(-grid.size // _SAMPLES) * _SAMPLES), grid.size - 1).reshape(-1, _SAMPLES)
+        found = jax.lax.map(some, take)
+        return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[: grid.size], found)
+
+    def instants(near: Any, one: tuple) -> tuple:
+        params, end = one
+
+        def at(shares: Array) -> tuple:
+            given, times = moved(params, shares), end * grid
+            solution, ahead = scene.instants(given, times, near)
+            value = by_channel(scene, readings(scene, given, times, solution.states))
+            return (value, solution.states), (value, solution, ahead)
+
+        slopes, (value, solution, ahead) = jax.jacfwd(at, has_aux=True)(still)
+        by, tangents = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), slopes)
+        value, by, lost, steep = kept(value, by, tangents, sizes(params, wrt))
+        return ahead, (value, tuple(jnp.moveaxis(x, 0, 1) for x in by), lost, steep, solution._replace(states=still))
+
+    rounds = jnp.asarray(0)
+    if scene.traits.history:
+        width = min(places(), ends.size)
+        solution, rounds = integrate_queue(scene, params, ends, grid, how, count, width, wrt)
+        value, slopes, lost, steep = jax.lax.map(look, (params, ends, solution.states))
+    else:
+        near = jax.tree.map(jnp.asarray, scene.origin(grid.size))
+        if jax.tree.leaves(near):
+            found = jax.lax.scan(instants, near, (params, ends))[1]
+        else:
+            found = jax.vmap(lambda *one: instants(near, one)[1])(params, ends)
+        value, slopes, lost, steep, solution = found
+    code, end = solution.code, solution.end
+    for bad, why in ((lost, NO_FORCE), (steep, STEEP)):
+        now = (code == OK) & bad.any(axis=1)
+        code, end = jnp.where(now, why, code), jnp.where(now, ends * grid[jnp.argmax(bad, axis=1)], end)
+    return value, slopes, code, end, rounds, solution.accepted + solution.rejected
