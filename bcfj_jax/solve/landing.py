@@ -1,0 +1,223 @@
+"""Explicit runs whose steps end where contacts begin and end, and what these contacts were.
+
+The field of a mechanism has a kink where a contact begins and where it ends. A step across a kink has an error that
+depends on the kink's place in the step: forces bear it, their derivatives do not (10 % after a bounce at ``balanced``).
+Here a step that would cross is taken again so that it ends on the surface. The pieces between are smooth, so that state and
+tangents converge with the solver's order. The force is 0 on the surface, the field is continuous, and tangents at fixed
+times pass through without a jump (a law whose force jumps has another derivative: ``Reading`` of its begin says so).
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from bcfj_jax.mechanism.model import AbstractModel, Params, Solution
+from bcfj_jax.solve.integrate import code_of, controller, problem
+from bcfj_jax.solve.plan import Plan
+
+# A step ends on the surface when it is this share of the tolerated error of a penetration from it.
+_NEAR = 1e-3
+_ROUNDING = 1e-15
+# A step is taken anew so many times at most, and ends beyond this share of the one that it replaces.
+_TRIES, _LEAST = 8, 1e-4
+# After a landing the next step is at least this share of the last free one.
+_AFTER = 0.05
+# Pieces of a step in which its crossing is sought, and halvings of the piece.
+_PIECES, _HALVINGS = 16, 50
+
+
+class Instants(NamedTuple):
+    """Of each of C channels the first K contacts: (C, K) times [s], NaN for what there was not.
+
+    Attributes:
+        begin, end: when the penetration was 0; no begin of a contact that was closed at the start.
+        high: end of the step at which the normal force was greatest; ``force`` that force [N].
+        count: (C,) contacts that began (or were closed at the start), also those beyond K.
+    """
+
+    begin: Array
+    end: Array
+    high: Array
+    force: Array
+    count: Array
+
+
+class _Look(NamedTuple):
+    """Penetration, its rate and normal force of each channel (C,)."""
+
+    depth: Array
+    rate: Array
+    force: Array
+
+
+class _Memory(NamedTuple):
+    """What the controller knows: the inner one's state, the step's start, what was inside, contacts, tries, free step."""
+
+    inner: Any
+    before: _Look
+    inside: Array
+    found: Instants
+    tries: Array
+    free: Array
+
+
+def look(model: AbstractModel, t: Any, y: Array, prepared: Any) -> _Look:
+    """Every channel in one state, in the order of ``derivatives.jacobian.channel_names``."""
+    seen = model.observe(t, y, prepared)
+    rows = [
+        [jnp.ravel(x) for x in (r.penetration, r.rate, r.force[..., 0])]
+        for r in (seen[contact.name] for contact in model.contacts)
+    ]
+    return _Look(*(jnp.concatenate(part) for part in zip(*rows, strict=True)))
+
+
+class Landing(dfx.AbstractStepSizeController):
+    """A step control that also ends steps on surfaces, and notes when contacts begin and end.
+
+    The arguments of the field are (model, what it has prepared). ``near`` [m]: a step ends on a surface within it.
+    """
+
+    inner: dfx.AbstractStepSizeController
+    near: Array
+    most: int = eqx.field(static=True)
+
+    def wrap(self, direction):
+        """Forwards only."""
+        return Landing(self.inner.wrap(direction), self.near, self.most)
+
+    def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
+        """The inner control's first step; what touches at the start."""
+        first, inner = self.inner.init(terms, t0, t1, y0, dt0, args, func, error_order)
+        model, prepared = args
+        seen = look(model, t0, y0, prepared)
+        inside = (seen.depth > 0) | ((seen.depth == 0) & (seen.rate > 0) & (seen.force > 0))
+        empty = jnp.full((*seen.depth.shape, self.most), jnp.nan)
+        count = jnp.where(inside, 1, 0)
+        high = empty.at[:, 0].set(jnp.where(inside, t0, jnp.nan))
+        force = empty.at[:, 0].set(jnp.where(inside, seen.force, jnp.nan))
+        found = Instants(empty, empty, high, force, count)
+        return first, _Memory(inner, seen, inside, found, jnp.asarray(0), jnp.asarray(0.0))
+
+    def adapt_step_size(self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state):
+        """The inner control's decision; of a step that it keeps and that crosses, another one to the surface."""
+        memory = controller_state
+        keep, start, end, jump, inner, result = self.inner.adapt_step_size(
+            t0, t1, y0, y1_candidate, args, y_error, error_order, memory.inner
+        )
+        model, prepared = args
+        now, dt = look(model, t1, y1_candidate, prepared), t1 - t0
+        fixed = jax.lax.stop_gradient
+        # No nearer than the clock's rounding lets a step end.
+        close = fixed(jnp.maximum(self.near, _ROUNDING * jnp.abs(t1 * now.rate)))
+        near, heading = jnp.abs(now.depth) <= close, jnp.where(memory.inside, -now.rate, now.rate) > 0
+        beyond = jnp.where(memory.inside, -now.depth, now.depth) > 0
+        crossing = keep & beyond & ~near
+        share = jnp.min(jnp.where(crossing, _crossing(memory.before, now, memory.inside, dt), 1.0))
+        again = jnp.any(crossing) & (memory.tries < _TRIES) & (share < 1.0)
+        turned = keep & ~again & (beyond | (near & heading))
+        kept = keep & ~again
+        found = _noted(memory.found, fixed(t1), fixed(now), memory.inside, turned, kept)
+        # A step that only ends a flight says nothing of the length of the next.
+        free = jnp.where(again, jnp.maximum(memory.free, fixed(dt)), memory.free)
+        landed = kept & (memory.tries > 0)
+        end = jnp.where(landed, jnp.maximum(end, start + _AFTER * free), end)
+        known = _Memory(
+            jax.tree.map(lambda a, b: jnp.where(again, a, b), memory.inner, inner),
+            _Look(*(jnp.where(kept, a, b) for a, b in zip(now, memory.before, strict=True))),
+            memory.inside ^ turned,
+            found,
+            jnp.where(again, memory.tries + 1, jnp.where(keep, 0, memory.tries)),
+            jnp.where(kept, 0.0, free),
+        )
+        end = start + fixed(end - start)
+        start, end = jnp.where(again, t0, start), jnp.where(again, t0 + jnp.maximum(share, _LEAST) * dt, end)
+        return kept, start, end, jump, known, result
+
+
+def _crossing(before: _Look, now: _Look, inside: Array, dt: Array) -> Array:
+    """Share of a step at which the Hermite cubic of the penetration crosses 0 (C,)."""
+    a, b, p, q = before.depth, now.depth, dt * before.rate, dt * now.rate
+    sign, fixed = jnp.where(inside, -1.0, 1.0), jax.lax.stop_gradient
+
+    def cubic(s: Array) -> Array:
+        return sign * (a + s * (p + s * (3 * (b - a) - 2 * p - q + s * (2 * (a - b) + p + q))))
+
+    def crossed(s: Array) -> Array:
+        return fixed(cubic(s)) > 0
+
+    ends = jnp.arange(1, _PIECES + 1) / _PIECES
+    first = jnp.argmax(jax.vmap(crossed, 0, 1)(ends[:, None] * jnp.ones_like(a)), axis=1)
+    bracket = first / _PIECES, (first + 1.0) / _PIECES
+
+    def halve(_: int, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
+        middle = 0.5 * (bracket[0] + bracket[1])
+        past = crossed(middle)
+        return jnp.where(past, bracket[0], middle), jnp.where(past, middle, bracket[1])
+
+    low, high = jax.lax.fori_loop(0, _HALVINGS, halve, bracket)
+    root = 0.5 * (low + high)
+    # Of a root that moves with the parameters: the last step of Newton's method.
+    slope = fixed(sign * (p + root * (2 * (3 * (b - a) - 2 * p - q) + 3 * root * (2 * (a - b) + p + q))))
+    return root - jnp.where(slope == 0, 0.0, cubic(root) / jnp.where(slope == 0, 1.0, slope))
+
+
+def _noted(found: Instants, t: Array, now: _Look, inside: Array, turned: Array, kept: Array) -> Instants:
+    """The contacts with what an accepted step adds to them; what has no place is only counted."""
+    channel, most = jnp.arange(inside.size), found.begin.shape[1]
+    begun, ended = turned & ~inside, turned & inside
+    count = found.count + begun
+    # Out of range is dropped.
+    place = jnp.where(count > 0, count - 1, most)
+
+    def put(table: Array, where: Array, values: Any) -> Array:
+        return table.at[channel, jnp.where(where, place, most)].set(values, mode="drop")
+
+    before = found.force.at[channel, place].get(mode="fill", fill_value=jnp.nan)
+    higher = kept & (inside | begun) & ~(now.force <= before)
+    return Instants(
+        put(found.begin, begun, t), put(found.end, ended, t), put(found.high, higher, t),
+        put(found.force, higher, now.force), count,
+    )  # fmt: skip
+
+
+def solved(
+    model: AbstractModel, params: Params, times: Array, how: Plan, most: int
+) -> tuple[Solution, Instants]:
+    """States at ``times`` of a run that lands on its contacts, and their first ``most`` contacts a channel.
+
+    Pure; ``jvp`` and ``jacfwd`` go through. The steps do not depend on ``times`` but for their end.
+
+    Args:
+        model: a model that is not stiff and has a history.
+        params, how: as of ``integrate``.
+        times: (T,) not decreasing [s].
+        most: places for contacts.
+    """
+    posed = problem(model, params, times[-1], how, True)
+    near = _NEAR * how.tolerance * posed.scales[0]
+    solution = dfx.diffeqsolve(
+        dfx.ODETerm(posed.field),  # pyright: ignore[reportArgumentType]
+        posed.solver,
+        t0=0.0,
+        t1=jnp.where(times[-1] > 0.0, times[-1], posed.first_step),
+        dt0=posed.first_step,
+        y0=posed.start,
+        args=posed.args,
+        saveat=dfx.SaveAt(subs=(dfx.SubSaveAt(ts=times), dfx.SubSaveAt(t1=True)), controller_state=True),
+        stepsize_controller=Landing(controller(posed, how), near, most),
+        adjoint=dfx.ForwardMode(),
+        max_steps=how.max_steps,
+        throw=False,
+    )
+    assert solution.ys is not None and solution.ts is not None and solution.controller_state is not None
+    states, _ = solution.ys
+    states = jnp.where(jnp.isfinite(states), states, jnp.nan)
+    accepted, rejected = (solution.stats[f"num_{name}_steps"] for name in ("accepted", "rejected"))
+    end = Solution(states, code_of(solution.result, states), solution.ts[1][0], accepted, rejected)
+    return end, jax.lax.stop_gradient(solution.controller_state.found)
