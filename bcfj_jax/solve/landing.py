@@ -28,6 +28,9 @@ _ROUNDING = 1e-15
 _TRIES, _LEAST = 8, 1e-4
 # After a landing the next step is at least this share of the last free one.
 _AFTER = 0.05
+# A contact is left by steps of this share of what is left of it, down to this share of its length: of K d^n with n < 2 the
+# tangents of a step that ends near the surface are wrong by the step's length to the power n.
+_PART, _FINEST = 0.6, 0.002
 # Pieces of a step in which its crossing is sought, and halvings of the piece.
 _PIECES, _HALVINGS = 16, 50
 
@@ -57,7 +60,18 @@ class _Look(NamedTuple):
 
 
 class _Memory(NamedTuple):
-    """What the controller knows: the inner one's state, the step's start, what was inside, contacts, tries, free step."""
+    """What the controller knows.
+
+    Attributes:
+        inner: the inner control's state.
+        before: the step's start.
+        inside: (C,) which channels touch.
+        found: contacts so far.
+        tries: in a row to end on a surface.
+        free: length of the step that first crossed it [s].
+        since: (C,) when each channel began to touch or not to [s].
+    """
+
 
     inner: Any
     before: _Look
@@ -65,6 +79,7 @@ class _Memory(NamedTuple):
     found: Instants
     tries: Array
     free: Array
+    since: Array
 
 
 def look(model: AbstractModel, t: Any, y: Array, prepared: Any) -> _Look:
@@ -102,7 +117,7 @@ class Landing(dfx.AbstractStepSizeController):
         high = empty.at[:, 0].set(jnp.where(inside, t0, jnp.nan))
         force = empty.at[:, 0].set(jnp.where(inside, seen.force, jnp.nan))
         found = Instants(empty, empty, high, force, count)
-        return first, _Memory(inner, seen, inside, found, jnp.asarray(0), jnp.asarray(0.0))
+        return first, _Memory(inner, seen, inside, found, jnp.asarray(0), jnp.asarray(0.0), jnp.zeros(seen.depth.shape))
 
     def adapt_step_size(self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state):
         """The inner control's decision; of a step that it keeps and that crosses, another one to the surface."""
@@ -120,23 +135,31 @@ class Landing(dfx.AbstractStepSizeController):
         crossing = keep & beyond & ~near
         share = jnp.min(jnp.where(crossing, _crossing(memory.before, now, memory.inside, dt), 1.0))
         again = jnp.any(crossing) & (memory.tries < _TRIES) & (share < 1.0)
-        turned = keep & ~again & (beyond | (near & heading))
-        kept = keep & ~again
-        found = _noted(memory.found, fixed(t1), fixed(now), memory.inside, turned, kept)
+        turned, kept = keep & ~again & (beyond | (near & heading)), keep & ~again
+        landed = jnp.any(turned)
+        inside, free = memory.inside ^ turned, jnp.where(again, jnp.maximum(memory.free, fixed(dt)), memory.free)
+        since = jnp.where(turned, fixed(t1), memory.since)
+        # To the surface; of a contact that ends, by ever shorter steps.
+        surface = jnp.maximum(share, _LEAST) * dt
+        finest = jnp.min(jnp.where(memory.inside & crossing, _FINEST * (fixed(t0) - memory.since), jnp.inf))
+        surface = jnp.where(surface > finest, _PART * surface, surface)
         # A step that only ends a flight says nothing of the length of the next.
-        free = jnp.where(again, jnp.maximum(memory.free, fixed(dt)), memory.free)
-        landed = kept & (memory.tries > 0)
-        end = jnp.where(landed, jnp.maximum(end, start + _AFTER * free), end)
+        length = fixed(end - start)
+        length = jnp.where(landed, jnp.maximum(length, _AFTER * free), length)
+        leaving = kept & inside & ~turned & (now.rate < 0) & ~near
+        ahead = -now.depth / jnp.where(leaving, now.rate, -1.0)
+        ahead = jnp.maximum(_PART * ahead, _FINEST * (fixed(t1) - memory.since))
+        length = jnp.minimum(length, jnp.min(jnp.where(leaving, ahead, jnp.inf)))
+        start, end = jnp.where(again, t0, start), jnp.where(again, t0 + surface, start + length)
         known = _Memory(
             jax.tree.map(lambda a, b: jnp.where(again, a, b), memory.inner, inner),
             _Look(*(jnp.where(kept, a, b) for a, b in zip(now, memory.before, strict=True))),
-            memory.inside ^ turned,
-            found,
+            inside,
+            _noted(memory.found, fixed(t1), fixed(now), memory.inside, turned, kept),
             jnp.where(again, memory.tries + 1, jnp.where(keep, 0, memory.tries)),
-            jnp.where(kept, 0.0, free),
+            jnp.where(landed, 0.0, free),
+            since,
         )
-        end = start + fixed(end - start)
-        start, end = jnp.where(again, t0, start), jnp.where(again, t0 + jnp.maximum(share, _LEAST) * dt, end)
         return kept, start, end, jump, known, result
 
 
