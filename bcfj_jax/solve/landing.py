@@ -30,7 +30,7 @@ _TRIES, _LEAST = 8, 1e-4
 _AFTER = 0.05
 # A contact is left by steps of this share of what is left of it, down to this share of its length: of K d^n with n < 2 the
 # tangents of a step that ends near the surface are wrong by the step's length to the power n.
-_PART, _FINEST = 0.6, 0.002
+_PART, _FINEST = 0.5, 3e-4
 # Pieces of a step in which its crossing is sought, and halvings of the piece.
 _PIECES, _HALVINGS = 16, 50
 

@@ -107,14 +107,23 @@ def train(model: AbstractModel, params: Params, marks: Marks, end: Array, how: P
     high = jnp.where(there, marks.high, end)
     times = jnp.clip(jnp.concatenate([jnp.where(there[:, None], grid, end), high[:, None]], axis=1), 0.0, end)
     order = jnp.argsort(times.ravel())
-    solution, _ = solved(model, params, jnp.append(times.ravel()[order], end), how, 1)
-    states = solution.states[:-1][jnp.argsort(order)].reshape(*times.shape, -1)
+    ordered, back = jnp.append(times.ravel()[order], end), jnp.argsort(order)
+
+    def run(ordered: Array) -> tuple[Array, Solution]:
+        solution, _ = solved(model, params, ordered, how, 1)
+        return solution.states, solution
+
+    # The steps move with the parameters, and what is read between them is the solver's polynomial: its own rate belongs to it,
+    # since a clock may move by a thousand contacts.
+    ticking = jnp.ones_like(ordered).at[-1].set(0.0)
+    states, rates, solution = jax.jvp(run, (ordered,), (ticking,), has_aux=True)
+    states, rates = (x[:-1][back].reshape(*times.shape, -1) for x in (states, rates))
     prepared = model.prepare(params)
 
-    def one(mark: Marks, times: Array, states: Array) -> Train:
-        return _contact(model, prepared, mark, times, states)
+    def one(mark: Marks, times: Array, states: Array, rates: Array) -> Train:
+        return _contact(model, prepared, mark, times, states, rates[:NODES])
 
-    found = jax.vmap(one)(marks, times, states)
+    found = jax.vmap(one)(marks, times, states, rates)
     begun, ended = jnp.isfinite(marks.begin), jnp.isfinite(marks.end)
     whole, nan = there & begun & ended, jnp.nan
     known = Train(
@@ -123,8 +132,10 @@ def train(model: AbstractModel, params: Params, marks: Marks, end: Array, how: P
     return Train(*(jnp.where(k, x, nan) for k, x in zip(known, found, strict=True))), solution
 
 
-def _contact(model: AbstractModel, prepared: Params, mark: Marks, times: Array, states: Array) -> Train:
-    """One contact from its states at ``NODES`` times and near its peak (NODES + 1, n)."""
+def _contact(
+    model: AbstractModel, prepared: Params, mark: Marks, times: Array, states: Array, rates: Array
+) -> Train:
+    """One contact from its states at ``NODES`` times and near its peak (NODES + 1, n), and their rates (NODES, n)."""
     fixed = jax.lax.stop_gradient
 
     def read(t: Array, y: Array) -> tuple[Array, Array, Array]:
@@ -149,7 +160,7 @@ def _contact(model: AbstractModel, prepared: Params, mark: Marks, times: Array, 
     grid, nodes = times[:NODES], states[:NODES]
     first, last = crossed(0, jnp.isfinite(mark.begin)), crossed(NODES - 1, jnp.isfinite(mark.end))
     shifts = first + (last - first) * PHASES
-    along = nodes + shifts[:, None] * jax.vmap(field)(grid, nodes)
+    along = nodes + shifts[:, None] * rates
     force = jax.vmap(lambda t, y: read(t, y)[2])(grid + shifts, along)
     length = grid[-1] + last - (grid[0] + first)
     impulse, rough = length * jnp.sum(_WEIGHTS * force), length * jnp.sum(_COARSE * force)
