@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bcfj_jax import InputError, nearest
-from bcfj_jax.analysis.derivatives.names import UNITS, feature, feature_unit
+from bcfj_jax.analysis.derivatives.names import feature, feature_unit, kind_unit
 from bcfj_jax.core.errors import quoted
 from bcfj_jax.core.quantities import Quantity, check_order, real, scalar
 from bcfj_jax.mechanism import inputs
@@ -156,7 +156,7 @@ class Observation:
 
     def __post_init__(self) -> None:
         where = f"feature {given.text('feature', self.feature, 'name a feature, such as contact.peak')}"
-        unit = feature_unit(self.feature) if self.feature.rpartition(".")[2] in UNITS else "1"
+        unit = feature_unit(self.feature) if kind_unit(self.feature.rpartition(".")[2]) else "1"
         given.fill(self, {key: given.plain(where, key, unit, getattr(self, key)) for key in ("value", "sigma")})
 
 

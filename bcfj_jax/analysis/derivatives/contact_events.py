@@ -224,6 +224,20 @@ def _solved(scene: AbstractModel, wrt: tuple[str, ...], params: dict, marks: Mar
     return type(found)(*({n: part[n] / sizes[n] for n in wrt} for part in slopes)), found, rest
 
 
+def filled(
+    scene: AbstractModel, params: Params, end: float, wrt: tuple[str, ...], how: Plan, wanted: Sequence[Feature],
+    values: np.ndarray, slopes: np.ndarray, tighter: float = 1.0,
+) -> dict[str, str]:  # fmt: skip
+    """Put what is of single contacts into features (F,) and derivatives (F, P); by name, why one is NaN."""
+    own = [i for i, f in enumerate(wanted) if event(f.kind)]
+    if not own:
+        return {}
+    asked = [wanted[i] for i in own]
+    found = solved_at(scene, params, end, wrt, how, asked, tighter)
+    values[own], slopes[own] = numbers(scene, found, asked)
+    return {f.name: text for f in asked if (text := why(scene, found, f))}
+
+
 def numbers(scene: AbstractModel, found: Solved, asked: Sequence[Feature]) -> tuple[np.ndarray, np.ndarray]:
     """Features (F,) of contacts and their derivatives (F, P); the mean of members, of peaks the largest."""
     channels = channel_names(scene.members)
@@ -307,7 +321,7 @@ def _presented(
 
 def _train(found: Solved, channel: int, of: Any) -> ContactTrain:
     """One channel's contacts in their order, from 1 to the last that was looked at."""
-    own = np.flatnonzero(found.channel == channel)
+    own = np.flatnonzero((found.channel == channel) & (found.number < found.counts[channel]))
     most = int(found.number[own].max(initial=-1)) + 1
 
     def placed(values: np.ndarray) -> np.ndarray:

@@ -17,9 +17,10 @@ import jax
 import numpy as np
 from jax import Array
 
+from bcfj_jax.analysis.derivatives.contact_events import TIGHTER, filled
 from bcfj_jax.analysis.derivatives.jacobian import Histories, level
 from bcfj_jax.analysis.derivatives.measures import measure
-from bcfj_jax.analysis.derivatives.names import complete, members
+from bcfj_jax.analysis.derivatives.names import complete, event, members
 from bcfj_jax.analysis.simulation.results import resolved
 from bcfj_jax.analysis.studies.batch import Batch, has_history, run
 from bcfj_jax.analysis.studies.specification import Study
@@ -178,7 +179,8 @@ def compute(study: Study, at: np.ndarray, size: int) -> Table:
 def _run(study: Study, values: np.ndarray, last: np.ndarray, grid: np.ndarray, size: int, safety: float) -> Batch:
     given = study.given
     scene: Any = given.scene
-    if study.derivatives or given.solver is not None or given.resolved_peaks or scene.traits.open:
+    single = any(event(f.kind) for f in study.features)
+    if study.derivatives or single or given.solver is not None or given.resolved_peaks or scene.traits.open:
         return _one_by_one(study, values, last, grid, safety)
     how = Plan(safety * plan(scene, given.accuracy).tolerance, given.max_steps)
     return run(scene, study.params(values), last, grid, study.features, how, size, study.histories)
@@ -213,6 +215,9 @@ def _one_by_one(study: Study, values: np.ndarray, last: np.ndarray, grid: np.nda
             why, stop = single.reason, single.failure_time
             steps = int(single.stats["accepted"] + single.stats["rejected"])
         numbers, by = measure(times, value, slopes, study.features, contacts, scene.traits.turning)
+        full, wrt = complete(scene, one, study.derivatives) if study.derivatives else (one, ())
+        finer = plan(scene, given.accuracy, given.max_steps)
+        filled(scene, full, float(end), wrt, finer, study.features, numbers, by, safety * TIGHTER)
         if given.resolved_peaks and not study.derivatives:
             peaks = {name: x["peak"] for name, x in resolved(single).items()}
             of_peak = {k: f for k, f in enumerate(study.features) if f.kind == "peak" and peaks}
