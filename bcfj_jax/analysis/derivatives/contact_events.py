@@ -38,6 +38,7 @@ MOST, _ALL = 128, 1024
 TIGHTER = 1.0 / 16.0
 # An impulse of so uneven a force is not known; and a peak whose tilt would change the force by this share over the contact.
 _UNEVEN, _TILTED = 1e-3, 1e-6
+_INTEGRATED = ("impulse", "center", "width")
 
 
 class ContactTrain(NamedTuple):
@@ -45,6 +46,7 @@ class ContactTrain(NamedTuple):
 
     Attributes:
         begin, peak_time, end: (K,) [s]; peak, impulse: (K,) of the normal force's size [N], [N s].
+        center, width: (K,) mean and deviation of the time, weighed by the force [s].
         force: (K, N) normal force at the phases, on a clock that moves with the contact [N].
         pointwise: (K, N) the same at fixed times.
     """
@@ -54,6 +56,8 @@ class ContactTrain(NamedTuple):
     end: Float[np.ndarray, " K"]
     peak: Float[np.ndarray, " K"]
     impulse: Float[np.ndarray, " K"]
+    center: Float[np.ndarray, " K"]
+    width: Float[np.ndarray, " K"]
     force: Float[np.ndarray, "K N"]
     pointwise: Float[np.ndarray, "K N"]
 
@@ -66,7 +70,7 @@ class ContactEvents(NamedTuple):
         phases: (N,) at which forces are given, 0 at a contact's begin and 1 at its end.
         trains: by channel (``contact``, ``seat_ball_2``) its contacts.
         derivative: by parameter and channel.
-        apart: by parameter and channel, how far the derivatives of begin, peak_time, end, peak and impulse (5, K) are from
+        apart: by parameter and channel, how far the derivatives of begin to width (7, K) are from
             those at a tolerance 16 times as large, as a share; 0.01 % of the number per 1 % of the parameter counts as
             least.
         features: value by name (``contact.begin_3``), those asked for or all.
@@ -276,11 +280,11 @@ def _why(found: Solved, channel: int, number: int, kind: str, name: str) -> str:
         return f"{name} has {many or 'no'} contact{'' if many == 1 else 's'} until the run's end"
     row = int(np.flatnonzero((found.channel == channel) & (found.number == number - 1))[0])
     v = found.value
-    if kind in ("begin", "impulse") and not np.isfinite(v.begin[row]):
+    if kind in ("begin", *_INTEGRATED) and not np.isfinite(v.begin[row]):
         return "it was closed at the start"
-    if kind in ("end", "impulse") and not np.isfinite(v.end[row]):
+    if kind in ("end", *_INTEGRATED) and not np.isfinite(v.end[row]):
         return "it lasts beyond the run's end" if found.code == OK else f"the run failed at {found.end:.6g} s"
-    if kind == "impulse" and not v.unsure[row] <= _UNEVEN:
+    if kind in _INTEGRATED and not v.unsure[row] <= _UNEVEN:
         return f"its force is too uneven for {len(PHASES)} points: they give its impulse to {v.unsure[row]:.1g}"
     if kind in ("peak", "peak_time"):
         length = np.sqrt(2.0 * v.peak[row] / max(-v.bend[row], 1e-300))
@@ -329,12 +333,12 @@ def _train(found: Solved, channel: int, of: Any) -> ContactTrain:
         table[found.number[own]] = values[own]
         return table
 
-    parts = (of.begin, of.peak_time, of.end, of.peak, of.impulse, of.force, of.fixed)
+    parts = (*(getattr(of, kind) for kind in EVENTS), of.force, of.fixed)
     return ContactTrain(*map(placed, parts))
 
 
 def _apart(loose: Solved, tight: Solved, channel: int, parameter: str, value: float) -> np.ndarray:
-    """How far derivatives (5, K) at two tolerances are apart."""
+    """How far derivatives (7, K) at two tolerances are apart."""
     from bcfj_jax.analysis.derivatives.certificate import apart
 
     first, second, numbers = (

@@ -9,6 +9,7 @@ are apart. With penetration d, normal force F and a parameter p, at the instants
 | time of the peak | dF/dt = 0 | dt/dp = -(d2F/dp dt)/(d2F/dt2) |
 | peak | F there | dF/dp, since dF/dt = 0 |
 | impulse J | integral of F from begin to end | integral of dF/dp, and F dt/dp at both ends |
+| centre c, width w | integrals of t F/J, and of (t - c)^2 F/J, whose root is w | of their definitions |
 | shape | F at a phase s = (t - begin)/(end - begin) | dF/dp + (dF/dt) dt/dp, with dt/dp = (1 - s) dbegin/dp + s dend/dp |
 
 (The implicit function theorem; all partial derivatives by p are at fixed times.) A fixed phase and not a fixed time since the
@@ -51,6 +52,7 @@ class Train(NamedTuple):
     Attributes:
         begin, peak_time, end: (M,) [s].
         peak, impulse: (M,) of the normal force's size [N, N s].
+        center, width: (M,) of the force over time [s].
         force: (M, NODES) normal force's size at the phases ``PHASES`` [N]; its derivatives are on the moving clock.
         fixed: the same numbers, with the derivatives at fixed times.
         unsure: (M,) difference of the impulse to that by half of the points, as a share of it.
@@ -63,6 +65,8 @@ class Train(NamedTuple):
     end: Array
     peak: Array
     impulse: Array
+    center: Array
+    width: Array
     force: Array
     fixed: Array
     unsure: Array
@@ -127,7 +131,7 @@ def train(model: AbstractModel, params: Params, marks: Marks, end: Array, how: P
     begun, ended = jnp.isfinite(marks.begin), jnp.isfinite(marks.end)
     whole, nan = there & begun & ended, jnp.nan
     known = Train(
-        begun, there, ended, there, whole, whole[:, None], whole[:, None], whole, there, there,
+        begun, there, ended, there, whole, whole, whole, whole[:, None], whole[:, None], whole, there, there,
     )  # fmt: skip
     return Train(*(jnp.where(k, x, nan) for k, x in zip(known, found, strict=True))), solution
 
@@ -163,6 +167,10 @@ def _contact(
     along = nodes + shifts[:, None] * rates
     force = jax.vmap(lambda t, y: read(t, y)[2])(grid + shifts, along)
     length = grid[-1] + last - (grid[0] + first)
+    clock = grid - fixed(grid[0]) + shifts
+    share = _WEIGHTS * force / jnp.sum(_WEIGHTS * force)
+    center = jnp.sum(share * clock)
+    width = jnp.sqrt(jnp.sum(share * jnp.square(clock - center)))
     impulse, rough = length * jnp.sum(_WEIGHTS * force), length * jnp.sum(_COARSE * force)
     still = jax.vmap(lambda t, y: read(t, y)[2])(grid, nodes)
 
@@ -174,8 +182,9 @@ def _contact(
     peak = read(at + shift, top)[2]
     unsure = jnp.abs(impulse - rough) / jnp.where(impulse == 0, jnp.nan, jnp.abs(impulse))
     return Train(
-        grid[0] + first, at + later, grid[-1] + last, peak, impulse, force, still, unsure, curve, slope
-    )
+        grid[0] + first, at + later, grid[-1] + last, peak, impulse, grid[0] + center, width, force, still, unsure,
+        curve, slope,
+    )  # fmt: skip
 
 
 def _to_peak(tilt, bend, field, at: Array, near: Array, length: Array) -> Array:
