@@ -40,14 +40,13 @@ class Instants(NamedTuple):
 
     Attributes:
         begin, end: when the penetration was 0; no begin of a contact that was closed at the start.
-        high: end of the step at which the normal force was greatest; ``force`` that force [N].
+        high: end of the step at which the normal force was greatest.
         count: (C,) contacts that began (or were closed at the start), also those beyond K.
     """
 
     begin: Array
     end: Array
     high: Array
-    force: Array
     count: Array
 
 
@@ -70,6 +69,7 @@ class _Memory(NamedTuple):
         tries: in a row to end on a surface.
         free: length of the step that first crossed it [s].
         since: (C,) when each channel began to touch or not to [s].
+        high, top: (C,) when the force was greatest in this contact [s], and its size [N].
     """
 
 
@@ -80,6 +80,8 @@ class _Memory(NamedTuple):
     tries: Array
     free: Array
     since: Array
+    high: Array
+    top: Array
 
 
 def look(model: AbstractModel, t: Any, y: Array, prepared: Any) -> _Look:
@@ -114,10 +116,9 @@ class Landing(dfx.AbstractStepSizeController):
         inside = (seen.depth > 0) | ((seen.depth == 0) & (seen.rate > 0) & (seen.force > 0))
         empty = jnp.full((*seen.depth.shape, self.most), jnp.nan)
         count = jnp.where(inside, 1, 0)
-        high = empty.at[:, 0].set(jnp.where(inside, t0, jnp.nan))
-        force = empty.at[:, 0].set(jnp.where(inside, seen.force, jnp.nan))
-        found = Instants(empty, empty, high, force, count)
-        return first, _Memory(inner, seen, inside, found, jnp.asarray(0), jnp.asarray(0.0), jnp.zeros(seen.depth.shape))
+        found, top = Instants(empty, empty, empty, count), jnp.where(inside, jnp.abs(seen.force), -jnp.inf)
+        none = jnp.zeros(seen.depth.shape)
+        return first, _Memory(inner, seen, inside, found, jnp.asarray(0), jnp.asarray(0.0), none, none, top)
 
     def adapt_step_size(self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state):
         """The inner control's decision; of a step that it keeps and that crosses, another one to the surface."""
@@ -133,12 +134,17 @@ class Landing(dfx.AbstractStepSizeController):
         near, heading = jnp.abs(now.depth) <= close, jnp.where(memory.inside, -now.rate, now.rate) > 0
         beyond = jnp.where(memory.inside, -now.depth, now.depth) > 0
         crossing = keep & beyond & ~near
-        share = jnp.min(jnp.where(crossing, _crossing(memory.before, now, memory.inside, dt), 1.0))
+        share = jax.lax.cond(
+            jnp.any(crossing),
+            lambda: jnp.min(jnp.where(crossing, _crossing(memory.before, now, memory.inside, dt), 1.0)),
+            lambda: jnp.ones_like(dt),
+        )
         again = jnp.any(crossing) & (memory.tries < _TRIES) & (share < 1.0)
         turned, kept = keep & ~again & (beyond | (near & heading)), keep & ~again
         landed = jnp.any(turned)
         inside, free = memory.inside ^ turned, jnp.where(again, jnp.maximum(memory.free, fixed(dt)), memory.free)
-        since = jnp.where(turned, fixed(t1), memory.since)
+        since, size = jnp.where(turned, fixed(t1), memory.since), jnp.abs(now.force)
+        higher = kept & inside & (turned | (size > memory.top))
         # To the surface; of a contact that ends, by ever shorter steps.
         surface = jnp.maximum(share, _LEAST) * dt
         finest = jnp.min(jnp.where(memory.inside & crossing, _FINEST * (fixed(t0) - memory.since), jnp.inf))
@@ -155,10 +161,12 @@ class Landing(dfx.AbstractStepSizeController):
             jax.tree.map(lambda a, b: jnp.where(again, a, b), memory.inner, inner),
             _Look(*(jnp.where(kept, a, b) for a, b in zip(now, memory.before, strict=True))),
             inside,
-            _noted(memory.found, fixed(t1), fixed(now), memory.inside, turned, kept),
+            jax.lax.cond(landed, lambda: _noted(memory.found, fixed(t1), memory, turned), lambda: memory.found),
             jnp.where(again, memory.tries + 1, jnp.where(keep, 0, memory.tries)),
             jnp.where(landed, 0.0, free),
             since,
+            jnp.where(higher, fixed(t1), memory.high),
+            jnp.where(higher, fixed(size), jnp.where(inside, memory.top, -jnp.inf)),
         )
         return kept, start, end, jump, known, result
 
@@ -190,23 +198,21 @@ def _crossing(before: _Look, now: _Look, inside: Array, dt: Array) -> Array:
     return root - jnp.where(slope == 0, 0.0, cubic(root) / jnp.where(slope == 0, 1.0, slope))
 
 
-def _noted(found: Instants, t: Array, now: _Look, inside: Array, turned: Array, kept: Array) -> Instants:
-    """The contacts with what an accepted step adds to them; what has no place is only counted."""
-    channel, most = jnp.arange(inside.size), found.begin.shape[1]
-    begun, ended = turned & ~inside, turned & inside
+def _noted(found: Instants, t: Array, memory: _Memory, turned: Array) -> Instants:
+    """The contacts with those that began or ended at an instant [s]."""
+    begun, ended = turned & ~memory.inside, turned & memory.inside
     count = found.count + begun
-    # Out of range is dropped.
-    place = jnp.where(count > 0, count - 1, most)
-
-    def put(table: Array, where: Array, values: Any) -> Array:
-        return table.at[channel, jnp.where(where, place, most)].set(values, mode="drop")
-
-    before = found.force.at[channel, place].get(mode="fill", fill_value=jnp.nan)
-    higher = kept & (inside | begun) & ~(now.force <= before)
     return Instants(
-        put(found.begin, begun, t), put(found.end, ended, t), put(found.high, higher, t),
-        put(found.force, higher, now.force), count,
+        _put(found.begin, begun, count, t), _put(found.end, ended, count, t),
+        _put(found.high, ended, count, memory.high), count,
     )  # fmt: skip
+
+
+def _put(table: Array, where: Array, count: Array, values: Any) -> Array:
+    """A table (C, K) with values in each channel's last contact; what has no place is dropped."""
+    most = table.shape[1]
+    place = jnp.where(where & (count > 0), count - 1, most)
+    return table.at[jnp.arange(count.size), place].set(values, mode="drop")
 
 
 def solved(
@@ -243,4 +249,6 @@ def solved(
     states = jnp.where(jnp.isfinite(states), states, jnp.nan)
     accepted, rejected = (solution.stats[f"num_{name}_steps"] for name in ("accepted", "rejected"))
     end = Solution(states, code_of(solution.result, states), solution.ts[1][0], accepted, rejected)
-    return end, jax.lax.stop_gradient(solution.controller_state.found)
+    last = jax.lax.stop_gradient(solution.controller_state)
+    open_still = _put(last.found.high, last.inside, last.found.count, last.high)
+    return end, last.found._replace(high=open_still)

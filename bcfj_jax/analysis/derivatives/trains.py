@@ -34,7 +34,7 @@ from bcfj_jax.solve.plan import Plan
 
 NODES = 33
 # Newton steps to a peak, and Runge-Kutta steps along the motion in each.
-_STEPS, _PIECES = 6, 4
+_STEPS, _PIECES = 4, 2
 
 
 class Marks(NamedTuple):
