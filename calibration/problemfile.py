@@ -339,7 +339,10 @@ def _experiment(
             tolerances[name] = tolerance
     memory = stated.correlation(entry.correlation, f"{where} correlation")
     channels = []
-    features, times = stated.features(entry.features, entry.feature_noise, where), record.times if record else np.zeros(0)
+    features, times = (
+        stated.features(entry.features, entry.feature_noise, where),
+        record.times if record else np.zeros(0),
+    )
     span = None if entry.span is None else quantity(entry.span, "s", f"{where} span")
     if entry.events and not record:
         raise InputError(f"{where} events", "nothing is observed", 'give observe = { "contact.normal" = "force [N]" }')

@@ -72,7 +72,6 @@ class _Memory(NamedTuple):
         high, top: (C,) when the force was greatest in this contact [s], and its size [N].
     """
 
-
     inner: Any
     before: _Look
     inside: Array
@@ -171,7 +170,7 @@ class Landing(dfx.AbstractStepSizeController):
         return kept, start, end, jump, known, result
 
 
-def _crossing(before: _Look, now: _Look, inside: Array, dt: Array) -> Array:
+def _crossing(before: _Look, now: _Look, inside: Array, dt: Any) -> Array:
     """Share of a step at which the Hermite cubic of the penetration crosses 0 (C,)."""
     a, b, p, q = before.depth, now.depth, dt * before.rate, dt * now.rate
     sign, fixed = jnp.where(inside, -1.0, 1.0), jax.lax.stop_gradient
@@ -198,7 +197,7 @@ def _crossing(before: _Look, now: _Look, inside: Array, dt: Array) -> Array:
     return root - jnp.where(slope == 0, 0.0, cubic(root) / jnp.where(slope == 0, 1.0, slope))
 
 
-def _noted(found: Instants, t: Array, memory: _Memory, turned: Array) -> Instants:
+def _noted(found: Instants, t: Any, memory: _Memory, turned: Array) -> Instants:
     """The contacts with those that began or ended at an instant [s]."""
     begun, ended = turned & ~memory.inside, turned & memory.inside
     count = found.count + begun
@@ -215,9 +214,7 @@ def _put(table: Array, where: Array, count: Array, values: Any) -> Array:
     return table.at[jnp.arange(count.size), place].set(values, mode="drop")
 
 
-def solved(
-    model: AbstractModel, params: Params, times: Array, how: Plan, most: int
-) -> tuple[Solution, Instants]:
+def solved(model: AbstractModel, params: Params, times: Array, how: Plan, most: int) -> tuple[Solution, Instants]:
     """States at ``times`` of a run that lands on its contacts, and their first ``most`` contacts a channel.
 
     Pure; ``jvp`` and ``jacfwd`` go through. The steps do not depend on ``times`` but for their end.

@@ -56,7 +56,7 @@ def problems(name: str, times: np.ndarray, force: np.ndarray, noise: float, seed
     values = force + sigma * np.random.default_rng([seed, int(1e6 * noise)]).standard_normal(times.size)
     k = truth["stiffness"]
     free = (Free("stiffness", k / 10**1.5, k * 10**1.5), Free("exponent", 1.0, 2.5), Free("damping", 1e-3, 0.5))
-    params = {n: float(v) for n, v in SCENE.parameters(**BALL, **truth).items()}
+    params = {n: float(v) for n, v in SCENE.parameters({**BALL, **truth}).items()}
     seen = observations("contact.normal", times, values, sigma)
     events = Experiment("drop", np.zeros(0), (), features=seen, span=float(times[-1]))
     samples = Experiment("drop", times, (Channel("contact.normal", values, sigma),))
@@ -113,7 +113,10 @@ def table(rows: list[dict[str, Any]]) -> str:
                 words = sorted({r["verdict"] for r in own})
                 verdicts = ", ".join(f"{w} {sum(r['verdict'] == w for r in own)}" for w in words)
                 ends = [x for r in own for x in r["false"].values() if x is not None]
-                half = [np.median([r["half"][n] for r in own if r["half"][n] is not None] or [np.nan]) for n in RECORDS[name]]
+                half = [
+                    np.median([r["half"][n] for r in own if r["half"][n] is not None] or [np.nan])
+                    for n in RECORDS[name]
+                ]
                 rms = [np.sqrt(np.mean([r["error"][n] ** 2 for r in own])) for n in RECORDS[name]]
                 starts = f"{sum(r['starts'] for r in own)} of {STARTS * len(own)}"
                 cells = (f"{100 * x[0]:.2g} %, {x[1]:.2g}, {100 * x[2]:.2g} %" for x in (half, rms))
@@ -155,9 +158,16 @@ def main() -> None:
                         warm.add((name, data))
                     row[data] = fitted(p, RECORDS[name], seed)
                 rows.append(row)
-                print(name, noise, seed, {d: (row[d]["verdict"], row[d]["cpu_s"], row[d]["error"]) for d in ("samples", "events")}, flush=True)
+                print(
+                    name,
+                    noise,
+                    seed,
+                    {d: (row[d]["verdict"], row[d]["cpu_s"], row[d]["error"]) for d in ("samples", "events")},
+                    flush=True,
+                )
                 save("events_fit", {"records": rows, "least_squares": alone, "starts": STARTS})
-    text = f"{table(rows)}\n\nLeast squares alone, all data at once, {PLAIN} starts over the bounds; near the best:\n\n{plain_table(alone)}"
+    alone_text = f"Least squares alone, all data at once, {PLAIN} starts over the bounds; near the best:"
+    text = f"{table(rows)}\n\n{alone_text}\n\n{plain_table(alone)}"
     put_in_readme("events-fit", text, "docs/calibration.md")
     print(text)
 

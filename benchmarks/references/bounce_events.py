@@ -43,7 +43,7 @@ def closed(p: dict[str, float], count: int) -> dict[str, tuple[np.ndarray, np.nd
     for j, column in enumerate((0, 3, 4, 5)):
         moved = at.astype(complex)
         moved[j] += 1j * tiny * at[j]
-        slopes[:, :, column] = np.array(of(*moved)).imag / (tiny * at[j])
+        slopes[:, :, column] = np.imag(np.array(of(*moved))) / (tiny * at[j])
     return {kind: (np.array(x), slopes[i]) for i, (kind, x) in enumerate(zip(KINDS, of(*at), strict=True))}
 
 
@@ -105,7 +105,8 @@ def integrated(p: dict[str, float], count: int) -> dict[str, tuple[np.ndarray, n
             f_d, f_v, f_p = slopes(z[0], z[1])
             return f_d * z[3 : 3 + many] + f_v * z[3 + many : 3 + 2 * many] + f_p
 
-        top, step = brentq(rate, 0.02 * length, 0.98 * length, xtol=1e-15 * length, rtol=1e-14), 1e-3 * length
+        root: Any = brentq(rate, 0.02 * length, 0.98 * length, xtol=1e-15 * length)
+        top, step = float(root), 1e-3 * length
 
         def derivative(f: Any, t: float = top, step: float = step) -> Any:
             return (8.0 * (f(t + step) - f(t - step)) - (f(t + 2.0 * step) - f(t - 2.0 * step))) / (12.0 * step)

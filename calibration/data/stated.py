@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bcfj_jax import InputError, nearest
+from bcfj_jax import InputError
 from bcfj_jax.analysis.derivatives.names import feature_unit, kind_unit, nearest_kind
 from bcfj_jax.core.errors import clip
 from bcfj_jax.io.units import quantity

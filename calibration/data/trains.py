@@ -108,7 +108,7 @@ def _moments(t: np.ndarray, f: np.ndarray, noise: np.ndarray) -> dict[str, tuple
     shares = (np.ones(t.size), away / impulse, (away**2 - width**2) / (2.0 * width * impulse))
     by_noise = [float(np.sqrt(np.sum((weights * noise * share) ** 2))) for share in shares]
     # Twice the step has four times the error; the noise's part in the difference is not counted twice.
-    apart = np.abs(np.mean(coarse, axis=0) - found) / 3.0
+    apart = np.sqrt(np.mean(np.square(np.array(coarse) - found), axis=0)) / 3.0
     apart = np.sqrt(np.maximum(apart**2 - (np.array(by_noise) / 3.0) ** 2, 0.0))
     return {
         name: (float(x), float(np.hypot(s, e)))

@@ -42,7 +42,7 @@ def check(found, exact, wrt, tolerance, values=1e-6) -> None:
 def test_thirty_bounces_at_balanced_are_those_of_the_closed_form():
     """Times, peaks and impulses and their derivatives to 1e-4, where the force at a fixed time is a spike."""
     exact, wrt = closed(LINEAR, 30), ("stiffness", "mass", "gravity", "drop_height")
-    found = bj.contact_events(SCENE, SCENE.parameters(**LINEAR), [0.0, span(exact)], wrt)
+    found = bj.contact_events(SCENE, SCENE.parameters(LINEAR), np.array([0.0, span(exact)]), wrt)
     assert found.counts == {"contact": 30} and not found.reasons and found.status == "ok"
     check(found, exact, wrt, 1e-4)
     assert max(np.nanmax(x["contact"][:5]) for x in found.apart.values()) < 1e-3
@@ -61,7 +61,7 @@ def test_thirty_bounces_at_balanced_are_those_of_the_closed_form():
 @pytest.mark.parametrize("law", [HERTZ, {**HERTZ, "stiffness": 1e8}, {**HERTZ, "exponent": 2.2, "damping": 0.02}])
 def test_damped_bounces_are_those_of_variational_equations(law):
     exact = integrated(law, 10)
-    found = bj.contact_events(SCENE, SCENE.parameters(**law), [0.0, span(exact)], NAMES)
+    found = bj.contact_events(SCENE, SCENE.parameters(law), np.array([0.0, span(exact)]), NAMES)
     for kind in KINDS:
         value, slope = exact[kind]
         own = np.stack([getattr(found.derivative[n]["contact"], kind) for n in NAMES], axis=1)
@@ -80,7 +80,9 @@ def test_the_references_agree():
 def test_a_landing_keeps_what_the_contact_conserves():
     """A law K d^n (1 + a d') restores the same share of the speed whatever K: the derivative of the rebound is 0."""
     scene = bj.scenes.impact(smoothing=False)
-    p = scene.parameters(mass=0.1, stiffness=1e5, exponent=1.5, damping=0.05, approach_speed=1.0, clearance_contact=1e-3)
+    p = scene.parameters(
+        mass=0.1, stiffness=1e5, exponent=1.5, damping=0.05, approach_speed=1.0, clearance_contact=1e-3
+    )
     times = jnp.array([2.0 * float(scene.horizon(p))])
 
     def speed(log):
@@ -94,11 +96,12 @@ def test_a_landing_keeps_what_the_contact_conserves():
     assert abs(float(slope)) < 1e-4
 
 
+@pytest.mark.slow
 def test_what_is_not_there_says_why():
-    p = SCENE.parameters(**LINEAR)
+    p = SCENE.parameters(LINEAR)
     first, period = np.sqrt(2 * 0.05 / 9.81), np.pi * np.sqrt(0.1 / 1e5)
     names = ("contact.begin_2", "contact.end_1", "contact.impulse_1", "contact.begin_1")
-    found = bj.contact_events(SCENE, p, [0.0, first + 0.4 * period], (), features=names)
+    found = bj.contact_events(SCENE, p, np.array([0.0, first + 0.4 * period]), (), features=names)
     assert found.reasons == {
         "contact.begin_2": "contact has 1 contact until the run's end",
         "contact.end_1": "it lasts beyond the run's end",
@@ -108,12 +111,15 @@ def test_what_is_not_there_says_why():
     assert found.features["contact.begin_1"] == pytest.approx(first, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_members_and_several_contacts_count_for_themselves():
     """A chain: the impact travels, each contact begins after the one before it."""
     scene = bj.scenes.chain(3)
     params = scene.parameters()
     end = float(scene.horizon(params))
-    found = bj.contact_events(scene, params, [0.0, end], (), features=("contact_1.peak_time_1", "contact_2.peak_time_1"))
+    found = bj.contact_events(
+        scene, params, np.array([0.0, end]), (), features=("contact_1.peak_time_1", "contact_2.peak_time_1")
+    )
     assert found.features["contact_1.peak_time_1"] < found.features["contact_2.peak_time_1"] < end
 
 
@@ -129,11 +135,11 @@ def test_names():
 def test_refusals():
     joint = bj.scenes.joint()
     with pytest.raises(bj.InputError, match="implicit steps"):
-        bj.contact_events(joint, joint.parameters(), [0.0, 0.1])
+        bj.contact_events(joint, joint.parameters(), np.array([0.0, 0.1]))
     with pytest.raises(bj.InputError, match="of no single contact"):
-        bj.contact_events(SCENE, SCENE.parameters(**LINEAR), [0.0, 1.0], features=["contact.peak"])
+        bj.contact_events(SCENE, SCENE.parameters(LINEAR), np.array([0.0, 1.0]), features=["contact.peak"])
     with pytest.raises(bj.InputError, match="may vanish"):
-        bj.design(SCENE, SCENE.parameters(**LINEAR), [0.0, 1.0], "contact.peak_1", [bj.Free("mass", 0.1, 0.2)])
+        bj.design(SCENE, SCENE.parameters(LINEAR), np.array([0.0, 1.0]), "contact.peak_1", {"mass": (0.1, 0.2)})
 
 
 def test_the_rule_integrates_polynomials():
@@ -147,12 +153,18 @@ def test_the_rule_integrates_polynomials():
 @pytest.mark.slow
 def test_features_of_a_sensitivity_and_of_a_study(tmp_path):
     exact, end = closed(LINEAR, 3), 0.7
-    p = SCENE.parameters(**LINEAR)
+    p = SCENE.parameters(LINEAR)
     found = bj.sensitivity(
-        SCENE, p, np.linspace(0.0, end, 501), ("drop_height",), features=("contact.begin_3", "contact.end_9"), differences="none"
+        SCENE,
+        p,
+        np.linspace(0.0, end, 501),
+        ("drop_height",),
+        features=("contact.begin_3", "contact.end_9"),
+        differences="none",
     )
     true = exact["begin"][1][2, NAMES.index("drop_height")]
     assert found.feature_derivatives["drop_height"]["contact.begin_3"] == pytest.approx(true, rel=1e-4)
+    assert found.certificate is not None
     assert found.certificate.parameters["drop_height"].feature_verdicts["contact.begin_3"] == "trusted"
     assert "until the run's end" in found.reasons["contact.end_9"] and "contact.end_9 has no value" in repr(found)
     file = tmp_path / "study.toml"
@@ -168,5 +180,6 @@ def test_features_of_a_sensitivity_and_of_a_study(tmp_path):
     for k, height in enumerate((0.05, 0.06)):
         value, slope = closed({**LINEAR, "drop_height": height}, 2)["begin"]
         assert result.column("contact.begin_2")[k] == pytest.approx(value[1], rel=1e-6)
-        column = next(c for c in result.columns if "drop_height" in c and "begin" in c)
-        assert result.column(column)[k] == pytest.approx(slope[1, NAMES.index("drop_height")], rel=1e-4)
+        assert result.column("d(contact.begin_2)/d(drop_height)")[k] == pytest.approx(
+            slope[1, NAMES.index("drop_height")], rel=1e-4
+        )

@@ -142,10 +142,14 @@ def contact_events(
     scene.check(params)
     scene = scene.suited(params, float(t[-1]))
     full, names = complete(scene, params, wrt) if len(wrt) else (dict(params), ())
-    asked = [named(name, scene.members) for name in texts("features", features, 'name features, such as "contact.begin_1"')]
+    asked = [
+        named(name, scene.members) for name in texts("features", features, 'name features, such as "contact.begin_1"')
+    ]
     for one in asked:
         if event(one.kind) is None:
-            raise InputError(f"feature '{one.name}'", "is of no single contact", f"use one of {', '.join(EVENTS)} with a number")
+            raise InputError(
+                f"feature '{one.name}'", "is of no single contact", f"use one of {', '.join(EVENTS)} with a number"
+            )
     loose = solved_at(scene, full, t[-1], names, plan(scene, accuracy, max_steps), asked)
     tight = solved_at(scene, full, t[-1], names, plan(scene, accuracy, max_steps), asked, TIGHTER)
     return _presented(scene, full, t[-1], names, asked, loose, tight, max_steps)
@@ -352,4 +356,3 @@ def _apart(loose: Solved, tight: Solved, channel: int, parameter: str, value: fl
         full[: min(a.size, b.size)] = a[: b.size]
         rows.append(apart(full[:, None], b[:, None], n, np.array([value]))[:, 0])
     return np.array(rows)
-

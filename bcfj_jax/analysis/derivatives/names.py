@@ -23,7 +23,15 @@ UNITS: dict[str, str] = dict(zip((*FEATURES, "delay"), ("N", "N", "N s", "s", "J
 UNITS |= {"largest": "N", "ripple": "N"} | dict.fromkeys(START, "s")
 READING_FEATURES = ("largest", "mean")
 # Of one contact of a run, by its number: ``contact.begin_3`` (``contact_events``).
-EVENTS: dict[str, str] = {"begin": "s", "peak_time": "s", "end": "s", "peak": "N", "impulse": "N s", "center": "s", "width": "s"}
+EVENTS: dict[str, str] = {
+    "begin": "s",
+    "peak_time": "s",
+    "end": "s",
+    "peak": "N",
+    "impulse": "N s",
+    "center": "s",
+    "width": "s",
+}
 _EVENT = re.compile(rf"({'|'.join(EVENTS)})_([1-9][0-9]{{0,3}})")
 
 

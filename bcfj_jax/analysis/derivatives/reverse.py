@@ -46,7 +46,9 @@ def reversible(wanted: Sequence[Feature]) -> list[Feature]:
     if not good:
         found = ", ".join(f.name for f in wanted)
         raise InputError(
-            "features", found, "periods, delays, times of a start and single contacts are differentiated with mode='forward'"
+            "features",
+            found,
+            "periods, delays, times of a start and single contacts are differentiated with mode='forward'",
         )
     return good
 

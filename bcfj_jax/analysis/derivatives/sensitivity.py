@@ -116,7 +116,8 @@ def sensitivity(
         scene, params, times, accuracy, max_steps: as ``simulate``.
         wrt: names of parameters; a contact's own (``seat_ball.stiffness``) starts from the shared value.
         features: names as ``seat_ball.peak``, ``seat_ball_2.mean``, ``seat_ball:head_ball.delay``; by default every
-            feature of every contact; and of a single contact, such as ``contact.begin_3`` (``contact_events``). A reading's feature is ``slider.acceleration.x.peak`` (``mechanism.channels``).
+            feature of every contact. Of a single contact: ``contact.begin_3`` (``contact_events``). A reading's feature
+            is ``slider.acceleration.x.peak`` (``mechanism.channels``).
         average: width of the certificate's moving average [s], at most a tenth of the horizon.
         mode: "forward" for histories and features; "reverse" for features alone, without periods and delays, by a
             program compiled per times and features too; "auto": reverse from 51 parameters.

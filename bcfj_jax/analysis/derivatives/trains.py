@@ -106,7 +106,10 @@ def train(model: AbstractModel, params: Params, marks: Marks, end: Array, how: P
     """
     marks = Marks(marks.channel, *map(jax.lax.stop_gradient, marks[1:]))
     there = jnp.isfinite(marks.high)
-    start, stop = jnp.where(jnp.isfinite(marks.begin), marks.begin, 0.0), jnp.where(jnp.isfinite(marks.end), marks.end, end)
+    start, stop = (
+        jnp.where(jnp.isfinite(marks.begin), marks.begin, 0.0),
+        jnp.where(jnp.isfinite(marks.end), marks.end, end),
+    )
     grid = start[:, None] + (stop - start)[:, None] * PHASES
     high = jnp.where(there, marks.high, end)
     times = jnp.clip(jnp.concatenate([jnp.where(there[:, None], grid, end), high[:, None]], axis=1), 0.0, end)
@@ -136,9 +139,7 @@ def train(model: AbstractModel, params: Params, marks: Marks, end: Array, how: P
     return Train(*(jnp.where(k, x, nan) for k, x in zip(known, found, strict=True))), solution
 
 
-def _contact(
-    model: AbstractModel, prepared: Params, mark: Marks, times: Array, states: Array, rates: Array
-) -> Train:
+def _contact(model: AbstractModel, prepared: Params, mark: Marks, times: Array, states: Array, rates: Array) -> Train:
     """One contact from its states at ``NODES`` times and near its peak (NODES + 1, n), and their rates (NODES, n)."""
     fixed = jax.lax.stop_gradient
 
@@ -152,8 +153,10 @@ def _contact(
     def tilt(t: Array, y: Array) -> Array:
         return jax.jvp(lambda t, y: read(t, y)[2], (t, y), (jnp.ones_like(t), field(t, y)))[1]
 
-    def bend(t: Array, y: Array) -> Array:
-        return jax.jvp(tilt, (t, y), (jnp.ones_like(t), field(t, y)))[1]
+    @jax.jit  # Traced once for both of its places.
+    def bent(t: Array, y: Array) -> tuple[Array, Array]:
+        """First and second derivative of the force by time."""
+        return jax.jvp(tilt, (t, y), (jnp.ones_like(t), field(t, y)))
 
     def crossed(k: int, there: Array) -> Array:
         depth, rate, _ = read(times[k], states[k])
@@ -175,9 +178,10 @@ def _contact(
     still = jax.vmap(lambda t, y: read(t, y)[2])(grid, nodes)
 
     at, near = times[NODES], states[NODES]
-    shift = fixed(_to_peak(lambda t, y: tilt(fixed(t), y), bend, field, at, fixed(near), fixed(grid[-1] - grid[0])))
+    shift = fixed(_to_peak(bent, field, at, fixed(near), fixed(grid[-1] - grid[0])))
     top = _ahead(field, at, near, shift)
-    slope, curve = tilt(at + shift, top), fixed(bend(at + shift, top))
+    slope, curve = bent(at + shift, top)
+    curve = fixed(curve)
     later = shift - slope / jnp.where(curve == 0, jnp.nan, curve)
     peak = read(at + shift, top)[2]
     unsure = jnp.abs(impulse - rough) / jnp.where(impulse == 0, jnp.nan, jnp.abs(impulse))
@@ -187,13 +191,13 @@ def _contact(
     )  # fmt: skip
 
 
-def _to_peak(tilt, bend, field, at: Array, near: Array, length: Array) -> Array:
+def _to_peak(bent, field, at: Array, near: Array, length: Array) -> Array:
     """From a time near it to where the force's rate is 0 [s], by Newton's method, no further than a part of the contact."""
     limit = 0.25 * length
 
     def closer(_: int, shift: Array) -> Array:
         y = _ahead(field, at, near, shift)
-        first, second = tilt(at + shift, y), bend(at + shift, y)
+        first, second = bent(at + shift, y)
         # Where the force bends upward, up the slope.
         step = jnp.where(second < 0, -first / jnp.where(second < 0, second, -1.0), jnp.sign(first) * 0.25 * limit)
         return jnp.clip(shift + step, -limit, limit)
