@@ -22,6 +22,8 @@ _backend.set_up()
 
 if TYPE_CHECKING:
     from bcfj_jax.analysis import nonlinear as nonlinear
+    from bcfj_jax.analysis.derivatives.contact_events import ContactEvents as ContactEvents
+    from bcfj_jax.analysis.derivatives.contact_events import contact_events as contact_events
     from bcfj_jax.analysis.derivatives.curvature import hessian_vector as hessian_vector
     from bcfj_jax.analysis.derivatives.ladder import smoothing_ladder as smoothing_ladder
     from bcfj_jax.analysis.derivatives.sensitivity import Sensitivity as Sensitivity
@@ -74,6 +76,7 @@ _PUBLIC = {
     "animate": "io.view.export",
     **{name: "solve.simulation" for name in ("Run", "force_history", "reading_history", "simulate")},
     **{name: "analysis.derivatives.sensitivity" for name in ("Sensitivity", "sensitivity")},
+    **{name: "analysis.derivatives.contact_events" for name in ("ContactEvents", "contact_events")},
     "study": "analysis.studies.api",
     "design": "analysis.designs.api",
     "Free": "analysis.designs.space",

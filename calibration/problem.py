@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 from bcfj_jax import InputError, nearest
-from bcfj_jax.analysis.derivatives.names import UNITS, feature, feature_unit
+from bcfj_jax.analysis.derivatives.contact_events import check_followed
+from bcfj_jax.analysis.derivatives.names import event, feature, feature_unit, kind_unit
 from bcfj_jax.core.errors import quoted
 from bcfj_jax.core.quantities import Quantity, check_order, real, scalar
 from bcfj_jax.mechanism import inputs
@@ -156,7 +157,7 @@ class Observation:
 
     def __post_init__(self) -> None:
         where = f"feature {given.text('feature', self.feature, 'name a feature, such as contact.peak')}"
-        unit = feature_unit(self.feature) if self.feature.rpartition(".")[2] in UNITS else "1"
+        unit = feature_unit(self.feature) if kind_unit(self.feature.rpartition(".")[2]) else "1"
         given.fill(self, {key: given.plain(where, key, unit, getattr(self, key)) for key in ("value", "sigma")})
 
 
@@ -320,6 +321,8 @@ class Problem:
             _check_experiment(experiment, self.scene)
             self._check_fixed(experiment)
             _check_features(experiment, contacts)
+            if any(event(seen.feature.rpartition(".")[2]) for seen in experiment.features):
+                self._check_single(experiment)
         fitted = [e for e in self.experiments if not e.hold_out]
         samples = sum(e.samples for e in fitted)
         unknowns = sum(len(fitted) if f.per_experiment else 1 for f in self.free)
@@ -358,6 +361,14 @@ class Problem:
         check_order(
             f"{self.where}: parameters of {e.name}", [name for name in self.scene.quantities if name in values], values
         )
+
+    def _check_single(self, e: Experiment) -> None:
+        """Features of single contacts are of a scene that can be followed, and of no sensor but for clock and gain."""
+        check_followed(self.scene)
+        named = ({f.name for f in self.free} | e.fixed.keys()) & (NUISANCES.keys() - {"time_offset", "gain"})
+        if not e.channels and (wrong := sorted(named)):
+            found = f"{wrong[0]} moves features of single contacts of {e.name}, which are those of the contact itself"
+            raise InputError(self.where, found, "take it out, or fit samples")
 
     def _check_bounds(self, e: Experiment, name: str) -> None:
         free, where = {f.name: f for f in self.free}.get(name), f"{self.where}: bounds of {name} in {e.name}"

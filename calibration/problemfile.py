@@ -5,7 +5,8 @@ scene = "impact.toml"            a scene file (relative to this one) or a built-
                                  observe, noise (of the samples as fitted) and its correlation time; hold_out =
                                  true, or the runs to hold out: ["run 5"];
                                  parameters (known for it alone; "0.55 kg +- 2 %" says how well); features,
-                                 feature_noise and span (``stated``);
+                                 feature_noise and span (``stated``); events = true fits times, peaks and impulses of
+                                 the record's contacts in place of its samples (``data.trains``);
                                  saturation = "10 kN" (or of each channel, as noise) drops samples at or beyond it;
                                  resample = "10 kHz" brings the record down to that rate; align = "onset" puts time 0
                                  where the first channel first exceeds a tenth of its peak; window = [from, to] keeps
@@ -41,7 +42,7 @@ from bcfj_jax.io.units import format_si, quantity, toleranced
 from bcfj_jax.mechanism.channels import channel, unit_of
 from bcfj_jax.models import scenes
 from calibration import given
-from calibration.data import sensor, stated
+from calibration.data import sensor, stated, trains
 from calibration.data.preparation import Prepared, Recipe, prepare
 from calibration.data.readers import read
 from calibration.data.sensor import Sensor
@@ -61,6 +62,7 @@ class _Experiment(tables.Table):
     features: dict[str, Any] = {}
     feature_noise: Any = None
     span: Any = None
+    events: bool = False
     rows: dict[str, Any] = {}
     hold_out: bool | list[str] = False
     parameters: dict[str, Any] = {}
@@ -200,7 +202,8 @@ def _sensor(
     stated = {one(name) for name in file.free} | {n for e in experiments for n in e.fixed}
     asked = [n for n, t in file.free.items() if n in NUISANCES and t.lower is None and t.upper is None]
     measured = file.sensor == "free" and scene.traits.history and not scene.traits.turning
-    observed = [o for entry in file.experiment for o in entry.observe]
+    # What contacts do above the reading at rest does not know its zero.
+    observed = [o for entry in file.experiment for o in entry.observe if not entry.events]
     unasked = [n for n in dict.fromkeys(sensor.unasked(observed)) if n not in stated] if measured else []
     if "force_offset" in stated and len(units_of(observed)) == 1:
         unasked = [n for n in unasked if n not in OFFSETS.values()]
@@ -336,18 +339,30 @@ def _experiment(
             tolerances[name] = tolerance
     memory = stated.correlation(entry.correlation, f"{where} correlation")
     channels = []
+    features, times = (
+        stated.features(entry.features, entry.feature_noise, where),
+        record.times if record else np.zeros(0),
+    )
+    span = None if entry.span is None else quantity(entry.span, "s", f"{where} span")
+    if entry.events and not record:
+        raise InputError(f"{where} events", "nothing is observed", 'give observe = { "contact.normal" = "force [N]" }')
     for observes, reading in record.readings.items() if record else ():
         sigma, relative, jitter = stated.noise(entry.noise, observes, reading.values, f"{where} noise")
+        if entry.events:
+            if jitter:
+                raise InputError(f"{where} noise", "a clock that jitters", "state the noise of the reading for events")
+            features += trains.observations(observes, times, reading.values, sigma, relative)
+            continue
         channels.append(Channel(observes, reading.values, sigma, relative, memory, jitter))
     return Experiment(
         name=record.name if record else entry.name or where.rpartition(": ")[2],
-        times=record.times if record else np.zeros(0),
+        times=times if channels else np.zeros(0),
         channels=tuple(channels),
         hold_out=_held_out(entry, record),
         fixed=fixed,
         source=record.source if record else where,
-        features=stated.features(entry.features, entry.feature_noise, where),
-        span=None if entry.span is None else quantity(entry.span, "s", f"{where} span"),
+        features=features,
+        span=float(times[-1]) if entry.events and span is None else span,
         tolerances=tolerances,
         bounds={one(name): _pair(name, pair, where, known, one) for name, pair in entry.bounds.items()},
     )

@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bcfj_jax import InputError, nearest
-from bcfj_jax.analysis.derivatives.names import UNITS, feature_unit
+from bcfj_jax import InputError
+from bcfj_jax.analysis.derivatives.names import feature_unit, kind_unit, nearest_kind
 from bcfj_jax.core.errors import clip
 from bcfj_jax.io.units import quantity
 from bcfj_jax.mechanism.channels import unit_of
@@ -98,8 +98,8 @@ def features(stated: dict[str, Any], deviation: object, where: str) -> tuple[Obs
     found = []
     for name, value in stated.items():
         kind = name.rpartition(".")[2]
-        if kind not in UNITS:
-            raise InputError(f"{where} features", f"no feature '{kind}'", nearest(kind, UNITS))
+        if kind_unit(kind) is None:
+            raise InputError(f"{where} features", f"no feature '{kind}'", nearest_kind(kind))
         number = quantity(value, feature_unit(name), f"{where} features.{name}")
         own = deviation.get(name) if isinstance(deviation, dict) else deviation
         if own is None:

@@ -29,8 +29,10 @@ from calibration.forward.observables import (
     ObservedFeatures,
     fine,
     grid,
+    is_single,
     measured,
     observed_features,
+    single,
     tabulated,
     through,
 )
@@ -183,11 +185,20 @@ class Model(eqx.Module):
             values = jnp.zeros(self.data.features.shape[1])
             if observed.names:
                 times, own = jnp.asarray(grid(observed)), {name: v[i] for name, v in chain.items()}
-                found, _ = histories(self.scene, {name: v[i] for name, v in table.items()}, times, self.how)
+                params = {name: v[i] for name, v in table.items()}
+                ones = np.array([is_single(name) for name in observed.names])
+                if ones.any():
+                    each = single(self.scene, params, observed, self.how, own)
+                    values = values.at[: len(observed.names)].set(each)
+                if ones.all():
+                    rows.append(values)
+                    continue
+                found, _ = histories(self.scene, params, times, self.how)
                 flat = found.force.reshape(times.size, -1)
                 force = through(own, times, flat, own["force_offset"]).reshape(found.force.shape)
                 seen = Histories(force, found.penetration, found.rate, None)
-                values = values.at[: len(observed.names)].set(measured(self.scene, observed, seen))
+                whole = measured(self.scene, observed, seen)
+                values = values.at[: len(observed.names)].set(jnp.where(ones, values[: len(ones)], whole))
             rows.append(values)
         return jnp.stack(rows) if rows else jnp.zeros(self.data.features.shape)
 

@@ -13,10 +13,16 @@ from jax import Array
 from bcfj_jax.analysis import histories as comparison
 from bcfj_jax.analysis.derivatives.jacobian import Histories, channel_names
 from bcfj_jax.analysis.derivatives.measures import vector
-from bcfj_jax.analysis.derivatives.names import feature, members
-from bcfj_jax.mechanism.model import AbstractModel
+from bcfj_jax.analysis.derivatives.names import event, feature, members
+from bcfj_jax.analysis.derivatives.trains import flat, train
+from bcfj_jax.core.status import OK
+from bcfj_jax.mechanism.model import AbstractModel, Params
+from bcfj_jax.solve.landing import solved
+from bcfj_jax.solve.plan import Plan
 from calibration.problem import Experiment
 
+# Single contacts are sought for so many times as long as they were measured: on the way to an optimum they come late.
+_LATER = 1.25
 # A delay is sought over so many times its measured size, both signs together, and over so many samples at least.
 _NEAR, _FEWEST = 2.5, 32
 
@@ -125,6 +131,44 @@ def measured(scene: AbstractModel, observed: ObservedFeatures, found: Histories)
                 _delay(times, found.force[:, :, 0], one.contacts, place, contacts, observed.about[k])
             )
     return values
+
+
+def single(
+    scene: AbstractModel, params: Params, observed: ObservedFeatures, how: Plan, own: Mapping[str, Array]
+) -> Array:
+    """The observed features of single contacts (F,), 0 for the others, as the record's clock and gain show them.
+
+    A contact that is not there, on the way to an optimum, has no peak, impulse and width, and is as late as the run ends.
+    """
+    wanted = [feature(name, scene.members) for name in observed.names]
+    channels = channel_names(scene.members)
+    asked = {
+        k: [(channels.index(m), found[1] - 1) for m in members(one.contacts[0], scene.members)]
+        for k, one in enumerate(wanted)
+        if (found := event(one.kind))
+    }
+    rows = sorted({pair for pairs in asked.values() for pair in pairs})
+    end = jnp.asarray(_LATER * observed.end)
+    contacts = solved(scene, jax.lax.stop_gradient(dict(params)), end[None], how, 1 + max(k for _, k in rows))[1]
+    marks = flat(contacts, *np.array(rows).T)
+    found, solution = train(scene, params, marks, end, how)
+    ran = solution.code == OK
+    values = jnp.zeros(len(wanted))
+    for k, pairs in asked.items():
+        kind = event(wanted[k].kind)[0]  # pyright: ignore[reportOptionalSubscript]
+        # A kind with a time of the record's clock, one of its readings, or neither.
+        late = kind in ("begin", "peak_time", "end", "center")
+        each = getattr(found, kind)[np.array([rows.index(pair) for pair in pairs])]
+        each = jnp.where(jnp.isfinite(each), each, jnp.where(ran, end if late else 0.0, jnp.nan))
+        value = jnp.max(each) if kind == "peak" else jnp.mean(each)
+        value = value + own["time_offset"] if late else value
+        values = values.at[k].set(own["gain"] * value if kind in ("peak", "impulse") else value)
+    return values
+
+
+def is_single(name: str) -> bool:
+    """Whether a feature is of a single contact."""
+    return event(name.rpartition(".")[2]) is not None
 
 
 def grid(observed: ObservedFeatures) -> np.ndarray:

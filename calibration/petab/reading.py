@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from bcfj_jax import InputError, nearest
-from bcfj_jax.analysis.derivatives.names import UNITS
+from bcfj_jax.analysis.derivatives.names import kind_unit
 from bcfj_jax.core.extras import library
 from bcfj_jax.io import scenefile
 from bcfj_jax.mechanism.channels import is_reading
@@ -222,7 +222,7 @@ class _Reader:
             raise InputError(str(self.path), f"no observable '{observable}'", nearest(observable, self.observables))
         formula = self.observables[observable].formula
         names = {s: self.name(str(s)) for s in formula.free_symbols}
-        outputs = [s for s, name in names.items() if is_reading(name) or name.rpartition(".")[2] in UNITS]
+        outputs = [s for s, name in names.items() if is_reading(name) or kind_unit(name.rpartition(".")[2])]
         right = 'write gain * output + force_offset, with the output mapped to "contact.normal" or the like'
         if len(outputs) != 1 or not formula.is_polynomial(outputs[0]):
             raise InputError(where, f"the formula '{formula}'", right)

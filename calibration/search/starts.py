@@ -173,7 +173,8 @@ def reference_depth(model: Model, points: Iterable[np.ndarray], log_depth: float
     if point is None:
         return log_depth
     params = params_at(model, point, log_depth)[0]
-    times = instants(model, 0, params["time_offset"], 0.0, float(model.data.times[0].max()))
+    last = max(float(model.data.times[0].max()), *(o.end for o in model.observed_features[:1]), 0.0)
+    times = instants(model, 0, params["time_offset"], 0.0, last)
     run = ran(loosened(model), params, times)
     force = np.concatenate([f[..., 0].ravel() for f in run.force.values()])
     depth = np.concatenate([d.ravel() for d in run.penetration.values()])

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from bcfj_jax.analysis.derivatives.jacobian import channel_names, histories
 from bcfj_jax.analysis.derivatives.measures import vector as feature_vector
-from bcfj_jax.analysis.derivatives.names import Feature, complete
+from bcfj_jax.analysis.derivatives.names import Feature, complete, event
 from bcfj_jax.analysis.derivatives.names import feature as named
 from bcfj_jax.analysis.derivatives.starting import START
 from bcfj_jax.core.errors import InputError, texts
@@ -58,7 +58,7 @@ def hessian_vector(
     contacts = scene.members
     (one,) = texts("feature", [feature], 'name one feature, such as "contact.mean"')
     wanted = named(one, contacts)
-    if wanted.kind in ("period", "delay", *START):
+    if wanted.kind in ("period", "delay", *START) or event(wanted.kind):
         raise InputError(f"feature '{feature}'", "no second derivatives", "take peak, mean, impulse or another")
     v = real("vector", "vector", vector)
     if v.shape != (len(names),) or not np.isfinite(v).all():

@@ -20,7 +20,7 @@ from bcfj_jax.analysis import features
 from bcfj_jax.analysis import histories as comparison
 from bcfj_jax.analysis.derivatives.certificate import apart
 from bcfj_jax.analysis.derivatives.jacobian import Histories, channel_names
-from bcfj_jax.analysis.derivatives.names import Feature, members
+from bcfj_jax.analysis.derivatives.names import Feature, event, members
 from bcfj_jax.analysis.derivatives.starting import START, of_members, starting
 from bcfj_jax.analysis.histories import correlations, crest_lags, shifts
 
@@ -67,6 +67,8 @@ def vector(
     def one(feature: Feature) -> Array:
         if feature.kind in ("period", *START):
             return jnp.asarray(0.0)  # filled in by ``measure``
+        if event(feature.kind):
+            return jnp.asarray(jnp.nan)  # of no history: ``contact_events``
         if feature.kind == "delay":
             first, second = (members(c, contacts) for c in feature.contacts)
             pairs = list(zip(first, second, strict=True)) if len(first) == len(second) else [(first[0], second[0])]
@@ -95,6 +97,8 @@ def measure(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Features (F,) and their derivatives (F, P) from histories and theirs. NumPy: nothing is compiled.
 
+    What is of a single contact (``names.event``) is in no history: NaN, filled in by ``contact_events.filled``.
+
     Args:
         times: (T,) [s].
         value, derivative: of a run.
@@ -111,6 +115,8 @@ def measure(
     even = _Even(times)
 
     def one(feature: Feature) -> tuple[float, np.ndarray]:
+        if event(feature.kind):
+            return float("nan"), np.full(len(derivative.force), np.nan)
         if feature.kind == "delay":
             first, second = (members(c, contacts) for c in feature.contacts)
             pairs = list(zip(first, second, strict=True)) if len(first) == len(second) else [(first[0], second[0])]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fnmatch
+import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -21,12 +22,45 @@ FEATURES = (
 UNITS: dict[str, str] = dict(zip((*FEATURES, "delay"), ("N", "N", "N s", "s", "J", "N", "1", "s"), strict=True))
 UNITS |= {"largest": "N", "ripple": "N"} | dict.fromkeys(START, "s")
 READING_FEATURES = ("largest", "mean")
+# Of one contact of a run, by its number: ``contact.begin_3`` (``contact_events``).
+EVENTS: dict[str, str] = {
+    "begin": "s",
+    "peak_time": "s",
+    "end": "s",
+    "peak": "N",
+    "impulse": "N s",
+    "center": "s",
+    "width": "s",
+}
+_EVENT = re.compile(rf"({'|'.join(EVENTS)})_([1-9][0-9]{{0,3}})")
+
+
+def event(kind: str) -> tuple[str, int] | None:
+    """A kind such as ``begin_3`` as ("begin", 3); None for what is of no single contact."""
+    found = _EVENT.fullmatch(kind)
+    return (found[1], int(found[2])) if found else None
+
+
+def kind_unit(kind: str) -> str | None:
+    """Unit of a kind of feature, with N for that of a reading; None for none that is known."""
+    one = event(kind)
+    return EVENTS[one[0]] if one else UNITS.get(kind)
+
+
+def nearest_kind(kind: str) -> str:
+    """A remedy for a kind that is not known: the nearest that is, with its number where it has one."""
+    plain, _, number = kind.rpartition("_")
+    known = [*UNITS, *(f"{name}_{number if plain and number.isdigit() and int(number) else 1}" for name in EVENTS)]
+    return nearest(kind, known)
 
 
 def feature_unit(name: str) -> str:
     """Unit of a feature by its name: a reading's own where it is of one, else of a force."""
     place, _, kind = name.rpartition(".")
-    return UNITS[kind].replace("N", unit_of(place)) if is_reading(place) else UNITS[kind]
+    unit = kind_unit(kind)
+    if unit is None:
+        raise KeyError(kind)
+    return unit.replace("N", unit_of(place)) if is_reading(place) else unit
 
 
 # Parameters that go by one name: patterns of their shared and of their contacts' own names.
@@ -63,7 +97,7 @@ def expanded(scene: AbstractModel, params: Params, wrt: Sequence[str]) -> tuple[
 
 
 class Feature(NamedTuple):
-    """One number of a run: its full name, its kind (of ``UNITS``) and the contact, or the pair, it is of."""
+    """One number of a run: its full name, its kind (of ``UNITS``, or an ``event``) and the contact, or the pair, it is of."""
 
     name: str
     kind: str
@@ -110,9 +144,9 @@ def feature(name: str, contacts: Mapping[str, int]) -> Feature:
         InputError: for what is not known, with the nearest that is.
     """
     place, _, kind = name.rpartition(".")
-    if kind not in UNITS or not place:
+    if kind_unit(kind) is None or not place:
         found = f"no feature '{kind}'" if place else f"'{name}' is not <contact>.<feature>"
-        raise InputError(f"feature '{name}'", found, nearest(kind, UNITS))
+        raise InputError(f"feature '{name}'", found, nearest_kind(kind))
     parts = tuple(place.split(":"))
     if len(parts) != (2 if kind == "delay" else 1):
         right = "write <first>:<second>.delay" if kind == "delay" else f"write <contact>.{kind}"
@@ -121,6 +155,8 @@ def feature(name: str, contacts: Mapping[str, int]) -> Feature:
     for part in parts:
         if part not in known:
             raise InputError(f"feature '{name}'", f"no contact '{part}'", nearest(part, known))
+        if event(kind) and is_reading(part):
+            raise InputError(f"feature '{name}'", f"'{part}' is a reading", "name a contact, such as contact.begin_1")
     return Feature(name, kind, parts)
 
 

@@ -165,7 +165,8 @@ def said(found: Sensitivity) -> str:
     if found.status != "ok":
         return f"The simulation failed at {format_si(found.failure_time, 's')}: {found.reason}."
     if found.certificate is None:
-        return " ".join(["Derivatives were not certified: nothing says how good they are.", *_of_steady(found)])
+        parts = ["Derivatives were not certified: nothing says how good they are.", *_missing(found)]
+        return " ".join([*parts, *_of_steady(found)])
     checks = found.certificate.parameters
     groups: dict[str, list[str]] = {}
     for name, check in checks.items():
@@ -182,7 +183,12 @@ def said(found: Sensitivity) -> str:
         if check.unchecked:
             unchecked.setdefault(check.unchecked, []).append(name)
     parts += [f"Of {', '.join(names)} {text}." for text, names in unchecked.items()]
-    return " ".join([*parts, *_of_steady(found)])
+    return " ".join([*parts, *_missing(found), *_of_steady(found)])
+
+
+def _missing(found: Sensitivity) -> list[str]:
+    """Why features of single contacts have no value."""
+    return [f"{name} has no value: {why}." for name, why in found.reasons.items()]
 
 
 def _counted(told: list[str]) -> str:

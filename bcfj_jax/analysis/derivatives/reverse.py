@@ -16,7 +16,7 @@ from bcfj_jax.analysis.derivatives.bounds import feature_bounds
 from bcfj_jax.analysis.derivatives.certificate import Certificate, Check
 from bcfj_jax.analysis.derivatives.jacobian import histories
 from bcfj_jax.analysis.derivatives.measures import vector
-from bcfj_jax.analysis.derivatives.names import Feature
+from bcfj_jax.analysis.derivatives.names import Feature, event
 from bcfj_jax.analysis.derivatives.starting import START
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.programs import program
@@ -43,11 +43,13 @@ def reversible(wanted: Sequence[Feature]) -> list[Feature]:
     Raises:
         InputError: where there is none.
     """
-    good = [f for f in wanted if f.kind not in ("period", "delay", *START)]
+    good = [f for f in wanted if f.kind not in ("period", "delay", *START) and not event(f.kind)]
     if not good:
         found = ", ".join(f.name for f in wanted)
         raise InputError(
-            "features", found, "periods, delays and times of a start are differentiated with mode='forward'"
+            "features",
+            found,
+            "periods, delays, times of a start and single contacts are differentiated with mode='forward'",
         )
     return good
 

@@ -11,13 +11,14 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from bcfj_jax.analysis.derivatives import certificate as verdicts
-from bcfj_jax.analysis.derivatives.bounds import Budget, Climb, bounded, climb, feature_bounds, safer, target
+from bcfj_jax.analysis.derivatives.bounds import APART, Budget, Climb, bounded, climb, feature_bounds, safer, target
 from bcfj_jax.analysis.derivatives.certificate import Certificate, Check, Comparison
+from bcfj_jax.analysis.derivatives.contact_events import TIGHTER, check_followed, filled
 from bcfj_jax.analysis.derivatives.differences import against, scales
 from bcfj_jax.analysis.derivatives.differences import direction as random_direction
 from bcfj_jax.analysis.derivatives.jacobian import Histories, Level, forces
 from bcfj_jax.analysis.derivatives.measures import measure, sampling
-from bcfj_jax.analysis.derivatives.names import Feature, complete, default_features
+from bcfj_jax.analysis.derivatives.names import Feature, complete, default_features, event
 from bcfj_jax.analysis.derivatives.names import feature as named
 from bcfj_jax.analysis.derivatives.norms import norm
 from bcfj_jax.analysis.derivatives.reverse import Gradient, gradient, reversed_certificate, reversible
@@ -66,6 +67,7 @@ class Sensitivity(NamedTuple):
         stats: steps, tolerance, wall_s and compile_s of all solves with derivatives, levels.
         steady: of the motion that the run settles to, where that was asked for and the model knows its pitch.
         values: of the parameters of ``wrt`` [SI], at which the derivatives are taken.
+        reasons: by name, why a feature of a single contact is NaN.
     """
 
     times: Float[np.ndarray, " T"]
@@ -81,6 +83,7 @@ class Sensitivity(NamedTuple):
     stats: dict[str, float]
     steady: Steady | None = None
     values: dict[str, float] = {}
+    reasons: dict[str, str] = {}
 
     _view = "bcfj_jax.analysis.derivatives.view"
     __repr__ = presented.text
@@ -119,7 +122,8 @@ def sensitivity(
         scene, params, times, accuracy, max_steps: as ``simulate``.
         wrt: names of parameters; a contact's own (``seat_ball.stiffness``) starts from the shared value.
         features: names as ``seat_ball.peak``, ``seat_ball_2.mean``, ``seat_ball:head_ball.delay``; by default every
-            feature of every contact. A reading's feature is ``slider.acceleration.x.peak`` (``mechanism.channels``).
+            feature of every contact. Of a single contact: ``contact.begin_3`` (``contact_events``). A reading's feature
+            is ``slider.acceleration.x.peak`` (``mechanism.channels``).
         average: width of the certificate's moving average [s], at most a tenth of the horizon.
         mode: "forward" for histories and features; "reverse" for features alone, without periods and delays, by a
             program compiled per times and features too; "auto": reverse from 51 parameters.
@@ -148,6 +152,8 @@ def sensitivity(
         remedy = "name features of readings, such as a body's: <body>.place.x.largest"
         raise InputError("features", f"scene '{scene.kind}' has no contact to take features of", remedy)
     wanted = [named(name, contacts) for name in asked] or default_features(contacts)
+    if any(event(f.kind) for f in wanted):
+        check_followed(scene)
     for what, value, known in (("mode", mode, MODES), ("differences", differences, DIFFERENCES)):
         if value not in known:
             raise InputError(what, f"no {what} {quoted(value)}", nearest(value, known))
@@ -173,6 +179,8 @@ def sensitivity(
     last = climbed.last
     turning = scene.traits.turning
     numbers, slopes = measure(t, last.value, last.derivative, wanted, contacts, turning)
+    # What is of single contacts comes from runs of its own.
+    single = filled(scene, full, t[-1], names, how, wanted, numbers, slopes, TIGHTER)
     failed = last.code != OK
     found = Sensitivity(
         t,
@@ -194,6 +202,7 @@ def sensitivity(
             "levels": len(climbed.levels),
         },
         values={name: float(full[name]) for name in names},
+        reasons=single,
     )
     if steady and not failed:
         end = last.value.state[-1] * np.asarray(last.scale)
@@ -201,6 +210,8 @@ def sensitivity(
     if not certify:
         return found
     tighter = [measure(t, r.value, r.derivative, wanted, contacts, turning)[1] for r in climbed.beside or ()]
+    for by in tighter:
+        filled(scene, full, t[-1], names, how, wanted, numbers.copy(), by, TIGHTER / APART[False])
     agree = feature_bounds([slopes, *tighter], numbers, values) if tighter else np.full(slopes.shape, np.inf)
     agree = agree + sampling(t, last.value, last.derivative, wanted, contacts, values)
     if found.steady is not None:

@@ -23,7 +23,7 @@ from jax import Array
 
 from bcfj_jax.analysis.derivatives.jacobian import Histories, channel_names
 from bcfj_jax.analysis.derivatives.measures import vector
-from bcfj_jax.analysis.derivatives.names import UNITS, Feature, feature, feature_unit, members
+from bcfj_jax.analysis.derivatives.names import Feature, event, feature, feature_unit, kind_unit, members
 from bcfj_jax.analysis.derivatives.starting import START
 from bcfj_jax.core.errors import InputError, quoted, texts
 
@@ -98,13 +98,16 @@ def objective(
 def unit_of(name: str) -> str:
     """Unit of a feature by its name."""
     kind = name.rpartition(".")[2]
-    return feature_unit(name) if kind in UNITS else OWN[kind]
+    return feature_unit(name) if kind_unit(kind) else OWN[kind]
 
 
 def _feature(name: str, contacts: Mapping[str, int]) -> Feature:
     place, _, kind = name.rpartition(".")
     if kind in _NOT:
         raise InputError(f"feature '{name}'", f"a {kind} has no derivative in a batch", "take another feature")
+    if event(kind):
+        found = "a single contact may vanish on the way, and the objective with it"
+        raise InputError(f"feature '{name}'", found, "take a feature of the whole run, such as peak or impulse")
     if kind in OWN:
         return Feature(name, kind, feature(f"{place}.peak", contacts).contacts)
     return feature(name, contacts)

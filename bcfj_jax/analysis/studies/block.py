@@ -18,9 +18,10 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.analysis.derivatives import batch as derivatives
+from bcfj_jax.analysis.derivatives.contact_events import TIGHTER, filled
 from bcfj_jax.analysis.derivatives.jacobian import Histories, level
 from bcfj_jax.analysis.derivatives.measures import measure
-from bcfj_jax.analysis.derivatives.names import complete, members
+from bcfj_jax.analysis.derivatives.names import complete, event, members
 from bcfj_jax.analysis.simulation.results import resolved
 from bcfj_jax.analysis.studies.batch import Batch, has_history, run
 from bcfj_jax.analysis.studies.specification import Study
@@ -185,9 +186,10 @@ def _run(study: Study, values: np.ndarray, last: np.ndarray, grid: np.ndarray, s
     how = eqx.tree_at(lambda h: h.tolerance, how, how.tolerance * safety)
     if study.steady:
         return of_steady(study, values, last, how, size)
-    if study.derivatives and derivatives.possible(scene, how):
+    single = any(event(f.kind) for f in study.features)
+    if study.derivatives and not single and derivatives.possible(scene, how):
         return _with_derivatives(study, values, last, grid, how, size)
-    if study.derivatives or given.solver is not None or given.resolved_peaks or scene.traits.open:
+    if study.derivatives or single or given.solver is not None or given.resolved_peaks or scene.traits.open:
         return _one_by_one(study, values, last, grid, safety)
     how = Plan(how.tolerance, given.max_steps)
     return run(scene, study.params(values), last, grid, study.features, how, size, study.histories)
@@ -220,8 +222,8 @@ def _row(study: Study, times: np.ndarray, value: Histories, slopes: Histories) -
 
 
 def _one_by_one(study: Study, values: np.ndarray, last: np.ndarray, grid: np.ndarray, safety: float) -> Batch:
-    """As ``batch.run``, for what has no batch: a solver of one's own, a level to be chosen, tangents that have a say
-    in the steps (``derivatives.batch.possible``).
+    """As ``batch.run``, for what has no batch: a solver of one's own, a level to be chosen, features of single contacts,
+    tangents that have a say in the steps (``derivatives.batch.possible``).
     """
     given = study.given
     scene, contacts, params = given.scene, given.scene.members, study.params(values)
@@ -249,12 +251,16 @@ def _one_by_one(study: Study, values: np.ndarray, last: np.ndarray, grid: np.nda
             value, slopes = (Histories(read[0], read[1], read[2], None), _no_slopes(read))
             why, stop = single.reason, single.failure_time
             steps = int(single.stats["accepted"] + single.stats["rejected"])
-        row = _row(study, times, value, slopes)
+        numbers, by = measure(times, value, slopes, study.features, contacts, scene.traits.turning)
+        full, wrt = complete(scene, one, study.derivatives) if study.derivatives else (one, ())
+        finer = plan(scene, given.accuracy, given.max_steps)
+        filled(scene, full, float(end), wrt, finer, study.features, numbers, by, safety * TIGHTER)
         if given.resolved_peaks and not study.derivatives:
             peaks = {name: x["peak"] for name, x in resolved(single).items()}
             of_peak = {k: f for k, f in enumerate(study.features) if f.kind == "peak" and peaks}
             for k, f in of_peak.items():
-                row[k] = max(peaks[name] for name in members(f.contacts[0], contacts))
+                numbers[k] = max(peaks[name] for name in members(f.contacts[0], contacts))
+        row = np.concatenate([numbers, by.ravel()])
         rows.append((np.full_like(row, np.nan) if why else row, why, stop, steps, value.force))
     features, whys, stop, steps, force = zip(*rows, strict=True)
     return Batch(np.array(features), list(whys), np.array(stop), np.array(steps), 0, np.array(force))

@@ -22,7 +22,8 @@ import numpy as np
 import pydantic
 from jax import Array
 
-from bcfj_jax.analysis.derivatives.names import Feature, complete, expanded, feature
+from bcfj_jax.analysis.derivatives.contact_events import check_followed
+from bcfj_jax.analysis.derivatives.names import Feature, complete, event, expanded, feature
 from bcfj_jax.analysis.derivatives.steady import KINDS as OF_STEADY
 from bcfj_jax.analysis.studies.design import DEFAULTS, DRAWN, KINDS, SCALES, Axis, Options, block_length, number, points
 from bcfj_jax.core.errors import InputError, clip, nearest
@@ -189,6 +190,8 @@ def from_table(table: Mapping[str, Any], where: str = "study", beside: Path = Pa
     try:
         given = replace(given, scene=observing(given.scene, wanted))
         features = tuple(feature(name, given.scene.members) for name in wanted)
+        if any(event(one.kind) for one in features):
+            check_followed(given.scene)
         if slopes:
             complete(given.scene, given.params, slopes)
         if file.results.steady:

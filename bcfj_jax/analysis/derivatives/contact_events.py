@@ -1,0 +1,358 @@
+"""The verb ``contact_events``: trains of impacts, timing and shape apart, with derivatives and how good they are.
+
+Two passes: a run without derivatives finds the contacts; one with derivatives, which takes the same steps, is read at them
+(``trains``). Both land on contacts (``solve.landing``), which is why the level's own tolerance is enough: after 30 bounces at
+``balanced`` derivatives are right to some 1e-4, where a pointwise one is a spike. The same at a sixteenth of the tolerance
+gives the result, and their difference how far it may be off.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+from jaxtyping import Float
+
+from bcfj_jax.analysis.derivatives.jacobian import channel_names
+from bcfj_jax.analysis.derivatives.names import EVENTS, Feature, complete, event, members
+from bcfj_jax.analysis.derivatives.names import feature as named
+from bcfj_jax.analysis.derivatives.trains import PHASES, Marks, flat, train
+from bcfj_jax.core.errors import InputError, texts
+from bcfj_jax.core.programs import program
+from bcfj_jax.core.quantities import increasing
+from bcfj_jax.core.status import OK, reason
+from bcfj_jax.mechanism import inputs
+from bcfj_jax.mechanism.model import AbstractModel, Params
+from bcfj_jax.solve.plan import MAX_STEPS, Plan, check_bits, plan
+
+# Contacts of a channel that are looked at, and of a run.
+MOST, _ALL = 128, 1024
+# The run that is taken is so much tighter than the one that it is compared with.
+TIGHTER = 1.0 / 16.0
+# An impulse of so uneven a force is not known; and a peak whose tilt would change the force by this share over the contact.
+_UNEVEN, _TILTED = 1e-3, 1e-6
+_INTEGRATED = ("impulse", "center", "width")
+
+
+class ContactTrain(NamedTuple):
+    """The contacts of one channel, or their derivatives by a parameter, per SI unit; NaN where there is none.
+
+    Attributes:
+        begin, peak_time, end: (K,) [s]; peak, impulse: (K,) of the normal force's size [N], [N s].
+        center, width: (K,) mean and deviation of the time, weighed by the force [s].
+        force: (K, N) normal force at the phases, on a clock that moves with the contact [N].
+        pointwise: (K, N) the same at fixed times.
+    """
+
+    begin: Float[np.ndarray, " K"]
+    peak_time: Float[np.ndarray, " K"]
+    end: Float[np.ndarray, " K"]
+    peak: Float[np.ndarray, " K"]
+    impulse: Float[np.ndarray, " K"]
+    center: Float[np.ndarray, " K"]
+    width: Float[np.ndarray, " K"]
+    force: Float[np.ndarray, "K N"]
+    pointwise: Float[np.ndarray, "K N"]
+
+
+class ContactEvents(NamedTuple):
+    """What ``contact_events`` found.
+
+    Attributes:
+        wrt: names of the parameters.
+        phases: (N,) at which forces are given, 0 at a contact's begin and 1 at its end.
+        trains: by channel (``contact``, ``seat_ball_2``) its contacts.
+        derivative: by parameter and channel.
+        apart: by parameter and channel, how far the derivatives of begin to width (7, K) are from
+            those at a tolerance 16 times as large, as a share; 0.01 % of the number per 1 % of the parameter counts as
+            least.
+        features: value by name (``contact.begin_3``), those asked for or all.
+        feature_derivatives: by parameter and name.
+        reasons: by name of a feature, why it is NaN; nothing for the others.
+        counts: by channel, how many contacts began within the run.
+        status, reason, failure_time: as ``Run``.
+        stats: steps, tolerance, wall_s and compile_s.
+    """
+
+    wrt: tuple[str, ...]
+    phases: Float[np.ndarray, " N"]
+    trains: dict[str, ContactTrain]
+    derivative: dict[str, dict[str, ContactTrain]]
+    apart: dict[str, dict[str, np.ndarray]]
+    features: dict[str, float]
+    feature_derivatives: dict[str, dict[str, float]]
+    reasons: dict[str, str]
+    counts: dict[str, int]
+    status: str
+    reason: str
+    failure_time: float
+    stats: dict[str, float]
+
+
+class Solved(NamedTuple):
+    """M contacts at one tolerance: their channels and numbers, values and derivatives by parameter, how the run ended."""
+
+    channel: np.ndarray
+    number: np.ndarray
+    value: Any
+    derivative: Any
+    counts: np.ndarray
+    code: int
+    end: float
+    accepted: int
+    rejected: int
+    wall_s: float
+    compile_s: float
+
+
+def contact_events(
+    scene: AbstractModel,
+    params: Params,
+    times: Float[ArrayLike, " T"],
+    wrt: Sequence[str] = (),
+    *,
+    accuracy: str | float = "balanced",
+    features: Sequence[str] = (),
+    max_steps: int = MAX_STEPS,
+) -> ContactEvents:
+    """When the contacts of a run begin, peak and end, their peaks, impulses and shapes, with derivatives.
+
+    Not of a model whose solver is implicit (the joint), nor of one without a history.
+
+    Args:
+        scene, params, accuracy, max_steps: as ``simulate``.
+        times: (T,) [s] of which the last is the run's end.
+        wrt: names of parameters, groups or patterns, as of ``sensitivity``; none for values alone.
+        features: names such as ``contact.begin_3`` or ``seat_ball_2.peak_1``; by default all of every contact.
+
+    Raises:
+        InputError: for names that are not known, with the nearest, for times that are not right, and for a scene whose
+            contacts cannot be followed.
+    """
+    check_bits()
+    t = increasing(times)
+    params = inputs.parameters(inputs.model(scene), params, traced=False)
+    scene.check(params)
+    scene = scene.suited(params, float(t[-1]))
+    full, names = complete(scene, params, wrt) if len(wrt) else (dict(params), ())
+    asked = [
+        named(name, scene.members) for name in texts("features", features, 'name features, such as "contact.begin_1"')
+    ]
+    for one in asked:
+        if event(one.kind) is None:
+            raise InputError(
+                f"feature '{one.name}'", "is of no single contact", f"use one of {', '.join(EVENTS)} with a number"
+            )
+    loose = solved_at(scene, full, t[-1], names, plan(scene, accuracy, max_steps), asked)
+    tight = solved_at(scene, full, t[-1], names, plan(scene, accuracy, max_steps), asked, TIGHTER)
+    return _presented(scene, full, t[-1], names, asked, loose, tight, max_steps)
+
+
+def check_followed(scene: AbstractModel) -> None:
+    """Refuse a scene whose contacts cannot be followed.
+
+    Raises:
+        InputError: for a model without a history or contacts, and for one whose solver is implicit.
+    """
+    traits, where = scene.traits, f"scene '{scene.kind}'"
+    if not scene.members:
+        raise InputError(where, "has no contact", "contacts' begins, peaks and ends need one")
+    if traits.open or not traits.history:
+        raise InputError(where, "has no history of its own", "contacts' begins, peaks and ends need a motion")
+    if traits.stiff:
+        found = "is solved by implicit steps, which do not end on contacts"
+        raise InputError(where, found, "take features of its history, such as <contact>.peak, .impulse or .onset")
+
+
+def solved_at(
+    scene: AbstractModel, params: Params, end: float, wrt: tuple[str, ...], how: Plan, asked: Sequence[Feature],
+    tighter: float = 1.0,
+) -> Solved:  # fmt: skip
+    """The contacts that features ask for (all for none), at a share of the plan's tolerance; see ``contact_events``."""
+    check_followed(scene)
+    tolerance: Any = np.asarray(float(how.tolerance) * tighter)
+    how = Plan(tolerance, how.max_steps)
+    channels = channel_names(scene.members)
+    wanted = {(channels.index(m), event(f.kind)[1] - 1) for f in asked for m in members(f.contacts[0], scene.members)}  # pyright: ignore[reportOptionalSubscript]
+    most = MOST if not wanted else 1 << max(3, max(k for _, k in wanted).bit_length())
+    arguments: tuple = (dict(params), np.asarray(float(end)), how)
+    find, compile_s = program("contacts", _found, (scene, most), arguments)
+    begin = time.perf_counter()
+    found = find(*arguments)
+    wall = time.perf_counter() - begin
+    counts = np.asarray(found.count)
+    pairs = sorted(wanted) or [(c, k) for c in range(len(channels)) for k in range(min(int(counts[c]), MOST))]
+    if len(pairs) > _ALL:
+        raise InputError("features", f"{len(pairs)} contacts", f"name those that are wanted, {_ALL} at most")
+    # One program serves runs with about as many contacts.
+    places = 1 << max(2, math.ceil(math.log2(max(len(pairs), 1))))
+    rows = np.array([*pairs, *[(0, most)] * (places - len(pairs))])
+    marks = Marks(*map(np.asarray, flat(found, rows[:, 0], rows[:, 1])))  # pyright: ignore[reportArgumentType]
+    given: tuple = (dict(params), marks, np.asarray(float(end)), how)
+    solve, more = program("contact events", _solved, (scene, wrt), given)
+    begin = time.perf_counter()
+    slopes, value, (code, stop, accepted, rejected) = solve(*given)
+    wall += time.perf_counter() - begin
+    kept = slice(len(pairs))
+    value = type(value)(*(np.asarray(x)[kept] for x in value))
+    derivative = {name: type(value)(*(np.asarray(part[name])[kept] for part in slopes)) for name in wrt}
+    return Solved(
+        rows[kept, 0], rows[kept, 1], value, derivative, counts, int(code), float(stop), int(accepted), int(rejected),
+        wall, compile_s + more,
+    )  # fmt: skip
+
+
+def _found(scene: AbstractModel, most: int, params: dict, end: Array, how: Plan) -> Any:
+    """The first ``most`` contacts of every channel."""
+    from bcfj_jax.solve.landing import solved  # With diffrax, which a kept program needs not.
+
+    return solved(scene, params, end[None], how, most)[1]
+
+
+def _solved(scene: AbstractModel, wrt: tuple[str, ...], params: dict, marks: Marks, end: Array, how: Plan) -> Any:
+    """Derivatives of the train by name, the train, and how the run ended. By shares, as ``jacobian`` has it."""
+    sizes = {name: jnp.where(params[name] == 0.0, 1.0, jnp.abs(params[name])) for name in wrt}
+
+    def at(shares: dict) -> tuple:
+        moved = {name: params[name] + sizes[name] * shares[name] for name in wrt}
+        found, end_of = train(scene, {**params, **moved}, marks, end, how)
+        return found, (found, (end_of.code, end_of.end, end_of.accepted, end_of.rejected))
+
+    if not wrt:
+        found, (_, rest) = at({})
+        return (), found, rest
+    slopes, (found, rest) = jax.jacfwd(at, has_aux=True)(dict.fromkeys(wrt, jnp.zeros(())))
+    return type(found)(*({n: part[n] / sizes[n] for n in wrt} for part in slopes)), found, rest
+
+
+def filled(
+    scene: AbstractModel, params: Params, end: float, wrt: tuple[str, ...], how: Plan, wanted: Sequence[Feature],
+    values: np.ndarray, slopes: np.ndarray, tighter: float = 1.0,
+) -> dict[str, str]:  # fmt: skip
+    """Put what is of single contacts into features (F,) and derivatives (F, P); by name, why one is NaN."""
+    own = [i for i, f in enumerate(wanted) if event(f.kind)]
+    if not own:
+        return {}
+    asked = [wanted[i] for i in own]
+    found = solved_at(scene, params, end, wrt, how, asked, tighter)
+    values[own], slopes[own] = numbers(scene, found, asked)
+    return {f.name: text for f in asked if (text := why(scene, found, f))}
+
+
+def numbers(scene: AbstractModel, found: Solved, asked: Sequence[Feature]) -> tuple[np.ndarray, np.ndarray]:
+    """Features (F,) of contacts and their derivatives (F, P); the mean of members, of peaks the largest."""
+    channels = channel_names(scene.members)
+    where = {pair: i for i, pair in enumerate(zip(found.channel.tolist(), found.number.tolist(), strict=True))}
+    values, slopes = np.full(len(asked), np.nan), np.full((len(asked), len(found.derivative)), np.nan)
+    for i, one in enumerate(asked):
+        kind, number = event(one.kind)  # pyright: ignore[reportGeneralTypeIssues]
+        rows = [where[channels.index(m), number - 1] for m in members(one.contacts[0], scene.members)]
+        each = getattr(found.value, kind)[rows]
+        by = np.stack([getattr(d, kind)[rows] for d in found.derivative.values()], -1) if found.derivative else None
+        pick = slice(int(np.argmax(each)), int(np.argmax(each)) + 1) if kind == "peak" else slice(None)
+        # One reason for a value and its derivatives.
+        good = not why(scene, found, one)
+        values[i] = np.mean(each[pick]) if good else np.nan
+        if by is not None and good:
+            slopes[i] = np.mean(by[pick], axis=0)
+    return values, slopes
+
+
+def why(scene: AbstractModel, found: Solved, one: Feature) -> str:
+    """Why a feature of a contact is NaN; "" where it is not."""
+    channels = channel_names(scene.members)
+    kind, number = event(one.kind)  # pyright: ignore[reportGeneralTypeIssues]
+    for member in members(one.contacts[0], scene.members):
+        channel = channels.index(member)
+        if text := _why(found, channel, number, kind, member):
+            return text
+    return ""
+
+
+def _why(found: Solved, channel: int, number: int, kind: str, name: str) -> str:
+    if found.code != OK and not number <= found.counts[channel]:
+        return f"the run failed at {found.end:.6g} s"
+    if number > found.counts[channel]:
+        many = int(found.counts[channel])
+        return f"{name} has {many or 'no'} contact{'' if many == 1 else 's'} until the run's end"
+    row = int(np.flatnonzero((found.channel == channel) & (found.number == number - 1))[0])
+    v = found.value
+    if kind in ("begin", *_INTEGRATED) and not np.isfinite(v.begin[row]):
+        return "it was closed at the start"
+    if kind in ("end", *_INTEGRATED) and not np.isfinite(v.end[row]):
+        return "it lasts beyond the run's end" if found.code == OK else f"the run failed at {found.end:.6g} s"
+    if kind in _INTEGRATED and not v.unsure[row] <= _UNEVEN:
+        return f"its force is too uneven for {len(PHASES)} points: they give its impulse to {v.unsure[row]:.1g}"
+    if kind in ("peak", "peak_time"):
+        length = np.sqrt(2.0 * v.peak[row] / max(-v.bend[row], 1e-300))
+        if not (v.bend[row] < 0 and abs(v.tilt[row]) * length <= _TILTED * v.peak[row]):
+            return "its force has no smooth peak"
+    return "" if np.isfinite(getattr(v, kind)[row]) else "it is not finite: the contact begins or ends without speed"
+
+
+def _presented(
+    scene: AbstractModel, params: Mapping[str, Any], end: float, wrt: tuple[str, ...], asked: Sequence[Feature],
+    loose: Solved, tight: Solved, max_steps: int,
+) -> ContactEvents:  # fmt: skip
+    channels = channel_names(scene.members)
+    wanted = list(asked) or [
+        Feature(f"{channels[c]}.{kind}_{k + 1}", f"{kind}_{k + 1}", (channels[c],))
+        for c, k in zip(tight.channel, tight.number, strict=True)
+        for kind in EVENTS
+    ]
+    values, slopes = numbers(scene, tight, wanted)
+    reasons = {f.name: text for f in wanted if (text := why(scene, tight, f))}
+    used = sorted({channels[c] for c in tight.channel}, key=channels.index)
+    trains = {name: _train(tight, channels.index(name), tight.value) for name in used}
+    by = {p: {name: _train(tight, channels.index(name), tight.derivative[p]) for name in used} for p in wrt}
+    apart = {p: {name: _apart(loose, tight, channels.index(name), p, float(params[p])) for name in used} for p in wrt}
+    failed = tight.code != OK
+    return ContactEvents(
+        wrt, PHASES.copy(), trains, by, apart,
+        {f.name: float(x) for f, x in zip(wanted, values, strict=True)},
+        {p: {f.name: float(slopes[i, k]) for i, f in enumerate(wanted)} for k, p in enumerate(wrt)},
+        reasons, {name: int(n) for name, n in zip(channels, tight.counts, strict=True)},
+        "failed" if failed else "ok", reason(tight.code, max_steps), tight.end if failed else float("nan"),
+        {
+            "accepted": tight.accepted, "rejected": tight.rejected,
+            "wall_s": loose.wall_s + tight.wall_s, "compile_s": loose.compile_s + tight.compile_s,
+        },
+    )  # fmt: skip
+
+
+def _train(found: Solved, channel: int, of: Any) -> ContactTrain:
+    """One channel's contacts in their order, from 1 to the last that was looked at."""
+    own = np.flatnonzero((found.channel == channel) & (found.number < found.counts[channel]))
+    most = int(found.number[own].max(initial=-1)) + 1
+
+    def placed(values: np.ndarray) -> np.ndarray:
+        table = np.full((most, *values.shape[1:]), np.nan)
+        table[found.number[own]] = values[own]
+        return table
+
+    parts = (*(getattr(of, kind) for kind in EVENTS), of.force, of.fixed)
+    return ContactTrain(*map(placed, parts))
+
+
+def _apart(loose: Solved, tight: Solved, channel: int, parameter: str, value: float) -> np.ndarray:
+    """How far derivatives (7, K) at two tolerances are apart."""
+    from bcfj_jax.analysis.derivatives.certificate import apart
+
+    first, second, numbers = (
+        _train(s, channel, d)
+        for s, d in ((loose, loose.derivative[parameter]), (tight, tight.derivative[parameter]), (tight, tight.value))
+    )
+    rows = []
+    for k in range(len(EVENTS)):
+        a, b, n = first[k], second[k], numbers[k]
+        full = np.full(b.size, np.nan)
+        full[: min(a.size, b.size)] = a[: b.size]
+        rows.append(apart(full[:, None], b[:, None], n, np.array([value]))[:, 0])
+    return np.array(rows)

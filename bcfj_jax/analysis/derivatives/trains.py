@@ -1,0 +1,220 @@
+"""When contacts begin, peak and end, their peaks and impulses, and their forces on a clock that moves with them. Pure.
+
+Where impacts move in time the derivative of a force at a fixed time is a spike: the force's rate times the shift. Here both
+are apart. With penetration d, normal force F and a parameter p, at the instants of one contact:
+
+| what | definition | derivative |
+|---|---|---|
+| begin, end | d(t, p) = 0 | dt/dp = -(dd/dp)/(dd/dt) |
+| time of the peak | dF/dt = 0 | dt/dp = -(d2F/dp dt)/(d2F/dt2) |
+| peak | F there | dF/dp, since dF/dt = 0 |
+| impulse J | integral of F from begin to end | integral of dF/dp, and F dt/dp at both ends |
+| centre c, width w | integrals of t F/J, and of (t - c)^2 F/J, whose root is w | of their definitions |
+| shape | F at a phase s = (t - begin)/(end - begin) | dF/dp + (dF/dt) dt/dp, with dt/dp = (1 - s) dbegin/dp + s dend/dp |
+
+(The implicit function theorem; all partial derivatives by p are at fixed times.) A fixed phase and not a fixed time since the
+begin: in its phase a contact is a contact for all parameters, while at a fixed time near its end it may be over, and the
+derivative is then a spike there. Of a regularised contact d is the gap without regularisation.
+
+The integral is Clenshaw and Curtis's rule on ``NODES`` points, whose every second one gives its error.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from bcfj_jax.mechanism.model import AbstractModel, Params, Solution
+from bcfj_jax.solve.landing import Instants, look, solved
+from bcfj_jax.solve.plan import Plan
+
+NODES = 33
+# Newton steps to a peak, and Runge-Kutta steps along the motion in each.
+_STEPS, _PIECES = 4, 2
+
+
+class Marks(NamedTuple):
+    """Where M contacts are, of any channels: (M,) channel's number; begin, end and about the peak [s], NaN for none."""
+
+    channel: Array
+    begin: Array
+    end: Array
+    high: Array
+
+
+class Train(NamedTuple):
+    """M contacts; NaN where a contact is none, or does not begin or end within the run.
+
+    Attributes:
+        begin, peak_time, end: (M,) [s].
+        peak, impulse: (M,) of the normal force's size [N, N s].
+        center, width: (M,) of the force over time [s].
+        force: (M, NODES) normal force's size at the phases ``PHASES`` [N]; its derivatives are on the moving clock.
+        fixed: the same numbers, with the derivatives at fixed times.
+        unsure: (M,) difference of the impulse to that by half of the points, as a share of it.
+        bend: (M,) second derivative of the force at the peak [N/s^2].
+        tilt: (M,) first derivative there [N/s]; not 0 at a peak that is none.
+    """
+
+    begin: Array
+    peak_time: Array
+    end: Array
+    peak: Array
+    impulse: Array
+    center: Array
+    width: Array
+    force: Array
+    fixed: Array
+    unsure: Array
+    bend: Array
+    tilt: Array
+
+
+def _rule(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Clenshaw and Curtis's points and weights on [0, 1], both ends among them; ``count`` odd."""
+    n = count - 1
+    angle = np.pi * np.arange(count) / n
+    k = np.arange(1, n // 2 + 1)
+    factor = np.where(2 * k == n, 1.0, 2.0) / (4.0 * k**2 - 1.0)
+    weights = (1.0 - np.cos(2.0 * np.outer(angle, k)) @ factor) * 2.0 / n
+    weights[[0, -1]] *= 0.5
+    return 0.5 * (1.0 - np.cos(angle)), 0.5 * weights
+
+
+PHASES, _WEIGHTS = _rule(NODES)
+_COARSE = np.zeros(NODES)
+_COARSE[::2] = _rule(NODES // 2 + 1)[1]
+
+
+def flat(found: Instants, channels: Array | np.ndarray, numbers: Array | np.ndarray) -> Marks:
+    """The contacts of given channels and numbers (M,), counted from 0; beyond what is known there is none."""
+
+    def of(table: Array) -> Array:
+        return jnp.asarray(table).at[channels, numbers].get(mode="fill", fill_value=jnp.nan)
+
+    return Marks(jnp.asarray(channels), of(found.begin), of(found.end), of(found.high))
+
+
+def train(model: AbstractModel, params: Params, marks: Marks, end: Array, how: Plan) -> tuple[Train, Solution]:
+    """The contacts at their marks, which a run until ``end`` [s] as planned has found (``landing.solved``).
+
+    ``jvp`` and ``jacfwd`` go through ``params``; a mark only says where to look.
+    """
+    marks = Marks(marks.channel, *map(jax.lax.stop_gradient, marks[1:]))
+    there = jnp.isfinite(marks.high)
+    start, stop = (
+        jnp.where(jnp.isfinite(marks.begin), marks.begin, 0.0),
+        jnp.where(jnp.isfinite(marks.end), marks.end, end),
+    )
+    grid = start[:, None] + (stop - start)[:, None] * PHASES
+    high = jnp.where(there, marks.high, end)
+    times = jnp.clip(jnp.concatenate([jnp.where(there[:, None], grid, end), high[:, None]], axis=1), 0.0, end)
+    order = jnp.argsort(times.ravel())
+    ordered, back = jnp.append(times.ravel()[order], end), jnp.argsort(order)
+
+    def run(ordered: Array) -> tuple[Array, Solution]:
+        solution, _ = solved(model, params, ordered, how, 1)
+        return solution.states, solution
+
+    # The steps move with the parameters, and what is read between them is the solver's polynomial: its own rate belongs to it,
+    # since a clock may move by a thousand contacts.
+    ticking = jnp.ones_like(ordered).at[-1].set(0.0)
+    states, rates, solution = jax.jvp(run, (ordered,), (ticking,), has_aux=True)
+    states, rates = (x[:-1][back].reshape(*times.shape, -1) for x in (states, rates))
+    prepared = model.prepare(params)
+
+    def one(mark: Marks, times: Array, states: Array, rates: Array) -> Train:
+        return _contact(model, prepared, mark, times, states, rates[:NODES])
+
+    found = jax.vmap(one)(marks, times, states, rates)
+    begun, ended = jnp.isfinite(marks.begin), jnp.isfinite(marks.end)
+    whole, nan = there & begun & ended, jnp.nan
+    known = Train(
+        begun, there, ended, there, whole, whole, whole, whole[:, None], whole[:, None], whole, there, there,
+    )  # fmt: skip
+    return Train(*(jnp.where(k, x, nan) for k, x in zip(known, found, strict=True))), solution
+
+
+def _contact(model: AbstractModel, prepared: Params, mark: Marks, times: Array, states: Array, rates: Array) -> Train:
+    """One contact from its states at ``NODES`` times and near its peak (NODES + 1, n), and their rates (NODES, n)."""
+    fixed = jax.lax.stop_gradient
+
+    def read(t: Array, y: Array) -> tuple[Array, Array, Array]:
+        seen = look(model, t, y, prepared)
+        return seen.depth[mark.channel], seen.rate[mark.channel], jnp.abs(seen.force[mark.channel])
+
+    def field(t: Array, y: Array) -> Array:
+        return model.vector_field(t, y, prepared)
+
+    def tilt(t: Array, y: Array) -> Array:
+        return jax.jvp(lambda t, y: read(t, y)[2], (t, y), (jnp.ones_like(t), field(t, y)))[1]
+
+    @jax.jit  # Traced once for both of its places.
+    def bent(t: Array, y: Array) -> tuple[Array, Array]:
+        """First and second derivative of the force by time."""
+        return jax.jvp(tilt, (t, y), (jnp.ones_like(t), field(t, y)))
+
+    def crossed(k: int, there: Array) -> Array:
+        depth, rate, _ = read(times[k], states[k])
+        rate = fixed(rate)
+        # A surface that is touched without speed moves by anything.
+        return jnp.where(there, -depth / jnp.where(rate == 0, jnp.nan, rate), 0.0)
+
+    grid, nodes = times[:NODES], states[:NODES]
+    first, last = crossed(0, jnp.isfinite(mark.begin)), crossed(NODES - 1, jnp.isfinite(mark.end))
+    shifts = first + (last - first) * PHASES
+    along = nodes + shifts[:, None] * rates
+    force = jax.vmap(lambda t, y: read(t, y)[2])(grid + shifts, along)
+    length = grid[-1] + last - (grid[0] + first)
+    clock = grid - fixed(grid[0]) + shifts
+    share = _WEIGHTS * force / jnp.sum(_WEIGHTS * force)
+    center = jnp.sum(share * clock)
+    width = jnp.sqrt(jnp.sum(share * jnp.square(clock - center)))
+    impulse, rough = length * jnp.sum(_WEIGHTS * force), length * jnp.sum(_COARSE * force)
+    still = jax.vmap(lambda t, y: read(t, y)[2])(grid, nodes)
+
+    at, near = times[NODES], states[NODES]
+    shift = fixed(_to_peak(bent, field, at, fixed(near), fixed(grid[-1] - grid[0])))
+    top = _ahead(field, at, near, shift)
+    slope, curve = bent(at + shift, top)
+    curve = fixed(curve)
+    later = shift - slope / jnp.where(curve == 0, jnp.nan, curve)
+    peak = read(at + shift, top)[2]
+    unsure = jnp.abs(impulse - rough) / jnp.where(impulse == 0, jnp.nan, jnp.abs(impulse))
+    return Train(
+        grid[0] + first, at + later, grid[-1] + last, peak, impulse, grid[0] + center, width, force, still, unsure,
+        curve, slope,
+    )  # fmt: skip
+
+
+def _to_peak(bent, field, at: Array, near: Array, length: Array) -> Array:
+    """From a time near it to where the force's rate is 0 [s], by Newton's method, no further than a part of the contact."""
+    limit = 0.25 * length
+
+    def closer(_: int, shift: Array) -> Array:
+        y = _ahead(field, at, near, shift)
+        first, second = bent(at + shift, y)
+        # Where the force bends upward, up the slope.
+        step = jnp.where(second < 0, -first / jnp.where(second < 0, second, -1.0), jnp.sign(first) * 0.25 * limit)
+        return jnp.clip(shift + step, -limit, limit)
+
+    return jax.lax.fori_loop(0, _STEPS, closer, jnp.zeros_like(at))
+
+
+def _ahead(field, t: Array, y: Array, shift: Array) -> Array:
+    """The state a little later [s], by Runge and Kutta's method of order 4."""
+    h = shift / _PIECES
+
+    def piece(k: int, y: Array) -> Array:
+        now = t + k * h
+        a = field(now, y)
+        b = field(now + 0.5 * h, y + 0.5 * h * a)
+        c = field(now + 0.5 * h, y + 0.5 * h * b)
+        d = field(now + h, y + h * c)
+        return y + h / 6.0 * (a + 2.0 * (b + c) + d)
+
+    return jax.lax.fori_loop(0, _PIECES, piece, y)

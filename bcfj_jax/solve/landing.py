@@ -1,0 +1,251 @@
+"""Explicit runs whose steps end where contacts begin and end, and what these contacts were.
+
+The field of a mechanism has a kink where a contact begins and where it ends. A step across a kink has an error that
+depends on the kink's place in the step: forces bear it, their derivatives do not (10 % after a bounce at ``balanced``).
+Here a step that would cross is taken again so that it ends on the surface. The pieces between are smooth, so that state and
+tangents converge with the solver's order. The force is 0 on the surface, the field is continuous, and tangents at fixed
+times pass through without a jump (a law whose force jumps has another derivative: ``Reading`` of its begin says so).
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from bcfj_jax.mechanism.model import AbstractModel, Params, Solution
+from bcfj_jax.solve.integrate import code_of, controller, problem
+from bcfj_jax.solve.plan import Plan
+
+# A step ends on the surface when it is this share of the tolerated error of a penetration from it.
+_NEAR = 1e-3
+_ROUNDING = 1e-15
+# A step is taken anew so many times at most, and ends beyond this share of the one that it replaces.
+_TRIES, _LEAST = 8, 1e-4
+# After a landing the next step is at least this share of the last free one.
+_AFTER = 0.05
+# A contact is left by steps of this share of what is left of it, down to this share of its length: of K d^n with n < 2 the
+# tangents of a step that ends near the surface are wrong by the step's length to the power n.
+_PART, _FINEST = 0.5, 3e-4
+# Pieces of a step in which its crossing is sought, and halvings of the piece.
+_PIECES, _HALVINGS = 16, 50
+
+
+class Instants(NamedTuple):
+    """Of each of C channels the first K contacts: (C, K) times [s], NaN for what there was not.
+
+    Attributes:
+        begin, end: when the penetration was 0; no begin of a contact that was closed at the start.
+        high: end of the step at which the normal force was greatest.
+        count: (C,) contacts that began (or were closed at the start), also those beyond K.
+    """
+
+    begin: Array
+    end: Array
+    high: Array
+    count: Array
+
+
+class _Look(NamedTuple):
+    """Penetration, its rate and normal force of each channel (C,)."""
+
+    depth: Array
+    rate: Array
+    force: Array
+
+
+class _Memory(NamedTuple):
+    """What the controller knows.
+
+    Attributes:
+        inner: the inner control's state.
+        before: the step's start.
+        inside: (C,) which channels touch.
+        found: contacts so far.
+        tries: in a row to end on a surface.
+        free: length of the step that first crossed it [s].
+        since: (C,) when each channel began to touch or not to [s].
+        high, top: (C,) when the force was greatest in this contact [s], and its size [N].
+    """
+
+    inner: Any
+    before: _Look
+    inside: Array
+    found: Instants
+    tries: Array
+    free: Array
+    since: Array
+    high: Array
+    top: Array
+
+
+def look(model: AbstractModel, t: Any, y: Array, prepared: Any) -> _Look:
+    """Every channel in one state, in the order of ``derivatives.jacobian.channel_names``."""
+    seen = model.observe(t, y, prepared)
+    rows = [
+        [jnp.ravel(x) for x in (r.penetration, r.rate, r.force[..., 0])]
+        for r in (seen[contact.name] for contact in model.contacts)
+    ]
+    return _Look(*(jnp.concatenate(part) for part in zip(*rows, strict=True)))
+
+
+class Landing(dfx.AbstractStepSizeController):
+    """A step control that also ends steps on surfaces, and notes when contacts begin and end.
+
+    The arguments of the field are (model, what it has prepared). ``near`` [m]: a step ends on a surface within it.
+    """
+
+    inner: dfx.AbstractStepSizeController
+    near: Array
+    most: int = eqx.field(static=True)
+
+    def wrap(self, direction):
+        """Forwards only."""
+        return Landing(self.inner.wrap(direction), self.near, self.most)
+
+    def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
+        """The inner control's first step; what touches at the start."""
+        first, inner = self.inner.init(terms, t0, t1, y0, dt0, args, func, error_order)
+        model, prepared = args
+        seen = look(model, t0, y0, prepared)
+        inside = (seen.depth > 0) | ((seen.depth == 0) & (seen.rate > 0) & (seen.force > 0))
+        empty = jnp.full((*seen.depth.shape, self.most), jnp.nan)
+        count = jnp.where(inside, 1, 0)
+        found, top = Instants(empty, empty, empty, count), jnp.where(inside, jnp.abs(seen.force), -jnp.inf)
+        none = jnp.zeros(seen.depth.shape)
+        return first, _Memory(inner, seen, inside, found, jnp.asarray(0), jnp.asarray(0.0), none, none, top)
+
+    def adapt_step_size(self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state):
+        """The inner control's decision; of a step that it keeps and that crosses, another one to the surface."""
+        memory = controller_state
+        keep, start, end, jump, inner, result = self.inner.adapt_step_size(
+            t0, t1, y0, y1_candidate, args, y_error, error_order, memory.inner
+        )
+        model, prepared = args
+        now, dt = look(model, t1, y1_candidate, prepared), t1 - t0
+        fixed = jax.lax.stop_gradient
+        # No nearer than the clock's rounding lets a step end.
+        close = fixed(jnp.maximum(self.near, _ROUNDING * jnp.abs(t1 * now.rate)))
+        near, heading = jnp.abs(now.depth) <= close, jnp.where(memory.inside, -now.rate, now.rate) > 0
+        beyond = jnp.where(memory.inside, -now.depth, now.depth) > 0
+        crossing = keep & beyond & ~near
+        share = jax.lax.cond(
+            jnp.any(crossing),
+            lambda: jnp.min(jnp.where(crossing, _crossing(memory.before, now, memory.inside, dt), 1.0)),
+            lambda: jnp.ones_like(dt),
+        )
+        again = jnp.any(crossing) & (memory.tries < _TRIES) & (share < 1.0)
+        turned, kept = keep & ~again & (beyond | (near & heading)), keep & ~again
+        landed = jnp.any(turned)
+        inside, free = memory.inside ^ turned, jnp.where(again, jnp.maximum(memory.free, fixed(dt)), memory.free)
+        since, size = jnp.where(turned, fixed(t1), memory.since), jnp.abs(now.force)
+        higher = kept & inside & (turned | (size > memory.top))
+        # To the surface; of a contact that ends, by ever shorter steps.
+        surface = jnp.maximum(share, _LEAST) * dt
+        finest = jnp.min(jnp.where(memory.inside & crossing, _FINEST * (fixed(t0) - memory.since), jnp.inf))
+        surface = jnp.where(surface > finest, _PART * surface, surface)
+        # A step that only ends a flight says nothing of the length of the next.
+        length = fixed(end - start)
+        length = jnp.where(landed, jnp.maximum(length, _AFTER * free), length)
+        leaving = kept & inside & ~turned & (now.rate < 0) & ~near
+        ahead = -now.depth / jnp.where(leaving, now.rate, -1.0)
+        ahead = jnp.maximum(_PART * ahead, _FINEST * (fixed(t1) - memory.since))
+        length = jnp.minimum(length, jnp.min(jnp.where(leaving, ahead, jnp.inf)))
+        start, end = jnp.where(again, t0, start), jnp.where(again, t0 + surface, start + length)
+        known = _Memory(
+            jax.tree.map(lambda a, b: jnp.where(again, a, b), memory.inner, inner),
+            _Look(*(jnp.where(kept, a, b) for a, b in zip(now, memory.before, strict=True))),
+            inside,
+            jax.lax.cond(landed, lambda: _noted(memory.found, fixed(t1), memory, turned), lambda: memory.found),
+            jnp.where(again, memory.tries + 1, jnp.where(keep, 0, memory.tries)),
+            jnp.where(landed, 0.0, free),
+            since,
+            jnp.where(higher, fixed(t1), memory.high),
+            jnp.where(higher, fixed(size), jnp.where(inside, memory.top, -jnp.inf)),
+        )
+        return kept, start, end, jump, known, result
+
+
+def _crossing(before: _Look, now: _Look, inside: Array, dt: Any) -> Array:
+    """Share of a step at which the Hermite cubic of the penetration crosses 0 (C,)."""
+    a, b, p, q = before.depth, now.depth, dt * before.rate, dt * now.rate
+    sign, fixed = jnp.where(inside, -1.0, 1.0), jax.lax.stop_gradient
+
+    def cubic(s: Array) -> Array:
+        return sign * (a + s * (p + s * (3 * (b - a) - 2 * p - q + s * (2 * (a - b) + p + q))))
+
+    def crossed(s: Array) -> Array:
+        return fixed(cubic(s)) > 0
+
+    ends = jnp.arange(1, _PIECES + 1) / _PIECES
+    first = jnp.argmax(jax.vmap(crossed, 0, 1)(ends[:, None] * jnp.ones_like(a)), axis=1)
+    bracket = first / _PIECES, (first + 1.0) / _PIECES
+
+    def halve(_: int, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
+        middle = 0.5 * (bracket[0] + bracket[1])
+        past = crossed(middle)
+        return jnp.where(past, bracket[0], middle), jnp.where(past, middle, bracket[1])
+
+    low, high = jax.lax.fori_loop(0, _HALVINGS, halve, bracket)
+    root = 0.5 * (low + high)
+    # Of a root that moves with the parameters: the last step of Newton's method.
+    slope = fixed(sign * (p + root * (2 * (3 * (b - a) - 2 * p - q) + 3 * root * (2 * (a - b) + p + q))))
+    return root - jnp.where(slope == 0, 0.0, cubic(root) / jnp.where(slope == 0, 1.0, slope))
+
+
+def _noted(found: Instants, t: Any, memory: _Memory, turned: Array) -> Instants:
+    """The contacts with those that began or ended at an instant [s]."""
+    begun, ended = turned & ~memory.inside, turned & memory.inside
+    count = found.count + begun
+    return Instants(
+        _put(found.begin, begun, count, t), _put(found.end, ended, count, t),
+        _put(found.high, ended, count, memory.high), count,
+    )  # fmt: skip
+
+
+def _put(table: Array, where: Array, count: Array, values: Any) -> Array:
+    """A table (C, K) with values in each channel's last contact; what has no place is dropped."""
+    most = table.shape[1]
+    place = jnp.where(where & (count > 0), count - 1, most)
+    return table.at[jnp.arange(count.size), place].set(values, mode="drop")
+
+
+def solved(model: AbstractModel, params: Params, times: Array, how: Plan, most: int) -> tuple[Solution, Instants]:
+    """States at ``times`` of a run that lands on its contacts, and their first ``most`` contacts a channel.
+
+    Pure; ``jvp`` and ``jacfwd`` go through. The steps do not depend on ``times`` but for their end.
+
+    Args:
+        model: a model that is not stiff and has a history.
+        params, how: as of ``integrate``.
+        times: (T,) not decreasing [s].
+        most: places for contacts.
+    """
+    posed = problem(model, params, times[-1], how, True)
+    near = _NEAR * how.tolerance * posed.scales[0]
+    solution = dfx.diffeqsolve(
+        dfx.ODETerm(posed.field),  # pyright: ignore[reportArgumentType]
+        posed.solver,
+        t0=0.0,
+        t1=jnp.where(times[-1] > 0.0, times[-1], posed.first_step),
+        dt0=posed.first_step,
+        y0=posed.start,
+        args=posed.args,
+        saveat=dfx.SaveAt(subs=(dfx.SubSaveAt(ts=times), dfx.SubSaveAt(t1=True)), controller_state=True),
+        stepsize_controller=Landing(controller(posed, how), near, most),
+        adjoint=dfx.ForwardMode(),
+        max_steps=how.max_steps,
+        throw=False,
+    )
+    assert solution.ys is not None and solution.ts is not None and solution.controller_state is not None
+    states, _ = solution.ys
+    states = jnp.where(jnp.isfinite(states), states, jnp.nan)
+    accepted, rejected = (solution.stats[f"num_{name}_steps"] for name in ("accepted", "rejected"))
+    end = Solution(states, code_of(solution.result, states), solution.ts[1][0], accepted, rejected)
+    last = jax.lax.stop_gradient(solution.controller_state)
+    open_still = _put(last.found.high, last.inside, last.found.count, last.high)
+    return end, last.found._replace(high=open_still)
