@@ -120,11 +120,12 @@ def bend(first: Array, second: Array, last: Array) -> Array:
 
 
 def newton(
-    solver: Sdirk, t: Any, base: Array, guess: Array, s: Any, args: Any, factors: Any
+    solver: Sdirk, t: Any, base: Array, guess: Array, s: Any, args: Any, factors: Any, renew: Any = False
 ) -> tuple[Array, Array, Any]:
     """The y of  y = base + s f(t, y)  or else the base, whether Newton got there, and the last matrix it used.
 
     Newton keeps its matrix while it converges quickly: contact springs appear within a step, and then it must not.
+    ``renew``: the matrix given is none.
     """
     structure = solver.structure
 
@@ -139,7 +140,7 @@ def newton(
         _, size, count, *_ = carry
         return (count == 0) | ((size > solver.newton) & jnp.isfinite(size) & (count < solver.iterations))
 
-    start = (guess, jnp.asarray(jnp.inf), 0, jnp.asarray(False), factors)
+    start = (guess, jnp.asarray(jnp.inf), 0, jnp.asarray(renew), factors)
     y, size, _, _, factors = jax.lax.while_loop(more, step, start)
     # Where it did not, y may be anything; the step is rejected, and reverse mode multiplies its slopes by 0.
     good = size <= solver.newton
