@@ -25,7 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.solve.bdf import ALPHA, GAMMA, ORDERS, Record, between, predicted, rescaled, rescaling, updated
+from bcfj_jax.solve.bdf import ALPHA, GAMMA, ORDERS, ROWS, Record, between, predicted, rescaled, rescaling, updated
 from bcfj_jax.solve.sdirk import Sdirk, newton
 
 # States kept, and steps whose matrices and vjps are computed together.
@@ -41,7 +41,7 @@ def pulled(
     Args:
         solver: the one that made the record; args: of its field.
         count: steps accepted.
-        times, cotangents: (T,) and (T, n) of the states at these times; those that the run did not reach do not count.
+        times, cotangents: (T,) and (T, n) of the states at these times; all is NaN where the run did not reach one that counts.
     """
     structure, alpha, gamma = solver.structure, jnp.asarray(ALPHA), jnp.asarray(GAMMA)
     moving, fixed = eqx.partition(args, eqx.is_inexact_array)
@@ -53,21 +53,23 @@ def pulled(
         return jax.vmap(lambda t, y: structure.field(t, y, eqx.combine(moving, fixed)))(t, y)
 
     def again(j: Array) -> Array:
-        """States (S, n) of a whole segment; NaN where Newton fails."""
+        """States (S, n) of a whole segment, by the same iterates up to rounding; NaN where Newton fails."""
 
         def step(i: Array, carry: tuple) -> tuple:
-            d, factors, states = carry
+            d, states = carry
             k = j * size + i
             t, h, order = record.ends[k + 1], record.lengths[k + 1], record.orders[k + 1]
-            d = rescaled(d, order, h / record.lengths[k])
+            before, length = record.ends[k], record.lengths[k]
+            # The matrix that the run had: the one at the state before, and its own in the first step.
+            factors = structure.factor(before, d[0], args, length / alpha[record.orders[k]])
+            d = rescaled(d, order, h / length)
             ahead, base = predicted(d, order)
-            y, good, factors = newton(solver, t, base, ahead, h / alpha[order], args, factors, i == 0)
+            y, good, _ = newton(solver, t, base, ahead, h / alpha[order], args, factors, k == 0)
             y = jnp.where(good, y, jnp.nan)
-            return updated(d, order, y - ahead), factors, states.at[i].set(y)
+            return updated(d, order, y - ahead), states.at[i].set(y)
 
-        start, h = record.starts[j], record.lengths[0]
-        none = jax.tree.map(jnp.zeros_like, jax.eval_shape(structure.factor, h, start[0], args, h))
-        return jax.lax.fori_loop(0, size, step, (start, none, jnp.zeros_like(record.states)))[2]
+        start = jnp.zeros((ROWS, record.states.shape[1])).at[: ORDERS + 1].set(record.starts[j])
+        return jax.lax.fori_loop(0, size, step, (start, jnp.zeros_like(record.states)))[1]
 
     def back(carry: tuple, row: tuple) -> tuple:
         """One step, last first; what is no step gives a zero."""
@@ -85,7 +87,7 @@ def pulled(
 
         def step(d: Array, out: Array) -> tuple:
             d, out = jax.lax.while_loop(due, read, (d, out))
-            used = (_EDGE <= order)[:, None]
+            used = (order >= _EDGE)[:, None]
             bend = jnp.sum(jnp.where(_EDGE[:, None] <= order + 1, d, 0.0), axis=0)
             found = structure.solve_transposed(factors, bend)
             share = (1.0 - gamma / alpha[order])[:, None] * (found * alpha[order] / h)
@@ -125,8 +127,11 @@ def pulled(
             states = jax.lax.cond(j == last, lambda: record.states, lambda: again(j))
         return j - 1, *blocks(tuple(rest), j, states)
 
-    out = jnp.sum(times <= record.ends[count])
-    none = jnp.zeros((ORDERS + 1, cotangents.shape[1])), out, jax.tree.map(jnp.zeros_like, moving)
+    reached = jnp.sum(times <= record.ends[count])
+    none = jnp.zeros((ORDERS + 1, cotangents.shape[1])), reached, jax.tree.map(jnp.zeros_like, moving)
     _, d, out, by = jax.lax.while_loop(lambda carry: carry[0] >= 0, segment, (last, *none))
-    start = jnp.sum(jnp.where(jnp.arange(times.size)[:, None] < out, cotangents, 0.0), axis=0)
-    return by, d[0] + start
+    # Outputs at the start, or before; a state that was not reached has no derivative.
+    index = jnp.arange(times.size)[:, None]
+    start = d[0] + jnp.sum(jnp.where(index < out, cotangents, 0.0), axis=0)
+    lost = jnp.any((index >= reached) & (cotangents != 0.0))
+    return jax.tree.map(lambda x: jnp.where(lost, jnp.nan, x), (by, start))

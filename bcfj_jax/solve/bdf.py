@@ -28,7 +28,7 @@ from bcfj_jax.solve.sdirk import Sdirk, newton
 from bcfj_jax.solve.tangents import along
 
 ORDERS = 5
-_ROWS = ORDERS + 3
+ROWS = ORDERS + 3
 # Shampine and Reichelt's kappa; none at order 1, whose first difference of tangents is not known at the start.
 _KAPPA = np.array([0.0, 0.0, -1.0 / 9.0, -0.0823, -0.0415, 0.0])
 GAMMA = np.concatenate([[0.0], np.cumsum(1.0 / np.arange(1, ORDERS + 1))])
@@ -44,7 +44,7 @@ class Record(NamedTuple):
 
     Attributes:
         ends, lengths: (1 + N,) when each step ended, and its length [s]; the first entries are 0 and the first length tried.
-        orders: (1 + N,); the first entry means nothing.
+        orders: (1 + N,); the first entry is 1.
         states: (S, n) after the steps of the last segment, which is empty where its number is a multiple of S.
         starts: (1 + N // S, 1 + ORDERS, n) differences where each segment begins, in steps of the length before it.
     """
@@ -107,10 +107,10 @@ def predicted(differences: Array, order: Array) -> tuple[Array, Array]:
 
 
 def updated(differences: Array, order: Array, bends: Array) -> Array:
-    """Differences after a step that adds ``bends`` to the prediction; a row that there is not is not written."""
+    """Differences after a step that adds ``bends`` to the prediction."""
     d = differences
     d = d.at[order + 2].set(bends - d[order + 1]).at[order + 1].set(bends)
-    index = jnp.arange(d.shape[0]).reshape(-1, *[1] * (d.ndim - 1))
+    index = jnp.arange(ROWS).reshape(-1, *[1] * (d.ndim - 1))
     summed = jnp.cumsum(jnp.where(index <= order + 1, d, 0.0)[::-1], axis=0)[::-1]
     return jnp.where(index <= order, summed, d)
 
@@ -190,7 +190,11 @@ def solve(
         if record is None:
             return None
         k, good = tried.accepted, s.accepted > tried.accepted
-        y, start, j = predicted(tried.differences, tried.order)[0][0] + bends[0], s.differences[: ORDERS + 1, 0], s.accepted // segment
+        y, start, j = (
+            predicted(tried.differences, tried.order)[0][0] + bends[0],
+            s.differences[: ORDERS + 1, 0],
+            s.accepted // segment,
+        )
         begins = good & (s.accepted % segment == 0)
         return Record(
             record.ends.at[k + 1].set(tried.t + tried.h),
@@ -239,7 +243,7 @@ def solve(
 
     h, zero = jnp.asarray(first, dtype=jnp.float64), jnp.asarray(0)
     slope = structure.field(jnp.zeros(()), start[0], args)
-    differences = jnp.zeros((_ROWS, *start.shape)).at[0].set(start).at[1, 0].set(h * slope)
+    differences = jnp.zeros((ROWS, *start.shape)).at[0].set(start).at[1, 0].set(h * slope)
     # Newton takes a matrix of its own in the first step.
     none = jax.tree.map(jnp.zeros_like, jax.eval_shape(structure.factor, h, start[0], args, h))
     begin = _State(jnp.zeros(()), h, jnp.asarray(1), zero, differences, none, zero, zero)
@@ -248,7 +252,7 @@ def solve(
     if segment:
         room, n = jnp.zeros(max_steps + 1), start.shape[1]
         starts = jnp.zeros((1 + max_steps // segment, ORDERS + 1, n)).at[0].set(differences[: ORDERS + 1, 0])
-        record = Record(room, room.at[0].set(h), jnp.zeros(room.size, jnp.int8), jnp.zeros((segment, n)), starts)
+        record = Record(room, room.at[0].set(h), jnp.ones(room.size, jnp.int8), jnp.zeros((segment, n)), starts)
     # A time before 0 or at it reads the start.
     ready = jax.lax.while_loop(due, write, (begin, zero, found))
     s, _, found, record = jax.lax.while_loop(going, step, (*ready, record))

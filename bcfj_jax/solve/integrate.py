@@ -23,6 +23,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import diffrax as dfx
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -258,8 +259,7 @@ def _with_adjoint(problem: Problem, ahead: tuple[Any, Array] | None, times: Arra
     def transposed(kept: tuple, cotangents: Solution) -> tuple:
         x, aside, *_ = kept
         by_args, *rest = backward(*kept, cotangents.states)
-        by_args = jax.tree.map(lambda leaf, by: still(leaf) if by is None else by, x[0], by_args, is_leaf=lambda d: d is None)
-        return (by_args, *rest), jax.tree.map(still, aside)
+        return (eqx.combine(by_args, jax.tree.map(still, x[0])), *rest), jax.tree.map(still, aside)
 
     recorded, backward = lane_by_lane(run), lane_by_lane(back)
     solution.defvjp(forth, transposed)
