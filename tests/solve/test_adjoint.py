@@ -54,6 +54,18 @@ def run(segment, controlled, tolerance, max_steps, cotangents):
     return found, np.asarray(forward), np.asarray(reverse)
 
 
+def test_a_transposed_solve_is_one():
+    args, y = (jnp.asarray(20.0), jnp.asarray(1.5), jnp.asarray(1)), jnp.array([0.7, -0.4])
+    left, right = np.random.default_rng(3).normal(size=(2, 2))
+    for structure in (Dense(pol), Plain(pol)):
+        factors = structure.factor(0.1, y, args, 0.03)
+        forward, back = (
+            structure.solve(factors, jnp.asarray(right)),
+            structure.solve_transposed(factors, jnp.asarray(left)),
+        )
+        assert left @ np.asarray(forward) == pytest.approx(right @ np.asarray(back), rel=1e-13)
+
+
 COTANGENTS = jnp.asarray(np.random.default_rng(2).normal(size=(TIMES.size, 2)))
 
 
