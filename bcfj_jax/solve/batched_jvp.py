@@ -108,6 +108,35 @@ def along(function: Callable[[Any], Y], x: Any, changes: Any) -> tuple[Y, Y]:
     return jax.vmap(push, out_axes=(None, 0))(changes)
 
 
+def lane_by_lane(function: Callable[..., Any]) -> Callable[..., Any]:
+    """``function(*x, y)``, whose vmap over anything in x takes one lane after another; over y alone it is vmap's own.
+
+    For loops that keep long records: those of a batch would go on until its longest ends, and copy all records in every
+    round. First derivatives do not go through.
+    """
+    one = custom_vmap(function)
+
+    @one.def_vmap
+    def _(size, batched, *operands):
+        if not any(jax.tree.leaves(batched[:-1])):
+            axes = jax.tree.map(lambda b: 0 if b else None, batched[-1])
+            many = jax.vmap(function, (*[None] * (len(operands) - 1), axes), axis_size=size)
+            found = lane_by_lane(many)(*operands)
+        else:
+            leaves, structure = jax.tree.flatten(operands)
+            moving = jax.tree.leaves(batched)
+
+            def lane(rows: list) -> Any:
+                spread = iter(rows)
+                mixed = [next(spread) if moves else leaf for leaf, moves in zip(leaves, moving, strict=True)]
+                return lane_by_lane(function)(*jax.tree.unflatten(structure, mixed))
+
+            found = jax.lax.map(lane, [leaf for leaf, moves in zip(leaves, moving, strict=True) if moves])
+        return found, jax.tree.map(lambda _: True, found)
+
+    return one
+
+
 def _gathered(many: Callable[[list, list], tuple]) -> Callable[[list, list], tuple]:
     """One direction of ``many``, whose vmap over directions is ``many`` itself."""
 

@@ -8,6 +8,8 @@ of step interpolates them. With c = h / alpha a step solves
 
 so tangents cost one matrix a step, exact at the converged state, and Newton's of the next step is that one. Tangents
 are those of the discrete solution; steps and orders, which depend on parameters too, are not differentiated.
+All of a step but that solve is linear in D with coefficients of its length and order alone: a ``Record`` of these and
+of the states is what ``adjoint`` needs to go through the same steps backwards.
 
 Why beside SDIRK2: to better than a percent, tangents of the joint ask for small errors of their own, and order 2 pays
 for that with steps (benchmarks/models/joint_derivatives.py).
@@ -26,15 +28,32 @@ from bcfj_jax.solve.sdirk import Sdirk, newton
 from bcfj_jax.solve.tangents import along
 
 ORDERS = 5
-_ROWS = ORDERS + 3
+ROWS = ORDERS + 3
 # Shampine and Reichelt's kappa; none at order 1, whose first difference of tangents is not known at the start.
 _KAPPA = np.array([0.0, 0.0, -1.0 / 9.0, -0.0823, -0.0415, 0.0])
-_GAMMA = np.concatenate([[0.0], np.cumsum(1.0 / np.arange(1, ORDERS + 1))])
-_ALPHA = (1.0 - _KAPPA) * _GAMMA
+GAMMA = np.concatenate([[0.0], np.cumsum(1.0 / np.arange(1, ORDERS + 1))])
+ALPHA = (1.0 - _KAPPA) * GAMMA
 # Leading error over the difference of order + 1; the last is of no order that is used.
-_ERROR = np.concatenate([_KAPPA * _GAMMA + 1.0 / np.arange(1, ORDERS + 2), [1.0]])
+_ERROR = np.concatenate([_KAPPA * GAMMA + 1.0 / np.arange(1, ORDERS + 2), [1.0]])
 _SAFETY, _GROWTH, _SHRINK = 0.8, 10.0, 0.2
 _EDGE = np.arange(ORDERS + 1)
+
+
+class Record(NamedTuple):
+    """Accepted steps, N at most, in segments of S: all that their transposition needs.
+
+    Attributes:
+        ends, lengths: (1 + N,) when each step ended, and its length [s]; the first entries are 0 and the first length tried.
+        orders: (1 + N,); the first entry is 1.
+        states: (S, n) after the steps of the last segment, which is empty where its number is a multiple of S.
+        starts: (1 + N // S, 1 + ORDERS, n) differences where each segment begins, in steps of the length before it.
+    """
+
+    ends: Array
+    lengths: Array
+    orders: Array
+    states: Array
+    starts: Array
 
 
 class Found(NamedTuple):
@@ -44,6 +63,7 @@ class Found(NamedTuple):
     end: Array
     accepted: Array
     rejected: Array
+    record: Record | None = None
 
 
 class _State(NamedTuple):
@@ -59,8 +79,8 @@ class _State(NamedTuple):
     rejected: Array
 
 
-def _rescaled(differences: Array, order: Array, factor: Array) -> Array:
-    """Differences for steps ``factor`` times as long."""
+def rescaling(order: Array, factor: Array) -> Array:
+    """The matrix R of  D' = R^T D,  the first differences for steps ``factor`` times as long."""
 
     def steps(ratio: Any) -> Array:
         i, j = _EDGE[1:, None], _EDGE[None, 1:]
@@ -70,9 +90,35 @@ def _rescaled(differences: Array, order: Array, factor: Array) -> Array:
     inside = order >= _EDGE
     mask = inside[:, None] & inside[None, :]
     change = jnp.where(mask, steps(factor), 0.0) @ jnp.where(mask, steps(1.0), 0.0)
-    change = jnp.where(mask, change, jnp.eye(ORDERS + 1))
-    head = jnp.tensordot(change, differences[: ORDERS + 1], axes=((0,), (0,)))
+    return jnp.where(mask, change, jnp.eye(ORDERS + 1))
+
+
+def rescaled(differences: Array, order: Array, factor: Array) -> Array:
+    """Differences for steps ``factor`` times as long."""
+    head = jnp.tensordot(rescaling(order, factor), differences[: ORDERS + 1], axes=((0,), (0,)))
     return differences.at[: ORDERS + 1].set(head)
+
+
+def predicted(differences: Array, order: Array) -> tuple[Array, Array]:
+    """Where the polynomial through the last states goes on to, and the base of the step's equation."""
+    weights, kept = jnp.where(order >= _EDGE, 1.0, 0.0), differences[: ORDERS + 1]
+    ahead = jnp.tensordot(weights, kept, axes=1)
+    return ahead, ahead - jnp.tensordot(weights * GAMMA, kept, axes=1) / jnp.asarray(ALPHA)[order]
+
+
+def updated(differences: Array, order: Array, bends: Array) -> Array:
+    """Differences after a step that adds ``bends`` to the prediction."""
+    d = differences
+    d = d.at[order + 2].set(bends - d[order + 1]).at[order + 1].set(bends)
+    index = jnp.arange(ROWS).reshape(-1, *[1] * (d.ndim - 1))
+    summed = jnp.cumsum(jnp.where(index <= order + 1, d, 0.0)[::-1], axis=0)[::-1]
+    return jnp.where(index <= order, summed, d)
+
+
+def between(time: Array, end: Array, length: Array, order: Array) -> Array:
+    """Weights (1 + ORDERS,) of the differences after a step in the state at a time within it."""
+    x = (time - (end - length * _EDGE[:-1])) / (length * (1.0 + _EDGE[:-1]))
+    return jnp.where(order >= _EDGE, jnp.concatenate([jnp.ones(1), jnp.cumprod(x)]), 0.0)
 
 
 def solve(
@@ -85,6 +131,9 @@ def solve(
     first: Any,
     shortest: Any,
     max_steps: int,
+    orders: int = ORDERS,
+    share: float = 1.0,
+    segment: int = 0,
 ) -> Found:
     """Integrate rows (1 + k, n), the state and its tangents, from time 0; interpolate at ``times`` (T,), increasing.
 
@@ -97,9 +146,12 @@ def solve(
         times: when to read; steps may pass the last one.
         first: length of the first step [s]; shortest: of any.
         max_steps: budget of attempts.
+        orders: the highest order.
+        share: of a tangent, to which its error is relative; below 1 for a sum of tangents, whose parts are smaller.
+        segment: how many states a record keeps, which lengthens no run; 0: no record.
     """
     structure, tolerance = solver.structure, solver.tolerance
-    alpha, gamma, constant = (jnp.asarray(x) for x in (_ALPHA, _GAMMA, _ERROR))
+    alpha, constant = jnp.asarray(ALPHA), jnp.asarray(_ERROR)
 
     def norm(rows: Array, sizes: Array) -> Array:
         """Largest over rows of the root mean square in units of the tolerance; not finite counts as infinite."""
@@ -109,48 +161,60 @@ def solve(
 
     def attempt(s: _State) -> tuple[Array, Array, Array, Any]:
         """What the step adds to the prediction, its error (at most 1 is good), the rows' sizes, the last matrix."""
-        weights = jnp.where(s.order >= _EDGE, 1.0, 0.0)
-        kept = s.differences[: ORDERS + 1]
         t, c = s.t + s.h, s.h / alpha[s.order]
-        predicted = jnp.tensordot(weights, kept, axes=1)
-        base = predicted - jnp.tensordot(weights * gamma, kept, axes=1) / alpha[s.order]
-        y, good, factors = newton(solver, t, base[0], predicted[0], c, args, s.factors)
-        bend = y - predicted[0]
+        ahead, base = predicted(s.differences, s.order)
+        y, good, factors = newton(solver, t, base[0], ahead[0], c, args, s.factors, s.accepted == 0)
+        bend = y - ahead[0]
         good = good & (constant[s.order] * norm(bend[None], jnp.ones(1)) <= 1.0)
 
         def tangents(_):
             matrix = structure.factor(t, y, args, c)
             push = along(solver, t, y, args, changes)
             found = jax.vmap(structure.solve, (None, 0))(matrix, base[1:] / c + push)
-            return found - predicted[1:], matrix
+            return found - ahead[1:], matrix
 
-        # A step that will be rejected needs none.
-        bends, factors = jax.lax.cond(good, tangents, lambda _: (jnp.zeros_like(base[1:]), factors), None)
+        # A step that will be rejected needs none. Nor is its matrix kept, which may be one of a state that is not finite.
+        bends, factors = jax.lax.cond(good, tangents, lambda _: (jnp.zeros_like(base[1:]), s.factors), None)
         bends = jnp.concatenate([bend[None], bends])
         # Absolute up to the states' own sizes, which move a force by its size; relative beyond.
-        size = jnp.sqrt(jnp.mean(jnp.square((predicted + bends) / scales), axis=1))
-        sizes = jnp.maximum(1.0, size).at[0].set(1.0)
+        size = jnp.sqrt(jnp.mean(jnp.square((ahead + bends) / scales), axis=1))
+        sizes = jnp.maximum(1.0, share * size).at[0].set(1.0)
         return bends, jnp.where(good, constant[s.order] * norm(bends, sizes), jnp.inf), sizes, factors
 
     def accepted(s: _State, bends: Array) -> _State:
-        order, d = s.order, s.differences
-        d = d.at[order + 2].set(bends - d[order + 1]).at[order + 1].set(bends)
-        index = jnp.arange(_ROWS)[:, None, None]
-        summed = jnp.cumsum(jnp.where(index <= order + 1, d, 0.0)[::-1], axis=0)[::-1]
-        d = jnp.where(index <= order, summed, d)
+        d = updated(s.differences, s.order, bends)
         return s._replace(t=s.t + s.h, differences=d, accepted=s.accepted + 1, equal=s.equal + 1)
+
+    def noted(record: Record | None, tried: _State, s: _State, bends: Array) -> Record | None:
+        """With the step that was tried; the next one writes over it where it was rejected."""
+        if record is None:
+            return None
+        k, good = tried.accepted, s.accepted > tried.accepted
+        y, start, j = (
+            predicted(tried.differences, tried.order)[0][0] + bends[0],
+            s.differences[: ORDERS + 1, 0],
+            s.accepted // segment,
+        )
+        begins = good & (s.accepted % segment == 0)
+        return Record(
+            record.ends.at[k + 1].set(tried.t + tried.h),
+            record.lengths.at[k + 1].set(tried.h),
+            record.orders.at[k + 1].set(tried.order),
+            record.states.at[k % segment].set(y),
+            record.starts.at[j].set(jnp.where(begins, start, record.starts[j])),
+        )
 
     def adapted(s: _State, good: Array, share: Array, sizes: Array) -> _State:
         """After a rejection a shorter step; after order + 1 equal steps the order that allows the longest."""
         order, d = s.order, s.differences
         lower = jnp.where(order > 1, constant[order - 1] * norm(d[order], sizes), jnp.inf)
-        higher = jnp.where(order < ORDERS, constant[order + 1] * norm(d[order + 2], sizes), jnp.inf)
+        higher = jnp.where(order < orders, constant[order + 1] * norm(d[order + 2], sizes), jnp.inf)
         shares = jnp.maximum(jnp.stack([lower, share, higher]), 1e-12)
         factors = shares ** (-1.0 / (order + jnp.arange(3)))
         best = jnp.where(good, jnp.argmax(factors), 1)
         factor = jnp.where(jnp.isfinite(share), jnp.clip(_SAFETY * factors[best], _SHRINK, _GROWTH), 0.5)
         order = order + best - 1
-        return s._replace(h=s.h * factor, order=order, equal=jnp.asarray(0), differences=_rescaled(d, order, factor))
+        return s._replace(h=s.h * factor, order=order, equal=jnp.asarray(0), differences=rescaled(d, order, factor))
 
     def due(carry: tuple[_State, Array, Array]) -> Array:
         s, out, _ = carry
@@ -159,40 +223,37 @@ def solve(
     def write(carry: tuple[_State, Array, Array]) -> tuple[_State, Array, Array]:
         """Interpolate at the next output, which the last step has reached."""
         s, out, found = carry
-        x = (times[out] - (s.t - s.h * _EDGE[:-1])) / (s.h * (1.0 + _EDGE[:-1]))
-        weights = jnp.where(s.order >= _EDGE, jnp.concatenate([jnp.ones(1), jnp.cumprod(x)]), 0.0)
+        weights = between(times[out], s.t, s.h, s.order)
         return s, out + 1, found.at[out].set(jnp.tensordot(weights, s.differences[: ORDERS + 1], axes=1))
 
-    def step(carry: tuple[_State, Array, Array]) -> tuple[_State, Array, Array]:
-        s, out, found = carry
-        bends, share, sizes, factors = attempt(s)
+    def step(carry: tuple) -> tuple:
+        tried, out, found, record = carry
+        bends, share, sizes, factors = attempt(tried)
         good = share <= 1.0
-        s = s._replace(factors=factors, rejected=s.rejected + ~good)
+        s = tried._replace(factors=factors, rejected=tried.rejected + ~good)
         s = jax.lax.cond(good, accepted, lambda s, _: s, s, bends)
+        record = noted(record, tried, s, bends)
         s, out, found = jax.lax.while_loop(due, write, (s, out, found))
         change = ~good | (s.equal > s.order)
-        return jax.lax.cond(change, adapted, lambda s, *_: s, s, good, share, sizes), out, found
+        return jax.lax.cond(change, adapted, lambda s, *_: s, s, good, share, sizes), out, found, record
 
-    def going(carry: tuple[_State, Array, Array]) -> Array:
-        s, out, _ = carry
+    def going(carry: tuple) -> Array:
+        s, out, *_ = carry
         return (out < times.size) & (s.accepted + s.rejected < max_steps) & (s.h > shortest)
 
-    h = jnp.asarray(first, dtype=jnp.float64)
+    h, zero = jnp.asarray(first, dtype=jnp.float64), jnp.asarray(0)
     slope = structure.field(jnp.zeros(()), start[0], args)
-    differences = jnp.zeros((_ROWS, *start.shape)).at[0].set(start).at[1, 0].set(h * slope)
-    zero = jnp.asarray(0)
-    begin = _State(
-        t=jnp.zeros(()),
-        h=h,
-        order=jnp.asarray(1),
-        equal=zero,
-        differences=differences,
-        factors=structure.factor(jnp.zeros(()), start[0], args, h),
-        accepted=zero,
-        rejected=zero,
-    )
+    differences = jnp.zeros((ROWS, *start.shape)).at[0].set(start).at[1, 0].set(h * slope)
+    # Newton takes a matrix of its own in the first step.
+    none = jax.tree.map(jnp.zeros_like, jax.eval_shape(structure.factor, h, start[0], args, h))
+    begin = _State(jnp.zeros(()), h, jnp.asarray(1), zero, differences, none, zero, zero)
     found = jnp.full((times.size, *start.shape), jnp.nan)
+    record = None
+    if segment:
+        room, n = jnp.zeros(max_steps + 1), start.shape[1]
+        starts = jnp.zeros((1 + max_steps // segment, ORDERS + 1, n)).at[0].set(differences[: ORDERS + 1, 0])
+        record = Record(room, room.at[0].set(h), jnp.ones(room.size, jnp.int8), jnp.zeros((segment, n)), starts)
     # A time before 0 or at it reads the start.
     ready = jax.lax.while_loop(due, write, (begin, zero, found))
-    s, _, found = jax.lax.while_loop(going, step, ready)
-    return Found(found, s.t, s.accepted, s.rejected)
+    s, _, found, record = jax.lax.while_loop(going, step, (*ready, record))
+    return Found(found, s.t, s.accepted, s.rejected, record)

@@ -23,15 +23,17 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import diffrax as dfx
+import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.status import NOT_FINITE, OK, SOLVER, STEPS
 from bcfj_jax.mechanism.model import AbstractModel, Params, Solution
-from bcfj_jax.solve import bdf, named
-from bcfj_jax.solve.batched_jvp import together
+from bcfj_jax.solve import adjoint, bdf, named
+from bcfj_jax.solve.batched_jvp import lane_by_lane, still, together
 from bcfj_jax.solve.extremes import Watched
 from bcfj_jax.solve.plan import Plan, Way
 from bcfj_jax.solve.rodas import Rodas
@@ -44,6 +46,9 @@ _ADJOINTS = {"forward": dfx.ForwardMode(), "reverse": dfx.RecursiveCheckpointAdj
 _ROUNDING = 4e-16
 # Of stiff models, whose steps begin short and may be rejected many times: length [s] below which a run has failed.
 _SHORTEST = 1e-15
+# Share of a random direction's tangent to which its error is relative: a parameter of this share of the whole influence is
+# as well known as if it had been solved for itself (benchmarks/models/joint_gradient.py).
+_LEAST = 0.01
 # Proportional and integral gain of the step control.
 _GAINS = {True: (0.4, 0.3), False: (0.2, 0.5)}
 
@@ -120,8 +125,10 @@ def integrate(
     if differentiable and how.solver in named.VALUES_ONLY:
         raise InputError("solver", f"'{how.solver}' has no derivatives", "leave it out, or take sdirk2 or bdf")
     posed = problem(model, params, times[-1], how, differentiable)
-    if traits.stiff and differentiable and mode == "forward":
-        return _with_tangents(posed, times, how)
+    if traits.stiff and differentiable:
+        if mode == "forward":
+            return _with_tangents(posed, times, how)
+        return _with_adjoint(posed, _anywhere(model, params) if how.tangents else None, times, how)
     if traits.stiff and how.solver == "bdf" and not differentiable:
         assert isinstance(posed.solver, Sdirk)
         found = _by_bdf(posed, posed.solver, None, posed.start[None], times, how)
@@ -181,23 +188,92 @@ def _by_bdf(problem: Problem, solver: Sdirk, changes: tuple | None, start: Array
         solver, problem.args, changes, start, problem.scales, times, problem.first_step, problem.shortest_step,
         how.max_steps,
     )  # fmt: skip
+    return _ended(found, times, how)
+
+
+def _ended(found: bdf.Found, times: Array, how: Plan) -> Solution:
+    """What BDF found, and how it ended."""
     stopped = jnp.where(found.accepted + found.rejected < how.max_steps, SOLVER, STEPS)
     complete = jnp.where(jnp.all(jnp.isfinite(found.rows)), OK, NOT_FINITE)
     code = jnp.where(found.end < times[-1], stopped, complete)
     return Solution(found.rows, code, jnp.minimum(found.end, times[-1]), found.accepted, found.rejected)
 
 
+def _posed(problem: Problem, x: tuple) -> tuple[Problem, Sdirk]:
+    """The problem of a stiff model with arrays in place of its own, and its solver."""
+    c, start, scales, first, tolerance = x
+    assert isinstance(problem.solver, Sdirk)
+    solver = Sdirk(problem.solver.structure, tolerance * scales)
+    made = problem._replace(args=(problem.args[0], c), start=start, scales=scales, first_step=first, solver=solver)
+    return made, solver
+
+
+def _anywhere(model: AbstractModel, params: Params) -> tuple[Any, Array]:
+    """Tangents of what is prepared and of the start, along one fixed random direction of all parameters.
+
+    Each by its own size; one that is 0 has none. What is not known beforehand, of which parameters reverse derivatives
+    will be asked for, is thereby in the step control.
+    """
+    shares = np.random.default_rng(0).normal(size=len(params))
+    way = {name: jnp.abs(params[name]) * share for name, share in zip(sorted(params), shares, strict=True)}
+    ahead = jax.jvp(lambda p: (model.prepare(p), model.initial_state(p)), (dict(params),), (way,))[1]
+    by_args, by_start = jax.tree.map(lambda d: None if d.dtype == jax.dtypes.float0 else d[None], ahead)
+    return jax.lax.stop_gradient((by_args, by_start))
+
+
+def _with_adjoint(problem: Problem, ahead: tuple[Any, Array] | None, times: Array, how: Plan) -> Solution:
+    """A run whose reverse derivatives are those of its own steps (``solve.adjoint``); ``ahead`` counts in their control.
+
+    Without, orders end at 2: loose steps must damp (``solve.plan``), and orders above 2 are not A-stable.
+    """
+    model, _ = problem.args
+
+    def run(x: tuple, aside: tuple) -> tuple[Solution, Any]:
+        (c, start, times), (fixed, ahead) = x, aside
+        made, solver = _posed(problem, (c, start, *fixed))
+        by_args, by_start = (None, jnp.zeros((0, start.size))) if ahead is None else ahead
+        rows = jnp.concatenate([start[None], by_start])
+        found = bdf.solve(
+            solver, made.args, None if ahead is None else (model, by_args), rows, made.scales, times, made.first_step,
+            made.shortest_step, how.max_steps, 2 if ahead is None else bdf.ORDERS, _LEAST,
+            min(adjoint.SEGMENT, how.max_steps),
+        )  # fmt: skip
+        solution = _ended(found, times, how)
+        return solution._replace(states=solution.states[:, 0]), found.record
+
+    def back(x: tuple, aside: tuple, record: Any, solution: Solution, cotangents: Array) -> tuple:
+        (c, start, times), (fixed, _) = x, aside
+        made, solver = _posed(problem, (c, start, *fixed))
+        (_, by_args), by_start = adjoint.pulled(solver, made.args, record, solution.accepted, times, cotangents)
+        slopes = jax.vmap(lambda t, y: made.field(t, y, made.args))(times, solution.states)
+        return by_args, by_start, jnp.sum(cotangents * slopes, axis=1)
+
+    @jax.custom_vjp
+    def solution(x: tuple, aside: tuple) -> Solution:
+        return recorded(x, aside)[0]
+
+    def forth(x: tuple, aside: tuple) -> tuple[Solution, tuple]:
+        found, record = recorded(x, aside)
+        return found, (x, aside, record, found)
+
+    def transposed(kept: tuple, cotangents: Solution) -> tuple:
+        x, aside, *_ = kept
+        by_args, *rest = backward(*kept, cotangents.states)
+        return (eqx.combine(by_args, jax.tree.map(still, x[0])), *rest), jax.tree.map(still, aside)
+
+    recorded, backward = lane_by_lane(run), lane_by_lane(back)
+    solution.defvjp(forth, transposed)
+    fixed = (problem.scales, problem.first_step, how.tolerance)
+    return solution((problem.args[1], problem.start, times), (fixed, ahead))
+
+
 def _with_tangents(problem: Problem, times: Array, how: Plan) -> Solution:
     """A run whose forward tangents are solved beside it (``solve.tangents``)."""
-    model, _ = problem.args
-    assert isinstance(problem.solver, Sdirk)
-    structure, controlled = problem.solver.structure, how.tangents
+    (model, _), controlled = problem.args, how.tangents
 
     def of(x: tuple) -> tuple[Problem, Sdirk, Array, Plan]:
-        c, start, times, scales, first, tolerance = x
-        solver = Sdirk(structure, tolerance * scales)
-        made = problem._replace(args=(model, c), start=start, scales=scales, first_step=first, solver=solver)
-        return made, solver, times, Plan(tolerance, how.max_steps)
+        c, start, times, *fixed = x
+        return *_posed(problem, (c, start, *fixed)), times, Plan(fixed[-1], how.max_steps)
 
     def value(x: tuple) -> tuple[Array, tuple]:
         made, _, times, how = of(x)

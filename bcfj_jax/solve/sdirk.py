@@ -1,10 +1,8 @@
-"""SDIRK2: two stages, every one implicit, L-stable, order 2; made to be differentiated.
+"""SDIRK2: two stages, every one implicit, L-stable, order 2; made to be differentiated (``tangents``).
 
 gamma = 1 - 1/sqrt(2) (Alexander 1977; stiffly accurate). Newton keeps its matrix while it converges quickly, over
-both stages. Its solution is differentiated by the implicit function theorem: one solve with the matrix at the
-solution, shared by all tangents; never through the iteration, the matrix's construction or the step control. A
-tangent is then multiplied by (I - h gamma J)^-1 at every stage, which is bounded however large h J is; methods with
-an explicit stage multiply by h J.
+both stages. A tangent is multiplied by (I - h gamma J)^-1 at every stage, which is bounded however large h J is;
+methods with an explicit stage multiply by h J.
 """
 
 from __future__ import annotations
@@ -21,7 +19,6 @@ from jax import Array
 from jax.custom_batching import custom_vmap
 
 from bcfj_jax.mechanism.structure import AbstractStructure
-from bcfj_jax.solve.batched_jvp import still
 
 GAMMA = 1.0 - 0.5**0.5
 NODES = np.array([GAMMA, 1.0])
@@ -78,25 +75,19 @@ class Sdirk(dfx.AbstractAdaptiveSolver):
 def _step(solver: Sdirk, t0: Any, t1: Any, y0: Array, args: Any, first: Array) -> tuple[Array, Array, Array, Any]:
     """New state, error, last slope, and the slopes at both ends times the step."""
     h = t1 - t0
-    states, slopes, error = stages(solver, t0, h, y0, args, first, _solved)
+    states, slopes, error = stages(solver, t0, h, y0, args, first)
     return states[1], error, slopes[1], (h * first, h * slopes[1])
 
 
-def stages(
-    solver: Sdirk, t0: Any, h: Any, y0: Array, args: Any, first: Array, solve: Callable
-) -> tuple[Array, Array, Array]:
-    """States and slopes (2, n) of both stages, and the error: the bend of three slopes, filtered by the stiff matrix.
-
-    ``solve`` is ``newton``, or it with a derivative.
-    """
+def stages(solver: Sdirk, t0: Any, h: Any, y0: Array, args: Any, first: Array) -> tuple[Array, Array, Array]:
+    """States and slopes (2, n) of both stages, and the error: the bend of three slopes, filtered by the stiff matrix."""
     structure, s = solver.structure, h * GAMMA
-    held = eqx.combine(jax.lax.stop_gradient(eqx.filter(args, eqx.is_array)), args)
-    factors = structure.factor(t0, jax.lax.stop_gradient(y0), held, s)
+    factors = structure.factor(t0, y0, args, s)
 
     def stage(carry, when):
         """One stage, from its base, Newton's guess, the slope before it and the last matrix."""
         base, guess, before, factors, good = carry
-        y, also, factors = solve(solver, t0 + when * h, base, guess, s, args, factors)
+        y, also, factors = newton(solver, t0 + when * h, base, guess, s, args, factors)
         slope = (y - base) / s
         ahead = following(h, base, slope)
         # A stiff slope at the start may be far off, so Newton's next guess turns by a damped and limited amount.
@@ -104,11 +95,10 @@ def stages(
         guess = ahead + s * (slope + jnp.clip(turn, -jnp.abs(slope), jnp.abs(slope)))
         return (ahead, guess, slope, factors, good & also), (y, slope)
 
-    # A loop has half as much to compile, and to differentiate, as two stages written out.
+    # A loop has half as much to compile as two stages written out.
     begin = (y0, y0 + structure.solve(factors, first), first, factors, jnp.asarray(True))
     (*_, factors, good), (states, slopes) = jax.lax.scan(stage, begin, NODES)
-    turned = jax.lax.stop_gradient(bend(first, slopes[0], slopes[1]))
-    error = structure.solve(factors, h * ERROR * turned / s)
+    error = structure.solve(factors, h * ERROR * bend(first, slopes[0], slopes[1]) / s)
     return states, slopes, jnp.where(good, error, jnp.inf)
 
 
@@ -123,28 +113,29 @@ def bend(first: Array, second: Array, last: Array) -> Array:
 
 
 def newton(
-    solver: Sdirk, t: Any, base: Array, guess: Array, s: Any, args: Any, factors: Any
+    solver: Sdirk, t: Any, base: Array, guess: Array, s: Any, args: Any, factors: Any, renew: Any = False
 ) -> tuple[Array, Array, Any]:
     """The y of  y = base + s f(t, y)  or else the base, whether Newton got there, and the last matrix it used.
 
     Newton keeps its matrix while it converges quickly: contact springs appear within a step, and then it must not.
     Under ``vmap`` all runs iterate until the last one has converged, and new matrices are made of those alone that ask.
+    ``renew``: the matrix given is none.
     """
     arrays, static = eqx.partition((solver, args), eqx.is_array)
 
     @custom_vmap
-    def alone(where: tuple, guess: Array, factors: Any) -> tuple[Array, Array, Any]:
-        return _newton(static, where, guess, factors)
+    def alone(where: tuple, guess: Array, factors: Any, renew: Array) -> tuple[Array, Array, Any]:
+        return _newton(static, where, guess, factors, renew)
 
     @alone.def_vmap
-    def _(size: int, batched: list, where: tuple, guess: Array, factors: Any) -> tuple:
-        found = _newtons(static, size, batched[0], where, *_whole(size, batched[1:], (guess, factors)))
+    def _(size: int, batched: list, where: tuple, *rest: Any) -> tuple:
+        found = _newtons(static, size, batched[0], where, *_whole(size, batched[1:], rest))
         return found, jax.tree.map(lambda _: True, found)
 
-    return alone((jnp.asarray(t), base, jnp.asarray(s), arrays), guess, factors)
+    return alone((jnp.asarray(t), base, jnp.asarray(s), arrays), guess, factors, jnp.asarray(renew))
 
 
-def _newton(static: Any, where: tuple, guess: Array, factors: Any) -> tuple[Array, Array, Any]:
+def _newton(static: Any, where: tuple, guess: Array, factors: Any, renew: Array) -> tuple[Array, Array, Any]:
     """``newton`` of one run; ``where``: time, base, scale, and the arrays of solver and arguments."""
     t, base, s, arrays = where
     solver, args = eqx.combine(arrays, static)
@@ -159,9 +150,9 @@ def _newton(static: Any, where: tuple, guess: Array, factors: Any) -> tuple[Arra
         _, size, count, *_ = carry
         return (count == 0) | ((size > solver.newton) & jnp.isfinite(size) & (count < solver.iterations))
 
-    start = (guess, jnp.asarray(jnp.inf), 0, jnp.asarray(False), factors)
+    start = (guess, jnp.asarray(jnp.inf), 0, renew, factors)
     y, size, _, _, factors = jax.lax.while_loop(more, step, start)
-    # Where it did not, y may be anything; the step is rejected, and reverse mode multiplies its slopes by 0.
+    # Where it did not, y may be anything; the step is rejected.
     good = size <= solver.newton
     return jnp.where(good, y, base), good, factors
 
@@ -175,7 +166,7 @@ def _closer(static: Any, where: tuple, y: Array, factors: Any) -> tuple[Array, A
 
 
 def _newtons(
-    static: Any, count: int, batched: Any, where: tuple, guess: Array, factors: Any
+    static: Any, count: int, batched: Any, where: tuple, guess: Array, factors: Any, renew: Array
 ) -> tuple[Array, Array, Any]:
     """``_newton`` of many runs: each iterates as it would alone, and gets a new matrix when it would alone.
 
@@ -215,7 +206,7 @@ def _newtons(
         return y, size, number, slow, going, factors
 
     every = jnp.ones(count, bool)
-    start = (guess, jnp.full(count, jnp.inf), 0, ~every, every, factors)
+    start = (guess, jnp.full(count, jnp.inf), 0, renew, every, factors)
     y, size, *_, factors = jax.lax.while_loop(lambda carry: jnp.any(carry[4]), step, start)
     good = size <= solver.newton
     return jnp.where(good[:, None], y, where[1]), good, factors
@@ -226,32 +217,3 @@ def _whole(count: int, batched: Any, x: Any) -> Any:
     return jax.tree.map(
         lambda leaf, b: leaf if b else jnp.broadcast_to(leaf, (count, *leaf.shape)), tuple(x), tuple(batched)
     )
-
-
-def _solved(
-    solver: Sdirk, t: Any, base: Array, guess: Array, s: Any, args: Any, factors: Any
-) -> tuple[Array, Array, Any]:
-    """``newton``, differentiated by the implicit function theorem."""
-    arrays, static = eqx.partition(args, eqx.is_array)
-    structure = solver.structure
-
-    @jax.custom_jvp
-    def solve(t, base, guess, s, arrays, tolerance, factors):
-        exact = eqx.tree_at(lambda x: x.tolerance, solver, tolerance)
-        return newton(exact, t, base, guess, s, eqx.combine(arrays, static), factors)
-
-    @solve.defjvp  # pyright: ignore[reportArgumentType]
-    def _(primals, tangents):
-        t, base, _, s, arrays, *_ = primals
-        y, good, kept = solve(*primals)
-        t_dot, base_dot, _, s_dot, arrays_dot, *_ = tangents
-
-        def residual(t, base, s, arrays):
-            return (base - y) / s + structure.field(t, y, eqx.combine(arrays, static))
-
-        _, right = jax.jvp(residual, (t, base, s, arrays), (t_dot, base_dot, s_dot, arrays_dot))
-        exact = structure.factor(t, y, eqx.combine(arrays, static), s)
-        return (y, good, kept), (structure.solve(exact, right), still(good), jax.tree.map(still, kept))
-
-    y, good, factors = solve(t, base, guess, s, arrays, solver.tolerance, factors)
-    return y, good, jax.lax.stop_gradient(factors)

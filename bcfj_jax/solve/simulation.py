@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, Literal, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -30,10 +29,6 @@ from bcfj_jax.solve.measured_error import Accuracy, measured
 from bcfj_jax.solve.plan import MAX_STEPS, Plan, Way, check_bits, force_error, plan
 
 Mode = Literal["auto", "forward", "reverse"]
-# A stiff model's gradient is SDIRK2's, whose tangents are not in its step control: in the joint 2 % off at this
-# tolerance, and up to 34 % at tighter ones, which resolve the swing of free balls with a wrong phase
-# (docs/derivatives.md).
-_BACKWARD = 1e-3
 
 
 class Run(NamedTuple):
@@ -112,13 +107,6 @@ def _forces(
     return {name: reading.force for name, reading in readings.items()}
 
 
-def _backward(model: AbstractModel, how: Plan) -> Plan:
-    """How a model is solved for its gradient: a stiff one at the tolerance where SDIRK2's derivatives are best."""
-    if not model.traits.stiff:
-        return how
-    return eqx.tree_at(lambda p: p.tolerance, how, jnp.maximum(how.tolerance, _BACKWARD))
-
-
 def force_history(
     scene: AbstractModel,
     params: Params,
@@ -138,8 +126,7 @@ def force_history(
         times: (T,) increasing [s]; the run starts at 0, and a time before 0 reads the initial state.
         accuracy: level, force error as a fraction of the peak, or a ``Plan`` (whose tolerance may be traced).
         mode: "forward" (jvp, jacfwd, nested ones: fastest for some 50 parameters), "reverse" (vjp, grad:
-            checkpointed), or "auto": both, first derivatives only, for one forward run more; a joint's gradient is
-            then solved no tighter than its derivatives bear.
+            checkpointed), or "auto": both, first derivatives only, for one forward run more.
 
     Returns:
         Per contact (T, 3) [N], or (T, k, 3) where the contact has k members: normal, axial, tangential.
@@ -154,10 +141,7 @@ def force_history(
         def way(mode: Way, differentiable: bool) -> Callable[[tuple], dict[str, Array]]:
             return lambda x: _forces(mode, scene, x[0], x[1], x[2], differentiable)
 
-        def backward(x: tuple) -> dict[str, Array]:
-            return _forces("reverse", scene, x[0], x[1], _backward(scene, x[2]), True)
-
-        ways = way("forward", True), backward, way("forward", False)
+        ways = way("forward", True), way("reverse", True), way("forward", False)
         return forward_and_reverse(*ways)((params, t, how))
     raise InputError("mode", f"no mode {quoted(mode)}", "use auto, forward or reverse")
 
@@ -188,7 +172,7 @@ def reading_history(
     wanted = _channels(scene, read)
     if mode not in ("forward", "reverse"):
         raise InputError("mode", f"no mode {quoted(mode)}", "use forward or reverse")
-    return _histories(mode, scene, params, t, how if mode == "forward" else _backward(scene, how), wanted)
+    return _histories(mode, scene, params, t, how, wanted)
 
 
 @partial(jax.jit, static_argnums=(0, 1, 5))

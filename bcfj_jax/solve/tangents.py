@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.solve import batched_jvp
-from bcfj_jax.solve.sdirk import GAMMA, NODES, Sdirk, following, newton, stages
+from bcfj_jax.solve.sdirk import GAMMA, NODES, Sdirk, following, stages
 
 
 class SdirkTangents(dfx.AbstractAdaptiveSolver):
@@ -104,7 +104,7 @@ def _step(
     solver = whole.state
     structure, h = solver.structure, t1 - t0
     s = h * GAMMA
-    states, slopes, error = stages(solver, t0, h, rows[0], args, firsts[0], newton)
+    states, slopes, error = stages(solver, t0, h, rows[0], args, firsts[0])
 
     def tangents(_):
         """Of both stages; what does not depend on the tangents themselves for both together."""

@@ -1,12 +1,20 @@
-"""Gradient of one number by a hundred parameters of the joint: reverse mode beside the run itself, and its memory.
+"""Reverse derivatives of the joint: error by tolerance beside forward and CVODES' adjoint, cost, memory, compiling.
 
-python -m benchmarks.models.joint_gradient    writes results/joint_gradient.json, prints a table
+    python -m benchmarks.models.joint_gradient [plain] [default] [cost] [before]
+        writes those parts of results/joint_gradient.json, prints tables; ``plain`` needs ``bench``
+
+Two numbers of the normal forces of ``seat_ball`` over 0.6 s at 1 ms: their mean square, and a smooth peak, the 16-norm.
+``plain``: eight logarithms against the file of ``analysis.derivatives``. ``default``: the same of the default joint over
+0.3 s against forward derivatives at 1e-8. ``cost``: a hundred logarithms. ``before``: compiling alone, of whatever
+package is imported. Seconds are of the process, medians.
 """
 
 from __future__ import annotations
 
 import os
+import sys
 import time
+from collections.abc import Callable
 from typing import Any
 
 os.environ.setdefault("EQX_ON_ERROR", "nan")
@@ -18,90 +26,237 @@ import numpy as np
 import bcfj_jax as bj
 from bcfj_jax.analysis.derivatives.names import complete
 from bcfj_jax.models.joint.scene import PLAIN
-from bcfj_jax.solve.plan import Plan, plan
-from benchmarks.common import markdown, save
+from bcfj_jax.solve.plan import Plan
+from benchmarks.analysis.derivatives import CONTACTS, MOVED, load, moved
+from benchmarks.common import RESULTS, markdown, save
+from benchmarks.common import load as kept_result
 
-END_S, SAMPLES, COUNT, REPEATS = 0.6, 601, 100, 5
-SCENE = bj.scenes.joint(**PLAIN)
-TIMES = jnp.linspace(0.0, END_S, SAMPLES)
+TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
+# ``plan`` controls the tangents' error below a force error of 5e-4, half of the tolerance.
+CONTROLLED_BELOW, MAX_STEPS, COUNT, REPEATS, SHORT_S = 1e-3, 400_000, 100, 3, 0.3
+OBSERVED = ("mean square", "peak")
 
 
-def parameters() -> dict[str, Any]:
+def numbers(normal: Any) -> Any:
+    """Both numbers (2,) of normal forces (T, 6) [N], as logarithms."""
+    size = jnp.max(jax.lax.stop_gradient(normal))
+    return jnp.log(jnp.stack([jnp.mean(normal**2), size * jnp.mean((normal / size) ** 16) ** (1 / 16)]))
+
+
+def scalars(scene: Any, params: Any, times: Any, mode: Any, controlled: bool, max_steps: int = MAX_STEPS) -> Callable:
+    """(logarithms, tolerance) -> both numbers."""
+
+    def function(change: Callable, logs: Any, tolerance: Any) -> Any:
+        how = Plan(tolerance, max_steps, controlled)
+        return numbers(
+            bj.force_history(scene, change(params, logs), times, accuracy=how, mode=mode)["seat_ball"][..., 0]
+        )
+
+    return function
+
+
+def compiled(function: Callable, size: int) -> tuple[Any, dict[str, float]]:
+    """A program of (logarithms, tolerance), seconds that it took by stage, and its memory [MB]."""
+    begin = time.process_time()
+    traced = jax.jit(function).trace(jnp.zeros(size), jnp.asarray(1e-2))
+    lowered, trace = traced.lower(), time.process_time() - begin
+    made, total = lowered.compile(), time.process_time() - begin
+    memory = made.memory_analysis()
+    assert memory is not None
+    return made, {"trace_s": trace, "compile_s": total, "memory_MB": memory.temp_size_in_bytes / 1e6}
+
+
+def timed(program: Any, size: int, tolerance: float) -> tuple[Any, float]:
+    """What a program returns, and the median of several runs' seconds."""
+    arguments, walls = (jnp.zeros(size), jnp.asarray(tolerance)), []
+    result = jax.block_until_ready(program(*arguments))
+    for _ in range(REPEATS):
+        begin = time.process_time()
+        jax.block_until_ready(program(*arguments))
+        walls.append(time.process_time() - begin)
+        if sum(walls) > 10.0:
+            break
+    return jax.tree.map(np.asarray, result), float(np.median(walls))
+
+
+def off(found: np.ndarray, exact: np.ndarray) -> dict[str, float]:
+    """Of both gradients (2, P): relative L2, and the worst of the parameters of more than 1 % of the largest."""
+    rows: dict[str, float] = {}
+    for name, a, b in zip(OBSERVED, found, exact, strict=True):
+        counts = np.abs(b) > 0.01 * np.abs(b).max()
+        rows[name] = float(np.linalg.norm(a - b) / np.linalg.norm(b))
+        rows[f"{name}, worst"] = float(np.abs(a / b - 1.0)[counts].max())
+    return rows
+
+
+def table_of(scene: Any, params: Any, times: Any, exact: np.ndarray | None, tolerances: Any) -> dict[str, Any]:
+    """Rows of reverse and forward; without ``exact``, against forward at 1e-8."""
+    change, rows, compiling = moved, [], {}
+    programs: dict[Any, Any] = {}
+    for controlled in (False, True):
+        for way, d in (("reverse", jax.jacrev), ("forward", jax.jacfwd)):
+            function = scalars(scene, params, times, way, controlled)
+            program = d(lambda logs, tolerance, f=function: f(change, logs, tolerance))
+            programs[way, controlled], compiling[f"{way}, {controlled}"] = compiled(program, len(MOVED))
+            print(way, controlled, compiling[f"{way}, {controlled}"], flush=True)
+    apart = None
+    if exact is None:
+        exact, looser = (timed(programs["forward", True], len(MOVED), t)[0] for t in (1e-8, 1e-7))
+        apart = off(looser, exact)
+    for tolerance in tolerances:
+        controlled = tolerance < CONTROLLED_BELOW
+        row: dict[str, Any] = {"tolerance": tolerance}
+        for way in ("reverse", "forward"):
+            found, seconds = timed(programs[way, controlled], len(MOVED), tolerance)
+            row[way] = {**off(found, exact), "cpu_s": seconds}
+        rows.append(row)
+        print(row, flush=True)
+    return {"rows": rows, "compiling": compiling, "reference's own": apart, "exact": exact.tolist()}
+
+
+def plain() -> dict[str, Any]:
+    """The plain joint, with CVODES' adjoint beside."""
+    from benchmarks.references.joint_casadi import default_scales
+    from benchmarks.references.joint_sensitive import Sensitive
+
+    scene = bj.scenes.joint(**PLAIN)
+    params, kept = scene.parameters(), load()
+    at = sum(size for name, size in list(CONTACTS.items())[: list(CONTACTS).index("seat_ball")])
+    ours = slice(at, at + CONTACTS["seat_ball"])
+    by_force = jax.jacrev(numbers)(jnp.asarray(kept.force[:, ours]))
+    exact = np.einsum("stc,tcp->sp", np.asarray(by_force), kept.slope[:, ours])
+    found = table_of(scene, params, jnp.asarray(kept.times), exact, TOLERANCES)
+    made = Sensitive(scene, params, default_scales(scene), MOVED)
+
+    def read(states: Any, logs: Any) -> Any:
+        prepared = scene.prepare(moved(params, logs))
+        force = jax.vmap(lambda y: scene.observe(jnp.zeros(()), y, prepared)["seat_ball"].force)(states)
+        return numbers(force[..., 0])
+
+    seeded = jax.jit(jax.jacrev(read, (0, 1)))
+    for row in found["rows"]:
+        begin = time.process_time()
+        states, *_ = made.states(kept.times, row["tolerance"])
+        seeds, direct = (np.asarray(x) for x in seeded(jnp.asarray(states), jnp.zeros(len(MOVED))))
+        slopes = [made.gradient(kept.times, row["tolerance"], seed)[0] for seed in seeds]
+        row["CVODES"] = {**off(np.stack(slopes) + direct, exact), "cpu_s": time.process_time() - begin}
+        print("CVODES", row["tolerance"], row["CVODES"], flush=True)
+    return found
+
+
+def default() -> dict[str, Any]:
+    """The default joint."""
+    scene = bj.scenes.joint()
+    times = jnp.linspace(0.0, SHORT_S, round(SHORT_S / 1e-3) + 1)
+    return table_of(scene, scene.parameters(), times, None, TOLERANCES)
+
+
+def hundred(scene: Any) -> tuple[dict[str, Any], list[str]]:
     """The joint's parameters, and as many of its contacts' own coefficients as make up ``COUNT`` that are not 0."""
-    params = SCENE.parameters()
+    params = scene.parameters()
     names = [name for name, value in params.items() if float(value) != 0.0]
-    for own in SCENE.quantities:
+    for own in scene.quantities:
         shared = own.partition(".")[2]
         if len(names) < COUNT and own not in params and shared in params and float(params[shared]) != 0.0:
-            params, _ = complete(SCENE, params, (own,))
+            params, _ = complete(scene, params, (own,))
             names.append(own)
-    return {name: params[name] for name in names}
+    return params, names
 
 
-def timed(program: Any, *arguments: Any) -> tuple[Any, float]:
-    """What a program returns, and the median wall of several runs."""
-    result, walls = jax.block_until_ready(program(*arguments)), []
-    for _ in range(REPEATS):
-        begin = time.perf_counter()
-        jax.block_until_ready(program(*arguments))
-        walls.append(time.perf_counter() - begin)
-    return result, float(np.median(walls))
+def cost() -> dict[str, Any]:
+    """A gradient by a hundred logarithms of the plain joint beside runs of values in the same process."""
+    scene = bj.scenes.joint(**PLAIN)
+    params, names = hundred(scene)
+    times, k = jnp.asarray(load().times), len(names)
+
+    def change(params: Any, logs: Any) -> Any:
+        return params | {name: params[name] * jnp.exp(log) for name, log in zip(names, logs, strict=True)}
+
+    value, _ = compiled(lambda x, t: scalars(scene, params, times, "auto", False)(change, x, t), k)
+    programs, memory = {}, {}
+    for controlled in (False, True):
+        function = scalars(scene, params, times, "reverse", controlled)
+        program = jax.grad(lambda x, t, f=function: f(change, x, t)[0])
+        programs[controlled], memory[str(controlled)] = compiled(program, k)
+    exact, _ = timed(programs[True], k, 1e-7)
+    way = jnp.asarray(np.random.default_rng(0).normal(size=k))
+    function = scalars(scene, params, times, "forward", True)
+    ahead = jax.jit(lambda x, t: jax.jvp(lambda x: function(change, x, t)[0], (x,), (way,))[1])
+    forward = float(timed(ahead, k, 1e-7)[0])
+    _, run = timed(value, k, 2e-3)
+    rows = []
+    for tolerance in (1e-2, 2e-3, 1e-3, 2e-4, 1e-4, 2e-5, 1e-5):
+        found, seconds = timed(programs[tolerance < CONTROLLED_BELOW], k, tolerance)
+        _, same = timed(value, k, tolerance)
+        both = np.stack([found, found]), np.stack([exact, exact])
+        errors = {x: y for x, y in off(*both).items() if x.startswith("mean")}
+        rows.append(
+            {"tolerance": tolerance, **errors, "cpu_s": seconds, "runs": seconds / same, "runs at 0.1 %": seconds / run}
+        )
+        print(rows[-1], flush=True)
+    return {
+        "parameters": k,
+        "rows": rows,
+        "programs": memory,
+        "value_at_0.1_percent_cpu_s": run,
+        "exact against forward, along a direction": abs(float(exact @ way) / forward - 1.0),
+    }
+
+
+def before() -> dict[str, Any]:
+    """Compiling of gradients, plain and default joint, by the package that is imported."""
+    found = {}
+    for name, scene in (("plain", bj.scenes.joint(**PLAIN)), ("default", bj.scenes.joint())):
+        params, times = scene.parameters(), jnp.linspace(0.0, 0.6, 601)
+        for mode in ("reverse", "auto"):
+            function = scalars(scene, params, times, mode, False)
+            program, cost = compiled(jax.grad(lambda x, t, f=function: f(moved, x, t)[0]), len(MOVED))
+            found[f"{name}, {mode}"] = {
+                **cost,
+                **{f"cpu_s at {t}": timed(program, len(MOVED), t)[1] for t in (2e-2, 1e-3)},
+            }
+            print(name, mode, found[f"{name}, {mode}"], flush=True)
+    return found
 
 
 def main() -> None:
-    named = parameters()
-    tolerance = plan(SCENE, "balanced").tolerance
-    fixed = SCENE.parameters()
+    jax.config.update("jax_enable_compilation_cache", False)
+    parts = {"plain": plain, "default": default, "cost": cost, "before": before, "after": before}
+    for part in sys.argv[1:] or ("plain", "default", "cost", "after"):
+        made = parts[part]()
+        old = kept_result("joint_gradient") if (RESULTS / "joint_gradient.json").exists() else {}
+        save("joint_gradient", {**{x: y for x, y in old.items() if x in parts}, part: made})
+    show(kept_result("joint_gradient"))
 
-    def scalar(logs: Any, max_steps: int, mode: Any) -> Any:
-        changed = {name: value * jnp.exp(log) for (name, value), log in zip(named.items(), logs, strict=True)}
-        forces = bj.force_history(SCENE, {**fixed, **changed}, TIMES, accuracy=Plan(tolerance, max_steps), mode=mode)
-        return jnp.mean(forces["seat_cage"][:, 0] ** 2)
 
-    zero, rows = jnp.zeros(len(named)), []
-    forward = jax.jit(lambda x: scalar(x, 4000, "forward")).lower(zero).compile()
-    _, alone = timed(forward, zero)
-    directional = jax.jit(lambda x, v: jax.jvp(lambda x: scalar(x, 4000, "forward"), (x,), (v,))[1])
-    way = jnp.asarray(np.random.default_rng(0).normal(size=len(named)))
-    expected = float(directional(zero, way))
-    # The adjoint's checkpoints grow with the root of the budget.
-    for max_steps in (4000, 400_000):
-        begin = time.perf_counter()
-        program = jax.jit(jax.grad(lambda x, n=max_steps: scalar(x, n, "reverse"))).lower(zero).compile()
-        compile_s = time.perf_counter() - begin
-        gradient, wall = timed(program, zero)
-        memory = program.memory_analysis()
-        assert memory is not None
-        rows.append(
-            {
-                "max_steps": max_steps,
-                "parameters": len(named),
-                "wall_s": wall,
-                "forward_wall_s": alone,
-                "ratio": wall / alone,
-                "memory_MB": memory.temp_size_in_bytes / 1e6,
-                "compile_s": compile_s,
-                "against_forward": abs(float(gradient @ way) / expected - 1.0),
-            }
+def show(found: dict[str, Any]) -> None:
+    """The tables."""
+    for part in ("plain", "default"):
+        ways = [way for way in ("reverse", "forward", "CVODES") if part in found and way in found[part]["rows"][0]]
+        table = [["tolerance", *(f"{way}: {name}" for way in ways for name in (*OBSERVED, "worst", "s"))]]
+        for row in found.get(part, {"rows": []})["rows"]:
+            cells = [f"{row['tolerance']:g}"]
+            for way in ways:
+                worst = max(row[way][f"{name}, worst"] for name in OBSERVED)
+                cells += [f"{100 * x:.2g} %" for x in (*(row[way][name] for name in OBSERVED), worst)]
+                cells.append(f"{row[way]['cpu_s']:.2f}")
+            table.append(cells)
+        print(part, markdown(table), sep="\n")
+    table = [["tolerance", "error", "worst", "s", "runs", "runs of values at 0.1 %"]]
+    for row in found.get("cost", {"rows": []})["rows"]:
+        errors = [f"{100 * row[x]:.2g} %" for x in ("mean square", "mean square, worst")]
+        table.append(
+            [
+                f"{row['tolerance']:g}",
+                *errors,
+                f"{row['cpu_s']:.2f}",
+                *(f"{row[x]:.1f}" for x in ("runs", "runs at 0.1 %")),
+            ]
         )
-        print(rows[-1], flush=True)
-    save("joint_gradient", {"rows": rows})
-    head = [
-        "budget",
-        "parameters",
-        "run s",
-        "gradient s",
-        "times",
-        "memory MB",
-        "compile s",
-        "along a direction, from jvp",
-    ]
-    table = [
-        [f"{r['max_steps']}", f"{r['parameters']}", f"{r['forward_wall_s']:.3f}", f"{r['wall_s']:.3f}",
-         f"{r['ratio']:.1f}", f"{r['memory_MB']:.0f}", f"{r['compile_s']:.0f}", f"{r['against_forward']:.1e}"]
-        for r in rows
-    ]  # fmt: skip
-    print(markdown([head, *table]))
+    print(markdown(table))
+    for when in ("before", "after"):
+        for name, row in found.get(when, {}).items():
+            print(when, name, row)
 
 
 if __name__ == "__main__":

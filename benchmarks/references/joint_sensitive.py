@@ -1,4 +1,4 @@
-"""The joint by CVODES with forward sensitivities: CasADi differentiates the field, CVODES integrates both together.
+"""The joint by CVODES with forward and adjoint sensitivities: CasADi differentiates the field, CVODES integrates both.
 
 The field is the one of ``joint_casadi_field`` with the moved parameters left as symbols.
 """
@@ -67,8 +67,8 @@ class Sensitive:
         self.compile_s = time.perf_counter() - begin
         self._integrators: dict[Any, Any] = {}
 
-    def _integrator(self, times: np.ndarray, tol: float, ahead: bool = False) -> ca.Function:
-        key = times.tobytes(), tol, ahead
+    def _integrator(self, times: np.ndarray, tol: float, ahead: bool = False, back: bool = False) -> ca.Function:
+        key = times.tobytes(), tol, ahead, back
         if key not in self._integrators:
             settings = {
                 "abstol": tol,
@@ -78,7 +78,7 @@ class Sensitive:
                 "linear_solver": "csparse",
                 "disable_internal_warnings": True,
             }
-            if ahead:
+            if ahead or back:
                 # An external function has no second derivatives, which CasADi asks for here: it writes its own C.
                 problem = self.symbols
                 jit = {"compiler": "cc", "flags": JIT_FLAGS, "cleanup": False}
@@ -90,7 +90,7 @@ class Sensitive:
             # What CasADi compiles itself it writes to the working directory.
             with contextlib.chdir(self.folder.name):
                 made = ca.integrator("cvodes", "cvodes", problem, float(times[0]), times[1:], settings)
-                self._integrators[key] = made.forward(self.size) if ahead else made
+                self._integrators[key] = made.forward(self.size) if ahead else _transposed(made) if back else made
         return self._integrators[key]
 
     def states(self, times: np.ndarray, tol: float, logs: np.ndarray | None = None) -> tuple[np.ndarray, float, int]:
@@ -114,3 +114,21 @@ class Sensitive:
         states = np.vstack([self.start, np.asarray(value).T]) * self.scales
         slopes = np.concatenate([np.zeros((1, n, k)), np.moveaxis(slope, 2, 0)]) * self.scales[:, None]
         return states, slopes, wall
+
+    def gradient(self, times: np.ndarray, tol: float, seeds: np.ndarray) -> tuple[np.ndarray, float]:
+        """Derivatives (k,) of the sum of seeds (T, n) times states by the logarithms, wall time [s]: CVODES' adjoint.
+
+        The backward solve has the forward's tolerances, and begins anew at each output.
+        """
+        solver = self._integrator(times, tol, back=True)
+        begin = time.perf_counter()
+        found = solver(self.start, np.zeros(self.size), (seeds[1:] * self.scales).T)
+        return np.asarray(found).ravel(), time.perf_counter() - begin
+
+
+def _transposed(made: ca.Function) -> ca.Function:
+    """(start, parameters, seeds of the outputs) -> derivatives by the parameters."""
+    start, p = ca.MX.sym("start", made.size1_in("x0")), ca.MX.sym("p", made.size1_in("p"))
+    found = made(x0=start, p=p)["xf"]
+    seeds = ca.MX.sym("seeds", *found.shape)
+    return ca.Function("transposed", [start, p, seeds], [ca.jtimes(found, p, seeds, True)])

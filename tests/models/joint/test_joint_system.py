@@ -82,15 +82,18 @@ def test_arrowhead_solves_with_the_exact_jacobian(options):
     y, t, places = disturbed(scene, params), jnp.asarray(0.02), 3 * scene.balls + scene.coupling
     right = np.random.default_rng(1).normal(size=y.size) * np.where(np.arange(y.size) < places, 1.0, 1e4)
     right[scene.moving :] *= 1e-5
-    structure = Arrowhead()
+    structure, left = Arrowhead(), 1.0 / right
 
     @functools.partial(jax.jit, compiler_options=QUICK)
     def both(y, right, scale, c):
         jacobian = jax.jacfwd(lambda y: system.field(t, y, (scene, c)))(y)
-        return structure.solve(structure.factor(t, y, (scene, c), scale), right), jacobian
+        factors = structure.factor(t, y, (scene, c), scale)
+        return structure.solve(factors, right), structure.solve_transposed(factors, left), jacobian
 
     for scale in (2e-5, 1e-3):
-        got, jacobian = both(y, right, scale, c)
+        got, back, jacobian = both(y, right, scale, c)
+        terms = np.stack([left * np.asarray(got), right * np.asarray(back)])
+        assert abs(np.diff(terms.sum(1))[0]) <= 1e-11 * abs(terms).sum()
         wanted = np.linalg.solve(np.eye(y.size) / scale - np.asarray(jacobian), right)
         for part in (slice(0, places), slice(places, scene.moving), slice(scene.moving, None)):
             if not wanted[part].size:
