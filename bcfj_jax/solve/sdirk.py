@@ -215,5 +215,5 @@ def _newtons(
 def _whole(count: int, batched: Any, x: Any) -> Any:
     """Leaves with a leading axis of ``count``, also those that had none."""
     return jax.tree.map(
-        lambda leaf, b: leaf if b else jnp.broadcast_to(leaf, (count, *leaf.shape)), tuple(x), tuple(batched)
+        lambda leaf, b: leaf if b else jnp.broadcast_to(leaf, (count, *jnp.shape(leaf))), tuple(x), tuple(batched)
     )
