@@ -123,28 +123,29 @@ def bend(first: Array, second: Array, last: Array) -> Array:
 
 
 def newton(
-    solver: Sdirk, t: Any, base: Array, guess: Array, s: Any, args: Any, factors: Any
+    solver: Sdirk, t: Any, base: Array, guess: Array, s: Any, args: Any, factors: Any, renew: Any = False
 ) -> tuple[Array, Array, Any]:
     """The y of  y = base + s f(t, y)  or else the base, whether Newton got there, and the last matrix it used.
 
     Newton keeps its matrix while it converges quickly: contact springs appear within a step, and then it must not.
-    Under ``vmap`` all runs iterate until the last one has converged, and new matrices are made of those alone that ask.
+    ``renew``: the matrix given is none. Under ``vmap`` all runs iterate until the last one has converged, and new
+    matrices are made of those alone that ask.
     """
     arrays, static = eqx.partition((solver, args), eqx.is_array)
 
     @custom_vmap
-    def alone(where: tuple, guess: Array, factors: Any) -> tuple[Array, Array, Any]:
-        return _newton(static, where, guess, factors)
+    def alone(where: tuple, *start: Any) -> tuple[Array, Array, Any]:
+        return _newton(static, where, *start)
 
     @alone.def_vmap
-    def _(size: int, batched: list, where: tuple, guess: Array, factors: Any) -> tuple:
-        found = _newtons(static, size, batched[0], where, *_whole(size, batched[1:], (guess, factors)))
+    def _(size: int, batched: list, where: tuple, *start: Any) -> tuple:
+        found = _newtons(static, size, batched[0], where, *_whole(size, batched[1:], start))
         return found, jax.tree.map(lambda _: True, found)
 
-    return alone((jnp.asarray(t), base, jnp.asarray(s), arrays), guess, factors)
+    return alone((jnp.asarray(t), base, jnp.asarray(s), arrays), guess, factors, jnp.asarray(renew))
 
 
-def _newton(static: Any, where: tuple, guess: Array, factors: Any) -> tuple[Array, Array, Any]:
+def _newton(static: Any, where: tuple, guess: Array, factors: Any, renew: Array) -> tuple[Array, Array, Any]:
     """``newton`` of one run; ``where``: time, base, scale, and the arrays of solver and arguments."""
     t, base, s, arrays = where
     solver, args = eqx.combine(arrays, static)
@@ -159,7 +160,7 @@ def _newton(static: Any, where: tuple, guess: Array, factors: Any) -> tuple[Arra
         _, size, count, *_ = carry
         return (count == 0) | ((size > solver.newton) & jnp.isfinite(size) & (count < solver.iterations))
 
-    start = (guess, jnp.asarray(jnp.inf), 0, jnp.asarray(False), factors)
+    start = (guess, jnp.asarray(jnp.inf), 0, renew, factors)
     y, size, _, _, factors = jax.lax.while_loop(more, step, start)
     # Where it did not, y may be anything; the step is rejected, and reverse mode multiplies its slopes by 0.
     good = size <= solver.newton
@@ -175,7 +176,7 @@ def _closer(static: Any, where: tuple, y: Array, factors: Any) -> tuple[Array, A
 
 
 def _newtons(
-    static: Any, count: int, batched: Any, where: tuple, guess: Array, factors: Any
+    static: Any, count: int, batched: Any, where: tuple, guess: Array, factors: Any, renew: Array
 ) -> tuple[Array, Array, Any]:
     """``_newton`` of many runs: each iterates as it would alone, and gets a new matrix when it would alone.
 
@@ -215,7 +216,7 @@ def _newtons(
         return y, size, number, slow, going, factors
 
     every = jnp.ones(count, bool)
-    start = (guess, jnp.full(count, jnp.inf), 0, ~every, every, factors)
+    start = (guess, jnp.full(count, jnp.inf), 0, renew, every, factors)
     y, size, *_, factors = jax.lax.while_loop(lambda carry: jnp.any(carry[4]), step, start)
     good = size <= solver.newton
     return jnp.where(good[:, None], y, where[1]), good, factors
@@ -224,7 +225,7 @@ def _newtons(
 def _whole(count: int, batched: Any, x: Any) -> Any:
     """Leaves with a leading axis of ``count``, also those that had none."""
     return jax.tree.map(
-        lambda leaf, b: leaf if b else jnp.broadcast_to(leaf, (count, *leaf.shape)), tuple(x), tuple(batched)
+        lambda leaf, b: leaf if b else jnp.broadcast_to(leaf, (count, *jnp.shape(leaf))), tuple(x), tuple(batched)
     )
 
 

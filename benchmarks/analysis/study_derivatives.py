@@ -56,6 +56,18 @@ def cases(points: int) -> dict[str, dict[str, Any]]:
                 "derivatives": ["stiffness", "clearance_journal"],
             },
         },
+        "joint in equilibrium, 13 instants": {
+            "scene": {
+                "scene": {"kind": "joint", "fidelity": "quasistatic", **PLAIN},
+                "time": {"end": 0.1, "samples": 13},
+                "parameters": {"load_ramp": 1e-6},
+            },
+            "vary": {"clearance_seat_cage": joint},
+            "results": {
+                "features": ["seat_ball.peak", "cage_ball.peak"],
+                "derivatives": ["stiffness", "clearance_seat_cage"],
+            },
+        },
         "joint, 0.2 s": {
             "scene": {"scene": {"kind": "joint", **PLAIN}, "time": {"end": 0.2, "samples": 301}},
             "vary": {"clearance_seat_cage": joint},
@@ -110,7 +122,8 @@ def compared(study: Study, singles: int) -> dict[str, Any]:
         "points": study.count, "block": blocks.size, "failed": sum(s != "ok" for t in tables for s in t.status),
         "loop_cpu_s": loop_cpu, "loop_wall_s": loop_wall, "batch_cpu_s": batch_cpu, "batch_wall_s": batch_wall,
         "cpu_ratio": loop_cpu / batch_cpu, "wall_ratio": loop_wall / batch_wall,
-        "steps": float(steps.mean()), "slots_at_work": float(steps.sum() / slots), "first_s": compiling,
+        "steps": float(steps.mean()), "slots_at_work": float(steps.sum() / slots) if slots else None,
+        "first_s": compiling, "load": os.getloadavg()[0],
         "off": dict(zip(study.columns, off.tolist(), strict=True)),
     }  # fmt: skip
 
