@@ -1,13 +1,14 @@
 """A study of 256 clearances with two derivatives, against its points one by one; and points of steady motion.
 
-    python -m benchmarks.analysis.study_derivatives [--points 256] [--singles 16] [--steady 4] [--only NAME]
+    python -m benchmarks.analysis.study_derivatives [--points 256] [--singles 16] [--steady 4] [--workers 2] [--only NAME]
 
 writes results/study_derivatives.json and the table in docs/studies.md. Three ways to the same columns:
 
 - the loop: the points one after the other in this process, each a solve with its tangents (what a study did before it
   had a batch, and still does below a force error of 0.05 %), features and their derivatives on the host;
 - the batch: the study's blocks one after the other in this process; CPU seconds of both, in turns, are compared;
-- the study: two workers, wall seconds between their first and last blocks, against the loop's wall seconds.
+- the study: two workers, wall seconds between their first and last blocks, against the loop's wall seconds; it means
+  something on a machine that has nothing else to do (the load is kept beside it).
 
 Everything is compiled before it is timed. The largest difference of a column between loop and batch is kept, too.
 """
@@ -174,6 +175,7 @@ def main() -> None:
     parser.add_argument("--points", type=int, default=256)
     parser.add_argument("--singles", type=int, default=16)
     parser.add_argument("--steady", type=int, default=4)
+    parser.add_argument("--workers", type=int, choices=(0, 2), default=2, help="0: no study by processes")
     parser.add_argument("--only", default="")
     given = parser.parse_args()
     os.environ["BCFJ_CACHE"] = str(CACHE)
@@ -189,7 +191,7 @@ def main() -> None:
         found = compared(from_table(table), given.singles)
         print(name, json.dumps(found, indent=1), flush=True)
         # Where a block takes less than another process's start, a study does not divide itself.
-        long = found["batch_wall_s"] * found["block"] > 0.2
+        long = given.workers and found["batch_wall_s"] * found["block"] > 0.2
         found["workers"] = workers(table, found["loop_wall_s"]) if long else None
         print(name, json.dumps(found["workers"], indent=1), flush=True)
         content["cases"][name] = found
