@@ -118,18 +118,18 @@ def newton(
     """The y of  y = base + s f(t, y)  or else the base, whether Newton got there, and the last matrix it used.
 
     Newton keeps its matrix while it converges quickly: contact springs appear within a step, and then it must not.
-    Under ``vmap`` all runs iterate until the last one has converged, and new matrices are made of those alone that ask.
-    ``renew``: the matrix given is none.
+    ``renew``: the matrix given is none. Under ``vmap`` all runs iterate until the last one has converged, and new
+    matrices are made of those alone that ask.
     """
     arrays, static = eqx.partition((solver, args), eqx.is_array)
 
     @custom_vmap
-    def alone(where: tuple, guess: Array, factors: Any, renew: Array) -> tuple[Array, Array, Any]:
-        return _newton(static, where, guess, factors, renew)
+    def alone(where: tuple, *start: Any) -> tuple[Array, Array, Any]:
+        return _newton(static, where, *start)
 
     @alone.def_vmap
-    def _(size: int, batched: list, where: tuple, *rest: Any) -> tuple:
-        found = _newtons(static, size, batched[0], where, *_whole(size, batched[1:], rest))
+    def _(size: int, batched: list, where: tuple, *start: Any) -> tuple:
+        found = _newtons(static, size, batched[0], where, *_whole(size, batched[1:], start))
         return found, jax.tree.map(lambda _: True, found)
 
     return alone((jnp.asarray(t), base, jnp.asarray(s), arrays), guess, factors, jnp.asarray(renew))
