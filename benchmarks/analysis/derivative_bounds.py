@@ -253,7 +253,8 @@ def summary(rows: Sequence[Row]) -> Row:
     told = [f for d in known for f in d["features"].values() if f[0] == verdicts.TRUSTED and np.isfinite(f[2])]
     good = np.array([f[1] - f[2] for f in told if f[1] > 1e-9])
     return {
-        "scenes": len(rows), "scenes without a reference": sum(not row["reference"] for row in rows), "derivatives": len(every), "without a reference": len(every) - len(known),
+        "scenes": len(rows), "scenes without a reference": sum(not row["reference"] for row in rows),
+        "derivatives": len(every), "without a reference": len(every) - len(known),
         "trusted": len(trusted), "averaged only": len(mean),
         "bounded": [float(np.mean(x >= 1.0)) for x in over.values()] if trusted else None,
         "worst": [float(np.max(1.0 / x)) for x in over.values()] if trusted else None,
