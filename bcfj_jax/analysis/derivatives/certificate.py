@@ -44,6 +44,7 @@ LEAST = 0.01
 INF = float("inf")
 # Of a history whose levels disagree; a feature's number may still agree.
 _LOOSE = "it depends on the tolerance"
+VAGUE = "central differences do not check it: they disagree with each other by half of themselves"
 _OPEN = f"{_LOOSE}, and its error cannot be bounded, since tighter solves do not agree better"
 
 
@@ -94,7 +95,7 @@ class Certificate(NamedTuple):
         target: bound of the averages' relative error that ended the tightening, where it was reached.
         tolerances, steps: of every level, loosest first.
         direction: pointwise and average difference from central differences along one random direction of all
-            parameters, less the differences' own error; None: not taken.
+            parameters, less the differences' own error; None: not taken, or it checks nothing.
         reported: tolerance of the level whose derivatives are reported; tighter ones bound their error.
     """
 
@@ -111,7 +112,8 @@ class Certificate(NamedTuple):
 class Comparison(NamedTuple):
     """What was found for one parameter in one comparison; until when [s] it could be made, NaN for the whole horizon.
 
-    ``unbounded``: of levels, whether they show no limit.
+    ``unbounded``: of levels, whether they show no limit; ``vague``: of central differences, whether their own error is
+    half of them or more, so that they check nothing.
     """
 
     what: str
@@ -119,6 +121,7 @@ class Comparison(NamedTuple):
     average: Difference
     until: float = float("nan")
     unbounded: bool = False
+    vague: bool = False
 
 
 def flat(derivative: np.ndarray) -> np.ndarray:
@@ -186,6 +189,7 @@ def check(
     end: float,
     also: str = "",
     unchecked: str = "",
+    vague: bool = False,
 ) -> Check:
     """One parameter's verdict.
 
@@ -195,12 +199,16 @@ def check(
         end: of a run that failed [s], or NaN.
         also: a comparison of all parameters together, which they passed.
         unchecked: what was not compared, and why.
+        vague: whether central differences of all parameters together were.
     """
     # A run beside that failed says nothing of this one.
     failed = [c for c in comparisons[1:] if not np.isfinite(c.average.relative)]
     if failed:
         unchecked = joined(unchecked, "central differences check nothing: a run beside this one failed")
-    comparisons = [c for c in comparisons if c not in failed]
+    vague = vague or any(c.vague for c in comparisons[1:])
+    if vague:
+        unchecked = joined(unchecked, VAGUE)
+    comparisons = [c for c in comparisons if not c.vague and c not in failed]
     early = [c.until for c in comparisons if np.isfinite(c.until)]
     if early and "central differences" not in unchecked:
         late = f"central differences check nothing after {min(early):.4g} s: a run beside this one failed there"
@@ -221,6 +229,9 @@ def check(
         verdict, breakdown = NOT, worst.average.broken
         rate = f"about {grown.exponent:.3g} per second" if np.isfinite(grown.exponent) else "beyond all numbers"
         remark = f"chaotic: the largest Lyapunov exponent is {rate}"
+    elif vague and grown.factor > CHAOTIC_GROWTH:
+        verdict, breakdown = NOT, worst.average.broken
+        remark = "tangents grow by more than a million, and no central difference confirms them"
     elif pointwise <= POINTWISE:
         verdict, remark = TRUSTED, "no influence" if nothing else ""
     elif worst.average.relative <= BROKEN and not comparisons[0].unbounded:
