@@ -37,6 +37,8 @@ from bcfj_jax.analysis.derivatives.norms import (
 
 TRUSTED, AVERAGED, NOT = "trusted", "averaged only", "not differentiable here"
 POINTWISE, BROKEN = 0.03, 0.10
+# What central differences find beyond the bound of a history, above which nothing is known of its features.
+KINKED = 0.01
 # A parameter below this share of the largest influence does not ask for another level.
 INFLUENCE = 0.01
 # Elasticity below which a feature's derivative counts as that much: 0.01 % per 1 %.
@@ -218,9 +220,9 @@ def check(
     solved = comparisons[0].average.relative <= POINTWISE
     pointwise = max(c.pointwise.relative for c in comparisons)
     nothing = influence == 0.0
-    # What differences alone find, a kink or a jump, no tolerance shows in the features either.
+    # What differences alone find, a kink or a jump, no tolerance shows in the features, which may miss it by more.
     kinked = max((c.pointwise.relative - comparisons[0].pointwise.relative for c in comparisons[1:]), default=0.0)
-    least = INF if kinked > POINTWISE else max(kinked, 0.0)
+    least = INF if kinked > KINKED else 5.0 * max(kinked, 0.0)
     features = {name: float(np.maximum(x, least)) for name, x in features.items()}
     remark, breakdown, numbers = "", float("nan"), {name: of_feature(x) for name, x in features.items()}
     if np.isfinite(end):
