@@ -4,7 +4,7 @@ Random scenes within the ranges that engineers use, five parameters each, ``bj.s
 is, against ``analysis.variational`` (SciPy's DOP853 at 1e-11, confirmed at 1e-9) for the explicit scenes, and for
 the joint against BDF at 1e-9 with tangents in its error control, confirmed at 1e-8. A derivative is one parameter's
 history. What is constant in the certificate (how far the tolerances are apart, the factor 1.2) was chosen on seed 1; here
-is seed 2.
+are seeds 2 and 3.
 
     python -m benchmarks.analysis.derivative_bounds [--scenes 100] [--only KIND ...] [--table]
         keeps scenes and references in build/derivative_bounds and goes on from there; writes results/derivative_bounds.json and
@@ -42,6 +42,8 @@ from benchmarks.solve.random_scenes import LAWS, joints, springs
 KINDS = ("impact", "bounce", "oblique_impact", "slider_crank", "joint", "joint_plain")
 FOLDER = ROOT / "build" / "derivative_bounds"
 SEED, TIGHT, LOOSE = 2, 1e-11, 1e-9
+# Impacts of seed 2 showed that jumps hide from a direction of +1 and -1, so that these are no longer new.
+SEEDS = {"impact": 3}
 JOINT_TIGHT, JOINT_LOOSE, JOINT_STEPS = 1e-9, 1e-8, 400_000
 JOINT_WRT = ("stiffness", "friction_static", "damping", "contact_angle", "clearance_cage_ball")
 # A derivative counts where its reference is known to this share of the error that is stated.
@@ -130,8 +132,9 @@ def jointed(count: int, seed: int, **options: Any) -> Iterator[Case]:
         yield scene, JOINT_WRT, p, np.linspace(0.0, rng.uniform(0.1, 0.2), 401)
 
 
-def cases(kind: str, count: int, seed: int = SEED) -> Iterator[Case]:
+def cases(kind: str, count: int, seed: int | None = None) -> Iterator[Case]:
     """Random scenes of a kind: scene, parameters to differentiate by, values, times."""
+    seed = SEEDS.get(kind, SEED) if seed is None else seed
     made = {"oblique_impact": oblique, "slider_crank": cranks, "joint": jointed}
     if kind == "joint_plain":
         return jointed(count, seed, **PLAIN)
@@ -253,7 +256,8 @@ def summary(rows: Sequence[Row]) -> Row:
     told = [f for d in known for f in d["features"].values() if f[0] == verdicts.TRUSTED and np.isfinite(f[2])]
     good = np.array([f[1] - f[2] for f in told if f[1] > 1e-9])
     return {
-        "scenes": len(rows), "scenes without a reference": sum(not row["reference"] for row in rows), "derivatives": len(every), "without a reference": len(every) - len(known),
+        "scenes": len(rows), "scenes without a reference": sum(not row["reference"] for row in rows),
+        "derivatives": len(every), "without a reference": len(every) - len(known),
         "trusted": len(trusted), "averaged only": len(mean),
         "bounded": [float(np.mean(x >= 1.0)) for x in over.values()] if trusted else None,
         "worst": [float(np.max(1.0 / x)) for x in over.values()] if trusted else None,
@@ -301,7 +305,10 @@ def main() -> None:
         files = sorted((FOLDER / kind).glob("*.json")) if (FOLDER / kind).exists() else []
         if files:
             kept[kind] = summary([json.loads(path.read_text()) for path in files])
-    save("derivative_bounds", {"seed": SEED, "kinds": {kind: kept[kind] for kind in KINDS if kind in kept}})
+    save(
+        "derivative_bounds",
+        {"seed": SEED, "seeds": SEEDS, "kinds": {kind: kept[kind] for kind in KINDS if kind in kept}},
+    )
     put_in_readme("bounds", table({kind: kept[kind] for kind in KINDS if kind in kept}), "docs/derivatives.md")
     print(table(kept))
 

@@ -74,6 +74,22 @@ def test_a_run_that_fails_late_is_compared_until_then():
     assert found.unchecked == "central differences check nothing: a run beside this one failed"
 
 
+def test_differences_that_are_noise_check_nothing():
+    line, draw = np.stack([TIMES, 2.0 * TIMES], 1), np.random.default_rng(1)
+
+    def forces(values):
+        return values[0] * line + 0.01 * draw.normal(size=line.shape)
+
+    noise, calm = against("", TIMES, forces, np.ones(1), np.ones(1), line, 1e-9, 0.05), Growth(1.0, 0.0)
+    assert noise.vague and not against("", TIMES, lambda x: x[0] * line, np.ones(1), np.ones(1), line, 1e-9, 0.05).vague
+    levels = compare("levels", TIMES, line, 1.01 * line, 0.0, 0.05)
+    found = certificate.check([levels, noise], {}, calm, 1.0, np.nan)
+    assert found.verdict == TRUSTED and found.unchecked == certificate.VAGUE and found.compared_with == ("levels",)
+    # Tangents that grow beyond all measure are then not believed, though tolerances agree about them.
+    assert certificate.check([levels, noise], {}, Growth(1e7, 9.0), 1.0, np.nan).verdict == NOT
+    assert certificate.check([levels], {}, Growth(1e7, 9.0), 1.0, np.nan, vague=True).verdict == NOT
+
+
 def test_a_longer_step_is_taken_only_where_the_shorter_disagrees():
     line, runs = np.stack([TIMES, 2.0 * TIMES], 1), []
 

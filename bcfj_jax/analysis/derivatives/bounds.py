@@ -212,6 +212,16 @@ def feature_bounds(slopes: Sequence[np.ndarray], numbers: np.ndarray, values: np
     return SAFETY * apart + own
 
 
+def luckless(climb: Climb, histories: Sequence[Comparison]) -> np.ndarray:
+    """Least bounds (P,) of features' derivatives from those of their histories.
+
+    One number of R and of T may agree by luck where there is no C; a history does not. Half of its bound is then the least.
+    """
+    if climb.needed > 2 or not climb.bounded:
+        return np.zeros(len(histories))
+    return np.array([0.5 * min(c.pointwise.relative, c.average.relative) for c in histories])
+
+
 def target(error: float) -> float:
     """Bound of the averages at which the tightening ends: 10 % fast, 3 % balanced, 1 % reference."""
     return float(np.clip(3.0 * error, 0.01, 0.10))

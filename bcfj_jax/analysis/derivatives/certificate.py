@@ -37,6 +37,8 @@ from bcfj_jax.analysis.derivatives.norms import (
 
 TRUSTED, AVERAGED, NOT = "trusted", "averaged only", "not differentiable here"
 POINTWISE, BROKEN = 0.03, 0.10
+# What central differences find beyond the bound of a history, above which nothing is known of its features.
+KINKED = 0.01
 # A parameter below this share of the largest influence does not ask for another level.
 INFLUENCE = 0.01
 # Elasticity below which a feature's derivative counts as that much: 0.01 % per 1 %.
@@ -44,6 +46,7 @@ LEAST = 0.01
 INF = float("inf")
 # Of a history whose levels disagree; a feature's number may still agree.
 _LOOSE = "it depends on the tolerance"
+VAGUE = "central differences do not check it: they disagree with each other by half of themselves"
 _OPEN = f"{_LOOSE}, and its error cannot be bounded, since tighter solves do not agree better"
 
 
@@ -94,7 +97,7 @@ class Certificate(NamedTuple):
         target: bound of the averages' relative error that ended the tightening, where it was reached.
         tolerances, steps: of every level, loosest first.
         direction: pointwise and average difference from central differences along one random direction of all
-            parameters, less the differences' own error; None: not taken.
+            parameters, less the differences' own error; None: not taken, or it checks nothing.
         reported: tolerance of the level whose derivatives are reported; tighter ones bound their error.
     """
 
@@ -111,7 +114,8 @@ class Certificate(NamedTuple):
 class Comparison(NamedTuple):
     """What was found for one parameter in one comparison; until when [s] it could be made, NaN for the whole horizon.
 
-    ``unbounded``: of levels, whether they show no limit.
+    ``unbounded``: of levels, whether they show no limit; ``vague``: of central differences, whether their own error is
+    half of them or more, so that they check nothing.
     """
 
     what: str
@@ -119,6 +123,7 @@ class Comparison(NamedTuple):
     average: Difference
     until: float = float("nan")
     unbounded: bool = False
+    vague: bool = False
 
 
 def flat(derivative: np.ndarray) -> np.ndarray:
@@ -186,6 +191,7 @@ def check(
     end: float,
     also: str = "",
     unchecked: str = "",
+    vague: bool = False,
 ) -> Check:
     """One parameter's verdict.
 
@@ -195,12 +201,16 @@ def check(
         end: of a run that failed [s], or NaN.
         also: a comparison of all parameters together, which they passed.
         unchecked: what was not compared, and why.
+        vague: whether central differences of all parameters together were.
     """
     # A run beside that failed says nothing of this one.
     failed = [c for c in comparisons[1:] if not np.isfinite(c.average.relative)]
     if failed:
         unchecked = joined(unchecked, "central differences check nothing: a run beside this one failed")
-    comparisons = [c for c in comparisons if c not in failed]
+    vague = vague or any(c.vague for c in comparisons[1:])
+    if vague:
+        unchecked = joined(unchecked, VAGUE)
+    comparisons = [c for c in comparisons if not c.vague and c not in failed]
     early = [c.until for c in comparisons if np.isfinite(c.until)]
     if early and "central differences" not in unchecked:
         late = f"central differences check nothing after {min(early):.4g} s: a run beside this one failed there"
@@ -210,9 +220,9 @@ def check(
     solved = comparisons[0].average.relative <= POINTWISE
     pointwise = max(c.pointwise.relative for c in comparisons)
     nothing = influence == 0.0
-    # What differences alone find, a kink or a jump, no tolerance shows in the features either.
+    # What differences alone find, a kink or a jump, no tolerance shows in the features, which may miss it by more.
     kinked = max((c.pointwise.relative - comparisons[0].pointwise.relative for c in comparisons[1:]), default=0.0)
-    least = INF if kinked > POINTWISE else max(kinked, 0.0)
+    least = INF if kinked > KINKED else 5.0 * max(kinked, 0.0)
     features = {name: float(np.maximum(x, least)) for name, x in features.items()}
     remark, breakdown, numbers = "", float("nan"), {name: of_feature(x) for name, x in features.items()}
     if np.isfinite(end):
@@ -221,6 +231,9 @@ def check(
         verdict, breakdown = NOT, worst.average.broken
         rate = f"about {grown.exponent:.3g} per second" if np.isfinite(grown.exponent) else "beyond all numbers"
         remark = f"chaotic: the largest Lyapunov exponent is {rate}"
+    elif vague and grown.factor > CHAOTIC_GROWTH:
+        verdict, breakdown = NOT, worst.average.broken
+        remark = "tangents grow by more than a million, and no central difference confirms them"
     elif pointwise <= POINTWISE:
         verdict, remark = TRUSTED, "no influence" if nothing else ""
     elif worst.average.relative <= BROKEN and not comparisons[0].unbounded:

@@ -22,8 +22,8 @@ from bcfj_jax.core.threads import together
 
 Forces = Callable[[np.ndarray], np.ndarray]
 _SEED = 4
-# Share of the samples that a comparison needs.
-_LEAST = 0.1
+# Share of the samples that a comparison needs; own error beyond which it is none.
+_LEAST, _VAGUE = 0.1, 0.5
 
 
 def scales(times: np.ndarray, values: np.ndarray, force: np.ndarray, derivative: np.ndarray) -> np.ndarray:
@@ -92,6 +92,9 @@ def against(
     own = compare("", times, far, near, noise, width)
     size = max(float(norm(times, derivative)), float(norm(times, near)), 1e-300)
     noisy = noise * float(np.sqrt(max(times[-1] - times[0], 0.0) or 1.0)) / size
+
+    # Differences that disagree with each other by half check nothing.
+    found = found._replace(vague=bool(own.pointwise.relative + noisy > _VAGUE))
 
     def excess(d: Difference, o: Difference) -> Difference:
         # Where the longer step's run failed nothing is known of the differences' own error, and none is taken off.

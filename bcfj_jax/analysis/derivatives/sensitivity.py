@@ -11,7 +11,17 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from bcfj_jax.analysis.derivatives import certificate as verdicts
-from bcfj_jax.analysis.derivatives.bounds import APART, Budget, Climb, bounded, climb, feature_bounds, safer, target
+from bcfj_jax.analysis.derivatives.bounds import (
+    APART,
+    Budget,
+    Climb,
+    bounded,
+    climb,
+    feature_bounds,
+    luckless,
+    safer,
+    target,
+)
 from bcfj_jax.analysis.derivatives.certificate import Certificate, Check, Comparison
 from bcfj_jax.analysis.derivatives.contact_events import TIGHTER, check_followed, filled
 from bcfj_jax.analysis.derivatives.differences import against, scales
@@ -213,6 +223,7 @@ def sensitivity(
     for by in tighter:
         filled(scene, full, t[-1], names, how, wanted, numbers.copy(), by, TIGHTER / APART[False])
     agree = feature_bounds([slopes, *tighter], numbers, values) if tighter else np.full(slopes.shape, np.inf)
+    agree = np.maximum(agree, luckless(climbed, bounded(t, climbed, values, _width(t, average))))
     agree = agree + sampling(t, last.value, last.derivative, wanted, contacts, values)
     if found.steady is not None:
         agree = np.maximum(agree, _off_steady(scene, full, t, last, found.steady, wanted, names))
@@ -265,7 +276,7 @@ def _certificate(
     values, width, last = _values(params, names), _width(times, average), climbed.last
     found: list[list[Comparison]] = [[c] for c in bounded(times, climbed, values, width)]
     grown, strength = verdicts.growths(times, last, values), verdicts.influences(times, last, values)
-    direction, also, unchecked = None, [""] * len(names), [climbed.unchecked] * len(names)
+    both, direction, also, unchecked = None, None, [""] * len(names), [climbed.unchecked] * len(names)
     lost = any(verdicts.chaotic(g, c[0]) for g, c in zip(grown, found, strict=True))
     if differences != "none" and last.good and not lost:
         fine = _fine(scene, error * last.tolerance / climbed.levels[0].tolerance)
@@ -287,7 +298,7 @@ def _certificate(
             early = count < len(times) and not np.isfinite(compared.until)
             return compared._replace(what=f"{compared.what}, until {short[-1]:.4g} s") if early else compared
 
-        each, both = differences == "each", None
+        each = differences == "each"
         way = step * random_direction(len(names))
         if not each and np.any(step):
             what = "central differences along one random direction of all parameters"
@@ -302,12 +313,13 @@ def _certificate(
                 unchecked = [verdicts.joined(x, late) if s else x for x, s in zip(unchecked, step, strict=True)]
         if both is not None:
             direction = {"pointwise": both.pointwise.relative, "average": both.average.relative}
-            each = bool(both.pointwise.relative > known[0] or both.average.relative > known[1])
+            direction = None if both.vague else direction
+            each = bool(both.pointwise.relative > known[0] or both.average.relative > known[1]) and not both.vague
             if np.isfinite(both.until) and not each:
                 late = f"central differences check nothing after {both.until:.4g} s: a run beside this one failed there"
                 unchecked = [verdicts.joined(x, late) for x in unchecked]
             # A parameter at 0 was not moved.
-            also = [both.what if s and not each else "" for s in step]
+            also = [both.what if s and not each and not both.vague else "" for s in step]
         # The strongest first: the budget may end.
         for k in sorted(np.flatnonzero(step) if each else (), key=lambda k: -strength[k]):
             unit = np.where(np.arange(len(names)) == k, step, 0.0)
@@ -318,7 +330,16 @@ def _certificate(
                 unchecked[k] = verdicts.joined(unchecked[k], f"central differences do not check it alone: {spend.over}")
     end = last.end if last.code != OK else float("nan")
     checks: dict[str, Check] = {
-        name: verdicts.check(found[k], features[name], grown[k], float(strength[k]), end, also[k], unchecked[k])
+        name: verdicts.check(
+            found[k],
+            features[name],
+            grown[k],
+            float(strength[k]),
+            end,
+            also[k],
+            unchecked[k],
+            both is not None and both.vague,
+        )
         for k, name in enumerate(names)
     }
     return Certificate(
