@@ -1,8 +1,9 @@
 """Are the extremes survived? Every case of a wide box, forward and with its derivative, must end well or say why not.
 
-A case is ``ok`` (finite forces and derivatives, energy not created), ``failed`` with a reason and a time, or
-``refused`` by the validation of its numbers; anything else is a defect: a NaN as success, energy from nowhere, more
-steps than were allowed.
+A case is ``ok`` (finite forces and derivatives, energy not created), ``failed`` with a reason and a time, ``refused``
+by the validation of its numbers, or ``void``: energy is created, in a joint whose bodies pass through each other by
+more than a ball's radius, which a run says in a warning; anything else is a defect: a NaN as success, energy from
+nowhere, more steps than were allowed.
 
     python -m benchmarks.analysis.extremes [SCENE ...] [--cases N] [--fresh]
 
@@ -64,18 +65,20 @@ def attempt(scene: Any, params: Any, moves: Any, times: Any, how: Any) -> dict[s
     def forces(p: Any, t: Any) -> Any:
         solution, readings = outcome(scene, p, t, how, "forward", moves is not None)
         force = jnp.concatenate([readings[c.name].force.reshape(t.size, -1) for c in scene.contacts], 1)
-        return (force, solution.states), solution
+        depth = jnp.max(jnp.stack([jnp.max(readings[c.name].penetration) for c in scene.contacts]))
+        return (force, solution.states), (solution, depth)
 
     def one(p: Any, move: Any, t: Any) -> dict[str, Any]:
         if move is None:
-            (force, states), solution = forces(p, t)
+            (force, states), (solution, depth) = forces(p, t)
             slopes = (jnp.zeros_like(force),)
         else:
-            (force, states), slopes, solution = jax.jvp(lambda p: forces(p, t), (p,), (move,), has_aux=True)
+            (force, states), slopes, (solution, depth) = jax.jvp(lambda p: forces(p, t), (p,), (move,), has_aux=True)
         finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x), 1) for x in slopes]), 0)
         return {
             "force": jnp.all(jnp.isfinite(force)),
             "peak": jnp.max(jnp.abs(force)),
+            "depth": depth,
             "slope": jnp.all(finite),
             "grown": jnp.max(jnp.where(jnp.isfinite(slopes[0]), jnp.abs(slopes[0]), 0.0)),
             "lost": t[jnp.argmin(finite)],
@@ -193,7 +196,10 @@ def verdicts(variant: Variant, cases: dict[str, np.ndarray]) -> list[dict[str, A
             steep = jax.device_get(attempt(scene, batch, move, t, how)) if alone and variant.slopes else None
             for member, which in enumerate(some[: max(0, good.size - k)]):
                 ends = [{key: x[member] for key, x in run.items() if key != "states"} for run in (got, steep) if run]
-                checks = [checked(end, float(above[member]), float(times[which, -1]), variant.budget) for end in ends]
+                through = float(own.get("ball_radius", np.full(len(some), np.inf))[member])
+                checks = [
+                    checked(end, float(above[member]), float(times[which, -1]), variant.budget, through) for end in ends
+                ]
                 worst = next((j for j in checks if j["class"] != "ok"), checks[0])
                 # A run that went well, whose derivatives did not.
                 part = "derivatives: " if worst is not checks[0] else ""
@@ -201,8 +207,8 @@ def verdicts(variant: Variant, cases: dict[str, np.ndarray]) -> list[dict[str, A
     return [{**row, "end": float(cases["end"][k]), **found[k]} for k, row in enumerate(rows)]
 
 
-def checked(one: dict[str, Any], above: float, end: float, budget: int) -> dict[str, Any]:
-    """The class of one finished case."""
+def checked(one: dict[str, Any], above: float, end: float, budget: int, through: float) -> dict[str, Any]:
+    """The class of one finished case; ``through``: penetration [m] beyond which bodies are out of each other's gaps."""
     code, steps = int(one["code"]), int(one["steps"])
     if code == OK and bool(one["force"]) and not bool(one["slope"]):
         # As ``sensitivity`` does.
@@ -220,6 +226,8 @@ def checked(one: dict[str, Any], above: float, end: float, budget: int) -> dict[
         "more steps than allowed": steps > budget and budget > 1,
     }
     fault = next((name for name, there in faults.items() if there), "")
+    if fault == "energy created" and float(one["depth"]) > through:
+        return {"class": "void", "reason": "bodies pass through each other", "depth": float(one["depth"])} | figures
     return {"class": "defect" if fault else "ok", "reason": fault} | figures
 
 

@@ -122,7 +122,7 @@ _STILL = {"drive_speed": 0.0, "load_torque": 0.0}
 # Options of the joint as it is built, each drawn from these for a joint; and the axes that some of them add.
 _OPTIONS: dict[str, tuple[Any, ...]] = {
     "law": ("exact", "memory_free", "flores"),
-    "friction": ("brown_mcphee", "memory"),
+    "friction": ("brown_mcphee", "memory", "frictional_lag"),
     "track": ("gothic", "circular"),
     "head": ("free", "fixed"),
     "spin": (False, True),
@@ -141,6 +141,8 @@ _ADDED = (
     Axis("pilot_band", 0.3, 0.7, False),
     Axis("load_ramp", 1e-5, 1.0),
     Axis("drive_ramp", 1e-4, 1.0),
+    Axis("friction_memory", 1e-4, 1e-1),
+    Axis("friction_viscous", 1e-3, 1.0, corners=(0.0,)),
     Axis("ball_2.oversize", -1e-4, 1e-4, False, (0.0,)),
     Axis("seat_ball_3.extra_clearance", -1e-5, 1e-4, False, (0.0,)),
 )
@@ -174,7 +176,7 @@ VARIANTS: tuple[Variant, ...] = (
     Variant("dynamic", "frictionless", _SMOOTH, (*_ELASTIC, _DAMPING, *_FULL[3:-3], _DRIVE), _BRIEF, 0.19, 600),
     Variant("dynamic", "30 s", _ROUGH, _NEAR, Axis("end", 30.0, 30.0), 0.01, 60_000, slopes=False),
     *(_drawn(number, (*_FULL, _DAMPING, *_ADDED)) for number in range(1, _JOINTS + 1)),
-    Variant("options", "passive", _BUILT, (*_FREE, *_ADDED[:2], *_ADDED[4:]), _BRIEF, 0.1, 600, fixed=_STILL),
+    Variant("options", "passive", _BUILT, (*_FREE, *_ADDED[:2], *_ADDED[6:]), _BRIEF, 0.1, 600, fixed=_STILL),
 )  # fmt: skip
 
 

@@ -36,7 +36,8 @@ def counts(scenes: dict[str, Any]) -> list[list[str]]:
     rows = [["scene", "cases", "ok", "failed, told why", "refused", "defects", "energy created"]]
     for name, found in scenes.items():
         total = found["all"]
-        kinds = [str(total["classes"].get(kind, 0)) for kind in ("ok", "failed", "refused", "defect")]
+        told = {**total["classes"], "failed": sum(total["classes"].get(kind, 0) for kind in ("failed", "void"))}
+        kinds = [str(told.get(kind, 0)) for kind in ("ok", "failed", "refused", "defect")]
         energy = f"{total['most_energy_created']:.1%} at most" if total["most_energy_created"] else ""
         rows.append([name, str(total["cases"]), *kinds, energy])
     return rows

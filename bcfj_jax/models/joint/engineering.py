@@ -52,28 +52,33 @@ def of_the_contacts(
     Returns:
         By contact a dict with ``force``, ``pressure``, ``half_axes`` (long, short), ``power`` (mean of the last
         two thirds) and ``void``, a sentence or "". Beside them ``units``,
-        ``note`` and ``warning``, which says where elastic laws are void, or "".
+        ``note`` and ``warning``, which says where elastic laws are void and where bodies pass through each other, or "".
     """
     forces = {name: jnp.asarray(np.nanmax(np.abs(run.force[name][..., 0]))) for name in run.force}
     patches = ask("joint's patches", _patches, (scene,), (dict(params), forces))
     late = run.times >= run.times[-1] / 3.0
     found: dict[str, Any] = {}
-    yields, wide = [], []
+    yields, wide, radius = [], [], float(params["ball_radius"])
+    depths = {name: float(np.nanmax(np.asarray(run.penetration[name]))) for name in forces}
+    deep = [f"{name} {depth:.2g} m" for name, depth in depths.items() if depth > radius]
     for name, force in forces.items():
-        pressure, long, short, radius = (float(x) for x in patches[name])
+        pressure, long, short, size = (float(x) for x in patches[name])
         # A clearance of 0 has no patch.
-        void = _void(name, pressure, max(long, short) / radius) if np.isfinite(pressure) else "no clearance, no patch"
+        void = _void(name, pressure, max(long, short) / size) if np.isfinite(pressure) else "no clearance, no patch"
         halves = [max(long, short), min(long, short)]
         found[name] = {"force": float(force), "pressure": pressure, "half_axes": halves}
         found[name] |= {"power": float(np.nanmean(np.asarray(rubbed[name])[late]))} if rubbed else {}
         found[name]["void"] = void
         yields += [f"{name} {pressure / 1e9:.3g} GPa"] if pressure > ISO_76 else []
-        wide += [f"{name} {max(halves) / radius:.2g}"] if max(halves) > LIMIT * radius else []
-    return found | {"units": UNITS, "titles": TITLES, "note": NOTE, "warning": _warning(yields, wide)}
+        wide += [f"{name} {max(halves) / size:.2g}"] if max(halves) > LIMIT * size else []
+    return found | {"units": UNITS, "titles": TITLES, "note": NOTE, "warning": _warning(yields, wide, deep)}
 
 
-def _warning(yields: list[str], wide: list[str]) -> str:
+def _warning(yields: list[str], wide: list[str], deep: list[str]) -> str:
+    """Deeper than a ball's radius bodies are out of each other's gaps: a flank's force is no gradient of an energy there."""
     parts = []
+    if deep:
+        parts.append(f"bodies pass through each other, deeper than a ball's radius: {', '.join(deep)}")
     if yields:
         parts.append(f"the surface yields above 4.2 GPa (ISO 76, ball contact): {', '.join(yields)}")
     if wide:

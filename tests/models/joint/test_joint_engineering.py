@@ -35,8 +35,9 @@ def test_patches_power_and_what_is_void():
     force = {name: np.zeros((31, 6, 3) if "ball" in name else (31, 3)) for name in ("cage_ball", "seat_cage")}
     force["cage_ball"][..., 0] = -5e3
     force["seat_cage"][:] = [20e3, 300.0, 400.0]
+    depth = {"cage_ball": np.full((31, 6), 1e-4), "seat_cage": np.full(31, 8.1e-3)}
     run, rubbed = (
-        SimpleNamespace(times=times, force=force),
+        SimpleNamespace(times=times, force=force, penetration=depth),
         {"cage_ball": 0.0 * times, "seat_cage": 10.0 * (times >= 1.0)},
     )
     found = of_the_contacts(scene, params, run, rubbed)
@@ -50,6 +51,7 @@ def test_patches_power_and_what_is_void():
     assert pilot["power"] == 10.0 and window["power"] == 0.0
     assert pilot["half_axes"][0] / 39.95e-3 > 0.3 and "too wide" in pilot["void"]
     assert "yields above 4.2 GPa (ISO 76, ball contact): cage_ball 5.78 GPa; a patch" in found["warning"]
+    assert "deeper than a ball's radius: seat_cage 0.0081 m" in found["warning"]
     content = {"contacts": {"seat_cage": {"peak": 20e3}} | {f"cage_ball_{k}": {"peak": k} for k in range(1, 7)}}
     rows = {row[0]: row[1:] for row in contact_rows(scene, content | {"engineering": found})}
     assert rows["feature"] == ["seat_cage", "cage_ball (1 to 6)"] and rows["peak"] == ["20 kN", "1 to 6 N"]
