@@ -1,6 +1,6 @@
 """Ten bounces calibrated from times, peaks and impulses of their contacts, beside the same records from force samples.
 
-Records are those of ``trap`` (exact law by SciPy, white noise), and of a contact a hundred times harder; stiffness is free
+Records are those of ``trap`` (exact law by SciPy, white noise), and of a contact a thousand times as hard; stiffness is free
 over three decades. Twice: by ``calibration.fit``, whose search for samples grows with the record; and by its least squares
 alone, on all data at once, from starts all over the bounds, where a spiky residual shows.
 

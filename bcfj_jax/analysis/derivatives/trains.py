@@ -173,7 +173,8 @@ def _contact(model: AbstractModel, prepared: Params, mark: Marks, times: Array, 
     grid, nodes = times[:NODES], states[:NODES]
     first, last = crossed(0, jnp.isfinite(mark.begin)), crossed(NODES - 1, jnp.isfinite(mark.end))
     shifts = first + (last - first) * PHASES
-    along = nodes + shifts[:, None] * rates
+    # Shifts are rounding; the rate's own derivative is not known in the shortest steps.
+    along = nodes + shifts[:, None] * fixed(rates)
     force = jax.vmap(lambda t, y: read(t, y)[2])(grid + shifts, along)
     length = grid[-1] + last - (grid[0] + first)
     clock = grid - fixed(grid[0]) + shifts
