@@ -12,8 +12,8 @@ margins (linear propagation of errors):
     w^2 = sum w_i (F_i - r) (t_i - c)^2 / J      s_w = s sqrt(sum w_i^2 ((t_i - c)^2 - w^2)^2) / (2 w J)
     peak: top of the least-squares polynomial of degree 6 through the samples above ``_TOP`` of the highest, with its deviation.
 
-A quartic would read K d^1.5 too low by 3e-4, in every contact alike, which ten contacts of a quiet record do not forgive; degree 6
-is off by 1e-5, for 1.2 times the deviation.
+A quartic would read K d^1.5 too low by 3e-4, in every contact alike, which would bias a fit of ten contacts with little noise;
+degree 6 is off by 1e-5, for 1.2 times the deviation.
 
 Every sum has an error of its own besides, from samples that lie apart: a third of its difference to that over every second
 sample. These are the features ``impulse``, ``center``, ``width`` and ``peak`` (``names.EVENTS``). Begin and end are not
