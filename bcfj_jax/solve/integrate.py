@@ -124,6 +124,10 @@ def integrate(
         return model.instants(params, times)[0]
     if differentiable and how.solver in named.VALUES_ONLY:
         raise InputError("solver", f"'{how.solver}' has no derivatives", "leave it out, or take sdirk2 or bdf")
+    if how.landing and differentiable and mode == "forward" and not traits.stiff and model.contacts:
+        from bcfj_jax.solve.landing import solved
+
+        return solved(model, params, times, how, 1)[0]
     posed = problem(model, params, times[-1], how, differentiable)
     if traits.stiff and differentiable:
         if mode == "forward":

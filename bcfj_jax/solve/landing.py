@@ -26,6 +26,8 @@ _NEAR = 1e-3
 _ROUNDING = 1e-15
 # A step is taken anew so many times at most, and ends beyond this share of the one that it replaces.
 _TRIES, _LEAST = 8, 1e-4
+# A step of so small a part of the flight or the contact so far is not taken anew.
+_SHORT = 1e-9
 # After a landing the next step is at least this share of the last free one.
 _AFTER = 0.05
 # A contact is left by steps of this share of what is left of it, down to this share of its length: of K d^n with n < 2 the
@@ -138,7 +140,9 @@ class Landing(dfx.AbstractStepSizeController):
             lambda: jnp.min(jnp.where(crossing, _crossing(memory.before, now, memory.inside, dt), 1.0)),
             lambda: jnp.ones_like(dt),
         )
-        again = jnp.any(crossing) & (memory.tries < _TRIES) & (share < 1.0)
+        # A step so short is on the surface, whatever the rounding of the penetration lets it show.
+        short = fixed(dt) <= _SHORT * jnp.max(jnp.where(crossing, fixed(t1) - memory.since, 0.0))
+        again = jnp.any(crossing) & (memory.tries < _TRIES) & (share < 1.0) & ~short
         turned, kept = keep & ~again & (beyond | (near & heading)), keep & ~again
         landed = jnp.any(turned)
         inside, free = memory.inside ^ turned, jnp.where(again, jnp.maximum(memory.free, fixed(dt)), memory.free)

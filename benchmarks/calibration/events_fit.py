@@ -1,6 +1,6 @@
 """Ten bounces calibrated from times, peaks and impulses of their contacts, beside the same records from force samples.
 
-Records are those of ``trap`` (exact law by SciPy, white noise), and of a contact a hundred times harder; stiffness is free
+Records are those of ``trap`` (exact law by SciPy, white noise), and of a contact a thousand times as hard; stiffness is free
 over three decades. Twice: by ``calibration.fit``, whose search for samples grows with the record; and by its least squares
 alone, on all data at once, from starts all over the bounds, where a spiky residual shows.
 
@@ -31,7 +31,7 @@ from calibration.search.evaluate import evaluator
 
 SCENE = bj.scenes.bounce(smoothing=False)
 BALL = {"mass": 0.1, "drop_height": 0.1, "gravity": 9.81}
-COUNT, NOISES, STARTS, PLAIN = 10, (0.01, 0.001), 12, 48
+COUNT, NOISES, STARTS, PLAIN = 10, (0.01, 0.001), 12, 64
 # Least squares ends near the best where it costs no more than so much above it.
 _NEAR = 10.0
 RECORDS = {
@@ -91,7 +91,7 @@ def plain(given: Problem, seed: int) -> dict[str, Any]:
     truth = np.array([[RECORDS[n][a.name] for a in model.coordinates] for n in RECORDS if _is(given, n)])
     best = float(cost_of(evaluate(np.repeat(model.point(truth, 0.0), 12, axis=0))[0])[0])
     begin, costs = time.process_time(), []
-    for block in np.split(points, PLAIN // 12):
+    for block in np.array_split(points, -(-PLAIN // 12)):
         costs.append(levenberg(evaluate, block, 80, 1e-2).costs)
     costs = np.concatenate(costs)
     return {"near": int(np.sum(costs <= best + _NEAR)), "of": PLAIN, "cpu_s": time.process_time() - begin}

@@ -17,7 +17,6 @@ from bcfj_jax.analysis.derivatives.names import event, feature, members
 from bcfj_jax.analysis.derivatives.trains import flat, train
 from bcfj_jax.core.status import OK
 from bcfj_jax.mechanism.model import AbstractModel, Params
-from bcfj_jax.solve.landing import solved
 from bcfj_jax.solve.plan import Plan
 from calibration.problem import Experiment
 
@@ -140,6 +139,8 @@ def single(
 
     A contact that is not there, on the way to an optimum, has no peak, impulse and width, and is as late as the run ends.
     """
+    from bcfj_jax.solve.landing import solved  # With diffrax, which a kept program needs not.
+
     wanted = [feature(name, scene.members) for name in observed.names]
     channels = channel_names(scene.members)
     asked = {

@@ -121,7 +121,7 @@ def test_ten_bounces_are_calibrated_from_their_events():
         values = exact[kind][0] + sigma * rng.standard_normal(10)
         seen += [Observation(f"contact.{kind}_{k + 1}", float(x), sigma) for k, x in enumerate(values)]
     one = Experiment("drop", np.zeros(0), (), features=tuple(seen), span=float(exact["end"][0][-1]) + 0.05)
-    params = {k: float(v) for k, v in scene.parameters(**law).items()}
+    params = {k: float(v) for k, v in scene.parameters(law).items()}
     free = (Free("stiffness", 10**3.5, 10**6.5), Free("mass", 0.02, 0.5))
     found = fit(Problem(scene, params, (one,), free), starts=8)
     assert found.verdict == "identified", found.reasons
@@ -130,6 +130,8 @@ def test_ten_bounces_are_calibrated_from_their_events():
     spread = np.sqrt(np.diag(np.linalg.inv(rows.T @ rows)))
     for name, deviation in zip(("stiffness", "mass"), spread, strict=True):
         assert abs(np.log(found.parameters[name].value / law[name])) < 4.0 * deviation
-        low, high = np.log(found.parameters[name].ci95)
+        ends = found.parameters[name].ci95
+        assert ends is not None
+        low, high = np.log(ends)
         assert (high - low) / 2.0 == pytest.approx(1.96 * deviation, rel=0.1)
     assert sum(s["chi2"] < found.starts[0]["chi2"] + 1.0 for s in found.starts) == 8

@@ -6,6 +6,7 @@ traced, so that the same program climbs a certificate's levels.
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -92,8 +93,12 @@ def by_channel(scene: AbstractModel, readings: Mapping[str, Any]) -> tuple[Array
     return force, depth, rate
 
 
-def level(scene: AbstractModel, params: Params, times: np.ndarray, wrt: tuple[str, ...], how: Plan) -> Level:
-    """Solve once with the derivatives by all of ``wrt``, per SI unit."""
+def level(
+    scene: AbstractModel, params: Params, times: np.ndarray, wrt: tuple[str, ...], how: Plan, landing: bool = False
+) -> Level:
+    """Solve once with the derivatives by all of ``wrt``, per SI unit; ``landing``: by steps that end on contacts, if explicit."""
+    # A step across the begin or the end of a contact has a derivative that is wrong by any factor.
+    how = dataclasses.replace(how, landing=landing and not scene.traits.stiff and scene.traits.history)
     arguments = (dict(params), np.asarray(times), how)
     solve, compile_s = program("jacobian", _jacobian, (scene, wrt), arguments)
     begin = time.perf_counter()

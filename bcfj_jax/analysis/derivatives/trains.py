@@ -21,7 +21,7 @@ The integral is Clenshaw and Curtis's rule on ``NODES`` points, whose every seco
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -29,8 +29,10 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.mechanism.model import AbstractModel, Params, Solution
-from bcfj_jax.solve.landing import Instants, look, solved
 from bcfj_jax.solve.plan import Plan
+
+if TYPE_CHECKING:
+    from bcfj_jax.solve.landing import Instants
 
 NODES = 33
 # Newton steps to a peak, and Runge-Kutta steps along the motion in each.
@@ -104,6 +106,8 @@ def train(model: AbstractModel, params: Params, marks: Marks, end: Array, how: P
 
     ``jvp`` and ``jacfwd`` go through ``params``; a mark only says where to look.
     """
+    from bcfj_jax.solve.landing import solved  # With diffrax, which a kept program needs not.
+
     marks = Marks(marks.channel, *map(jax.lax.stop_gradient, marks[1:]))
     there = jnp.isfinite(marks.high)
     start, stop = (
@@ -141,6 +145,8 @@ def train(model: AbstractModel, params: Params, marks: Marks, end: Array, how: P
 
 def _contact(model: AbstractModel, prepared: Params, mark: Marks, times: Array, states: Array, rates: Array) -> Train:
     """One contact from its states at ``NODES`` times and near its peak (NODES + 1, n), and their rates (NODES, n)."""
+    from bcfj_jax.solve.landing import look
+
     fixed = jax.lax.stop_gradient
 
     def read(t: Array, y: Array) -> tuple[Array, Array, Array]:
@@ -167,7 +173,8 @@ def _contact(model: AbstractModel, prepared: Params, mark: Marks, times: Array, 
     grid, nodes = times[:NODES], states[:NODES]
     first, last = crossed(0, jnp.isfinite(mark.begin)), crossed(NODES - 1, jnp.isfinite(mark.end))
     shifts = first + (last - first) * PHASES
-    along = nodes + shifts[:, None] * rates
+    # Shifts are rounding; the rate's own derivative is not known in the shortest steps.
+    along = nodes + shifts[:, None] * fixed(rates)
     force = jax.vmap(lambda t, y: read(t, y)[2])(grid + shifts, along)
     length = grid[-1] + last - (grid[0] + first)
     clock = grid - fixed(grid[0]) + shifts
