@@ -7,8 +7,9 @@ tolerance, ``integrate`` runs it. Which solver a model gets follows from its tra
 |---|---|---|
 | not stiff | Tsit5 | a few elastic or damped springs are oscillatory, not stiff: explicit wins |
 | stiff, values | RODAS3 on the model's structure | one factorisation a step; no iteration, so no run of a batch waits |
-| stiff, derivatives | SDIRK2 on the model's structure | every stage implicit and converged: tangents stay bounded |
+| stiff, forward derivatives | SDIRK2 on the model's structure | every stage implicit and converged: tangents stay bounded |
 | ... tighter than 0.05 % | BDF on the model's structure | tangents' own error controlled: high order, one matrix a step |
+| stiff, reverse derivatives | BDF on the model's structure | its steps are recorded, and transposed (``adjoint``) |
 | without a history | none | each instant is solved for itself: equilibrium, or closed form |
 
 Tsit5 and not Dopri8: Tsit5 evaluates the force at the end of a step and weighs it in the error estimate, so a
