@@ -14,6 +14,7 @@ import bcfj_jax as bj
 from bcfj_jax.solve import adjoint, bdf
 from bcfj_jax.solve.integrate import _LEAST, _anywhere, problem
 from bcfj_jax.solve.plan import Plan, plan
+from bcfj_jax.solve.sdirk import Sdirk
 from bcfj_jax.solve.simulation import readings
 from benchmarks.analysis import derivatives as kept
 from benchmarks.models import joint_steady
@@ -105,6 +106,7 @@ def test_reverse_is_forward_along_the_same_steps(accuracy):
     @jax.jit
     def both(how):
         posed = problem(SCENE, params, times[-1], how, True)
+        assert isinstance(posed.solver, Sdirk)
         changes = jax.tree.map(lambda d: small * d, jax.vmap(lambda e: jax.jvp(begun, (zero,), (e,))[1])(eye))
         if how.tangents:
             changes = jax.tree.map(lambda *parts: jnp.concatenate(parts), _anywhere(SCENE, params), changes)
@@ -114,6 +116,7 @@ def test_reverse_is_forward_along_the_same_steps(accuracy):
             times, posed.first_step, posed.shortest_step, how.max_steps, bdf.ORDERS if how.tangents else 2, _LEAST,
             adjoint.SEGMENT,
         )  # fmt: skip
+        assert found.record is not None
         states, slopes = found.rows[:, 0], jnp.moveaxis(found.rows[:, -len(kept.MOVED) :], 1, 0) / small
         forward = jax.vmap(lambda e, d: jax.jvp(read, (zero, states), (e, d))[1])(eye, slopes)
         direct, seeds = jax.grad(read, (0, 1))(zero, states)
