@@ -237,7 +237,7 @@ def _with_adjoint(problem: Problem, ahead: tuple[Any, Array] | None, times: Arra
         found = bdf.solve(
             solver, made.args, None if ahead is None else (model, by_args), rows, made.scales, times, made.first_step,
             made.shortest_step, how.max_steps, 2 if ahead is None else bdf.ORDERS, _LEAST,
-            min(adjoint.SEGMENT, how.max_steps),
+            min(adjoint.SEGMENT[ahead is not None], how.max_steps),
         )  # fmt: skip
         solution = _ended(found, times, how)
         return solution._replace(states=solution.states[:, 0]), found.record
