@@ -1,11 +1,12 @@
 """Reverse derivatives of the joint: error by tolerance beside forward and CVODES' adjoint, cost, memory, compiling.
 
-    python -m benchmarks.models.joint_gradient [plain] [default] [cost] [before]
+    python -m benchmarks.models.joint_gradient [plain] [default] [cost] [cost_plain] [before]
         writes those parts of results/joint_gradient.json, prints tables; ``plain`` needs ``bench``
 
 Two numbers of the normal forces of ``seat_ball`` over 0.6 s at 1 ms: their mean square, and a smooth peak, the 16-norm.
 ``plain``: eight logarithms against the file of ``analysis.derivatives``. ``default``: the same of the default joint over
-0.3 s against forward derivatives at 1e-8. ``cost``: a hundred logarithms. ``before``: compiling alone, of whatever
+0.3 s against forward derivatives at 1e-8. ``cost``: all logarithms, a hundred of them with unequal balls, and those of
+the plain joint. ``before``: compiling alone, of whatever
 package is imported. Seconds are of the process, medians.
 """
 
@@ -170,9 +171,13 @@ def hundred(scene: Any) -> tuple[dict[str, Any], list[str]]:
     return params, names
 
 
-def cost() -> dict[str, Any]:
-    """A gradient by a hundred logarithms of a joint with window ends and unequal balls, beside runs of values."""
-    scene = bj.scenes.joint(spin=False, bands=False, window_ends=True, unequal=True)
+def unlike() -> Any:
+    """A joint with window ends and unequal balls, which has a hundred parameters."""
+    return bj.scenes.joint(spin=False, bands=False, window_ends=True, unequal=True)
+
+
+def cost(scene: Any) -> dict[str, Any]:
+    """A gradient by all logarithms, a hundred at most, beside runs of values in the same process."""
     params, names = hundred(scene)
     times, k = jnp.asarray(load().times), len(names)
 
@@ -225,8 +230,15 @@ def before() -> dict[str, Any]:
 def main() -> None:
     # What is kept from another process would not be compiled.
     jax.config.update("jax_enable_compilation_cache", False)
-    parts = {"plain": plain, "default": default, "cost": cost, "before": before, "after": before}
-    for part in sys.argv[1:] or ("plain", "default", "cost", "after"):
+    parts = {
+        "plain": plain,
+        "default": default,
+        "cost": lambda: cost(unlike()),
+        "cost_plain": lambda: cost(bj.scenes.joint(**PLAIN)),
+        "before": before,
+        "after": before,
+    }
+    for part in sys.argv[1:] or ("plain", "default", "cost", "cost_plain", "after"):
         made = parts[part]()
         old = kept_result("joint_gradient") if (RESULTS / "joint_gradient.json").exists() else {}
         save("joint_gradient", {**{x: y for x, y in old.items() if x in parts}, part: made})
