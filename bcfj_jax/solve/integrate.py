@@ -7,8 +7,9 @@ tolerance, ``integrate`` runs it. Which solver a model gets follows from its tra
 |---|---|---|
 | not stiff | Tsit5 | a few elastic or damped springs are oscillatory, not stiff: explicit wins |
 | stiff, values | RODAS3 on the model's structure | one factorisation a step; no iteration, so no run of a batch waits |
-| stiff, derivatives | SDIRK2 on the model's structure | every stage implicit and converged: tangents stay bounded |
+| stiff, forward derivatives | SDIRK2 on the model's structure | every stage implicit and converged: tangents stay bounded |
 | ... tighter than 0.05 % | BDF on the model's structure | tangents' own error controlled: high order, one matrix a step |
+| stiff, reverse derivatives | BDF on the model's structure | its steps are recorded, and transposed (``adjoint``) |
 | without a history | none | each instant is solved for itself: equilibrium, or closed form |
 
 Tsit5 and not Dopri8: Tsit5 evaluates the force at the end of a step and weighs it in the error estimate, so a
@@ -240,7 +241,7 @@ def _with_adjoint(problem: Problem, ahead: tuple[Any, Array] | None, times: Arra
         found = bdf.solve(
             solver, made.args, None if ahead is None else (model, by_args), rows, made.scales, times, made.first_step,
             made.shortest_step, how.max_steps, 2 if ahead is None else bdf.ORDERS, _LEAST,
-            min(adjoint.SEGMENT, how.max_steps),
+            min(adjoint.SEGMENT[ahead is not None], how.max_steps),
         )  # fmt: skip
         solution = _ended(found, times, how)
         return solution._replace(states=solution.states[:, 0]), found.record

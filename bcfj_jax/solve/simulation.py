@@ -125,8 +125,8 @@ def force_history(
         params: the scene's parameters, SI, from ``scene.parameters``.
         times: (T,) increasing [s]; the run starts at 0, and a time before 0 reads the initial state.
         accuracy: level, force error as a fraction of the peak, or a ``Plan`` (whose tolerance may be traced).
-        mode: "forward" (jvp, jacfwd, nested ones: fastest for some 50 parameters), "reverse" (vjp, grad:
-            checkpointed), or "auto": both, first derivatives only, for one forward run more.
+        mode: "forward" (jvp, jacfwd, nested ones: fastest for some 50 parameters), "reverse" (vjp, grad;
+            of a stiff model by BDF's own steps), or "auto": both, first derivatives only, for one forward run more.
 
     Returns:
         Per contact (T, 3) [N], or (T, k, 3) where the contact has k members: normal, axial, tangential.

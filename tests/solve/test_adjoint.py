@@ -47,6 +47,7 @@ def run(segment, controlled, tolerance, max_steps, cotangents):
         )  # fmt: skip
         slopes = found.rows[:, 1 + controlled :] / SMALL
         forward = jnp.einsum("tkn,tn->k", jnp.where(jnp.isfinite(slopes), slopes, 0.0), cotangents)
+        assert found.record is not None
         (mu, force, _), by = adjoint.pulled(solver, args, found.record, found.accepted, jnp.asarray(TIMES), cotangents)
         return found, forward, jnp.stack([mu, force, *by])
 

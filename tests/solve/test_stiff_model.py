@@ -57,6 +57,16 @@ def test_reverse_derivatives(mode):
     assert np.asarray(found) == pytest.approx(SLOPES.sum(0), abs=5e-3 * np.abs(SLOPES.sum(0)).max())
 
 
+@pytest.mark.full
+@pytest.mark.parametrize("accuracy", [1e-2, 1e-6])
+def test_reverse_is_as_accurate_as_asked_in_a_batch(accuracy):
+    batch = jnp.stack([jnp.ones(4), jnp.array([1.0, 0.8, 1.0, 1.0])])
+    found = np.asarray(jax.jit(jax.vmap(jax.jacrev(lambda x: force(x, accuracy, "auto"))))(batch))
+    for one, shares in zip(found, np.asarray(batch), strict=True):
+        slopes = by_numpy(jax.jacfwd(exact))(VALUES * shares) * VALUES
+        assert np.abs(one - slopes).max() < 5.0 * accuracy * np.abs(slopes).max()
+
+
 @pytest.mark.slow
 def test_many_at_once():
     shares = jnp.array([0.5, 1.0, 2.0, 4.0, 8.0])

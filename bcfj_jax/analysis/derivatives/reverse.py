@@ -1,4 +1,4 @@
-"""Gradients of features by many parameters, one checkpointed backward solve a feature, and their certificate."""
+"""Gradients of features by many parameters, one backward solve a feature, and their certificate."""
 
 from __future__ import annotations
 

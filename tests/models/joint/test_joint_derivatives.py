@@ -11,9 +11,10 @@ import pytest
 from joints import plain_joint
 
 import bcfj_jax as bj
-from bcfj_jax.solve import bdf
+from bcfj_jax.solve import adjoint, bdf
 from bcfj_jax.solve.integrate import _LEAST, _anywhere, problem
 from bcfj_jax.solve.plan import Plan, plan
+from bcfj_jax.solve.sdirk import Sdirk
 from bcfj_jax.solve.simulation import readings
 from benchmarks.analysis import derivatives as kept
 from benchmarks.models import joint_steady
@@ -89,7 +90,7 @@ def test_derivatives_are_bounded_and_converge():
 
 @pytest.mark.parametrize("accuracy", ["balanced", 1e-4])
 def test_reverse_is_forward_along_the_same_steps(accuracy):
-    # Tangents this small have no say in the steps, which are then those of the reverse run; rejected ones are among them.
+    # One run gives both: tangents this small have no say in its steps. Of two programs rounding parts the steps.
     small, how, params = 1e-30, plan(SCENE, accuracy), SCENE.parameters()
     times, weights = jnp.asarray(reference().times), np.random.default_rng(0).normal(size=(601, 20))
     zero, eye = jnp.zeros(len(kept.MOVED)), jnp.eye(len(kept.MOVED))
@@ -103,29 +104,29 @@ def test_reverse_is_forward_along_the_same_steps(accuracy):
         return jnp.sum(weights * kept.normals({name: reading.force for name, reading in found.items()}))
 
     @jax.jit
-    def forward(how):
+    def both(how):
         posed = problem(SCENE, params, times[-1], how, True)
+        assert isinstance(posed.solver, Sdirk)
         changes = jax.tree.map(lambda d: small * d, jax.vmap(lambda e: jax.jvp(begun, (zero,), (e,))[1])(eye))
         if how.tangents:
-            both = _anywhere(SCENE, params), changes
-            changes = jax.tree.map(lambda *parts: jnp.concatenate(parts), *both)
+            changes = jax.tree.map(lambda *parts: jnp.concatenate(parts), _anywhere(SCENE, params), changes)
         by_args, by_start = changes
         found = bdf.solve(
             posed.solver, posed.args, (SCENE, by_args), jnp.concatenate([posed.start[None], by_start]), posed.scales,
             times, posed.first_step, posed.shortest_step, how.max_steps, bdf.ORDERS if how.tangents else 2, _LEAST,
+            adjoint.SEGMENT[how.tangents],
         )  # fmt: skip
-        slopes = jnp.moveaxis(found.rows[:, -len(kept.MOVED) :], 1, 0) / small
-        by = jax.vmap(lambda e, d: jax.jvp(read, (zero, found.rows[:, 0]), (e, d))[1])(eye, slopes)
-        return by, found.rejected
+        assert found.record is not None
+        states, slopes = found.rows[:, 0], jnp.moveaxis(found.rows[:, -len(kept.MOVED) :], 1, 0) / small
+        forward = jax.vmap(lambda e, d: jax.jvp(read, (zero, states), (e, d))[1])(eye, slopes)
+        direct, seeds = jax.grad(read, (0, 1))(zero, states)
+        (_, args), start = adjoint.pulled(posed.solver, posed.args, found.record, found.accepted, times, seeds)
+        return forward, direct + jax.vjp(begun, zero)[1]((args, start))[0], found.accepted, found.rejected
 
-    def weighed(logs):
-        forces = bj.force_history(SCENE, kept.moved(params, logs), times, accuracy=how, mode="reverse")
-        return jnp.sum(weights * kept.normals(forces))
-
-    by, rejected = forward(how)
-    found = np.asarray(jax.jit(jax.grad(weighed))(zero))
+    forward, reverse, accepted, rejected = both(how)
     assert int(rejected) > 50
-    assert np.max(np.abs(found - by)) < 1e-8 * np.max(np.abs(by))
+    assert 0 < int(accepted) < adjoint.SEGMENT[how.tangents]
+    assert np.max(np.abs(reverse - forward)) < 1e-8 * np.max(np.abs(forward))
 
 
 def test_a_gradient_is_as_accurate_as_asked():
