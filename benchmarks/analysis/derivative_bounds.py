@@ -255,7 +255,14 @@ def summary(rows: Sequence[Row]) -> Row:
     ratio = np.array([d["stated"][1] / max(d["error"][1], 1e-300) for d in mean])
     told = [f for d in known for f in d["features"].values() if f[0] == verdicts.TRUSTED and np.isfinite(f[2])]
     good = np.array([f[1] - f[2] for f in told if f[1] > 1e-9])
+    # Kelvin and Voigt's force without onset jumps at the touch.
+    jumps = [
+        r for r in rows if "dashpot" in r["params"] and "exponent" not in r["params"] and not r["params"]["smoothing"]
+    ]
+    wrong = [d["verdict"] for r in jumps for d in r["derivatives"] if d["error"][0] > verdicts.POINTWISE]
     return {
+        "of forces that jump": sum(len(r["derivatives"]) for r in jumps), "wrong by more than 3 %": len(wrong),
+        "trusted of these": wrong.count(verdicts.TRUSTED),
         "scenes": len(rows), "scenes without a reference": sum(not row["reference"] for row in rows),
         "derivatives": len(every), "without a reference": len(every) - len(known),
         "trusted": len(trusted), "averaged only": len(mean),

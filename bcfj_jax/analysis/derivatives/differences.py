@@ -22,7 +22,7 @@ from bcfj_jax.core.threads import together
 
 Forces = Callable[[np.ndarray], np.ndarray]
 _SEED = 4
-# Share of the samples that a comparison needs; own error beyond which it is none.
+# Share of the samples that a comparison needs, and what is found where there is something; own error beyond which it is none.
 _LEAST, _VAGUE = 0.1, 0.5
 
 
@@ -93,12 +93,11 @@ def against(
     size = max(float(norm(times, derivative)), float(norm(times, near)), 1e-300)
     noisy = noise * float(np.sqrt(max(times[-1] - times[0], 0.0) or 1.0)) / size
 
-    # Differences that disagree with each other by half check nothing.
-    found = found._replace(vague=bool(own.pointwise.relative + noisy > _VAGUE))
-
     def excess(d: Difference, o: Difference) -> Difference:
         # Where the longer step's run failed nothing is known of the differences' own error, and none is taken off.
         known = o.relative if np.isfinite(o.relative) else 0.0
         return d._replace(relative=max(0.0, d.relative - known - noisy) if np.isfinite(d.relative) else d.relative)
 
-    return found._replace(pointwise=excess(found.pointwise, own.pointwise), average=excess(found.average, own.average))
+    left = found._replace(pointwise=excess(found.pointwise, own.pointwise), average=excess(found.average, own.average))
+    # Differences that disagree with each other by half check nothing, unless even that does not explain what they find.
+    return left._replace(vague=bool(own.pointwise.relative + noisy > _VAGUE and left.pointwise.relative < _LEAST))
