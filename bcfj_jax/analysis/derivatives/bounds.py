@@ -103,6 +103,14 @@ class Budget:
         return f"the budget of {self.seconds:g} s was spent, compiling included"
 
 
+def first_plan(scene: AbstractModel, how: Plan, error: float) -> Plan:
+    """How R is solved at first: of a stiff model so tightly that tangents' error is in the step control."""
+    if not scene.traits.stiff:
+        return how
+    good = plan(scene, min(error, _STIFF), how.max_steps)
+    return Plan(np.minimum(how.tolerance, good.tolerance), how.max_steps, good.tangents)  # pyright: ignore[reportArgumentType]
+
+
 def climb(
     scene: AbstractModel,
     params: Params,
@@ -124,9 +132,7 @@ def climb(
         spend: time for what is tighter than the first two.
     """
     values, stiff = np.array([float(params[name]) for name in names]), scene.traits.stiff
-    if stiff and levels:
-        good = plan(scene, min(error, _STIFF), how.max_steps)
-        how = Plan(np.minimum(how.tolerance, good.tolerance), how.max_steps, good.tangents)  # pyright: ignore[reportArgumentType]
+    how = first_plan(scene, how, error) if levels else how
     tolerances = _ladder(float(how.tolerance), stiff, levels)
 
     def solve(tolerance: float) -> Level:

@@ -18,6 +18,7 @@ from bcfj_jax.analysis.derivatives.bounds import (
     bounded,
     climb,
     feature_bounds,
+    first_plan,
     luckless,
     safer,
     target,
@@ -52,7 +53,7 @@ DIFFERENCES = ("direction", "each", "none")
 _MANY = 50
 _AVERAGE = Quantity("average", "s", "width of the moving average", 0.0, open_low=True)
 _BUDGET = Quantity("budget", "s", "time for far tighter solves and central differences", 0.0)
-# In reverse mode, by whether the model is stiff: ratio of the tolerances that a bound is from (Tsit5, SDIRK2).
+# In reverse mode, by whether the model is stiff: ratio of the tolerances that a bound is from (Tsit5, BDF).
 _BACKWARD = {False: 64.0, True: 8.0}
 # Pitches of steady motion over which central differences are taken.
 _PITCHES = 4
@@ -174,6 +175,7 @@ def sensitivity(
     if mode == "reverse" or (mode == "auto" and len(names) > _MANY):
         able = reversible(wanted)
         # The others are a certificate's.
+        how = first_plan(scene, how, force_error(accuracy)) if certify else how
         ratios = _BACKWARD[scene.traits.stiff] ** -np.arange(3 if certify else 1)
         plans = [Plan(how.tolerance * x, max_steps, how.tangents) for x in ratios]
         solved = [gradient(scene, full, t, names, each, able, contacts) for each in plans]
