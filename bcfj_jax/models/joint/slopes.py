@@ -66,31 +66,29 @@ def slopes(
     if at.gate is not None:
         load_place = at.gate[..., None] * load_place + normal[..., None] * at.gate_slope
         normal, by_rate = normal * at.gate, by_rate * at.gate
-    load_twist = by_rate[..., None] * n
+    load_velocity = by_rate[..., None] * n
     by_place = -dyad(n, load_place) - (normal[..., None, None] * hessian if curved else 0.0)
-    by_twist = -dyad(n, load_twist)
+    by_velocity = -dyad(n, load_velocity)
     force = -normal[..., None] * n
     if laws.friction is None:
         k = 3 if spin is None else 6
         wide = [(0, 0)] * (by_place.ndim - 3)
-        value, by_place, by_twist = jnp.sum(force, -2), jnp.sum(by_place, -3), jnp.sum(by_twist, -3)
+        value, by_place, by_twist = jnp.sum(force, -2), jnp.sum(by_place, -3), jnp.sum(by_velocity, -3)
         value = jnp.pad(value, [*wide, (0, k - 3)])
         by_place = jnp.pad(by_place, [*wide, (0, k - 3), (0, 0)])
         return Slopes(value, by_place, jnp.pad(by_twist, [*wide, *[(0, k - 3)] * 2]))
     slide = v - rate[..., None] * n
     plane = jnp.eye(3) - dyad(n, n)
     slide_place = -(dyad(n, drift) + rate[..., None, None] * hessian) if curved else jnp.zeros_like(plane)
-    slide_twist = plane
     lever = at.lever[..., None]
+    arm = lever * n
+    turned = sweep = jnp.zeros(())
     if spin is not None:
         w = spin[..., None, :]
-        slide = slide + jnp.cross(w, lever * n)
+        slide = slide + jnp.cross(w, arm)
         sweep = lever[..., None] * hessian + at.lever_slope * dyad(n, n) if curved else jnp.zeros_like(plane)
-        slide_place = slide_place + _cross_columns(w, sweep)
-        turned = -jnp.cross(lever[..., None] * n[..., None, :], jnp.eye(3)).swapaxes(-1, -2)
-        slide_twist = jnp.concatenate([plane, turned], -1)
-        load_twist = jnp.concatenate([load_twist, jnp.zeros_like(load_twist)], -1)
-        by_twist = jnp.concatenate([by_twist, jnp.zeros_like(by_twist)], -1)
+        slide_place = slide_place + cross_columns(w, sweep)
+        turned = skew(-arm)
     squared = dot(slide, slide)
     lags = bristles is not None and bristles.shape[-1] == 1
     late = bend_late = rate_late = learnt = rate_bend = jnp.zeros(())
@@ -106,11 +104,15 @@ def slopes(
         found, slants = jax.jvp(laws.bond, (squared,), (jnp.ones_like(squared),))
         (forget, stick, mobility), (forget_bend, stick_bend, bend) = found, slants
     drag, pull = normal * mobility, (2.0 * normal * bend)[..., None] * slide
-    drag_place = mobility[..., None] * load_place + _row(pull, slide_place)
-    drag_twist = mobility[..., None] * load_twist + _row(pull, slide_twist)
     rub = -drag[..., None] * slide
-    rub_place = -dyad(slide, drag_place) - drag[..., None, None] * slide_place
-    rub_twist = -dyad(slide, drag_twist) - drag[..., None, None] * slide_twist
+    # By place, velocity and spin, one after the other: only their sums over the faces are put together.
+    parts = [(slide_place, load_place), (plane, load_velocity)]
+    if spin is not None:
+        parts.append((turned, jnp.zeros(())))
+    rubs = [
+        -dyad(slide, mobility[..., None] * load + _row(pull, sliding)) - drag[..., None, None] * sliding
+        for sliding, load in parts
+    ]
     bond = None
     if lags:
         assert bristles is not None
@@ -119,9 +121,9 @@ def slopes(
         bond = Bond(
             bristles,
             learnt[..., None],
-            pull if spin is None else jnp.concatenate([pull, _cross_columns(lever * n, pull)], -2),
+            pull if spin is None else jnp.concatenate([pull, cross_columns(arm, pull)], -2),
             _row(swing, slide_place)[..., None, :],
-            _row(swing, slide_twist)[..., None, :],
+            jnp.concatenate([_row(swing, sliding) for sliding, _ in parts[1:]], -1)[..., None, :],
             -rate_late,
         )
     elif bristles is not None:
@@ -132,29 +134,37 @@ def slopes(
         bent_place = -(out[..., None] * hessian + dyad(n, dot(hessian, bristles[..., None, :]))) if curved else 0.0
         grip = normal[..., None] * stick_slide
         rub = rub - hold[..., None] * bent
-        rub_place = rub_place - dyad(bent, stick[..., None] * load_place + _row(grip, slide_place))
-        rub_place = rub_place - hold[..., None, None] * bent_place
-        rub_twist = rub_twist - dyad(bent, stick[..., None] * load_twist + _row(grip, slide_twist))
+        rubs = [
+            rub - dyad(bent, stick[..., None] * load + _row(grip, sliding))
+            for rub, (sliding, load) in zip(rubs, parts, strict=True)
+        ]
+        rubs[0] = rubs[0] - hold[..., None, None] * bent_place
         pull = -hold[..., None, None] * plane
         apart, opening = jax.jvp(laws.apart, (at.penetration,), (jnp.ones_like(at.penetration),))
         close, lost = (1.0 - apart)[..., None, None], slide - forget[..., None] * bristles + bristles / RELAX
         bond = Bond(
             bristles,
             (1.0 - apart)[..., None] * lost - bristles / RELAX,
-            pull if spin is None else jnp.concatenate([pull, _cross_columns(lever * n, pull)], -2),
+            pull if spin is None else jnp.concatenate([pull, cross_columns(arm, pull)], -2),
             close * (slide_place - dyad(bristles, _row(forget_slide, slide_place)))
             - dyad(lost, opening[..., None] * n),
-            close * (slide_twist - dyad(bristles, _row(forget_slide, slide_twist))),
+            jnp.concatenate([close * (x - dyad(bristles, _row(forget_slide, x))) for x, _ in parts[1:]], -1),
             (1.0 - apart) * forget + apart / RELAX,
         )
-    value, by_place, by_twist = force + rub, by_place + rub_place, by_twist + rub_twist
-    if spin is not None:
-        arm = lever * n
-        value = jnp.concatenate([value, jnp.cross(arm, rub)], -1)
-        moment_place = _cross_columns(arm, rub_place) - _cross_columns(rub, sweep)
-        by_place = jnp.concatenate([by_place, moment_place], -2)
-        by_twist = jnp.concatenate([by_twist, _cross_columns(arm, rub_twist)], -2)
-    return Slopes(jnp.sum(value, -2), jnp.sum(by_place, -3), jnp.sum(by_twist, -3), bond)
+    value, by_place, by_velocity = (
+        jnp.sum(force + rub, -2), jnp.sum(by_place + rubs[0], -3), jnp.sum(by_velocity + rubs[1], -3)
+    )  # fmt: skip
+    if spin is None:
+        return Slopes(value, by_place, by_velocity, bond)
+    moments = [cross_columns(arm, x) for x in rubs]
+    moments[0] = moments[0] - cross_columns(rub, sweep)
+    about_place, about_velocity, about_spin = (jnp.sum(x, -3) for x in moments)
+    value = jnp.concatenate([value, jnp.sum(jnp.cross(arm, rub), -2)], -1)
+    upper = jnp.concatenate([by_velocity, jnp.sum(rubs[2], -3)], -1)
+    lower = jnp.concatenate([about_velocity, about_spin], -1)
+    return Slopes(
+        value, jnp.concatenate([by_place, about_place], -2), jnp.concatenate([upper, lower], -2), bond
+    )
 
 
 def dyad(a: Array, b: Array) -> Array:
@@ -166,6 +176,16 @@ def _row(a: Array, matrix: Array) -> Array:
     return jnp.sum(a[..., :, None] * matrix, -2)
 
 
-def _cross_columns(a: Array, matrix: Array) -> Array:
+def skew(a: Array) -> Array:
+    """[a]x: the matrix of  a x  (..., 3, 3)."""
+    zero = jnp.zeros_like(a[..., 0])
+    x, y, z = a[..., 0], a[..., 1], a[..., 2]
+    rows = ([zero, -z, y], [z, zero, -x], [-y, x, zero])
+    return jnp.stack([jnp.stack(row, -1) for row in rows], -2)
+
+
+def cross_columns(a: Array, matrix: Array) -> Array:
     """a x (each column of the matrix)."""
-    return jnp.cross(a[..., None, :], matrix.swapaxes(-1, -2)).swapaxes(-1, -2)
+    x, y, z = (a[..., i, None] for i in range(3))
+    u, v, w = (matrix[..., i, :] for i in range(3))
+    return jnp.stack([y * w - z * v, z * u - x * w, x * v - y * u], -2)
