@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from bcfj_jax.core.kept import kept
 from bcfj_jax.models.joint.contacts import Geometry, dot
 from bcfj_jax.models.joint.law_pair import RELAX, ContactLaws, LawPair
 
@@ -66,6 +67,7 @@ def slopes(
     if at.gate is not None:
         load_place = at.gate[..., None] * load_place + normal[..., None] * at.gate_slope
         normal, by_rate = normal * at.gate, by_rate * at.gate
+    normal, by_rate, load_place = kept(normal, by_rate, load_place)
     load_velocity = by_rate[..., None] * n
     by_place = -dyad(n, load_place) - (normal[..., None, None] * hessian if curved else 0.0)
     by_velocity = -dyad(n, load_velocity)
@@ -89,6 +91,7 @@ def slopes(
         sweep = lever[..., None] * hessian + at.lever_slope * dyad(n, n) if curved else jnp.zeros_like(plane)
         slide_place = slide_place + cross_columns(w, sweep)
         turned = skew(-arm)
+    slide, slide_place = kept(slide, slide_place)
     squared = dot(slide, slide)
     lags = bristles is not None and bristles.shape[-1] == 1
     late = bend_late = rate_late = learnt = rate_bend = jnp.zeros(())
@@ -104,6 +107,7 @@ def slopes(
         found, slants = jax.jvp(laws.bond, (squared,), (jnp.ones_like(squared),))
         (forget, stick, mobility), (forget_bend, stick_bend, bend) = found, slants
     drag, pull = normal * mobility, (2.0 * normal * bend)[..., None] * slide
+    drag, pull = kept(drag, pull)
     rub = -drag[..., None] * slide
     # By place, velocity and spin, one after the other: only their sums over the faces are put together.
     parts = [(slide_place, load_place), (plane, load_velocity)]
@@ -151,6 +155,7 @@ def slopes(
             jnp.concatenate([close * (x - dyad(bristles, _row(forget_slide, x))) for x, _ in parts[1:]], -1),
             (1.0 - apart) * forget + apart / RELAX,
         )
+    rub, *rubs = kept(rub, *rubs)
     value, by_place, by_velocity = (
         jnp.sum(force + rub, -2), jnp.sum(by_place + rubs[0], -3), jnp.sum(by_velocity + rubs[1], -3)
     )  # fmt: skip
@@ -158,7 +163,7 @@ def slopes(
         return Slopes(value, by_place, by_velocity, bond)
     moments = [cross_columns(arm, x) for x in rubs]
     moments[0] = moments[0] - cross_columns(rub, sweep)
-    about_place, about_velocity, about_spin = (jnp.sum(x, -3) for x in moments)
+    about_place, about_velocity, about_spin = (jnp.sum(x, -3) for x in kept(*moments))
     value = jnp.concatenate([value, jnp.sum(jnp.cross(arm, rub), -2)], -1)
     upper = jnp.concatenate([by_velocity, jnp.sum(rubs[2], -3)], -1)
     lower = jnp.concatenate([about_velocity, about_spin], -1)
