@@ -85,6 +85,11 @@ class Rodas(dfx.AbstractAdaptiveSolver):
         return y1, error, dict(y0=y0, y1=y1, bend=bend), None, dfx.RESULTS.successful
 
 
+def _weighted(weights: Array, stages: Array) -> Array:
+    """Sum of the stages by weight; elementwise, as a product of matrices is a call of a library in a batch."""
+    return jnp.sum(weights[:, None] * stages, 0)
+
+
 @eqx.filter_jit  # Diffrax traces a step three times.
 def _step(structure: AbstractStructure, t0: Any, t1: Any, y0: Array, args: Any) -> tuple[Array, Array, Array]:
     """New state, error, and the bend between."""
@@ -97,9 +102,9 @@ def _step(structure: AbstractStructure, t0: Any, t1: Any, y0: Array, args: Any) 
         i, when, place, coupling, share = row
         stages, slope = known
         # Not batched with the runs, so this is a branch there, too.
-        at = (t0 + when * h, y0 + place @ stages)
+        at = (t0 + when * h, y0 + _weighted(place, stages))
         slope = jax.lax.cond(i == 1, lambda t, y: slope, lambda t, y: structure.field(t, y, args), *at)
-        found = structure.solve(factors, slope + coupling @ stages / h + share * drift)
+        found = structure.solve(factors, slope + _weighted(coupling, stages) / h + share * drift)
         return (stages.at[i].set(found), slope), None
 
     # A loop has one field and one solve to compile, for three and four.

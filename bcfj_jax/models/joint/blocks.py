@@ -88,6 +88,24 @@ def _spread(scene: Joint, c: Constants, x: Array) -> Array:
     return jnp.concatenate([parts[name] for name, piece in scene.slices.items() if piece is not None], -1)
 
 
+def _own_blocks(scene: Joint, c: Constants, own: Array) -> Array:
+    """Wrenches on each body by its own displacement and rotation (m, 6, 2, 6), in coupling coordinates (2, b, b)."""
+    bodies = {"seat": own[0], "head": own[1]} | ({"cage": jnp.sum(own[2:], 0)} if len(own) > 2 else {})
+    total = jnp.zeros((2, scene.coupling, scene.coupling))
+    for body, x in bodies.items():
+        place, turn = scene.slices.get(body), scene.slices[f"{body}_turn"]
+        if turn is None:
+            continue
+        first = turn.start if place is None else place.start
+        for _ in range(2):
+            turned = x[..., 3:] if body == "cage" else dot(x[..., 3:], c.axes[BODIES.index(body)])[..., None]
+            x = jnp.moveaxis(turned if place is None else jnp.concatenate([x[..., :3], turned], -1), 0, -1)
+        # The axes went round: (6 of forces, 2, 6 by which) is now (by which, of forces, 2).
+        around = (first, scene.coupling - turn.stop)
+        total = total + jnp.pad(x.T, [(0, 0), around, around])
+    return total
+
+
 def _alone(scene: Joint, c: Constants, state: system.State, scale: Any) -> tuple[Array, Array, list[tuple]]:
     """Derivatives of pilot and drive forces by coupling displacement and coupling rate, (b, b); bristles' ``_rows``.
 
@@ -267,8 +285,7 @@ def blocks(scene: Joint, c: Constants, y: Array, scale: Any = None) -> Blocks:
     # A body's own block: its place is minus all the balls' places.
     own = jnp.concatenate([-row_place, felt_turned, -row_rate[..., :3], felt_swung], -1)
     own = jnp.sum(own, 0).reshape(*own.shape[1:3], 2, 6)
-    maps = c.body_maps[: own.shape[0]]
-    corner = jnp.einsum("mib,mipj,mjd->pbd", maps, own, maps)
+    corner = _own_blocks(scene, c, own)
     place, rate, guided = _alone(scene, c, state, scale)
     row = jnp.swapaxes(spread[:, 2 * k :], -1, -2)
     return Blocks(
