@@ -1,6 +1,6 @@
 """What one lane of a batch costs: the joint's field, Jacobian blocks, factorisation, solve and RODAS3 step.
 
-    python -m benchmarks.solve.lanes [--lanes 1 64 256] [--name now]       benchmarks/results/lanes.json, under that name
+    python -m benchmarks.solve.lanes [--lanes 1 64 256] [--what step] [--name now]    results/lanes.json, under that name
 
 One core, compiled programs, CPU time, medians. Every operation stands in a loop on the device, so that its dispatch does not
 count; a lane has its own state, its own parameters and its own step. States are those of a run at full load.
@@ -14,16 +14,19 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-_ONE = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
-os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {_ONE}".strip()
+# Before jax is imported: one thread. bcfj_jax adds its own options.
+os.environ["XLA_FLAGS"] = (
+    os.environ.get("XLA_FLAGS", "") + " --xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
+).strip()
 
-import bcfj_jax as bj  # isort: skip  # Before jax: it adds to XLA's flags.
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+import bcfj_jax as bj
 from bcfj_jax.core.backend import set_up
+from bcfj_jax.models.joint import arrowhead
 from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve import rodas
 from benchmarks.common import RESULTS, load, markdown, save
@@ -48,14 +51,9 @@ def states(scene: Any, lanes: int) -> tuple[dict[str, Array], Array]:
 def operations(scene: Any) -> dict[str, Callable[..., Any]]:
     """What is timed, of one lane: (args, factors, t, y, h) -> arrays."""
     structure = scene.structure()
-    blocks = getattr(structure, "blocks", None)
-    if blocks is None:
-        from bcfj_jax.models.joint import arrowhead
-
-        blocks = lambda t, y, args, s: arrowhead._blocks(*args, y, None)  # noqa: E731
     return {
         "field": lambda args, factors, t, y, h: structure.field(t, y, args),
-        "blocks": lambda args, factors, t, y, h: blocks(t, y, args, h * rodas.GAMMA),
+        "blocks": lambda args, factors, t, y, h: arrowhead._blocks(*args, y, None),
         "factor": lambda args, factors, t, y, h: structure.factor(t, y, args, h * rodas.GAMMA),
         "solve": lambda args, factors, t, y, h: structure.solve(factors, y),
         "step": lambda args, factors, t, y, h: rodas._step(structure, t, t + h, y, args),
@@ -97,7 +95,10 @@ def timed(scene: Any, params: dict[str, Array], y: Array, what: Callable[..., An
     count = 1
     while seconds(count) < LEAST:
         count *= 2
-    return {"us": 1e6 * float(np.median([seconds(count) for _ in range(REPEATS)])) / count / lanes, "compile_s": compile_s}
+    return {
+        "us": 1e6 * float(np.median([seconds(count) for _ in range(REPEATS)])) / count / lanes,
+        "compile_s": compile_s,
+    }
 
 
 def main() -> None:
@@ -123,10 +124,9 @@ def main() -> None:
     for name, rows in found.items():
         table += [[name, lanes, *(f"{cell['us']:.3g}" for cell in row.values())] for lanes, row in rows.items()]
     print(markdown(table))
-    if given.what is None:
-        known = load("lanes") if (RESULTS / "lanes.json").exists() else {}
-        known.pop("environment", None)
-        save("lanes", known | {given.name: found})
+    known = load("lanes") if (RESULTS / "lanes.json").exists() else {}
+    known.pop("environment", None)
+    save("lanes", known | {given.name: found})
 
 
 if __name__ == "__main__":

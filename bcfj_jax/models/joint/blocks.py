@@ -251,9 +251,7 @@ def blocks(scene: Joint, c: Constants, y: Array, scale: Any = None) -> Blocks:
     bent, by_turn, by_spin = [], jnp.zeros(()), jnp.zeros(())
     if any(one.bond is not None for one in found):
         found, bent, by_turn, by_spin = _freed(scene, c, relative_motions, found, scale)
-    value, by_place, by_twist = kept(
-        *(jnp.concatenate(x, 1) for x in zip(*(one[:3] for one in found), strict=True))
-    )
+    value, by_place, by_twist = kept(*(jnp.concatenate(x, 1) for x in zip(*(one[:3] for one in found), strict=True)))
     motion, eye = relative_motions.motion, jnp.eye(3)
     arm, velocity = motion.arm[..., None, :], motion.velocity[..., None, :]
 

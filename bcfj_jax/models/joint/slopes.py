@@ -167,9 +167,7 @@ def slopes(
     value = jnp.concatenate([value, jnp.sum(jnp.cross(arm, rub), -2)], -1)
     upper = jnp.concatenate([by_velocity, jnp.sum(rubs[2], -3)], -1)
     lower = jnp.concatenate([about_velocity, about_spin], -1)
-    return Slopes(
-        value, jnp.concatenate([by_place, about_place], -2), jnp.concatenate([upper, lower], -2), bond
-    )
+    return Slopes(value, jnp.concatenate([by_place, about_place], -2), jnp.concatenate([upper, lower], -2), bond)
 
 
 def dyad(a: Array, b: Array) -> Array:
