@@ -168,7 +168,7 @@ def check_followed(scene: AbstractModel) -> None:
         raise InputError(where, "has no history of its own", "contacts' begins, peaks and ends need a motion")
     if traits.stiff:
         found = "is solved by implicit steps, which do not end on contacts"
-        raise InputError(where, found, "take features of its history, such as <contact>.peak, .impulse or .onset")
+        raise InputError(where, found, "take features of its history, such as <contact>.peak or <contact>.impulse")
 
 
 def solved_at(
