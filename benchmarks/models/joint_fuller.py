@@ -4,7 +4,8 @@
     python -m benchmarks.models.joint_fuller derivatives plain  or any other part, variant or both
 
 Derivatives: of the normal forces of 0.3 s by eight logarithms at the level ``balanced``, with their certificate: each
-parameter's verdict and the bound of its error, pointwise and of averages over 5 ms. Calibration: the seven coefficients that the record tells (``benchmarks.calibration.joint_calibration``) and the
+parameter's verdict and the bound of its error, pointwise and of averages over 5 ms.
+Calibration: the seven coefficients that the record tells (``benchmarks.calibration.joint_calibration``) and the
 clearance of one ball in its groove, 5 um more than that of the others, from a record of 0.3 s with noise of 2 % of each
 peak, of the same joint solved to 1e-5 of the peak. The fit ends at 1e-3 of it. Walls hang on what else runs. Beside each
 estimate stands what the draw of the noise alone, and the solver's error alone, would move the best unbiased estimate by, to
