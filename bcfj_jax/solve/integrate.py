@@ -125,10 +125,6 @@ def integrate(
         return model.instants(params, times)[0]
     if differentiable and how.solver in named.VALUES_ONLY:
         raise InputError("solver", f"'{how.solver}' has no derivatives", "leave it out, or take sdirk2 or bdf")
-    if how.landing and differentiable and mode == "forward" and not traits.stiff and model.contacts:
-        from bcfj_jax.solve.landing import solved
-
-        return solved(model, params, times, how, 1)[0]
     posed = problem(model, params, times[-1], how, differentiable)
     if traits.stiff and differentiable:
         if mode == "forward":
@@ -157,6 +153,13 @@ def controller(problem: Problem, how: Plan) -> dfx.PIDController:
 
 
 def _solved(problem: Problem, times: Array, how: Plan, mode: Way) -> Solution:
+    return solved(problem, times, how, mode, controller(problem, how))[0]
+
+
+def solved(
+    problem: Problem, times: Array, how: Plan, mode: Way, control: dfx.AbstractStepSizeController, memory: bool = False
+) -> tuple[Solution, Any]:
+    """What diffrax finds with a step control, and, where its ``memory`` is asked for, what the control knows at the end."""
     solution = dfx.diffeqsolve(
         dfx.ODETerm(problem.field),  # pyright: ignore[reportArgumentType]
         problem.solver,
@@ -165,8 +168,10 @@ def _solved(problem: Problem, times: Array, how: Plan, mode: Way) -> Solution:
         dt0=problem.first_step,
         y0=problem.start,
         args=problem.args,
-        saveat=dfx.SaveAt(subs=(dfx.SubSaveAt(ts=times), dfx.SubSaveAt(t1=True)), solver_state=how.extremes),
-        stepsize_controller=controller(problem, how),
+        saveat=dfx.SaveAt(
+            subs=(dfx.SubSaveAt(ts=times), dfx.SubSaveAt(t1=True)), solver_state=how.extremes, controller_state=memory
+        ),
+        stepsize_controller=control,
         adjoint=_ADJOINTS[mode],
         max_steps=how.max_steps,
         throw=False,
@@ -177,7 +182,8 @@ def _solved(problem: Problem, times: Array, how: Plan, mode: Way) -> Solution:
     states = jnp.where(jnp.isfinite(states), states, jnp.nan)
     accepted, rejected = (solution.stats[f"num_{name}_steps"] for name in ("accepted", "rejected"))
     extremes = solution.solver_state[-1] if how.extremes and solution.solver_state is not None else None
-    return Solution(states, code_of(solution.result, states), solution.ts[1][0], accepted, rejected, extremes)
+    ended = Solution(states, code_of(solution.result, states), solution.ts[1][0], accepted, rejected, extremes)
+    return ended, solution.controller_state
 
 
 def code_of(result: dfx.RESULTS, states: Array) -> Array:

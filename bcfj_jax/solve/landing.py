@@ -18,7 +18,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.mechanism.model import AbstractModel, Params, Solution
-from bcfj_jax.solve.integrate import code_of, controller, problem
+from bcfj_jax.solve import integrate
+from bcfj_jax.solve.integrate import controller, problem
 from bcfj_jax.solve.plan import Plan
 
 # A step ends on the surface when it is this share of the tolerated error of a penetration from it.
@@ -231,25 +232,8 @@ def solved(model: AbstractModel, params: Params, times: Array, how: Plan, most: 
     """
     posed = problem(model, params, times[-1], how, True)
     near = _NEAR * how.tolerance * posed.scales[0]
-    solution = dfx.diffeqsolve(
-        dfx.ODETerm(posed.field),  # pyright: ignore[reportArgumentType]
-        posed.solver,
-        t0=0.0,
-        t1=jnp.where(times[-1] > 0.0, times[-1], posed.first_step),
-        dt0=posed.first_step,
-        y0=posed.start,
-        args=posed.args,
-        saveat=dfx.SaveAt(subs=(dfx.SubSaveAt(ts=times), dfx.SubSaveAt(t1=True)), controller_state=True),
-        stepsize_controller=Landing(controller(posed, how), near, most),
-        adjoint=dfx.ForwardMode(),
-        max_steps=how.max_steps,
-        throw=False,
-    )
-    assert solution.ys is not None and solution.ts is not None and solution.controller_state is not None
-    states, _ = solution.ys
-    states = jnp.where(jnp.isfinite(states), states, jnp.nan)
-    accepted, rejected = (solution.stats[f"num_{name}_steps"] for name in ("accepted", "rejected"))
-    end = Solution(states, code_of(solution.result, states), solution.ts[1][0], accepted, rejected)
-    last = jax.lax.stop_gradient(solution.controller_state)
+    control = Landing(controller(posed, how), near, most)
+    end, memory = integrate.solved(posed, times, how, "forward", control, memory=True)
+    last = jax.lax.stop_gradient(memory)
     open_still = _put(last.found.high, last.inside, last.found.count, last.high)
     return end, last.found._replace(high=open_still)

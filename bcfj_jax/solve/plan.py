@@ -37,8 +37,7 @@ class Plan(eqx.Module):
     ``tolerance`` may be traced: changing it does not compile again; changing the rest does. ``tangents``: whether a
     stiff model's steps are chosen for the error of its forward tangents, too. ``solver``: a name of ``solve.named``,
     where the model's own is not wanted. ``extremes``: whether each contact is looked at in every step
-    (``solve.extremes``); of values alone. ``landing``: whether explicit steps with forward derivatives end where contacts
-    begin and end (``solve.landing``).
+    (``solve.extremes``); of values alone.
     """
 
     tolerance: Array
@@ -46,7 +45,6 @@ class Plan(eqx.Module):
     tangents: bool = eqx.field(static=True, default=False)
     solver: str | None = eqx.field(static=True, default=None)
     extremes: bool = eqx.field(static=True, default=False)
-    landing: bool = eqx.field(static=True, default=False)
 
 
 def plan(

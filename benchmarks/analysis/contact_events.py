@@ -56,7 +56,7 @@ def errors(
 def from_samples(params: dict, end: float, wrt: tuple[str, ...], exact: Any, p: dict[str, float]) -> float:
     """The same of begins, by roots of the samples' cubics, at the level's tolerance by steps that end anywhere."""
     times = np.linspace(0.0, end, SCENE.samples)
-    found = level(SCENE, params, times, wrt, plan(SCENE, "balanced"), landing=False)
+    found = level(SCENE, params, times, wrt, plan(SCENE, "balanced"))
     depth, rate = found.value.penetration[:, 0], found.value.rate[:, 0]
     starts = [begin for begin, _ in features.contact_times(times, depth, rate)]
     by = [found.derivative.penetration[:, :, 0], found.derivative.rate[:, :, 0]]

@@ -13,14 +13,12 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
-from bcfj_jax.analysis.derivatives.jacobian import channel_names
+from bcfj_jax.analysis.derivatives.jacobian import by_shares, channel_names
 from bcfj_jax.analysis.derivatives.names import EVENTS, Feature, complete, event, members
 from bcfj_jax.analysis.derivatives.names import feature as named
 from bcfj_jax.analysis.derivatives.trains import PHASES, Marks, flat, train
@@ -217,19 +215,16 @@ def _found(scene: AbstractModel, most: int, params: dict, end: Array, how: Plan)
 
 
 def _solved(scene: AbstractModel, wrt: tuple[str, ...], params: dict, marks: Marks, end: Array, how: Plan) -> Any:
-    """Derivatives of the train by name, the train, and how the run ended. By shares, as ``jacobian`` has it."""
-    sizes = {name: jnp.where(params[name] == 0.0, 1.0, jnp.abs(params[name])) for name in wrt}
+    """Derivatives of the train by name, the train, and how the run ended."""
 
-    def at(shares: dict) -> tuple:
-        moved = {name: params[name] + sizes[name] * shares[name] for name in wrt}
-        found, end_of = train(scene, {**params, **moved}, marks, end, how)
-        return found, (found, (end_of.code, end_of.end, end_of.accepted, end_of.rejected))
+    def at(params: dict) -> tuple:
+        found, ended = train(scene, params, marks, end, how)
+        return found, (ended.code, ended.end, ended.accepted, ended.rejected)
 
     if not wrt:
-        found, (_, rest) = at({})
-        return (), found, rest
-    slopes, (found, rest) = jax.jacfwd(at, has_aux=True)(dict.fromkeys(wrt, jnp.zeros(())))
-    return type(found)(*({n: part[n] / sizes[n] for n in wrt} for part in slopes)), found, rest
+        return (), *at(params)
+    slopes, (found, rest) = by_shares(at, params, wrt)
+    return slopes, found, rest
 
 
 def filled(

@@ -6,9 +6,8 @@ traced, so that the same program climbs a certificate's levels.
 
 from __future__ import annotations
 
-import dataclasses
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -93,12 +92,8 @@ def by_channel(scene: AbstractModel, readings: Mapping[str, Any]) -> tuple[Array
     return force, depth, rate
 
 
-def level(
-    scene: AbstractModel, params: Params, times: np.ndarray, wrt: tuple[str, ...], how: Plan, landing: bool = False
-) -> Level:
-    """Solve once with the derivatives by all of ``wrt``, per SI unit; ``landing``: by steps that end on contacts, if explicit."""
-    # A step across the begin or the end of a contact has a derivative that is wrong by any factor.
-    how = dataclasses.replace(how, landing=landing and not scene.traits.stiff and scene.traits.history)
+def level(scene: AbstractModel, params: Params, times: np.ndarray, wrt: tuple[str, ...], how: Plan) -> Level:
+    """Solve once with the derivatives by all of ``wrt``, per SI unit."""
     arguments = (dict(params), np.asarray(times), how)
     solve, compile_s = program("jacobian", _jacobian, (scene, wrt), arguments)
     begin = time.perf_counter()
@@ -119,23 +114,28 @@ def level(
 
 
 def _jacobian(scene: AbstractModel, wrt: tuple[str, ...], params: dict, times: Array, how: Plan) -> Any:
-    """Derivatives of the histories by name, (histories, how the run ended), and the states' natural sizes.
+    """Derivatives of the histories by name, (histories, how the run ended), and the states' natural sizes."""
+    return *by_shares(lambda p: histories(scene, p, times, how), params, wrt), scene.error_scale(params)
+
+
+def by_shares(function: Callable[[dict], tuple[Any, Any]], params: dict, wrt: tuple[str, ...]) -> tuple[Any, tuple]:
+    """Derivatives by name of a named tuple per SI unit, and (the tuple, what stands beside it).
 
     By shares of the parameters: where the tangents' error is controlled, what is small is an effect of 100 %.
+
+    Args:
+        function: of all parameters; it returns the named tuple, and what is not differentiated.
+        params: where.
+        wrt: names.
     """
     sizes = {name: jnp.where(params[name] == 0.0, 1.0, jnp.abs(params[name])) for name in wrt}
 
-    def at(shares: dict):
-        moved = {name: params[name] + sizes[name] * shares[name] for name in wrt}
-        found, end = histories(scene, {**params, **moved}, times, how)
-        return found, (found, end)
+    def at(shares: dict) -> tuple:
+        found, rest = function({**params, **{name: params[name] + sizes[name] * shares[name] for name in wrt}})
+        return found, (found, rest)
 
     slopes, rest = jax.jacfwd(at, has_aux=True)(dict.fromkeys(wrt, jnp.zeros(())))
-    return (
-        Histories(*({name: part[name] / sizes[name] for name in wrt} for part in slopes)),
-        rest,
-        scene.error_scale(params),
-    )
+    return type(slopes)(*({name: part[name] / sizes[name] for name in wrt} for part in slopes)), rest
 
 
 def forces(scene: AbstractModel, params: Params, times: np.ndarray, how: Plan) -> np.ndarray:

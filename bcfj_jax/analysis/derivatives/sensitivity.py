@@ -221,16 +221,21 @@ def sensitivity(
         found = found._replace(steady=of_steady(scene, full, end, float(t[-1]), names, wanted, max_steps))
     if not certify:
         return found
-    tighter = [measure(t, r.value, r.derivative, wanted, contacts, turning)[1] for r in climbed.beside or ()]
-    for by in tighter:
-        filled(scene, full, t[-1], names, how, wanted, numbers.copy(), by, TIGHTER / APART[False])
-    agree = feature_bounds([slopes, *tighter], numbers, values) if tighter else np.full(slopes.shape, np.inf)
-    agree = np.maximum(agree, luckless(climbed, bounded(t, climbed, values, _width(t, average))))
+    histories = bounded(t, climbed, values, _width(t, average))
+    agree = np.full(slopes.shape, np.inf)
+    if climbed.beside is not None:
+        between, tight = (measure(t, r.value, r.derivative, wanted, contacts, turning)[1] for r in climbed.beside)
+        # Single contacts have one tighter solve.
+        filled(scene, full, t[-1], names, how, wanted, numbers.copy(), tight, TIGHTER / APART[False])
+        own = [i for i, f in enumerate(wanted) if event(f.kind)]
+        between[own] = tight[own]
+        agree = feature_bounds([slopes, between, tight], numbers, values)
+    agree = np.maximum(agree, luckless(climbed, histories))
     agree = agree + sampling(t, last.value, last.derivative, wanted, contacts, values)
     if found.steady is not None:
         agree = np.maximum(agree, _off_steady(scene, full, t, last, found.steady, wanted, names))
     table = {n: {f.name: float(agree[i, k]) for i, f in enumerate(wanted)} for k, n in enumerate(names)}
-    judge = partial(_certificate, scene, full, t, names, climbed, error, average, table)
+    judge = partial(_certificate, scene, full, t, names, climbed, histories, error, average, table)
     if tell is not None and differences != "none" and not failed:
         tell(found._replace(certificate=judge("none", spend)))
     return found._replace(certificate=judge(differences, spend))
@@ -269,6 +274,7 @@ def _certificate(
     times: np.ndarray,
     names: tuple[str, ...],
     climbed: Climb,
+    histories: Sequence[Comparison],
     error: float,
     average: float,
     features: Mapping[str, Mapping[str, float]],
@@ -276,7 +282,7 @@ def _certificate(
     spend: Budget,
 ) -> Certificate:
     values, width, last = _values(params, names), _width(times, average), climbed.last
-    found: list[list[Comparison]] = [[c] for c in bounded(times, climbed, values, width)]
+    found: list[list[Comparison]] = [[c] for c in histories]
     grown, strength = verdicts.growths(times, last, values), verdicts.influences(times, last, values)
     both, direction, also, unchecked = None, None, [""] * len(names), [climbed.unchecked] * len(names)
     lost = any(verdicts.chaotic(g, c[0]) for g, c in zip(grown, found, strict=True))
