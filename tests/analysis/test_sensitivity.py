@@ -6,6 +6,8 @@ import csv
 import json
 import threading
 import time
+from types import SimpleNamespace
+from typing import Any, cast
 
 import jax
 import numpy as np
@@ -22,7 +24,7 @@ from bcfj_jax.analysis.derivatives.command import FILES
 from bcfj_jax.analysis.derivatives.jacobian import Histories
 from bcfj_jax.analysis.derivatives.measures import measure
 from bcfj_jax.analysis.derivatives.names import complete, default_features, derivative_unit, feature
-from bcfj_jax.analysis.derivatives.ranking import Ranking, ranked_rows
+from bcfj_jax.analysis.derivatives.ranking import Ranking, ranked_rows, ranking
 from bcfj_jax.cli import app
 from bcfj_jax.contact.restitution import delivered_restitution, undamped_duration
 
@@ -210,6 +212,22 @@ def test_second_derivatives_refuse():
 def test_a_table_prints_no_number_better_than_it_is(elasticity, apart, text):
     one = Ranking(["contact.peak"], ["mass"], np.array([[elasticity]]), np.array([[apart]]))
     assert ranked_rows({"contact.peak": 1.0}, one)[1][2] == text
+
+
+def test_what_is_not_known_does_not_lead_the_table():
+    features = {"grazed.work": 1.0, "loaded.peak": 1.0, "loaded.mean": 1.0, "none.mean": 0.0}
+    slopes = {"gap": {"grazed.work": 5.0, "loaded.peak": 0.1, "loaded.mean": 0.2, "none.mean": 9.0}}
+    one = SimpleNamespace(
+        lost=False, features={"grazed.work": 1.2, "loaded.peak": 0.01, "loaded.mean": 0.06, "none.mean": 0.0}
+    )
+    found = SimpleNamespace(
+        features=features,
+        feature_derivatives=slopes,
+        wrt=("gap",),
+        certificate=SimpleNamespace(parameters={"gap": one}),
+    )
+    ranked = ranking(cast(Any, found), {"gap": 1.0})
+    assert ranked.features == ["loaded.mean", "loaded.peak", "grazed.work", "none.mean"]
 
 
 def test_units():

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bcfj_jax.analysis.derivatives.certificate import AVERAGED, LEAST, NOT, TRUSTED, Certificate, of_feature
+from bcfj_jax.analysis.derivatives.certificate import AVERAGED, BROKEN, LEAST, NOT, TRUSTED, Certificate, of_feature
 from bcfj_jax.analysis.derivatives.names import feature_unit
 from bcfj_jax.analysis.derivatives.sensitivity import Sensitivity
 from bcfj_jax.io.page import brief
@@ -17,6 +17,8 @@ from bcfj_jax.io.units import format_si
 
 class Ranking(NamedTuple):
     """Elasticities (F, P), d ln f/d ln p [-], features and parameters strongest first; NaN where there is none.
+
+    What is not known within 10 % says nothing of the order, and comes after what is.
 
     ``apart`` (F, P): relative error of each at most; NaN without a certificate.
     """
@@ -60,9 +62,10 @@ def _ranked(features, derivatives, distance, wrt, known, values) -> Ranking:
             apart[i, k] = distance[p].get(name, np.nan)
             if f and p in known and math.isfinite(f) and float(values[p]) != 0.0:
                 table[i, k] = float(values[p]) / f * derivatives[p][name]
-    size = np.nan_to_num(np.abs(table), nan=-1.0, posinf=1e300)
-    rows = np.argsort(-size.max(axis=1, initial=-1.0), kind="stable")
-    columns = np.argsort(-size.max(axis=0, initial=-1.0), kind="stable")
+    size = np.nan_to_num(np.abs(table), nan=-2.0, posinf=1e300)
+    size = np.where((apart > BROKEN) & (size >= 0.0), -1.0, size)
+    rows = np.argsort(-size.max(axis=1, initial=-2.0), kind="stable")
+    columns = np.argsort(-size.max(axis=0, initial=-2.0), kind="stable")
     at = np.ix_(rows, columns)
     return Ranking([names[i] for i in rows], [parameters[k] for k in columns], table[at], apart[at])
 
