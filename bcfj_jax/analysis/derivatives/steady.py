@@ -26,6 +26,7 @@ from bcfj_jax.analysis.derivatives.certificate import apart, of_feature
 from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel
 from bcfj_jax.analysis.derivatives.measures import measure
 from bcfj_jax.analysis.derivatives.names import Feature
+from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.programs import program
 from bcfj_jax.core.status import OK
 from bcfj_jax.mechanism.model import AbstractModel, Params
@@ -176,6 +177,17 @@ def steady(
         last.value.force, last.derivative.force / sizes[:, None, None, None], last.off, last.memory, "",
         first.steps + last.steps, clock() - begin - compile_s, compile_s,
     )  # fmt: skip
+
+
+def check_recurs(scene: AbstractModel, params: Params) -> None:
+    """Refuse a scene whose steady motion is not known to repeat itself.
+
+    Raises:
+        InputError: for such a scene, and for one whose level is not chosen.
+    """
+    if scene.traits.open or not scene.recurs(params):
+        found = f"the steady motion of the scene '{scene.kind}' is not known to repeat itself every pitch"
+        raise InputError("steady", found, "leave it out, or take a joint with an even drive and a steady load")
 
 
 class Turn(NamedTuple):

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from bcfj_jax.analysis.derivatives.certificate import NOT, Certificate
 from bcfj_jax.analysis.derivatives.names import FEATURES, complete
 from bcfj_jax.analysis.derivatives.sensitivity import sensitivity
-from bcfj_jax.analysis.derivatives.steady import shares
+from bcfj_jax.analysis.derivatives.steady import check_recurs, shares
 from bcfj_jax.analysis.designs.confirm import Confirmation, confirm, independent, tighter
 from bcfj_jax.analysis.designs.descent import Path, descend, starts
 from bcfj_jax.analysis.designs.evaluate import Evaluator, Spent
@@ -222,9 +222,7 @@ def _agreement(ways: Sequence[Path], best: Path) -> tuple[int, int]:
 
 def _steady(scene: AbstractModel, params: Params, wanted: Objective) -> None:
     """Refuse what has no steady motion."""
-    if not scene.recurs(params):
-        found = f"the steady motion of the scene '{scene.kind}' is not known to repeat itself every pitch"
-        raise InputError("steady", found, "leave it out, or take a joint with an even drive and a steady load")
+    check_recurs(scene, params)
     for feature in wanted.features:
         if feature.kind not in _OF_A_TURN:
             remedy = f"take {', '.join(_OF_A_TURN)}"

@@ -25,6 +25,7 @@ from jax import Array
 from bcfj_jax.analysis.derivatives.contact_events import check_followed
 from bcfj_jax.analysis.derivatives.names import Feature, complete, event, expanded, feature
 from bcfj_jax.analysis.derivatives.steady import KINDS as OF_STEADY
+from bcfj_jax.analysis.derivatives.steady import check_recurs
 from bcfj_jax.analysis.studies.design import DEFAULTS, DRAWN, KINDS, SCALES, Axis, Options, block_length, number, points
 from bcfj_jax.core.errors import InputError, clip, nearest
 from bcfj_jax.core.programs import program
@@ -225,10 +226,7 @@ def from_table(table: Mapping[str, Any], where: str = "study", beside: Path = Pa
 
 def _steady(given: SceneFile, features: Sequence[Feature], histories: bool) -> None:
     """Refuse what a study of steady motion cannot have."""
-    scene = given.scene
-    if scene.traits.open or not scene.recurs(given.params):
-        found = f"the steady motion of the scene '{scene.kind}' is not known to repeat itself every pitch"
-        raise InputError("steady", found, "leave it out, or take a joint with an even drive and a steady load")
+    check_recurs(given.scene, given.params)
     if given.solver is not None:
         raise InputError("steady", f"with the solver '{given.solver}'", "leave the solver out")
     if histories:
