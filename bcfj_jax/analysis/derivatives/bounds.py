@@ -186,7 +186,9 @@ def bounded(times: np.ndarray, climb: Climb, values: np.ndarray, width: float) -
     reported = climb.last
     if climb.beside is None:
         alone = verdicts.between(times, reported, reported, values, width)
-        return [_with(c, c.pointwise._replace(relative=INF), c.average._replace(relative=INF)) for c in alone]
+        # Nothing is known of R beyond the time at which a solve beside it failed.
+        broken = min((r.end for r in climb.levels if not r.good), default=float("nan"))
+        return [_with(c, *(x._replace(relative=INF, broken=broken) for x in (c.pointwise, c.average))) for c in alone]
     between, tight = climb.beside
     apart = verdicts.between(times, reported, tight, values, width)
     own = verdicts.between(times, between, tight, values, width)
