@@ -36,6 +36,7 @@ from bcfj_jax.mechanism.model import AbstractModel, Params, Solution
 from bcfj_jax.solve import adjoint, bdf, named
 from bcfj_jax.solve.batched_jvp import lane_by_lane, still, together
 from bcfj_jax.solve.extremes import Watched
+from bcfj_jax.solve.landing import NEAR, Instants, Landing, contacts
 from bcfj_jax.solve.plan import Plan, Way
 from bcfj_jax.solve.rodas import Rodas
 from bcfj_jax.solve.sdirk import Sdirk
@@ -134,9 +135,31 @@ def integrate(
         assert isinstance(posed.solver, Sdirk)
         found = _by_bdf(posed, posed.solver, None, posed.start[None], times, how)
         return found._replace(states=found.states[:, 0])
+    if differentiable and how.tangents and model.contacts:
+        return _landed(posed, times, how, 1, mode)[0]
     if how.extremes:
         posed = posed._replace(solver=Watched(posed.solver))  # pyright: ignore[reportArgumentType]
     return _solved(posed, times, how, mode)
+
+
+def landed(model: AbstractModel, params: Params, times: Array, how: Plan, most: int) -> tuple[Solution, Instants]:
+    """States at ``times`` of a run that lands on its contacts (``landing``), and the first ``most`` contacts of a channel.
+
+    Pure; ``jvp`` and ``jacfwd`` go through. The steps do not depend on ``times`` but for their end.
+
+    Args:
+        model: one that is not stiff and has a history.
+        params, how: as of ``integrate``.
+        times: (T,) not decreasing [s].
+        most: places for contacts.
+    """
+    return _landed(problem(model, params, times[-1], how, True), times, how, most, "forward")
+
+
+def _landed(problem: Problem, times: Array, how: Plan, most: int, mode: Way) -> tuple[Solution, Instants]:
+    control = Landing(controller(problem, how), NEAR * how.tolerance * problem.scales[0], most)
+    end, memory = _by_diffrax(problem, times, how, mode, control, memory=True)
+    return end, contacts(memory)
 
 
 def controller(problem: Problem, how: Plan) -> dfx.PIDController:
@@ -153,10 +176,10 @@ def controller(problem: Problem, how: Plan) -> dfx.PIDController:
 
 
 def _solved(problem: Problem, times: Array, how: Plan, mode: Way) -> Solution:
-    return solved(problem, times, how, mode, controller(problem, how))[0]
+    return _by_diffrax(problem, times, how, mode, controller(problem, how))[0]
 
 
-def solved(
+def _by_diffrax(
     problem: Problem, times: Array, how: Plan, mode: Way, control: dfx.AbstractStepSizeController, memory: bool = False
 ) -> tuple[Solution, Any]:
     """What diffrax finds with a step control, and, where its ``memory`` is asked for, what the control knows at the end."""

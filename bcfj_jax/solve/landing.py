@@ -9,6 +9,7 @@ times pass through without a jump (a law whose force jumps has another derivativ
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import diffrax as dfx
@@ -17,13 +18,10 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from bcfj_jax.mechanism.model import AbstractModel, Params, Solution
-from bcfj_jax.solve import integrate
-from bcfj_jax.solve.integrate import controller, problem
-from bcfj_jax.solve.plan import Plan
+from bcfj_jax.mechanism.model import AbstractModel
 
 # A step ends on the surface when it is this share of the tolerated error of a penetration from it.
-_NEAR = 1e-3
+NEAR = 1e-3
 _ROUNDING = 1e-15
 # A step is taken anew so many times at most, and ends beyond this share of the one that it replaces.
 _TRIES, _LEAST = 8, 1e-4
@@ -86,6 +84,7 @@ class _Memory(NamedTuple):
     top: Array
 
 
+@partial(jax.jit, static_argnums=0)  # Traced once for all of its places, and for each derivative of them.
 def look(model: AbstractModel, t: Any, y: Array, prepared: Any) -> _Look:
     """Every channel in one state, in the order of ``derivatives.jacobian.channel_names``."""
     seen = model.observe(t, y, prepared)
@@ -175,6 +174,7 @@ class Landing(dfx.AbstractStepSizeController):
         return kept, start, end, jump, known, result
 
 
+@jax.jit  # As ``look``.
 def _crossing(before: _Look, now: _Look, inside: Array, dt: Any) -> Array:
     """Share of a step at which the Hermite cubic of the penetration crosses 0 (C,)."""
     a, b, p, q = before.depth, now.depth, dt * before.rate, dt * now.rate
@@ -219,21 +219,7 @@ def _put(table: Array, where: Array, count: Array, values: Any) -> Array:
     return table.at[jnp.arange(count.size), place].set(values, mode="drop")
 
 
-def solved(model: AbstractModel, params: Params, times: Array, how: Plan, most: int) -> tuple[Solution, Instants]:
-    """States at ``times`` of a run that lands on its contacts, and their first ``most`` contacts a channel.
-
-    Pure; ``jvp`` and ``jacfwd`` go through. The steps do not depend on ``times`` but for their end.
-
-    Args:
-        model: a model that is not stiff and has a history.
-        params, how: as of ``integrate``.
-        times: (T,) not decreasing [s].
-        most: places for contacts.
-    """
-    posed = problem(model, params, times[-1], how, True)
-    near = _NEAR * how.tolerance * posed.scales[0]
-    control = Landing(controller(posed, how), near, most)
-    end, memory = integrate.solved(posed, times, how, "forward", control, memory=True)
-    last = jax.lax.stop_gradient(memory)
-    open_still = _put(last.found.high, last.inside, last.found.count, last.high)
-    return end, last.found._replace(high=open_still)
+def contacts(last: _Memory) -> Instants:
+    """What a run's memory at its end knows of its contacts; of one that is still closed when its force was greatest so far."""
+    last = jax.lax.stop_gradient(last)
+    return last.found._replace(high=_put(last.found.high, last.inside, last.found.count, last.high))

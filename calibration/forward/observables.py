@@ -139,7 +139,7 @@ def single(
 
     A contact that is not there, on the way to an optimum, has no peak, impulse and width, and is as late as the run ends.
     """
-    from bcfj_jax.solve.landing import solved  # With diffrax, which a kept program needs not.
+    from bcfj_jax.solve.integrate import landed  # With diffrax, which a kept program needs not.
 
     wanted = [feature(name, scene.members) for name in observed.names]
     channels = channel_names(scene.members)
@@ -150,7 +150,7 @@ def single(
     }
     rows = sorted({pair for pairs in asked.values() for pair in pairs})
     end = jnp.asarray(_LATER * observed.end)
-    contacts = solved(scene, jax.lax.stop_gradient(dict(params)), end[None], how, 1 + max(k for _, k in rows))[1]
+    contacts = landed(scene, jax.lax.stop_gradient(dict(params)), end[None], how, 1 + max(k for _, k in rows))[1]
     marks = flat(contacts, *np.array(rows).T)
     found, solution = train(scene, params, marks, end, how)
     ran = solution.code == OK

@@ -10,7 +10,7 @@ import pytest
 import bcfj_jax as bj
 from bcfj_jax.analysis.derivatives.names import feature, feature_unit
 from bcfj_jax.analysis.derivatives.trains import NODES, PHASES, _rule
-from bcfj_jax.solve.landing import solved
+from bcfj_jax.solve.integrate import landed
 from bcfj_jax.solve.plan import Plan
 from benchmarks.references.bounce_events import KINDS, NAMES, closed, integrated
 
@@ -87,7 +87,7 @@ def test_a_landing_keeps_what_the_contact_conserves():
 
     def speed(log):
         moved = {**p, "stiffness": p["stiffness"] * jnp.exp(log)}
-        return solved(scene, moved, times, Plan(jnp.asarray(1e-6), 10_000), 2)[0].states[0, 1]
+        return landed(scene, moved, times, Plan(jnp.asarray(1e-6), 10_000), 2)[0].states[0, 1]
 
     value, slope = jax.jit(lambda x: jax.jvp(speed, (x,), (1.0,)))(0.0)
     # chi (1 + e) = ln((1 + chi)/(1 - chi e)), chi = a v (physics: energy balance of the law).

@@ -52,7 +52,7 @@ class Runs(NamedTuple):
 
 def possible(scene: AbstractModel, how: Plan) -> bool:
     """Whether derivatives of many runs go through one batch: not where tangents have a say in the steps."""
-    return not (scene.traits.open or how.solver or (scene.traits.history and scene.traits.stiff and how.tangents))
+    return not (scene.traits.open or how.solver or (scene.traits.history and how.tangents))
 
 
 def run(

@@ -209,9 +209,9 @@ def solved_at(
 
 def _found(scene: AbstractModel, most: int, params: dict, end: Array, how: Plan) -> Any:
     """The first ``most`` contacts of every channel."""
-    from bcfj_jax.solve.landing import solved  # With diffrax, which a kept program needs not.
+    from bcfj_jax.solve.integrate import landed  # With diffrax, which a kept program needs not.
 
-    return solved(scene, params, end[None], how, most)[1]
+    return landed(scene, params, end[None], how, most)[1]
 
 
 def _solved(scene: AbstractModel, wrt: tuple[str, ...], params: dict, marks: Marks, end: Array, how: Plan) -> Any:

@@ -102,11 +102,11 @@ def flat(found: Instants, channels: Array | np.ndarray, numbers: Array | np.ndar
 
 
 def train(model: AbstractModel, params: Params, marks: Marks, end: Array, how: Plan) -> tuple[Train, Solution]:
-    """The contacts at their marks, which a run until ``end`` [s] as planned has found (``landing.solved``).
+    """The contacts at their marks, which a run until ``end`` [s] as planned has found (``integrate.landed``).
 
     ``jvp`` and ``jacfwd`` go through ``params``; a mark only says where to look.
     """
-    from bcfj_jax.solve.landing import solved  # With diffrax, which a kept program needs not.
+    from bcfj_jax.solve.integrate import landed  # With diffrax, which a kept program needs not.
 
     marks = Marks(marks.channel, *map(jax.lax.stop_gradient, marks[1:]))
     there = jnp.isfinite(marks.high)
@@ -121,7 +121,7 @@ def train(model: AbstractModel, params: Params, marks: Marks, end: Array, how: P
     ordered, back = jnp.append(times.ravel()[order], end), jnp.argsort(order)
 
     def run(ordered: Array) -> tuple[Array, Solution]:
-        solution, _ = solved(model, params, ordered, how, 1)
+        solution, _ = landed(model, params, ordered, how, 1)
         return solution.states, solution
 
     # The steps move with the parameters, and what is read between them is the solver's polynomial: its own rate belongs to it,
