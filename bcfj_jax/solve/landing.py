@@ -22,7 +22,7 @@ from bcfj_jax.mechanism.model import AbstractModel
 
 # A step ends on the surface when it is this share of the tolerated error of a penetration from it.
 NEAR = 1e-3
-_ROUNDING = 1e-15
+_ROUNDING = 5e-15
 # A step is taken anew so many times at most, and ends beyond this share of the one that it replaces.
 _TRIES, _LEAST = 8, 1e-4
 # A step of so small a part of the flight or the contact so far is not taken anew.
@@ -137,7 +137,7 @@ class Landing(dfx.AbstractStepSizeController):
         crossing = keep & beyond & ~near
         share = jax.lax.cond(
             jnp.any(crossing),
-            lambda: jnp.min(jnp.where(crossing, _crossing(memory.before, now, memory.inside, dt), 1.0)),
+            lambda: jnp.min(jnp.where(crossing, _crossing(memory.before, now, memory.inside, dt, 0.5 * close), 1.0)),
             lambda: jnp.ones_like(dt),
         )
         # A step so short is on the surface, whatever the rounding of the penetration lets it show.
@@ -175,13 +175,16 @@ class Landing(dfx.AbstractStepSizeController):
 
 
 @jax.jit  # As ``look``.
-def _crossing(before: _Look, now: _Look, inside: Array, dt: Any) -> Array:
-    """Share of a step at which the Hermite cubic of the penetration crosses 0 (C,)."""
+def _crossing(before: _Look, now: _Look, inside: Array, dt: Any, short: Array) -> Array:
+    """Share of a step at which the Hermite cubic of the penetration is ``short`` of crossing 0 [m] (C,).
+
+    A stage beyond would have the field of the other side, which may be another by a jump.
+    """
     a, b, p, q = before.depth, now.depth, dt * before.rate, dt * now.rate
     sign, fixed = jnp.where(inside, -1.0, 1.0), jax.lax.stop_gradient
 
     def cubic(s: Array) -> Array:
-        return sign * (a + s * (p + s * (3 * (b - a) - 2 * p - q + s * (2 * (a - b) + p + q))))
+        return sign * (a + s * (p + s * (3 * (b - a) - 2 * p - q + s * (2 * (a - b) + p + q)))) + short
 
     def crossed(s: Array) -> Array:
         return fixed(cubic(s)) > 0

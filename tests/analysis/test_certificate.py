@@ -114,24 +114,32 @@ def test_the_budget_ends_the_comparison_and_says_so():
         assert len(check.compared_with) == 1
 
 
+def bumped(accuracy, end=3.0, **options):
+    """A ball on bumps until ``end`` [s]: a derivative's error grows by 3.5 a second, 1 % to 30 % in one."""
+    scene = bumps()
+    times = np.linspace(0.0, end, 2001)
+    return bj.sensitivity(scene, scene.parameters(), times, ("stiffness", "drop_height"), accuracy=accuracy, **options)
+
+
 @pytest.mark.slow
 def test_a_loose_tolerance_is_caught_and_tightened_away():
-    loose = bounced(0.5, levels=1).certificate
+    loose = bumped(0.5, levels=1).certificate
     assert loose.verdict == NOT
     for check in loose.parameters.values():
         assert check.verdict == NOT
-        # Good in the first bounce, 0.14 s to 0.15 s; bad in the second.
-        assert 0.4 < check.breakdown < 0.75
+        # 6 % of the averages at 2 s.
+        assert 1.5 < check.breakdown < 2.6
         assert "tighter accuracy" in check.remark
-    tight = bounced("reference")
+    tight = bumped("reference")
     assert tight.certificate.verdict == TRUSTED
     assert max(c.average for c in tight.certificate.parameters.values()) < 0.01
     assert np.isnan([c.breakdown for c in tight.certificate.parameters.values()]).all()
-    # Balanced climbs until it is as good as it promises: 3 % of the averages.
-    found = bounced("balanced")
-    assert found.stats["levels"] > 2
-    assert found.certificate.tolerances[-1] < found.certificate.tolerances[0] / 4
-    assert all(found.certificate.parameters[name].average < 0.03 for name in NAMES)
+    # Balanced promises 3 % of the averages. Where it is not as good at once, it is tightened.
+    assert all(c.average < 0.03 for c in bumped("balanced").certificate.parameters.values())
+    climbed = bumped(0.02, end=4.0)
+    assert climbed.stats["levels"] > 3
+    assert climbed.certificate.reported < climbed.certificate.tolerances[0] / 4
+    assert all(c.average < 0.06 for c in climbed.certificate.parameters.values())
 
 
 def over_stated(height):
@@ -175,18 +183,30 @@ def test_a_jump_exactly_at_an_output_time_is_caught():
         assert found.certificate.parameters["dashpot"].verdict == TRUSTED
 
 
+def voigt(times, mass, speed, clearance, stiffness, dashpot):
+    """Force on a spring and dashpot that are struck at clearance over speed, in closed form (T,), until they would pull."""
+    since = np.maximum(times - clearance / speed, 0.0)
+    decay = dashpot / (2.0 * mass)
+    turn = np.sqrt(stiffness / mass - decay**2)
+    gone = np.exp(-decay * since)
+    depth = speed / turn * gone * np.sin(turn * since)
+    rate = speed * gone * (np.cos(turn * since) - decay / turn * np.sin(turn * since))
+    return np.where(since > 0.0, np.maximum(stiffness * depth + dashpot * rate, 0.0), 0.0)
+
+
 @pytest.mark.slow
-def test_a_jump_that_parameters_hide_from_each_other_is_caught():
-    # A touch at clearance over speed: both grown alike leave it where it is, and the mass moves the force by far more.
+def test_the_derivative_of_a_force_that_jumps_is_its_closed_form():
+    # The force jumps at the touch, at clearance over speed, between two samples. Steps land there: the tangents jump, too.
     scene = bj.scenes.impact("kelvin_voigt", smoothing=False)
-    given = {"stiffness": 5.1e10, "dashpot": 1.32e5, "mass": 2.35, "approach_speed": 0.246, "clearance_contact": 3.4e-7}
-    wrt = ("mass", "approach_speed", "clearance_contact")
-    found = bj.sensitivity(scene, scene.parameters(given), np.linspace(0.0, 3.3e-5, 401), wrt)
-    checks = found.certificate.parameters
-    assert checks["mass"].verdict == TRUSTED and checks["clearance_contact"].verdict == NOT
-    # The peak's derivative misses the shift of the touch as the history's does.
-    assert checks["approach_speed"].verdict != TRUSTED
-    assert checks["approach_speed"].feature_verdicts["contact.peak"] == NOT
+    given = {"mass": 2.35, "approach_speed": 0.246, "clearance_contact": 3.4e-7, "stiffness": 5.1e10, "dashpot": 1.32e5}
+    times, values = np.linspace(0.0, 3.3e-5, 401), np.array(list(given.values()))
+    found = bj.sensitivity(scene, scene.parameters(given), times, tuple(given)[:3])
+    for k, name in enumerate(found.wrt):
+        step = 1e-6 * values[k] * np.eye(5)[k]
+        exact = (voigt(times, *(values + step)) - voigt(times, *(values - step))) / (2.0 * step[k])
+        error = norm(times, found.derivative[name]["contact"][:, :1] - exact[:, None]) / norm(times, exact[:, None])
+        check = found.certificate.parameters[name]
+        assert check.verdict == TRUSTED and error < check.pointwise < 2e-3
 
 
 @pytest.mark.slow
@@ -212,7 +232,8 @@ def test_a_chaotic_bounce_is_called_chaotic():
         assert check.growth > 1e6
         assert 1.0 < check.exponent < 10.0
         assert f"{check.exponent:.3g} per second" in check.remark
-        assert 0.5 < check.breakdown < 4.0
+        # Off by 1e-6 at first, by 10 % after ln(1e5)/3.5 s.
+        assert 2.0 < check.breakdown < 6.0
     # The same motion until its second bounce is not chaotic yet.
     short = bj.sensitivity(scene, scene.parameters(), np.linspace(0.0, 0.3, 2001), ("stiffness", "drop_height"))
     assert short.certificate.verdict == TRUSTED
