@@ -6,7 +6,7 @@ tolerance, ``integrate`` runs it. Which solver a model gets follows from its tra
 | model | solver | why |
 |---|---|---|
 | not stiff | Tsit5 | a few elastic or damped springs are oscillatory, not stiff: explicit wins |
-| ... derivatives tighter than 0.05 % | Tsit5 with ``landing`` | of a step across a kink they are wrong |
+| ... derivatives, where ``Plan.tangents`` asks | Tsit5 with ``landing`` | of a step across a kink they are wrong |
 | stiff, values | RODAS3 on the model's structure | one factorisation a step; no iteration, so no run of a batch waits |
 | stiff, forward derivatives | SDIRK2 on the model's structure | every stage implicit and converged: tangents stay bounded |
 | ... tighter than 0.05 % | BDF on the model's structure | tangents' own error controlled: high order, one matrix a step |

@@ -24,8 +24,8 @@ LEVELS = {"fast": 5e-2, "balanced": 1e-2, "reference": 1e-5}
 # Attempted steps that a run may take where nothing else is asked for.
 MAX_STEPS = 400_000
 
-# Force error below which tangents count in the choice of steps. In the joint a ball that carries nothing swings
-# below 1 N, and tangents depend on its phase: loose steps damp the swing, and tight ones resolve it only where the
+# Force error below which a stiff model's tangents count in the step control. In the joint a ball that carries nothing
+# swings below 1 N, and tangents depend on its phase: loose steps damp the swing, and tight ones resolve it only where the
 # tangents' own error is controlled. At a tolerance of 1e-4 tangents are 34 % off without, and at 2e-4 0.9 % with
 # (benchmarks/models/joint_derivatives.py).
 _TANGENTS_BELOW = 5e-4
@@ -36,8 +36,9 @@ class Plan(eqx.Module):
 
     ``tolerance`` may be traced: changing it does not compile again; changing the rest does. ``tangents``: whether steps
     are chosen for derivatives, too: a stiff model's for the error of its tangents, an explicit one's so that they end where
-    contacts begin and end (``solve.landing``). ``solver``: a name of ``solve.named``, where the model's own is not wanted.
-    ``extremes``: whether each contact is looked at in every step (``solve.extremes``); of values alone.
+    contacts begin and end (``solve.landing``); a fit of single impacts need not pay for that. ``solver``: a name of
+    ``solve.named``, where the model's own is not wanted. ``extremes``: whether each contact is looked at in every step
+    (``solve.extremes``); of values alone.
     """
 
     tolerance: Array
@@ -66,7 +67,7 @@ def plan(
     max_steps = whole("max_steps", max_steps)
     error, stiff = force_error(accuracy), model.traits.stiff
     named.check(solver, stiff)
-    tangents = solver == "bdf" or (solver is None and error < _TANGENTS_BELOW)
+    tangents = solver == "bdf" or (solver is None and stiff and error < _TANGENTS_BELOW)
     # An array of NumPy, which compiles nothing.
     tolerance: Any = np.asarray(model.tolerance(error), dtype=np.float64)
     return Plan(tolerance, max_steps, tangents, solver)
