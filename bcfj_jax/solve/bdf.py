@@ -17,8 +17,11 @@ for that with steps (benchmarks/models/joint_derivatives.py).
 
 from __future__ import annotations
 
+from abc import abstractmethod
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -57,13 +60,31 @@ class Record(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Rows (T, 1 + k, n) at the times asked for, NaN from where it stopped; how far it came; attempts."""
+    """Rows (T, 1 + k, n) at the times asked for, NaN from where it stopped; how far it came; attempts.
+
+    Attributes:
+        rates: (T, n) of the state's polynomial, and ``seen``, what its watch knows at the end; None without a watch.
+    """
 
     rows: Array
     end: Array
     accepted: Array
     rejected: Array
     record: Record | None = None
+    rates: Array | None = None
+    seen: Any = None
+
+
+class AbstractWatch(eqx.Module):
+    """What looks at every accepted step."""
+
+    @abstractmethod
+    def begin(self, start: Array) -> Any:
+        """What is known at time 0, in the state (n,)."""
+
+    @abstractmethod
+    def after(self, seen: Any, end: Array, length: Array, read: Callable[[Array], Array]) -> Any:
+        """What is known after a step that ended at ``end`` [s]; ``read`` gives the state (n,) at a time within it."""
 
 
 class _State(NamedTuple):
@@ -134,6 +155,7 @@ def solve(
     orders: int = ORDERS,
     share: float = 1.0,
     segment: int = 0,
+    watch: AbstractWatch | None = None,
 ) -> Found:
     """Integrate rows (1 + k, n), the state and its tangents, from time 0; interpolate at ``times`` (T,), increasing.
 
@@ -149,6 +171,7 @@ def solve(
         orders: the highest order.
         share: of a tangent, to which its error is relative; below 1 for a sum of tangents, whose parts are smaller.
         segment: how many states a record keeps, which lengthens no run; 0: no record.
+        watch: what looks at every accepted step, which changes none.
     """
     structure, tolerance = solver.structure, solver.tolerance
     alpha, constant = jnp.asarray(ALPHA), jnp.asarray(_ERROR)
@@ -216,26 +239,39 @@ def solve(
         order = order + best - 1
         return s._replace(h=s.h * factor, order=order, equal=jnp.asarray(0), differences=rescaled(d, order, factor))
 
-    def due(carry: tuple[_State, Array, Array]) -> Array:
-        s, out, _ = carry
+    def due(carry: tuple) -> Array:
+        s, out, *_ = carry
         return (out < times.size) & (times[jnp.minimum(out, times.size - 1)] <= s.t)
 
-    def write(carry: tuple[_State, Array, Array]) -> tuple[_State, Array, Array]:
+    def weighted(s: _State, time: Array) -> Array:
+        return between(time, s.t, s.h, s.order)
+
+    def write(carry: tuple) -> tuple:
         """Interpolate at the next output, which the last step has reached."""
-        s, out, found = carry
-        weights = between(times[out], s.t, s.h, s.order)
-        return s, out + 1, found.at[out].set(jnp.tensordot(weights, s.differences[: ORDERS + 1], axes=1))
+        s, out, found, rates = carry
+        kept = s.differences[: ORDERS + 1]
+        if rates is not None:
+            steep = jax.jvp(lambda time: weighted(s, time), (times[out],), (jnp.ones(()),))[1]
+            rates = rates.at[out].set(steep @ kept[:, 0])
+        return s, out + 1, found.at[out].set(jnp.tensordot(weighted(s, times[out]), kept, axes=1)), rates
+
+    def looked(seen: Any, s: _State) -> Any:
+        assert watch is not None
+        return watch.after(seen, s.t, s.h, lambda time: weighted(s, time) @ s.differences[: ORDERS + 1, 0])
 
     def step(carry: tuple) -> tuple:
-        tried, out, found, record = carry
+        tried, out, found, rates, record, seen = carry
         bends, share, sizes, factors = attempt(tried)
         good = share <= 1.0
         s = tried._replace(factors=factors, rejected=tried.rejected + ~good)
         s = jax.lax.cond(good, accepted, lambda s, _: s, s, bends)
         record = noted(record, tried, s, bends)
-        s, out, found = jax.lax.while_loop(due, write, (s, out, found))
+        if watch is not None:
+            seen = jax.lax.cond(good, looked, lambda seen, _: seen, seen, s)
+        s, out, found, rates = jax.lax.while_loop(due, write, (s, out, found, rates))
         change = ~good | (s.equal > s.order)
-        return jax.lax.cond(change, adapted, lambda s, *_: s, s, good, share, sizes), out, found, record
+        s = jax.lax.cond(change, adapted, lambda s, *_: s, s, good, share, sizes)
+        return s, out, found, rates, record, seen
 
     def going(carry: tuple) -> Array:
         s, out, *_ = carry
@@ -254,6 +290,8 @@ def solve(
         starts = jnp.zeros((1 + max_steps // segment, ORDERS + 1, n)).at[0].set(differences[: ORDERS + 1, 0])
         record = Record(room, room.at[0].set(h), jnp.ones(room.size, jnp.int8), jnp.zeros((segment, n)), starts)
     # A time before 0 or at it reads the start.
-    ready = jax.lax.while_loop(due, write, (begin, zero, found))
-    s, _, found, record = jax.lax.while_loop(going, step, (*ready, record))
-    return Found(found, s.t, s.accepted, s.rejected, record)
+    rates = None if watch is None else jnp.full((times.size, start.shape[1]), jnp.nan)
+    seen = None if watch is None else watch.begin(start[0])
+    ready = jax.lax.while_loop(due, write, (begin, zero, found, rates))
+    s, _, found, rates, record, seen = jax.lax.while_loop(going, step, (*ready, record, seen))
+    return Found(found, s.t, s.accepted, s.rejected, record, rates, seen)

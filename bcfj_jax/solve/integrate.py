@@ -223,10 +223,10 @@ def _by_bdf(problem: Problem, solver: Sdirk, changes: tuple | None, start: Array
         solver, problem.args, changes, start, problem.scales, times, problem.first_step, problem.shortest_step,
         how.max_steps,
     )  # fmt: skip
-    return _ended(found, times, how)
+    return ended(found, times, how)
 
 
-def _ended(found: bdf.Found, times: Array, how: Plan) -> Solution:
+def ended(found: bdf.Found, times: Array, how: Plan) -> Solution:
     """What BDF found, and how it ended."""
     stopped = jnp.where(found.accepted + found.rejected < how.max_steps, SOLVER, STEPS)
     complete = jnp.where(jnp.all(jnp.isfinite(found.rows)), OK, NOT_FINITE)
@@ -234,7 +234,7 @@ def _ended(found: bdf.Found, times: Array, how: Plan) -> Solution:
     return Solution(found.rows, code, jnp.minimum(found.end, times[-1]), found.accepted, found.rejected)
 
 
-def _posed(problem: Problem, x: tuple) -> tuple[Problem, Sdirk]:
+def posed_at(problem: Problem, x: tuple) -> tuple[Problem, Sdirk]:
     """The problem of a stiff model with arrays in place of its own, and its solver."""
     c, start, scales, first, tolerance = x
     assert isinstance(problem.solver, Sdirk)
@@ -265,7 +265,7 @@ def _with_adjoint(problem: Problem, ahead: tuple[Any, Array] | None, times: Arra
 
     def run(x: tuple, aside: tuple) -> tuple[Solution, Any]:
         (c, start, times), (fixed, ahead) = x, aside
-        made, solver = _posed(problem, (c, start, *fixed))
+        made, solver = posed_at(problem, (c, start, *fixed))
         by_args, by_start = (None, jnp.zeros((0, start.size))) if ahead is None else ahead
         rows = jnp.concatenate([start[None], by_start])
         found = bdf.solve(
@@ -273,12 +273,12 @@ def _with_adjoint(problem: Problem, ahead: tuple[Any, Array] | None, times: Arra
             made.shortest_step, how.max_steps, 2 if ahead is None else bdf.ORDERS, _LEAST,
             min(adjoint.SEGMENT[ahead is not None], how.max_steps),
         )  # fmt: skip
-        solution = _ended(found, times, how)
+        solution = ended(found, times, how)
         return solution._replace(states=solution.states[:, 0]), found.record
 
     def back(x: tuple, aside: tuple, record: Any, solution: Solution, cotangents: Array) -> tuple:
         (c, start, times), (fixed, _) = x, aside
-        made, solver = _posed(problem, (c, start, *fixed))
+        made, solver = posed_at(problem, (c, start, *fixed))
         (_, by_args), by_start = adjoint.pulled(solver, made.args, record, solution.accepted, times, cotangents)
         slopes = jax.vmap(lambda t, y: made.field(t, y, made.args))(times, solution.states)
         return by_args, by_start, jnp.sum(cotangents * slopes, axis=1)
@@ -308,7 +308,7 @@ def _with_tangents(problem: Problem, times: Array, how: Plan) -> Solution:
 
     def of(x: tuple) -> tuple[Problem, Sdirk, Array, Plan]:
         c, start, times, *fixed = x
-        return *_posed(problem, (c, start, *fixed)), times, Plan(fixed[-1], how.max_steps)
+        return *posed_at(problem, (c, start, *fixed)), times, Plan(fixed[-1], how.max_steps)
 
     def value(x: tuple) -> tuple[Array, tuple]:
         made, _, times, how = of(x)

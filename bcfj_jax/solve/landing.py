@@ -33,7 +33,7 @@ _AFTER = 0.05
 # tangents of a step that ends near the surface are wrong by the step's length to the power n.
 _PART, _FINEST = 0.5, 3e-4
 # Pieces of a step in which its crossing is sought, and halvings of the piece.
-_PIECES, _HALVINGS = 16, 50
+PIECES, _HALVINGS = 16, 50
 
 
 class Instants(NamedTuple):
@@ -41,17 +41,21 @@ class Instants(NamedTuple):
 
     Attributes:
         begin, end: when the penetration was 0; no begin of a contact that was closed at the start.
-        high: end of the step at which the normal force was greatest.
+        high: end of the step at which the normal force was greatest; in ``crossings`` about when.
         count: (C,) contacts that began (or were closed at the start), also those beyond K.
+        reach: in ``crossings``, how far the summit of the force reaches to either side [s]; NaN for none.
+        missed: (C,) in ``crossings``, contacts and separations within one step, which are not among the others.
     """
 
     begin: Array
     end: Array
     high: Array
     count: Array
+    reach: Array | None = None
+    missed: Array | None = None
 
 
-class _Look(NamedTuple):
+class Look(NamedTuple):
     """Penetration, its rate and normal force of each channel (C,)."""
 
     depth: Array
@@ -74,7 +78,7 @@ class _Memory(NamedTuple):
     """
 
     inner: Any
-    before: _Look
+    before: Look
     inside: Array
     found: Instants
     tries: Array
@@ -85,14 +89,14 @@ class _Memory(NamedTuple):
 
 
 @partial(jax.jit, static_argnums=0)  # Traced once for all of its places, and for each derivative of them.
-def look(model: AbstractModel, t: Any, y: Array, prepared: Any) -> _Look:
+def look(model: AbstractModel, t: Any, y: Array, prepared: Any) -> Look:
     """Every channel in one state, in the order of ``derivatives.jacobian.channel_names``."""
     seen = model.observe(t, y, prepared)
     rows = [
         [jnp.ravel(x) for x in (r.penetration, r.rate, r.force[..., 0])]
         for r in (seen[contact.name] for contact in model.contacts)
     ]
-    return _Look(*(jnp.concatenate(part) for part in zip(*rows, strict=True)))
+    return Look(*(jnp.concatenate(part) for part in zip(*rows, strict=True)))
 
 
 class Landing(dfx.AbstractStepSizeController):
@@ -137,7 +141,7 @@ class Landing(dfx.AbstractStepSizeController):
         crossing = keep & beyond & ~near
         share = jax.lax.cond(
             jnp.any(crossing),
-            lambda: jnp.min(jnp.where(crossing, _crossing(memory.before, now, memory.inside, dt, 0.5 * close), 1.0)),
+            lambda: jnp.min(jnp.where(crossing, crossed_at(memory.before, now, memory.inside, dt, 0.5 * close), 1.0)),
             lambda: jnp.ones_like(dt),
         )
         # A step so short is on the surface, whatever the rounding of the penetration lets it show.
@@ -162,7 +166,7 @@ class Landing(dfx.AbstractStepSizeController):
         start, end = jnp.where(again, t0, start), jnp.where(again, t0 + surface, start + length)
         known = _Memory(
             jax.tree.map(lambda a, b: jnp.where(again, a, b), memory.inner, inner),
-            _Look(*(jnp.where(kept, a, b) for a, b in zip(now, memory.before, strict=True))),
+            Look(*(jnp.where(kept, a, b) for a, b in zip(now, memory.before, strict=True))),
             inside,
             jax.lax.cond(landed, lambda: _noted(memory.found, fixed(t1), memory, turned), lambda: memory.found),
             jnp.where(again, memory.tries + 1, jnp.where(keep, 0, memory.tries)),
@@ -174,8 +178,14 @@ class Landing(dfx.AbstractStepSizeController):
         return kept, start, end, jump, known, result
 
 
+def cubic(before: Look, now: Look, dt: Any, s: Array) -> Array:
+    """Hermite's cubic of the penetrations (C,) in a step, at a share s of it [m]."""
+    a, b, p, q = before.depth, now.depth, dt * before.rate, dt * now.rate
+    return a + s * (p + s * (3 * (b - a) - 2 * p - q + s * (2 * (a - b) + p + q)))
+
+
 @jax.jit  # As ``look``.
-def _crossing(before: _Look, now: _Look, inside: Array, dt: Any, short: Array) -> Array:
+def crossed_at(before: Look, now: Look, inside: Array, dt: Any, short: Any) -> Array:
     """Share of a step at which the Hermite cubic of the penetration is ``short`` of crossing 0 [m] (C,).
 
     A stage beyond would have the field of the other side, which may be another by a jump.
@@ -183,15 +193,15 @@ def _crossing(before: _Look, now: _Look, inside: Array, dt: Any, short: Array) -
     a, b, p, q = before.depth, now.depth, dt * before.rate, dt * now.rate
     sign, fixed = jnp.where(inside, -1.0, 1.0), jax.lax.stop_gradient
 
-    def cubic(s: Array) -> Array:
-        return sign * (a + s * (p + s * (3 * (b - a) - 2 * p - q + s * (2 * (a - b) + p + q)))) + short
+    def outward(s: Array) -> Array:
+        return sign * cubic(before, now, dt, s) + short
 
     def crossed(s: Array) -> Array:
-        return fixed(cubic(s)) > 0
+        return fixed(outward(s)) > 0
 
-    ends = jnp.arange(1, _PIECES + 1) / _PIECES
+    ends = jnp.arange(1, PIECES + 1) / PIECES
     first = jnp.argmax(jax.vmap(crossed, 0, 1)(ends[:, None] * jnp.ones_like(a)), axis=1)
-    bracket = first / _PIECES, (first + 1.0) / _PIECES
+    bracket = first / PIECES, (first + 1.0) / PIECES
 
     def halve(_: int, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
         middle = 0.5 * (bracket[0] + bracket[1])
@@ -202,7 +212,7 @@ def _crossing(before: _Look, now: _Look, inside: Array, dt: Any, short: Array) -
     root = 0.5 * (low + high)
     # Of a root that moves with the parameters: the last step of Newton's method.
     slope = fixed(sign * (p + root * (2 * (3 * (b - a) - 2 * p - q) + 3 * root * (2 * (a - b) + p + q))))
-    return root - jnp.where(slope == 0, 0.0, cubic(root) / jnp.where(slope == 0, 1.0, slope))
+    return root - jnp.where(slope == 0, 0.0, outward(root) / jnp.where(slope == 0, 1.0, slope))
 
 
 def _noted(found: Instants, t: Any, memory: _Memory, turned: Array) -> Instants:
@@ -210,12 +220,12 @@ def _noted(found: Instants, t: Any, memory: _Memory, turned: Array) -> Instants:
     begun, ended = turned & ~memory.inside, turned & memory.inside
     count = found.count + begun
     return Instants(
-        _put(found.begin, begun, count, t), _put(found.end, ended, count, t),
-        _put(found.high, ended, count, memory.high), count,
+        put(found.begin, begun, count, t), put(found.end, ended, count, t),
+        put(found.high, ended, count, memory.high), count,
     )  # fmt: skip
 
 
-def _put(table: Array, where: Array, count: Array, values: Any) -> Array:
+def put(table: Array, where: Array, count: Array, values: Any) -> Array:
     """A table (C, K) with values in each channel's last contact; what has no place is dropped."""
     most = table.shape[1]
     place = jnp.where(where & (count > 0), count - 1, most)
@@ -225,4 +235,4 @@ def _put(table: Array, where: Array, count: Array, values: Any) -> Array:
 def contacts(last: _Memory) -> Instants:
     """What a run's memory at its end knows of its contacts; of one that is still closed when its force was greatest so far."""
     last = jax.lax.stop_gradient(last)
-    return last.found._replace(high=_put(last.found.high, last.inside, last.found.count, last.high))
+    return last.found._replace(high=put(last.found.high, last.inside, last.found.count, last.high))

@@ -4,6 +4,10 @@ A ball bounces 10 and 30 times on K d^n (1 + a d'). The reference is a closed fo
 variational equations by SciPy at 1e-12 (``references.bounce_events``, which the closed form confirms to 1e-9). Errors are
 relative to the derivative itself, or to 0.01 % of the number per 1 % of the parameter where it is smaller (the least that a
 certificate counts). Beside it: the begins' derivatives from samples of the same level, as ``bj.sensitivity`` has periods.
+The last cases are solved by BDF, which does not land on contacts.
+
+The plain joint has no closed form. Its reference is the same at a force error of 1e-10 (``JOINT_TIGHT``); central differences
+of runs without derivatives confirm it (``tests/analysis/test_contact_events.py``), to 1e-4 but for times of peaks.
 
     python -m benchmarks.analysis.contact_events    keeps results/contact_events.json and the tables of docs/derivatives.md
 """
@@ -20,11 +24,14 @@ import numpy as np
 
 import bcfj_jax as bj
 from bcfj_jax.analysis import features
-from bcfj_jax.analysis.derivatives.contact_events import TIGHTER, solved_at
-from bcfj_jax.analysis.derivatives.jacobian import level
+from bcfj_jax.analysis.derivatives.bounds import APART, SAFETY
+from bcfj_jax.analysis.derivatives.certificate import apart as differing
+from bcfj_jax.analysis.derivatives.contact_events import TIGHTER, numbers, solved_at, why
+from bcfj_jax.analysis.derivatives.jacobian import channel_names, level
 from bcfj_jax.analysis.derivatives.measures import _start_slope
-from bcfj_jax.analysis.derivatives.names import complete
+from bcfj_jax.analysis.derivatives.names import EVENTS, Feature, complete
 from bcfj_jax.core.programs import program
+from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve.plan import plan
 from benchmarks.common import markdown, put_in_readme, save
 from benchmarks.references.bounce_events import KINDS, NAMES, closed, integrated
@@ -36,7 +43,12 @@ CASES = {
     "n = 1.5, damped": {"stiffness": 1e5, "exponent": 1.5, "damping": 0.05},
     "n = 1.5, damped, hard": {"stiffness": 1e8, "exponent": 1.5, "damping": 0.05},
 }
+BY_BDF = ("n = 1, undamped", "n = 1.5, damped")
 COUNTS, LEAST, REPEATS = (10, 30), 0.01, 7
+JOINT, JOINT_END, JOINT_REPEATS = bj.scenes.joint(**PLAIN), 0.3, 3
+JOINT_WRT = ("stiffness", "friction_static", "damping", "clearance_seat_cage")
+# What was asked for, and how much looser runs are than that asks for; the first is as of a fit.
+JOINT_LEVELS, JOINT_TIGHT = ((1e-6, 100.0), ("balanced", 1.0), (1e-7, 1.0)), (1e-9, 0.1)
 TITLES = {"peak_time": "time of peak"}
 
 
@@ -53,10 +65,10 @@ def errors(
     return worst
 
 
-def from_samples(params: dict, end: float, wrt: tuple[str, ...], exact: Any, p: dict[str, float]) -> float:
+def from_samples(scene: Any, params: dict, end: float, wrt: tuple[str, ...], exact: Any, p: dict[str, float]) -> float:
     """The same of begins, by roots of the samples' cubics, at the level's tolerance by steps that end anywhere."""
-    times = np.linspace(0.0, end, SCENE.samples)
-    found = level(SCENE, params, times, wrt, plan(SCENE, "balanced"))
+    times = np.linspace(0.0, end, scene.samples)
+    found = level(scene, params, times, wrt, plan(scene, "balanced"))
     depth, rate = found.value.penetration[:, 0], found.value.rate[:, 0]
     starts = [begin for begin, _ in features.contact_times(times, depth, rate)]
     by = [found.derivative.penetration[:, :, 0], found.derivative.rate[:, :, 0]]
@@ -69,18 +81,18 @@ def from_samples(params: dict, end: float, wrt: tuple[str, ...], exact: Any, p: 
     return float(np.nanmax(off[1:])) if np.isfinite(off[1:]).any() else float("nan")
 
 
-def seconds(run: Any) -> float:
+def seconds(run: Any, repeats: int = REPEATS) -> float:
     """CPU seconds, the median of a few."""
     run()
     spent = []
-    for _ in range(REPEATS):
+    for _ in range(repeats):
         begin = time.process_time()
         run()
         spent.append(time.process_time() - begin)
     return float(np.median(spent))
 
 
-def case(name: str, count: int) -> dict[str, Any]:
+def case(name: str, count: int, by_bdf: bool = False) -> dict[str, Any]:
     law = CASES[name]
     p = {**law, **BALL}
     simple = law["exponent"] == 1.0 and law["damping"] == 0.0
@@ -90,33 +102,97 @@ def case(name: str, count: int) -> dict[str, Any]:
     flight = exact["begin"][0][-1] - exact["end"][0][-2]
     end = float(exact["end"][0][-1] + 0.3 * flight)
     params = SCENE.parameters(p)
-    full, names = complete(SCENE, params, wrt)
-    how = plan(SCENE, "balanced")
-    loose, tight = (solved_at(SCENE, full, end, names, how, [], t) for t in (1.0, TIGHTER))
-    apart = bj.contact_events(SCENE, params, np.array([0.0, end]), wrt)
+    scene = SCENE.suited(params, end, "bdf" if by_bdf else "tsit5")
+    full, names = complete(scene, params, wrt)
+    how = plan(scene, "balanced")
+    loose, tight = (solved_at(scene, full, end, names, how, [], t) for t in (1.0, TIGHTER))
+    apart = bj.contact_events(scene, params, np.array([0.0, end]), wrt)
     stated = max(float(np.nanmax(x["contact"][:5, :count])) for x in apart.apart.values())
     row = {
-        "case": name, "contacts": count, "reference": "closed form" if simple else "variational equations",
+        "case": f"{name}, by BDF" if by_bdf else name, "contacts": count,
+        "reference": "closed form" if simple else "variational equations",
         "contact_over_flight": float((exact["end"][0][0] - exact["begin"][0][0]) / flight), "found": int(tight.counts[0]),
         "level": errors(loose, exact, p, wrt), "given": errors(tight, exact, p, wrt), "stated": stated,
-        "from_samples": from_samples(full, end, wrt, exact, p),
+        "from_samples": from_samples(scene, full, end, wrt, exact, p),
         "steps": {"level": loose.accepted + loose.rejected, "given": tight.accepted + tight.rejected},
     }  # fmt: skip
     times = np.linspace(0.0, end, 2001)
-    plain = program("simulate", *_plain(full, times, how))[0]
+    plain = program("simulate", *_plain(scene, full, times, how))[0]
     cpu = {
         "values_s": seconds(lambda: plain(dict(full), times, how)),
-        "events_s": seconds(lambda: solved_at(SCENE, full, end, names, how, [], TIGHTER)),
-        "samples_s": seconds(lambda: level(SCENE, full, times, names, how)),
+        "events_s": seconds(lambda: solved_at(scene, full, end, names, how, [], TIGHTER)),
+        "samples_s": seconds(lambda: level(scene, full, times, names, how)),
     }
     print(name, count, row["level"], row["given"], row["from_samples"], cpu, flush=True)
     return {**row, **cpu}
 
 
-def _plain(params: dict, times: np.ndarray, how: Any) -> tuple:
+def _plain(scene: Any, params: dict, times: np.ndarray, how: Any) -> tuple:
     from bcfj_jax.solve.simulation import _run
 
-    return _run, (SCENE, ()), (dict(params), times, how)
+    return _run, (scene, ()), (dict(params), times, how)
+
+
+def joint() -> list[dict[str, Any]]:
+    """Every contact that the joint takes up or leaves in its first 0.3 s, at two accuracies."""
+    params = JOINT.parameters()
+    full, names = complete(JOINT, params, JOINT_WRT)
+    values = np.array([float(full[n]) for n in names])
+
+    def of(accuracy: float | str, tighter: float = 1.0) -> Any:
+        return solved_at(JOINT, full, JOINT_END, names, plan(JOINT, accuracy), [], tighter)
+
+    exact = of(*JOINT_TIGHT)
+    channels = channel_names(JOINT.members)
+    wanted = [
+        Feature(f"{channels[c]}.{kind}_{k + 1}", f"{kind}_{k + 1}", (channels[c],))
+        for c, k in zip(exact.channel, exact.number, strict=True)
+        for kind in EVENTS
+    ]
+    wanted = [f for f in wanted if not why(JOINT, exact, f)]
+    value, slope = numbers(JOINT, exact, wanted)
+    kinds = np.array([f.kind.rpartition("_")[0] for f in wanted])
+    rows = []
+    for accuracy, looser in JOINT_LEVELS:
+        both = (looser, looser * TIGHTER)
+        loose, tight = (of(accuracy, t) for t in both)
+        assert np.array_equal(tight.counts, exact.counts) and np.array_equal(loose.counts, exact.counts)
+        at, (own, by) = numbers(JOINT, loose, wanted)[1], numbers(JOINT, tight, wanted)
+        off, stated = differing(by, slope, value, values), differing(at, by, own, values)
+        # What a sensitivity compares with; its bound is not below half of the history's, besides.
+        far = numbers(JOINT, of(accuracy, both[1] / APART[True]), wanted)[1]
+        bound = SAFETY * differing(by, far, own, values)
+        how = plan(JOINT, accuracy)
+        without = solved_at(JOINT, full, JOINT_END, (), how, [], both[1])
+        row = {
+            "accuracy": accuracy, "looser": looser, "contacts": int(np.sum(exact.counts)), "numbers": int(off.size),
+            "off": {k: np.nanquantile(off[kinds == k], (0.5, 0.9, 1.0)).tolist() for k in EVENTS},
+            "values_off": {k: float(np.nanmax(np.abs(own / value - 1.0)[kinds == k])) for k in EVENTS},
+            "bounded": float(np.mean(off <= np.maximum(stated, 1e-9))),
+            "bounded_thrice": float(np.mean(off <= np.maximum(3.0 * stated, 1e-9))),
+            "bounded_by_verdict": float(np.mean(off <= np.maximum(bound, 1e-9))),
+            "trusted": float(np.mean(bound <= 0.03)), "wrong_of_trusted": int(np.sum((bound <= 0.03) & (off > bound))),
+            "missed": int(np.sum(tight.missed)), "lost": int(np.sum(~np.isfinite(by).all(axis=1))),
+            "steps": tight.accepted + tight.rejected, "steps_without": without.accepted + without.rejected,
+            "events_s": seconds(lambda a=accuracy, ts=both: [of(a, t) for t in ts], JOINT_REPEATS),
+            "without_s": seconds(
+                lambda how=how, t=both[1]: solved_at(JOINT, full, JOINT_END, (), how, [], t), JOINT_REPEATS
+            ),
+        }  # fmt: skip
+        print(row, flush=True)
+        rows.append(row)
+    return rows
+
+
+def joint_table(rows: list[dict[str, Any]]) -> str:
+    head = ["accuracy", *(TITLES.get(k, k) for k in EVENTS), "error below `apart`", "... a sensitivity's comparison"]
+    shown = [[*head, "steps", "CPU s"]]
+    for r in rows:
+        own = [f"{r['off'][k][0]:.0e} ({r['off'][k][1]:.0e})" for k in EVENTS]
+        bound = [f"{100 * r[k]:.0f} %" for k in ("bounded", "bounded_by_verdict")]
+        name = f"{r['accuracy'] * r['looser']:.0e} (a fit's)" if r["looser"] > 1.0 else str(r["accuracy"])
+        shown.append([name, *own, *bound, str(r["steps"]), f"{r['events_s']:.1f}"])
+    return markdown(shown)
 
 
 def shape() -> dict[str, Any]:
@@ -152,9 +228,12 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 def main() -> None:
     rows = [case(name, count) for name in CASES for count in COUNTS]
-    save("contact_events", {"cases": rows, "least": LEAST, "shape": shape()})
+    rows += [case(name, count, True) for name in BY_BDF for count in COUNTS]
+    of_joint = joint()
+    save("contact_events", {"cases": rows, "least": LEAST, "shape": shape(), "joint": of_joint})
     put_in_readme("contact-events", table(rows), "docs/derivatives.md")
-    print(table(rows))
+    put_in_readme("contact-events-joint", joint_table(of_joint), "docs/derivatives.md")
+    print(table(rows), joint_table(of_joint), sep="\n\n")
 
 
 if __name__ == "__main__":

@@ -337,7 +337,10 @@ def build(
     arrays = (times, values, weights, memory, previous, features, feature_weights)
     axes = coordinates or coordinates_of(problem, experiments)
     how = plan(problem.scene, problem.accuracy, max_steps=_steps(problem))
-    if how.tangents:
+    observed = observed_features(problem.scene, experiments)
+    # Single contacts are followed by such steps always.
+    followed = problem.scene.traits.stiff and any(is_single(name) for one in observed for name in one.names)
+    if how.tangents or followed:
         how = replace(how, max_steps=_FOR_TANGENTS * how.max_steps)
     return Model(
         scene=problem.scene,
@@ -346,7 +349,7 @@ def build(
         data=Data(*arrays, fixed=fixed, chain=chain),  # pyright: ignore[reportArgumentType]
         bounds=np.array([[axis.lower for axis in axes], [axis.upper for axis in axes]]),  # pyright: ignore[reportArgumentType]
         how=how,
-        observed_features=observed_features(problem.scene, experiments),
+        observed_features=observed,
         parts=max(4, -(-_FINE_STEPS // longest)) if filtered else 0,
         loss=problem.loss,
     )

@@ -14,7 +14,7 @@ from bcfj_jax.analysis import histories as comparison
 from bcfj_jax.analysis.derivatives.jacobian import Histories, channel_names
 from bcfj_jax.analysis.derivatives.measures import vector
 from bcfj_jax.analysis.derivatives.names import event, feature, members
-from bcfj_jax.analysis.derivatives.trains import flat, train
+from bcfj_jax.analysis.derivatives.trains import flat, instants, planned, train
 from bcfj_jax.core.status import OK
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.plan import Plan
@@ -139,8 +139,6 @@ def single(
 
     A contact that is not there, on the way to an optimum, has no peak, impulse and width, and is as late as the run ends.
     """
-    from bcfj_jax.solve.integrate import landed  # With diffrax, which a kept program needs not.
-
     wanted = [feature(name, scene.members) for name in observed.names]
     channels = channel_names(scene.members)
     asked = {
@@ -149,10 +147,10 @@ def single(
         if (found := event(one.kind))
     }
     rows = sorted({pair for pairs in asked.values() for pair in pairs})
-    end = jnp.asarray(_LATER * observed.end)
-    contacts = landed(scene, jax.lax.stop_gradient(dict(params)), end[None], how, 1 + max(k for _, k in rows))[1]
+    how, end = planned(scene, how), jnp.asarray(_LATER * observed.end)
+    contacts = instants(scene, params, end, how, 1 + max(k for _, k in rows))
     marks = flat(contacts, *np.array(rows).T)
-    found, solution = train(scene, params, marks, end, how)
+    found, solution, _ = train(scene, params, marks, end, how)
     ran = solution.code == OK
     values = jnp.zeros(len(wanted))
     for k, pairs in asked.items():

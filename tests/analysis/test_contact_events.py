@@ -6,12 +6,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from joints import JOINT
 
 import bcfj_jax as bj
-from bcfj_jax.analysis.derivatives.names import feature, feature_unit
+from bcfj_jax.analysis.derivatives.contact_events import numbers, solved_at
+from bcfj_jax.analysis.derivatives.names import EVENTS, Feature, complete, feature, feature_unit
 from bcfj_jax.analysis.derivatives.trains import NODES, PHASES, _rule
 from bcfj_jax.solve.integrate import landed
-from bcfj_jax.solve.plan import Plan
+from bcfj_jax.solve.plan import Plan, plan
 from benchmarks.references.bounce_events import KINDS, NAMES, closed, integrated
 
 SCENE = bj.scenes.bounce(smoothing=False)
@@ -132,9 +134,157 @@ def test_names():
             feature(f"contact.{wrong}", contacts)
 
 
+def implicit(law, count, exact):
+    """The bounce as a user has it who wants implicit steps, and its derivatives; BDF does not land on contacts."""
+    params, end = SCENE.parameters(law), span(exact)
+    return bj.contact_events(SCENE.suited(params, end, "bdf"), params, np.array([0.0, end]), WRT, accuracy=1e-6)
+
+
+WRT = ("stiffness", "mass", "gravity", "drop_height")
+
+
+def test_implicit_steps_give_the_contacts_of_the_closed_form():
+    exact = closed(LINEAR, 10)
+    found = implicit(LINEAR, 10, exact)
+    assert found.counts == {"contact": 10} and found.missed == {"contact": 0} and not found.reasons
+    check(found, exact, WRT, 1e-4)
+    # The undamped force keeps its shape, a sine but for gravity: here on the moving clock, with its derivative.
+    train, own = found.trains["contact"], found.derivative["drop_height"]["contact"]
+    np.testing.assert_allclose(train.width, np.sqrt(0.25 - 2.0 / np.pi**2) * (train.end - train.begin), rtol=0.02)
+    middle = slice(4, -4)
+    share = train.force[9][middle] / train.peak[9]
+    np.testing.assert_allclose(own.force[9][middle] / own.peak[9], share, rtol=0.05)
+    assert np.max(np.abs(own.pointwise[9])) > 30.0 * np.max(np.abs(own.force[9]))
+    # What two tolerances differ by is not less than what the tighter is off.
+    for name in WRT:
+        for kind, apart in zip(EVENTS, found.apart[name]["contact"], strict=True):
+            if kind not in KINDS:
+                continue
+            value, slope = exact[kind]
+            true = slope[:, NAMES.index(name)]
+            size = np.maximum(np.abs(true), LEAST * np.abs(value) / LINEAR[name])
+            off = np.max(np.abs(getattr(found.derivative[name]["contact"], kind) - true) / size)
+            assert off < 1.5 * np.max(apart), (name, kind)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", [HERTZ, {**HERTZ, "stiffness": 1e8}, {**HERTZ, "exponent": 2.2, "damping": 0.02}])
+def test_implicit_steps_give_the_contacts_of_variational_equations(law):
+    exact = integrated(law, 5)
+    end, params = span(exact), SCENE.parameters(law)
+    scene = SCENE.suited(params, end, "bdf")
+    found = bj.contact_events(scene, params, np.array([0.0, end]), NAMES, accuracy=1e-7)
+    for kind in KINDS:
+        value, slope = exact[kind]
+        own = np.stack([getattr(found.derivative[n]["contact"], kind) for n in NAMES], axis=1)
+        least = LEAST * np.abs(value)[:, None] / np.array([law[n] for n in NAMES])
+        assert np.max(np.abs(own - slope) / np.maximum(np.abs(slope), least)) < 1e-4, kind
+
+
+def both(scene, params, end, wrt, features, accuracy):
+    """Features (F,) and derivatives (F, P) by steps that land on contacts, and by BDF's."""
+    found = []
+    for solver in ("tsit5", "bdf"):
+        suited = scene.suited(params, end, solver)
+        full, names = complete(suited, params, wrt)
+        wanted = [feature(name, suited.members) for name in features]
+        found.append(numbers(suited, solved_at(suited, full, end, names, plan(suited, accuracy), wanted), wanted))
+    return found
+
+
+@pytest.mark.slow
+def test_stiff_friction_has_the_contact_of_steps_that_land():
+    """A sphere on a plane with friction so steep that it is stiff."""
+    scene = bj.scenes.oblique_impact()
+    params = scene.parameters(friction_speed=1e-4, clearance_contact=1e-5)
+    end = 2.0 * float(scene.horizon(params))
+    assert scene.suited(params, end).traits.stiff
+    wrt = ("stiffness", "exponent", "approach_speed", "clearance_contact", "restitution")
+    names = [f"contact.{kind}_1" for kind in EVENTS]
+    (value, slope), (own, by) = both(scene, params, end, wrt, names, 1e-7)
+    np.testing.assert_allclose(own, value, rtol=1e-6)
+    least = LEAST * np.abs(value)[:, None] / np.array([float(params[n]) for n in wrt])
+    assert np.max(np.abs(by - slope) / np.maximum(np.abs(slope), least)) < 1e-4
+
+
+@pytest.mark.slow
+def test_a_mechanism_has_the_same_contacts_by_implicit_steps():
+    scene = bj.scenes.slider_crank()
+    params = scene.parameters()
+    wrt = ("clearance_journal", "stiffness")
+    names = [f"journal.{kind}_{k}" for k in (1, 2, 3) for kind in ("begin", "end", "peak", "impulse")]
+    (value, slope), (own, by) = both(scene, params, 0.2 * float(scene.horizon(params)), wrt, names, 1e-7)
+    np.testing.assert_allclose(own, value, rtol=1e-5)
+    least = LEAST * np.abs(value)[:, None] / np.array([float(params[n]) for n in wrt])
+    assert np.max(np.abs(by - slope) / np.maximum(np.abs(slope), least)) < 1e-3
+
+
+@pytest.mark.slow
+def test_derivatives_of_the_joints_contacts_are_those_of_differences():
+    """Central differences of runs without derivatives, which take other steps."""
+    end, name, h = 0.06, "stiffness", 1e-4
+    full, names = complete(JOINT, JOINT.parameters(), (name,))
+    tight = plan(JOINT, 1e-8)
+    found = solved_at(JOINT, full, end, names, tight, [])
+    wanted = [
+        Feature(f"{c}.{kind}_1", f"{kind}_1", (c,))
+        for c in ("seat_cage", "seat_ball_1", "head_ball_1", "cage_ball_4", "cage_ball_6")
+        for kind in EVENTS
+    ] + [feature("cage_ball_1.impulse_1", JOINT.members), feature("cage_ball_1.end_1", JOINT.members)]
+    value, slope = numbers(JOINT, found, wanted)
+    low, high = (
+        numbers(JOINT, solved_at(JOINT, full | {name: full[name] * (1.0 + s * h)}, end, (), tight, wanted), wanted)[0]
+        for s in (-1.0, 1.0)
+    )
+    differences = (high - low) / (2.0 * h)
+    good = np.isfinite(value)
+    assert good.sum() > 8
+    off = np.abs(slope[:, 0] * float(full[name]) - differences) / np.maximum(np.abs(differences), LEAST * np.abs(value))
+    # Flat tops: of their times differences are known to some percent, with steps of any length.
+    late = np.array([f.kind.startswith("peak_time") for f in wanted])
+    assert np.max(off[good & ~late]) < 2e-3, off
+    assert np.max(off[good & late]) < 0.1, off
+
+
+@pytest.mark.slow
+def test_features_of_a_stiff_scene_in_a_sensitivity_and_a_study(tmp_path):
+    """The begin is the gap over the normal speed; what follows of it in closed form."""
+    law = {"friction_speed": 1e-4, "clearance_contact": 1e-5}
+    scene = bj.scenes.oblique_impact()
+    params = scene.parameters(law)
+    end, names = 2.0 * float(scene.horizon(params)), ("contact.begin_1", "contact.impulse_1", "contact.end_2")
+    found = bj.sensitivity(
+        scene, params, np.linspace(0.0, end, 301), ("approach_speed",), features=names, differences="none"
+    )
+    speed, angle = float(params["approach_speed"]), float(params["impact_angle"])
+    begin = 1e-5 / (speed * np.cos(angle))
+    assert found.features[names[0]] == pytest.approx(begin, rel=1e-6)
+    by = found.feature_derivatives["approach_speed"]
+    assert by[names[0]] == pytest.approx(-begin / speed, rel=1e-4)
+    # The law restores a share of the speed that depends on the speed little: the impulse is m v (1 + e).
+    assert by[names[1]] == pytest.approx(found.features[names[1]] / speed, rel=1e-3)
+    assert found.certificate is not None
+    verdicts = found.certificate.parameters["approach_speed"].feature_verdicts
+    assert verdicts[names[0]] == verdicts[names[1]] == "trusted"
+    assert "until the run's end" in found.reasons[names[2]]
+    lines = "\n".join(f"{k} = {v}" for k, v in law.items())
+    (tmp_path / "scene.toml").write_text(
+        f'[scene]\nkind = "oblique_impact"\n[parameters]\n{lines}\n[time]\nend = {end}\nsamples = 101\n'
+    )
+    (tmp_path / "study.toml").write_text(
+        'scene = "scene.toml"\n[design]\nkind = "list"\n[vary.approach_speed]\nvalues = [3.9, 4.5]\n'
+        '[results]\nfeatures = ["contact.begin_1"]\nderivatives = ["approach_speed"]\n'
+    )
+    result = bj.study(tmp_path / "study.toml", tmp_path / "out")
+    for k, v in enumerate((3.9, 4.5)):
+        begin = 1e-5 / (v * np.cos(angle))
+        assert result.column("contact.begin_1")[k] == pytest.approx(begin, rel=1e-6)
+        assert result.column("d(contact.begin_1)/d(approach_speed)")[k] == pytest.approx(-begin / v, rel=1e-4)
+
+
 def test_refusals():
-    joint = bj.scenes.joint()
-    with pytest.raises(bj.InputError, match="implicit steps"):
+    joint = bj.scenes.joint(fidelity="quasistatic")
+    with pytest.raises(bj.InputError, match="no history"):
         bj.contact_events(joint, joint.parameters(), np.array([0.0, 0.1]))
     with pytest.raises(bj.InputError, match="of no single contact"):
         bj.contact_events(SCENE, SCENE.parameters(LINEAR), np.array([0.0, 1.0]), features=["contact.peak"])

@@ -135,3 +135,26 @@ def test_ten_bounces_are_calibrated_from_their_events():
         low, high = np.log(ends)
         assert (high - low) / 2.0 == pytest.approx(1.96 * deviation, rel=0.1)
     assert sum(s["chi2"] < found.starts[0]["chi2"] + 1.0 for s in found.starts) == 8
+
+
+@pytest.mark.slow
+def test_a_stiff_scene_is_calibrated_from_its_events():
+    """Three bounces by implicit steps, which do not land on contacts; exact features by the closed form."""
+    from benchmarks.references.bounce_events import closed
+    from calibration import Observation
+
+    law = {"stiffness": 1e5, "exponent": 1.0, "damping": 0.0, "mass": 0.1, "gravity": 9.81, "drop_height": 0.05}
+    exact, scene = closed(law, 3), scenes.bounce(smoothing=False)
+    end, params = float(exact["end"][0][-1]) + 0.05, scene.parameters(law)
+    kinds = {"begin": 1e-5, "peak": 0.1, "impulse": 5e-4}
+    seen = [
+        Observation(f"contact.{kind}_{k + 1}", float(x), sigma)
+        for kind, sigma in kinds.items()
+        for k, x in enumerate(exact[kind][0])
+    ]
+    one = Experiment("drop", np.zeros(0), (), features=tuple(seen), span=end)
+    values = {k: float(v) for k, v in params.items()}
+    free = (Free("stiffness", 1e4, 1e6), Free("mass", 0.05, 0.2))
+    found = fit(Problem(scene.suited(params, end, "bdf"), values, (one,), free), starts=4)
+    for name in ("stiffness", "mass"):
+        assert found.parameters[name].value == pytest.approx(law[name], rel=1e-4), found.reasons

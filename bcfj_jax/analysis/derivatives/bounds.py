@@ -39,7 +39,7 @@ INF = float("inf")
 NEEDED, APART = {False: 3, True: 2}, {False: 16.0, True: 40.0}
 _TIGHTEST = {False: 1e-14, True: 2.5e-13}
 # Force error at which a stiff model's solves begin: BDF's tangents are not good at looser ones.
-_STIFF = 1e-4
+STIFF = 1e-4
 T = TypeVar("T")
 
 
@@ -107,7 +107,7 @@ def first_plan(scene: AbstractModel, how: Plan, error: float) -> Plan:
     """How R is solved at first: with steps that are chosen for derivatives; of a stiff model so tightly that they can be."""
     if not scene.traits.stiff:
         return Plan(how.tolerance, how.max_steps, tangents=True)
-    good = plan(scene, min(error, _STIFF), how.max_steps)
+    good = plan(scene, min(error, STIFF), how.max_steps)
     return Plan(np.minimum(how.tolerance, good.tolerance), how.max_steps, good.tangents)  # pyright: ignore[reportArgumentType]
 
 

@@ -4,6 +4,9 @@ Two passes: a run without derivatives finds the contacts; one with derivatives, 
 (``trains``). Both land on contacts (``solve.landing``), which is why the level's own tolerance is enough: after 30 bounces at
 ``balanced`` derivatives are right to some 1e-4, where a pointwise one is a spike. The same at a sixteenth of the tolerance
 gives the result, and their difference how far it may be off.
+
+A stiff model's runs do not land on contacts; both passes are BDF's with the tangents' error in its steps, which are the same
+in both, and a force error of at most ``_STIFF`` (``solve.crossings``).
 """
 
 from __future__ import annotations
@@ -13,6 +16,7 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
@@ -21,7 +25,7 @@ from jaxtyping import Float
 from bcfj_jax.analysis.derivatives.jacobian import by_shares, channel_names
 from bcfj_jax.analysis.derivatives.names import EVENTS, Feature, complete, event, members
 from bcfj_jax.analysis.derivatives.names import feature as named
-from bcfj_jax.analysis.derivatives.trains import PHASES, Marks, flat, train
+from bcfj_jax.analysis.derivatives.trains import PHASES, Marks, flat, instants, planned, train
 from bcfj_jax.core.errors import InputError, texts
 from bcfj_jax.core.programs import program
 from bcfj_jax.core.quantities import increasing
@@ -32,6 +36,9 @@ from bcfj_jax.solve.plan import MAX_STEPS, Plan, check_bits, plan
 
 # Contacts of a channel that are looked at, and of a run.
 MOST, _ALL = 128, 1024
+# Contacts of a stiff model that are read in one run, and its force error at most: from 1e-4 to 1e-6 errors of the joint's
+# derivatives fall to a thirtieth or less, and the steps grow to twice as many (benchmarks/analysis/contact_events.py).
+_BLOCK, _STIFF = 64, 1e-6
 # The run that is taken is so much tighter than the one that it is compared with.
 TIGHTER = 1.0 / 16.0
 # An impulse of so uneven a force is not known; and a peak whose tilt would change the force by this share over the contact.
@@ -76,7 +83,9 @@ class ContactEvents(NamedTuple):
         reasons: by name of a feature, why it is NaN; nothing for the others.
         counts: by channel, how many contacts began within the run.
         status, reason, failure_time: as ``Run``.
-        stats: steps, tolerance, wall_s and compile_s.
+        stats: steps, wall_s and compile_s.
+        missed: by channel, contacts and separations that began and ended within one step of an implicit solver. They are
+            left out, and numbers of later contacts are without them.
     """
 
     wrt: tuple[str, ...]
@@ -92,6 +101,7 @@ class ContactEvents(NamedTuple):
     reason: str
     failure_time: float
     stats: dict[str, float]
+    missed: dict[str, int]
 
 
 class Solved(NamedTuple):
@@ -108,6 +118,7 @@ class Solved(NamedTuple):
     rejected: int
     wall_s: float
     compile_s: float
+    missed: np.ndarray
 
 
 def contact_events(
@@ -122,7 +133,7 @@ def contact_events(
 ) -> ContactEvents:
     """When the contacts of a run begin, peak and end, their peaks, impulses and shapes, with derivatives.
 
-    Not of a model whose solver is implicit (the joint), nor of one without a history.
+    Not of a model without a history.
 
     Args:
         scene, params, accuracy, max_steps: as ``simulate``.
@@ -157,16 +168,13 @@ def check_followed(scene: AbstractModel) -> None:
     """Refuse a scene whose contacts cannot be followed.
 
     Raises:
-        InputError: for a model without a history or contacts, and for one whose solver is implicit.
+        InputError: for a model without contacts, and for one without a history.
     """
     traits, where = scene.traits, f"scene '{scene.kind}'"
     if not scene.members:
         raise InputError(where, "has no contact", "contacts' begins, peaks and ends need one")
     if traits.open or not traits.history:
         raise InputError(where, "has no history of its own", "contacts' begins, peaks and ends need a motion")
-    if traits.stiff:
-        found = "is solved by implicit steps, which do not end on contacts"
-        raise InputError(where, found, "take features of its history, such as <contact>.peak or <contact>.impulse")
 
 
 def solved_at(
@@ -175,51 +183,74 @@ def solved_at(
 ) -> Solved:  # fmt: skip
     """The contacts that features ask for (all for none), at a share of the plan's tolerance; see ``contact_events``."""
     check_followed(scene)
-    tolerance: Any = np.asarray(float(how.tolerance) * tighter)
-    how = Plan(tolerance, how.max_steps)
+    how = planned(scene, how, tighter, _STIFF)
     channels = channel_names(scene.members)
     wanted = {(channels.index(m), event(f.kind)[1] - 1) for f in asked for m in members(f.contacts[0], scene.members)}  # pyright: ignore[reportOptionalSubscript]
     most = MOST if not wanted else 1 << max(3, max(k for _, k in wanted).bit_length())
-    arguments: tuple = (dict(params), np.asarray(float(end)), how)
-    find, compile_s = program("contacts", _found, (scene, most), arguments)
-    begin = time.perf_counter()
-    found = find(*arguments)
-    wall = time.perf_counter() - begin
+    given, last, spent = dict(params), np.asarray(float(end)), np.zeros(2)
+
+    def ask(name: str, function: Any, static: tuple, arguments: tuple) -> Any:
+        run, compile_s = program(name, function, static, arguments)
+        begin = time.perf_counter()
+        result = run(*arguments)
+        spent[:] += time.perf_counter() - begin, compile_s
+        return result
+
+    def read(marks: Marks) -> Any:
+        return ask(
+            "contact events", _solved, (scene, wrt, most if scene.traits.stiff else 1), (given, marks, last, how)
+        )
+
+    # One program serves runs with about as many contacts.
+    places = _places(len(wanted))
+    if scene.traits.stiff:
+        # Steps with derivatives are others than those without: a run that reads nothing finds the contacts.
+        places = min(places, _BLOCK) if wanted else _BLOCK
+        nowhere = np.full(places, np.nan)
+        found = read(Marks(np.zeros(places, int), *[nowhere] * 4))[2][-1]  # pyright: ignore[reportArgumentType]
+    else:
+        found = ask("contacts", _found, (scene, most), (given, last, how))
     counts = np.asarray(found.count)
     pairs = sorted(wanted) or [(c, k) for c in range(len(channels)) for k in range(min(int(counts[c]), MOST))]
     if len(pairs) > _ALL:
         raise InputError("features", f"{len(pairs)} contacts", f"name those that are wanted, {_ALL} at most")
-    # One program serves runs with about as many contacts.
-    places = 1 << max(2, math.ceil(math.log2(max(len(pairs), 1))))
-    rows = np.array([*pairs, *[(0, most)] * (places - len(pairs))])
-    marks = Marks(*map(np.asarray, flat(found, rows[:, 0], rows[:, 1])))  # pyright: ignore[reportArgumentType]
-    given: tuple = (dict(params), marks, np.asarray(float(end)), how)
-    solve, more = program("contact events", _solved, (scene, wrt), given)
-    begin = time.perf_counter()
-    slopes, value, (code, stop, accepted, rejected) = solve(*given)
-    wall += time.perf_counter() - begin
-    kept = slice(len(pairs))
-    value = type(value)(*(np.asarray(x)[kept] for x in value))
-    derivative = {name: type(value)(*(np.asarray(part[name])[kept] for part in slopes)) for name in wrt}
+    places = places if scene.traits.stiff else _places(len(pairs))
+    parts: list[tuple] = []
+    for k in range(0, max(len(pairs), 1), places):
+        block = pairs[k : k + places]
+        rows = np.array([*block, *[(0, most)] * (places - len(block))])
+        marks = Marks(*map(np.asarray, flat(found, rows[:, 0], rows[:, 1])))  # pyright: ignore[reportArgumentType]
+        slopes, value, (*ended, _) = read(marks)
+        parts.append((*jax.tree.map(np.asarray, (value, slopes)), ended, len(block)))
+    whole = lambda *x: np.concatenate([each[:n] for each, (*_, n) in zip(x, parts, strict=True)])  # noqa: E731
+    value, slopes = jax.tree.map(whole, *[part[:2] for part in parts])
+    derivative = {name: type(value)(*(part[name] for part in slopes)) for name in wrt}
+    code, stop, accepted, rejected = parts[0][2]
+    rows = np.array(pairs, int).reshape(-1, 2)
     return Solved(
-        rows[kept, 0], rows[kept, 1], value, derivative, counts, int(code), float(stop), int(accepted), int(rejected),
-        wall, compile_s + more,
+        rows[:, 0], rows[:, 1], value, derivative, counts, int(code), float(stop), int(accepted), int(rejected),
+        float(spent[0]), float(spent[1]), np.zeros_like(counts) if found.missed is None else np.asarray(found.missed),
     )  # fmt: skip
+
+
+def _places(count: int) -> int:
+    """Places for so many contacts, a power of 2."""
+    return 1 << max(2, math.ceil(math.log2(max(count, 1))))
 
 
 def _found(scene: AbstractModel, most: int, params: dict, end: Array, how: Plan) -> Any:
     """The first ``most`` contacts of every channel."""
-    from bcfj_jax.solve.integrate import landed  # With diffrax, which a kept program needs not.
-
-    return landed(scene, params, end[None], how, most)[1]
+    return instants(scene, params, end, how, most)
 
 
-def _solved(scene: AbstractModel, wrt: tuple[str, ...], params: dict, marks: Marks, end: Array, how: Plan) -> Any:
-    """Derivatives of the train by name, the train, and how the run ended."""
+def _solved(
+    scene: AbstractModel, wrt: tuple[str, ...], most: int, params: dict, marks: Marks, end: Array, how: Plan
+) -> Any:
+    """Derivatives of the train by name, the train, how the run ended, and the contacts that it found."""
 
     def at(params: dict) -> tuple:
-        found, ended = train(scene, params, marks, end, how)
-        return found, (ended.code, ended.end, ended.accepted, ended.rejected)
+        found, ended, seen = train(scene, params, marks, end, how, most)
+        return found, (ended.code, ended.end, ended.accepted, ended.rejected, seen)
 
     if not wrt:
         return (), *at(params)
@@ -284,7 +315,7 @@ def _why(found: Solved, channel: int, number: int, kind: str, name: str) -> str:
     if kind in ("end", *_INTEGRATED) and not np.isfinite(v.end[row]):
         return "it lasts beyond the run's end" if found.code == OK else f"the run failed at {found.end:.6g} s"
     if kind in _INTEGRATED and not v.unsure[row] <= _UNEVEN:
-        return f"its force is too uneven for {len(PHASES)} points: they give its impulse to {v.unsure[row]:.1g}"
+        return f"its force is too uneven: the points that it is read at give its impulse to {v.unsure[row]:.1g}"
     if kind in ("peak", "peak_time"):
         length = np.sqrt(2.0 * v.peak[row] / max(-v.bend[row], 1e-300))
         if not (v.bend[row] < 0 and abs(v.tilt[row]) * length <= _TILTED * v.peak[row]):
@@ -319,6 +350,7 @@ def _presented(
             "accepted": tight.accepted, "rejected": tight.rejected,
             "wall_s": loose.wall_s + tight.wall_s, "compile_s": loose.compile_s + tight.compile_s,
         },
+        {name: int(n) for name, n in zip(channels, tight.missed, strict=True)},
     )  # fmt: skip
 
 

@@ -226,7 +226,7 @@ def sensitivity(
     if climbed.beside is not None:
         between, tight = (measure(t, r.value, r.derivative, wanted, contacts, turning)[1] for r in climbed.beside)
         # Single contacts have one tighter solve.
-        filled(scene, full, t[-1], names, how, wanted, numbers.copy(), tight, TIGHTER / APART[False])
+        filled(scene, full, t[-1], names, how, wanted, numbers.copy(), tight, TIGHTER / APART[scene.traits.stiff])
         own = [i for i, f in enumerate(wanted) if event(f.kind)]
         between[own] = tight[own]
         agree = feature_bounds([slopes, between, tight], numbers, values)

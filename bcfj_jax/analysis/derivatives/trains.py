@@ -16,7 +16,11 @@ are apart. With penetration d, normal force F and a parameter p, at the instants
 begin: in its phase a contact is a contact for all parameters, while at a fixed time near its end it may be over, and the
 derivative is then a spike there. Of a regularised contact d is the gap without regularisation.
 
-The integral is Clenshaw and Curtis's rule on ``NODES`` points, whose every second one gives its error.
+The integral is Clenshaw and Curtis's rule on ``NODES`` points, whose every second one gives its error. Contacts of stiff models
+last, and others begin and end in the meantime: there it has ``_FINER`` times as many.
+
+A peak is sought along the field where steps are explicit. A stiff field magnifies what a state is off, so of a stiff model it
+is the top of the polynomial of degree ``_DEGREE`` through the forces about it, by least squares.
 """
 
 from __future__ import annotations
@@ -28,24 +32,35 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from bcfj_jax.analysis.derivatives.bounds import STIFF
 from bcfj_jax.mechanism.model import AbstractModel, Params, Solution
 from bcfj_jax.solve.plan import Plan
 
 if TYPE_CHECKING:
     from bcfj_jax.solve.landing import Instants
 
-NODES = 33
+NODES, _FINER = 33, 4
 # Newton steps to a peak, and Runge-Kutta steps along the motion in each.
 _STEPS, _PIECES = 4, 2
+# Points about the summit of a stiff model's force, as shares of its reach; the polynomial through them; ever shorter reaches,
+# since ripples may lie on a summit; the share of the way to begin and end that it may reach over; and the share of the
+# forces' range that a good polynomial leaves.
+_SUMMIT, _DEGREE, _SHORTER = np.cos(np.pi * (np.arange(13) + 0.5) / 13), 8, 0.25 ** np.arange(4)
+_AWAY, _LEAVES = 0.5, 1e-3
+_FITTED = np.linalg.pinv(np.vander(_SUMMIT, _DEGREE + 1))
 
 
 class Marks(NamedTuple):
-    """Where M contacts are, of any channels: (M,) channel's number; begin, end and about the peak [s], NaN for none."""
+    """Where M contacts are, of any channels: (M,) channel's number; begin, end and about the peak [s], NaN for none.
+
+    ``reach``: (M,) how far the summit reaches [s], of stiff models.
+    """
 
     channel: Array
     begin: Array
     end: Array
     high: Array
+    reach: Array
 
 
 class Train(NamedTuple):
@@ -87,9 +102,7 @@ def _rule(count: int) -> tuple[np.ndarray, np.ndarray]:
     return 0.5 * (1.0 - np.cos(angle)), 0.5 * weights
 
 
-PHASES, _WEIGHTS = _rule(NODES)
-_COARSE = np.zeros(NODES)
-_COARSE[::2] = _rule(NODES // 2 + 1)[1]
+PHASES = _rule(NODES)[0]
 
 
 def flat(found: Instants, channels: Array | np.ndarray, numbers: Array | np.ndarray) -> Marks:
@@ -98,53 +111,95 @@ def flat(found: Instants, channels: Array | np.ndarray, numbers: Array | np.ndar
     def of(table: Array) -> Array:
         return jnp.asarray(table).at[channels, numbers].get(mode="fill", fill_value=jnp.nan)
 
-    return Marks(jnp.asarray(channels), of(found.begin), of(found.end), of(found.high))
+    reach = found.begin if found.reach is None else found.reach
+    return Marks(jnp.asarray(channels), of(found.begin), of(found.end), of(found.high), of(reach))
 
 
-def train(model: AbstractModel, params: Params, marks: Marks, end: Array, how: Plan) -> tuple[Train, Solution]:
-    """The contacts at their marks, which a run until ``end`` [s] as planned has found (``integrate.landed``).
+def planned(model: AbstractModel, how: Plan, tighter: float = 1.0, error: float = STIFF) -> Plan:
+    """How runs are solved whose contacts are followed, at a share of the tolerance; a stiff model's for an ``error`` at most."""
+    if not model.traits.stiff:
+        return Plan(how.tolerance * tighter, how.max_steps)
+    return Plan(jnp.minimum(how.tolerance, model.tolerance(error)) * tighter, how.max_steps)
+
+
+def instants(model: AbstractModel, params: Params, end: Array, how: Plan, most: int) -> Instants:
+    """The first ``most`` contacts of every channel in a run until ``end`` [s] as planned.
+
+    Where ``jacfwd`` goes through a stiff model's run, they are those of the steps that its derivatives take.
+    """
+    from bcfj_jax.solve import crossings, integrate  # With diffrax, which a kept program needs not.
+
+    # A stiff model's steps depend on whether derivatives go through.
+    stiff = model.traits.stiff
+    run, given = (crossings.solved, params) if stiff else (integrate.landed, jax.lax.stop_gradient(dict(params)))
+    return jax.lax.stop_gradient(run(model, given, end[None], how, most)[-1])
+
+
+def _run(
+    model: AbstractModel, params: Params, times: Array, how: Plan, most: int
+) -> tuple[Array, Array, Solution, Instants]:
+    """States (T, n) at times of which the last is the run's end, their rates by time, and what was found."""
+    from bcfj_jax.solve import crossings, integrate
+
+    if model.traits.stiff:
+        solution, rates, found = crossings.solved(model, params, times, how, most)
+        return solution.states, rates, solution, found
+
+    def run(times: Array) -> tuple[Array, tuple]:
+        solution, found = integrate.landed(model, params, times, how, most)
+        return solution.states, (solution, found)
+
+    # The steps move with the parameters, and what is read between them is the solver's polynomial: its own rate belongs to it,
+    # since a clock may move by a thousand contacts.
+    ticking = jnp.ones_like(times).at[-1].set(0.0)
+    states, rates, (solution, found) = jax.jvp(run, (times,), (ticking,), has_aux=True)
+    return states, rates, solution, found
+
+
+def train(
+    model: AbstractModel, params: Params, marks: Marks, end: Array, how: Plan, most: int = 1
+) -> tuple[Train, Solution, Instants]:
+    """The contacts at their marks, which a run until ``end`` [s] as planned has found (``instants``), and what it finds.
 
     ``jvp`` and ``jacfwd`` go through ``params``; a mark only says where to look.
     """
-    from bcfj_jax.solve.integrate import landed  # With diffrax, which a kept program needs not.
-
     marks = Marks(marks.channel, *map(jax.lax.stop_gradient, marks[1:]))
     there = jnp.isfinite(marks.high)
     start, stop = (
         jnp.where(jnp.isfinite(marks.begin), marks.begin, 0.0),
         jnp.where(jnp.isfinite(marks.end), marks.end, end),
     )
-    grid = start[:, None] + (stop - start)[:, None] * PHASES
+    count = 1 + (NODES - 1) * (_FINER if model.traits.stiff else 1)
+    grid = start[:, None] + (stop - start)[:, None] * _rule(count)[0]
     high = jnp.where(there, marks.high, end)
-    times = jnp.clip(jnp.concatenate([jnp.where(there[:, None], grid, end), high[:, None]], axis=1), 0.0, end)
+    reach, about = jnp.zeros_like(high), np.zeros(1)
+    if model.traits.stiff:
+        reach = jnp.minimum(marks.reach, _AWAY * jnp.minimum(high - start, stop - high))
+        about = np.outer(_SHORTER, _SUMMIT).ravel()
+    summit = high[:, None] + jnp.nan_to_num(reach)[:, None] * about
+    times = jnp.clip(jnp.concatenate([jnp.where(there[:, None], grid, end), summit], axis=1), 0.0, end)
     order = jnp.argsort(times.ravel())
     ordered, back = jnp.append(times.ravel()[order], end), jnp.argsort(order)
-
-    def run(ordered: Array) -> tuple[Array, Solution]:
-        solution, _ = landed(model, params, ordered, how, 1)
-        return solution.states, solution
-
-    # The steps move with the parameters, and what is read between them is the solver's polynomial: its own rate belongs to it,
-    # since a clock may move by a thousand contacts.
-    ticking = jnp.ones_like(ordered).at[-1].set(0.0)
-    states, rates, solution = jax.jvp(run, (ordered,), (ticking,), has_aux=True)
+    states, rates, solution, found = _run(model, params, ordered, how, most)
     states, rates = (x[:-1][back].reshape(*times.shape, -1) for x in (states, rates))
     prepared = model.prepare(params)
 
-    def one(mark: Marks, times: Array, states: Array, rates: Array) -> Train:
-        return _contact(model, prepared, mark, times, states, rates[:NODES])
+    def one(mark: Marks, times: Array, states: Array, rates: Array, reach: Array) -> Train:
+        return _contact(model, prepared, mark, times, states, rates[:count], reach)
 
-    found = jax.vmap(one)(marks, times, states, rates)
+    each = jax.vmap(one)(marks, times, states, rates, reach)
     begun, ended = jnp.isfinite(marks.begin), jnp.isfinite(marks.end)
     whole, nan = there & begun & ended, jnp.nan
     known = Train(
         begun, there, ended, there, whole, whole, whole, whole[:, None], whole[:, None], whole, there, there,
     )  # fmt: skip
-    return Train(*(jnp.where(k, x, nan) for k, x in zip(known, found, strict=True))), solution
+    return Train(*(jnp.where(k, x, nan) for k, x in zip(known, each, strict=True))), solution, found
 
 
-def _contact(model: AbstractModel, prepared: Params, mark: Marks, times: Array, states: Array, rates: Array) -> Train:
-    """One contact from its states at ``NODES`` times and near its peak (NODES + 1, n), and their rates (NODES, n)."""
+def _contact(
+    model: AbstractModel, prepared: Params, mark: Marks, times: Array, states: Array, rates: Array, reach: Array
+) -> Train:
+    """One contact from its states at N times and about its peak (N + ..., n), and the rates (N, n) of the first."""
     from bcfj_jax.solve.landing import look
 
     fixed = jax.lax.stop_gradient
@@ -170,32 +225,66 @@ def _contact(model: AbstractModel, prepared: Params, mark: Marks, times: Array, 
         # A surface that is touched without speed moves by anything.
         return jnp.where(there, -depth / jnp.where(rate == 0, jnp.nan, rate), 0.0)
 
-    grid, nodes = times[:NODES], states[:NODES]
-    first, last = crossed(0, jnp.isfinite(mark.begin)), crossed(NODES - 1, jnp.isfinite(mark.end))
-    shifts = first + (last - first) * PHASES
+    count = rates.shape[0]
+    phases, weights = _rule(count)
+    coarse = np.zeros(count)
+    coarse[::2] = _rule(count // 2 + 1)[1]
+    grid, nodes = times[:count], states[:count]
+    first, last = crossed(0, jnp.isfinite(mark.begin)), crossed(count - 1, jnp.isfinite(mark.end))
+    shifts = first + (last - first) * phases
     # Shifts are rounding; the rate's own derivative is not known in the shortest steps.
     along = nodes + shifts[:, None] * fixed(rates)
     force = jax.vmap(lambda t, y: read(t, y)[2])(grid + shifts, along)
     length = grid[-1] + last - (grid[0] + first)
     clock = grid - fixed(grid[0]) + shifts
-    share = _WEIGHTS * force / jnp.sum(_WEIGHTS * force)
+    share = weights * force / jnp.sum(weights * force)
     center = jnp.sum(share * clock)
     width = jnp.sqrt(jnp.sum(share * jnp.square(clock - center)))
-    impulse, rough = length * jnp.sum(_WEIGHTS * force), length * jnp.sum(_COARSE * force)
-    still = jax.vmap(lambda t, y: read(t, y)[2])(grid, nodes)
+    impulse, rough = length * jnp.sum(weights * force), length * jnp.sum(coarse * force)
+    shown = slice(None, None, (count - 1) // (NODES - 1))
+    still = jax.vmap(lambda t, y: read(t, y)[2])(grid[shown], nodes[shown])
 
-    at, near = times[NODES], states[NODES]
-    shift = fixed(_to_peak(bent, field, at, fixed(near), fixed(grid[-1] - grid[0])))
-    top = _ahead(field, at, near, shift)
-    slope, curve = bent(at + shift, top)
-    curve = fixed(curve)
-    later = shift - slope / jnp.where(curve == 0, jnp.nan, curve)
-    peak = read(at + shift, top)[2]
+    if model.traits.stiff:
+        forces = jax.vmap(lambda t, y: read(t, y)[2])(times[count:], states[count:])
+        later, peak, curve, slope = _top(forces.reshape(_SHORTER.size, -1), mark.high, reach)
+    else:
+        at, near = times[count], states[count]
+        shift = fixed(_to_peak(bent, field, at, fixed(near), fixed(grid[-1] - grid[0])))
+        top = _ahead(field, at, near, shift)
+        slope, curve = bent(at + shift, top)
+        curve = fixed(curve)
+        later = at + shift - slope / jnp.where(curve == 0, jnp.nan, curve)
+        peak = read(at + shift, top)[2]
     unsure = jnp.abs(impulse - rough) / jnp.where(impulse == 0, jnp.nan, jnp.abs(impulse))
     return Train(
-        grid[0] + first, at + later, grid[-1] + last, peak, impulse, grid[0] + center, width, force, still, unsure,
+        grid[0] + first, later, grid[-1] + last, peak, impulse, grid[0] + center, width, force[shown], still, unsure,
         curve, slope,
     )  # fmt: skip
+
+
+def _top(forces: Array, high: Array, reach: Array) -> tuple[Array, Array, Array, Array]:
+    """When the polynomial through forces at ``_SUMMIT`` is greatest [s], how great, and its bend and slope there.
+
+    Of forces (R, N) at ever shorter reaches those of the longest that a polynomial describes.
+    """
+    fixed = jax.lax.stop_gradient
+    left = jnp.max(jnp.abs(forces - forces @ _FITTED.T @ np.vander(_SUMMIT, _DEGREE + 1).T), axis=1)
+    left = left / jnp.maximum(jnp.ptp(forces, axis=1), 1e-300)
+    k = fixed(jnp.where(jnp.any(left < _LEAVES), jnp.argmax(left < _LEAVES), jnp.argmin(left)))
+    terms = _FITTED @ forces[k]
+    reach = jnp.where(reach > 0, reach * jnp.asarray(_SHORTER)[k], jnp.nan)
+    steep = jnp.polyder(terms)
+    bend, slope = fixed(jnp.polyder(steep)), fixed(steep)
+
+    def closer(_: int, x: Array) -> Array:
+        second = jnp.polyval(bend, x)
+        step = jnp.where(second < 0, -jnp.polyval(slope, x) / jnp.where(second < 0, second, -1.0), 0.0)
+        return jnp.clip(x + step, -1.0, 1.0)
+
+    x = jax.lax.fori_loop(0, _STEPS, closer, jnp.zeros(()))
+    first, second = jnp.polyval(steep, x), jnp.polyval(bend, x)
+    later = high + reach * (x - first / jnp.where(second == 0, jnp.nan, second))
+    return later, jnp.polyval(terms, x), second / reach**2, first / reach
 
 
 def _to_peak(bent, field, at: Array, near: Array, length: Array) -> Array:
