@@ -163,12 +163,11 @@ def solve(
         """What the step adds to the prediction, its error (at most 1 is good), the rows' sizes, the last matrix."""
         t, c = s.t + s.h, s.h / alpha[s.order]
         ahead, base = predicted(s.differences, s.order)
-        y, good, factors = newton(solver, t, base[0], ahead[0], c, args, s.factors, s.accepted == 0)
+        y, good, matrix = newton(solver, t, base[0], ahead[0], c, args, s.factors, s.accepted == 0, exact=True)
         bend = y - ahead[0]
         good = good & (constant[s.order] * norm(bend[None], jnp.ones(1)) <= 1.0)
 
         def tangents(_):
-            matrix = structure.factor(t, y, args, c)
             push = along(solver, t, y, args, changes)
             found = jax.vmap(structure.solve, (None, 0))(matrix, base[1:] / c + push)
             return found - ahead[1:], matrix
