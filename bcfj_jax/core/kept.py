@@ -7,9 +7,11 @@ force once for every component of its force and moment, and a chain of such valu
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 from jax import Array
 from jax.extend import core
 from jax.interpreters import ad, batching, mlir
@@ -19,6 +21,15 @@ def kept(*values: Array) -> Any:
     """The values themselves, each computed once. Linear: derivatives of every kind and batches go through."""
     found = _KEPT.bind(*values)
     return found[0] if len(values) == 1 else tuple(found)
+
+
+def once(wanted: Array, function: Callable[[], Any], otherwise: Any) -> Any:
+    """``function()`` where wanted, else what is given: a branch of which XLA makes one kernel, where it can.
+
+    A loop that turns once at most; ``core.backend`` says which loops become one kernel. One kernel of a hundred small ones
+    saves what calling them costs. Not to be differentiated in reverse.
+    """
+    return jax.lax.while_loop(lambda x: x[0], lambda x: (jnp.zeros_like(x[0]), function()), (wanted, otherwise))[1]
 
 
 def _loop(*values: Array) -> list[Array]:

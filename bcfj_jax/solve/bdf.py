@@ -24,6 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from bcfj_jax.core.kept import once
 from bcfj_jax.solve.sdirk import Sdirk, newton
 from bcfj_jax.solve.tangents import along
 
@@ -168,7 +169,7 @@ def solve(
         good = good & (constant[s.order] * norm(bend[None], jnp.ones(1)) <= 1.0)
 
         def tangents(_):
-            push = along(solver, t, y, args, changes)
+            push = once(good, lambda: along(solver, t, y, args, changes), jnp.zeros_like(base[1:]))
             found = jax.vmap(structure.solve, (None, 0))(matrix, base[1:] / c + push)
             return found - ahead[1:], matrix
 
