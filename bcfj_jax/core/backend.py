@@ -12,7 +12,7 @@ _EXTRA = "--xla_backend_extra_options="
 _LOOPS = "xla_cpu_small_while_loop_byte_threshold"
 _BYTES = 1 << 20
 # XLA writes a fused kernel in MLIR and lowers it in many passes, which is half of all compiling here. Its older writer
-# goes to LLVM at once. benchmarks/solve/kernels.py measures what both options change.
+# goes to LLVM at once. benchmarks/solve/kernels.py measures what both options change, and others that are not set.
 _OLDER_WRITER = "xla_cpu_disable_new_fusion_emitters"
 _OPTIONS = f"{_LOOPS}={_BYTES},{_OLDER_WRITER}"
 
