@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bcfj_jax.core.kept import kept
+from bcfj_jax.core.kept import kept, once
 
 
 def fenced(x):
@@ -31,3 +31,15 @@ def test_a_nan_stays_in_its_own_lane():
     found = jax.jit(jax.vmap(fenced))(rows)
     assert jnp.isnan(found[0])
     np.testing.assert_allclose(found[1:], [plain(rows[1]), plain(rows[2])])
+
+
+def test_once_is_a_branch():
+    def tried(wanted, x):
+        return once(wanted, lambda: (jnp.sin(x), x + 1.0), (x, x))
+
+    x = jnp.linspace(0.0, 1.0, 3)
+    for wanted, expected in ((True, (np.sin(x), x + 1.0)), (False, (x, x))):
+        np.testing.assert_allclose(jax.jit(tried)(wanted, x), expected, rtol=1e-15)
+    rows, slopes = jax.jvp(lambda x: jax.vmap(tried)(jnp.array([True, False, True]), x), (x,), (jnp.ones(3),))
+    np.testing.assert_allclose(rows[0], [0.0, 0.5, np.sin(1.0)])
+    np.testing.assert_allclose(slopes[0], [1.0, 1.0, np.cos(1.0)])
