@@ -12,7 +12,7 @@ _EXTRA = "--xla_backend_extra_options="
 _LOOPS = "xla_cpu_small_while_loop_byte_threshold"
 _BYTES = 1 << 20
 # XLA writes a fused kernel in MLIR and lowers it in many passes, which is half of all compiling here. Its older writer
-# goes to LLVM at once. benchmarks/solve/kernels.py measures what both options change.
+# goes to LLVM at once. benchmarks/solve/kernels.py measures what both options change, and others that are not set.
 _OLDER_WRITER = "xla_cpu_disable_new_fusion_emitters"
 _OPTIONS = f"{_LOOPS}={_BYTES},{_OLDER_WRITER}"
 
@@ -20,9 +20,10 @@ _OPTIONS = f"{_LOOPS}={_BYTES},{_OLDER_WRITER}"
 def set_up() -> None:
     """Switch JAX to 64 bits, raise XLA's limit for loops of one kernel, and choose XLA's older writer of kernels.
 
-    Where one of the two options is set already, XLA's options stay as they are. Where JAX is not imported yet, its own
-    variable ``JAX_ENABLE_X64`` says so, and JAX is not imported here. XLA reads ``XLA_FLAGS`` when the first device is
-    asked for; afterwards a change has no effect.
+    Where one of the two options is set already, XLA's options stay as they are. Ours stand first, because XLA reads none
+    behind a word without dashes, such as the ``intra_op_parallelism_threads=1`` that many recipes end with. Where JAX is
+    not imported yet, its own variable ``JAX_ENABLE_X64`` says so, and JAX is not imported here. XLA reads ``XLA_FLAGS``
+    when the first device is asked for; afterwards a change has no effect.
     """
     if "jax" in sys.modules:
         sys.modules["jax"].config.update("jax_enable_x64", True)
@@ -31,7 +32,7 @@ def set_up() -> None:
     flags = os.environ.get("XLA_FLAGS", "")
     if _LOOPS not in flags and _OLDER_WRITER not in flags:
         with_extra = flags.replace(_EXTRA, f"{_EXTRA}{_OPTIONS},", 1)
-        os.environ["XLA_FLAGS"] = with_extra if _EXTRA in flags else f"{flags} {_EXTRA}{_OPTIONS}".strip()
+        os.environ["XLA_FLAGS"] = with_extra if _EXTRA in flags else f"{_EXTRA}{_OPTIONS} {flags}".strip()
 
 
 def own_flags(flags: str) -> str:

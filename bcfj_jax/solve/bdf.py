@@ -27,6 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from bcfj_jax.core.kept import once
 from bcfj_jax.solve.sdirk import Sdirk, newton
 from bcfj_jax.solve.tangents import along
 
@@ -186,13 +187,12 @@ def solve(
         """What the step adds to the prediction, its error (at most 1 is good), the rows' sizes, the last matrix."""
         t, c = s.t + s.h, s.h / alpha[s.order]
         ahead, base = predicted(s.differences, s.order)
-        y, good, factors = newton(solver, t, base[0], ahead[0], c, args, s.factors, s.accepted == 0)
+        y, good, matrix = newton(solver, t, base[0], ahead[0], c, args, s.factors, s.accepted == 0, exact=True)
         bend = y - ahead[0]
         good = good & (constant[s.order] * norm(bend[None], jnp.ones(1)) <= 1.0)
 
         def tangents(_):
-            matrix = structure.factor(t, y, args, c)
-            push = along(solver, t, y, args, changes)
+            push = once(good, lambda: along(solver, t, y, args, changes), jnp.zeros_like(base[1:]))
             found = jax.vmap(structure.solve, (None, 0))(matrix, base[1:] / c + push)
             return found - ahead[1:], matrix
 

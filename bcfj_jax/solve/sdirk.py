@@ -113,45 +113,63 @@ def bend(first: Array, second: Array, last: Array) -> Array:
 
 
 def newton(
-    solver: Sdirk, t: Any, base: Array, guess: Array, s: Any, args: Any, factors: Any, renew: Any = False
+    solver: Sdirk,
+    t: Any,
+    base: Array,
+    guess: Array,
+    s: Any,
+    args: Any,
+    factors: Any,
+    renew: Any = False,
+    exact: bool = False,
 ) -> tuple[Array, Array, Any]:
     """The y of  y = base + s f(t, y)  or else the base, whether Newton got there, and the last matrix it used.
 
     Newton keeps its matrix while it converges quickly: contact springs appear within a step, and then it must not.
-    ``renew``: the matrix given is none. Under ``vmap`` all runs iterate until the last one has converged, and new
-    matrices are made of those alone that ask.
+    ``renew``: the matrix given is none. ``exact``: the matrix is that of the y found, where Newton got there. Under
+    ``vmap`` all runs iterate until the last one has converged, and new matrices are made of those alone that ask.
     """
     arrays, static = eqx.partition((solver, args), eqx.is_array)
 
     @custom_vmap
     def alone(where: tuple, *start: Any) -> tuple[Array, Array, Any]:
-        return _newton(static, where, *start)
+        return _newton(static, exact, where, *start)
 
     @alone.def_vmap
     def _(size: int, batched: list, where: tuple, *start: Any) -> tuple:
-        found = _newtons(static, size, batched[0], where, *_whole(size, batched[1:], start))
+        found = _newtons(static, exact, size, batched[0], where, *_whole(size, batched[1:], start))
         return found, jax.tree.map(lambda _: True, found)
 
     return alone((jnp.asarray(t), base, jnp.asarray(s), arrays), guess, factors, jnp.asarray(renew))
 
 
-def _newton(static: Any, where: tuple, guess: Array, factors: Any, renew: Array) -> tuple[Array, Array, Any]:
+def _newton(
+    static: Any, exact: bool, where: tuple, guess: Array, factors: Any, renew: Array
+) -> tuple[Array, Array, Any]:
     """``newton`` of one run; ``where``: time, base, scale, and the arrays of solver and arguments."""
     t, base, s, arrays = where
     solver, args = eqx.combine(arrays, static)
 
     def step(carry):
-        y, size, count, slow, factors = carry
-        factors = jax.lax.cond(slow, lambda y, _: solver.structure.factor(t, y, args, s), lambda _, f: f, y, factors)
-        y, new = _closer(static, where, y, factors)
-        return y, new, count + 1, ~(new < solver.contraction * size), factors
+        y, size, count, slow, _, factors = carry
+        there = size <= solver.newton
+        factors = jax.lax.cond(
+            slow | there, lambda y, _: solver.structure.factor(t, y, args, s), lambda _, f: f, y, factors
+        )
+        ahead, new = _closer(static, where, y, factors)
+        slow = ~(new < solver.contraction * size)
+        if exact:
+            # A turn of its own, for the matrix alone: behind the loop it would be compiled once more.
+            ahead, new = jnp.where(there, y, ahead), jnp.where(there, size, new)
+        return ahead, new, count + 1, slow, there, factors
 
     def more(carry):
-        _, size, count, *_ = carry
-        return (count == 0) | ((size > solver.newton) & jnp.isfinite(size) & (count < solver.iterations))
+        _, size, count, _, made, _ = carry
+        there = size <= solver.newton
+        return (count == 0) | (~there & jnp.isfinite(size) & (count < solver.iterations)) | (exact & there & ~made)
 
-    start = (guess, jnp.asarray(jnp.inf), 0, renew, factors)
-    y, size, _, _, factors = jax.lax.while_loop(more, step, start)
+    start = (guess, jnp.asarray(jnp.inf), 0, renew, jnp.asarray(False), factors)
+    y, size, *_, factors = jax.lax.while_loop(more, step, start)
     # Where it did not, y may be anything; the step is rejected.
     good = size <= solver.newton
     return jnp.where(good, y, base), good, factors
@@ -166,7 +184,7 @@ def _closer(static: Any, where: tuple, y: Array, factors: Any) -> tuple[Array, A
 
 
 def _newtons(
-    static: Any, count: int, batched: Any, where: tuple, guess: Array, factors: Any, renew: Array
+    static: Any, exact: bool, count: int, batched: Any, where: tuple, guess: Array, factors: Any, renew: Array
 ) -> tuple[Array, Array, Any]:
     """``_newton`` of many runs: each iterates as it would alone, and gets a new matrix when it would alone.
 
@@ -191,7 +209,7 @@ def _newtons(
         mine = wanted[at]
 
         def placed(old: Array, new: Array) -> Array:
-            return old.at[at].set(jnp.where(mine.reshape(-1, *[1] * (new.ndim - 1)), new, old[at]))
+            return old.at[at].set(jnp.where(_over(mine, new), new, old[at]))
 
         return wanted.at[at].set(False), y, jax.tree.map(placed, factors, fresh)
 
@@ -209,7 +227,15 @@ def _newtons(
     start = (guess, jnp.full(count, jnp.inf), 0, renew, every, factors)
     y, size, *_, factors = jax.lax.while_loop(lambda carry: jnp.any(carry[4]), step, start)
     good = size <= solver.newton
+    if exact:
+        found = jax.vmap(factored, (axes, 0))(where, y)
+        factors = jax.tree.map(lambda new, old: jnp.where(_over(good, new), new, old), found, factors)
     return jnp.where(good[:, None], y, where[1]), good, factors
+
+
+def _over(lanes: Array, x: Array) -> Array:
+    """One entry a lane, to broadcast over a lane's own axes."""
+    return lanes.reshape(-1, *[1] * (x.ndim - 1))
 
 
 def _whole(count: int, batched: Any, x: Any) -> Any:

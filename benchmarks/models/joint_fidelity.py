@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 from typing import Any
 
-os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
+os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
 os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import numpy as np

@@ -1,19 +1,23 @@
-"""What two options of XLA change (``bcfj_jax.core.backend``): run time, compile time and forces, with and without.
+"""What options of XLA change (``bcfj_jax.core.backend``): run time, compile time and forces, side by side.
 
-Each scene runs in fresh processes that differ in these options alone, in turn; medians over the processes.
+Each program runs in fresh processes that differ in these options alone, in turn; CPU seconds of all threads, the least
+of the processes.
 
-    python -m benchmarks.solve.kernels            measures, keeps benchmarks/results/kernels.json and docs/waiting.md
-    python -m benchmarks.solve.kernels --worker   (internal) one process: all scenes
+    python -m benchmarks.solve.kernels [--processes 2]    keeps benchmarks/results/kernels.json and docs/waiting.md
+    python -m benchmarks.solve.kernels --worker           (internal) one process: all programs
 """
 
 from __future__ import annotations
 
+import argparse
 import base64
+import functools
 import json
 import os
-import statistics
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -21,83 +25,121 @@ import numpy as np
 from benchmarks.common import ROOT, markdown, put_in_readme, save
 
 LOOPS, WRITER = "xla_cpu_small_while_loop_byte_threshold", "xla_cpu_disable_new_fusion_emitters"
-# As XLA comes; loops as single kernels; and kernels by the older writer, which is what the package sets.
-OPTIONS = {"without": f"{LOOPS}=1024", "loops": f"{LOOPS}={1 << 20}", "with": f"{LOOPS}={1 << 20},{WRITER}"}
-PROCESSES, RUNS = 2, 9
+EXTRA, MANY = "--xla_backend_extra_options=", 1 << 20
+# What stands in XLA_FLAGS.
+OPTIONS = {
+    "as XLA comes": f"{EXTRA}{LOOPS}=1024",
+    "loops": f"{EXTRA}{LOOPS}={MANY}",
+    # What the package sets.
+    "loops, older writer": f"{EXTRA}{LOOPS}={MANY},{WRITER}",
+    "loops, several results a kernel": f"{EXTRA}{LOOPS}={MANY},xla_cpu_use_multi_output_fusion",
+    # Products of small matrices by a library keep a loop from being one kernel.
+    "whole solver one kernel": f"--xla_cpu_experimental_ynn_fusion_type= {EXTRA}{LOOPS}={1 << 30},{WRITER}",
+}
+BEFORE, OURS = "as XLA comes", "loops, older writer"
+RUNS = 9
 # Scene and end [s]; forces at 400 times are compared.
-SCENES = {
-    "impact": 5e-5, "bounce": 0.2, "chain": 1e-4, "slider_crank": 0.012, "slider_guide": 0.012, "four_bar": 0.1,
-    "backlash": 0.1, "oblique_impact": 2e-5, "joint": 0.1,
-}  # fmt: skip
+SCENES = {"impact": 5e-5, "slider_crank": 0.012, "joint": 0.1}
+# The plain joint's Jacobian by eight parameters, 0.1 s: tolerance, and whether tangents are in the step control.
+JACOBIANS = {"joint, 8 derivatives": (2e-4, True)}
+
+
+def measured(first: Callable[[], Any], again: Callable[[], Any]) -> tuple[dict[str, Any], Any]:
+    """CPU seconds of a first call less a run's, and of a run; what the first call gave."""
+    begin = time.process_time()
+    found = first()
+    cold, runs = time.process_time() - begin, []
+    for _ in range(RUNS):
+        begin = time.process_time()
+        again()
+        runs.append(time.process_time() - begin)
+    return {"run_s": min(runs), "compile_s": cold - min(runs)}, found
 
 
 def worker() -> None:
+    import jax
+    import jax.numpy as jnp
+
     import bcfj_jax as bj
+    from bcfj_jax.models.joint.scene import PLAIN
+    from bcfj_jax.solve.plan import Plan
+    from benchmarks.analysis.derivatives import MOVED, moved, normals
+
+    def kept(row: dict[str, Any], numbers: Any) -> dict[str, Any]:
+        return {**row, "numbers": base64.b64encode(np.nan_to_num(np.asarray(numbers).ravel()).tobytes()).decode()}
 
     found = {}
     for name, end in SCENES.items():
-        scene = getattr(bj.scenes, name)()
-        params, times = scene.parameters(), np.linspace(0.0, end, 400)
-        first = bj.simulate(scene, params, times)
-        walls = [bj.simulate(scene, params, times).stats["wall_s"] for _ in range(RUNS)]
-        forces = np.concatenate([f.ravel() for f in first.force.values()])
-        found[name] = {
-            "run_s": statistics.median(walls),
-            "compile_s": first.stats["compile_s"],
-            "status": first.status,
-            "forces": base64.b64encode(np.nan_to_num(forces).tobytes()).decode(),
-        }
+        scene, at = getattr(bj.scenes, name)(), np.linspace(0.0, end, 400)
+        run = functools.partial(bj.simulate, scene, scene.parameters(), at)
+        row, first = measured(run, run)
+        found[name] = kept(row, np.concatenate([f.ravel() for f in first.force.values()]))
+    scene, times, none = bj.scenes.joint(**PLAIN), jnp.linspace(0.0, 0.1, 101), jnp.zeros(len(MOVED))
+    for name, (tolerance, controlled) in JACOBIANS.items():
+        how = Plan(jnp.asarray(tolerance), 400_000, controlled)
+
+        @jax.jit
+        @jax.jacfwd
+        def slopes(logs: Any, how: Plan = how) -> Any:
+            params = moved(scene.parameters(), logs)
+            return normals(bj.force_history(scene, params, times, accuracy=how, mode="forward"))
+
+        run = lambda f=slopes: jax.block_until_ready(f(none))  # noqa: E731
+        row, first = measured(run, run)
+        found[name] = kept(row, first)
     print(json.dumps(found))
 
 
 def one_process(options: str) -> dict[str, Any]:
-    surroundings = {**os.environ, "XLA_FLAGS": f"--xla_backend_extra_options={options}", "EQX_ON_ERROR": "nan"}
+    surroundings = {**os.environ, "XLA_FLAGS": options, "EQX_ON_ERROR": "nan", "BCFJ_CACHE": "off"}
     command = [sys.executable, "-m", "benchmarks.solve.kernels", "--worker"]
     done = subprocess.run(command, env=surroundings, capture_output=True, text=True, check=True, cwd=ROOT)
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def forces(row: dict[str, Any]) -> np.ndarray:
-    return np.frombuffer(base64.b64decode(row["forces"]))
+def numbers(row: dict[str, Any]) -> np.ndarray:
+    return np.frombuffer(base64.b64decode(row["numbers"]))
 
 
-def main() -> None:
-    rounds = [{name: one_process(options) for name, options in OPTIONS.items()} for _ in range(PROCESSES)]
+def main(processes: int) -> None:
+    rounds = []
+    for _ in range(processes):
+        rounds.append({})
+        for name, options in OPTIONS.items():
+            rounds[-1][name] = one_process(options)
+            print(name, {k: (r["run_s"], r["compile_s"]) for k, r in rounds[-1][name].items()}, flush=True)
     result: dict[str, Any] = {}
-    for scene in SCENES:
-        before, after = (forces(rounds[0][side][scene]) for side in ("without", "with"))
-        off, peak = np.abs(after - before).max(), np.abs(before).max()
-        row: dict[str, Any] = {"force_difference": float(off / peak) if off else 0.0}
-        for key in ("run_s", "compile_s"):
-            for side in OPTIONS:
-                row[f"{key}_{side}"] = statistics.median(r[side][scene][key] for r in rounds)
-        result[scene] = {**row, "status": rounds[0]["with"][scene]["status"]}
-    save("kernels", {"processes": PROCESSES, "scenes": result})
+    for program in (*SCENES, *JACOBIANS):
+        sides = {name: [r[name][program] for r in rounds] for name in OPTIONS}
+        before = numbers(sides[BEFORE][0])
+        off = {name: np.abs(numbers(rows[0]) - before).max() / np.abs(before).max() for name, rows in sides.items()}
+        result[program] = {
+            name: {
+                "run_s": min(row["run_s"] for row in rows),
+                "compile_s": min(row["compile_s"] for row in rows),
+                "difference": float(off[name]),
+            }
+            for name, rows in sides.items()
+        }
+    save("kernels", {"processes": processes, "options": OPTIONS, "programs": result})
     put_in_readme("kernels", table(result), "docs/waiting.md")
     print(table(result))
 
 
 def table(result: dict[str, Any]) -> str:
-    """Ratios of XLA as it comes to each side: above 1, the side is faster."""
+    """CPU milliseconds of a run and CPU seconds of the first call less a run, by program and options."""
     rows = [
-        [
-            "scene",
-            "run: loops",
-            "run: both",
-            "compile: loops",
-            "compile: both",
-            "largest difference of a force, of the peak",
-        ]
+        ["program", *(f"{key}: {side}" for key in ("run [ms]", "first call [s]") for side in OPTIONS), "difference"]
     ]
-    for name, r in result.items():
-        ratios = [
-            f"{r[f'{key}_without'] / r[f'{key}_{side}']:.2f}"
-            for key in ("run_s", "compile_s")
-            for side in ("loops", "with")
-        ]
-        rows.append([f"`{name}`", *ratios, f"{r['force_difference']:.1e}"])
+    for name, sides in result.items():
+        cells = [f"{1e3 * r['run_s']:.3g}" for r in sides.values()] + [f"{r['compile_s']:.3g}" for r in sides.values()]
+        rows.append([f"`{name}`", *cells, f"{sides[OURS]['difference']:.1e}"])
     return markdown(rows)
 
 
 if __name__ == "__main__":
-    worker() if "--worker" in sys.argv else main()
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--worker", action="store_true")
+    parser.add_argument("--processes", type=int, default=2)
+    given = parser.parse_args()
+    worker() if given.worker else main(given.processes)

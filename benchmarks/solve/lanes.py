@@ -15,9 +15,7 @@ from collections.abc import Callable
 from typing import Any
 
 # Before jax is imported: one thread. bcfj_jax adds its own options.
-os.environ["XLA_FLAGS"] = (
-    os.environ.get("XLA_FLAGS", "") + " --xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
-).strip()
+os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_cpu_multi_thread_eigen=false".strip()
 
 import jax
 import jax.numpy as jnp

@@ -120,7 +120,9 @@ _OURS = f"{_LOOPS}=1048576,xla_cpu_disable_new_fusion_emitters"
     [
         ("", f"--xla_backend_extra_options={_OURS}"),
         pytest.param(
-            "--xla_cpu_use_thunk_runtime=true", f"--xla_cpu_use_thunk_runtime=true --xla_backend_extra_options={_OURS}",
+            # XLA reads nothing behind the second word.
+            "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
+            f"--xla_backend_extra_options={_OURS} --xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
             marks=pytest.mark.slow,
         ),
         pytest.param(

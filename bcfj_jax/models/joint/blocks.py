@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from bcfj_jax.core.kept import kept
 from bcfj_jax.core.small import block_diagonal
 from bcfj_jax.models.joint import bands, system
 from bcfj_jax.models.joint.bands import Band
@@ -232,7 +233,7 @@ def blocks(scene: Joint, c: Constants, y: Array, scale: Any = None) -> Blocks:
     bent, by_turn, by_spin = [], jnp.zeros(()), jnp.zeros(())
     if any(one.bond is not None for one in found):
         found, bent, by_turn, by_spin = _freed(scene, c, relative_motions, found, scale)
-    value, by_place, by_twist = (jnp.concatenate(x, 1) for x in zip(*(one[:3] for one in found), strict=True))
+    value, by_place, by_twist = kept(*(jnp.concatenate(x, 1) for x in zip(*(one[:3] for one in found), strict=True)))
     motion, eye = relative_motions.motion, jnp.eye(3)
     arm, velocity = motion.arm[..., None, :], motion.velocity[..., None, :]
 
@@ -248,12 +249,13 @@ def blocks(scene: Joint, c: Constants, y: Array, scale: Any = None) -> Blocks:
     turned = turned + carried
     if bent:
         turned, swung = turned + by_turn, swung + by_spin
+    at_ball, turned, swung = kept(at_ball, turned, swung)
     columns = jnp.concatenate(
         [jnp.concatenate([-at_ball, turned], -1), jnp.concatenate([-by_twist[..., :3], swung], -1)], -2
     )
 
     # What the bodies feel of it, (n, m, 6, .); the arm, too, moves with the ball.
-    felt = -_felt(motion.arm, jnp.concatenate([at_ball, by_twist, turned, swung], -1))
+    felt = kept(-_felt(motion.arm, jnp.concatenate([at_ball, by_twist, turned, swung], -1)))
     lifted = jnp.cross(eye, value[..., None, :3])
     row_place = felt[..., :3] + jnp.concatenate([jnp.zeros_like(lifted), lifted], -2)
     row_rate, felt_turned, felt_swung = felt[..., 3 : 3 + k], felt[..., 3 + k : 6 + k], felt[..., 6 + k :]

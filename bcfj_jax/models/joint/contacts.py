@@ -26,6 +26,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from bcfj_jax.core.kept import kept
 from bcfj_jax.models.joint.law_pair import RELAX, ContactLaws, LawPair, sector
 
 
@@ -217,13 +218,14 @@ def act(
     slide = velocity - rate[..., None] * at.normal
     if spin is not None:
         slide = slide + jnp.cross(spin[..., None, :], at.lever[..., None] * at.normal)
+    normal, slide = kept(normal, slide)
     slip_squared = dot(slide, slide)
     force = -jnp.sum(normal[..., None] * at.normal, -2)
     drag = moment = jnp.zeros_like(force)
     bending = rubbed = None
     if laws.friction is not None:
         if bristles is None:
-            drags = -(normal * laws.mobility(slip_squared))[..., None] * slide
+            drags = kept(-(normal * laws.mobility(slip_squared))[..., None] * slide)
         elif bristles.shape[-1] == 1:
             bending, mobility = (x[..., None] for x in laws.lag(slip_squared, bristles[..., 0]))
             drags = -normal[..., None] * mobility * slide

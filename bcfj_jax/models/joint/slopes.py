@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from bcfj_jax.core.kept import kept
 from bcfj_jax.models.joint.contacts import Geometry, dot
 from bcfj_jax.models.joint.law_pair import RELAX, ContactLaws, LawPair
 
@@ -66,6 +67,7 @@ def slopes(
     if at.gate is not None:
         load_place = at.gate[..., None] * load_place + normal[..., None] * at.gate_slope
         normal, by_rate = normal * at.gate, by_rate * at.gate
+    normal, by_rate, load_place = kept(normal, by_rate, load_place)
     load_twist = by_rate[..., None] * n
     by_place = -dyad(n, load_place) - (normal[..., None, None] * hessian if curved else 0.0)
     by_twist = -dyad(n, load_twist)
@@ -91,6 +93,7 @@ def slopes(
         slide_twist = jnp.concatenate([plane, turned], -1)
         load_twist = jnp.concatenate([load_twist, jnp.zeros_like(load_twist)], -1)
         by_twist = jnp.concatenate([by_twist, jnp.zeros_like(by_twist)], -1)
+    slide, slide_place = kept(slide, slide_place)
     squared = dot(slide, slide)
     lags = bristles is not None and bristles.shape[-1] == 1
     late = bend_late = rate_late = learnt = rate_bend = jnp.zeros(())
@@ -106,6 +109,7 @@ def slopes(
         found, slants = jax.jvp(laws.bond, (squared,), (jnp.ones_like(squared),))
         (forget, stick, mobility), (forget_bend, stick_bend, bend) = found, slants
     drag, pull = normal * mobility, (2.0 * normal * bend)[..., None] * slide
+    drag, pull = kept(drag, pull)
     drag_place = mobility[..., None] * load_place + _row(pull, slide_place)
     drag_twist = mobility[..., None] * load_twist + _row(pull, slide_twist)
     rub = -drag[..., None] * slide
@@ -147,6 +151,7 @@ def slopes(
             close * (slide_twist - dyad(bristles, _row(forget_slide, slide_twist))),
             (1.0 - apart) * forget + apart / RELAX,
         )
+    rub, rub_place, rub_twist = kept(rub, rub_place, rub_twist)
     value, by_place, by_twist = force + rub, by_place + rub_place, by_twist + rub_twist
     if spin is not None:
         arm = lever * n

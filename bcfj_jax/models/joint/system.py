@@ -214,7 +214,8 @@ def on_inner(scene: Joint, pilots: ContactForce) -> ContactForce:
 
 def guide_maps(c: Constants, arm: Array) -> Array:
     """Twists of the inner spheres relative to the outer ones' material, by coupling velocities, (pilots, 6, coupling)."""
-    return c.guides.still + jnp.einsum("pi,pikb->pkb", arm, c.guides.lever)
+    # Elementwise, here and below: a call of a library keeps a loop from being one kernel.
+    return c.guides.still + jnp.sum(arm[..., None, None] * c.guides.lever, 1)
 
 
 def load_torque(c: Constants, t: Array) -> Array:
@@ -286,7 +287,7 @@ def on_bodies(scene: Joint, c: Constants, state: State, found: ContactForces) ->
     coupling = jnp.concatenate([parts[name] for name, piece in scene.slices.items() if piece is not None])
     if found.pilots is not None:
         maps = guide_maps(c, guided(scene, c, state)[0].arm)
-        coupling = coupling + jnp.einsum("pkb,pk->b", maps, wrench(found.pilots))
+        coupling = coupling + jnp.sum(maps * wrench(found.pilots)[..., None], (0, 1))
     return jnp.sum(wrenches, 1), coupling
 
 
