@@ -5,9 +5,10 @@
 
 Two numbers of the normal forces of ``seat_ball`` over 0.6 s at 1 ms: their mean square, and a smooth peak, the 16-norm.
 ``plain``: eight logarithms against the file of ``analysis.derivatives``. ``default``: the same of the default joint over
-0.3 s against forward derivatives at 1e-8. ``cost``: all logarithms, a hundred of them with unequal balls, and those of
-the plain joint. ``before``: compiling alone, of whatever
-package is imported. Seconds are of the process, medians.
+0.3 s against forward derivatives at 1e-8. ``cost``: all logarithms, a hundred of them with unequal balls and window
+ends, against reverse ones at 1e-8, which forward ones by single parameters and along a random direction check; beside
+forward's Jacobian by the most influential ones. ``cost_plain``: the same of the plain joint. ``before``: compiling
+alone, of whatever package is imported. Seconds are of the process, medians.
 """
 
 from __future__ import annotations
@@ -35,6 +36,8 @@ from benchmarks.common import load as kept_result
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
 # ``plan`` controls the tangents' error below a force error of 5e-4, half of the tolerance.
 CONTROLLED_BELOW, MAX_STEPS, COUNT, REPEATS, SHORT_S = 1e-3, 400_000, 100, 3, 0.3
+# Of the parameters of ``cost``: how many forward's Jacobian has, how many forward derivatives check, at which tolerance.
+SOME, CHECKED, TIGHT = 16, 8, 1e-8
 OBSERVED = ("mean square", "peak")
 
 
@@ -80,13 +83,22 @@ def timed(program: Any, size: int, tolerance: float) -> tuple[Any, float]:
     return jax.tree.map(np.asarray, result), float(np.median(walls))
 
 
+def apart(found: np.ndarray, exact: np.ndarray, counts: np.ndarray) -> tuple[float, float]:
+    """Of a gradient (P,): the relative L2 error, and the largest relative one of the parameters that count."""
+    whole = np.linalg.norm(found - exact) / np.linalg.norm(exact)
+    return float(whole), float(np.abs(found[counts] / exact[counts] - 1.0).max())
+
+
+def counting(exact: np.ndarray) -> np.ndarray:
+    """Which parameters have more than 1 % of the largest derivative."""
+    return np.abs(exact) > 0.01 * np.abs(exact).max()
+
+
 def off(found: np.ndarray, exact: np.ndarray) -> dict[str, float]:
-    """Of both gradients (2, P): relative L2, and the worst of the parameters of more than 1 % of the largest."""
+    """Of both gradients (2, P): ``apart``."""
     rows: dict[str, float] = {}
     for name, a, b in zip(OBSERVED, found, exact, strict=True):
-        counts = np.abs(b) > 0.01 * np.abs(b).max()
-        rows[name] = float(np.linalg.norm(a - b) / np.linalg.norm(b))
-        rows[f"{name}, worst"] = float(np.abs(a[counts] / b[counts] - 1.0).max())
+        rows[name], rows[f"{name}, worst"] = apart(a, b, counting(b))
     return rows
 
 
@@ -184,34 +196,54 @@ def cost(scene: Any) -> dict[str, Any]:
     def change(params: Any, logs: Any) -> Any:
         return params | {name: params[name] * jnp.exp(log) for name, log in zip(names, logs, strict=True)}
 
-    value, _ = compiled(lambda x, t: scalars(scene, params, times, "auto", False)(change, x, t), k)
+    def square(mode: str, controlled: bool) -> Callable:
+        """(logarithms, tolerance) -> the first of both numbers."""
+        function = scalars(scene, params, times, mode, controlled)
+        return lambda logs, tolerance: function(change, logs, tolerance)[0]
+
+    value, _ = compiled(square("auto", False), k)
     programs, memory = {}, {}
     for controlled in (False, True):
-        function = scalars(scene, params, times, "reverse", controlled)
-        program = jax.grad(lambda x, t, f=function: f(change, x, t)[0])
-        programs[controlled], memory[str(controlled)] = compiled(program, k)
-    exact, _ = timed(programs[True], k, 1e-6)
-    way = jnp.asarray(np.random.default_rng(0).normal(size=k))
-    function = scalars(scene, params, times, "forward", True)
-    ahead = jax.jit(lambda x, t: jax.jvp(lambda x: function(change, x, t)[0], (x,), (way,))[1])
-    forward = float(timed(ahead, k, 1e-6)[0])
+        programs[controlled], memory[str(controlled)] = compiled(jax.grad(square("reverse", controlled)), k)
+    exact = np.asarray(programs[True](jnp.zeros(k), jnp.asarray(TIGHT)))
+    order, counts = np.argsort(-np.abs(exact)), counting(exact)
+
+    # Forward at the same tolerance, along one direction at a time: by single parameters and along a random one.
+    ahead = jax.jit(lambda way, t: jax.jvp(lambda x: square("forward", True)(x, t), (jnp.zeros(k),), (way,))[1])
+    single = order[np.linspace(0, np.sum(counts) - 1, CHECKED).round().astype(int)]
+    way = np.random.default_rng(0).normal(size=k)
+    *alone, along = (float(ahead(jnp.asarray(x), jnp.asarray(TIGHT))) for x in (*np.eye(k)[single], way))
+    size = float(np.linalg.norm(exact))
+    checked = {names[i]: {"of its own": abs(x / exact[i] - 1), "of all": abs(x - exact[i]) / size}
+               for i, x in zip(single, alone, strict=True)}  # fmt: skip
+    # Along a random direction the parts cancel, and what is left shows their errors many times as large.
+    parts = {"forward": along, "reverse": float(exact @ way), "sum of sizes": float(np.abs(exact * way).sum())}
+    print(checked, parts, flush=True)
+
+    some, jacobians = order[:SOME], {}
+    for controlled in (False, True):
+        function = square("forward", controlled)
+        jacobians[controlled] = jax.jit(jax.jacfwd(lambda y, t, f=function: f(jnp.zeros(k).at[some].set(y), t)))
     _, run = timed(value, k, 2e-3)
     rows = []
-    for tolerance in (1e-2, 2e-3, 1e-3, 1e-4, 1e-5):
-        found, seconds = timed(programs[tolerance < CONTROLLED_BELOW], k, tolerance)
+    for tolerance in (1e-2, 2e-3, *TOLERANCES[1:]):
+        controlled = tolerance < CONTROLLED_BELOW
+        found, seconds = timed(programs[controlled], k, tolerance)
+        forward, of_some = timed(jacobians[controlled], SOME, tolerance)
         _, same = timed(value, k, tolerance)
-        both = np.stack([found, found]), np.stack([exact, exact])
-        errors = {x: y for x, y in off(*both).items() if x.startswith("mean")}
-        rows.append(
-            {"tolerance": tolerance, **errors, "cpu_s": seconds, "runs": seconds / same, "runs at 0.1 %": seconds / run}
-        )
+        rows.append({"tolerance": tolerance, "cpu_s": seconds, "runs": seconds / same, "runs at 0.1 %": seconds / run})
+        rows[-1]["mean square"], rows[-1]["mean square, worst"] = apart(found, exact, counts)
+        for name, a in ((f"{SOME} of them", found[some]), (f"{SOME} of them, forward", forward)):
+            rows[-1][name], rows[-1][f"{name}, worst"] = apart(a, exact[some], counts[some])
+        rows[-1]["forward_cpu_s"] = of_some
         print(rows[-1], flush=True)
     return {
         "parameters": k,
         "rows": rows,
         "programs": memory,
         "value_at_0.1_percent_cpu_s": run,
-        "exact against forward, along a direction": abs(float(exact @ way) / forward - 1.0),
+        f"reverse at {TIGHT:g} against forward": checked,
+        "along a random direction": parts,
     }
 
 
@@ -261,18 +293,15 @@ def show(found: dict[str, Any]) -> None:
                 cells.append(f"{row[way]['cpu_s']:.2f}")
             table.append(cells)
         print(part, markdown(table), sep="\n")
-    table = [["tolerance", "error", "worst", "s", "runs", "runs of values at 0.1 %"]]
-    for row in found.get("cost", {"rows": []})["rows"]:
-        errors = [f"{100 * row[x]:.2g} %" for x in ("mean square", "mean square, worst")]
-        table.append(
-            [
-                f"{row['tolerance']:g}",
-                *errors,
-                f"{row['cpu_s']:.2f}",
-                *(f"{row[x]:.1f}" for x in ("runs", "runs at 0.1 %")),
-            ]
-        )
-    print(markdown(table))
+    for part in ("cost", "cost_plain"):
+        table = [["tolerance", "error", "worst", "s", "runs", "runs of values at 0.1 %"]]
+        table[0] += [f"{name}: {what}" for name in (f"{SOME}", f"{SOME}, forward") for what in ("error", "worst")]
+        for row in found.get(part, {"rows": []})["rows"]:
+            names = ("mean square", f"{SOME} of them", f"{SOME} of them, forward")
+            errors = [f"{100 * row[x]:.2g} %" for name in names for x in (name, f"{name}, worst")]
+            took = [f"{row['cpu_s']:.2f}", *(f"{row[x]:.1f}" for x in ("runs", "runs at 0.1 %"))]
+            table.append([f"{row['tolerance']:g}", *errors[:2], *took, *errors[2:]])
+        print(part, markdown(table), sep="\n")
     for when in ("before", "after"):
         for name, row in found.get(when, {}).items():
             print(when, name, row)
