@@ -94,36 +94,36 @@ class Sensitive:
         return self._integrators[key]
 
     def states(self, times: np.ndarray, tol: float, logs: np.ndarray | None = None) -> tuple[np.ndarray, float, int]:
-        """States (T, n), wall time of the solve [s] and steps; ``times`` from 0."""
+        """States (T, n), CPU time of the solve [s] and steps; ``times`` from 0."""
         logs = np.zeros(self.size) if logs is None else logs
         solver = self._integrator(times, tol)
-        begin = time.perf_counter()
+        begin = time.process_time()
         found = solver(x0=self.start, p=logs)["xf"]
-        wall = time.perf_counter() - begin
-        return np.vstack([self.start, np.asarray(found).T]) * self.scales, wall, int(solver.stats()["nsteps"])
+        seconds = time.process_time() - begin
+        return np.vstack([self.start, np.asarray(found).T]) * self.scales, seconds, int(solver.stats()["nsteps"])
 
     def sensitivities(self, times: np.ndarray, tol: float) -> tuple[np.ndarray, np.ndarray, float]:
-        """States (T, n), their derivatives (T, n, k), wall time [s], by CVODES on the augmented system."""
+        """States (T, n), their derivatives (T, n, k), CPU time [s], by CVODES on the augmented system."""
         k, n, count = self.size, self.scales.size, times.size - 1
         solver = self._integrator(times, tol, ahead=True)
-        begin = time.perf_counter()
+        begin = time.process_time()
         found = solver(x0=self.start, p=np.zeros(k), fwd_p=np.eye(k))["fwd_xf"]
-        wall = time.perf_counter() - begin
+        seconds = time.process_time() - begin
         value = self._integrator(times, min(tol, 1e-6))(x0=self.start, p=np.zeros(k))["xf"]
         slope = np.asarray(found).reshape(n, k, count)
         states = np.vstack([self.start, np.asarray(value).T]) * self.scales
         slopes = np.concatenate([np.zeros((1, n, k)), np.moveaxis(slope, 2, 0)]) * self.scales[:, None]
-        return states, slopes, wall
+        return states, slopes, seconds
 
     def gradient(self, times: np.ndarray, tol: float, seeds: np.ndarray) -> tuple[np.ndarray, float]:
-        """Derivatives (k,) of the sum of seeds (T, n) times states by the logarithms, wall time [s]: CVODES' adjoint.
+        """Derivatives (k,) of the sum of seeds (T, n) times states by the logarithms, CPU time [s]: CVODES' adjoint.
 
         The backward solve has the forward's tolerances, and begins anew at each output.
         """
         solver = self._integrator(times, tol, back=True)
-        begin = time.perf_counter()
+        begin = time.process_time()
         found = solver(self.start, np.zeros(self.size), (seeds[1:] * self.scales).T)
-        return np.asarray(found).ravel(), time.perf_counter() - begin
+        return np.asarray(found).ravel(), time.process_time() - begin
 
 
 def _transposed(made: ca.Function) -> ca.Function:
