@@ -29,7 +29,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import bcfj_jax as bj
-from bcfj_jax.io.view import plots
+from bcfj_jax.io import plots
 from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve.integrate import integrate
 from bcfj_jax.solve.plan import LEVELS, Plan, plan
