@@ -1,10 +1,10 @@
 """Reverse derivatives of the joint: error by tolerance beside forward and CVODES' adjoint, cost, memory, compiling.
 
-    python -m benchmarks.models.joint_gradient [plain] [default] [cost] [cost_plain] [before]
-        writes those parts of results/joint_gradient.json, prints tables; ``plain`` needs ``bench``
+    python -m benchmarks.models.joint_gradient [plain] [peer] [default] [cost] [cost_plain] [before]
+        writes those parts of results/joint_gradient.json, prints tables; ``peer`` needs ``bench``
 
 Two numbers of the normal forces of ``seat_ball`` over 0.6 s at 1 ms: their mean square, and a smooth peak, the 16-norm.
-``plain``: eight logarithms against the file of ``analysis.derivatives``. ``default``: the same of the default joint over
+``plain``: eight logarithms against the file of ``analysis.derivatives``; ``peer``: by CVODES' adjoint. ``default``: the same of the default joint over
 0.3 s against forward derivatives at 1e-8. ``cost``: all logarithms, a hundred of them with unequal balls and window
 ends, against reverse ones at 1e-8, which forward ones by single parameters and along a random direction check; beside
 forward's Jacobian by the most influential ones. ``cost_plain``: the same of the plain joint. ``before``: compiling
@@ -127,18 +127,27 @@ def table_of(scene: Any, params: Any, times: Any, exact: Any, tolerances: Any) -
     return {"rows": rows, "compiling": compiling, "reference's own": apart, "exact": exact.tolist()}
 
 
-def plain() -> dict[str, Any]:
-    """The plain joint, with CVODES' adjoint beside."""
-    from benchmarks.references.joint_casadi import default_scales
-    from benchmarks.references.joint_sensitive import Sensitive
-
-    scene = bj.scenes.joint(**PLAIN)
-    params, kept = scene.parameters(), load()
+def exact_of_plain(kept: Any) -> np.ndarray:
+    """Gradients (2, 8) of the plain joint from the file of CVODES' forward sensitivities."""
     at = sum(size for name, size in list(CONTACTS.items())[: list(CONTACTS).index("seat_ball")])
     ours = slice(at, at + CONTACTS["seat_ball"])
     by_force = jax.jacrev(numbers)(jnp.asarray(kept.force[:, ours]))
-    exact = np.einsum("stc,tcp->sp", np.asarray(by_force), kept.slope[:, ours])
-    found = table_of(scene, params, jnp.asarray(kept.times), exact, TOLERANCES)
+    return np.einsum("stc,tcp->sp", np.asarray(by_force), kept.slope[:, ours])
+
+
+def plain() -> dict[str, Any]:
+    """The plain joint."""
+    scene, kept = bj.scenes.joint(**PLAIN), load()
+    return table_of(scene, scene.parameters(), jnp.asarray(kept.times), exact_of_plain(kept), TOLERANCES)
+
+
+def peer() -> dict[str, Any]:
+    """The plain joint by CVODES' adjoint."""
+    from benchmarks.references.joint_casadi import default_scales
+    from benchmarks.references.joint_sensitive import Sensitive
+
+    scene, kept, rows = bj.scenes.joint(**PLAIN), load(), []
+    params, exact = scene.parameters(), exact_of_plain(kept)
     made = Sensitive(scene, params, default_scales(scene), MOVED)
 
     def read(states: Any, logs: Any) -> Any:
@@ -147,18 +156,17 @@ def plain() -> dict[str, Any]:
         return numbers(force[..., 0])
 
     seeded = jax.jit(jax.jacrev(read, (0, 1)))
-    for row in found["rows"]:
-        begin = time.process_time()
-        states, *_ = made.states(kept.times, row["tolerance"])
+    for tolerance in TOLERANCES:
+        states, *_ = made.states(kept.times, tolerance)
         seeds, direct = (np.asarray(x) for x in seeded(jnp.asarray(states), jnp.zeros(len(MOVED))))
         try:
-            slopes = [made.gradient(kept.times, row["tolerance"], seed)[0] for seed in seeds]
-            row["CVODES"] = off(np.stack(slopes) + direct, exact)
+            slopes, seconds = zip(*(made.gradient(kept.times, tolerance, seed) for seed in seeds), strict=True)
+            found = {**off(np.stack(slopes) + direct, exact), "cpu_s": sum(seconds)}
         except RuntimeError as error:
-            row["CVODES"] = {"failed": str(error).splitlines()[-1]}
-        row["CVODES"]["cpu_s"] = time.process_time() - begin
-        print("CVODES", row["tolerance"], row["CVODES"], flush=True)
-    return found
+            found = {"failed": str(error).splitlines()[-1]}
+        rows.append({"tolerance": tolerance, "CVODES": found})
+        print(rows[-1], flush=True)
+    return {"rows": rows}
 
 
 def default() -> dict[str, Any]:
@@ -264,13 +272,14 @@ def main() -> None:
     jax.config.update("jax_enable_compilation_cache", False)
     parts = {
         "plain": plain,
+        "peer": peer,
         "default": default,
         "cost": lambda: cost(unlike()),
         "cost_plain": lambda: cost(bj.scenes.joint(**PLAIN)),
         "before": before,
         "after": before,
     }
-    for part in sys.argv[1:] or ("plain", "default", "cost", "cost_plain", "after"):
+    for part in sys.argv[1:] or ("plain", "peer", "default", "cost", "cost_plain", "after"):
         made = parts[part]()
         old = kept_result("joint_gradient") if (RESULTS / "joint_gradient.json").exists() else {}
         save("joint_gradient", {**{x: y for x, y in old.items() if x in parts}, part: made})
@@ -279,7 +288,7 @@ def main() -> None:
 
 def show(found: dict[str, Any]) -> None:
     """The tables."""
-    for part in ("plain", "default"):
+    for part in ("plain", "peer", "default"):
         ways = [way for way in ("reverse", "forward", "CVODES") if part in found and way in found[part]["rows"][0]]
         table = [["tolerance", *(f"{way}: {name}" for way in ways for name in (*OBSERVED, "worst", "s"))]]
         for row in found.get(part, {"rows": []})["rows"]:
