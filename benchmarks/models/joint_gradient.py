@@ -4,11 +4,15 @@
         writes those parts of results/joint_gradient.json, prints tables; ``peer`` needs ``bench``
 
 Two numbers of the normal forces of ``seat_ball`` over 0.6 s at 1 ms: their mean square, and a smooth peak, the 16-norm.
-``plain``: eight logarithms against the file of ``analysis.derivatives``; ``peer``: by CVODES' adjoint. ``default``: the same of the default joint over
-0.3 s against forward derivatives at 1e-8. ``cost``: all logarithms, a hundred of them with unequal balls and window
-ends, against reverse ones at 1e-8, which forward ones by single parameters and along a random direction check; beside
-forward's Jacobian by the most influential ones. ``cost_plain``: the same of the plain joint. ``before``: compiling
-alone, of whatever package is imported. Seconds are of the process, medians.
+
+- ``plain``: eight logarithms against the file of ``analysis.derivatives``; ``peer``: the same by CVODES' adjoint.
+- ``default``: the same of the default joint over 0.3 s against forward derivatives at 1e-8.
+- ``cost``: all logarithms, a hundred of them with unequal balls and window ends, against reverse ones at 1e-8, which
+  forward ones by single parameters and along a random direction check; beside forward's Jacobian by the most
+  influential ones. ``cost_plain``: the same of the plain joint.
+- ``before``: compiling alone, of whatever package is imported.
+
+Seconds are of the process, medians.
 """
 
 from __future__ import annotations
