@@ -1,7 +1,7 @@
 """Reverse derivatives of the joint: error by tolerance beside forward and CVODES' adjoint, cost, memory, compiling.
 
     python -m benchmarks.models.joint_gradient [plain] [peer] [default] [cost] [cost_plain] [before]
-        writes those parts of results/joint_gradient.json, prints tables; ``peer`` needs ``bench``
+        writes those parts of results/joint_gradient.json, two tables of docs/derivatives.md; ``peer`` needs ``bench``
 
 Two numbers of the normal forces of ``seat_ball`` over 0.6 s at 1 ms: their mean square, and a smooth peak, the 16-norm.
 
@@ -34,14 +34,17 @@ from bcfj_jax.analysis.derivatives.names import complete
 from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve.plan import Plan
 from benchmarks.analysis.derivatives import CONTACTS, MOVED, load, moved
-from benchmarks.common import RESULTS, markdown, save
+from benchmarks.common import RESULTS, markdown, put_in_readme, save
 from benchmarks.common import load as kept_result
 
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
 # ``plan`` controls the tangents' error below a force error of 5e-4, half of the tolerance.
 CONTROLLED_BELOW, MAX_STEPS, COUNT, REPEATS, SHORT_S = 1e-3, 400_000, 100, 3, 0.3
+# Of CVODES' adjoint: ``between`` and ``size`` of ``joint_sensitive``.
+SETTINGS = ((1, None), (100, 0.1))
 # Of the parameters of ``cost``: how many forward's Jacobian has, how many forward derivatives check, at which tolerance.
 SOME, CHECKED, TIGHT = 16, 8, 1e-8
+PAGE = "docs/derivatives.md"
 OBSERVED = ("mean square", "peak")
 
 
@@ -146,7 +149,7 @@ def plain() -> dict[str, Any]:
 
 
 def peer() -> dict[str, Any]:
-    """The plain joint by CVODES' adjoint."""
+    """The plain joint by CVODES' adjoint, the better of ``SETTINGS``."""
     from benchmarks.references.joint_casadi import default_scales
     from benchmarks.references.joint_sensitive import Sensitive
 
@@ -163,13 +166,18 @@ def peer() -> dict[str, Any]:
     for tolerance in TOLERANCES:
         states, *_ = made.states(kept.times, tolerance)
         seeds, direct = (np.asarray(x) for x in seeded(jnp.asarray(states), jnp.zeros(len(MOVED))))
-        try:
-            slopes, seconds = zip(*(made.gradient(kept.times, tolerance, seed) for seed in seeds), strict=True)
-            found = {**off(np.stack(slopes) + direct, exact), "cpu_s": sum(seconds)}
-        except RuntimeError as error:
-            found = {"failed": str(error).splitlines()[-1]}
-        rows.append({"tolerance": tolerance, "CVODES": found})
-        print(rows[-1], flush=True)
+        tried = []
+        for between, size in SETTINGS:
+            try:
+                parts = [made.gradient(kept.times, tolerance, seed, between, size) for seed in seeds]
+                errors = off(np.stack([slope for slope, _ in parts]) + direct, exact)
+                found = {**errors, "cpu_s": sum(seconds for _, seconds in parts)}
+            except RuntimeError as error:
+                found = {"failed": str(error).splitlines()[-1].rpartition(":")[2].strip()}
+            tried.append({"between": between, "size": size, **found})
+            print(tolerance, tried[-1], flush=True)
+        best = min(tried, key=lambda x: x.get(OBSERVED[0], np.inf))
+        rows.append({"tolerance": tolerance, "CVODES": best, "tried": tried})
     return {"rows": rows}
 
 
@@ -271,50 +279,58 @@ def before() -> dict[str, Any]:
     return found
 
 
+PARTS: dict[str, Callable[[], dict[str, Any]]] = {
+    "plain": plain,
+    "peer": peer,
+    "default": default,
+    "cost": lambda: cost(unlike()),
+    "cost_plain": lambda: cost(bj.scenes.joint(**PLAIN)),
+    "before": before,
+    "after": before,
+}
+
+
 def main() -> None:
     # What is kept from another process would not be compiled.
     jax.config.update("jax_enable_compilation_cache", False)
-    parts = {
-        "plain": plain,
-        "peer": peer,
-        "default": default,
-        "cost": lambda: cost(unlike()),
-        "cost_plain": lambda: cost(bj.scenes.joint(**PLAIN)),
-        "before": before,
-        "after": before,
-    }
-    for part in sys.argv[1:] or ("plain", "peer", "default", "cost", "cost_plain", "after"):
-        made = parts[part]()
+    for part in sys.argv[1:] or [part for part in PARTS if part != "before"]:
+        made = PARTS[part]()
         old = kept_result("joint_gradient") if (RESULTS / "joint_gradient.json").exists() else {}
-        save("joint_gradient", {**{x: y for x, y in old.items() if x in parts}, part: made})
+        save("joint_gradient", {**{x: y for x, y in old.items() if x in PARTS}, part: made})
     show(kept_result("joint_gradient"))
 
 
+def cells(row: dict[str, Any], names: tuple[str, ...]) -> list[str]:
+    """Errors, and seconds, of what may have failed."""
+    if names[0] not in row:
+        return ["failed" if row else ""] + [""] * len(names)
+    return [*(f"{100 * row[name]:.2g} %" for name in names), f"{row['cpu_s']:.2f}"]
+
+
 def show(found: dict[str, Any]) -> None:
-    """The tables."""
-    for part in ("plain", "peer", "default"):
-        ways = [way for way in ("reverse", "forward", "CVODES") if part in found and way in found[part]["rows"][0]]
-        table = [["tolerance", *(f"{way}: {name}" for way in ways for name in (*OBSERVED, "worst", "s"))]]
-        for row in found.get(part, {"rows": []})["rows"]:
-            cells = [f"{row['tolerance']:g}"]
-            for way in ways:
-                if "mean square" not in row.get(way, {}):
-                    cells += ["failed" if way in row else ""] * 4
-                    continue
-                worst = max(row[way][f"{name}, worst"] for name in OBSERVED)
-                cells += [f"{100 * x:.2g} %" for x in (*(row[way][name] for name in OBSERVED), worst)]
-                cells.append(f"{row[way]['cpu_s']:.2f}")
-            table.append(cells)
+    """The tables, those of the plain joint and of a hundred parameters in docs/derivatives.md, too."""
+    rows = {part: {row["tolerance"]: row for row in found.get(part, {"rows": []})["rows"]} for part in PARTS}
+    for part in ("plain", "default"):
+        table = [["tolerance", *(x for way in ("reverse", "forward") for x in (f"{way}, mean square", "peak", "s"))]]
+        table[0] += ["CVODES' adjoint, mean square", "peak", "s"] if part == "plain" else []
+        for tolerance, row in rows[part].items():
+            table.append([f"{tolerance:g}", *cells(row["reverse"], OBSERVED), *cells(row["forward"], OBSERVED)])
+            if part == "plain":
+                table[-1] += cells(rows["peer"].get(tolerance, {}).get("CVODES", {}), OBSERVED)
         print(part, markdown(table), sep="\n")
+        if part == "plain":
+            put_in_readme("gradient", markdown(table), PAGE)
     for part in ("cost", "cost_plain"):
-        table = [["tolerance", "error", "worst", "s", "runs", "runs of values at 0.1 %"]]
-        table[0] += [f"{name}: {what}" for name in (f"{SOME}", f"{SOME}, forward") for what in ("error", "worst")]
-        for row in found.get(part, {"rows": []})["rows"]:
-            names = ("mean square", f"{SOME} of them", f"{SOME} of them, forward")
-            errors = [f"{100 * row[x]:.2g} %" for name in names for x in (name, f"{name}, worst")]
-            took = [f"{row['cpu_s']:.2f}", *(f"{row[x]:.1f}" for x in ("runs", "runs at 0.1 %"))]
-            table.append([f"{row['tolerance']:g}", *errors[:2], *took, *errors[2:]])
+        table = [["tolerance", "error", "worst", "s", "runs of values at that tolerance", "at 0.002"]]
+        table[0] += [f"the {SOME} strongest{way}: {what}" for way in ("", ", forward") for what in ("error", "worst")]
+        for tolerance, row in rows[part].items():
+            names = [(x, f"{x}, worst") for x in ("mean square", f"{SOME} of them", f"{SOME} of them, forward")]
+            table.append([f"{tolerance:g}", *cells(row, names[0])])
+            table[-1] += [f"{row[x]:.1f}" for x in ("runs", "runs at 0.1 %")]
+            table[-1] += [*cells(row, names[1])[:-1], *cells(row, names[2])[:-1]]
         print(part, markdown(table), sep="\n")
+        if part == "cost":
+            put_in_readme("gradient-cost", markdown(table), PAGE)
     for when in ("before", "after"):
         for name, row in found.get(when, {}).items():
             print(when, name, row)

@@ -25,9 +25,6 @@ from benchmarks.references.joint_casadi import FLAGS, RELATIVE
 from benchmarks.references.joint_casadi_field import Expressions, expressions, require_defaults
 
 MAX_STEPS, JIT_FLAGS = 5_000_000, ["-O1", "-march=native", "-fno-math-errno"]
-# CasADi sets the limit of steps of the forward solve alone; backwards CVODES stops after 500 between two outputs. So the
-# adjoint has this many outputs for each that is asked for, the others without a seed.
-BETWEEN, SEED = 100, 0.1
 Moved = Mapping[str, Sequence[str]]
 
 
@@ -118,16 +115,23 @@ class Sensitive:
         slopes = np.concatenate([np.zeros((1, n, k)), np.moveaxis(slope, 2, 0)]) * self.scales[:, None]
         return states, slopes, seconds
 
-    def gradient(self, times: np.ndarray, tol: float, seeds: np.ndarray) -> tuple[np.ndarray, float]:
+    def gradient(
+        self, times: np.ndarray, tol: float, seeds: np.ndarray, between: int = 1, size: float | None = None
+    ) -> tuple[np.ndarray, float]:
         """Derivatives (k,) of the sum of seeds (T, n) times states by the logarithms, CPU time [s]: CVODES' adjoint.
 
-        The backward solve has the forward's tolerances, which are absolute: seeds are scaled to ``SEED``, in units of
-        the scaled states. It begins anew at each output that has a seed.
+        The backward solve has the forward's tolerances, and begins anew at each output that has a seed.
+
+        Args:
+            between: outputs for each that is asked for, all but one without a seed. CasADi sets the limit of steps of the
+                forward solve alone; backwards CVODES stops after 500 between two outputs.
+            size: to which the largest seed of the scaled states is scaled, since tolerances are absolute.
         """
-        fine = np.interp(np.arange(BETWEEN * (times.size - 1) + 1) / BETWEEN, np.arange(times.size), times)
+        fine = np.interp(np.arange(between * (times.size - 1) + 1) / between, np.arange(times.size), times)
         scaled = (seeds[1:] * self.scales).T
-        factor, spread = SEED / np.abs(scaled).max(), np.zeros((scaled.shape[0], fine.size - 1))
-        spread[:, BETWEEN - 1 :: BETWEEN] = factor * scaled
+        factor = 1.0 if size is None else size / np.abs(scaled).max()
+        spread = np.zeros((scaled.shape[0], fine.size - 1))
+        spread[:, between - 1 :: between] = factor * scaled
         solver = self._integrator(fine, tol, back=True)
         begin = time.process_time()
         found = solver(self.start, np.zeros(self.size), spread)
