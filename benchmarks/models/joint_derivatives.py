@@ -1,7 +1,8 @@
 """Work and precision of the joint's derivatives: ``jacfwd`` of ``force_history`` beside CVODES and differences.
 
     python -m benchmarks.models.joint_derivatives [work] [more] [long]    needs ``bench``
-        writes those parts of results/joint_derivatives.json, docs/images/joint_derivatives.png, prints tables
+        writes those parts of results/joint_derivatives.json, docs/images/joint_derivatives.png, tables of
+        docs/derivatives.md
 
 Against the file of ``derivatives.py``: 0.6 s at 1 ms, 20 normal forces, 8 logarithms. The error of a row is that of
 its worst parameter among those whose influence is above 1 % of the largest: relative, L2 over all histories, of their
@@ -34,7 +35,7 @@ from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve.integrate import integrate
 from bcfj_jax.solve.plan import LEVELS, Plan, plan
 from benchmarks.analysis.derivatives import MOVED, Reference, errors, grid, influence, load, moved, normals
-from benchmarks.common import RESULTS, ROOT, markdown, save
+from benchmarks.common import RESULTS, ROOT, markdown, put_in_readme, save
 from benchmarks.common import load as kept_result
 
 # Tolerance, and whether tangents count in the step control (BDF) or not (SDIRK2). The first ``TAKEN`` are what ``plan``
@@ -49,6 +50,13 @@ CVODES_TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
 # Tolerance of CVODES, step of the logarithm.
 DIFFERENCES = ((1e-3, 1e-2), (1e-4, 1e-2), (1e-5, 3e-3), (1e-6, 1e-3), (1e-7, 1e-3), (1e-8, 3e-4), (1e-9, 1e-4))
 TAKEN, INFLUENTIAL, MANY, MAX_STEPS, REPEATS, LONG_S = 8, 0.01, 32, 400_000, 3, 3.0
+PAGE = "docs/derivatives.md"
+PROGRAMS = {
+    "value": "values (RODAS3)",
+    "forward": "a run of SDIRK2 alone",
+    "jacobian": "Jacobian of 8, SDIRK2",
+    "jacobian, bdf": "Jacobian of 8, BDF",
+}
 
 SCENE = bj.scenes.joint(**PLAIN)
 PARAMS = SCENE.parameters()
@@ -296,31 +304,36 @@ def main() -> None:
 
 
 def show(found: dict[str, Any]) -> None:
-    """The picture and the tables."""
+    """The picture, and the tables of docs/derivatives.md."""
     if "work" in found:
+        ours, peers = found["work"]["ours"], found["work"]["peers"]
         drawn(found["work"])
-        for name, seconds in found["work"]["ours"]["compile_s"].items():
-            print("to compile", name, {x: round(y, 2) for x, y in seconds.items()})
-        names = list(found["work"]["peers"])
-        table = [["tolerance", "error, 5 ms", "pointwise", "Jacobian s", "/ forward", "/ values"]]
-        table[0] += [f"{name}: times slower" for name in names]
-        for row in found["work"]["ours"]["rows"]:
-            ratios = (row["cpu_s"] / row["forward_cpu_s"], row["cpu_s"] / row["value_cpu_s"])
-            gains = [row[f"speedup over {name}"] for name in names]
-            table.append(
-                [
-                    f"{row['tolerance']:g}{', BDF' if row['controlled'] else ''}",
-                    f"{100 * row['error']:.2g} %",
-                    f"{100 * row['pointwise']:.2g} %",
-                    f"{row['cpu_s']:.3f}",
-                    *(f"{ratio:.1f}" for ratio in ratios),
-                    *("-" if gain is None else f"{gain:.1f}" for gain in gains),
-                ]
-            )
+        named = {tolerance: name for name, tolerance in found["work"]["levels"].items()}
+        table = [
+            ["tolerance", "error, 5 ms averages", "pointwise", "s", "over SDIRK2's run alone", "over a run of values"]
+        ]
+        table[0] += [f"{name} at that error take" for name in peers]
+        for row in ours["rows"][:TAKEN]:
+            tolerance = f"{row['tolerance']:g}"
+            level = named.get(row["tolerance"])
+            table.append([f"{tolerance} (`{level}`)" if level else tolerance])
+            table[-1] += [f"{100 * row[x]:.2g} %" for x in ("error", "pointwise")]
+            table[-1] += [
+                f"{row['cpu_s']:.2f}",
+                *(f"{row['cpu_s'] / row[f'{x}_cpu_s']:.1f}" for x in ("forward", "value")),
+            ]
+            gains = [row[f"speedup over {name}"] for name in peers]
+            table[-1] += ["-" if gain is None else f"{gain:.1f} times as long" for gain in gains]
         print(markdown(table))
+        put_in_readme("joint-derivatives", markdown(table), PAGE)
+        table = [["program", "compiled anew, s", "over that of values", "from JAX's cache, s"]]
+        for name, row in ours["compile_s"].items():
+            table.append([PROGRAMS[name], f"{row['cold']:.1f}", f"{row['over_value']:.1f}", f"{row['cached']:.1f}"])
+        print(markdown(table))
+        put_in_readme("joint-derivatives-compiling", markdown(table), PAGE)
         table = [["peer", "tolerance", "error, 5 ms", "pointwise", "s"]]
-        for name in names:
-            for row in found["work"]["peers"][name]:
+        for name, rows in peers.items():
+            for row in rows:
                 error = [f"{100 * row[key]:.2g} %" for key in ("error", "pointwise")]
                 table.append([name, f"{row['tolerance']:g}", *error, f"{row['cpu_s']:.2f}"])
         print(markdown(table))
