@@ -309,7 +309,7 @@ def cells(row: dict[str, Any], names: tuple[str, ...]) -> list[str]:
 
 def show(found: dict[str, Any]) -> None:
     """The tables, those of the plain joint and of a hundred parameters in docs/derivatives.md, too."""
-    rows = {part: {row["tolerance"]: row for row in found.get(part, {"rows": []})["rows"]} for part in PARTS}
+    rows = {part: {row["tolerance"]: row for row in found.get(part, {}).get("rows", [])} for part in PARTS}
     for part in ("plain", "default"):
         table = [["tolerance", *(x for way in ("reverse", "forward") for x in (f"{way}, mean square", "peak", "s"))]]
         table[0] += ["CVODES' adjoint, mean square", "peak", "s"] if part == "plain" else []
