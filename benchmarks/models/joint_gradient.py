@@ -1,7 +1,7 @@
 """Reverse derivatives of the joint: error by tolerance beside forward and CVODES' adjoint, cost, memory, compiling.
 
     python -m benchmarks.models.joint_gradient [plain] [peer] [default] [cost] [cost_plain] [before]
-        writes those parts of results/joint_gradient.json, two tables of docs/derivatives.md; ``peer`` needs ``bench``
+        writes those parts of results/joint_gradient.json, tables of docs/derivatives.md; ``peer`` needs ``bench``
 
 Two numbers of the normal forces of ``seat_ball`` over 0.6 s at 1 ms: their mean square, and a smooth peak, the 16-norm.
 
@@ -318,8 +318,7 @@ def show(found: dict[str, Any]) -> None:
             if part == "plain":
                 table[-1] += cells(rows["peer"].get(tolerance, {}).get("CVODES", {}), OBSERVED)
         print(part, markdown(table), sep="\n")
-        if part == "plain":
-            put_in_readme("gradient", markdown(table), PAGE)
+        put_in_readme("gradient" if part == "plain" else "gradient-default", markdown(table), PAGE)
     for part in ("cost", "cost_plain"):
         table = [["tolerance", "error", "worst", "s", "runs of values at that tolerance", "at 0.002"]]
         table[0] += [f"the {SOME} strongest{way}: {what}" for way in ("", ", forward") for what in ("error", "worst")]
