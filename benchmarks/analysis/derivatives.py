@@ -129,13 +129,13 @@ def force_reader(scene: Any, params: Mapping[str, Any]) -> Any:
 
 
 def differences(made: Sensitive, times: np.ndarray, tol: float, step: float, central: bool = True) -> tuple[Any, float]:
-    """Derivatives (T, 20, 8) by differences of runs of CVODES, and their wall time."""
+    """Derivatives (T, 20, 8) by differences of runs of CVODES, and their CPU time [s]."""
     read, eye, total = force_reader(made.scene, made.params), np.eye(len(MOVED)), 0.0
 
     def run(logs):
         nonlocal total
-        states, wall, _ = made.states(times, tol, logs)
-        total += wall
+        states, seconds, _ = made.states(times, tol, logs)
+        total += seconds
         return read(states, logs)
 
     if central:
@@ -164,9 +164,9 @@ def make() -> None:
     read = reader(scene, params)
     kept, convergence = {}, {}
     for tol in (TOLERANCE, LOOSER):
-        states, slopes, wall = made.sensitivities(times, tol)
+        states, slopes, seconds = made.sensitivities(times, tol)
         kept[tol] = read(states, slopes)
-        print(f"sensitivities at {tol:g}: {wall:.1f} s", flush=True)
+        print(f"sensitivities at {tol:g}: {seconds:.1f} s", flush=True)
     force, slope = kept[TOLERANCE]
 
     def against(found):
@@ -175,10 +175,10 @@ def make() -> None:
 
     convergence[f"sensitivities at {LOOSER:g}"] = against(kept[LOOSER][1])
     for step in DIFFERENCE_STEPS:
-        found, wall = differences(made, times, DIFFERENCE_TOLERANCE, step)
+        found, seconds = differences(made, times, DIFFERENCE_TOLERANCE, step)
         name = f"central differences, step {step:g}, on CVODES at {DIFFERENCE_TOLERANCE:g}"
         convergence[name] = against(found)
-        print(f"{name}: {wall:.1f} s", flush=True)
+        print(f"{name}: {seconds:.1f} s", flush=True)
     settings = {
         "solver": "CVODES (CasADi, BDF), state and forward sensitivities together in the error control",
         "tolerance": TOLERANCE,

@@ -1,16 +1,21 @@
 """Work and precision of the joint's derivatives: ``jacfwd`` of ``force_history`` beside CVODES and differences.
 
-    python -m benchmarks.models.joint_derivatives    writes results/joint_derivatives.json, prints tables; needs ``bench``
+    python -m benchmarks.models.joint_derivatives [work] [more] [long]    needs ``bench``
+        writes those parts of results/joint_derivatives.json, docs/images/joint_derivatives.png, tables of
+        docs/derivatives.md
 
 Against the file of ``derivatives.py``: 0.6 s at 1 ms, 20 normal forces, 8 logarithms. The error of a row is that of
 its worst parameter among those whose influence is above 1 % of the largest: relative, L2 over all histories, of their
-5 ms averages. Walls are of one core and of 601 outputs, programs compiled.
+5 ms averages. ``work``, alone where nothing is asked for: work against error beside CVODES, and what programs take to
+compile. ``more``: a Jacobian by 32 parameters, and steps. ``long``: the scene's whole 3 s. Seconds are of the process,
+the least of several runs, for 601 outputs, programs compiled.
 """
 
 from __future__ import annotations
 
 import itertools
 import os
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -22,15 +27,18 @@ os.environ.setdefault("EQX_ON_ERROR", "nan")
 import jax
 import jax.numpy as jnp
 import numpy as np
+from matplotlib.figure import Figure
 
 import bcfj_jax as bj
+from bcfj_jax.io import plots
 from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve.integrate import integrate
 from bcfj_jax.solve.plan import LEVELS, Plan, plan
 from benchmarks.analysis.derivatives import MOVED, Reference, errors, grid, influence, load, moved, normals
-from benchmarks.common import markdown, save
+from benchmarks.common import RESULTS, ROOT, markdown, put_in_readme, save
+from benchmarks.common import load as kept_result
 
-# Tolerance, and whether tangents count in the step control (BDF) or not (SDIRK2). The first eight are what ``plan``
+# Tolerance, and whether tangents count in the step control (BDF) or not (SDIRK2). The first ``TAKEN`` are what ``plan``
 # takes (``balanced`` is the second, ``reference`` the sixth), the others what it does not, and why.
 TOLERANCES = (
     *((tolerance, False) for tolerance in (1e-1, 2e-2, 5e-3)),
@@ -41,7 +49,14 @@ TOLERANCES = (
 CVODES_TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
 # Tolerance of CVODES, step of the logarithm.
 DIFFERENCES = ((1e-3, 1e-2), (1e-4, 1e-2), (1e-5, 3e-3), (1e-6, 1e-3), (1e-7, 1e-3), (1e-8, 3e-4), (1e-9, 1e-4))
-INFLUENTIAL, MANY, MAX_STEPS, REPEATS, LONG_S = 0.01, 32, 400_000, 3, 3.0
+TAKEN, INFLUENTIAL, MANY, MAX_STEPS, REPEATS, LONG_S = 8, 0.01, 32, 400_000, 3, 3.0
+PAGE = "docs/derivatives.md"
+PROGRAMS = {
+    "value": "values (RODAS3)",
+    "forward": "a run of SDIRK2 alone",
+    "jacobian": "Jacobian of 8, SDIRK2",
+    "jacobian, bdf": "Jacobian of 8, BDF",
+}
 
 SCENE = bj.scenes.joint(**PLAIN)
 PARAMS = SCENE.parameters()
@@ -76,25 +91,25 @@ def steps(logs: Any, tolerance: Any, controlled: Any) -> Any:
 
 
 def compiled(function: Callable[..., Any], size: int, controlled: bool) -> tuple[Callable[..., Any], float]:
-    """The program of a function of ``size`` logarithms, and how long it took."""
-    begin = time.perf_counter()
+    """The program of a function of ``size`` logarithms, and how long it took [s]."""
+    begin = time.process_time()
     made = jax.jit(lambda logs, tolerance: function(logs, tolerance, controlled))
     made = made.lower(jnp.zeros(size), jnp.asarray(1e-2)).compile()
-    return made, time.perf_counter() - begin
+    return made, time.process_time() - begin
 
 
 def timed(program: Callable[..., Any], size: int, tolerance: float) -> tuple[np.ndarray, float]:
-    """What a program returns, and the shortest wall of several runs."""
+    """What a program returns, and the least time of several runs [s]."""
     arguments = jnp.zeros(size), jnp.asarray(tolerance)
-    walls = []
+    took = []
     result = jax.block_until_ready(program(*arguments))
     for _ in range(REPEATS):
-        begin = time.perf_counter()
+        begin = time.process_time()
         jax.block_until_ready(program(*arguments))
-        walls.append(time.perf_counter() - begin)
-        if sum(walls) > 5.0:
+        took.append(time.process_time() - begin)
+        if sum(took) > 3.0:
             break
-    return np.asarray(result), min(walls)
+    return np.asarray(result), min(took)
 
 
 def judged(found: np.ndarray, kept: Reference) -> dict[str, Any]:
@@ -116,53 +131,64 @@ def judged(found: np.ndarray, kept: Reference) -> dict[str, Any]:
 
 
 def ours(kept: Reference) -> dict[str, Any]:
-    """Rows of our own derivatives, and compile times."""
-    k = len(MOVED)
+    """Rows of our own derivatives, and what programs take to compile: anew, and from JAX's cache."""
+    k, made, compile_s = len(MOVED), {}, {}
     programs = {
-        "value": (values, k, False),
-        "forward": (forces, k, False),
-        "jacobian": (jax.jacfwd(forces), k, False),
-        "many": (jax.jacfwd(many_forces), MANY, False),
-        "steps": (jax.jacfwd(steps, has_aux=True), k, False),
-        "jacobian, bdf": (jax.jacfwd(forces), k, True),
-        "many, bdf": (jax.jacfwd(many_forces), MANY, True),
-        "steps, bdf": (jax.jacfwd(steps, has_aux=True), k, True),
+        "value": (values, False),
+        "forward": (forces, False),
+        "jacobian": (jax.jacfwd(forces), False),
+        "jacobian, bdf": (jax.jacfwd(forces), True),
     }
-    made, compile_s = {}, {}
+    # The first program traced takes what all share.
+    jax.eval_shape(jax.jacfwd(lambda logs: forces(logs, 1e-2, True)), jnp.zeros(k))
     with tempfile.TemporaryDirectory() as folder:
         jax.config.update("jax_compilation_cache_dir", folder)
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
-        for name, (function, size, controlled) in programs.items():
-            made[name], cold = compiled(function, size, controlled)
-            compile_s[name] = {"cold": cold}
-            if size == k and not name.startswith("steps"):
-                jax.clear_caches()
-                made[name], compile_s[name]["cached"] = compiled(function, size, controlled)
+        for name, (function, controlled) in programs.items():
+            made[name], cold = compiled(function, k, controlled)
+            jax.clear_caches()
+            made[name], cached = compiled(function, k, controlled)
+            compile_s[name] = {"cold": cold, "cached": cached}
+            compile_s[name]["over_value"] = cold / compile_s["value"]["cold"]
             print(f"compile {name}: {compile_s[name]}", flush=True)
         jax.config.update("jax_compilation_cache_dir", None)
     rows = []
     for tolerance, controlled in TOLERANCES:
-        way = ", bdf" if controlled else ""
-        found, wall = timed(made["jacobian" + way], k, tolerance)
+        found, seconds = timed(made["jacobian, bdf" if controlled else "jacobian"], k, tolerance)
         _, forward = timed(made["forward"], k, tolerance)
         value, rodas = timed(made["value"], k, tolerance)
-        _, many = timed(made["many" + way], MANY, tolerance)
-        _, (accepted, rejected) = made["steps" + way](jnp.zeros(k), jnp.asarray(tolerance))
         row = {
             "tolerance": tolerance,
             "controlled": controlled,
             **judged(found, kept),
-            "wall_s": wall,
-            "forward_wall_s": forward,
-            "value_wall_s": rodas,
+            "cpu_s": seconds,
+            "forward_cpu_s": forward,
+            "value_cpu_s": rodas,
             "value_rms_N": float(np.sqrt(np.mean((value - kept.force) ** 2))),
-            "many_wall_s": many,
-            "accepted": int(accepted),
-            "rejected": int(rejected),
         }
         rows.append(row)
-        print(row["tolerance"], {x: row[x] for x in ("error", "pointwise", "wall_s", "forward_wall_s", "many_wall_s")})
+        print(row["tolerance"], {x: row[x] for x in ("error", "pointwise", "cpu_s", "forward_cpu_s")}, flush=True)
     return {"compile_s": compile_s, "rows": rows}
+
+
+def more() -> list[dict[str, Any]]:
+    """A Jacobian by ``MANY`` parameters and steps, by tolerance."""
+    made = {
+        (name, controlled): compiled(function, size, controlled)[0]
+        for controlled in (False, True)
+        for name, function, size in (
+            ("many", jax.jacfwd(many_forces), MANY),
+            ("steps", jax.jacfwd(steps, has_aux=True), len(MOVED)),
+        )
+    }
+    rows = []
+    for tolerance, controlled in TOLERANCES:
+        _, many = timed(made["many", controlled], MANY, tolerance)
+        _, counts = made["steps", controlled](jnp.zeros(len(MOVED)), jnp.asarray(tolerance))
+        row = {"tolerance": tolerance, "controlled": controlled, "many_cpu_s": many}
+        rows.append({**row, "accepted": int(counts[0]), "rejected": int(counts[1])})
+        print(rows[-1], flush=True)
+    return rows
 
 
 def long_run() -> list[dict[str, Any]]:
@@ -172,10 +198,10 @@ def long_run() -> list[dict[str, Any]]:
     from benchmarks.references.joint_sensitive import Sensitive
 
     times = np.linspace(0.0, LONG_S, round(LONG_S / 1e-3) + 1)
-    states, slopes, wall = Sensitive(SCENE, PARAMS, default_scales(SCENE), MOVED).sensitivities(times, 1e-7)
+    states, slopes, seconds = Sensitive(SCENE, PARAMS, default_scales(SCENE), MOVED).sensitivities(times, 1e-7)
     force, slope = reader(SCENE, PARAMS)(states, slopes)
     kept = Reference(times, force, slope, {})
-    rows = [{"level": "CVODES 1e-7", "wall_s": wall}]
+    rows = [{"level": "CVODES 1e-7", "cpu_s": seconds}]
     for level in ("balanced", "reference"):
         how = plan(SCENE, level)
 
@@ -185,7 +211,7 @@ def long_run() -> list[dict[str, Any]]:
             return normals(bj.force_history(SCENE, changed, jnp.asarray(times), accuracy=how, mode="forward"))
 
         found, seconds = timed(jax.jit(jax.jacfwd(program)), len(MOVED), float(how.tolerance))
-        rows.append({"level": level, **judged(found, kept), "wall_s": seconds})
+        rows.append({"level": level, **judged(found, kept), "cpu_s": seconds})
         print("3 s", level, rows[-1]["error"], rows[-1]["pointwise"], seconds, flush=True)
     return rows
 
@@ -202,74 +228,118 @@ def peers(kept: Reference) -> dict[str, list[dict[str, Any]]]:
     for tolerance in CVODES_TOLERANCES:
         solved = [made.sensitivities(times, tolerance) for _ in range(2)]
         slope = read(*solved[0][:2])[1]
-        row = {"tolerance": tolerance, **judged(slope, kept), "wall_s": min(x[2] for x in solved)}
+        row = {"tolerance": tolerance, **judged(slope, kept), "cpu_s": min(x[2] for x in solved)}
         found["CVODES sensitivities"].append(row)
-        print("CVODES", tolerance, row["error"], row["wall_s"], flush=True)
+        print("CVODES", tolerance, row["error"], row["cpu_s"], flush=True)
     for tolerance, step in DIFFERENCES:
-        slope, wall = differences(made, times, tolerance, step, central=False)
-        row = {"tolerance": tolerance, "step": step, **judged(slope, kept), "wall_s": wall}
+        slope, seconds = differences(made, times, tolerance, step, central=False)
+        row = {"tolerance": tolerance, "step": step, **judged(slope, kept), "cpu_s": seconds}
         found["differences on CVODES"].append(row)
-        print("differences", tolerance, step, row["error"], wall, flush=True)
+        print("differences", tolerance, step, row["error"], seconds, flush=True)
     return found
 
 
-def wall_at(rows: list[dict[str, Any]], error: float) -> float | None:
-    """The least wall [s] of a peer at an error, by interpolation of logarithms between rows; None if never as good."""
+def seconds_at(rows: list[dict[str, Any]], error: float) -> float | None:
+    """The least time [s] of a peer at an error, by interpolation of logarithms between rows; None if never as good."""
     best = None
     for a, b in itertools.pairwise(rows):
         low, high = sorted((a["error"], b["error"]))
         if low <= error <= high and low < high:
             share = np.log(error / a["error"]) / np.log(b["error"] / a["error"])
-            wall = float(a["wall_s"] ** (1 - share) * b["wall_s"] ** share)
-            best = wall if best is None else min(best, wall)
-    good = [row["wall_s"] for row in rows if row["error"] <= error]
+            took = float(a["cpu_s"] ** (1 - share) * b["cpu_s"] ** share)
+            best = took if best is None else min(best, took)
+    good = [row["cpu_s"] for row in rows if row["error"] <= error]
     return min([*good, *([best] if best is not None else [])], default=None)
 
 
-def main() -> None:
+def work() -> dict[str, Any]:
+    """Ours beside its peers."""
     kept = load()
     mine, theirs = ours(kept), peers(kept)
     for row in mine["rows"]:
         for name, rows in theirs.items():
-            wall = wall_at(rows, row["error"])
-            row[f"speedup over {name}"] = None if wall is None else wall / row["wall_s"]
+            seconds = seconds_at(rows, row["error"])
+            row[f"speedup over {name}"] = None if seconds is None else seconds / row["cpu_s"]
     levels = {name: float(plan(SCENE, name).tolerance) for name in LEVELS}
-    what = "derivatives of 20 normal forces by 8 logarithms, 0.6 s, outputs every 1 ms, one core"
-    save(
-        "joint_derivatives",
-        {
-            "what": what,
-            "levels": levels,
-            "reference": kept.settings,
-            "ours": mine,
-            "peers": theirs,
-            "long": long_run(),
-        },
-    )
-    table = [["tolerance", "error, 5 ms", "pointwise", "steps", "Jacobian s", "/ forward", "32 / forward", "/ values"]]
-    table[0] += [f"{name}: times slower" for name in theirs]
-    for row in mine["rows"]:
-        forward, value = row["forward_wall_s"], row["value_wall_s"]
-        ratios = (row["wall_s"] / forward, row["many_wall_s"] / forward, row["wall_s"] / value)
-        gains = [row[f"speedup over {name}"] for name in theirs]
-        table.append(
-            [
-                f"{row['tolerance']:g}{', BDF' if row['controlled'] else ''}",
-                f"{100 * row['error']:.2g} %",
-                f"{100 * row['pointwise']:.2g} %",
-                f"{row['accepted']} + {row['rejected']}",
-                f"{row['wall_s']:.3f}",
-                *(f"{ratio:.1f}" for ratio in ratios),
-                *("-" if gain is None else f"{gain:.1f}" for gain in gains),
+    what = "derivatives of 20 normal forces by 8 logarithms, 0.6 s, outputs every 1 ms"
+    return {"what": what, "levels": levels, "reference": kept.settings, "ours": mine, "peers": theirs}
+
+
+def drawn(found: dict[str, Any]) -> None:
+    """Work against error; what ``plan`` does not take is hollow."""
+    rows = found["ours"]["rows"]
+    taken = [row for i, row in enumerate(rows) if i < TAKEN]
+    curves = {
+        "SDIRK2": [row for row in taken if not row["controlled"]],
+        "BDF, tangents controlled": [row for row in taken if row["controlled"]],
+        **found["peers"],
+    }
+    with plots.style():
+        figure = Figure(figsize=(8, 5), layout="constrained")
+        axes = figure.subplots()
+        for name, mark in zip(curves, ("o", "s", "^", "x"), strict=True):
+            x, y = ([100 * row["error"] for row in curves[name]], [row["cpu_s"] for row in curves[name]])
+            (line,) = axes.plot(x, y, mark, ls="-", label=name)
+            for a, b, row in zip(x, y, curves[name], strict=True):
+                axes.annotate(f"{row['tolerance']:g}", (a, b), (4, 4), textcoords="offset points", fontsize=6)
+            other = [row for row in rows[TAKEN:] if row["controlled"] == (mark == "s")] if mark in "os" else []
+            other = [row for row in other if row["error"] < 10.0]
+            x, y = ([100 * row["error"] for row in other], [row["cpu_s"] for row in other])
+            axes.plot(x, y, mark, mfc="none", color=line.get_color())
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.set_xlabel("error of the worst parameter, 5 ms averages [%]; at each point its tolerance")
+        axes.set_ylabel("CPU seconds of the Jacobian of 8")
+        axes.legend(fontsize=8)
+        figure.savefig(ROOT / "docs" / "images" / "joint_derivatives.png", dpi=110)
+
+
+def main() -> None:
+    parts: dict[str, Callable[[], Any]] = {"work": work, "more": more, "long": long_run}
+    for part in sys.argv[1:] or ("work",):
+        made = parts[part]()
+        old = kept_result("joint_derivatives") if (RESULTS / "joint_derivatives.json").exists() else {}
+        save("joint_derivatives", {**{x: y for x, y in old.items() if x in parts}, part: made})
+    show(kept_result("joint_derivatives"))
+
+
+def show(found: dict[str, Any]) -> None:
+    """The picture, and the tables of docs/derivatives.md."""
+    if "work" in found:
+        ours, peers = found["work"]["ours"], found["work"]["peers"]
+        drawn(found["work"])
+        named = {tolerance: name for name, tolerance in found["work"]["levels"].items()}
+        table = [
+            ["tolerance", "error, 5 ms averages", "pointwise", "s", "over SDIRK2's run alone", "over a run of values"]
+        ]
+        table[0] += [f"{name} at that error take" for name in peers]
+        for row in ours["rows"][:TAKEN]:
+            tolerance = f"{row['tolerance']:g}"
+            level = named.get(row["tolerance"])
+            table.append([f"{tolerance} (`{level}`)" if level else tolerance])
+            table[-1] += [f"{100 * row[x]:.2g} %" for x in ("error", "pointwise")]
+            table[-1] += [
+                f"{row['cpu_s']:.2f}",
+                *(f"{row['cpu_s'] / row[f'{x}_cpu_s']:.1f}" for x in ("forward", "value")),
             ]
-        )
-    print(markdown(table))
-    table = [["peer", "tolerance", "error, 5 ms", "pointwise", "s"]]
-    for name, rows in theirs.items():
-        for row in rows:
-            error = [f"{100 * row[key]:.2g} %" for key in ("error", "pointwise")]
-            table.append([name, f"{row['tolerance']:g}", *error, f"{row['wall_s']:.2f}"])
-    print(markdown(table))
+            gains = [row[f"speedup over {name}"] for name in peers]
+            table[-1] += ["-" if gain is None else f"{gain:.1f} times as long" for gain in gains]
+        print(markdown(table))
+        put_in_readme("joint-derivatives", markdown(table), PAGE)
+        table = [["program", "compiled anew, s", "over that of values", "from JAX's cache, s"]]
+        for name, row in ours["compile_s"].items():
+            table.append([PROGRAMS[name], f"{row['cold']:.1f}", f"{row['over_value']:.1f}", f"{row['cached']:.1f}"])
+        print(markdown(table))
+        put_in_readme("joint-derivatives-compiling", markdown(table), PAGE)
+        table = [["peer", "tolerance", "error, 5 ms", "pointwise", "s"]]
+        for name, rows in peers.items():
+            for row in rows:
+                error = [f"{100 * row[key]:.2g} %" for key in ("error", "pointwise")]
+                table.append([name, f"{row['tolerance']:g}", *error, f"{row['cpu_s']:.2f}"])
+        print(markdown(table))
+    for part in ("more", "long"):
+        for row in found.get(part, []):
+            print(part, {x: y for x, y in row.items() if not isinstance(y, dict)})
 
 
 if __name__ == "__main__":

@@ -1,13 +1,18 @@
 """Reverse derivatives of the joint: error by tolerance beside forward and CVODES' adjoint, cost, memory, compiling.
 
-    python -m benchmarks.models.joint_gradient [plain] [default] [cost] [cost_plain] [before]
-        writes those parts of results/joint_gradient.json, prints tables; ``plain`` needs ``bench``
+    python -m benchmarks.models.joint_gradient [plain] [peer] [default] [cost] [cost_plain] [before]
+        writes those parts of results/joint_gradient.json, tables of docs/derivatives.md; ``peer`` needs ``bench``
 
 Two numbers of the normal forces of ``seat_ball`` over 0.6 s at 1 ms: their mean square, and a smooth peak, the 16-norm.
-``plain``: eight logarithms against the file of ``analysis.derivatives``. ``default``: the same of the default joint over
-0.3 s against forward derivatives at 1e-8. ``cost``: all logarithms, a hundred of them with unequal balls, and those of
-the plain joint. ``before``: compiling alone, of whatever
-package is imported. Seconds are of the process, medians.
+
+- ``plain``: eight logarithms against the file of ``analysis.derivatives``; ``peer``: the same by CVODES' adjoint.
+- ``default``: the same of the default joint over 0.3 s against forward derivatives at 1e-8.
+- ``cost``: all logarithms, a hundred of them with unequal balls and window ends, against reverse ones at 1e-8, which
+  forward ones by single parameters and along a random direction check; beside forward's Jacobian by the most
+  influential ones. ``cost_plain``: the same of the plain joint.
+- ``before``: compiling alone, of whatever package is imported.
+
+Seconds are of the process, medians.
 """
 
 from __future__ import annotations
@@ -29,12 +34,17 @@ from bcfj_jax.analysis.derivatives.names import complete
 from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve.plan import Plan
 from benchmarks.analysis.derivatives import CONTACTS, MOVED, load, moved
-from benchmarks.common import RESULTS, markdown, save
+from benchmarks.common import RESULTS, markdown, put_in_readme, save
 from benchmarks.common import load as kept_result
 
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
 # ``plan`` controls the tangents' error below a force error of 5e-4, half of the tolerance.
 CONTROLLED_BELOW, MAX_STEPS, COUNT, REPEATS, SHORT_S = 1e-3, 400_000, 100, 3, 0.3
+# Of CVODES' adjoint: ``between`` and ``size`` of ``joint_sensitive``.
+SETTINGS = ((1, None), (100, 0.1))
+# Of the parameters of ``cost``: how many forward's Jacobian has, how many forward derivatives check, at which tolerance.
+SOME, CHECKED, TIGHT = 16, 8, 1e-8
+PAGE = "docs/derivatives.md"
 OBSERVED = ("mean square", "peak")
 
 
@@ -80,13 +90,22 @@ def timed(program: Any, size: int, tolerance: float) -> tuple[Any, float]:
     return jax.tree.map(np.asarray, result), float(np.median(walls))
 
 
+def apart(found: np.ndarray, exact: np.ndarray, counts: np.ndarray) -> tuple[float, float]:
+    """Of a gradient (P,): the relative L2 error, and the largest relative one of the parameters that count."""
+    whole = np.linalg.norm(found - exact) / np.linalg.norm(exact)
+    return float(whole), float(np.abs(found[counts] / exact[counts] - 1.0).max())
+
+
+def counting(exact: np.ndarray) -> np.ndarray:
+    """Which parameters have more than 1 % of the largest derivative."""
+    return np.abs(exact) > 0.01 * np.abs(exact).max()
+
+
 def off(found: np.ndarray, exact: np.ndarray) -> dict[str, float]:
-    """Of both gradients (2, P): relative L2, and the worst of the parameters of more than 1 % of the largest."""
+    """Of both gradients (2, P): ``apart``."""
     rows: dict[str, float] = {}
     for name, a, b in zip(OBSERVED, found, exact, strict=True):
-        counts = np.abs(b) > 0.01 * np.abs(b).max()
-        rows[name] = float(np.linalg.norm(a - b) / np.linalg.norm(b))
-        rows[f"{name}, worst"] = float(np.abs(a[counts] / b[counts] - 1.0).max())
+        rows[name], rows[f"{name}, worst"] = apart(a, b, counting(b))
     return rows
 
 
@@ -115,18 +134,27 @@ def table_of(scene: Any, params: Any, times: Any, exact: Any, tolerances: Any) -
     return {"rows": rows, "compiling": compiling, "reference's own": apart, "exact": exact.tolist()}
 
 
-def plain() -> dict[str, Any]:
-    """The plain joint, with CVODES' adjoint beside."""
-    from benchmarks.references.joint_casadi import default_scales
-    from benchmarks.references.joint_sensitive import Sensitive
-
-    scene = bj.scenes.joint(**PLAIN)
-    params, kept = scene.parameters(), load()
+def exact_of_plain(kept: Any) -> np.ndarray:
+    """Gradients (2, 8) of the plain joint from the file of CVODES' forward sensitivities."""
     at = sum(size for name, size in list(CONTACTS.items())[: list(CONTACTS).index("seat_ball")])
     ours = slice(at, at + CONTACTS["seat_ball"])
     by_force = jax.jacrev(numbers)(jnp.asarray(kept.force[:, ours]))
-    exact = np.einsum("stc,tcp->sp", np.asarray(by_force), kept.slope[:, ours])
-    found = table_of(scene, params, jnp.asarray(kept.times), exact, TOLERANCES)
+    return np.einsum("stc,tcp->sp", np.asarray(by_force), kept.slope[:, ours])
+
+
+def plain() -> dict[str, Any]:
+    """The plain joint."""
+    scene, kept = bj.scenes.joint(**PLAIN), load()
+    return table_of(scene, scene.parameters(), jnp.asarray(kept.times), exact_of_plain(kept), TOLERANCES)
+
+
+def peer() -> dict[str, Any]:
+    """The plain joint by CVODES' adjoint, the better of ``SETTINGS``."""
+    from benchmarks.references.joint_casadi import default_scales
+    from benchmarks.references.joint_sensitive import Sensitive
+
+    scene, kept, rows = bj.scenes.joint(**PLAIN), load(), []
+    params, exact = scene.parameters(), exact_of_plain(kept)
     made = Sensitive(scene, params, default_scales(scene), MOVED)
 
     def read(states: Any, logs: Any) -> Any:
@@ -135,18 +163,22 @@ def plain() -> dict[str, Any]:
         return numbers(force[..., 0])
 
     seeded = jax.jit(jax.jacrev(read, (0, 1)))
-    for row in found["rows"]:
-        begin = time.process_time()
-        states, *_ = made.states(kept.times, row["tolerance"])
+    for tolerance in TOLERANCES:
+        states, *_ = made.states(kept.times, tolerance)
         seeds, direct = (np.asarray(x) for x in seeded(jnp.asarray(states), jnp.zeros(len(MOVED))))
-        try:
-            slopes = [made.gradient(kept.times, row["tolerance"], seed)[0] for seed in seeds]
-            row["CVODES"] = off(np.stack(slopes) + direct, exact)
-        except RuntimeError as error:
-            row["CVODES"] = {"failed": str(error).splitlines()[-1]}
-        row["CVODES"]["cpu_s"] = time.process_time() - begin
-        print("CVODES", row["tolerance"], row["CVODES"], flush=True)
-    return found
+        tried = []
+        for between, size in SETTINGS:
+            try:
+                parts = [made.gradient(kept.times, tolerance, seed, between, size) for seed in seeds]
+                errors = off(np.stack([slope for slope, _ in parts]) + direct, exact)
+                found = {**errors, "cpu_s": sum(seconds for _, seconds in parts)}
+            except RuntimeError as error:
+                found = {"failed": str(error).splitlines()[-1].rpartition(":")[2].strip()}
+            tried.append({"between": between, "size": size, **found})
+            print(tolerance, tried[-1], flush=True)
+        best = min(tried, key=lambda x: x.get(OBSERVED[0], np.inf))
+        rows.append({"tolerance": tolerance, "CVODES": best, "tried": tried})
+    return {"rows": rows}
 
 
 def default() -> dict[str, Any]:
@@ -184,34 +216,54 @@ def cost(scene: Any) -> dict[str, Any]:
     def change(params: Any, logs: Any) -> Any:
         return params | {name: params[name] * jnp.exp(log) for name, log in zip(names, logs, strict=True)}
 
-    value, _ = compiled(lambda x, t: scalars(scene, params, times, "auto", False)(change, x, t), k)
+    def square(mode: str, controlled: bool) -> Callable:
+        """(logarithms, tolerance) -> the first of both numbers."""
+        function = scalars(scene, params, times, mode, controlled)
+        return lambda logs, tolerance: function(change, logs, tolerance)[0]
+
+    value, _ = compiled(square("auto", False), k)
     programs, memory = {}, {}
     for controlled in (False, True):
-        function = scalars(scene, params, times, "reverse", controlled)
-        program = jax.grad(lambda x, t, f=function: f(change, x, t)[0])
-        programs[controlled], memory[str(controlled)] = compiled(program, k)
-    exact, _ = timed(programs[True], k, 1e-6)
-    way = jnp.asarray(np.random.default_rng(0).normal(size=k))
-    function = scalars(scene, params, times, "forward", True)
-    ahead = jax.jit(lambda x, t: jax.jvp(lambda x: function(change, x, t)[0], (x,), (way,))[1])
-    forward = float(timed(ahead, k, 1e-6)[0])
+        programs[controlled], memory[str(controlled)] = compiled(jax.grad(square("reverse", controlled)), k)
+    exact = np.asarray(programs[True](jnp.zeros(k), jnp.asarray(TIGHT)))
+    order, counts = np.argsort(-np.abs(exact)), counting(exact)
+
+    # Forward at the same tolerance, along one direction at a time: by single parameters and along a random one.
+    ahead = jax.jit(lambda way, t: jax.jvp(lambda x: square("forward", True)(x, t), (jnp.zeros(k),), (way,))[1])
+    single = order[np.linspace(0, np.sum(counts) - 1, CHECKED).round().astype(int)]
+    way = np.random.default_rng(0).normal(size=k)
+    *alone, along = (float(ahead(jnp.asarray(x), jnp.asarray(TIGHT))) for x in (*np.eye(k)[single], way))
+    size = float(np.linalg.norm(exact))
+    checked = {names[i]: {"of its own": abs(x / exact[i] - 1), "of all": abs(x - exact[i]) / size}
+               for i, x in zip(single, alone, strict=True)}  # fmt: skip
+    # Along a random direction the parts cancel, and what is left shows their errors many times as large.
+    parts = {"forward": along, "reverse": float(exact @ way), "sum of sizes": float(np.abs(exact * way).sum())}
+    print(checked, parts, flush=True)
+
+    some, jacobians = order[:SOME], {}
+    for controlled in (False, True):
+        function = square("forward", controlled)
+        jacobians[controlled] = jax.jit(jax.jacfwd(lambda y, t, f=function: f(jnp.zeros(k).at[some].set(y), t)))
     _, run = timed(value, k, 2e-3)
     rows = []
-    for tolerance in (1e-2, 2e-3, 1e-3, 1e-4, 1e-5):
-        found, seconds = timed(programs[tolerance < CONTROLLED_BELOW], k, tolerance)
+    for tolerance in (1e-2, 2e-3, *TOLERANCES[1:]):
+        controlled = tolerance < CONTROLLED_BELOW
+        found, seconds = timed(programs[controlled], k, tolerance)
+        forward, of_some = timed(jacobians[controlled], SOME, tolerance)
         _, same = timed(value, k, tolerance)
-        both = np.stack([found, found]), np.stack([exact, exact])
-        errors = {x: y for x, y in off(*both).items() if x.startswith("mean")}
-        rows.append(
-            {"tolerance": tolerance, **errors, "cpu_s": seconds, "runs": seconds / same, "runs at 0.1 %": seconds / run}
-        )
+        rows.append({"tolerance": tolerance, "cpu_s": seconds, "runs": seconds / same, "runs at 0.1 %": seconds / run})
+        rows[-1]["mean square"], rows[-1]["mean square, worst"] = apart(found, exact, counts)
+        for name, a in ((f"{SOME} of them", found[some]), (f"{SOME} of them, forward", forward)):
+            rows[-1][name], rows[-1][f"{name}, worst"] = apart(a, exact[some], counts[some])
+        rows[-1]["forward_cpu_s"] = of_some
         print(rows[-1], flush=True)
     return {
         "parameters": k,
         "rows": rows,
         "programs": memory,
         "value_at_0.1_percent_cpu_s": run,
-        "exact against forward, along a direction": abs(float(exact @ way) / forward - 1.0),
+        f"reverse at {TIGHT:g} against forward": checked,
+        "along a random direction": parts,
     }
 
 
@@ -227,52 +279,57 @@ def before() -> dict[str, Any]:
     return found
 
 
+PARTS: dict[str, Callable[[], dict[str, Any]]] = {
+    "plain": plain,
+    "peer": peer,
+    "default": default,
+    "cost": lambda: cost(unlike()),
+    "cost_plain": lambda: cost(bj.scenes.joint(**PLAIN)),
+    "before": before,
+    "after": before,
+}
+
+
 def main() -> None:
     # What is kept from another process would not be compiled.
     jax.config.update("jax_enable_compilation_cache", False)
-    parts = {
-        "plain": plain,
-        "default": default,
-        "cost": lambda: cost(unlike()),
-        "cost_plain": lambda: cost(bj.scenes.joint(**PLAIN)),
-        "before": before,
-        "after": before,
-    }
-    for part in sys.argv[1:] or ("plain", "default", "cost", "cost_plain", "after"):
-        made = parts[part]()
+    for part in sys.argv[1:] or [part for part in PARTS if part != "before"]:
+        made = PARTS[part]()
         old = kept_result("joint_gradient") if (RESULTS / "joint_gradient.json").exists() else {}
-        save("joint_gradient", {**{x: y for x, y in old.items() if x in parts}, part: made})
+        save("joint_gradient", {**{x: y for x, y in old.items() if x in PARTS}, part: made})
     show(kept_result("joint_gradient"))
 
 
+def cells(row: dict[str, Any], names: tuple[str, ...]) -> list[str]:
+    """Errors, and seconds, of what may have failed."""
+    if names[0] not in row:
+        return ["failed" if row else ""] + [""] * len(names)
+    return [*(f"{100 * row[name]:.2g} %" for name in names), f"{row['cpu_s']:.2f}"]
+
+
 def show(found: dict[str, Any]) -> None:
-    """The tables."""
+    """The tables, those of the plain joint and of a hundred parameters in docs/derivatives.md, too."""
+    rows = {part: {row["tolerance"]: row for row in found.get(part, {}).get("rows", [])} for part in PARTS}
     for part in ("plain", "default"):
-        ways = [way for way in ("reverse", "forward", "CVODES") if part in found and way in found[part]["rows"][0]]
-        table = [["tolerance", *(f"{way}: {name}" for way in ways for name in (*OBSERVED, "worst", "s"))]]
-        for row in found.get(part, {"rows": []})["rows"]:
-            cells = [f"{row['tolerance']:g}"]
-            for way in ways:
-                if "mean square" not in row.get(way, {}):
-                    cells += ["failed" if way in row else ""] * 4
-                    continue
-                worst = max(row[way][f"{name}, worst"] for name in OBSERVED)
-                cells += [f"{100 * x:.2g} %" for x in (*(row[way][name] for name in OBSERVED), worst)]
-                cells.append(f"{row[way]['cpu_s']:.2f}")
-            table.append(cells)
+        table = [["tolerance", *(x for way in ("reverse", "forward") for x in (f"{way}, mean square", "peak", "s"))]]
+        table[0] += ["CVODES' adjoint, mean square", "peak", "s"] if part == "plain" else []
+        for tolerance, row in rows[part].items():
+            table.append([f"{tolerance:g}", *cells(row["reverse"], OBSERVED), *cells(row["forward"], OBSERVED)])
+            if part == "plain":
+                table[-1] += cells(rows["peer"].get(tolerance, {}).get("CVODES", {}), OBSERVED)
         print(part, markdown(table), sep="\n")
-    table = [["tolerance", "error", "worst", "s", "runs", "runs of values at 0.1 %"]]
-    for row in found.get("cost", {"rows": []})["rows"]:
-        errors = [f"{100 * row[x]:.2g} %" for x in ("mean square", "mean square, worst")]
-        table.append(
-            [
-                f"{row['tolerance']:g}",
-                *errors,
-                f"{row['cpu_s']:.2f}",
-                *(f"{row[x]:.1f}" for x in ("runs", "runs at 0.1 %")),
-            ]
-        )
-    print(markdown(table))
+        put_in_readme("gradient" if part == "plain" else "gradient-default", markdown(table), PAGE)
+    for part in ("cost", "cost_plain"):
+        table = [["tolerance", "error", "worst", "s", "runs of values at that tolerance", "at 0.002"]]
+        table[0] += [f"the {SOME} strongest{way}: {what}" for way in ("", ", forward") for what in ("error", "worst")]
+        for tolerance, row in rows[part].items():
+            names = [(x, f"{x}, worst") for x in ("mean square", f"{SOME} of them", f"{SOME} of them, forward")]
+            table.append([f"{tolerance:g}", *cells(row, names[0])])
+            table[-1] += [f"{row[x]:.1f}" for x in ("runs", "runs at 0.1 %")]
+            table[-1] += [*cells(row, names[1])[:-1], *cells(row, names[2])[:-1]]
+        print(part, markdown(table), sep="\n")
+        if part == "cost":
+            put_in_readme("gradient-cost", markdown(table), PAGE)
     for when in ("before", "after"):
         for name, row in found.get(when, {}).items():
             print(when, name, row)

@@ -94,36 +94,48 @@ class Sensitive:
         return self._integrators[key]
 
     def states(self, times: np.ndarray, tol: float, logs: np.ndarray | None = None) -> tuple[np.ndarray, float, int]:
-        """States (T, n), wall time of the solve [s] and steps; ``times`` from 0."""
+        """States (T, n), CPU time of the solve [s] and steps; ``times`` from 0."""
         logs = np.zeros(self.size) if logs is None else logs
         solver = self._integrator(times, tol)
-        begin = time.perf_counter()
+        begin = time.process_time()
         found = solver(x0=self.start, p=logs)["xf"]
-        wall = time.perf_counter() - begin
-        return np.vstack([self.start, np.asarray(found).T]) * self.scales, wall, int(solver.stats()["nsteps"])
+        seconds = time.process_time() - begin
+        return np.vstack([self.start, np.asarray(found).T]) * self.scales, seconds, int(solver.stats()["nsteps"])
 
     def sensitivities(self, times: np.ndarray, tol: float) -> tuple[np.ndarray, np.ndarray, float]:
-        """States (T, n), their derivatives (T, n, k), wall time [s], by CVODES on the augmented system."""
+        """States (T, n), their derivatives (T, n, k), CPU time [s], by CVODES on the augmented system."""
         k, n, count = self.size, self.scales.size, times.size - 1
         solver = self._integrator(times, tol, ahead=True)
-        begin = time.perf_counter()
+        begin = time.process_time()
         found = solver(x0=self.start, p=np.zeros(k), fwd_p=np.eye(k))["fwd_xf"]
-        wall = time.perf_counter() - begin
+        seconds = time.process_time() - begin
         value = self._integrator(times, min(tol, 1e-6))(x0=self.start, p=np.zeros(k))["xf"]
         slope = np.asarray(found).reshape(n, k, count)
         states = np.vstack([self.start, np.asarray(value).T]) * self.scales
         slopes = np.concatenate([np.zeros((1, n, k)), np.moveaxis(slope, 2, 0)]) * self.scales[:, None]
-        return states, slopes, wall
+        return states, slopes, seconds
 
-    def gradient(self, times: np.ndarray, tol: float, seeds: np.ndarray) -> tuple[np.ndarray, float]:
-        """Derivatives (k,) of the sum of seeds (T, n) times states by the logarithms, wall time [s]: CVODES' adjoint.
+    def gradient(
+        self, times: np.ndarray, tol: float, seeds: np.ndarray, between: int = 1, size: float | None = None
+    ) -> tuple[np.ndarray, float]:
+        """Derivatives (k,) of the sum of seeds (T, n) times states by the logarithms, CPU time [s]: CVODES' adjoint.
 
-        The backward solve has the forward's tolerances, and begins anew at each output.
+        The backward solve has the forward's tolerances, and begins anew at each output that has a seed.
+
+        Args:
+            between: outputs for each that is asked for, all but one without a seed. CasADi sets the limit of steps of the
+                forward solve alone; backwards CVODES stops after 500 between two outputs.
+            size: to which the largest seed of the scaled states is scaled, since tolerances are absolute.
         """
-        solver = self._integrator(times, tol, back=True)
-        begin = time.perf_counter()
-        found = solver(self.start, np.zeros(self.size), (seeds[1:] * self.scales).T)
-        return np.asarray(found).ravel(), time.perf_counter() - begin
+        fine = np.interp(np.arange(between * (times.size - 1) + 1) / between, np.arange(times.size), times)
+        scaled = (seeds[1:] * self.scales).T
+        factor = 1.0 if size is None else size / np.abs(scaled).max()
+        spread = np.zeros((scaled.shape[0], fine.size - 1))
+        spread[:, between - 1 :: between] = factor * scaled
+        solver = self._integrator(fine, tol, back=True)
+        begin = time.process_time()
+        found = solver(self.start, np.zeros(self.size), spread)
+        return np.asarray(found).ravel() / factor, time.process_time() - begin
 
 
 def _transposed(made: ca.Function) -> ca.Function:
