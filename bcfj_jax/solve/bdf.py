@@ -192,7 +192,8 @@ def solve(
         good = good & (constant[s.order] * norm(bend[None], jnp.ones(1)) <= 1.0)
 
         def tangents(_):
-            push = once(good, lambda: along(solver, t, y, args, changes), jnp.zeros_like(base[1:]))
+            none = jnp.zeros_like(base[1:])
+            push = once(good, lambda: along(solver, t, y, args, changes), none) if jax.tree.leaves(changes) else none
             found = jax.vmap(structure.solve, (None, 0))(matrix, base[1:] / c + push)
             return found - ahead[1:], matrix
 
