@@ -1,20 +1,23 @@
 """Work and precision of the joint's derivatives: ``jacfwd`` of ``force_history`` beside CVODES and differences.
 
-    python -m benchmarks.models.joint_derivatives [work] [more] [long]    needs ``bench``
+    python -m benchmarks.models.joint_derivatives [work] [kernel] [more] [long]    needs ``bench``
         writes those parts of results/joint_derivatives.json, docs/images/joint_derivatives.png, tables of
         docs/derivatives.md
 
 Against the file of ``derivatives.py``: 0.6 s at 1 ms, 20 normal forces, 8 logarithms. The error of a row is that of
 its worst parameter among those whose influence is above 1 % of the largest: relative, L2 over all histories, of their
 5 ms averages. ``work``, alone where nothing is asked for: work against error beside CVODES, and what programs take to
-compile. ``more``: a Jacobian by 32 parameters, and steps. ``long``: the scene's whole 3 s. Seconds are of the process,
-the least of several runs, for 601 outputs, programs compiled.
+compile. ``kernel``: BDF again, with options of XLA that make one kernel of the whole solver, in a process of its own.
+``more``: a Jacobian by 32 parameters, and steps. ``long``: the scene's whole 3 s. Seconds are of the process, the least of
+several runs, for 601 outputs, programs compiled.
 """
 
 from __future__ import annotations
 
 import itertools
+import json
 import os
+import subprocess
 import sys
 import tempfile
 import time
@@ -37,6 +40,7 @@ from bcfj_jax.solve.plan import LEVELS, Plan, plan
 from benchmarks.analysis.derivatives import MOVED, Reference, errors, grid, influence, load, moved, normals
 from benchmarks.common import RESULTS, ROOT, markdown, put_in_readme, save
 from benchmarks.common import load as kept_result
+from benchmarks.solve.kernels import OPTIONS
 
 # Tolerance, and whether tangents count in the step control (BDF) or not (SDIRK2). The first ``TAKEN`` are what ``plan``
 # takes (``balanced`` is the second, ``reference`` the sixth), the others what it does not, and why.
@@ -58,6 +62,7 @@ PROGRAMS = {
     "jacobian, bdf": "Jacobian of 8, BDF",
 }
 
+_ONE = "whole solver one kernel"
 SCENE = bj.scenes.joint(**PLAIN)
 PARAMS = SCENE.parameters()
 NAMES = [name for name, value in PARAMS.items() if float(value) != 0.0][:MANY]
@@ -171,6 +176,22 @@ def ours(kept: Reference) -> dict[str, Any]:
     return {"compile_s": compile_s, "rows": rows}
 
 
+def one_kernel() -> dict[str, Any]:
+    """Rows of BDF where the whole solver is one kernel, and what its program takes to compile [s]."""
+    begin = [sys.executable, "-m", "benchmarks.models.joint_derivatives", "kernel"]
+    if os.environ.get("XLA_FLAGS") != OPTIONS[_ONE]:
+        # XLA reads its options once a process.
+        subprocess.run(begin, env={**os.environ, "XLA_FLAGS": OPTIONS[_ONE]}, cwd=ROOT, check=True)
+        return json.loads((RESULTS / "joint_derivatives.json").read_text())["kernel"]
+    kept, rows = load(), []
+    made, compile_s = compiled(jax.jacfwd(forces), len(MOVED), True)
+    for tolerance in (x for x, controlled in TOLERANCES[:TAKEN] if controlled):
+        found, seconds = timed(made, len(MOVED), tolerance)
+        rows.append({"tolerance": tolerance, **judged(found, kept), "cpu_s": seconds})
+        print("one kernel", tolerance, rows[-1]["error"], seconds, flush=True)
+    return {"compile_s": compile_s, "rows": rows}
+
+
 def more() -> list[dict[str, Any]]:
     """A Jacobian by ``MANY`` parameters and steps, by tolerance."""
     made = {
@@ -265,7 +286,7 @@ def work() -> dict[str, Any]:
     return {"what": what, "levels": levels, "reference": kept.settings, "ours": mine, "peers": theirs}
 
 
-def drawn(found: dict[str, Any]) -> None:
+def drawn(found: dict[str, Any], kernel: dict[str, Any] | None) -> None:
     """Work against error; what ``plan`` does not take is hollow."""
     rows = found["ours"]["rows"]
     taken = [row for i, row in enumerate(rows) if i < TAKEN]
@@ -273,11 +294,12 @@ def drawn(found: dict[str, Any]) -> None:
         "SDIRK2": [row for row in taken if not row["controlled"]],
         "BDF, tangents controlled": [row for row in taken if row["controlled"]],
         **found["peers"],
+        **({"BDF, whole solver one kernel": kernel["rows"]} if kernel else {}),
     }
     with plots.style():
         figure = Figure(figsize=(8, 5), layout="constrained")
         axes = figure.subplots()
-        for name, mark in zip(curves, ("o", "s", "^", "x"), strict=True):
+        for name, mark in zip(curves, ("o", "s", "^", "x", "d"), strict=False):
             x, y = ([100 * row["error"] for row in curves[name]], [row["cpu_s"] for row in curves[name]])
             (line,) = axes.plot(x, y, mark, ls="-", label=name)
             for a, b, row in zip(x, y, curves[name], strict=True):
@@ -295,7 +317,7 @@ def drawn(found: dict[str, Any]) -> None:
 
 
 def main() -> None:
-    parts: dict[str, Callable[[], Any]] = {"work": work, "more": more, "long": long_run}
+    parts: dict[str, Callable[[], Any]] = {"work": work, "kernel": one_kernel, "more": more, "long": long_run}
     for part in sys.argv[1:] or ("work",):
         made = parts[part]()
         old = kept_result("joint_derivatives") if (RESULTS / "joint_derivatives.json").exists() else {}
@@ -307,7 +329,10 @@ def show(found: dict[str, Any]) -> None:
     """The picture, and the tables of docs/derivatives.md."""
     if "work" in found:
         ours, peers = found["work"]["ours"], found["work"]["peers"]
-        drawn(found["work"])
+        drawn(found["work"], found.get("kernel"))
+        for row in found.get("kernel", {}).get("rows", []):
+            gains = {name: (seconds_at(rows, row["error"]) or np.nan) / row["cpu_s"] for name, rows in peers.items()}
+            print("one kernel", row["tolerance"], row["error"], row["cpu_s"], gains)
         named = {tolerance: name for name, tolerance in found["work"]["levels"].items()}
         table = [
             ["tolerance", "error, 5 ms averages", "pointwise", "s", "over SDIRK2's run alone", "over a run of values"]
