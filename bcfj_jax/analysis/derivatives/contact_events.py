@@ -41,6 +41,9 @@ MOST, _ALL = 128, 1024
 _BLOCK, _STIFF = 64, 1e-6
 # The run that is taken is so much tighter than the one that it is compared with.
 TIGHTER = 1.0 / 16.0
+# Tolerances of the two solves that bound a number of a contact (``bounds``), over its own, by whether the model is stiff. One
+# number of two solves may agree by luck, as one in ten of the joint's does.
+BOUNDING = {False: (1.0 / 16.0, 1.0 / 256.0), True: (1.0 / 4.0, 1.0 / 40.0)}
 # An impulse of so uneven a force is not known; and a peak whose tilt would change the force by this share over the contact.
 _UNEVEN, _TILTED = 1e-3, 1e-6
 _INTEGRATED = ("impulse", "center", "width")

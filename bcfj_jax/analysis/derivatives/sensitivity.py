@@ -12,7 +12,6 @@ from jaxtyping import Float
 
 from bcfj_jax.analysis.derivatives import certificate as verdicts
 from bcfj_jax.analysis.derivatives.bounds import (
-    APART,
     Budget,
     Climb,
     bounded,
@@ -24,7 +23,7 @@ from bcfj_jax.analysis.derivatives.bounds import (
     target,
 )
 from bcfj_jax.analysis.derivatives.certificate import Certificate, Check, Comparison
-from bcfj_jax.analysis.derivatives.contact_events import TIGHTER, check_followed, filled
+from bcfj_jax.analysis.derivatives.contact_events import BOUNDING, TIGHTER, check_followed, filled
 from bcfj_jax.analysis.derivatives.differences import against, scales
 from bcfj_jax.analysis.derivatives.differences import direction as random_direction
 from bcfj_jax.analysis.derivatives.jacobian import Histories, Level, forces
@@ -225,10 +224,8 @@ def sensitivity(
     agree = np.full(slopes.shape, np.inf)
     if climbed.beside is not None:
         between, tight = (measure(t, r.value, r.derivative, wanted, contacts, turning)[1] for r in climbed.beside)
-        # Single contacts have one tighter solve.
-        filled(scene, full, t[-1], names, how, wanted, numbers.copy(), tight, TIGHTER / APART[scene.traits.stiff])
-        own = [i for i, f in enumerate(wanted) if event(f.kind)]
-        between[own] = tight[own]
+        for slope, share in zip((between, tight), BOUNDING[scene.traits.stiff], strict=True):
+            filled(scene, full, t[-1], names, how, wanted, numbers.copy(), slope, TIGHTER * share)
         agree = feature_bounds([slopes, between, tight], numbers, values)
     agree = np.maximum(agree, luckless(climbed, histories))
     agree = agree + sampling(t, last.value, last.derivative, wanted, contacts, values)
