@@ -224,8 +224,8 @@ def test_derivatives_of_the_joints_contacts_are_those_of_differences():
     """Central differences of runs without derivatives, which take other steps."""
     end, name, h = 0.06, "stiffness", 1e-4
     full, names = complete(JOINT, JOINT.parameters(), (name,))
-    tight = plan(JOINT, 1e-8)
-    found = solved_at(JOINT, full, end, names, tight, [])
+    # Of runs at 1e-8 the differences of peaks' times are off by up to 36 %.
+    found, tight = solved_at(JOINT, full, end, names, plan(JOINT, 1e-8), []), plan(JOINT, 1e-9)
     wanted = [
         Feature(f"{c}.{kind}_1", f"{kind}_1", (c,))
         for c in ("seat_cage", "seat_ball_1", "head_ball_1", "cage_ball_4", "cage_ball_6")
