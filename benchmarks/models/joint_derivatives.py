@@ -1,6 +1,6 @@
 """Work and precision of the joint's derivatives: ``jacfwd`` of ``force_history`` beside CVODES and differences.
 
-    python -m benchmarks.models.joint_derivatives [work] [kernel] [more] [long]    needs ``bench``
+    python -m benchmarks.models.joint_derivatives [work] [kernel] [batch] [more] [long]    needs ``bench``
         writes those parts of results/joint_derivatives.json, docs/images/joint_derivatives.png, tables of
         docs/derivatives.md
 
@@ -8,8 +8,9 @@ Against the file of ``derivatives.py``: 0.6 s at 1 ms, 20 normal forces, 8 logar
 its worst parameter among those whose influence is above 1 % of the largest: relative, L2 over all histories, of their
 5 ms averages. ``work``, alone where nothing is asked for: work against error beside CVODES, and what programs take to
 compile. ``kernel``: BDF again, with options of XLA that make one kernel of the whole solver, in a process of its own.
-``more``: a Jacobian by 32 parameters, and steps. ``long``: the scene's whole 3 s. Seconds are of the process, the least of
-several runs, for 601 outputs, programs compiled.
+``batch``: 64 of them at once, whose groove clearances are 0.8 to 1.25 times the joint's. ``more``: a Jacobian by 32
+parameters, and steps. ``long``: the scene's whole 3 s. Seconds are of the process, the least of several runs, for 601
+outputs, programs compiled.
 """
 
 from __future__ import annotations
@@ -53,6 +54,8 @@ TOLERANCES = (
 CVODES_TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
 # Tolerance of CVODES, step of the logarithm.
 DIFFERENCES = ((1e-3, 1e-2), (1e-4, 1e-2), (1e-5, 3e-3), (1e-6, 1e-3), (1e-7, 1e-3), (1e-8, 3e-4), (1e-9, 1e-4))
+# Lanes of ``batch``; tolerance and method.
+LANES, BATCHED = 64, ((2e-2, False), (2e-4, True))
 TAKEN, INFLUENTIAL, MANY, MAX_STEPS, REPEATS, LONG_S = 8, 0.01, 32, 400_000, 3, 3.0
 PAGE = "docs/derivatives.md"
 PROGRAMS = {
@@ -192,6 +195,24 @@ def one_kernel() -> dict[str, Any]:
     return {"compile_s": compile_s, "rows": rows}
 
 
+def batch() -> list[dict[str, Any]]:
+    """Seconds a lane of ``LANES`` Jacobians at once, by one program, beside one alone."""
+    rows, place = [], list(MOVED).index("groove clearance")
+    lanes = jnp.zeros((LANES, len(MOVED))).at[:, place].set(jnp.linspace(np.log(0.8), np.log(1.25), LANES))
+    for tolerance, controlled in BATCHED:
+        function = jax.jacfwd(forces)
+        alone, _ = compiled(function, len(MOVED), controlled)
+        together = jax.jit(jax.vmap(lambda logs, tol, f=function, c=controlled: f(logs, tol, c), (0, None)))
+        once = timed(alone, len(MOVED), tolerance)[1]
+        arguments = lanes, jnp.asarray(tolerance)
+        jax.block_until_ready(together(*arguments))
+        begin = time.process_time()
+        jax.block_until_ready(together(*arguments))
+        rows.append({"tolerance": tolerance, "lane_cpu_s": (time.process_time() - begin) / LANES, "alone_cpu_s": once})
+        print("batch", rows[-1], flush=True)
+    return rows
+
+
 def more() -> list[dict[str, Any]]:
     """A Jacobian by ``MANY`` parameters and steps, by tolerance."""
     made = {
@@ -317,7 +338,13 @@ def drawn(found: dict[str, Any], kernel: dict[str, Any] | None) -> None:
 
 
 def main() -> None:
-    parts: dict[str, Callable[[], Any]] = {"work": work, "kernel": one_kernel, "more": more, "long": long_run}
+    parts: dict[str, Callable[[], Any]] = {
+        "work": work,
+        "kernel": one_kernel,
+        "batch": batch,
+        "more": more,
+        "long": long_run,
+    }
     for part in sys.argv[1:] or ("work",):
         made = parts[part]()
         old = kept_result("joint_derivatives") if (RESULTS / "joint_derivatives.json").exists() else {}
@@ -362,7 +389,7 @@ def show(found: dict[str, Any]) -> None:
                 error = [f"{100 * row[key]:.2g} %" for key in ("error", "pointwise")]
                 table.append([name, f"{row['tolerance']:g}", *error, f"{row['cpu_s']:.2f}"])
         print(markdown(table))
-    for part in ("more", "long"):
+    for part in ("batch", "more", "long"):
         for row in found.get(part, []):
             print(part, {x: y for x, y in row.items() if not isinstance(y, dict)})
 
