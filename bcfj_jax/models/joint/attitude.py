@@ -19,6 +19,8 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jax import Array
 
+from bcfj_jax.core.kept import kept
+
 
 def frame(axis: Array) -> tuple[Array, Array]:
     """f and g, (3,) each, of a unit axis (3,)."""
@@ -30,7 +32,8 @@ def frame(axis: Array) -> tuple[Array, Array]:
 def windows_around(axis: Array, azimuths: Array) -> Array:
     """Unit vectors around the cage at azimuths (n,) [rad] of its windows' middles, (n, 3): normals of their ends."""
     first, second = frame(axis)
-    return jnp.cos(azimuths)[:, None] * second - jnp.sin(azimuths)[:, None] * first
+    cosine, sine, first, second = kept(jnp.cos(azimuths)[:, None], jnp.sin(azimuths)[:, None], first, second)
+    return cosine * second - sine * first
 
 
 def cage_axes(axis: Array, azimuth: Array) -> Array:

@@ -29,7 +29,7 @@ from bcfj_jax.models.joint.constants import BALLS, Constants
 from bcfj_jax.models.joint.contacts import dot
 from bcfj_jax.models.joint.guides import BODIES, GUIDES
 from bcfj_jax.models.joint.scene import Joint
-from bcfj_jax.models.joint.slopes import Slopes, slopes
+from bcfj_jax.models.joint.slopes import Slopes, cross_columns, slopes
 
 
 class Bristled(NamedTuple):
@@ -74,18 +74,44 @@ def _felt(arm: Array, wrench: Array) -> Array:
     return jnp.concatenate([force, moment], -2)
 
 
-def _spread(scene: Joint, c: Constants, x: Array) -> Array:
-    """From displacements and rotations of the bodies (..., m, j, 6) to coupling coordinates (..., j, coupling)."""
-    seat, head = x[..., 0, :, :], x[..., 1, :, :]
-    cage = jnp.sum(x[..., 2:, :, :], -3)
+def _moment(arm: Array, wrench: Array) -> Array:
+    """About the bodies' centres (n, m, 3, j), of wrenches on the balls (n, m, k, j): r x f + moment."""
+    moment = cross_columns(arm, wrench[..., :3, :])
+    return moment + wrench[..., 3:, :] if wrench.shape[-2] == 6 else moment
+
+
+def _spread(scene: Joint, c: Constants, along: Array, about: Array) -> Array:
+    """From displacements and rotations of the bodies (..., m, j, 3) to coupling coordinates (..., j, coupling)."""
     parts = {
-        "head": head[..., :3],
-        "head_turn": dot(head[..., 3:], c.axes[1])[..., None],
-        "cage": cage[..., :3],
-        "cage_turn": cage[..., 3:],
-        "seat_turn": dot(seat[..., 3:], c.axes[0])[..., None],
+        "head": along[..., 1, :, :],
+        "head_turn": dot(about[..., 1, :, :], c.axes[1])[..., None],
+        "cage": jnp.sum(along[..., 2:, :, :], -3),
+        "cage_turn": jnp.sum(about[..., 2:, :, :], -3),
+        "seat_turn": dot(about[..., 0, :, :], c.axes[0])[..., None],
     }
     return jnp.concatenate([parts[name] for name, piece in scene.slices.items() if piece is not None], -1)
+
+
+def _corners(scene: Joint, c: Constants, x: Array) -> Array:
+    """From wrenches on the bodies by their own displacements and rotations, (m, ..., 6, 6), to (..., coupling, coupling)."""
+
+    def turn(x: Array, axis: Array, free: bool) -> Array:
+        """A body that turns about an axis only, moving freely or not at all."""
+        for _ in range(2):
+            about = dot(x[..., 3:], axis)[..., None]
+            x = jnp.swapaxes(jnp.concatenate([x[..., :3], about], -1) if free else about, -1, -2)
+        return x
+
+    where, first, found = scene.slices, 0, []
+    one = [turn(x[1], c.axes[1], where["head"] is not None), turn(x[0], c.axes[0], False)]
+    if where["cage"] is not None:
+        one.insert(1, jnp.sum(x[2:], 0))
+    for block in one:
+        last = first + block.shape[-1]
+        wide = (first, scene.coupling - last)
+        found.append(jnp.pad(block, [*[(0, 0)] * (block.ndim - 2), wide, wide]))
+        first = last
+    return sum(found[1:], found[0])
 
 
 def _alone(scene: Joint, c: Constants, state: system.State, scale: Any) -> tuple[Array, Array, list[tuple]]:
@@ -105,9 +131,9 @@ def _alone(scene: Joint, c: Constants, state: system.State, scale: Any) -> tuple
         if found.bond is not None:
             freed = free(found.bond, spin, scale)
             found, _, by_spin = effective(found, freed)
-        value, by_place, by_twist, _ = found
+        value, by_place, by_twist = kept(*found[:3])
         back = jnp.swapaxes(system.guide_maps(c, motion.arm), -1, -2)
-        moved = back @ (by_place - jnp.cross(by_twist[..., :3], spin[:, None, :]))
+        moved = back @ kept(by_place - jnp.cross(by_twist[..., :3], spin[:, None, :]))
         moved = moved + jnp.einsum("pikb,pk->pbi", c.guides.lever, value)
         place = jnp.einsum("pbi,pic->bc", moved, c.guides.moves)
         rate = jnp.sum(back @ by_twist @ jnp.swapaxes(back, -1, -2), 0)
@@ -243,39 +269,33 @@ def blocks(scene: Joint, c: Constants, y: Array, scale: Any = None) -> Blocks:
     carried = jnp.cross(value[..., None, :3], eye)
     swung = jnp.cross(by_twist[..., :3], arm)
     if motion.spin is not None:
-        turned = turned + jnp.cross(by_twist[..., 3:], motion.spin[..., None, :])
+        turned = kept(turned) + jnp.cross(by_twist[..., 3:], motion.spin[..., None, :])
         carried = jnp.concatenate([carried, jnp.cross(value[..., None, 3:], eye)], -2)
         swung = swung - by_twist[..., 3:]
     turned = turned + carried
     if bent:
         turned, swung = turned + by_turn, swung + by_spin
     at_ball, turned, swung = kept(at_ball, turned, swung)
-    columns = jnp.concatenate(
-        [jnp.concatenate([-at_ball, turned], -1), jnp.concatenate([-by_twist[..., :3], swung], -1)], -2
-    )
-
-    # What the bodies feel of it, (n, m, 6, .); the arm, too, moves with the ball.
-    felt = kept(-_felt(motion.arm, jnp.concatenate([at_ball, by_twist, turned, swung], -1)))
+    # What the bodies feel of it: forces (n, m, 3, .) and moments; the arm, too, moves with the ball.
+    moments = kept(*(_moment(motion.arm, x) for x in (at_ball, by_twist, turned, swung)))
     lifted = jnp.cross(eye, value[..., None, :3])
-    row_place = felt[..., :3] + jnp.concatenate([jnp.zeros_like(lifted), lifted], -2)
-    row_rate, felt_turned, felt_swung = felt[..., 3 : 3 + k], felt[..., 3 + k : 6 + k], felt[..., 6 + k :]
-    rows = jnp.swapaxes(jnp.concatenate([row_place, row_rate], -1), -1, -2)
-    spread = _spread(scene, c, jnp.concatenate([columns, rows], -2))
+    forces = [-x[..., :3, :] for x in (at_ball, by_twist, turned, swung)]
+    moments = [lifted - moments[0], *(-x for x in moments[1:])]
+    column_place, column_rate = _spread(scene, c, -at_ball, turned), _spread(scene, c, -by_twist[..., :3], swung)
+    rows = [_spread(scene, c, *(jnp.swapaxes(x[i], -1, -2) for x in (forces, moments))) for i in (0, 1)]
 
     # A body's own block: its place is minus all the balls' places.
-    own = jnp.concatenate([-row_place, felt_turned, -row_rate[..., :3], felt_swung], -1)
-    own = jnp.sum(own, 0).reshape(*own.shape[1:3], 2, 6)
-    maps = c.body_maps[: own.shape[0]]
-    corner = jnp.einsum("mib,mipj,mjd->pbd", maps, own, maps)
+    forces, moments = ([jnp.sum(x, 0) for x in (-part[0], part[2], -part[1][..., :3], part[3])] for part in (forces, moments))
+    own = [jnp.concatenate([jnp.concatenate(x[i : i + 2], -1) for x in (forces, moments)], -2) for i in (0, 2)]
+    corner = _corners(scene, c, jnp.stack(own, 1))
     place, rate, guided = _alone(scene, c, state, scale)
-    row = jnp.swapaxes(spread[:, 2 * k :], -1, -2)
     return Blocks(
         jnp.sum(at_ball, 1),
         jnp.sum(by_twist, 1),
-        spread[:, :k],
-        spread[:, k : 2 * k],
-        row[..., :3],
-        row[..., 3:],
+        column_place,
+        column_rate,
+        jnp.swapaxes(rows[0], -1, -2),
+        jnp.swapaxes(rows[1], -1, -2),
         place + corner[0],
         rate + corner[1],
         _bristled(scene, bent, guided) if scene.bristles else None,

@@ -82,17 +82,12 @@ def slopes(
     slide = v - rate[..., None] * n
     plane = jnp.eye(3) - dyad(n, n)
     slide_place = -(dyad(n, drift) + rate[..., None, None] * hessian) if curved else jnp.zeros_like(plane)
-    slide_twist = plane
     lever = at.lever[..., None]
     if spin is not None:
         w = spin[..., None, :]
         slide = slide + jnp.cross(w, lever * n)
         sweep = lever[..., None] * hessian + at.lever_slope * dyad(n, n) if curved else jnp.zeros_like(plane)
-        slide_place = slide_place + _cross_columns(w, sweep)
-        turned = -jnp.cross(lever[..., None] * n[..., None, :], jnp.eye(3)).swapaxes(-1, -2)
-        slide_twist = jnp.concatenate([plane, turned], -1)
-        load_twist = jnp.concatenate([load_twist, jnp.zeros_like(load_twist)], -1)
-        by_twist = jnp.concatenate([by_twist, jnp.zeros_like(by_twist)], -1)
+        slide_place = slide_place + cross_columns(w, sweep)
     slide, slide_place = kept(slide, slide_place)
     squared = dot(slide, slide)
     lags = bristles is not None and bristles.shape[-1] == 1
@@ -111,10 +106,11 @@ def slopes(
     drag, pull = normal * mobility, (2.0 * normal * bend)[..., None] * slide
     drag, pull = kept(drag, pull)
     drag_place = mobility[..., None] * load_place + _row(pull, slide_place)
-    drag_twist = mobility[..., None] * load_twist + _row(pull, slide_twist)
+    # By the velocity at the point of contact, v + w x l n; ``pull`` is in the plane. ``_turned`` has it by w, too.
+    drag_twist = mobility[..., None] * load_twist + pull
     rub = -drag[..., None] * slide
     rub_place = -dyad(slide, drag_place) - drag[..., None, None] * slide_place
-    rub_twist = -dyad(slide, drag_twist) - drag[..., None, None] * slide_twist
+    rub_twist = -dyad(slide, drag_twist) - drag[..., None, None] * plane
     bond = None
     if lags:
         assert bristles is not None
@@ -123,9 +119,9 @@ def slopes(
         bond = Bond(
             bristles,
             learnt[..., None],
-            pull if spin is None else jnp.concatenate([pull, _cross_columns(lever * n, pull)], -2),
+            pull if spin is None else jnp.concatenate([pull, cross_columns(lever * n, pull)], -2),
             _row(swing, slide_place)[..., None, :],
-            _row(swing, slide_twist)[..., None, :],
+            _turned(swing[..., None, :], spin, lever * n),
             -rate_late,
         )
     elif bristles is not None:
@@ -138,17 +134,17 @@ def slopes(
         rub = rub - hold[..., None] * bent
         rub_place = rub_place - dyad(bent, stick[..., None] * load_place + _row(grip, slide_place))
         rub_place = rub_place - hold[..., None, None] * bent_place
-        rub_twist = rub_twist - dyad(bent, stick[..., None] * load_twist + _row(grip, slide_twist))
+        rub_twist = rub_twist - dyad(bent, stick[..., None] * load_twist + grip)
         pull = -hold[..., None, None] * plane
         apart, opening = jax.jvp(laws.apart, (at.penetration,), (jnp.ones_like(at.penetration),))
         close, lost = (1.0 - apart)[..., None, None], slide - forget[..., None] * bristles + bristles / RELAX
         bond = Bond(
             bristles,
             (1.0 - apart)[..., None] * lost - bristles / RELAX,
-            pull if spin is None else jnp.concatenate([pull, _cross_columns(lever * n, pull)], -2),
+            pull if spin is None else jnp.concatenate([pull, cross_columns(lever * n, pull)], -2),
             close * (slide_place - dyad(bristles, _row(forget_slide, slide_place)))
             - dyad(lost, opening[..., None] * n),
-            close * (slide_twist - dyad(bristles, _row(forget_slide, slide_twist))),
+            _turned(close * (plane - dyad(bristles, forget_slide)), spin, lever * n),
             (1.0 - apart) * forget + apart / RELAX,
         )
     rub, rub_place, rub_twist = kept(rub, rub_place, rub_twist)
@@ -156,9 +152,9 @@ def slopes(
     if spin is not None:
         arm = lever * n
         value = jnp.concatenate([value, jnp.cross(arm, rub)], -1)
-        moment_place = _cross_columns(arm, rub_place) - _cross_columns(rub, sweep)
+        moment_place = cross_columns(arm, rub_place) - cross_columns(rub, sweep)
         by_place = jnp.concatenate([by_place, moment_place], -2)
-        by_twist = jnp.concatenate([by_twist, _cross_columns(arm, rub_twist)], -2)
+        by_twist = _turned(jnp.concatenate([by_twist, cross_columns(arm, rub_twist)], -2), spin, arm)
     return Slopes(jnp.sum(value, -2), jnp.sum(by_place, -3), jnp.sum(by_twist, -3), bond)
 
 
@@ -167,10 +163,15 @@ def dyad(a: Array, b: Array) -> Array:
     return a[..., :, None] * b[..., None, :]
 
 
+def _turned(rows: Array, spin: Array | None, arm: Array) -> Array:
+    """By relative twist, from rows by the velocity v + w x arm of the point of contact: r . (dw x arm) = dw . (arm x r)."""
+    return rows if spin is None else jnp.concatenate([rows, jnp.cross(arm[..., None, :], rows)], -1)
+
+
 def _row(a: Array, matrix: Array) -> Array:
     return jnp.sum(a[..., :, None] * matrix, -2)
 
 
-def _cross_columns(a: Array, matrix: Array) -> Array:
+def cross_columns(a: Array, matrix: Array) -> Array:
     """a x (each column of the matrix)."""
     return jnp.cross(a[..., None, :], matrix.swapaxes(-1, -2)).swapaxes(-1, -2)

@@ -20,8 +20,10 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
+from bcfj_jax.core.kept import kept
 from bcfj_jax.core.numerics import smooth_rise
 from bcfj_jax.models.joint.attitude import azimuth_rate, windows_around
 from bcfj_jax.models.joint.bands import Band, act, band
@@ -144,9 +146,9 @@ def relative_motions(scene: Joint, c: Constants, state: State) -> RelativeMotion
     motion = relative(state, place, velocity, spins)
     turns = jnp.stack([state.seat_turn, state.head_turn])
     cosine, sine = jnp.cos(turns)[:, None], jnp.sin(turns)[:, None]
-    radial, tangent = cosine * c.radial + sine * c.tangent, cosine * c.tangent - sine * c.radial
+    radial, tangent = kept(cosine * c.radial + sine * c.tangent, cosine * c.tangent - sine * c.radial)
     angle = scene.azimuths[:, None, None]
-    across = jnp.cos(angle) * tangent - jnp.sin(angle) * radial
+    across = np.cos(angle) * tangent - np.sin(angle) * radial
     at = grooves(c.groove, motion.arm[:, :2] - c.groove.offset[:, None] * c.axes, across)
     if c.window_laws is None:
         return RelativeMotions(motion, spins, across, ((c.groove_laws, at),), state.bristles)
@@ -315,7 +317,7 @@ def field(t: Array, y: Array, args: tuple[Joint, Constants]) -> Array:
     scene, c = args
     state = view(scene, c, y)
     found = contact_forces(scene, c, state)
-    ball, coupling = on_bodies(scene, c, state, found)
+    ball, coupling = kept(*on_bodies(scene, c, state, found))
     coupling = coupling + applied(scene, c, t, state)
     n = scene.balls
     rates = y[(3 + scene.twist) * n + scene.coupling : scene.moving]
