@@ -19,12 +19,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.extend import core
+from jax.interpreters import ad, batching, mlir
 
 from bcfj_jax.core.kept import kept
 
 
 # Longest sum that is written out.
 _SHORT = 12
+# Fewer lanes than this are an ordinary batch.
+_FEW = 8
 
 
 class Value(NamedTuple):
@@ -34,17 +37,47 @@ class Value(NamedTuple):
     laned: bool
 
 
-def lanes(function: Callable) -> Callable:
-    """``function`` for arrays whose last axis is that of the lanes; results have them last, too."""
+def lanes_last(function: Callable) -> Callable:
+    """``function`` of arrays, the same but for batches: ``vmap`` has their lanes last inside.
 
-    def batched(*args: Any) -> Any:
+    Derivatives are those of the function; where they are taken, batches are ordinary ones.
+    """
+
+    def laned(*args: Any) -> Any:
         flat, tree = jax.tree.flatten(args)
-        one = [jax.ShapeDtypeStruct(x.shape[:-1], x.dtype) for x in flat]
-        closed, shape = jax.make_jaxpr(lambda *xs: function(*jax.tree.unflatten(tree, xs)), return_shape=True)(*one)
-        found = evaluate(closed.jaxpr, closed.consts, [Value(x, True) for x in flat], flat[0].shape[-1])
-        return jax.tree.unflatten(jax.tree.structure(shape), [full(x, flat[0].shape[-1]) for x in found])
+        closed, shape = jax.make_jaxpr(lambda *xs: function(*jax.tree.unflatten(tree, xs)), return_shape=True)(*flat)
+        return jax.tree.unflatten(jax.tree.structure(shape), _LANES.bind(*flat, closed=closed))
 
-    return batched
+    return laned
+
+
+def evaluated(closed: Any, args: Sequence[Value], size: int) -> list[Array]:
+    """A traced function's results for so many lanes, which are last in the results, too."""
+    return [full(x, size) for x in evaluate(closed.jaxpr, closed.consts, args, size)]
+
+
+def _batched(args: Sequence[Array], axes: Sequence[Any], closed: Any) -> tuple[list[Array], list[int]]:
+    size = next(x.shape[axis] for x, axis in zip(args, axes, strict=True) if axis is not None)
+    if size < _FEW:
+        return jax.vmap(core.jaxpr_as_fun(closed), axes)(*args), [0] * len(closed.out_avals)
+    given = [Value(x, False) if at is None else Value(jnp.moveaxis(x, at, -1), True) for x, at in zip(args, axes, strict=True)]
+    found = evaluated(closed, given, size)
+    return found, [x.ndim - 1 for x in found]
+
+
+def _run(*args: Array, closed: Any) -> list[Array]:
+    return core.jaxpr_as_fun(closed)(*args)
+
+
+_LANES = core.Primitive("lanes")
+_LANES.multiple_results = True
+_LANES.def_impl(_run)
+_LANES.def_abstract_eval(lambda *args, closed: closed.out_avals)
+mlir.register_lowering(_LANES, mlir.lower_fun(_run, multiple_results=True))
+batching.primitive_batchers[_LANES] = _batched
+ad.primitive_jvps[_LANES] = lambda primals, tangents, closed: jax.jvp(
+    core.jaxpr_as_fun(closed), primals, [ad.instantiate_zeros(x) for x in tangents]
+)
 
 
 def full(value: Value, size: int) -> Array:
@@ -227,26 +260,6 @@ def _kept(eqn: Any, given: list[Value], size: int) -> list[Value]:
     return [Value(next(found), True) if x.laned else x for x in given]
 
 
-def _settled(jaxpr: Any, consts: Sequence[Any], carry: list[Value], rest: Sequence[Value], size: int) -> list[bool]:
-    """Which of a loop's carried values have lanes, in the end."""
-    laned = [x.laned for x in carry]
-    while True:
-        found: list[bool] = []
-
-        def body(*arrays: Any, found: list[bool] = found, laned: list[bool] = laned) -> list[Any]:
-            held = [Value(x, m) for x, m in zip(arrays, [*laned, *(x.laned for x in rest)], strict=True)]
-            values = evaluate(jaxpr, consts, held, size)
-            found.extend(x.laned for x in values[: len(laned)])
-            return [x.array for x in values]
-
-        arrays = [full(x, size) if m else x.array for x, m in zip(carry, laned, strict=True)]
-        jax.eval_shape(body, *arrays, *(x.array for x in rest))
-        wider = [a or b for a, b in zip(laned, found, strict=True)]
-        if wider == laned:
-            return laned
-        laned = wider
-
-
 def _while(eqn: Any, given: list[Value], size: int) -> list[Value] | None:
     p = eqn.params
     n, m = p["cond_nconsts"], p["cond_nconsts"] + p["body_nconsts"]
@@ -324,6 +337,7 @@ def _cond(eqn: Any, given: list[Value], size: int) -> list[Value] | None:
 
 
 _INNER = {
+    "lanes": "closed",
     "jit": "jaxpr",
     "pjit": "jaxpr",
     "closed_call": "call_jaxpr",
