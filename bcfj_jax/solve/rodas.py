@@ -19,7 +19,6 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from bcfj_jax.core.lanes import lanes_last
 from bcfj_jax.mechanism.structure import AbstractStructure
 
 GAMMA = 0.5
@@ -89,11 +88,6 @@ class Rodas(dfx.AbstractAdaptiveSolver):
 @eqx.filter_jit  # Diffrax traces a step three times.
 def _step(structure: AbstractStructure, t0: Any, t1: Any, y0: Array, args: Any) -> tuple[Array, Array, Array]:
     """New state, error, and the bend between."""
-    arrays, rest = eqx.partition((structure, args), eqx.is_array)
-    return lanes_last(lambda arrays, *at: _stages(*eqx.combine(arrays, rest), *at))(arrays, t0, t1, y0)
-
-
-def _stages(structure: AbstractStructure, args: Any, t0: Any, t1: Any, y0: Array) -> tuple[Array, Array, Array]:
     h = t1 - t0
     factors = structure.factor(t0, y0, args, h * GAMMA)
     drift = h * structure.time_derivative(t0, y0, args)
