@@ -65,15 +65,6 @@ class Blocks(NamedTuple):
     bristles: Bristled | None = None
 
 
-def _felt(arm: Array, wrench: Array) -> Array:
-    """Wrenches on the balls (n, m, k, j) as seen from the bodies' centres (n, m, 6, j): (f, r x f + moment)."""
-    force = wrench[..., :3, :]
-    moment = jnp.cross(arm[..., None, :], jnp.swapaxes(force, -1, -2)).swapaxes(-1, -2)
-    if wrench.shape[-2] == 6:
-        moment = moment + wrench[..., 3:, :]
-    return jnp.concatenate([force, moment], -2)
-
-
 def _moment(arm: Array, wrench: Array) -> Array:
     """About the bodies' centres (n, m, 3, j), of wrenches on the balls (n, m, k, j): r x f + moment."""
     moment = cross_columns(arm, wrench[..., :3, :])
@@ -103,10 +94,10 @@ def _corners(scene: Joint, c: Constants, x: Array) -> Array:
         return x
 
     where, first, found = scene.slices, 0, []
-    one = [turn(x[1], c.axes[1], where["head"] is not None), turn(x[0], c.axes[0], False)]
+    own = [turn(x[1], c.axes[1], where["head"] is not None), turn(x[0], c.axes[0], False)]
     if where["cage"] is not None:
-        one.insert(1, jnp.sum(x[2:], 0))
-    for block in one:
+        own.insert(1, jnp.sum(x[2:], 0))
+    for block in own:
         last = first + block.shape[-1]
         wide = (first, scene.coupling - last)
         found.append(jnp.pad(block, [*[(0, 0)] * (block.ndim - 2), wide, wide]))
@@ -193,7 +184,8 @@ def _rows(c: Constants, relative_motions: system.RelativeMotions, freed: Freed, 
     # Elementwise: as tiny products of matrices these two took a quarter of what friction's states cost in a step.
     place, rate = jnp.sum(own[..., None] * maps[:, None], -2)
     pull = jnp.moveaxis(freed.pull, -2, 1)
-    wrench = _felt(motion.arm[:, bodies], jnp.moveaxis(freed.pull, -2, 2).reshape(n, m, pull.shape[1], -1))
+    wrench = jnp.moveaxis(freed.pull, -2, 2).reshape(n, m, pull.shape[1], -1)
+    wrench = jnp.concatenate([wrench[..., :3, :], _moment(motion.arm[:, bodies], wrench)], -2)
     felt = -jnp.moveaxis(jnp.sum(maps[..., None] * wrench[..., None, :], 2), 1, 2)
     merged = (x.reshape(n, -1, x.shape[-1]) for x in (at_ball, by_twist, place, rate))
     inverse = freed.inverse.reshape(n, -1, *freed.inverse.shape[-2:])
@@ -251,7 +243,6 @@ def blocks(scene: Joint, c: Constants, y: Array, scale: Any = None) -> Blocks:
         scale: s [s] of the step in which bristles are eliminated; not read without them.
     """
     state = system.view(scene, c, y)
-    k = scene.twist
     relative_motions = system.relative_motions(scene, c, state)
     found = [
         slopes(laws, at, motion.velocity, motion.spin, bend) for laws, at, motion, bend in relative_motions.parts()
@@ -285,7 +276,9 @@ def blocks(scene: Joint, c: Constants, y: Array, scale: Any = None) -> Blocks:
     rows = [_spread(scene, c, *(jnp.swapaxes(x[i], -1, -2) for x in (forces, moments))) for i in (0, 1)]
 
     # A body's own block: its place is minus all the balls' places.
-    forces, moments = ([jnp.sum(x, 0) for x in (-part[0], part[2], -part[1][..., :3], part[3])] for part in (forces, moments))
+    forces, moments = (
+        [jnp.sum(x, 0) for x in (-part[0], part[2], -part[1][..., :3], part[3])] for part in (forces, moments)
+    )
     own = [jnp.concatenate([jnp.concatenate(x[i : i + 2], -1) for x in (forces, moments)], -2) for i in (0, 2)]
     corner = _corners(scene, c, jnp.stack(own, 1))
     place, rate, guided = _alone(scene, c, state, scale)
