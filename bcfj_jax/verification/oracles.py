@@ -155,7 +155,7 @@ JOINT_UNDEFLECTED = (
 # counted against the drive: groove and window forces [N], by a statics solve in NumPy.
 JOINT_DEFLECTED_GROOVES = (15221.3, 6198.3, 5868.7, 15018.1, 18403.3, 18334.8)
 JOINT_DEFLECTED_WINDOWS = (2921.5, 1791.1, 1695.9, 2882.5, 1746.5, 1740.0)
-# The default joint in motion at 1.5 s: normal forces [N] by CVODES at 1e-9 on equations written for CasADi, which share no
+# The plain joint in motion at 1.5 s: normal forces [N] by CVODES at 1e-9 on equations written for CasADi, which share no
 # code with this package (benchmarks/models/joint_reference.py; LSODA agrees to 1e-8 of the peak).
 JOINT_MOVING_AT = 1.5
 JOINT_MOVING = {
