@@ -44,6 +44,12 @@ def test_the_command_passes_and_its_rows_are_complete():
         assert row["what"] and row["source"] and row["deviation"] <= row["tolerance"]
 
 
+@pytest.mark.full
+@pytest.mark.parametrize("name", ["joint_deflected", "joint_in_motion"])
+def test_the_joint_is_that_of_the_references(name):
+    assert outcome(next(one for one in motion.CHECKS if one.name == name)).ok
+
+
 @pytest.mark.slow
 def test_every_check_passes():
     done = CliRunner().invoke(app, ["verify"])
