@@ -32,7 +32,7 @@ def frame(axis: Array) -> tuple[Array, Array]:
 def windows_around(axis: Array, azimuths: Array) -> Array:
     """Unit vectors around the cage at azimuths (n,) [rad] of its windows' middles, (n, 3): normals of their ends."""
     first, second = frame(axis)
-    cosine, sine, first, second = kept(jnp.cos(azimuths)[:, None], jnp.sin(azimuths)[:, None], first, second)
+    cosine, sine = kept(jnp.cos(azimuths)[:, None], jnp.sin(azimuths)[:, None])
     return cosine * second - sine * first
 
 

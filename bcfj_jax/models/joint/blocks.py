@@ -83,28 +83,6 @@ def _spread(scene: Joint, c: Constants, along: Array, about: Array) -> Array:
     return jnp.concatenate([parts[name] for name, piece in scene.slices.items() if piece is not None], -1)
 
 
-def _corners(scene: Joint, c: Constants, x: Array) -> Array:
-    """From wrenches on the bodies by their own displacements and rotations, (m, ..., 6, 6), to (..., coupling, coupling)."""
-
-    def turn(x: Array, axis: Array, free: bool) -> Array:
-        """A body that turns about an axis only, moving freely or not at all."""
-        for _ in range(2):
-            about = dot(x[..., 3:], axis)[..., None]
-            x = jnp.swapaxes(jnp.concatenate([x[..., :3], about], -1) if free else about, -1, -2)
-        return x
-
-    where, first, found = scene.slices, 0, []
-    own = [turn(x[1], c.axes[1], where["head"] is not None), turn(x[0], c.axes[0], False)]
-    if where["cage"] is not None:
-        own.insert(1, jnp.sum(x[2:], 0))
-    for block in own:
-        last = first + block.shape[-1]
-        wide = (first, scene.coupling - last)
-        found.append(jnp.pad(block, [*[(0, 0)] * (block.ndim - 2), wide, wide]))
-        first = last
-    return sum(found[1:], found[0])
-
-
 def _alone(scene: Joint, c: Constants, state: system.State, scale: Any) -> tuple[Array, Array, list[tuple]]:
     """Derivatives of pilot and drive forces by coupling displacement and coupling rate, (b, b); bristles' ``_rows``.
 
@@ -260,7 +238,7 @@ def blocks(scene: Joint, c: Constants, y: Array, scale: Any = None) -> Blocks:
     carried = jnp.cross(value[..., None, :3], eye)
     swung = jnp.cross(by_twist[..., :3], arm)
     if motion.spin is not None:
-        turned = kept(turned) + jnp.cross(by_twist[..., 3:], motion.spin[..., None, :])
+        turned = turned + jnp.cross(by_twist[..., 3:], motion.spin[..., None, :])
         carried = jnp.concatenate([carried, jnp.cross(value[..., None, 3:], eye)], -2)
         swung = swung - by_twist[..., 3:]
     turned = turned + carried
@@ -280,7 +258,11 @@ def blocks(scene: Joint, c: Constants, y: Array, scale: Any = None) -> Blocks:
         [jnp.sum(x, 0) for x in (-part[0], part[2], -part[1][..., :3], part[3])] for part in (forces, moments)
     )
     own = [jnp.concatenate([jnp.concatenate(x[i : i + 2], -1) for x in (forces, moments)], -2) for i in (0, 2)]
-    corner = _corners(scene, c, jnp.stack(own, 1))
+    # What moves one body acts back on it alone. With a second axis of bodies ``_spread`` takes first the moves to the
+    # coupling coordinates, then the wrenches.
+    apart = jnp.stack(own)[:, :, None] * jnp.eye(own[0].shape[0])[:, :, None, None]
+    half = jnp.swapaxes(_spread(scene, c, apart[..., :3], apart[..., 3:]), -1, -2)
+    corner = jnp.swapaxes(_spread(scene, c, half[..., :3], half[..., 3:]), -1, -2)
     place, rate, guided = _alone(scene, c, state, scale)
     return Blocks(
         jnp.sum(at_ball, 1),

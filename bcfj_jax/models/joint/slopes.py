@@ -106,7 +106,7 @@ def slopes(
     drag, pull = normal * mobility, (2.0 * normal * bend)[..., None] * slide
     drag, pull = kept(drag, pull)
     drag_place = mobility[..., None] * load_place + _row(pull, slide_place)
-    # By the velocity at the point of contact, v + w x l n; ``pull`` is in the plane. ``_turned`` has it by w, too.
+    # By the velocity of the point of contact, v + w x l n; ``_with_spin`` adds what follows by w. ``pull`` is in the plane.
     drag_twist = mobility[..., None] * load_twist + pull
     rub = -drag[..., None] * slide
     rub_place = -dyad(slide, drag_place) - drag[..., None, None] * slide_place
@@ -121,7 +121,7 @@ def slopes(
             learnt[..., None],
             pull if spin is None else jnp.concatenate([pull, cross_columns(lever * n, pull)], -2),
             _row(swing, slide_place)[..., None, :],
-            _turned(swing[..., None, :], spin, lever * n),
+            _with_spin(swing[..., None, :], spin, lever * n),
             -rate_late,
         )
     elif bristles is not None:
@@ -144,7 +144,7 @@ def slopes(
             pull if spin is None else jnp.concatenate([pull, cross_columns(lever * n, pull)], -2),
             close * (slide_place - dyad(bristles, _row(forget_slide, slide_place)))
             - dyad(lost, opening[..., None] * n),
-            _turned(close * (plane - dyad(bristles, forget_slide)), spin, lever * n),
+            _with_spin(close * (plane - dyad(bristles, forget_slide)), spin, lever * n),
             (1.0 - apart) * forget + apart / RELAX,
         )
     rub, rub_place, rub_twist = kept(rub, rub_place, rub_twist)
@@ -154,7 +154,7 @@ def slopes(
         value = jnp.concatenate([value, jnp.cross(arm, rub)], -1)
         moment_place = cross_columns(arm, rub_place) - cross_columns(rub, sweep)
         by_place = jnp.concatenate([by_place, moment_place], -2)
-        by_twist = _turned(jnp.concatenate([by_twist, cross_columns(arm, rub_twist)], -2), spin, arm)
+        by_twist = _with_spin(jnp.concatenate([by_twist, cross_columns(arm, rub_twist)], -2), spin, arm)
     return Slopes(jnp.sum(value, -2), jnp.sum(by_place, -3), jnp.sum(by_twist, -3), bond)
 
 
@@ -163,8 +163,11 @@ def dyad(a: Array, b: Array) -> Array:
     return a[..., :, None] * b[..., None, :]
 
 
-def _turned(rows: Array, spin: Array | None, arm: Array) -> Array:
-    """By relative twist, from rows by the velocity v + w x arm of the point of contact: r . (dw x arm) = dw . (arm x r)."""
+def _with_spin(rows: Array, spin: Array | None, arm: Array) -> Array:
+    """Derivatives by the relative twist (v, w) from rows r by the velocity v + w x a of the point of contact.
+
+    r . (dw x a) = dw . (a x r), for a ball that spins; others have no w.
+    """
     return rows if spin is None else jnp.concatenate([rows, jnp.cross(arm[..., None, :], rows)], -1)
 
 

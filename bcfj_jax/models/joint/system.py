@@ -317,7 +317,7 @@ def field(t: Array, y: Array, args: tuple[Joint, Constants]) -> Array:
     scene, c = args
     state = view(scene, c, y)
     found = contact_forces(scene, c, state)
-    ball, coupling = kept(*on_bodies(scene, c, state, found))
+    ball, coupling = on_bodies(scene, c, state, found)
     coupling = coupling + applied(scene, c, t, state)
     n = scene.balls
     rates = y[(3 + scene.twist) * n + scene.coupling : scene.moving]
