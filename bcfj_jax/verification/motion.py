@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 
 from bcfj_jax.models import scenes
-from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve.simulation import simulate
 from bcfj_jax.verification import oracles
 from bcfj_jax.verification.check import Check, check, of_largest, relative
@@ -210,7 +209,13 @@ def oblique_impact() -> float:
 def _at_rest(angle: float, deflection: float) -> tuple[np.ndarray, np.ndarray]:
     """Groove and window forces [N] of six balls, in equilibrium on linear contacts too stiff to change the geometry."""
     scene = scenes.make(
-        "joint", law="hertz", friction=False, smoothing=False, head="fixed", fidelity="quasistatic", **PLAIN
+        "joint",
+        law="hertz",
+        friction=False,
+        smoothing=False,
+        head="fixed",
+        fidelity="quasistatic",
+        **oracles.JOINT_OPTIONS,
     )
     names = [contact.name for contact in scene.contacts]
     values = {f"{name}.stiffness": 1e14 if name in ("seat_cage", "head_cage") else 1e12 for name in names}
@@ -246,7 +251,7 @@ def joint_deflected() -> float:
 @check("joint in motion, 1.5 s: forces of all 26 contacts", "CVODES on equations for CasADi, own code", 1e-3)
 def joint_in_motion() -> float:
     """Normal forces beside the largest of their contact; asked for at 0.1 %."""
-    scene = scenes.make("joint", **PLAIN)
+    scene = scenes.make("joint", **oracles.JOINT_OPTIONS)
     run = simulate(scene, scene.parameters(), np.array([0.0, oracles.JOINT_MOVING_AT]), accuracy=1e-3)
     found = {name: np.atleast_1d(run.force[name][-1, ..., 0]) for name in oracles.JOINT_MOVING}
     return max(of_largest(found[name], expected) for name, expected in oracles.JOINT_MOVING.items())

@@ -142,6 +142,8 @@ SLIDER_GUIDE = (
 )
 SLIDER_GUIDE_TOUCH = 0.002692503
 
+# What the joint's references have: balls that do not spin, windows without ends, pilots that are spheres.
+JOINT_OPTIONS = {"spin": False, "window_ends": False, "bands": False}
 # The joint undeflected, 1800 N m, track offset 4.5 mm, pitch radius 35.5 mm: contact angle [deg]; groove force
 # T/(6 Rp sin a), window force 2 Q cot(a) e/Rc and the sum of window forces [N].
 JOINT_OFFSET, JOINT_PITCH_RADIUS = 4.5e-3, 35.5e-3
