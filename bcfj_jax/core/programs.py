@@ -111,6 +111,13 @@ def ask(name: str, function: Callable[..., Any], static: tuple[Any, ...], argume
     answered so is compiled and kept by ``keep_asked``. Arguments as ``program``'s.
     """
     wanted = _wanted(name, function, static, arguments)
+    if wanted.key not in _loaded:
+        with _locks.setdefault(wanted.key, threading.Lock()):
+            return _answered(wanted, arguments)
+    return _loaded[wanted.key](*arguments)
+
+
+def _answered(wanted: _Wanted, arguments: tuple[Any, ...]) -> Any:
     if wanted.key not in _loaded and (found := _fetched(wanted)) is not None:
         _loaded[wanted.key] = found
     if wanted.key in _loaded:
@@ -133,7 +140,7 @@ def ask(name: str, function: Callable[..., Any], static: tuple[Any, ...], argume
 def keep_asked() -> None:
     """Compile and keep what NumPy has answered in this process, so that the next one traces nothing."""
     if Settings.folder is not None:
-        for key, (wanted, (jitted, _), _) in _asked.items():
+        for key, (wanted, (jitted, _), _) in list(_asked.items()):
             _loaded[key] = _made(wanted, jitted)
     _asked.clear()
 

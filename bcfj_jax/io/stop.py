@@ -200,14 +200,19 @@ def within(seconds: float, what: Callable[[], T]) -> T:
     try:
         in_time = done.wait(seconds if seconds < threading.TIMEOUT_MAX else None)
     except KeyboardInterrupt:
-        _abandoned.set()
+        abandon()
         raise
     if not in_time:
-        _abandoned.set()
+        abandon()
         raise OutOfTime
     if raised:
         raise raised[0]
     return found[0]
+
+
+def abandon() -> None:
+    """Nobody waits any more for what threads of this process still compute."""
+    _abandoned.set()
 
 
 def leave(code: int) -> None:

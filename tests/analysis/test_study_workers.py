@@ -1,4 +1,4 @@
-"""Many workers: killed, on a scheduler, on several devices. The table is always the same bytes."""
+"""Many workers: threads, killed processes, on a scheduler, on several devices. The table is always the same bytes."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -14,7 +15,9 @@ import pytest
 from conftest import BUILD
 from studies import STUDY
 
-from bcfj_jax.analysis.studies import api, local, specification
+from bcfj_jax.analysis.studies import api, local, specification, worker
+from bcfj_jax.core import programs
+from bcfj_jax.core.errors import InputError
 
 pytest.importorskip("pyarrow", reason="the extra study is not installed")
 
@@ -35,6 +38,50 @@ def digest(folder: Path) -> str:
 def expected(here) -> str:
     Path("study.toml").write_text(STUDY)
     return digest(api.study("study.toml", "alone", workers=1).folder)
+
+
+@pytest.mark.full
+def test_threads_give_the_same_bytes_as_one_and_share_its_programs(here, expected, monkeypatch):
+    monkeypatch.setattr(api, "default_workers", lambda: 3)
+    threads, traced = set(), len(programs.traced)
+    compute = worker.compute
+
+    def watched(*given):
+        threads.add(threading.get_ident())
+        time.sleep(0.05)  # So that no thread takes all blocks before the others have begun.
+        return compute(*given)
+
+    monkeypatch.setattr(worker, "compute", watched)
+    seen = []
+    result = api.study("study.toml", "threads", progress=lambda there, _: seen.append(there))
+    assert digest(result.folder) == expected and len(threads) > 1
+    assert len(programs.traced) == traced
+    assert seen == sorted(seen) and seen[-1] == result.state["blocks"]
+
+
+@pytest.mark.parametrize(
+    "raised", [KeyboardInterrupt(), OSError(28, "No space left on device"), InputError("a", "b", "c")]
+)
+def test_what_one_thread_raises_stops_the_others_after_their_block(here, monkeypatch, raised):
+    """The thread that fails does so while the other computes; the rest of the blocks is left."""
+    Path("study.toml").write_text(STUDY)
+    store, begun = api.prepare(specification.load(Path("study.toml")), here / "out"), []
+    both = threading.Barrier(2)
+
+    def fails(study, at, size):
+        begun.append(at)
+        first = both.wait(10) == 0
+        if first:
+            raise raised
+        time.sleep(0.3)
+        raise AssertionError("left behind: nobody hears of it")
+
+    monkeypatch.setattr(worker, "compute", fails)
+    with pytest.raises(type(raised)):
+        local.in_threads(store, 2, lambda _: None)
+    assert len(store.blocks) > 2
+    time.sleep(0.6)
+    assert len(begun) == 2
 
 
 @pytest.mark.slow

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from bcfj_jax.analysis.studies import local, specification, worker
-from bcfj_jax.analysis.studies.batch import has_history
+from bcfj_jax.analysis.studies import local, specification
 from bcfj_jax.analysis.studies.block import Blocks
 from bcfj_jax.analysis.studies.specification import Study
 from bcfj_jax.analysis.studies.store import Store, facts_of, merge, write_parquet
@@ -31,10 +30,6 @@ RESULTS, STATE, RUN, ENVIRONMENT = "results.parquet", "study.json", "run.toml", 
 _WRITES = (RUN, ENVIRONMENT, RESULTS, STATE, "blocks", "report.html", "report.json", "study.png")
 # How long to wait for another run of the study that begins the folder [s].
 _WAIT_S = 30.0
-# Computing [s] that is done in this process: two others would take as long, each of them starts for 2 to 3 s.
-_ALONE_S = 6.0
-# Computing over simulated time of a large model's points in a batch.
-_LARGE = 0.1
 
 
 class Result(NamedTuple):
@@ -92,8 +87,8 @@ def study(
     Args:
         what: a study file, or its content.
         out: the folder; one that holds the same study is gone on with.
-        workers: processes on this machine; None: one a core, or one in all where there is an accelerator; short
-            studies are computed in this process.
+        workers: processes on this machine, in place of threads of this one: one a core, or one in all where there is
+            an accelerator.
         scheduler: address of a Dask scheduler that shall do the work in place of this machine.
         progress: receives the numbers of finished and of all blocks.
 
@@ -178,15 +173,10 @@ def compute(store: Store, workers: int | None, scheduler: str | None, progress: 
         cluster.run(store, scheduler, lambda done: progress(done, total))
         return
     count = min(workers or default_workers(), total)
-    # What is short is computed here sooner than other processes have started; whether it is, is known of a small
-    # model after its first block, and estimated of a large one in motion, whose blocks are long.
-    study = store.study
-    moves = study.given.scene.traits.large and has_history(study.given.scene)
-    long = moves and _LARGE * float(study.ends.sum()) > _ALONE_S
-    if count == 1 or (workers is None and not long):
+    if count == 1 or workers is None:
         with local.written():
-            worker.work(store, lambda done: progress(done, total), np.inf if count == 1 else _ALONE_S)
-    if store.there() < total:
+            local.in_threads(store, count, lambda done: progress(done, total))
+    else:
         local.run(store, count, lambda done: progress(done, total))
 
 

@@ -1,4 +1,4 @@
-"""Workers on this machine: processes that are started, supervised, started again when they die, and stopped."""
+"""Workers on this machine: threads of this process, or processes that are started again when they die."""
 
 from __future__ import annotations
 
@@ -7,13 +7,15 @@ import errno
 import os
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor, as_completed
 
 from bcfj_jax.analysis.studies.store import Store
-from bcfj_jax.analysis.studies.worker import BAD_INPUT, DONE, INTERRUPTED
+from bcfj_jax.analysis.studies.worker import BAD_INPUT, DONE, INTERRUPTED, work
 from bcfj_jax.io import usercode
-from bcfj_jax.io.stop import check
+from bcfj_jax.io.stop import abandon, check
 
 # Workers that may die one after the other without a block being finished.
 _DEATHS = 6
@@ -38,6 +40,37 @@ def written() -> Iterator[None]:
         where = f" ({error.filename})" if error.filename else ""
         said = f"{error.strerror or error}{where}: "
         raise Stopped(said + ("free some space and resume" if full else "mend that and resume")) from None
+
+
+def in_threads(store: Store, threads: int, progress: Callable[[int], None]) -> None:
+    """Have all blocks computed by threads of this process, which share its programs and its imports.
+
+    XLA runs without Python's lock, so threads are as fast as processes where its runs take most of the time.
+
+    Args:
+        store: the folder.
+        threads: how many.
+        progress: receives the number of finished blocks, in any of the threads.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C; the blocks that are being computed are left behind (``stop.leave``).
+    """
+    enough, telling = threading.Event(), threading.Lock()
+
+    def tell(there: int) -> None:
+        with telling:
+            progress(there)
+
+    pool = ThreadPoolExecutor(threads)
+    try:
+        for done in as_completed([pool.submit(work, store, tell, enough.is_set) for _ in range(threads)]):
+            done.result()
+    except BaseException:
+        abandon()
+        raise
+    finally:
+        enough.set()
+        pool.shutdown(wait=False)
 
 
 def run(store: Store, workers: int, progress: Callable[[int], None]) -> None:

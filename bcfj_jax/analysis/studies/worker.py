@@ -13,8 +13,6 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
-
 from bcfj_jax.analysis.studies.block import Blocks, compute
 from bcfj_jax.analysis.studies.specification import load
 from bcfj_jax.analysis.studies.store import Store
@@ -23,23 +21,27 @@ from bcfj_jax.io import usercode
 from bcfj_jax.io.stop import check, heeded
 
 DONE, BAD_INPUT, INTERRUPTED = 0, 2, 5
-# How long to wait for blocks that others have.
-_PATIENCE_S = 0.5
+# How often to look for blocks that others have, and for the process that started this one [s].
+_LOOK_S, _PARENT_S = 0.05, 0.5
 
 
-def work(store: Store, progress: Callable[[int], None] = lambda _: None, most_s: float = np.inf) -> None:
+def work(
+    store: Store, progress: Callable[[int], None] = lambda _: None, enough: Callable[[], bool] = lambda: False
+) -> None:
     """Compute what is missing; return when nothing is, whoever computed it.
 
     Args:
         store: the folder.
         progress: receives the number of blocks that are there.
-        most_s: return before, when what is left would take longer [s] by the block just computed.
+        enough: whether to return before; asked before each block.
     """
     left = list(range(len(store.blocks)))
     while left:
         before = len(left)
         for block in left:
             check()
+            if enough():
+                return
             if store.finished(block):
                 continue
             with store.claimed(block) as mine:
@@ -48,11 +50,9 @@ def work(store: Store, progress: Callable[[int], None] = lambda _: None, most_s:
                     table = compute(store.study, store.blocks.points(block), store.blocks.size)
                     store.write(block, table)
                     progress(store.there())
-                    if (len(store.blocks) - store.there()) * table.wall_s > most_s:
-                        return
         left = [block for block in left if not store.finished(block)]
         if left and len(left) == before:
-            time.sleep(_PATIENCE_S)
+            time.sleep(_LOOK_S)
 
 
 def own_core(number: int) -> None:
@@ -67,7 +67,7 @@ def go_with(parent: int) -> None:
 
     def beat() -> None:
         while os.getppid() == parent:
-            time.sleep(_PATIENCE_S)
+            time.sleep(_PARENT_S)
         os._exit(INTERRUPTED)
 
     threading.Thread(target=beat, daemon=True).start()
