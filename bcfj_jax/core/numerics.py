@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jax.custom_derivatives import SymbolicZero
 from jax.typing import ArrayLike
 
 
@@ -16,9 +19,27 @@ def power(base: ArrayLike, exponent: ArrayLike) -> Array:
     The double ``where`` keeps the untaken branch finite: a single one gives NaN in reverse mode
     and ``maximum(base, 0)**n`` gives NaN second derivatives on the whole separated side.
     """
-    base = jnp.asarray(base)
+    base, exponent = jnp.asarray(base, dtype=float), jnp.asarray(exponent, dtype=float)
+    return _power(base, exponent)
+
+
+@jax.custom_jvp
+def _power(base: Array, exponent: Array) -> Array:
     inside = base > 0
     return jnp.where(inside, jnp.where(inside, base, 1.0) ** exponent, 0.0)
+
+
+@partial(_power.defjvp, symbolic_zeros=True)
+def _(primals: tuple, tangents: tuple) -> tuple[Array, Any]:
+    """n b^n / b in place of n b^(n-1), which would be a second power: one costs as much as twenty products."""
+    (base, exponent), (by_base, by_exponent) = primals, tangents
+    value, safe = _power(base, exponent), jnp.where(base > 0, base, 1.0)
+    change = jnp.zeros_like(value)
+    if not isinstance(by_base, SymbolicZero):
+        change = change + exponent * value / safe * by_base
+    if not isinstance(by_exponent, SymbolicZero):
+        change = change + jnp.log(safe) * value * by_exponent
+    return value, change
 
 
 def positive(value: ArrayLike) -> Array:

@@ -24,8 +24,9 @@ if TYPE_CHECKING:
     from bcfj_jax.mechanism.mechanism import Mechanism
     from bcfj_jax.mechanism.sizes import Params
 
-# Bodies that overlap at the start by so many times the penetration that is to be expected were not placed there.
-_DEEP = 20.0
+# Bodies that overlap at the start by more than so many times the penetration that is to be expected were not placed
+# there; an overlap below the second [m] is rounding.
+_DEEP, _TOUCH = 20.0, 1e-9
 # Of joint "sphere".
 _SPHERE, _FREE = "sphere: its rotation is not computed", "give it joint = 'free', or put this part on the other body"
 
@@ -183,6 +184,28 @@ def check_values(scene: Mechanism, params: Params, where: str = "") -> None:
     _check_start(scene, dict(params), where)
 
 
+def suspects(scene: Mechanism, params: Params) -> np.ndarray:
+    """Which of N runs ``check_values`` must look at one by one, (N,): it finds no fault with the others.
+
+    Args:
+        scene: the mechanism.
+        params: leaves (N,), in their ranges.
+    """
+    first = {name: leaf[0] for name, leaf in params.items()}
+    every = np.ones(len(next(iter(params.values()))), bool)
+    try:
+        # What does not depend on values, and what the others share with the first.
+        check_values(scene, first)
+    except InputError:
+        return every
+    if any(c.smoothing and "approach_speed" in c.law.needs for c in scene.contacts):
+        return every
+    depths, expected, _ = programs.ask("starts", _starts, (scene,), (dict(params),))
+    deepest = np.max([np.asarray(depth) for depth in depths.values()], axis=0, initial=-np.inf)
+    # Not what is deep: what is not known to be no deeper than that, so that a NaN is looked at.
+    return every & ~(deepest <= np.maximum(_DEEP * np.asarray(expected), _TOUCH))
+
+
 def _check_start(scene: Mechanism, params: dict[str, Array], where: str) -> None:
     _check_regularisation(scene, params, where)
     depths, expected, speed = asked(_at_start, scene, params)
@@ -195,7 +218,7 @@ def _check_start(scene: Mechanism, params: dict[str, Array], where: str) -> None
                 f"the penetration at time 0 is {deepest}",
                 "correct the gap of this contact, or the sizes of its bodies",
             )
-        deep += [name] if deepest > _DEEP * float(expected) and deepest > 1e-9 else []
+        deep += [name] if deepest > max(_DEEP * float(expected), _TOUCH) else []
     # Bodies that are held in balance, such as a ball with preload, start as deep as they like.
     thrown = asked(_thrown, scene, params) if deep else {}
     for name in deep:
@@ -248,6 +271,11 @@ def _at_start(scene: Mechanism, params: dict[str, Array]) -> tuple[dict[str, Arr
     depths, _ = _faces(scene, jnp.zeros(()), scene.initial_state(params), params)
     found = expected(scene, params, inside=False)
     return {name: jnp.max(depth) for name, depth in depths.items()}, found.depth, found.speed
+
+
+def _starts(scene: Mechanism, params: dict[str, Array]) -> tuple[dict[str, Array], Array, Array]:
+    """``_at_start`` of N runs."""
+    return jax.vmap(lambda one: _at_start(scene, one))(params)
 
 
 def _thrown(scene: Mechanism, params: dict[str, Array]) -> dict[str, Array]:

@@ -516,6 +516,12 @@ class Mechanism(AbstractModel):
 
         check_values(self, params, where)
 
+    def suspects(self, params: Params) -> np.ndarray:
+        """Those whose bodies do not start apart from each other, and all where a contact is regularised."""
+        from bcfj_jax.mechanism.checks import suspects
+
+        return suspects(self, params)
+
     def orbits(self, params: Params, run: Any) -> dict[str, Orbit]:
         """``orbits.orbits``."""
         from bcfj_jax.mechanism.orbits import orbits

@@ -362,6 +362,14 @@ class AbstractModel(eqx.Module):
         """
         del params, where
 
+    def suspects(self, params: Params) -> np.ndarray:
+        """Which of N runs ``check`` must look at, (N,): all, where a model does not know sooner that it passes them.
+
+        Args:
+            params: leaves (N,), in their ranges.
+        """
+        return np.ones(len(next(iter(params.values()))), bool)
+
     def require(self, params: Params, where: str = "") -> None:
         """Refuse parameters among which one is missing. Nothing is computed, and traced values do.
 

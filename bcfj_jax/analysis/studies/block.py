@@ -144,7 +144,7 @@ def compute(study: Study, at: np.ndarray, size: int) -> Table:
         size: of the program.
     """
     begin, values, given = time.perf_counter(), study.points[at], study.given
-    refused = _refusals(study, values)
+    refused = _refusals(study, values, size)
     good = np.flatnonzero([not text for text in refused])
     last = study.ends[at]
     results = np.full((len(at), len(study.columns)), np.nan)
@@ -271,24 +271,37 @@ def _no_slopes(read: list[np.ndarray]) -> Histories:
     return Histories(force, depth, rate, None)
 
 
-def _refusals(study: Study, values: np.ndarray) -> list[str]:
-    """Why points (n, D) cannot be run; "" where they can."""
+def _refusals(study: Study, values: np.ndarray, size: int) -> list[str]:
+    """Why points (n, D) cannot be run; "" where they can. ``size``: of the program that looks at all of them."""
     scene = study.given.scene
     known = {name: scene.quantities[name] for name in study.names}
     # Plain numbers once, for what thousands of points share.
     params = {name: float(value) for name, value in study.given.params.items()}
     ordered = any(name.rpartition(".")[2] in ORDERED for name in study.names)
-    found = []
-    for row in values:
-        params |= {name: float(x) for name, x in zip(study.names, row, strict=True)}
+    found, good = [""] * len(values), []
+    for i, row in enumerate(values.tolist()):
+        params |= dict(zip(study.names, row, strict=True))
         try:
             for name, quantity in known.items():
                 check_value("", quantity, params[name])
             if ordered:
                 check_order("", scene.quantities, params)
+            good.append(i)
+        except InputError as error:
+            found[i] = _refusal(error)
+    if not good:
+        return found
+    # As many as the program is of, those that are too many the last one again.
+    fill = np.array(good)[np.minimum(np.arange(max(size, len(good))), len(good) - 1)]
+    suspect = scene.suspects(study.params(values[fill]))[: len(good)]  # pyright: ignore[reportArgumentType]
+    for i in np.array(good)[suspect]:
+        params |= dict(zip(study.names, values[i].tolist(), strict=True))
+        try:
             scene.check(params)  # pyright: ignore[reportArgumentType]
         except InputError as error:
-            found.append(f"{error.where}: {error.found}; {error.remedy}".strip(": "))
-        else:
-            found.append("")
+            found[i] = _refusal(error)
     return found
+
+
+def _refusal(error: InputError) -> str:
+    return f"{error.where}: {error.found}; {error.remedy}".strip(": ")

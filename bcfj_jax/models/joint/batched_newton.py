@@ -128,7 +128,12 @@ def search(scene: Joint, problem: Problem, drift: Problem, times: Array, near: P
     def split(x: Array) -> Places:
         return Places(x[: 3 * n].reshape(3, n, -1), x[3 * n :])
 
+    # All are in the batch from the start, each at its own place, and none takes another's: no queue, no scatters.
+    whole = near is not None and width == count
+
     def instants(p: Problem, index: Array) -> Problem:
+        if whole:
+            return p
         i = jnp.minimum(index, count - 1)
         return p._replace(ball=p.ball[:, :, i], seat=p.seat[i], torque=p.torque[i])
 
@@ -181,14 +186,29 @@ def search(scene: Joint, problem: Problem, drift: Problem, times: Array, near: P
         nowhere = _Batch(*(jnp.zeros_like(part) for part in batch))._replace(index=batch.index, trials=trials)
         batch = jax.tree.map(lambda new, old: jnp.where(stuck, new, old), nowhere, batch)
         busy = batch.index < count
-        where = jnp.where(ended & busy, batch.index, count)
-        known = known.at[:, where].set(x - step, mode="drop")
-        rates = rates.at[:, where].set(join(displaced(scene, here, moving, back)), mode="drop")
         # 1: converged, 2: given up, 0: not yet.
-        state = state.at[where].set(jnp.where(good, 1, 2), mode="drop")
-        spent = spent.at[where].set(trials, mode="drop")
-        # Idle width look at the next of the queue in turn; each waits for its own neighbours.
+        news = x - step, join(displaced(scene, here, moving, back)), jnp.where(good, 1, 2), trials
+        results = noted(ended & busy, batch.index, news, (known, rates, state, spent))
         idle = ended | ~busy
+        candidate, guess, taken = handed_out(idle, taken, results)
+        fresh = _Batch(candidate, guess, jnp.zeros_like(x), jnp.zeros(width), jnp.ones(width), jnp.zeros(width, int))
+        batch = jax.tree.map(lambda new, old: jnp.where(idle, new, old), fresh, batch)
+        x = batch.base - batch.part * batch.step
+        return batch, x, forces(batch.index, x), taken, *results
+
+    def noted(which: Array, index: Array, news: tuple, results: tuple) -> tuple:
+        """Results of all instants, with those of the batch that have ended."""
+        if whole:
+            return jax.tree.map(lambda new, old: jnp.where(which, new, old), news, results)
+        where = jnp.where(which, index, count)
+        return jax.tree.map(lambda new, old: old.at[..., where].set(new, mode="drop"), news, results)
+
+    def handed_out(idle: Array, taken: Array, results: tuple) -> tuple[Array, Array, Array]:
+        """What idle places get: instants, where these start from, and how many of the queue are taken then."""
+        if whole:
+            return jnp.where(taken == 0, jnp.arange(count), count), origin, jnp.asarray(count)
+        known, _, state, _ = results
+        # Idle places look at the next of the queue in turn; each instant waits for its own neighbours.
         nth = taken + jnp.cumsum(idle) - 1
         candidate = jnp.where(idle, order[jnp.minimum(nth, count)], count)
         i = jnp.minimum(candidate, count - 1)
@@ -201,11 +221,7 @@ def search(scene: Joint, problem: Problem, drift: Problem, times: Array, near: P
         first, last = ((left[i] >= 0) & (state[s[i]] == 1) for s in (left, right))
         share = jnp.where(first & last, weight[i], jnp.where(last, 1.0, 0.0))
         a, b = (jnp.where(k, renumbered(known[:, s[i]], i, s[i]), 0.0) for k, s in ((first, left), (last, right)))
-        guess = jnp.where(left[i] < 0, origin[:, i], a + share * (b - a))
-        fresh = _Batch(candidate, guess, jnp.zeros_like(x), jnp.zeros(width), jnp.ones(width), jnp.zeros(width, int))
-        batch = jax.tree.map(lambda new, old: jnp.where(idle, new, old), fresh, batch)
-        x = batch.base - batch.part * batch.step
-        return batch, x, forces(batch.index, x), taken, known, rates, state, spent
+        return candidate, jnp.where(left[i] < 0, origin[:, i], a + share * (b - a)), taken
 
     def empty(rows: int) -> Array:
         return jnp.zeros((rows, width))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 
@@ -98,6 +99,7 @@ def webs(
     return Fault("clearance_cage_window_end", found, f"give less than {shown(most)}, or fewer balls")
 
 
+@lru_cache(maxsize=64)  # Points of a study mostly share what it depends on.
 def swing(balls: float, pitch: float, offset: float, angle: float) -> float:
     """Clearance [m] that balls need on either side of them in the windows of a cage that swings along as best it can.
 

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from bcfj_jax.core.kept import kept
 from bcfj_jax.models.joint.bands import depth
 from bcfj_jax.models.joint.constants import Constants
 from bcfj_jax.models.joint.law_pair import ContactLaws, LawPair, sector
@@ -103,7 +104,7 @@ def _grooves(scene: Joint, c: Constants, place: Array, turn: Array) -> _Grooves:
     frame = (cosine * tangent - sine * radial, cosine * radial + sine * tangent, axis)
     across, mid, _ = frame
     place = place - g.offset[:, None, None] * axis
-    t, x, z = (_dot(place, e) for e in frame)
+    t, x, z = kept(*(_dot(place, e) for e in frame))
     distance = jnp.sqrt(x * x + z * z)
     r_x, r_z = x / distance, z / distance
     # Flanks along the first axis.
@@ -111,7 +112,7 @@ def _grooves(scene: Joint, c: Constants, place: Array, turn: Array) -> _Grooves:
     y_t = t + sign * (g.flank * g.sine)
     y_a = distance - g.radius + g.side[:, None, None] * (g.flank * g.cosine)
     length = jnp.sqrt(y_t * y_t + y_a * y_a + 1e-24)
-    n_t, n_a = y_t / length, y_a / length
+    n_t, n_a, length = kept(y_t / length, y_a / length, length)
     # Races, and balls or one for all.
     depth = length - g.flank - jnp.atleast_2d(g.clearance).T[..., None]
     # ``groove_laws`` has the races along the last axis but one.
@@ -122,6 +123,7 @@ def _grooves(scene: Joint, c: Constants, place: Array, turn: Array) -> _Grooves:
         share, slope = jax.jvp(sector, (sign * n_t,), (jnp.ones_like(n_t),))
         edge = sign * slope * force / length
         force, stiff = share * force, share * stiff
+    force, stiff, edge = kept(force, stiff, edge)
     bend = force / length
     stiff = stiff - bend
     e_t, e_a = edge * (1.0 - n_t * n_t), -edge * n_t * n_a
@@ -129,6 +131,7 @@ def _grooves(scene: Joint, c: Constants, place: Array, turn: Array) -> _Grooves:
     j_tt = jnp.sum(stiff * n_t * n_t + bend + n_t * e_t, 0)
     j_ta, j_at = (jnp.sum(stiff * n_t * n_a + e, 0) for e in (n_t * e_a, n_a * e_t))
     j_aa = jnp.sum(stiff * n_a * n_a + bend + n_a * e_a, 0)
+    g_t, g_a, j_tt, j_ta, j_at, j_aa, r_x, r_z, distance = kept(g_t, g_a, j_tt, j_ta, j_at, j_aa, r_x, r_z, distance)
     hoop = g_a / distance
     j_xz = (j_aa - hoop) * r_x * r_z
     j_xx, j_zz = j_aa * r_x * r_x + hoop * r_z * r_z, j_aa * r_z * r_z + hoop * r_x * r_x
@@ -205,7 +208,7 @@ def balance(scene: Joint, p: Problem, at: Places) -> tuple[Places, Matrix]:
     head = at.coupling[slices["head"]] if "head" in slices else still
     cage = at.coupling[slices["cage"]] if "cage" in slices else still
     centres = jnp.array([0.0, 1.0])[:, None, None] * head[:, None, None]
-    race = _grooves(scene, c, ball[:, None] - centres, jnp.stack([p.seat, turn]))
+    race = _Grooves(*kept(*_grooves(scene, c, ball[:, None] - centres, jnp.stack([p.seat, turn]))))
     force = p.spring * at.ball + jnp.sum(race.ball, 1)
     block = p.spring * eye[..., None] + jnp.sum(race.by_ball, 2)
     column["turn"], row["turn"] = race.column[:, None, 1] / p.lever, race.row[None, :, 1] / p.lever
@@ -224,11 +227,11 @@ def balance(scene: Joint, p: Problem, at: Places) -> tuple[Places, Matrix]:
         height = _dot(arm, axis)
         faces = jnp.array([1.0, -1.0])[:, None, None]
         pushes, stiffs = _law(c.window_laws, faces * height - c.window_clearance.reshape(-1, 1))
-        push, stiff = pushes[0] - pushes[1], stiffs[0] + stiffs[1]
+        push, stiff, axis = kept(pushes[0] - pushes[1], stiffs[0] + stiffs[1], axis)
         face = stiff * (axis[:, None] * axis[None])[:, :, None]
         force, block = force + push * axis[:, None], block + face
         if "cage" in slices:
-            reach = [_dot(arm, a[:, None]) for a in first]
+            reach = kept(*(_dot(arm, a[:, None]) for a in first))
             rest["cage"] -= jnp.sum(push, 0) * axis
             rest["tilt"] += jnp.stack([jnp.sum(push * r, 0) for r in reach]) / p.lever
             cross = [(stiff * r) * axis[:, None] + push * a[:, None] for r, a in zip(reach, first, strict=True)]
@@ -249,6 +252,7 @@ def balance(scene: Joint, p: Problem, at: Places) -> tuple[Places, Matrix]:
         distance = jnp.sqrt(_dot(place, place) + 1e-24)
         normal = place / distance
         push, stiff = _law(c.pilot_laws, distance - c.pilot_clearance[:, None])
+        push, stiff, normal, distance = kept(push, stiff, normal, distance)
         bend = push / distance
         spring = (stiff - bend) * normal[:, None] * normal[None] + bend * eye[..., None]
         for index, way in enumerate(ways):

@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from bcfj_jax.core.kept import kept
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint import system
 from bcfj_jax.models.joint.batched_newton import Found, displaced, pull, search
@@ -72,7 +73,7 @@ def quasistatic(
         problem, drift = _moving_problem(scene, params, times)
         at = _equilibrium(scene)(problem, found.places)
         moved = _rates_of(scene)(problem, drift, at, found.rates)
-        value, rate = jax.jvp(partial(flat_places, scene), (problem, at), (drift, moved))
+        value, rate = kept(*jax.jvp(partial(flat_places, scene), (problem, at), (drift, moved)))
         states = _with_rates(scene, problem.c, value, rate)
     else:
         problem = posed(scene, params, times)

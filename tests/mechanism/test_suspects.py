@@ -1,0 +1,70 @@
+"""Which of many runs must be looked at one by one before a study: none that ``check`` would refuse is left out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import bcfj_jax as bj
+from bcfj_jax import InputError
+from bcfj_jax.contact.gaps import PointOnPlane
+from bcfj_jax.core.quantities import Quantity
+from bcfj_jax.mechanism.bodies import Body
+from bcfj_jax.mechanism.contacts import Contact
+from bcfj_jax.mechanism.loads import Gravity
+from bcfj_jax.mechanism.mechanism import Mechanism
+
+
+def drop(law: str = "hertz", smoothing: bool = False) -> Mechanism:
+    body = Body("body", "slide", axis="y", mass=0.1, start={"position": "height", "velocity": "speed"})
+    surface = Contact("floor", ("ground", "body"), PointOnPlane("y"), law, smoothing=smoothing)
+    own = ((Quantity("height", "m", "height at time 0"), 0.1), (Quantity("speed", "m/s", "speed at time 0"), 0.0))
+    given = {
+        name: x for name, x in {"stiffness": 1e9, "exponent": 1.5, "restitution": 0.8}.items() if name in surface.reads
+    }
+    return Mechanism("drop", (body,), (surface,), (Gravity("-y"),), own=own, given=given, end=1.0)
+
+
+def many(scene, **columns: list[float]) -> dict[str, np.ndarray]:
+    count = len(next(iter(columns.values())))
+    return {k: np.array(columns.get(k, [float(v)] * count)) for k, v in scene.parameters().items()}
+
+
+def refused(scene, params: dict[str, np.ndarray]) -> np.ndarray:
+    def one(k: int) -> bool:
+        try:
+            scene.check({name: float(x[k]) for name, x in params.items()})
+        except InputError:
+            return True
+        return False
+
+    return np.array([one(k) for k in range(len(params["height"]))])
+
+
+def test_bodies_that_start_apart_are_none_and_deep_ones_are():
+    scene = drop()
+    params = many(scene, height=[0.1, -1e-12, -0.01, 0.0, float("nan")], speed=[0.0, 0.0, 0.0, -1.0, 0.0])
+    assert scene.suspects(params).tolist() == [False, False, True, False, True]
+    assert refused(scene, params).tolist() == [False, False, True, False, True]
+
+
+def test_all_are_where_the_first_is_refused_or_a_regularised_contact_may_push_too_early():
+    scene = drop()
+    assert scene.suspects(many(scene, height=[-0.01, 0.1])).all()
+    scene = drop("flores", smoothing=True)
+    assert scene.suspects(many(scene, height=[0.1, 0.2])).all()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_none_that_is_refused_is_left_out(seed):
+    scene, draw = drop(), np.random.default_rng(seed)
+    params = many(
+        scene, height=[0.1, *(-(10.0 ** draw.uniform(-9, -2, 15)))], speed=[0.0, *(-(10.0 ** draw.uniform(-3, 2, 15)))]
+    )
+    bad = refused(scene, params)
+    assert 0 < bad.sum() < len(bad) and (scene.suspects(params) | ~bad).all()
+
+
+def test_a_model_that_does_not_know_has_all_looked_at():
+    scene = bj.scenes.joint()
+    assert scene.suspects({name: np.full(3, float(x)) for name, x in scene.parameters().items()}).all()
