@@ -220,12 +220,22 @@ def code_of(result: dfx.RESULTS, states: Array) -> Array:
 
 
 def _by_bdf(problem: Problem, solver: Sdirk, changes: tuple | None, start: Array, times: Array, how: Plan) -> Solution:
-    """Rows (T, 1 + k, n) of state and tangents, both in the step control."""
-    found = bdf.solve(
-        solver, problem.args, changes, start, problem.scales, times, problem.first_step, problem.shortest_step,
-        how.max_steps,
-    )  # fmt: skip
-    return ended(found, times, how)
+    """Rows (T, 1 + k, n) of state and tangents, both in the step control.
+
+    Runs of a batch are solved one after the other: together they would make a matrix in every round for each of them,
+    and go through all that a rejected step, a change of order and an output take, whether they need it or not.
+    """
+    arrays, static = eqx.partition((problem, solver, changes, start, times, how), eqx.is_array)
+
+    def run(arrays: Any, _: tuple) -> Solution:
+        problem, solver, changes, start, times, how = eqx.combine(arrays, static)
+        found = bdf.solve(
+            solver, problem.args, changes, start, problem.scales, times, problem.first_step, problem.shortest_step,
+            how.max_steps,
+        )  # fmt: skip
+        return ended(found, times, how)
+
+    return lane_by_lane(run)(arrays, ())
 
 
 def ended(found: bdf.Found, times: Array, how: Plan) -> Solution:
