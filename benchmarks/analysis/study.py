@@ -87,23 +87,24 @@ def singles(task: tuple[list[float], int]) -> float:
     return time.perf_counter() - begin
 
 
-def study(table: dict[str, Any], workers: int) -> dict[str, Any]:
+def study(table: dict[str, Any]) -> dict[str, Any]:
     """A study in a fresh folder, twice: the second time its programs are kept. Seconds between first and last block."""
     found: dict[str, Any] = {}
+    threads = api.default_workers()
     for _ in range(2):
         with tempfile.TemporaryDirectory() as folder:
             seen: list[tuple[float, int]] = []
             begin = time.perf_counter()
-            result = api.study(table, Path(folder) / "out", workers=workers, progress=lambda done, _: seen.append((time.perf_counter(), done)))  # noqa: B023, E501  # fmt: skip
+            result = api.study(table, Path(folder) / "out", progress=lambda done, _: seen.append((time.perf_counter(), done)))  # noqa: B023  # fmt: skip
             blocks = Blocks(from_table(table))
             facts = [facts_of(p) for p in sorted((Path(folder) / "out" / "blocks").glob("*.parquet"))]
             steps, rounds = sum(sum(f["steps"]) for f in facts), sum(f["rounds"] for f in facts)
-            first = next(at for at, done in seen if done >= workers)
+            first = next(at for at, done in seen if done >= threads)
             last, done = next((at, done) for at, done in seen if done == len(blocks))
             found = {
                 "points": result.table.num_rows, "failed": result.failed, "whole_s": time.perf_counter() - begin,
                 "blocks": len(blocks), "size": blocks.size,
-                "rate": (done - workers) * blocks.size / (last - first),
+                "rate": (done - threads) * blocks.size / (last - first),
                 "efficiency": steps / (rounds * min(blocks.size, batch.places())) if rounds else None,
             }  # fmt: skip
     return found
@@ -166,12 +167,12 @@ def main() -> None:
         list(pool.map(singles, [(some[:1], 0), (some[:1], 1)]))
         loop = [given.singles / pool.submit(singles, (some, 0)).result()]
         two = max(pool.map(singles, [(some[::2], 0), (some[1::2], 1)]))
-        joint = study(dynamic(given.points), 2)
+        joint = study(dynamic(given.points))
         # The loop again: the machine may have changed in between.
         loop.append(given.singles / pool.submit(singles, (some, 0)).result())
     one, pair = float(np.mean(loop)), given.singles / two
     print("loop", loop, "pool", pair, "study", joint, flush=True)
-    still = study(static(given.static), 2)
+    still = study(static(given.static))
     print("quasistatic", still, flush=True)
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
@@ -188,10 +189,10 @@ def main() -> None:
         ["dynamic joint, 0.6 s, single runs in a loop", f"{one:.3g}", ""],
         ["the same, a pool of two processes", f"{pair:.3g}", f"{pair / one:.1f} times the loop"],
         [
-            f"the same as a study of {given.points} clearances, 2 workers", f"{joint['rate']:.3g}",
+            f"the same as a study of {given.points} clearances, 2 threads", f"{joint['rate']:.3g}",
             f"**{joint['rate'] / one:.1f} times the loop, {joint['rate'] / pair:.1f} times the pool**",
         ],
-        [f"quasistatic joint, 13 instants, {given.static} points, 2 workers", f"{still['rate']:.4g}", ""],
+        [f"quasistatic joint, 13 instants, {given.static} points, 2 threads", f"{still['rate']:.4g}", ""],
     ]  # fmt: skip
     more = [
         ["slots", *(str(r["slots"]) for r in places)],
