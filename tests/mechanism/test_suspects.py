@@ -13,6 +13,7 @@ from bcfj_jax.mechanism.bodies import Body
 from bcfj_jax.mechanism.contacts import Contact
 from bcfj_jax.mechanism.loads import Gravity
 from bcfj_jax.mechanism.mechanism import Mechanism
+from bcfj_jax.mechanism.model import AbstractModel
 
 
 def drop(law: str = "hertz", smoothing: bool = False) -> Mechanism:
@@ -38,7 +39,7 @@ def refused(scene, params: dict[str, np.ndarray]) -> np.ndarray:
             return True
         return False
 
-    return np.array([one(k) for k in range(len(params["height"]))])
+    return np.array([one(k) for k in range(len(next(iter(params.values()))))])
 
 
 def test_bodies_that_start_apart_are_none_and_deep_ones_are():
@@ -66,5 +67,37 @@ def test_none_that_is_refused_is_left_out(seed):
 
 
 def test_a_model_that_does_not_know_has_all_looked_at():
-    scene = bj.scenes.joint()
-    assert scene.suspects({name: np.full(3, float(x)) for name, x in scene.parameters().items()}).all()
+    scene = drop()
+    assert AbstractModel.suspects(scene, many(scene, height=[0.1, 0.2])).all()
+
+
+# Each column with values that pass and values that do not.
+JOINTS = {
+    "clearances": {"clearance_seat_cage": (0.0, 2e-2), "clearance_cage_ball": (-1e-5, 1e-4)},
+    "sizes": {"pitch_radius": (0.03, 0.045), "seat_radius": (0.036, 0.045), "ball_radius": (0.006, 0.012)},
+    "angles": {"joint_angle": (0.0, 1.2), "contact_angle": (0.5, 1.7), "offset": (0.0, 9e-3)},
+    "what no check reads": {"stiffness": (1e10, 1e11)},
+}
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"spin": False, "bands": False, "window_ends": False}, {"fidelity": "kinematic"}]
+)
+@pytest.mark.parametrize("name", JOINTS)
+def test_none_of_the_joints_that_are_refused_is_left_out(name, options):
+    scene, draw = bj.scenes.joint(**options), np.random.default_rng(1)
+    params = scene.parameters()
+    columns = {
+        key: np.r_[float(params[key]), low, draw.uniform(low, high, 38)]
+        for key, (low, high) in JOINTS[name].items()
+        if key in params
+    }
+    if not columns:
+        pytest.skip("this joint has no such parameter")
+    given = {key: columns.get(key, np.full(40, float(x))) for key, x in params.items()}
+    bad = refused(scene, given)
+    found = scene.suspects(given)
+    assert (found | ~bad).all() and not found[0]
+    # And next to none is looked at in vain.
+    assert (found & ~bad).sum() <= 1
+    assert bad.any() != (name == "what no check reads")

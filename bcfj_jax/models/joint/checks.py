@@ -8,8 +8,9 @@ costs no compilation.
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -152,7 +153,38 @@ def _conformal(scene: Joint, values: Mapping[str, float], where: str) -> None:
             raise InputError(f"{where} {name}", found, remedy)
 
 
-def check_geometry(values: Mapping[str, float], where: str = "scene 'joint'") -> None:
+def suspects(scene: Joint, params: Params) -> np.ndarray:
+    """Which of N joints ``check_joint`` must look at one by one, (N,): it finds no fault with the others.
+
+    Only checks that read what differs among them are made again for each.
+
+    Args:
+        scene: the joint.
+        params: leaves (N,).
+    """
+    columns = {name: np.asarray(leaf).tolist() for name, leaf in params.items()}
+    values = {name: column[0] for name, column in columns.items()}
+    found = np.ones(len(next(iter(columns.values()))), bool)
+    try:
+        check_joint(scene, values)  # pyright: ignore[reportArgumentType]
+    except InputError:
+        return found
+    moved = {name: column for name, column in columns.items() if any(x != column[0] for x in column)}
+    values["balls"] = float(scene.balls)
+    for k in range(found.size):
+        values.update((name, column[k]) for name, column in moved.items())
+        # Without a length here, formulas for stiffness or for load sharing may have no value.
+        if any(values[name] == 0.0 for name in moved if name == "offset" or name.startswith("clearance_")):
+            continue
+        with contextlib.suppress(InputError):
+            check_geometry(values, moved=moved)
+            found[k] = False
+    return found
+
+
+def check_geometry(
+    values: Mapping[str, float], where: str = "scene 'joint'", moved: Collection[str] | None = None
+) -> None:
     """Refuse dimensions that do not make a joint.
 
     Args:
@@ -160,6 +192,7 @@ def check_geometry(values: Mapping[str, float], where: str = "scene 'joint'") ->
             ``_CHECKS`` and any that begins with ``clearance_``; others are left alone, and missing ones skip
             the checks that need them.
         where: what the message begins with; the key follows it.
+        moved: keys in which they differ from dimensions that passed: what reads none of them passes again.
 
     Raises:
         InputError: naming the key, its value and what would be right.
@@ -167,10 +200,11 @@ def check_geometry(values: Mapping[str, float], where: str = "scene 'joint'") ->
     given = {key: float(value) for key, value in values.items() if key in _RANGES or key.startswith("clearance_")}
     # Ranges first: no check sees a value that is no length or no angle.
     for key, value in given.items():
-        if fault := _in_range(key, value):
+        if (moved is None or key in moved) and (fault := _in_range(key, value)):
             raise InputError(f"{where} {fault.key}", fault.found, fault.remedy)
     for keys, check in _CHECKS:
-        if not all(key in given for key in keys):
+        again = moved is None or any(key in moved for key in keys)
+        if not (again and all(key in given for key in keys)):
             continue
         arguments = [given[key] for key in keys]
         if fault := check(*arguments):

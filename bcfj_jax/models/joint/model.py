@@ -47,7 +47,7 @@ from bcfj_jax.models.joint import (
 )
 from bcfj_jax.models.joint.arrowhead import Arrowhead
 from bcfj_jax.models.joint.batched_newton import origin
-from bcfj_jax.models.joint.checks import check_joint
+from bcfj_jax.models.joint.checks import check_joint, suspects
 from bcfj_jax.models.joint.constants import constants
 from bcfj_jax.models.joint.energy import power, stored
 from bcfj_jax.models.joint.fidelity import adaptive, resolved
@@ -202,6 +202,10 @@ class JointModel(Joint):
     def check(self, params: Params, where: str = "") -> None:
         """``checks.check_joint``."""
         check_joint(self, params, where or "scene 'joint'")
+
+    def suspects(self, params: Params) -> np.ndarray:
+        """``checks.suspects``."""
+        return suspects(self, params)
 
     def period(self, params: Params) -> tuple[float, float]:
         """Of the seat, and of one ball's pitch.
