@@ -87,7 +87,7 @@ def study(
     Args:
         what: a study file, or its content.
         out: the folder; one that holds the same study is gone on with.
-        workers: processes on this machine, in place of threads of this one: one a core, or one in all where there is
+        workers: processes on this machine, in place of threads of this process, one a core; one in all where there is
             an accelerator.
         scheduler: address of a Dask scheduler that shall do the work in place of this machine.
         progress: receives the numbers of finished and of all blocks.

@@ -67,12 +67,12 @@ class JointContact(eqx.Module):
             remedy = f'give stiffnesses = {{ {self.name} = "given" }}, or elastics = {{ {self.name} = "power" }}'
             raise InputError("scene 'joint' stiffness", found, remedy)
 
-    @functools.cached_property
+    @property
     def needs(self) -> tuple[str, ...]:
         """Coefficients its laws read."""
         return (*self.law.needs, *(self.friction.needs if self.friction else ()))
 
-    @functools.cached_property
+    @property
     def derived(self) -> tuple[str, ...]:
         """Coefficients that the joint's geometry gives (``coefficients``). A flat window has no radius difference."""
         radii = ("radius",) if self.name in FLAT else ("radius", "radius_difference")
@@ -80,7 +80,7 @@ class JointContact(eqx.Module):
         needs = self.needs
         return tuple(name for name in wanted if name in needs)
 
-    @functools.cached_property
+    @property
     def own(self) -> tuple[str, ...]:
         """Coefficients that are parameters: the others that it needs, and what a geometric stiffness is made of."""
         derived = self.derived
