@@ -15,7 +15,7 @@ app.add_typer(studies, name="study")
 
 StudyFile = Annotated[str, typer.Argument(metavar="STUDY", help="A study file, or a built-in study: clearance.")]
 StudyOut = Annotated[Path | None, typer.Option("--out", help="Folder of the study; by default results/study-NAME.")]
-Workers = Annotated[int | None, typer.Option(min=1, help="Processes, in place of threads of this one.")]
+Workers = Annotated[int | None, typer.Option(min=1, help="Number of processes; by default threads of one process.")]
 Others = Annotated[
     list[Path] | None, typer.Option("--from", help="Another folder of the same study; can be given again.")
 ]

@@ -76,12 +76,14 @@ def test_what_one_thread_raises_stops_the_others_after_their_block(here, monkeyp
         time.sleep(0.3)
         raise AssertionError("left behind: nobody hears of it")
 
+    left = []
     monkeypatch.setattr(worker, "compute", fails)
+    monkeypatch.setattr(local, "abandon", lambda: left.append(True))
     with pytest.raises(type(raised)):
         local.in_threads(store, 2, lambda _: None)
     assert len(store.blocks) > 2
     time.sleep(0.6)
-    assert len(begun) == 2
+    assert len(begun) == 2 and left == [True]
 
 
 @pytest.mark.slow

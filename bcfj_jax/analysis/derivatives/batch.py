@@ -38,7 +38,6 @@ class Runs(NamedTuple):
         derivative: (N, P, ...) per SI unit, of a force the normal part.
         code, end: (N,) how and when [s] they ended; steps: (N,) attempted.
         rounds: of all places of the batch; 0 where there are none.
-        compile_s: seconds that it took to get the program.
     """
 
     value: Histories
@@ -47,7 +46,6 @@ class Runs(NamedTuple):
     end: np.ndarray
     steps: np.ndarray
     rounds: int
-    compile_s: float
 
 
 def possible(scene: AbstractModel, how: Plan) -> bool:
@@ -74,13 +72,13 @@ def run(
     count = len(ends)
     fill, mesh = filled(count, size)
     arguments = {k: leaf[fill] for k, leaf in params.items()}, ends[fill], how, np.asarray(count), np.asarray(grid)
-    batch, compile_s = program("batched jacobian", _program, (scene, wrt, whole, mesh), arguments)
+    batch, _ = program("batched jacobian", _program, (scene, wrt, whole, mesh), arguments)
     found = batch(*arguments)
     rounds = int(np.max(found[4]))
     value, slopes, code, end, steps = (jax.tree.map(lambda x: x[:count], part) for part in (*found[:4], found[5]))
     force, *others = (np.moveaxis(x, 2, 1) for x in slopes)
     derivative = Histories(force[..., None], *others, state=None)
-    return Runs(Histories(*value, state=None), derivative, code, end, steps, rounds, compile_s)
+    return Runs(Histories(*value, state=None), derivative, code, end, steps, rounds)
 
 
 def filled(count: int, size: int) -> tuple[np.ndarray, Mesh | None]:

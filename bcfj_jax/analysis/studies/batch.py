@@ -46,7 +46,6 @@ class Batch(NamedTuple):
         steps: (N,) attempted steps, or iterations.
         rounds: rounds of all places of the batch; 0 where there are none.
         force: (N, T, C, 3) [N] if asked for, else (N, 0, 0, 0).
-        compile_s: seconds that it took to get the program.
     """
 
     features: np.ndarray
@@ -55,7 +54,6 @@ class Batch(NamedTuple):
     steps: np.ndarray
     rounds: int
     force: np.ndarray
-    compile_s: float = 0.0
 
 
 def has_history(scene: AbstractModel) -> bool:
@@ -98,7 +96,7 @@ def run(
     arguments = {name: leaf[fill] for name, leaf in params.items()}, ends[fill], how, np.asarray(count)
     # The grid as bytes, which are hashable.
     static = scene, grid.tobytes(), tuple(wanted), host, mesh
-    batch, compile_s = program("batch", _program, static, arguments)
+    batch, _ = program("batch", _program, static, arguments)
     found = batch(*arguments)
     values, code, end, steps, rounds = (np.asarray(x) if not np.ndim(x) else x[:count] for x in found[:5])
     # Histories only where they are asked for.
@@ -119,7 +117,7 @@ def run(
     code = np.where((code == OK) & lost, NO_FORCE, code)
     values[code != OK] = np.nan
     reasons = [reason(one, how.max_steps) for one in code]
-    return Batch(values, reasons, end, steps, int(np.max(rounds)), force if forces else nothing, compile_s)
+    return Batch(values, reasons, end, steps, int(np.max(rounds)), force if forces else nothing)
 
 
 def _program(

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import time
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -54,7 +53,6 @@ class Table(NamedTuple):
         steps: (n,) attempted steps; rounds: of all places of the batch (``solve.work_queue``).
         force: (n, T, C, 3) [N], or empty.
         ends: (n,) last times [s].
-        wall_s: seconds that computing them took, without compiling.
     """
 
     point: np.ndarray
@@ -66,7 +64,6 @@ class Table(NamedTuple):
     rounds: int
     force: np.ndarray
     ends: np.ndarray
-    wall_s: float = 0.0
 
 
 class Blocks:
@@ -143,13 +140,13 @@ def compute(study: Study, at: np.ndarray, size: int) -> Table:
         at: their numbers, at most ``size``.
         size: of the program.
     """
-    begin, values, given = time.perf_counter(), study.points[at], study.given
+    values, given = study.points[at], study.given
     refused = _refusals(study, values, size)
     good = np.flatnonzero([not text for text in refused])
     last = study.ends[at]
     results = np.full((len(at), len(study.columns)), np.nan)
     status, reasons = ["failed"] * len(at), list(refused)
-    steps, rounds, compile_s = np.zeros(len(at), int), 0, 0.0
+    steps, rounds = np.zeros(len(at), int), 0
     force = np.zeros((len(at), 0, 0, 0))
     if study.histories:
         force = np.full((len(at), len(given.times), sum(max(1, k) for k in given.scene.members.values()), 3), np.nan)
@@ -157,9 +154,9 @@ def compute(study: Study, at: np.ndarray, size: int) -> Table:
 
     def attempt(which: np.ndarray, safety: float) -> np.ndarray:
         """Run some of the points; which of them failed."""
-        nonlocal rounds, compile_s
+        nonlocal rounds
         batch = _run(study, values[which], last[which], grid, size, safety)
-        rounds, compile_s = rounds + batch.rounds, compile_s + batch.compile_s
+        rounds += batch.rounds
         steps[which] += batch.steps
         results[which] = batch.features
         if study.histories:
@@ -175,8 +172,7 @@ def compute(study: Study, at: np.ndarray, size: int) -> Table:
         failed = attempt(good, 1.0)
         if failed.size and has_history(given.scene):
             attempt(failed, SAFER)
-    wall_s = time.perf_counter() - begin - compile_s
-    return Table(at, values, results, status, reasons, steps, rounds, force, last, wall_s)
+    return Table(at, values, results, status, reasons, steps, rounds, force, last)
 
 
 def _run(study: Study, values: np.ndarray, last: np.ndarray, grid: np.ndarray, size: int, safety: float) -> Batch:
@@ -211,7 +207,7 @@ def _with_derivatives(
         rows.append(_row(study, end * grid, value, slopes))
     reasons = [reason(code, how.max_steps) for code in found.code]
     force = found.value.force if study.histories else np.zeros((len(last), 0, 0, 0))
-    return Batch(np.array(rows), reasons, found.end, found.steps, found.rounds, force, found.compile_s)
+    return Batch(np.array(rows), reasons, found.end, found.steps, found.rounds, force)
 
 
 def _row(study: Study, times: np.ndarray, value: Histories, slopes: Histories) -> np.ndarray:
@@ -272,7 +268,7 @@ def _no_slopes(read: list[np.ndarray]) -> Histories:
 
 
 def _refusals(study: Study, values: np.ndarray, size: int) -> list[str]:
-    """Why points (n, D) cannot be run; "" where they can. ``size``: of the program that looks at all of them."""
+    """Why points (n, D) cannot be run, n at most ``size``; "" where they can."""
     scene = study.given.scene
     known = {name: scene.quantities[name] for name in study.names}
     # Plain numbers once, for what thousands of points share.
@@ -291,8 +287,8 @@ def _refusals(study: Study, values: np.ndarray, size: int) -> list[str]:
             found[i] = _refusal(error)
     if not good:
         return found
-    # As many as the program is of, those that are too many the last one again.
-    fill = np.array(good)[np.minimum(np.arange(max(size, len(good))), len(good) - 1)]
+    # The program takes ``size`` points: the last one fills the places that are left.
+    fill = np.array(good)[np.minimum(np.arange(size), len(good) - 1)]
     suspect = scene.suspects(study.params(values[fill]))[: len(good)]  # pyright: ignore[reportArgumentType]
     for i in np.array(good)[suspect]:
         params |= dict(zip(study.names, values[i].tolist(), strict=True))

@@ -57,9 +57,10 @@ def in_threads(store: Store, threads: int, progress: Callable[[int], None]) -> N
     """
     enough, telling = threading.Event(), threading.Lock()
 
-    def tell(there: int) -> None:
+    def tell(_: int) -> None:
+        # Counted within the lock, so that a smaller number never follows a greater one.
         with telling:
-            progress(there)
+            progress(store.there())
 
     pool = ThreadPoolExecutor(threads)
     try:

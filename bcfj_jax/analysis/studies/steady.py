@@ -28,7 +28,7 @@ def of_steady(study: Study, values: np.ndarray, last: np.ndarray, how: Plan, siz
     scene, count = study.given.scene, len(last)
     params = study.params(values)
     found = to_the_end(scene, params, last, how, size)
-    states, codes, compile_s = found.state, found.code, found.compile_s
+    states, codes = found.state, found.code
     rows, reasons = np.full((count, len(study.columns)), np.nan), []
     stops, steps, rounds = found.end, found.steps.copy(), found.rounds
     for i, end in enumerate(last):
@@ -42,7 +42,7 @@ def of_steady(study: Study, values: np.ndarray, last: np.ndarray, how: Plan, siz
         reasons.append("its motion has no pitch" if orbit is None else orbit.reason)
         if orbit is None or orbit.reason:
             continue
-        steps[i], compile_s = steps[i] + orbit.steps, compile_s + orbit.compile_s
+        steps[i] += orbit.steps
         numbers = [orbit.features[f.name] for f in study.features]
         rows[i] = numbers + [orbit.feature_derivatives[p][f.name] for f in study.features for p in wrt]
-    return Batch(rows, reasons, stops, steps, rounds, np.zeros((count, 0, 0, 0)), compile_s)
+    return Batch(rows, reasons, stops, steps, rounds, np.zeros((count, 0, 0, 0)))
