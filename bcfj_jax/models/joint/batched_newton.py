@@ -137,9 +137,6 @@ def search(scene: Joint, problem: Problem, drift: Problem, times: Array, near: P
         i = jnp.minimum(index, count - 1)
         return p._replace(ball=p.ball[:, :, i], seat=p.seat[i], torque=p.torque[i])
 
-    def forces(index: Array, x: Array) -> tuple[Places, Matrix]:
-        return balance(scene, instants(problem, index), split(x))
-
     def join(at: Places) -> Array:
         return jnp.concatenate([at.ball.reshape(3 * n, -1), at.coupling])
 
@@ -153,13 +150,12 @@ def search(scene: Joint, problem: Problem, drift: Problem, times: Array, near: P
     origin = jnp.zeros((size, count)) if near is None else join(near)[:, rank]
 
     def more(carry: Any) -> Array:
-        return jnp.any(carry[0].index < count) | (carry[3] == 0)
+        return jnp.any(carry[0].index < count) | (carry[2] == 0)
 
     def body(carry: Any) -> Any:
-        # Forces come over from the round before: in one round with the solution the compiler would compute them
-        # again for every reader.
-        batch, x, (out, matrix), taken, known, rates, state, spent = carry
+        batch, x, taken, known, rates, state, spent = carry
         here, moving = instants(problem, batch.index), instants(drift, batch.index)
+        out, matrix = balance(scene, here, split(x))
         step, back = solve(matrix, out, pull(scene, here, moving, matrix))
         out, step = join(out), join(step)
         trials = batch.trials + 1
@@ -194,7 +190,7 @@ def search(scene: Joint, problem: Problem, drift: Problem, times: Array, near: P
         fresh = _Batch(candidate, guess, jnp.zeros_like(x), jnp.zeros(width), jnp.ones(width), jnp.zeros(width, int))
         batch = jax.tree.map(lambda new, old: jnp.where(idle, new, old), fresh, batch)
         x = batch.base - batch.part * batch.step
-        return batch, x, forces(batch.index, x), taken, *results
+        return batch, x, taken, *results
 
     def noted(which: Array, index: Array, news: tuple, results: tuple) -> tuple:
         """Results of all instants, with those of the batch that have ended."""
@@ -206,7 +202,7 @@ def search(scene: Joint, problem: Problem, drift: Problem, times: Array, near: P
     def handed_out(idle: Array, taken: Array, results: tuple) -> tuple[Array, Array, Array]:
         """What idle places get: instants, where these start from, and how many of the queue are taken then."""
         if whole:
-            return jnp.where(taken == 0, jnp.arange(count), count), origin, jnp.asarray(count)
+            return jnp.full(count, count), origin, taken
         known, _, state, _ = results
         # Idle places look at the next of the queue in turn; each instant waits for its own neighbours.
         nth = taken + jnp.cumsum(idle) - 1
@@ -223,17 +219,12 @@ def search(scene: Joint, problem: Problem, drift: Problem, times: Array, near: P
         a, b = (jnp.where(k, renumbered(known[:, s[i]], i, s[i]), 0.0) for k, s in ((first, left), (last, right)))
         return candidate, jnp.where(left[i] < 0, origin[:, i], a + share * (b - a)), taken
 
-    def empty(rows: int) -> Array:
-        return jnp.zeros((rows, width))
-
-    nobody = _Batch(
-        jnp.full(width, count), empty(size), empty(size), jnp.zeros(width), jnp.ones(width), jnp.zeros(width, int)
-    )
-    flat = jax.eval_shape(forces, nobody.index, nobody.base)
-    # Every place is idle in the first round: what it solves is thrown away.
-    nothing = jax.tree.map(lambda s: jnp.ones(s.shape), flat)
+    # With a queue, every place is idle in the first round: what it solves is thrown away.
+    index, base = (jnp.arange(count), origin) if whole else (jnp.full(width, count), jnp.zeros((size, width)))
+    none = jnp.zeros(width)
+    batch = _Batch(index, base, jnp.zeros_like(base), none, none + 1.0, jnp.zeros(width, int))
     results = (jnp.zeros((size, count)), jnp.zeros((size, count)), jnp.zeros(count, int), jnp.zeros(count, int))
-    start = (nobody, nobody.base, nothing, jnp.asarray(0), *results)
+    start = (batch, base, jnp.asarray(count if whole else 0), *results)
     *_, known, rates, state, spent = jax.lax.while_loop(more, body, start)
     back = jnp.argsort(rank)
     return Found(split(known[:, back]), split(rates[:, back]), state[back] == 1, spent[back])

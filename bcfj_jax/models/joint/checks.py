@@ -171,6 +171,8 @@ def suspects(scene: Joint, params: Params) -> np.ndarray:
         return found
     moved = {name: column for name, column in columns.items() if any(x != column[0] for x in column)}
     values["balls"] = float(scene.balls)
+    read = {key for keys, _ in _CHECKS if not moved.keys().isdisjoint(keys) for key in keys} | moved.keys()
+    values = {name: value for name, value in values.items() if name in read}
     for k in range(found.size):
         values.update((name, column[k]) for name, column in moved.items())
         # Without a length here, formulas for stiffness or for load sharing may have no value.
