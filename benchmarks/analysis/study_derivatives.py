@@ -203,7 +203,8 @@ def main() -> None:
 
 def told(content: dict[str, Any]) -> None:
     """Put the table into docs/studies.md."""
-    rows = [["study of 256 points", "loop, CPU ms a point", "batch", "ratio", "study on two cores, wall", "largest difference of a derivative"]]
+    ways = ["loop, CPU ms a point", "batch", "ratio", "study on two cores, wall"]
+    rows = [["study of 256 points", *ways, "largest difference of a derivative"]]
     for name, one in content["cases"].items():
         off = max(x for column, x in one["off"].items() if column.startswith("d("))
         ways = [f"{1e3 * one[way]:.3g}" for way in ("loop_cpu_s", "batch_cpu_s")]
