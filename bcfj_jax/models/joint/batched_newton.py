@@ -112,11 +112,13 @@ def search(scene: Joint, problem: Problem, drift: Problem, times: Array, near: P
     count, n = times.size, scene.balls
     size = 3 * n + sum(piece.stop - piece.start for piece in slices_of(scene).values())
     width = min(_SIZE, count)
+    # All are in the batch from the start, each at its own place, and none takes another's: no queue, no order, no scatters.
+    whole = near is not None and width == count
     alone = np.arange(count), np.full(count, -1), np.full(count, -1)
     order, left, right = (jnp.asarray(x) for x in (_queue(count) if near is None else alone))
     order = jnp.concatenate([order, jnp.full(width, count)])
     pitch = 2.0 * np.pi / n
-    rank, place = _neighbourhood(problem, pitch, times)
+    rank, place = (slice(None), times) if whole else _neighbourhood(problem, pitch, times)
     problem, drift = (
         p._replace(ball=p.ball[:, :, rank], seat=p.seat[rank], torque=p.torque[rank]) for p in (problem, drift)
     )
@@ -127,9 +129,6 @@ def search(scene: Joint, problem: Problem, drift: Problem, times: Array, near: P
 
     def split(x: Array) -> Places:
         return Places(x[: 3 * n].reshape(3, n, -1), x[3 * n :])
-
-    # All are in the batch from the start, each at its own place, and none takes another's: no queue, no scatters.
-    whole = near is not None and width == count
 
     def instants(p: Problem, index: Array) -> Problem:
         if whole:
@@ -226,5 +225,5 @@ def search(scene: Joint, problem: Problem, drift: Problem, times: Array, near: P
     results = (jnp.zeros((size, count)), jnp.zeros((size, count)), jnp.zeros(count, int), jnp.zeros(count, int))
     start = (batch, base, jnp.asarray(count if whole else 0), *results)
     *_, known, rates, state, spent = jax.lax.while_loop(more, body, start)
-    back = jnp.argsort(rank)
+    back = rank if isinstance(rank, slice) else jnp.argsort(rank)
     return Found(split(known[:, back]), split(rates[:, back]), state[back] == 1, spent[back])
