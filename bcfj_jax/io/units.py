@@ -1,7 +1,7 @@
 """Units at the edges: texts such as "12.5 um" and headers such as "Force [kN]" become SI numbers here.
 
 What a unit may look like is in ``unittext``. Pint is imported on first use, so importing the package stays light;
-numbers need no Pint at all.
+numbers, and units that most files are written in, need no Pint at all.
 """
 
 from __future__ import annotations
@@ -40,6 +40,11 @@ _STIFFNESS = "N/m^n"
 _PREFIXES = {-12: "p", -9: "n", -6: "u", -3: "m", 0: "", 3: "k", 6: "M", 9: "G", 12: "T"}
 # Units whose name may be preceded by a prefix without changing its meaning.
 _PREFIXABLE = ("m", "s", "N", "Pa", "J", "W", "Hz", "N m", "N s", "m/s", "s/m")
+# What most files are written in needs no Pint, whose import takes as long as that of JAX: (unit, SI unit) and the factor.
+_COMMON = {(prefix + unit, unit): float(f"1e{power}") for unit in _PREFIXABLE for power, prefix in _PREFIXES.items()} | {
+    ("g", "kg"): 1e-3, ("kg", "kg"): 1.0, ("kg/m^3", "kg/m^3"): 1.0, ("m/s^2", "m/s^2"): 1.0, ("%", "1"): 0.01,
+    ("deg", "rad"): math.pi / 180.0, ("rad", "rad"): 1.0, ("rad/s", "rad/s"): 1.0, ("r/min", "rad/s"): math.pi / 30.0,
+}  # fmt: skip
 _EXAMPLES = {
     "1": 'a plain number such as 0.9 or "90 %"',
     "m": 'a length such as "1.2 mm"',
@@ -105,6 +110,11 @@ def scale_of(unit_text: str, si_unit: str, where: str, *, exponent: float | None
 
 
 def _factor(unit_text: str, si_unit: str, where: str, exponent: float | None, given: str) -> float:
+    common = _COMMON.get((unit_text, si_unit))
+    return _by_pint(unit_text, si_unit, where, exponent, given) if common is None else common
+
+
+def _by_pint(unit_text: str, si_unit: str, where: str, exponent: float | None, given: str) -> float:
     if si_unit == _STIFFNESS:
         return _stiffness_factor(unit_text, where, exponent, given)
     right = f"give {_remedy(si_unit)}"

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 import time
 
 import pytest
@@ -10,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bcfj_jax.core.errors import InputError, clip, together
+from bcfj_jax.io import units
 from bcfj_jax.io.units import column, engineering, format_si, quantity, scale_of
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -179,3 +182,20 @@ def test_text_for_people():
     assert format_si(0.0167, "kg") == "16.7 g"
     assert format_si(0.9, "1") == "0.9"
     assert format_si(math.nan, "N") == "-"
+
+
+def test_common_units_are_what_pint_makes_of_them():
+    for (text, unit), factor in units._COMMON.items():
+        assert units._by_pint(text, unit, "here", None, text) == factor, (text, unit)
+
+
+def test_a_usual_scene_file_needs_no_pint():
+    code = """
+import sys
+from bcfj_jax.io.scenefile import from_table
+from_table({
+    "scene": {"kind": "impact"}, "parameters": {"mass": "500 g", "approach_speed": "20 mm/s"}, "time": {"end": "60 us"},
+}, None)
+assert "pint" not in sys.modules
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)
