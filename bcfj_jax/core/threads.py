@@ -5,10 +5,11 @@ from __future__ import annotations
 import contextlib
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
+S = TypeVar("S")
 T = TypeVar("T")
 
 _ahead: list[threading.Thread] = []
@@ -26,6 +27,12 @@ def together(first: Callable[[], T], *others: Callable[[], T]) -> list[T]:
     with ThreadPoolExecutor(max(len(others), 1)) as pool:
         waiting = [pool.submit(other) for other in others]
         return [first(), *(future.result() for future in waiting)]
+
+
+def each(function: Callable[[S], T], items: Iterable[S]) -> list[T]:
+    """What a function gives of every item, in order; as many at a time as there are cores."""
+    with ThreadPoolExecutor(cores()) as pool:
+        return list(pool.map(function, items))
 
 
 def ahead(task: Callable[[], object]) -> None:

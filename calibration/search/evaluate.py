@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-
 import equinox as eqx
 import numpy as np
 
-from bcfj_jax.core.threads import cores
+from bcfj_jax.core.threads import each
 from bcfj_jax.solve.plan import plan
 from calibration.forward.losses import straightened
 from calibration.forward.model import Evaluated, Model, evaluation
@@ -30,9 +28,8 @@ def evaluator(model: Model, log_depth: float) -> Evaluate:
     at = evaluation(model)
 
     def over_the_cores(points: np.ndarray) -> Evaluated:
-        with ThreadPoolExecutor(cores()) as pool:
-            found = pool.map(lambda point: at(point[None], log_depth), points)
-            return Evaluated(*(np.concatenate(part) for part in zip(*found, strict=True)))
+        found = each(lambda point: at(point[None], log_depth), points)
+        return Evaluated(*(np.concatenate(part) for part in zip(*found, strict=True)))
 
     def evaluate(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         different, places = np.unique(points, axis=0, return_inverse=True)

@@ -21,12 +21,13 @@ from jax import Array
 
 from bcfj_jax.analysis.derivatives.batch import jacobians, possible
 from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel, histories
-from bcfj_jax.analysis.derivatives.steady import to_the_end, turn
+from bcfj_jax.analysis.derivatives.steady import Turn, to_the_end, turn
 from bcfj_jax.analysis.designs.objective import Objective, measured, sampled
 from bcfj_jax.analysis.designs.space import Space
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.programs import program
 from bcfj_jax.core.status import NOT_FINITE, OK, STEEP, reason
+from bcfj_jax.core.threads import cores, each
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.plan import Plan
 from bcfj_jax.solve.simulation import readings
@@ -166,9 +167,14 @@ class Evaluator:
         slopes = [np.full((*shape, len(self.space.names)), np.nan) for _ in range(2)]
         code, whys, compile_s = np.full(self.batch, NOT_FINITE), [""] * self.batch, runs.compile_s
         code[:count] = runs.code
-        for i in np.flatnonzero(runs.code == OK):
+
+        def turned(i: int) -> Turn:
             one = {name: leaf[i] for name, leaf in params.items()}
-            found = turn(self.scene, one, runs.state[i], end, self.space.names, self.how.max_steps)
+            return turn(self.scene, one, runs.state[i], end, self.space.names, self.how.max_steps)
+
+        # The first alone: it may compile, for which all others would wait.
+        good = np.flatnonzero(runs.code == OK)
+        for i, found in zip(good, [*map(turned, good[:1]), *each(turned, good[1:])], strict=True):
             compile_s += found.compile_s
             if found.reason:
                 code[i], whys[i] = NOT_FINITE, found.reason
@@ -182,16 +188,31 @@ class Evaluator:
         return force, depth, *slopes, code, whys
 
     def _batch(self, points: np.ndarray, near: Any) -> tuple:
-        """``_runs``, filled up with the first point."""
-        rows = np.array([i if i < len(points) else 0 for i in range(self.batch)])
-        arguments = dict(self.params), points[rows], self.times, self.how, np.asarray(len(points)), near
-        runs, compile_s = program("design runs", _runs, (self.scene, self.space.names), arguments)
+        """``_runs``, filled up with the first point; what runs one by one is shared out among the cores."""
+        shares = min(cores(), len(points)) if _one_by_one(self.scene, self.how) else 1
+        parts = [points[share] for share in np.array_split(np.arange(len(points)), shares)]
+        sizes = [len(part) for part in parts]
+        given = [
+            (dict(self.params), part[self._filled(size)], self.times, self.how, np.asarray(size), near)
+            for part, size in zip(parts, sizes, strict=True)
+        ]
+        runs, compile_s = program("design runs", _runs, (self.scene, self.space.names), given[0])
         begin = time.perf_counter()
-        found = runs(*arguments)
+        found = each(lambda one: runs(*one), given)
+
+        def joined(*each: Any) -> np.ndarray:
+            wanted = [x[:size] for x, size in zip(each, sizes, strict=True)]
+            return np.concatenate(wanted)[self._filled(len(points))]
+
+        found = jax.tree.map(joined, *found)
         self.spent.wall_s += time.perf_counter() - begin
         self.spent.compile_s += compile_s
         self.spent.batches += 1
         return found
+
+    def _filled(self, count: int) -> np.ndarray:
+        """Rows of a batch of which so many are wanted: the first stands for the others."""
+        return np.array([i if i < count else 0 for i in range(self.batch)])
 
     def _refusal(self, point: np.ndarray) -> str:
         """Why a point cannot be built; "" if it can."""
@@ -203,6 +224,12 @@ class Evaluator:
         except InputError as error:
             return str(error)
         return ""
+
+
+def _one_by_one(scene: AbstractModel, how: Plan) -> bool:
+    """Whether points are taken one after the other: side by side a large model gains nothing on a core."""
+    batched = scene.traits.history and possible(scene, how)
+    return scene.traits.large and jax.default_backend() == "cpu" and not batched
 
 
 def _runs(
@@ -231,8 +258,8 @@ def _runs(
         return read, (read, code, places)
 
     whole = jax.jacfwd(one, has_aux=True)
-    if scene.traits.large and jax.default_backend() == "cpu":
-        # Side by side a large model gains nothing on a core; one by one, those beyond the count cost nothing.
+    if _one_by_one(scene, how):
+        # Those beyond the count cost nothing.
         nothing = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(whole, points[0]))
         each = (jnp.arange(len(points)), points)
         slopes, (read, code, places) = jax.lax.map(
