@@ -200,8 +200,8 @@ class Evaluator:
         begin = time.perf_counter()
         found = each(lambda one: runs(*one), given)
 
-        def joined(*each: Any) -> np.ndarray:
-            wanted = [x[:size] for x, size in zip(each, sizes, strict=True)]
+        def joined(*shared: Any) -> np.ndarray:
+            wanted = [x[:size] for x, size in zip(shared, sizes, strict=True)]
             return np.concatenate(wanted)[self._filled(len(points))]
 
         found = jax.tree.map(joined, *found)
