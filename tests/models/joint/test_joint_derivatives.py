@@ -143,9 +143,8 @@ def test_a_gradient_is_as_accurate_as_asked():
 
 
 def test_a_gradient_by_a_hundred_knows_the_weak_ones_too():
-    # The law of the windows, with 2 % of the largest derivative, and the largest, against forward ones of each alone at
-    # 1e-8. At 1e-4 it was 65 % off where the error is held to 1 % of a random tangent; held to 0.1 %, it is 3 to 10 % off as
-    # the tolerance changes by a tenth, 5 % at 2e-5, and 0.04 % at 1e-6.
+    # At 1e-4 the law of the windows, with 2 % of the largest derivative, and the largest, against forward ones of each
+    # alone at 1e-8: 65 % off where the error is held to 1 % of a random tangent, 4 % where to 0.1 %.
     scene = joint_gradient.unlike()
     params, names = joint_gradient.hundred(scene)
     times = jnp.asarray(reference().times)
@@ -159,7 +158,7 @@ def test_a_gradient_by_a_hundred_knows_the_weak_ones_too():
         return params | {name: params[name] * jnp.exp(log) for name, log in zip(names, logs, strict=True)}
 
     zero = jnp.zeros(len(names))
-    found = np.asarray(jax.jit(jax.grad(square("reverse")))(zero, 2e-5))
+    found = np.asarray(jax.jit(jax.grad(square("reverse")))(zero, 1e-4))
     ahead = jax.jit(lambda way: jax.jvp(lambda logs: square("forward")(logs, 1e-8), (zero,), (way,))[1])
     for name, promise in (("conformity", 1e-2), ("cage_ball.exponent", 0.1)):
         exact = float(ahead(jnp.zeros(len(names)).at[names.index(name)].set(1.0)))
@@ -176,5 +175,5 @@ def test_steady_motion_has_the_derivatives_of_another_solver():
     assert beside["force"] < 1e-4
     for (name, row), strong in zip(beside["parameters"].items(), influential(), strict=True):
         assert row["5 ms"] < 0.01 or not strong, (name, row)
-        # Within 1 %, but for what the reference itself is off: 4 % by the clearance of the windows.
-        assert row["mean"] < 0.01 + row["reference's own"], (name, row)
+        # By the clearance of the windows the reference itself is known to 4 %.
+        assert row["mean"] < max(0.01, row["reference's own"]), (name, row)

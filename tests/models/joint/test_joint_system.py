@@ -93,8 +93,7 @@ def test_arrowhead_solves_with_the_exact_jacobian(options):
     for scale in (2e-5, 1e-3):
         got, back, jacobian = both(y, right, scale, c)
         terms = np.stack([left * np.asarray(got), right * np.asarray(back)])
-        # Rounding, amplified: 1.01e-11 with unlike laws, below 1e-11 elsewhere.
-        assert abs(np.diff(terms.sum(1))[0]) <= 2e-11 * abs(terms).sum()
+        assert abs(np.diff(terms.sum(1))[0]) <= 1e-11 * abs(terms).sum()
         wanted = np.linalg.solve(np.eye(y.size) / scale - np.asarray(jacobian), right)
         for part in (slice(0, places), slice(places, scene.moving), slice(scene.moving, None)):
             if not wanted[part].size:
