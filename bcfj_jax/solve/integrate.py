@@ -52,7 +52,8 @@ _SHORTEST = 1e-15
 # Share of a random direction's tangent to which its error is relative. At 0.01 a gradient by 100 parameters of a joint with
 # window ends is 1.7 % off at a tolerance of 1e-4, at 0.001 0.22 %, in a third more steps (benchmarks/models/joint_gradient.py).
 _LEAST = 0.001
-# Of what is asked, the tolerance of reverse runs without a tangent in their control (benchmarks/models/joint_gradient.py).
+# Of what is asked, the tolerance of stiff models' reverse runs (benchmarks/models/joint_gradient.py): of which parameters
+# derivatives will be asked for is not known, and loose steps end at order 2.
 _REVERSE = 0.1
 # Proportional and integral gain of the step control.
 _GAINS = {True: (0.4, 0.3), False: (0.2, 0.5)}
@@ -271,8 +272,8 @@ def _anywhere(model: AbstractModel, params: Params) -> tuple[Any, Array]:
 def _with_adjoint(problem: Problem, ahead: tuple[Any, Array] | None, times: Array, how: Plan) -> Solution:
     """A run whose reverse derivatives are those of its own steps (``solve.adjoint``); ``ahead`` counts in their control.
 
-    Without, orders end at 2: loose steps must damp (``solve.plan``), and orders above 2 are not A-stable. Their tolerance
-    is then ``_REVERSE`` of what is asked, because derivatives along so low an order are that much further off.
+    Without, orders end at 2: loose steps must damp (``solve.plan``), and orders above 2 are not A-stable. The tolerance
+    is ``_REVERSE`` of what is asked.
     """
     model, _ = problem.args
 
@@ -311,7 +312,7 @@ def _with_adjoint(problem: Problem, ahead: tuple[Any, Array] | None, times: Arra
 
     recorded, backward = lane_by_lane(run), lane_by_lane(back)
     solution.defvjp(forth, transposed)
-    fixed = (problem.scales, problem.first_step, how.tolerance * (_REVERSE if ahead is None else 1.0))
+    fixed = (problem.scales, problem.first_step, _REVERSE * how.tolerance)
     return solution((problem.args[1], problem.start, times), (fixed, ahead))
 
 

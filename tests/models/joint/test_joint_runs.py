@@ -87,38 +87,3 @@ def test_a_batch_of_durations_has_derivatives():
     times = jnp.asarray(SHORT) * jnp.array([[1.0], [2.0]])
     found = jax.eval_shape(jax.vmap(moved), jnp.full(2, 3e10), jnp.ones(2), times)
     assert found.shape == (2, 5, scene.balls, 3)
-
-
-@functools.cache
-def derivatives():
-    """Both directions of the derivative of 10 ms of a dynamic joint with friction, compiled; values; weights."""
-    scene = plain_joint(**LITTLE | {"friction": True})
-    params = scene.parameters()
-    free = ("stiffness", "damping", "friction_static", "clearance_seat_ball", "ball_mass", "load_torque")
-    times = np.linspace(0.0, 0.01, 5)
-
-    def forces(x):
-        values = {**params, **dict(zip(free, x, strict=True))}
-        return simulation.force_history(scene, values, times, accuracy="fast")
-
-    x = jnp.array([float(params[name]) for name in free])
-    rng = np.random.default_rng(8)
-    weights = {name: rng.normal(size=leaf.shape) for name, leaf in jax.eval_shape(forces, x).items()}
-
-    def both(x, direction, weights):
-        _, tangent = jax.jvp(forces, (x,), (direction,))
-        return tangent, jax.vjp(forces, x)[1](weights)[0]
-
-    return jax.jit(both), x, weights
-
-
-@pytest.mark.slow
-def test_derivatives_go_both_ways():
-    both, x, weights = derivatives()
-    x = x.at[-1].set(100.0)
-    direction = np.asarray(x) * np.random.default_rng(9).normal(size=x.shape)
-    tangent, cotangent = jax.device_get(both(x, direction, weights))
-    assert all(np.all(np.isfinite(part)) for part in tangent.values()) and np.all(np.isfinite(cotangent))
-    parts = np.concatenate([np.ravel(weights[name] * tangent[name]) for name in tangent])
-    assert abs(parts).max() > 1.0
-    assert abs(parts.sum() - cotangent @ direction) <= 1e-9 * abs(parts).max()
