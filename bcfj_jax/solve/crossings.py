@@ -161,7 +161,7 @@ def solved(
         watch = Watch(model, prepared, times[-1], solver.tolerance[0], most)
         found = bdf.solve(
             solver, made.args, changes, jnp.concatenate([start[None], by_start]), made.scales, times, made.first_step,
-            made.shortest_step, how.max_steps, watch=watch,
+            made.shortest_step, how.max_steps, watch=watch, limits=integrate.limits(made, solver),
         )  # fmt: skip
         m, (rows, *rest) = found.seen, integrate.ended(found, times, how)
         instants = m.found._replace(

@@ -41,12 +41,15 @@ from bcfj_jax.solve.landing import NEAR, Instants, Landing, contacts
 from bcfj_jax.solve.plan import Plan, Way
 from bcfj_jax.solve.rodas import Rodas
 from bcfj_jax.solve.sdirk import Sdirk
+from bcfj_jax.solve.seeking import Breaking, Seeker, Seeking, hidden_in
 from bcfj_jax.solve.tangents import beside
 
 _ADJOINTS = {"forward": dfx.ForwardMode(), "reverse": dfx.RecursiveCheckpointAdjoint()}
 
 # Relative tolerance at rounding level, so that large positions do not cause rejections.
 _ROUNDING = 4e-16
+# Of explicit runs, a share of their length.
+_ROUNDED = 1e-16
 # Of stiff models, whose steps begin short and may be rejected many times: length [s] below which a run has failed.
 _SHORTEST = 1e-15
 # Share of a random direction's tangent to which its error is relative. At 0.01 a gradient by 100 parameters of a joint with
@@ -71,6 +74,8 @@ class Problem(NamedTuple):
     Attributes:
         args: (model, what it has prepared).
         gains: proportional and integral, of the step control.
+        longest: length of a step at most [s]; ``breaks``: times (B,) at which steps end, sorted [s], or None.
+        seeks: whether steps are looked at for contacts that they hide (``seeking``).
     """
 
     field: Callable
@@ -78,9 +83,12 @@ class Problem(NamedTuple):
     start: Array
     scales: Array
     first_step: Array
-    shortest_step: float | None
+    shortest_step: Any
     gains: tuple[float, float]
     solver: dfx.AbstractSolver
+    longest: Array
+    breaks: Array | None
+    seeks: bool
     norm: Callable[[Array], Array] = _safe_norm
 
 
@@ -91,14 +99,21 @@ def problem(model: AbstractModel, params: Params, end: Array, how: Plan, differe
     scales = jax.lax.stop_gradient(model.error_scale(params, end))
     first = jnp.asarray(model.first_step(params, scales), dtype=jnp.float64)
     gains = _GAINS[stiff]
+    longest = jnp.minimum(how.longest, jnp.inf if model.longest_step is None else model.longest_step)
+    limits = longest, model.breaks(params, end), model.shows_proximity
     if not stiff:
         solver = getattr(dfx, named.NOT_STIFF[how.solver or "tsit5"])()
-        return Problem(_field, (model, prepared), start, scales, first, None, gains, solver)
+        if isinstance(solver, dfx.AbstractImplicitSolver):
+            # Of a step control of our own diffrax does not take over the tolerances.
+            finder = dfx.VeryChord(rtol=_ROUNDING, atol=how.tolerance * scales, norm=_safe_norm)
+            solver = eqx.tree_at(lambda s: s.root_finder, solver, finder)
+        shortest = _ROUNDED * jnp.maximum(jax.lax.stop_gradient(end), first)
+        return Problem(_field, (model, prepared), start, scales, first, shortest, gains, solver, *limits)
     last = jax.lax.stop_gradient(end)
     first = jnp.where(last > 0, jnp.minimum(first, 1e-2 * last), first)
     structure, implicit = model.structure(), differentiable or how.solver in ("sdirk2", "bdf")
     solver = Sdirk(structure, how.tolerance * scales) if implicit else Rodas(structure)
-    return Problem(structure.field, (model, prepared), start, scales, first, _SHORTEST, gains, solver)
+    return Problem(structure.field, (model, prepared), start, scales, first, _SHORTEST, gains, solver, *limits)
 
 
 def _field(t: Any, y: Array, args: tuple[AbstractModel, Any]) -> Array:
@@ -141,8 +156,6 @@ def integrate(
         return found._replace(states=found.states[:, 0])
     if differentiable and how.tangents and model.contacts:
         return _landed(posed, times, how, 1, mode)[0]
-    if how.extremes:
-        posed = posed._replace(solver=Watched(posed.solver))  # pyright: ignore[reportArgumentType]
     return _solved(posed, times, how, mode)
 
 
@@ -166,8 +179,32 @@ def _landed(problem: Problem, times: Array, how: Plan, most: int, mode: Way) -> 
     return end, contacts(memory)
 
 
-def controller(problem: Problem, how: Plan) -> dfx.PIDController:
-    """How steps are chosen."""
+def seeker(problem: Problem, how: Plan) -> dfx.AbstractSolver:
+    """The problem's solver, which looks for contacts within each step where the model shows them (``seeking``)."""
+    solver: Any = Watched(problem.solver) if how.extremes else problem.solver  # pyright: ignore[reportArgumentType]
+    if not problem.seeks:
+        return solver
+    tolerance = how.tolerance * problem.scales
+    # Dopri8 weighs no force at the end of a step in its error.
+    rows, blind = problem.start.ndim == 2, isinstance(problem.solver, dfx.Dopri8)
+    return Seeker(solver, tolerance, tolerance[0], problem.norm, rows, blind)
+
+
+def limits(problem: Problem, solver: Sdirk) -> bdf.Limits:
+    """What ends steps of BDF beside their errors."""
+    model, prepared = problem.args
+    find = hidden_in(model, prepared, solver.tolerance[0]) if problem.seeks else None
+    return bdf.Limits(problem.longest, problem.breaks, find)
+
+
+def controller(problem: Problem, how: Plan) -> dfx.AbstractStepSizeController:
+    """How steps are chosen: by their errors, for no hidden contact, and to end at breaks."""
+    control: dfx.AbstractStepSizeController = _by_errors(problem, how)
+    control = Seeking(control) if problem.seeks else control
+    return control if problem.breaks is None else Breaking(control, problem.breaks)
+
+
+def _by_errors(problem: Problem, how: Plan) -> dfx.PIDController:
     return dfx.PIDController(
         rtol=_ROUNDING,
         atol=how.tolerance * problem.scales,
@@ -175,6 +212,7 @@ def controller(problem: Problem, how: Plan) -> dfx.PIDController:
         icoeff=problem.gains[1],
         norm=problem.norm,
         dtmin=problem.shortest_step,
+        dtmax=problem.longest,
         force_dtmin=False,
     )
 
@@ -189,7 +227,7 @@ def _by_diffrax(
     """What diffrax finds with a step control, and, where its ``memory`` is asked for, what the control knows at the end."""
     solution = dfx.diffeqsolve(
         dfx.ODETerm(problem.field),  # pyright: ignore[reportArgumentType]
-        problem.solver,
+        seeker(problem, how),
         t0=0.0,
         t1=jnp.where(times[-1] > 0.0, times[-1], problem.first_step),
         dt0=problem.first_step,
@@ -208,7 +246,8 @@ def _by_diffrax(
     states, _ = solution.ys
     states = jnp.where(jnp.isfinite(states), states, jnp.nan)
     accepted, rejected = (solution.stats[f"num_{name}_steps"] for name in ("accepted", "rejected"))
-    extremes = solution.solver_state[-1] if how.extremes and solution.solver_state is not None else None
+    memory: Any = solution.solver_state
+    extremes = (memory[0] if problem.seeks else memory)[-1] if how.extremes else None
     ended = Solution(states, code_of(solution.result, states), solution.ts[1][0], accepted, rejected, extremes)
     return ended, solution.controller_state
 
@@ -232,7 +271,7 @@ def _by_bdf(problem: Problem, solver: Sdirk, changes: tuple | None, start: Array
         problem, solver, changes, start, times, how = eqx.combine(arrays, static)
         found = bdf.solve(
             solver, problem.args, changes, start, problem.scales, times, problem.first_step, problem.shortest_step,
-            how.max_steps,
+            how.max_steps, limits=limits(problem, solver),
         )  # fmt: skip
         return ended(found, times, how)
 
@@ -285,7 +324,7 @@ def _with_adjoint(problem: Problem, ahead: tuple[Any, Array] | None, times: Arra
         found = bdf.solve(
             solver, made.args, None if ahead is None else (model, by_args), rows, made.scales, times, made.first_step,
             made.shortest_step, how.max_steps, 2 if ahead is None else bdf.ORDERS, _LEAST,
-            min(adjoint.SEGMENT[ahead is not None], how.max_steps),
+            min(adjoint.SEGMENT[ahead is not None], how.max_steps), limits=limits(made, solver),
         )  # fmt: skip
         solution = ended(found, times, how)
         return solution._replace(states=solution.states[:, 0]), found.record
@@ -322,7 +361,7 @@ def _with_tangents(problem: Problem, times: Array, how: Plan) -> Solution:
 
     def of(x: tuple) -> tuple[Problem, Sdirk, Array, Plan]:
         c, start, times, *fixed = x
-        return *posed_at(problem, (c, start, *fixed)), times, Plan(fixed[-1], how.max_steps)
+        return *posed_at(problem, (c, start, *fixed)), times, Plan(fixed[-1], how.max_steps, longest=how.longest)
 
     def value(x: tuple) -> tuple[Array, tuple]:
         made, _, times, how = of(x)
