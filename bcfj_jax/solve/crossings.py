@@ -182,6 +182,6 @@ def solved(
         return (rows[:, 0], aside), jnp.moveaxis(rows[:, 1:], 1, 0)
 
     times = jax.lax.stop_gradient(times)
-    x = (*posed.args[1:], posed.start, times, posed.scales, posed.first_step, how.tolerance)
+    x = (*posed.args[1:], posed.start, times, *integrate.fixed_in(posed, how.tolerance))
     states, (rest, rates, instants) = together(value, ahead)(x)
     return Solution(states, *rest), rates, instants

@@ -187,7 +187,7 @@ def seeker(problem: Problem, how: Plan) -> dfx.AbstractSolver:
     tolerance = how.tolerance * problem.scales
     # Dopri8 weighs no force at the end of a step in its error.
     rows, blind = problem.start.ndim == 2, isinstance(problem.solver, dfx.Dopri8)
-    return Seeker(solver, tolerance, tolerance[0], problem.norm, rows, blind)
+    return Seeker(solver, tolerance, problem.scales, tolerance[0], problem.norm, rows, blind)
 
 
 def limits(problem: Problem, solver: Sdirk) -> bdf.Limits:
@@ -288,11 +288,19 @@ def ended(found: bdf.Found, times: Array, how: Plan) -> Solution:
 
 def posed_at(problem: Problem, x: tuple) -> tuple[Problem, Sdirk]:
     """The problem of a stiff model with arrays in place of its own, and its solver."""
-    c, start, scales, first, tolerance = x
+    c, start, scales, first, longest, breaks, tolerance = x
     assert isinstance(problem.solver, Sdirk)
     solver = Sdirk(problem.solver.structure, tolerance * scales)
-    made = problem._replace(args=(problem.args[0], c), start=start, scales=scales, first_step=first, solver=solver)
+    made = problem._replace(
+        args=(problem.args[0], c), start=start, scales=scales, first_step=first, longest=longest, breaks=breaks,
+        solver=solver,
+    )  # fmt: skip
     return made, solver
+
+
+def fixed_in(problem: Problem, tolerance: Array) -> tuple:
+    """Arrays of a problem that are not differentiated, in the order of ``posed_at``."""
+    return problem.scales, problem.first_step, problem.longest, problem.breaks, tolerance
 
 
 def _anywhere(model: AbstractModel, params: Params) -> tuple[Any, Array]:
@@ -351,7 +359,7 @@ def _with_adjoint(problem: Problem, ahead: tuple[Any, Array] | None, times: Arra
 
     recorded, backward = lane_by_lane(run), lane_by_lane(back)
     solution.defvjp(forth, transposed)
-    fixed = (problem.scales, problem.first_step, _REVERSE * how.tolerance)
+    fixed = fixed_in(problem, _REVERSE * how.tolerance)
     return solution((problem.args[1], problem.start, times), (fixed, ahead))
 
 
@@ -361,7 +369,7 @@ def _with_tangents(problem: Problem, times: Array, how: Plan) -> Solution:
 
     def of(x: tuple) -> tuple[Problem, Sdirk, Array, Plan]:
         c, start, times, *fixed = x
-        return *posed_at(problem, (c, start, *fixed)), times, Plan(fixed[-1], how.max_steps, longest=how.longest)
+        return *posed_at(problem, (c, start, *fixed)), times, Plan(fixed[-1], how.max_steps)
 
     def value(x: tuple) -> tuple[Array, tuple]:
         made, _, times, how = of(x)
@@ -383,6 +391,6 @@ def _with_tangents(problem: Problem, times: Array, how: Plan) -> Solution:
             moved = moved + by_times[:, :, None] * jax.vmap(lambda t, y: made.field(t, y, made.args))(times, states)
         return (states, tuple(rest)), moved
 
-    x = (*problem.args[1:], problem.start, times, problem.scales, problem.first_step, how.tolerance)
+    x = (*problem.args[1:], problem.start, times, *fixed_in(problem, how.tolerance))
     states, rest = together(value, ahead)(x)
     return Solution(states, *rest)

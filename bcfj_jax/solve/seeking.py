@@ -40,6 +40,10 @@ _BAND = 0.01
 _DEEPER = 4.0
 # A stride is good where the look in its middle differs by this share of how far the surfaces are from touching.
 _AGREES = 0.1
+# A step is taken again for hidden contacts so many times at most, so that rounding cannot hold it.
+_TRIES = 50
+# A blind solver's step that differs by this share of the natural sizes from Simpson's rule is none.
+_WILD = 0.1
 # The shortest stride, a share of the step, and the most looks at one step: a longer step is taken again.
 _SHORTEST, _MOST = 1e-7, 4000
 
@@ -84,7 +88,7 @@ def hidden(before: Proximity, after: Proximity, h: Array, near: Array, sight: Si
     inside = before.depth > jnp.where(before.rate > 0, -near, near)
     clear = _clear(before, after, h, near)
     if blind:
-        clear = clear & (inside | (after.depth <= near))
+        clear = clear & (inside | (after.depth <= 4.0 * near))
     wanted = good & ~jnp.all(clear | ~jnp.isfinite(after.depth))
     # A loop, though short, costs what it carries: a step that hides nothing has none.
     return jax.lax.cond(
@@ -112,11 +116,10 @@ def _marched(
         return taken._replace(looks=m.looks + 2)
 
     m = jax.lax.while_loop(lambda m: (m.at < 1.0) & (m.looks < _MOST), further, begin)
-    known = jnp.maximum(jnp.maximum(before.depth, after.depth), near)
-    deeper = m.top > _DEEPER * known
-    unseen = (m.changes > 1) | deeper
+    unseen = (m.changes > 1) | (m.top > _DEEPER * _known(before, after, near))
     if blind:
-        unseen = unseen | ((m.changes > 0) & ~inside)
+        landed = jnp.abs(after.depth - 2.0 * near) <= 2.0 * near
+        unseen = unseen | ((m.changes > 0) & ~inside & ~landed)
     share = jnp.where(inside & (m.changes < 2), m.deepest, jnp.minimum(m.first, m.deepest))
     share = jnp.min(jnp.where(unseen & wanted, share, 1.0), initial=1.0)
     # A step of more looks than are allowed ends where they ended.
@@ -131,9 +134,13 @@ def _clear(a: Proximity, b: Proximity, h: Array, near: Array) -> Array:
     band = _BAND * moved * jnp.where(small, share, 0.0) ** 3
     values = [a.depth, b.depth, *_turns(a, b, h)[1]]
     top, bottom = functools.reduce(jnp.maximum, values), functools.reduce(jnp.minimum, values)
-    known = jnp.maximum(jnp.maximum(a.depth, b.depth), near)
     parts = (a.depth > near) & (b.depth > near) & (bottom - band < -near)
-    return _apart(a, b, moved) | (small & (top + band <= _DEEPER * known) & ~parts)
+    return _apart(a, b, moved) | (small & (top + band <= _DEEPER * _known(a, b, near)) & ~parts)
+
+
+def _known(a: Proximity, b: Proximity, near: Array) -> Array:
+    """Penetrations (C,) of which both ends of a step know [m]: of surfaces that part at its end a damped law may not."""
+    return jnp.maximum(jnp.maximum(a.depth, jnp.where(b.rate >= 0, b.depth, 0.0)), near)
 
 
 def _moved(h: Array, *seen: Proximity) -> Array:
@@ -212,14 +219,16 @@ class Seeker(dfx.AbstractAdaptiveSolver):
     """A solver that tells its step control, beside the error, where its step has to end (``hidden``): (error, share).
 
     Attributes:
-        solver: whose steps are looked at; ``tolerance``: (n,) the step control's absolute one.
+        solver: whose steps are looked at; ``tolerance``: (n,) the step control's absolute one; ``scales``: its natural sizes.
         norm: the step control's, of errors over the tolerance.
         near: penetration that counts as none [m].
         rows: whether states are rows of a state and its tangents, and ``args`` (args, their changes).
+        blind: whether the solver's error ignores forces at a step's end (``hidden``), and its interpolant is not used.
     """
 
     solver: dfx.AbstractAdaptiveSolver
     tolerance: Array
+    scales: Array
     near: Array
     norm: Callable[[Array], Array] = eqx.field(static=True)
     rows: bool = eqx.field(static=True, default=False)
@@ -261,6 +270,14 @@ class Seeker(dfx.AbstractAdaptiveSolver):
         memory, before = solver_state
         y1, error, dense, memory, result = self.solver.step(terms, t0, t1, y0, args, memory, made_jump)
         between = self.interpolation_cls(t0=t0, t1=t1, **dense)
+        if self.blind:
+            # A stage within a contact that neither the new state nor its error weighs would bend the solver's interpolant.
+            slope = lambda t, y: (t1 - t0) * self.solver.func(terms, t, y, args)  # noqa: E731
+            k0, k1, middle = slope(t0, y0), slope(t1, y1), 0.5 * (t0 + t1)
+            between = dfx.ThirdOrderHermitePolynomialInterpolation(t0=t0, t1=t1, y0=y0, y1=y1, k0=k0, k1=k1)
+            simpson = y0 + (k0 + 4.0 * slope(middle, between.evaluate(middle)) + k1) / 6.0
+            wild = self.norm((y1 - simpson) / self.scales) > _WILD
+            error = jnp.where(wild, jnp.inf, error)
         after = self._look(t1, y1, args)
         good = self.norm(jax.lax.stop_gradient(error) / self.tolerance) <= 1.0
         share = hidden(
@@ -336,15 +353,17 @@ class Seeking(dfx.AbstractStepSizeController):
 
     def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
         """The inner control's."""
-        return self.inner.init(terms, t0, t1, y0, dt0, args, func, error_order)
+        first, inner = self.inner.init(terms, t0, t1, y0, dt0, args, func, error_order)
+        return first, (inner, jnp.asarray(0))
 
     def adapt_step_size(self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state):
         """The inner control's decision on the error; of a step that it keeps and that hides a contact, a shorter one."""
-        error, share = y_error
+        (error, share), (before, tries) = y_error, controller_state
         keep, start, end, jump, state, result = self.inner.adapt_step_size(
-            t0, t1, y0, y1_candidate, args, error, error_order, controller_state
+            t0, t1, y0, y1_candidate, args, error, error_order, before
         )
-        again = keep & (share < 1.0)
-        state = jax.tree.map(lambda old, new: jnp.where(again, old, new), controller_state, state)
+        again = keep & (share < 1.0) & (tries < _TRIES)
+        tries = jnp.where(again, tries + 1, jnp.where(keep, 0, tries))
+        state = jax.tree.map(lambda old, new: jnp.where(again, old, new), before, state), tries
         end = jnp.where(again, t0 + share * (t1 - t0), end)
         return keep & ~again, jnp.where(again, t0, start), end, jump & ~again, state, result
