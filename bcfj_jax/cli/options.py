@@ -35,6 +35,10 @@ CHANGES: dict[str, Any] = {
     ],
     "end": Annotated[str | None, typer.Option("--end", help="Short for --set time.end=...: '3 s', 0.5.")],
     "samples": Annotated[int | None, typer.Option("--samples", help="Short for --set time.samples=...")],
+    "longest_step": Annotated[
+        str | None,
+        typer.Option("--longest-step", help="Short for --set time.longest_step=...: a solver's longest step, '1 ms'."),
+    ],
     "level": Annotated[
         str | None, typer.Option("--level", help="Short for --set accuracy.level=...: fast, balanced or reference.")
     ],
@@ -48,7 +52,7 @@ CHANGES_DRAWN: dict[str, Any] = CHANGES | {
     ]
 }
 _SHORT = {
-    "end": ("time", "end"), "samples": ("time", "samples"), "level": ("accuracy", "level"), "seed": ("design", "seed"),
+    "end": ("time", "end"), "longest_step": ("time", "longest_step"), "samples": ("time", "samples"), "level": ("accuracy", "level"), "seed": ("design", "seed"),
 }  # fmt: skip
 
 
@@ -62,7 +66,7 @@ def asked(options: Mapping[str, Any]) -> list[Change]:
     for name, words in _SHORT.items():
         value = options.get(name)
         if value is not None:
-            found.append(Change(f"--{name} {value}", words, changes.value(value) if name == "end" else value))
+            found.append(Change(f"--{name} {value}", words, changes.value(value) if name in ("end", "longest_step") else value))
     return found
 
 

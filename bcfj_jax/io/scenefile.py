@@ -28,7 +28,7 @@ from jax import Array
 
 from bcfj_jax.contact import laws
 from bcfj_jax.core.errors import InputError, clip, nearest
-from bcfj_jax.core.quantities import check_order, check_value
+from bcfj_jax.core.quantities import check_order, check_value, number
 from bcfj_jax.io import changes, mechanismfile, mechanismtables, programmes, tables, usercode
 from bcfj_jax.io.scenetemplate import template as template
 from bcfj_jax.io.spheres import Spheres
@@ -39,7 +39,7 @@ from bcfj_jax.mechanism.model import AbstractModel, horizon
 from bcfj_jax.mechanism.observed import Observed
 from bcfj_jax.models import scenes
 from bcfj_jax.solve import named
-from bcfj_jax.solve.plan import LEVELS, MAX_STEPS
+from bcfj_jax.solve.plan import LEVELS, LONGEST, MAX_STEPS
 
 _DEFAULT_LEVEL = "balanced"
 
@@ -78,6 +78,7 @@ class SceneFile:
 class _Time(tables.Table):
     end: tables.Number = None
     samples: int | None = pydantic.Field(default=None, ge=2, le=10_000_000)
+    longest_step: tables.Number = None
 
 
 class _Accuracy(tables.Table):
@@ -166,12 +167,14 @@ def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
     end = _end(scene, params, file.time, where)
     samples = file.time.samples or scene.samples
     accuracy, solver = _accuracy(file.accuracy, where), file.accuracy.solver
+    if (longest := _longest(file.time, where)) is not None:
+        scene = replace(scene, longest_step=longest)  # pyright: ignore[reportArgumentType]
     scene = scene.suited(params, end, solver)
     named.check(solver, scene.traits.stiff, f"{where}: [accuracy] ")
     resolved = {
         **made_of,
         "parameters": {name: float(value) for name, value in params.items()},
-        "time": {"end": end, "samples": samples},
+        "time": {"end": end, "samples": samples} | ({} if longest is None else {"longest_step": longest}),
         "accuracy": {
             "level" if isinstance(accuracy, str) else "force_error": accuracy,
             "max_steps": file.accuracy.max_steps,
@@ -188,6 +191,15 @@ def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
         raise InputError(f"{where}: [accuracy] resolved_peaks", "with the solver 'bdf'", remedy)
     peaks = file.accuracy.resolved_peaks
     return SceneFile(scene, params, times, accuracy, resolved, source, steps, solver, free, peaks, reads, tolerances)
+
+
+def _longest(time: _Time, where: str) -> float | None:
+    """The solver's longest step [s]; None where nothing is said.
+
+    Raises:
+        InputError: for what is no length of time above 0.
+    """
+    return None if time.longest_step is None else float(number(f"{where}: [time]", LONGEST, time.longest_step))
 
 
 def _plain(table: Mapping[str, Any]) -> dict[str, Any]:

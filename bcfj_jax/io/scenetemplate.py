@@ -71,6 +71,7 @@ kind = "{kind}"
 [time]
 # end = "{format_si(horizon(scene, scene.parameters()), "s")}"  # by default long enough for this scene
 samples = {scene.samples}  # equally spaced, the first at 0
+# longest_step = "1 ms"  # that the solver may take; by default as long as its errors allow
 
 [accuracy]
 level = "balanced"  # fast (5 % of the peak force), balanced (1 %), reference (0.001 %)

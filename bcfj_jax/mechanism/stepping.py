@@ -10,7 +10,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from bcfj_jax.core.vectors import add, length, scale, spread, subtract
+from bcfj_jax.core.vectors import length, plus, spread, subtract, times
 from bcfj_jax.mechanism.model import Params, Proximity
 
 if TYPE_CHECKING:
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 # A function of time of the user's own is looked at so many times in a run, and steps end at so many instants of it.
 _LOOKS, _ENDS = 2**14, 64
+# Breaks nearer to each other than this share of the run are one.
+_CLOSE = 1e-12
 # Second differences below this share of a function's size are rounding.
 _ROUNDING = 1e-10
 
@@ -26,27 +28,24 @@ def proximity(m: Mechanism, t: Array, y: Array, p: Params) -> Proximity:
     """``AbstractModel.proximity``: of every face, members apart, in the order of contacts.
 
     A gap is a function of the place of b's marker in a's axes and, unless rotations do not bend it (``AbstractGap.bends``),
-    of b's rotation. The speed is that of this place, in a's axes where a's rotation counts, or that of the point of
-    contact where it is greater.
+    of b's rotation. The speed is that of this place, in a's axes where a's rotation counts, and of what b's rotation carries.
     """
     now, rows = m.instant(t, y, p, laws=False), []
     for c in m.contacts:
         first, second = (now.bodies.parts[name] for name in c.between)
         a, b = c.frames(now.bodies.parts, p)
         values = c.coefficients(p)
-        bends, angle = c.gap.bends(values)
-        turns = isinstance(angle, (int, float)) and np.isfinite(angle)
+        bends = c.gap.bends(values)
+        turns = np.isfinite(bends.angle)
         there = b.place if turns else a.place
         moved = subtract(
             second.velocity_at(subtract(b.place, second.place)), first.velocity_at(subtract(there, first.place))
         )
-        spin = (length(first.spin) + length(second.spin)) / (angle or 1.0) if turns else 0.0
+        spin = plus(length(first.spin), length(second.spin)) if turns else 0.0
+        speed = plus(length(moved), times(bends.arm, spin))
         width, members = values.get("smoothing", 0.0), m.members[c.name]
         for face, touch in now.faces[c.name]:
-            speed = jnp.asarray(length(moved))
-            if turns:
-                speed = jnp.maximum(speed, length(add(touch.slide, scale(touch.rate, face.normal))))
-            row = (face.depth + width, touch.rate, jnp.maximum(speed, jnp.abs(touch.rate)), spin, bends)
+            row = (face.depth + width, touch.rate, jnp.maximum(speed, jnp.abs(touch.rate)), spin / bends.angle, bends.length)
             rows.append([jnp.atleast_1d(spread(x, members)) for x in row])
     return Proximity(*(jnp.concatenate(part) for part in zip(*rows, strict=True)))
 
@@ -72,7 +71,9 @@ def breaks(m: Mechanism, p: Params, end: ArrayLike) -> Array | None:
     if not sum(x.size for x in times):
         return None
     found = jax.lax.stop_gradient(jnp.concatenate(times))
-    return jnp.sort(jnp.where(jnp.isfinite(found), found, jnp.inf))
+    found = jnp.sort(jnp.where(jnp.isfinite(found), found, jnp.inf))
+    # Between two that are as good as one no step has room.
+    return jnp.sort(jnp.where(jnp.diff(found, prepend=-jnp.inf) > _CLOSE * end, found, jnp.inf))
 
 
 def _ends(grid: Array, values: Array) -> Array:

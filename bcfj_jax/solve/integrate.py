@@ -49,7 +49,7 @@ _ADJOINTS = {"forward": dfx.ForwardMode(), "reverse": dfx.RecursiveCheckpointAdj
 # Relative tolerance at rounding level, so that large positions do not cause rejections.
 _ROUNDING = 4e-16
 # Of explicit runs, a share of their length.
-_ROUNDED = 1e-16
+_ROUNDED = 1e-20
 # Of stiff models, whose steps begin short and may be rejected many times: length [s] below which a run has failed.
 _SHORTEST = 1e-15
 # Share of a random direction's tangent to which its error is relative. At 0.01 a gradient by 100 parameters of a joint with
@@ -98,6 +98,9 @@ def problem(model: AbstractModel, params: Params, end: Array, how: Plan, differe
     prepared, start = model.prepare(params), model.initial_state(params)
     scales = jax.lax.stop_gradient(model.error_scale(params, end))
     first = jnp.asarray(model.first_step(params, scales), dtype=jnp.float64)
+    # Parameters that are not finite then fail in some twenty attempts, and no run of a batch waits for theirs.
+    scales = jnp.where(jnp.isfinite(scales), scales, 1.0)
+    first = jnp.where(jnp.isfinite(first), first, 1e-2 * jax.lax.stop_gradient(end))
     gains = _GAINS[stiff]
     longest = jnp.minimum(how.longest, jnp.inf if model.longest_step is None else model.longest_step)
     limits = longest, model.breaks(params, end), model.shows_proximity

@@ -1,6 +1,7 @@
-"""The numerical error of a run, measured: the same program again at a tenth of the tolerance. NumPy, on the host.
+"""The numerical error of a run, measured: the same program again, tighter and with other steps. NumPy, on the host.
 
-The tighter run stands for the truth. What is measured is the error of steps and solver, not that of the model.
+The tighter run stands for the truth. It has a tenth of the tolerance and no step longer than 1/200 of the run, so that what
+one of them steps over the other does not. What is measured is the error of steps and solver, not that of the model.
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ import numpy as np
 # Two runs agree as long as no force differs by more than this multiple of the error asked for. That error is an rms
 # over the run; single instants, as on the steep side of an impact, are off by more.
 FACTOR = 10.0
+# Shares of the greatest rate by which bodies that move alike, and those that an event has parted, differ (``parted``).
+ALIKE, APART = 5e-3, 0.2
 
 
 class Accuracy(NamedTuple):
@@ -31,6 +34,9 @@ class Accuracy(NamedTuple):
             contact's peak, or at which one of the runs has failed; NaN for none.
         differs: the contact whose force does so, "" for none.
         wall_s: seconds that the tighter run took.
+        parts: first time [s] from which on the bodies of a contact move otherwise in one run than in the other, though they
+            moved alike until then: an event happened in one of them alone; NaN for none.
+        parts_at: the contact whose bodies do so, "" for none.
     """
 
     asked: float
@@ -42,6 +48,20 @@ class Accuracy(NamedTuple):
     agree_until: float
     differs: str
     wall_s: float
+    parts: float = float("nan")
+    parts_at: str = ""
+
+    @property
+    def doubt(self) -> tuple[str, float]:
+        """Why a run that reached its end is not to be trusted, and from when on [s]; "" and NaN where nothing says so."""
+        if self.parts_at:
+            same = "a run with other and finer steps"
+            return f"it and {same} part there: an event at '{self.parts_at}' happened in one of them alone", self.parts
+        lost = [name for name in self.peak if not np.isfinite(max(self.rms[name], self.peak[name], self.impulse[name]))]
+        if lost:
+            found = f"its error is unknown: a run with finer steps has no force at '{lost[0]}'"
+            return f"{found}, or has not reached its end", self.agree_until
+        return "", float("nan")
 
     @property
     def worst(self) -> float:
@@ -56,6 +76,7 @@ def measured(
     times: np.ndarray,
     force: Mapping[str, np.ndarray],
     finer: Mapping[str, np.ndarray],
+    rates: tuple[Mapping[str, np.ndarray], Mapping[str, np.ndarray]] = ({}, {}),
     **more: float,
 ) -> Accuracy:
     """How far the forces of a run are from those of the tighter one.
@@ -65,12 +86,14 @@ def measured(
         begin: time from which the promised error holds [s].
         times: (T,) [s].
         force, finer: by contact (T, 3) or (T, k, 3) [N], of the run and of the tighter one; NaN from a failure on.
+        rates: by contact (T,) or (T, k) rates of the penetration [m/s] of both runs; a contact may be missing.
         more: ``tolerance`` and ``wall_s`` of ``Accuracy``.
     """
     late = times >= begin
     if np.count_nonzero(late) < 2:
         begin, late = 0.0, times >= times[0]
     times = times[late]
+    parts, parts_at = parted(times, *({name: x[late] for name, x in side.items()} for side in rates))
     rms, peaks, impulse = {}, {}, {}
     first, differs = float("nan"), ""
     for name in force:
@@ -95,8 +118,37 @@ def measured(
         impulse=impulse,
         agree_until=first,
         differs=differs,
+        parts=parts,
+        parts_at=parts_at,
         **more,
     )
+
+
+def parted(
+    times: np.ndarray, ours: Mapping[str, np.ndarray], truth: Mapping[str, np.ndarray]
+) -> tuple[float, str]:
+    """When and at which contact the bodies of two runs part in one event; NaN and "" where they do not.
+
+    Errors grow from event to event, in a chaotic motion by some ten times each. An event that one run has alone is told from
+    that: bodies that moved alike, to ``ALIKE`` of the greatest rate, move otherwise by ``APART`` of it from there on.
+
+    Args:
+        times: (T,) [s].
+        ours, truth: by contact rates (T,) or (T, k) of the penetration [m/s].
+    """
+    first, contact = float("nan"), ""
+    for name in ours.keys() & truth.keys():
+        a, b = (np.nan_to_num(side[name].reshape(times.size, -1)) for side in (ours, truth))
+        off, greatest = np.abs(a - b), max(np.abs(a).max(), np.abs(b).max())
+        apart = off > APART * greatest
+        # A contact that is a little earlier in one run lasts less than two samples, or has alike rates within it.
+        lasting = apart[:-1] & apart[1:]
+        for member in np.flatnonzero(lasting.any(axis=0)):
+            k = int(np.argmax(lasting[:, member]))
+            alike = off[: max(k - 1, 0), member] <= ALIKE * greatest
+            if alike.all() and not times[k] >= first:
+                first, contact = float(times[k]), name
+    return first, contact
 
 
 def _share(part: float, whole: float) -> float:

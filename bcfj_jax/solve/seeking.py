@@ -307,6 +307,7 @@ def seen(model: AbstractModel, t: Any, y: Array, prepared: Any) -> Proximity:
 class Breaking(dfx.AbstractStepSizeController):
     """A step control whose steps end just before breaks and begin just behind them, so that no stage is on either side.
 
+    A step that a break cut short says nothing of the length of the next: that is at least the length before the cut.
     ``breaks``: (B,) sorted times [s]; infinite for none.
     """
 
@@ -326,20 +327,25 @@ class Breaking(dfx.AbstractStepSizeController):
     def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
         """The inner control's first step, up to a break."""
         first, inner = self.inner.init(terms, t0, t1, y0, dt0, args, func, error_order)
-        return self._before(jnp.asarray(t0, dtype=jnp.float64), first), inner
+        start = jnp.asarray(t0, dtype=jnp.float64)
+        return self._before(start, first), (inner, first - start)
 
     def adapt_step_size(self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state):
         """The inner control's decision, with the next step up to a break, from behind the one that was reached."""
+        before, free = controller_state
         keep, start, end, jump, inner, result = self.inner.adapt_step_size(
-            t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
+            t0, t1, y0, y1_candidate, args, y_error, error_order, before
         )
+        fixed = jax.lax.stop_gradient
+        cut = keep & (fixed(t1 - t0) < fixed(free) * (1.0 - 1e-9))
+        result = dfx.RESULTS.where(cut, dfx.RESULTS.successful, result)
         behind = jnp.nextafter(jnp.nextafter(start, jnp.inf), jnp.inf)
         k = jnp.searchsorted(self.breaks, start, side="right")
         next_break = self.breaks[jnp.minimum(k, self.breaks.size - 1)]
         reached = keep & (next_break > start) & (next_break < behind)
-        length = end - start
+        length = jnp.where(cut, jnp.maximum(end - start, free), end - start)
         start = jnp.where(reached, behind, start)
-        return keep, start, self._before(start, start + length), jump | reached, inner, result
+        return keep, start, self._before(start, start + length), jump | reached, (inner, length), result
 
 
 class Seeking(dfx.AbstractStepSizeController):

@@ -40,8 +40,9 @@ class Run(NamedTuple):
             Contacts that have k members (balls): (T, k, 3) here and (T, k) below.
         penetration, rate: per contact (T,): overlap [m] (negative: gap) and its rate [m/s].
         slip: per contact (T,): sliding speed [m/s]; empty for models that only approach.
-        status: "ok" or "failed"; a failed run is NaN from the failure on.
-        reason, failure_time: why and when [s] it failed; "" and NaN for a good run.
+        status: "ok", "failed", or "doubtful" where ``measure_error`` found that the run may have missed an event; a failed run
+            is NaN from the failure on.
+        reason, failure_time: why and from when on [s] it failed or is doubtful; "" and NaN for a good run.
         stats: steps accepted and rejected, tolerance, wall and compile seconds.
         state: per contact (T,): codes of ``readings.contact_state`` that count ``readings.STATES`` (apart, touching,
             creeping, sliding, stuck), -1 where the run failed; empty for a run that ``simulate`` did not make.
@@ -271,8 +272,11 @@ def simulate(
     run, finer = together(*(partial(timed, scene, params, values, how, wanted) for how in (as_asked, tenth)))
     found = measured(
         force_error(accuracy), scene.settled_from(params), values, _compared(run), _compared(finer),
-        tolerance=run.stats["tolerance"], wall_s=finer.stats["wall_s"],
+        (run.rate, finer.rate), tolerance=run.stats["tolerance"], wall_s=finer.stats["wall_s"],
     )  # fmt: skip
+    why, since = found.doubt
+    if run.status == "ok" and why:
+        run = run._replace(status="doubtful", reason=why, failure_time=since)
     return run._replace(accuracy=found)
 
 

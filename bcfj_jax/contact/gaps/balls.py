@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.contact.gaps.base import BENDS, ROUND, AbstractGap, Coefficients, Drawn, Face, Frame, Look, direction, one_of
+from bcfj_jax.contact.gaps.base import ROUND, AbstractGap, Bends, Coefficients, Drawn, Face, Frame, Look, direction, one_of
 from bcfj_jax.contact.gaps.guides import between
 from bcfj_jax.core import shapes
 from bcfj_jax.core.errors import InputError
@@ -67,10 +67,10 @@ class BallBetweenPlanes(AbstractGap):
             x, y = x * np.cos(angle) - y * np.sin(angle), x * np.sin(angle) + y * np.cos(angle)
         return between(a, b, turned(a.axes, (x, y, z)), c["clearance"], c["ball_radius"])
 
-    def bends(self, c: Coefficients) -> tuple[Number, Number]:
+    def bends(self, c: Coefficients) -> Bends:
         """By rotation alone."""
         del c
-        return np.inf, BENDS
+        return Bends(np.inf)
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
         """Outward: from a's marker to the ball's centre."""
@@ -162,12 +162,12 @@ class BallInGroove(AbstractGap):
         )
         return first, second
 
-    def bends(self, c: Coefficients) -> tuple[Number, Number]:
+    def bends(self, c: Coefficients) -> Bends:
         """Over the section's radius less the ball's, and by rotation."""
         free = c["clearance"]
         if self.section == "gothic":
             free = free + c["ball_radius"] * (2.0 * c["conformity"] - 1.0)
-        return free, BENDS
+        return Bends(free)
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
         """Along the track."""

@@ -29,8 +29,6 @@ from bcfj_jax.core.shapes import Mesh
 from bcfj_jax.core.vectors import ZERO, Axes, Number, Vector, array, seen, subtract, turned
 
 Coefficients = Mapping[str, Array]
-# Rotation of a plane over which its distance from a point bends [rad].
-BENDS = 1.0
 # Lengths are sqrt(v . v + ROUND^2) [m]: coincident centres have no direction, no force and finite derivatives.
 ROUND = 1e-12
 
@@ -81,6 +79,20 @@ class Look(NamedTuple):
         return 0.5 * (self.high - self.low)
 
 
+class Bends(NamedTuple):
+    """Relative motion over which a penetration's course bends: over a small share of it, it is a cubic of time.
+
+    Attributes:
+        length: of b's marker past a's [m]; infinite between planes, 0 where not known.
+        angle: of both bodies' rotations [rad]; infinite where they change nothing, as those of spheres.
+        arm: how far from b's marker that of b which touches is carried by b's rotation [m].
+    """
+
+    length: Number
+    angle: float = 1.0
+    arm: Number = 0.0
+
+
 # Meshes on a, and on b, each in the body's axes and from its marker.
 Drawn = tuple[tuple[Mesh, ...], tuple[Mesh, ...]]
 
@@ -121,15 +133,10 @@ class Ground(bj.gaps.AbstractGap):
             c: the coefficients named by ``needs``, SI; each a scalar, or (k,) over members.
         """
 
-    def bends(self, c: Coefficients) -> tuple[Number, Number]:
-        """Relative motion over which the penetration's course bends: of the markers [m], and of the bodies' rotation [rad].
-
-        The penetration is then the cubic through two looks a small share of that apart. Infinite where the motion never
-        bends it: places between planes, rotations of spheres. 0, where not known, has every step looked at in its middle.
-        Coefficients as ``faces``.
-        """
+    def bends(self, c: Coefficients) -> Bends:
+        """What bends the penetration's course near contact (``Bends``); where not known, every step is looked at."""
         del c
-        return 0.0, 0.0
+        return Bends(0.0)
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
         """Direction that a force's axial component is read along, less its part along the normal: a's z axis.

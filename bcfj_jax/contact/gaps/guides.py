@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import equinox as eqx
 import numpy as np
 
-from bcfj_jax.contact.gaps.base import BENDS, ROUND, AbstractGap, Coefficients, Drawn, Face, Frame, Look, direction, yes_or_no
+from bcfj_jax.contact.gaps.base import ROUND, AbstractGap, Bends, Coefficients, Drawn, Face, Frame, Look, direction, yes_or_no
 from bcfj_jax.contact.gaps.spheres import Direction, in_plane
 from bcfj_jax.core import shapes
 from bcfj_jax.core.errors import InputError
@@ -81,10 +81,10 @@ class TwoSidedStop(AbstractGap):
         """Two faces, at +e and at -e."""
         return between(a, b, turned(a.axes, self.axis), c["clearance"])
 
-    def bends(self, c: Coefficients) -> tuple[Number, Number]:
+    def bends(self, c: Coefficients) -> Bends:
         """By rotation alone."""
         del c
-        return np.inf, BENDS
+        return Bends(np.inf)
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
         """In the stop's plane (class docstring)."""
@@ -127,10 +127,10 @@ class PinInSlot(AbstractGap):
         """Two faces, at +e and at -e."""
         return between(a, b, turned(a.axes, _across(self.axis)), c["clearance"], c["radius"])
 
-    def bends(self, c: Coefficients) -> tuple[Number, Number]:
+    def bends(self, c: Coefficients) -> Bends:
         """By rotation alone."""
         del c
-        return np.inf, BENDS
+        return Bends(np.inf)
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
         """Along the slot."""
@@ -191,9 +191,9 @@ class PinInBearing(AbstractGap):
         normal = scale(1.0 / distance, across)
         return (Face(distance - c["clearance"], normal, add(arm, scale(c["radius"], normal))),)
 
-    def bends(self, c: Coefficients) -> tuple[Number, Number]:
-        """Over the radius in which the centre is free; of both ends by rotation, too."""
-        return c["clearance"], BENDS if self.ends else np.inf
+    def bends(self, c: Coefficients) -> Bends:
+        """Over the radius in which the centre is free, and by rotation, which carries both ends."""
+        return Bends(c["clearance"], arm=c["half_length"] if self.ends else 0.0)
 
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
         """A ring and a pin."""
@@ -245,10 +245,9 @@ class SliderInGuide(AbstractGap):
         depth = times(side, height) - (c["half_width"] + c["clearance"])
         return (Face(depth, scale(side, across), corner),)
 
-    def bends(self, c: Coefficients) -> tuple[Number, Number]:
-        """By rotation alone."""
-        del c
-        return np.inf, BENDS
+    def bends(self, c: Coefficients) -> Bends:
+        """By rotation alone, which carries the corners."""
+        return Bends(np.inf, arm=c["half_length"] + c["half_width"])
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
         """Along the guide."""

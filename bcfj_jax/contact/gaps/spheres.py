@@ -9,9 +9,9 @@ import equinox as eqx
 import numpy as np
 
 from bcfj_jax.contact.gaps.base import (
-    BENDS,
     ROUND,
     AbstractGap,
+    Bends,
     Coefficients,
     Drawn,
     Face,
@@ -70,10 +70,10 @@ class PointOnPlane(AbstractGap):
         up = turned(a.axes, self.axis)
         return (Face(-_above(a, b, up, c, self.clearance), negative(up)),)
 
-    def bends(self, c: Coefficients) -> tuple[Number, Number]:
+    def bends(self, c: Coefficients) -> Bends:
         """By rotation alone."""
         del c
-        return np.inf, BENDS
+        return Bends(np.inf)
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
         """In the plane (class docstring)."""
@@ -150,9 +150,9 @@ class SphereOnSphere(AbstractGap):
         normal = scale(-1.0 / distance, apart)
         return (Face(c["radius_a"] + c["radius_b"] - distance, normal, scale(c["radius_b"], normal)),)
 
-    def bends(self, c: Coefficients) -> tuple[Number, Number]:
+    def bends(self, c: Coefficients) -> Bends:
         """Over the distance of the centres in contact."""
-        return c["radius_a"] + c["radius_b"], np.inf
+        return Bends(c["radius_a"] + c["radius_b"], np.inf)
 
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
         """Two spheres."""
@@ -191,9 +191,9 @@ class SphereInSocket(AbstractGap):
         normal = scale(1.0 / distance, apart)
         return (Face(distance - c["clearance"], normal, scale(c["radius"] - distance, normal)),)
 
-    def bends(self, c: Coefficients) -> tuple[Number, Number]:
+    def bends(self, c: Coefficients) -> Bends:
         """Over the radius in which the centre is free."""
-        return c["clearance"], np.inf
+        return Bends(c["clearance"], np.inf)
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
         """The z axis of a or of b."""

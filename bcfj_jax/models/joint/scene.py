@@ -104,6 +104,7 @@ class Joint(AbstractModel):
         smoothing: whether contacts are regularised.
         fidelity: "dynamic", "quasistatic" or "kinematic"; "auto" for a scene that ``simulate`` alone can run.
         programmes: what of drive and loads is not constant.
+        longest_step: of a solver [s]; None: as long as its errors allow.
 
     Where a field is left out it is the plain joint's; ``model.joint`` gives every one.
     """
@@ -122,6 +123,7 @@ class Joint(AbstractModel):
     programmes: Programmes = Programmes()
     kind: str = eqx.field(static=True, default="joint")
     samples: int = eqx.field(static=True, default=3001)
+    longest_step: float | None = eqx.field(static=True, default=None)
 
     @property
     def defaults(self) -> tuple[tuple[str, float], ...]:

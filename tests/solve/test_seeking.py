@@ -1,0 +1,323 @@
+"""No contact is stepped over: by momentum, by closed forms, by dense sampling; and steps end where amounts bend."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from gap_cases import CASES
+from hypothesis import given
+from hypothesis import strategies as st
+from oracles import within
+
+import bcfj_jax as bj
+from bcfj_jax import Body, Contact, Drive, Mechanism, gaps, loads
+from bcfj_jax.core.errors import InputError
+from bcfj_jax.mechanism.model import Proximity
+from bcfj_jax.solve.integrate import integrate
+from bcfj_jax.solve.measured_error import measured, parted
+from bcfj_jax.solve.plan import Plan, plan
+from bcfj_jax.solve.seeking import hidden
+from bcfj_jax.solve.work_queue import integrate_queue
+
+HARD = {"stiffness": 1e9, "exponent": 1.5}
+
+
+def own(*names):
+    return [(bj.Quantity(name, "1", name), 0.0) for name in names]
+
+
+# What a step hides, of penetrations that are known functions of time.
+
+
+def seen(function, t, speed, bends):
+    depth, rate = jax.jvp(function, (t,), (jnp.ones_like(t),))
+    return Proximity(*(jnp.atleast_1d(x) for x in (depth, rate, speed + jnp.abs(rate), 0.0 * t, bends + 0.0 * t)))
+
+
+@functools.partial(jax.jit, static_argnums=(0,))
+def found(function, numbers, speed, bends):
+    sight = lambda s: seen(lambda t: function(t, numbers), s, speed, bends)  # noqa: E731
+    return hidden(sight(jnp.zeros(())), sight(jnp.ones(())), jnp.ones(()), jnp.asarray(1e-9), sight, True, False)
+
+
+def passing(t, n):
+    """Two spheres of radii that add up to 1 pass each other on a straight line."""
+    return 1.0 - jnp.sqrt((n[0] * (t - n[1])) ** 2 + n[2] ** 2)
+
+
+@given(speed=st.floats(1.0, 1e3), when=st.floats(0.05, 0.95), aside=st.floats(0.0, 3.0))
+def test_two_spheres_that_pass_within_a_step_are_seen_if_they_touch(speed, when, aside):
+    share = float(found(passing, jnp.array([speed, when, aside]), speed, 1.0))
+    half = np.sqrt(max(1.0 - aside**2, 0.0)) / speed
+    begins, ends = when - half, when + half
+    if abs(aside - 1.0) < 1e-6 or (aside < 1.0 and (begins < 1e-3 or ends > 0.999)):
+        return  # Grazing by less than counts, or touching at an end of the step.
+    if aside > 1.0:
+        assert share == 1.0
+    else:
+        # The step that is taken again ends there; where it is still too long, it is taken once more.
+        assert abs(share - begins) <= 0.05 * half
+
+
+def waving(t, n):
+    return n[0] * jnp.sin(n[1] * t + n[2]) - n[3]
+
+
+@given(
+    turns=st.floats(0.1, 40.0), phase=st.floats(0.0, 6.28), level=st.floats(-1.5, 1.5),
+)  # fmt: skip
+def test_a_wave_is_seen_as_by_dense_sampling(turns, phase, level):
+    numbers = jnp.array([1.0, 2.0 * np.pi * turns, phase, level])
+    share = float(found(waving, numbers, 2.0 * np.pi * turns, 0.0))
+    depth = np.sin(2.0 * np.pi * turns * np.linspace(0.0, 1.0, 200_001) + phase) - level
+    changes = np.flatnonzero(np.diff(depth > 0))
+    if np.abs(depth[[0, -1]]).min() < 1e-3 or np.abs(np.abs(level) - 1.0) < 1e-3:
+        return
+    if len(changes) > 1:
+        assert share == pytest.approx(changes[0] / 200_000, rel=1e-3, abs=2e-5)
+    elif len(changes) == 0 and depth[0] < 0:
+        assert share == 1.0
+
+
+# Gaps: the length over which they say that a penetration's course bends.
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_penetration_is_a_cubic_over_a_share_of_what_the_gap_says(name):
+    """Both bodies move evenly, by a tenth of what bends it: the Hermite cubic then differs by a small share of that."""
+    case = CASES[name]
+    rng = np.random.default_rng(3)
+    bends, angle, arm = case.gap.bends(cast(Any, case.sizes))
+    length = float(min(np.min(bends), 1e-2))
+    if not length:
+        pytest.skip("a gap that says nothing is looked at in the middle of every step")
+    share, looked = 0.1, 0
+    for _ in range(60):
+        place = np.broadcast_to(case.place(rng), case.place(rng).shape)
+        way = rng.normal(size=3)
+        way *= share * length / np.linalg.norm(way)
+        spin = share * (angle if np.isfinite(angle) else 30.0) / max(np.abs(place).max() / length, 1.0)
+        spin = min(spin, share * length / float(arm)) if arm else spin
+        axis = rng.normal(size=3)
+        axis /= np.linalg.norm(axis)
+
+        def depths(t, place=place, way=way, spin=spin, axis=axis):
+            turn = spin * t
+            c, s = jnp.cos(turn), jnp.sin(turn)
+            cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+            axes = c * jnp.eye(3) + s * cross + (1 - c) * np.outer(axis, axis)
+            columns = tuple(tuple(axes[i, j] for i in range(3)) for j in range(3))
+            moved = tuple(place[..., i] + way[i] * t for i in range(3))
+            a = gaps.Frame((0.0, 0.0, 0.0), cast(Any, columns))
+            b = gaps.Frame(moved, ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
+            faces = case.gap.faces(a, b, cast(Any, {k: jnp.asarray(v) for k, v in case.sizes.items()}))
+            return jnp.concatenate([jnp.ravel(jnp.asarray(f.depth)) for f in faces])
+
+        if np.isfinite(np.min(bends)) and float(np.min(depths(jnp.asarray(0.5)))) < -0.5 * length:
+            continue  # In the middle of a hollow the course bends sooner, and there is nothing to touch.
+        looked += 1
+        values = jax.vmap(depths)(jnp.array([0.0, 0.5, 1.0]))
+        slopes = jax.vmap(lambda t, f=depths: jax.jvp(f, (t,), (jnp.ones_like(t),))[1])(jnp.array([0.0, 1.0]))
+        middle = 0.5 * (values[0] + values[2]) + (slopes[0] - slopes[1]) / 8.0
+        assert float(jnp.max(jnp.abs(values[1] - middle))) <= 1e-3 * share * length + 1e-15
+    assert looked
+
+
+# Whole runs: two balls, by every solver, against momentum and energy.
+
+
+def balls():
+    bodies = [
+        Body("a", "particle", mass=0.1, start={"x": "ax", "y": "ay", "vx": "vx"}),
+        Body("b", "particle", mass=0.3),
+    ]
+    hit = Contact("hit", ("a", "b"), gaps.SphereOnSphere(), law="hertz", values={"radius_a": 0.01, "radius_b": 0.02})
+    return Mechanism("balls", bodies, [hit], own=own("ax", "ay", "vx"), given=HARD)
+
+
+BALLS = balls()
+
+
+@functools.cache
+def ends(solver):
+    """(ax, ay, vx) -> velocities at the end of a run that lasts for twice the flight."""
+    base = BALLS.parameters(ax=-1.0, vx=1.0)
+    scene = BALLS.suited(base, 1.0, solver)
+    how = plan(scene, "balanced", solver=solver)
+
+    @jax.jit
+    def run(ax, ay, vx):
+        params = {**base, "ax": ax, "ay": ay, "vx": vx}
+        end = -2.0 * ax / vx
+        found = integrate(scene, params, jnp.stack([0.0 * end, end]), how)
+        return found.states[-1, 6:], found.code
+
+    return run
+
+
+SOLVERS = ["tsit5", pytest.param("rodas3", marks=pytest.mark.full)] + [
+    pytest.param(name, marks=pytest.mark.slow) for name in ("dopri5", "dopri8", "bosh3", "kvaerno5", "sdirk2", "bdf")
+]
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@given(far=st.floats(1.5, 1000.0), aim=st.floats(-2.5, 2.5), speed=st.floats(-1.0, 1.0))
+def test_balls_that_meet_exchange_what_momentum_and_energy_say(solver, far, aim, speed):
+    a, b, reach = 0.1, 0.3, 0.03
+    ax, ay, vx = -far * reach, 0.4 * aim * reach, 10.0**speed
+    velocities, code = ends(solver)(ax, ay, vx)
+    u = np.asarray(velocities).reshape(2, 3)
+    assert code == 0
+    assert (a * u[0] + b * u[1]) == pytest.approx([a * vx, 0.0, 0.0], rel=1e-7, abs=1e-7 * a * vx)
+    if abs(ay) > 0.999 * reach:
+        return
+    # Frictionless: the momentum along the line of centres at touch is 2 m v_n, m the reduced mass.
+    normal = np.array([-np.sqrt(reach**2 - ay**2), ay, 0.0]) / reach
+    push = 2.0 * a * b / (a + b) * vx * normal[0]
+    expected = np.array([[vx, 0.0, 0.0] - push / a * normal, push / b * normal])
+    # During the contact the line of centres turns by the greatest penetration over the distance.
+    assert u == pytest.approx(expected, rel=0.03, abs=0.03 * vx)
+
+
+def test_one_program_of_a_queue_misses_none():
+    base = BALLS.parameters(ax=-1.0, vx=1.0)
+    far = np.array([0.05, 0.3, 1.0, 3.0, 10.0, 0.5, 0.06, 7.0])
+    params = {name: np.broadcast_to(np.asarray(x), far.shape) for name, x in base.items()} | {"ax": -far}
+    how = plan(BALLS, "balanced")
+    found, _ = jax.jit(lambda p, e: integrate_queue(BALLS, p, e, jnp.array([0.0, 1.0]), how, jnp.asarray(8), 4))(
+        params, 2.0 * far
+    )
+    assert np.asarray(found.code).tolist() == [0] * 8
+    # Struck centrally: v (a - b)/(a + b) and 2 v a/(a + b).
+    assert np.asarray(found.states)[:, -1, 6] == within(np.full(8, -0.5), 3e-3)
+    assert np.asarray(found.states)[:, -1, 9] == within(np.full(8, 0.5), 3e-3)
+
+
+@pytest.mark.full
+def test_a_plane_that_turns_strikes_what_it_would_pass():
+    """A drive turns a plane; the point leaves it with the normal velocity that restitution gives."""
+    paddle = Body("paddle", "hinge", mass=1.0, inertia=1e-2, drive=Drive("constant", speed=3.0))
+    ball = Body("ball", "particle", mass=0.01, start={"x": 0.3 * np.cos(1.0).item(), "y": 0.3 * np.sin(1.0).item()})
+    scene = Mechanism("paddle", [paddle, ball], [Contact("hit", ("paddle", "ball"), gaps.PointOnPlane("y"), law="hertz")], given=HARD)
+    run = bj.simulate(scene, scene.parameters(), np.linspace(0, 0.5, 6), read=["ball.velocity.x", "ball.velocity.y"])
+    u = np.array([run.readings[f"ball.velocity.{k}"][-1] for k in "xy"])
+    # Struck at 1/3 s, it leaves with twice the plane's velocity there, across the plane.
+    assert u == within(2.0 * 3.0 * 0.3 * np.array([-np.sin(1.0), np.cos(1.0)]), 1e-2)
+
+
+# Amounts over time.
+
+
+def block(load):
+    wall = Contact("wall", ("ground", "block"), gaps.PointOnPlane("-x"), at=((9.0, 0, 0), (0, 0, 0)), law="hertz")
+    return Mechanism("block", [Body("block", "slide", axis="x", mass=2.0)], [wall], [load], given=HARD)
+
+
+def wave(t, bodies, p):
+    inside = jnp.abs(t - p["middle"]) < 0.5 * p["width"]
+    return [loads.Action("block", (jnp.where(inside, 10.0, 0.0), 0.0, 0.0))]
+
+
+@pytest.mark.parametrize("width", [1e-5, 1e-3, 1e-1])
+def test_a_pulse_of_a_table_gives_its_momentum(width):
+    table = (np.array([0.0, 0.3, 0.3 + 0.5 * width, 0.3 + width]), np.array([0.0, 0.0, 7.0 / width, 0.0]))
+    scene = block(loads.Force("push", "block", "x", table=tuple(tuple(x.tolist()) for x in table)))
+    run = bj.simulate(scene, scene.parameters(), np.array([0.0, 1.0]), read=["block.velocity.x"])
+    assert run.readings["block.velocity.x"][-1] == within(0.5 * 7.0 / 2.0, 1e-6)
+
+
+@pytest.mark.parametrize("where", ["looked for", "given"])
+@given(middle=st.floats(0.1, 0.9), size=st.floats(-3.3, -1.0))
+def test_a_pulse_of_a_function_gives_its_momentum(where, middle, size):
+    width = 10.0**size
+    known = [(bj.Quantity(name, "s", name), 0.0) for name in ("middle", "width")]
+    given_breaks = None if where == "looked for" else tuple(np.linspace(0.0, 1.0, 2001).tolist())
+    scene = block(loads.Load("push", wave, ("block",), tuple(known), breaks=given_breaks))
+    params = scene.parameters(middle=middle, width=width)
+    run = bj.simulate(scene, params, np.array([0.0, 1.0]), read=["block.velocity.x"])
+    assert run.readings["block.velocity.x"][-1] == within(10.0 * width / 2.0, 2e-2)
+
+
+def test_parts_say_where_they_bend():
+    p = {"ramp": 0.2, "turn": 0.5, "over": 0.1, "hand.drive_ramp": 0.3}
+    force = loads.Force("f", "b", size=1.0, ramp="ramp", reversal="turn", reversal_ramp="over")
+    assert force.kinks(cast(Any, p)) == pytest.approx([0.2, 0.5, 0.6])
+    assert loads.Gravity().kinks(cast(Any, p)) == [] and loads.Load("own", wave).kinks(cast(Any, p)) is None
+    table = Drive("table", table=((0.0, 0.5, 2.0), (0.0, 1.0, 0.0)))
+    assert np.concatenate(cast(Any, table.kinks("hand", cast(Any, p)))).tolist() == [0.0, 0.5, 2.0]
+    assert Drive("ramp", speed=1.0, over=0.3).kinks("hand", cast(Any, p)) == [0.3]
+    assert Drive("constant", speed=1.0).kinks("hand", cast(Any, p)) == []
+
+
+def test_unloading_is_seen_where_every_body_is_driven():
+    """Walton and Braun's loop of a press, e = 0.7: it holds (1 - e^2) of the work of loading, 16 mJ."""
+    press = Drive("table", table=((0, 0.5, 1, 1.5, 2), (0, 0.00025, 0.0005, 0.00025, 0)))
+    pad = Contact("pad", ("ground", "platen"), gaps.PointOnPlane("-x", clearance=True), law="walton_braun")
+    scene = Mechanism("press", [Body("platen", "slide", axis="x", mass=1.0, drive=press)], [pad],
+                      given={"stiffness": 2e5, "restitution": 0.7, "clearance_pad": 1e-4}, end=2.0)  # fmt: skip
+    times = np.linspace(0.0, 2.0, 4001)
+    for samples in (times, times[::100]):
+        run = bj.simulate(scene, scene.parameters(), samples)
+        force = np.interp(1.25, run.times, run.force["pad"][:, 0])
+        assert force == within(2e5 * (4e-4 - (4e-4 - float(press.position(jnp.asarray(1.25), "", {})) + 1e-4) / 0.49), 1e-3)
+    run = bj.simulate(scene, scene.parameters(), times)
+    work = np.trapezoid(run.force["pad"][:, 0], run.penetration["pad"])
+    assert work == within(0.5 * 2e5 * 4e-4**2 * (1.0 - 0.49), 1e-4)
+
+
+# Limits and checks.
+
+
+def test_the_longest_step_is_kept():
+    scene = block(loads.Force("push", "block", "x", size=1.0))
+    params = scene.parameters()
+    free = bj.simulate(scene, params, np.array([0.0, 1.0]))
+    for longest in (1e-3, "1 ms"):
+        run = bj.simulate(scene, params, np.array([0.0, 1.0]), longest_step=longest)
+        assert run.stats["accepted"] >= 1000 > 100 > free.stats["accepted"]
+    with pytest.raises(InputError, match="longest_step = -1"):
+        bj.simulate(scene, params, np.array([0.0, 1.0]), longest_step=-1.0)
+
+
+def test_parameters_that_are_not_finite_do_not_cost_the_step_budget():
+    scene, times = bj.scenes.impact(), jnp.linspace(0.0, 1e-3, 3)
+    params = scene.parameters()
+    for name in ("stiffness", "mass", "approach_speed"):
+        found = integrate(scene, {**params, name: jnp.asarray(np.nan)}, times, plan(scene))
+        assert found.code != 0 and int(found.accepted + found.rejected) < 100
+
+
+def test_runs_that_part_in_one_event_are_told_from_chaos():
+    times = np.linspace(0.0, 1.0, 101)
+    still = {"hit": np.full(101, 2.0)}
+    struck = {"hit": np.where(times < 0.25, 2.0, -2.0)}
+    assert parted(times, still, struck) == (0.25, "hit")
+    assert parted(times, still, still) == (pytest.approx(np.nan, nan_ok=True), "")
+    # Errors that grow by ten at each of several events part no less in the end, and are no event.
+    grown = {"hit": still["hit"] - 1e-6 * 10.0 ** np.floor(times * 8.0)}
+    assert parted(times, still, grown)[1] == ""
+    force = {"hit": np.zeros((101, 3))}
+    found = measured(0.01, 0.0, times, force, force, (still, struck), tolerance=1e-5, wall_s=0.0)
+    assert found.doubt[1] == 0.25 and "'hit'" in found.doubt[0] and found.worst == 0.0
+
+
+def test_a_run_that_steps_over_a_contact_is_doubtful(monkeypatch):
+    """Looks within steps switched off: the run misses the ball, the one that checks it does not."""
+    monkeypatch.setattr(Mechanism, "shows_proximity", property(lambda self: False))
+    scene = Mechanism("other_balls", BALLS.bodies, BALLS.contacts, own=BALLS.own, given=HARD)
+    params = scene.parameters(ax=-0.5, vx=2.0)
+    run = bj.simulate(scene, params, np.linspace(0.0, 0.6, 3001), measure_error=True)
+    assert run.status == "doubtful" and "'hit'" in run.reason
+    assert run.failure_time == within(0.47 / 2.0, 0.02)
+
+
+def test_a_plan_has_a_longest_step_that_may_be_traced():
+    times = jnp.array([0.0, 1e-3])
+    scene = bj.scenes.impact()
+    steps = jax.jit(lambda x: integrate(scene, scene.parameters(), times, Plan(plan(scene).tolerance, longest=x)).accepted)
+    assert int(steps(jnp.asarray(1e-5))) >= 100 > int(steps(jnp.asarray(jnp.inf)))
