@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import jax
@@ -173,6 +174,18 @@ def _power(m: Mechanism, load: AbstractLoad, t: Array, now: Instant, p: Params) 
 _TURNING = ("speed", "wx", "wy", "wz")
 
 
+class _Forces(equations.Equations):
+    """Forces alone, and the sums of their sizes: those of a body in balance cancel each other."""
+
+    def __init__(self, members: Sequence[int]) -> None:
+        super().__init__(members)
+        self.sizes: list[Number] = [0.0 for _ in members]
+
+    def push(self, j: int, force: Number) -> None:
+        super().push(j, force)
+        self.sizes[j] = plus(self.sizes[j], equations.total(jnp.abs(jnp.asarray(force)), self.members[j]))
+
+
 def momenta(m: Mechanism, t: Array, y: Array, p: Params) -> dict[str, Account]:
     """Generalised momentum of every free velocity u_j, and what changes it, from forces alone.
 
@@ -185,10 +198,10 @@ def momenta(m: Mechanism, t: Array, y: Array, p: Params) -> dict[str, Account]:
     its own axes. Reactions of joints are in none. Neither the mass matrix nor accelerations are used.
     """
     now, count = m.instant(t, y, p), len(m._free)
-    pressed, loaded = equations.Equations(m._members), equations.Equations(m._members)
-    m._pressed(pressed, now, p)
+    found = _Forces(m._members)
+    m._pressed(found, now, p)
     for load in m.loads:
-        m._loaded(loaded, load, t, now, p)
+        m._loaded(found, load, t, now, p)
     moved: dict[str, tuple] = {}
     for b in m.ordered:
         part, inertia = now.bodies.parts[b.name], m.inertia(b, p)
@@ -196,22 +209,22 @@ def momenta(m: Mechanism, t: Array, y: Array, p: Params) -> dict[str, Account]:
         velocity = part.velocity_at(now.bodies.center[b.name])
         moved[b.name] = (scale(now.bodies.mass[b.name], velocity), spun)
 
-    def along(t: Array, q: list[Array]) -> list[Array]:
+    def momenta(t: Array, q: list[Array]) -> list[Array]:
         """The momenta of other places and the same velocities."""
-        bodies, found = m.moving(t, list(q), list(now.v), p), [jnp.zeros(k or ()) for *_, k in m._free]
+        bodies, along = m.moving(t, list(q), list(now.v), p), [jnp.zeros(k or ()) for *_, k in m._free]
         for name, (push, spun) in moved.items():
             for j, (w, v) in bodies.parts[name].shifted(bodies.center[name]).partials.items():
                 if j < count:
                     share = equations.total(plus(dot(v, push), dot(w, spun)), m._members[j])
-                    found[j] = found[j] + share
-        return found
+                    along[j] = along[j] + share
+        return along
 
     ways = [jnp.broadcast_to(jnp.asarray(x, float), jnp.shape(q)) for x, q in zip(m._rates(now), now.q, strict=True)]
-    values, leaned = jax.jvp(along, (jnp.asarray(t, float), now.q), (jnp.ones(()), ways))
-    found = {}
+    values, leaned = jax.jvp(momenta, (jnp.asarray(t, float), now.q), (jnp.ones(()), ways))
+    accounts = {}
     for j, (body, rate, _) in enumerate(m._free):
-        forces = pressed.forces[j], loaded.forces[j], leaned[j]
-        terms = jnp.stack([jnp.broadcast_to(jnp.asarray(x, float), values[j].shape) for x in forces])
+        shape = values[j].shape
+        force, size = (jnp.broadcast_to(jnp.asarray(x, float), shape) for x in (found.forces[j], found.sizes[j]))
         what = "angular_momentum" if rate in _TURNING else "momentum"
-        found[f"{body} {what} {rate}"] = Account(values[j], jnp.sum(terms, 0), jnp.sum(jnp.abs(terms), 0))
-    return found
+        accounts[f"{body} {what} {rate}"] = Account(values[j], force + leaned[j], size + jnp.abs(leaned[j]))
+    return accounts

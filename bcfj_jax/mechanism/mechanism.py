@@ -34,7 +34,6 @@ from bcfj_jax.core.vectors import (
     add,
     dot,
     negative,
-    plus,
     scale,
     subtract,
     turned,
@@ -389,8 +388,7 @@ class Mechanism(AbstractModel):
 
     def _loaded(self, found: Equations, load: AbstractLoad, t: Array, now: Instant, p: Params) -> None:
         if isinstance(load, JointSpring):
-            j, force = self.sprung(load, t, now, p)
-            found.forces[j] = plus(found.forces[j], force)
+            found.push(*self.sprung(load, t, now, p))
             return
         try:
             actions = load.actions(t, now.bodies, p)
