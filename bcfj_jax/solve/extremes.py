@@ -59,6 +59,7 @@ class Totals(NamedTuple):
     Attributes:
         first, last: its values at the beginning and at the end.
         integral: of its rate over the time; size: of the sum of the sizes of the rate's terms.
+        miss: greatest size of what the value has changed by since the beginning, less the integral until then.
         coarse: bound of the quadrature's error: the difference of two rules.
         greatest: greatest size of the rate; when: it was [s].
     """
@@ -67,6 +68,7 @@ class Totals(NamedTuple):
     last: Array
     integral: Array
     size: Array
+    miss: Array
     coarse: Array
     greatest: Array
     when: Array
@@ -210,7 +212,7 @@ def after(known: Extremes, t0: Any, t1: Any, before: Look, middle: Look, end: Lo
 def opened(t: Any, at: Account) -> Totals:
     """What is known of accounts at the start."""
     zero = jnp.zeros_like(at.rate)
-    return Totals(at.value, at.value, zero, zero, zero, jnp.abs(at.rate), jnp.full_like(at.rate, t))
+    return Totals(at.value, at.value, zero, zero, zero, zero, jnp.abs(at.rate), jnp.full_like(at.rate, t))
 
 
 def added(known: Totals, t0: Any, t1: Any, before: Account, middle: Account, end: Account) -> Totals:
@@ -219,9 +221,10 @@ def added(known: Totals, t0: Any, t1: Any, before: Account, middle: Account, end
     size, _ = simpson(t1 - t0, before.size, middle.size, end.size)
     top, place = crest(*(jnp.abs(x.rate) for x in (before, middle, end)))
     higher = top > known.greatest
+    done = known.integral + done
     return Totals(
-        known.first, end.value, known.integral + done, known.size + size, known.coarse + coarse,
-        jnp.where(higher, top, known.greatest), jnp.where(higher, t0 + (t1 - t0) * place, known.when),
+        known.first, end.value, done, known.size + size, jnp.maximum(known.miss, jnp.abs(end.value - known.first - done)),
+        known.coarse + coarse, jnp.where(higher, top, known.greatest), jnp.where(higher, t0 + (t1 - t0) * place, known.when),
     )  # fmt: skip
 
 
@@ -238,10 +241,13 @@ def sampled(model: AbstractModel, params: Params, times: Array, states: Array) -
         return jnp.abs(jnp.diff(values, axis=0))
 
     def summed(at: Account) -> Totals:
-        rate = jnp.abs(at.rate)
+        rate, zero = jnp.abs(at.rate), jnp.zeros_like(at.rate[:1])
         gaps = jnp.diff(times).reshape(-1, *(1 for _ in rate.shape[1:]))
+        done, size = (
+            jnp.concatenate([zero, jnp.cumsum(0.5 * gaps * (x[1:] + x[:-1]), axis=0)]) for x in (at.rate, at.size)
+        )
         return Totals(
-            at.value[0], at.value[-1], jnp.trapezoid(at.rate, times, axis=0), jnp.trapezoid(at.size, times, axis=0),
+            at.value[0], at.value[-1], done[-1], size[-1], jnp.max(jnp.abs(at.value - at.value[0] - done), axis=0),
             jnp.sum(gaps * jnp.maximum(changes(at.rate), changes(at.size)), axis=0), jnp.max(rate, axis=0),
             times[jnp.argmax(rate, axis=0)],
         )  # fmt: skip
