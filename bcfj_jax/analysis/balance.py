@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 from bcfj_jax.analysis import features
@@ -28,7 +29,7 @@ from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.extremes import Extremes, Totals, sampled
 from bcfj_jax.solve.simulation import Run
 
-CLOSED, MISSED, UNKNOWN = "closed", "missed", "not_judged"
+CLOSED, MISSED, UNKNOWN = "closed", "missed", "unknown"
 # A sample may exceed what is greatest in the steps by this factor: they are looked at twice a step.
 _BEYOND = 1.5
 # Of the mean size of all forces on a velocity, what a sample may exceed the steps by besides.
@@ -101,20 +102,19 @@ def of_run(model: AbstractModel, params: Params, run: Run, asked: float) -> Bala
         asked: force error, a fraction of the peak.
     """
     if run.trajectory is None or not np.all(np.isfinite(run.trajectory)):
-        return Balance(UNKNOWN, "No balance is judged: the run did not reach its end.")
+        return Balance(UNKNOWN, "The balance is not known: the run did not reach its end.")
     model = model.level(run.choice.fidelity) if run.choice else model
     if not model.traits.history:
         return Balance(
-            UNKNOWN, "No balance is judged: the model has no inertia, and every instant is solved for itself."
+            UNKNOWN, "The balance is not known: the model has no inertia, and every instant is solved for itself."
         )
     arguments = dict(params), run.times, run.trajectory
     # Run once: to compile quickly matters more than to run quickly.
     quick = {"xla_backend_optimization_level": 0}
-    samples = program("accounts", sampled, (model,), arguments, quick)[0](*arguments)
+    samples = jax.device_get(program("accounts", sampled, (model,), arguments, quick)[0](*arguments))
     depth, rate = channels(run.penetration), channels(run.rate)
     hidden = [name for name in depth if len(features.unseen(depth[name], rate[name]))]
     tops = {name: np.max(np.abs(force[..., 0]), axis=0) for name, force in run.force.items()}
-    samples = {name: Totals(*map(np.asarray, one)) for name, one in samples.items()}
     return judged(asked, float(run.times[-1]), samples, run.totals, tops, run.extremes, hidden)
 
 
@@ -138,7 +138,7 @@ def judged(
         hidden: contacts that begin and end between two samples.
     """
     if not samples:
-        return Balance(UNKNOWN, "No balance is judged: the model has neither momenta nor an energy balance.")
+        return Balance(UNKNOWN, "The balance is not known: the model has neither momenta nor an energy balance.")
     quadrature = "steps" if steps else "samples"
     errors: dict[str, dict[str, Error]] = {}
     said, few = [], False
@@ -157,7 +157,7 @@ def judged(
         return Balance(MISSED, " ".join([*over, *said][:1]), quadrature, errors)
     if said or (few and not steps):
         why = f"contacts of {hidden[0]} begin and end between two samples" if hidden else "the samples are too few"
-        return Balance(UNKNOWN, f"No balance is judged: {why}.", quadrature, errors)
+        return Balance(UNKNOWN, f"The balance is not known: {why}.", quadrature, errors)
     return Balance(CLOSED, "", quadrature, errors)
 
 

@@ -122,7 +122,7 @@ def _extremes(members: Mapping[str, int], contacts: Mapping[str, Mapping[str, An
         if any("peak_of_samples" not in row for row in rows):
             return {}
         values = ([row.get(key) for row in rows] for key in Extremes._fields)
-        columns = [np.array([math.nan if x is None else x for x in column], float) for column in values]
+        columns: Any = [np.array([math.nan if x is None else x for x in column], float) for column in values]
         found[name] = Extremes(*(column if count else column[0] for column in columns))
     return found
 

@@ -123,8 +123,11 @@ def verdict(run: Run, content: Mapping[str, Any]) -> Verdict:
 
 def _worst(accuracy: Mapping[str, Any]) -> dict[str, float]:
     """By contact, or by reading of a scene without contacts, the worst of its measured errors; NaN: it is not known."""
-    measured = accuracy.get("measured", {})
-    return {name: float(np.max([math.nan if x is None else x for x in one.values()])) for name, one in measured.items()}
+    found = {}
+    for name, errors in accuracy.get("measured", {}).items():
+        known = [float(x) for x in errors.values() if x is not None]
+        found[name] = float(np.max(known)) if known else math.nan
+    return found
 
 
 def _highest(run: Run, accuracy: Mapping[str, Any]) -> str:

@@ -182,9 +182,9 @@ def summary(run: Run, turning: bool) -> dict[str, Any]:
             contacts[name]["period"] = found
     for name, depth in penetration.items():
         contacts[name][page.BETWEEN] = len(features.unseen(depth, rate[name]))
-    for name, found in resolved(run).items():
-        # Of a failed run the greatest force is that until the failure; its samples say that the rest is not known.
-        whole = features.of_steps(float(run.times[-1]), found) if run.status != "failed" else {"peak": found["peak"]}
+    # Of a failed run nothing is known as a whole.
+    for name, found in resolved(run).items() if run.status != "failed" else ():
+        whole = features.of_steps(float(run.times[-1]), found)
         kept = {"period": contacts[name]["period"]} if turning else {}
         more = {key: found[key] for key in RESOLVED_UNITS if key in found}
         contacts[name] |= {"peak_of_samples": contacts[name]["peak"]} | whole | more | kept
@@ -229,12 +229,12 @@ def resolution_warnings(run: Run) -> list[str]:
             f"{'histories and pictures' if run.extremes else 'peak, mean, impulse and work'} do not include "
             f"{'it' if count == 1 else 'them'}; {more}"
         )
-    # Features of the solver's steps are not coarse.
-    if shortest and not run.extremes:
+    if shortest:
         least = min(shortest.values())
+        coarse = "histories and pictures of it" if run.extremes else "its peak, impulse and work"
         found.append(
             f"{_several(shortest)}: the shortest contact has only {least} sample{'' if least == 1 else 's'}, so that "
-            f"its peak, impulse and work are coarse; {more}"
+            f"{coarse} are coarse; {more}"
         )
     return found
 
