@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.typing import ArrayLike
 
 from bcfj_jax.core.errors import InputError, nearest, quoted
 from bcfj_jax.core.quantities import Quantity
@@ -54,6 +55,7 @@ class Drive(eqx.Module):
         table: (times, positions) of "table": a natural cubic spline through them, constant speed beyond the ends;
             (times, speeds) of "speeds": linear between them, constant beyond.
         function: (t, params) -> position, twice differentiable.
+        breaks: times [s] at which steps have to end, of "function"; None: looks at the function find where it bends.
     """
 
     kind: str = eqx.field(static=True, default="constant")
@@ -64,6 +66,7 @@ class Drive(eqx.Module):
     function: Callable[[Array, Params], Array] | None = eqx.field(static=True, default=None)
     shape: str = eqx.field(static=True, default="smooth")
     first: Size = eqx.field(static=True, default=0.0)
+    breaks: tuple[float, ...] | None = eqx.field(static=True, default=None, converter=lambda x: x and tuple(x))
 
     def __check_init__(self):
         where = "drive"
@@ -102,6 +105,14 @@ class Drive(eqx.Module):
         if not (isinstance(self.start, (int, float)) and self.start == 0):
             found |= sizes.own(self.start, body, "drive_start", unit, f"position of the drive of {body} at time 0")
         return found
+
+    def kinks(self, body: str, p: Params) -> list[ArrayLike] | None:
+        """Times at which the motion bends [s]; None of a function that says nothing of it."""
+        if self.kind == "function":
+            return None if self.breaks is None else [np.asarray(self.breaks)]
+        if self.table is not None:
+            return [np.asarray(self.table[0])]
+        return [sizes.value(self.over, body, "drive_ramp", p)] if self.kind == "ramp" else []
 
     def position(self, t: Array, body: str, p: Params) -> Number:
         """Position [m or rad]."""

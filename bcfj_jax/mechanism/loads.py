@@ -10,7 +10,9 @@ from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
+import numpy as np
 from jax import Array
+from jax.typing import ArrayLike
 
 from bcfj_jax.contact.part import complete
 from bcfj_jax.core.errors import InputError, nearest, quoted
@@ -103,6 +105,11 @@ class Pull(bj.loads.AbstractLoad):
         """Its parameters with their defaults."""
         return {}
 
+    def kinks(self, p: Params) -> list[ArrayLike] | None:
+        """Times [s] at which steps have to end, since the load bends there; None: looks at it find them."""
+        del p
+        return None
+
     @property
     def touches(self) -> tuple[str, ...]:
         """Names of the bodies it acts on; empty for all."""
@@ -131,6 +138,11 @@ class Gravity(AbstractLoad):
             at = (dot(axes[0], arm), dot(axes[1], arm), dot(axes[2], arm))
             found.append(Action(body, scale(times(mass, p["gravity"]), way), at))
         return found
+
+    def kinks(self, p: Params) -> list[ArrayLike]:
+        """None: it knows no time."""
+        del p
+        return []
 
     def parameters(self) -> dict[str, tuple[Quantity, float | None]]:
         """``gravity``."""
@@ -195,6 +207,10 @@ class Force(AbstractLoad):
         at = _point(self.at, self.name, "at", p)
         return [Action(self.body, scale(self._amount(t, p), self._way(bodies)), at)]
 
+    def kinks(self, p: Params) -> list[ArrayLike]:
+        """Those of its size."""
+        return self.programme.kinks(self.name, p)
+
     def parameters(self) -> dict[str, tuple[Quantity, float | None]]:
         """Size, ramp and place."""
         unit = "N m" if isinstance(self, Torque) else "N"
@@ -249,6 +265,11 @@ class Spring(AbstractLoad):
         pull = pull + times(sizes.length(self.damping, self.name, "damping", p), rate)
         return [Action(first, scale(pull, way), a), Action(second, negative(scale(pull, way)), b)]
 
+    def kinks(self, p: Params) -> list[ArrayLike]:
+        """None: it knows no time."""
+        del p
+        return []
+
     def parameters(self) -> dict[str, tuple[Quantity, float | None]]:
         """Stiffness, damping, free length and places."""
         found = _stated(self.stiffness, self.name, "stiffness", "N/m")
@@ -293,6 +314,11 @@ class Bush(AbstractLoad):
         drag = scale(sizes.length(self.turning_damping, self.name, "turning_damping", p), lag)
         return [Action(first, pull, a, drag), Action(second, negative(pull), b, negative(drag))]
 
+    def kinks(self, p: Params) -> list[ArrayLike]:
+        """None: it knows no time."""
+        del p
+        return []
+
     def parameters(self) -> dict[str, tuple[Quantity, float | None]]:
         """Stiffness, damping and places."""
         found = _stated(self.stiffness, self.name, "stiffness", "N/m")
@@ -326,6 +352,10 @@ class JointSpring(AbstractLoad):
         del t, bodies, p
         return []
 
+    def kinks(self, p: Params) -> list[ArrayLike] | None:
+        """Those of its drive."""
+        return [] if self.drive is None else self.drive.kinks(self.name, p)
+
     def on_coordinate(self, t: Array, position: Number, rate: Number, p: Params) -> Number:
         """Force or torque on the coordinate."""
         k, c, rest = (
@@ -353,12 +383,14 @@ class Load(AbstractLoad):
         function: (t, bodies: Moving, p) -> list of ``Action``.
         bodies: names of the bodies it acts on.
         quantities: what the parameters of its own are, as ``Quantity``; it reads them from p by name.
+        breaks: times [s] at which steps have to end; None: looks at the function find where it bends.
     """
 
     name: str = eqx.field(static=True)
     function: Callable[[Array, Moving, Params], list[Action]] = eqx.field(static=True)
     bodies: tuple[str, ...] = eqx.field(static=True, default=())
     quantities: tuple[tuple[Quantity, float], ...] = eqx.field(static=True, default=())
+    breaks: tuple[float, ...] | None = eqx.field(static=True, default=None, converter=lambda x: x and tuple(x))
 
     @property
     def touches(self) -> tuple[str, ...]:
@@ -373,6 +405,11 @@ class Load(AbstractLoad):
     def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
         """The function's."""
         return list(self.function(t, bodies, p))
+
+    def kinks(self, p: Params) -> list[ArrayLike] | None:
+        """As given."""
+        del p
+        return None if self.breaks is None else [np.asarray(self.breaks)]
 
     def parameters(self) -> dict[str, tuple[Quantity, float | None]]:
         """As given."""

@@ -9,7 +9,7 @@ contacts remember; a driven body has none.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -38,7 +38,7 @@ from bcfj_jax.core.vectors import (
     subtract,
     turned,
 )  # fmt: skip
-from bcfj_jax.mechanism import equations, instruments, sizes
+from bcfj_jax.mechanism import equations, instruments, sizes, stepping
 from bcfj_jax.mechanism.bodies import GROUND, STILL, Body, Part, carried, quaternion_rate
 from bcfj_jax.mechanism.contacts import Contact, raised
 from bcfj_jax.mechanism.equations import Equations, flat
@@ -52,6 +52,7 @@ from bcfj_jax.mechanism.model import (
     ModelTraits,
     Orbit,
     Params,
+    Proximity,
     Reading,
     Scenery,
     Solution,
@@ -91,6 +92,7 @@ class Mechanism(AbstractModel):
         scale: (mechanism, params, end) -> error scale, in place of the one from the expected loads.
         more: what a scene knows beside: (params, times) -> its numbers for the envelope.
         touch: time of the first contact [s] of parameters, or None; where the start alone tells it.
+        longest_step: of a solver [s]; None: as long as its errors allow.
         implicit: whether an implicit solver takes it (``mechanism.stiff``); None: as its default values say.
     """
 
@@ -106,6 +108,7 @@ class Mechanism(AbstractModel):
     more: Callable[..., dict[str, float]] | None = eqx.field(static=True, default=None)
     implicit: bool | None = eqx.field(static=True, default=None)
     touch: Callable[[Mapping[str, float]], float | None] | None = eqx.field(static=True, default=None)
+    longest_step: float | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
         from bcfj_jax.mechanism.checks import check_structure
@@ -399,6 +402,13 @@ class Mechanism(AbstractModel):
             part = now.bodies.parts[action.body]
             found.act(part, turned(part.axes, action.at), action.force, action.torque)
 
+    def loaded(self, loads: Sequence[AbstractLoad], t: Array, y: Array, p: Params) -> Array:
+        """Forces of some loads on the velocities, driven ones last."""
+        now, found = self.instant(t, y, p, laws=False), Equations(self._members)
+        for load in loads:
+            self._loaded(found, load, t, now, p)
+        return flat(found.forces, self._members)
+
     def sprung(self, load: JointSpring, t: Array, now: Instant, p: Params) -> tuple[int, Number]:
         """Which velocity a spring in a joint acts on, and its force [N, N m]."""
         j = next(j for j, (body, *_) in enumerate(self._free) if body == load.body)
@@ -439,6 +449,19 @@ class Mechanism(AbstractModel):
             for (face, touch), own in zip(now.faces[c.name], now.memory[c.name], strict=True):
                 found += c.learning(face, touch, own, p)
         return found
+
+    @property
+    def shows_proximity(self) -> bool:
+        """Where there are contacts."""
+        return bool(self.contacts)
+
+    def proximity(self, t: Array, y: Array, prepared: Params) -> Proximity:
+        """``stepping.proximity``."""
+        return stepping.proximity(self, t, y, prepared)
+
+    def breaks(self, params: Params, end: ArrayLike) -> Array | None:
+        """``stepping.breaks``."""
+        return stepping.breaks(self, params, end)
 
     # What instruments read.
 

@@ -49,6 +49,24 @@ class Reading(NamedTuple):
     world: Array | None = None
 
 
+class Proximity(NamedTuple):
+    """How near the surfaces of every face are in one state, and how their bodies move past each other; (C,) each.
+
+    Attributes:
+        depth: penetration [m], of a regularised contact from where its force begins; negative is the gap.
+        rate: rate of the penetration [m/s].
+        speed: of the relative motion that the penetration depends on [m/s]: at least its rate.
+        turn: rate of the rotation that it depends on, over the angle in which its course bends [1/s].
+        bends: relative motion [m] over which the penetration's course bends; infinite between planes, 0 where not known.
+    """
+
+    depth: Array
+    rate: Array
+    speed: Array
+    turn: Array
+    bends: Array
+
+
 class BodyMotion(NamedTuple):
     """Where a body is and how it moves, in world axes; a body with members has (k, ...).
 
@@ -316,6 +334,25 @@ class AbstractModel(eqx.Module):
         raise InputError(
             f"scene '{self.kind}'", "has a history: it is integrated", "this is an error in bcfj-jax: please report it"
         )
+
+    @property
+    def shows_proximity(self) -> bool:
+        """Whether steps are looked at for contacts that they hide, by ``proximity``; not where none can hide one."""
+        return False
+
+    def proximity(self, t: Array, y: Array, prepared: Any) -> Proximity:
+        """How near all surfaces are to each other in one state. Only of a model that ``shows_proximity``."""
+        raise InputError(f"scene '{self.kind}'", "shows no proximity", "this is an error in bcfj-jax: please report it")
+
+    def breaks(self, params: Params, end: ArrayLike) -> Array | None:
+        """Times (B,) at which a step until ``end`` [s] has to end: amounts over time have a kink there; None for none."""
+        del params, end
+        return None
+
+    @property
+    def longest_step(self) -> float | None:
+        """Longest step that a solver may take [s]; None: as long as its errors allow."""
+        return None
 
     # What instruments read.
 

@@ -128,6 +128,16 @@ class Programme(eqx.Module):
             found = times(found, 1.0 - 2.0 * rise((t - sizes.value(self.reversal, name, "reversal", p)) / over))
         return found
 
+    def kinks(self, name: str, p: Params) -> list[ArrayLike]:
+        """Times at which it bends [s]: knots of its table, ends of its ramp, begin and end of its reversal."""
+        if self.table is not None:
+            return [np.asarray(self.table[0])]
+        found = [] if self.ramp is None else [sizes.value(self.ramp, name, "ramp", p)]
+        if self.reversal is not None:
+            begin = sizes.value(self.reversal, name, "reversal", p)
+            found += [begin, begin + sizes.value(self.reversal_ramp, name, "reversal_ramp", p)]
+        return found
+
     def parameters(self, name: str, unit: str) -> dict[str, tuple[Quantity, float | None]]:
         """Its parameters with their defaults."""
         if self.table is not None:

@@ -47,7 +47,7 @@ def backlash(
         driven: the driver swings as  amplitude sin(frequency t)  and the follower starts at rest; else both are free, the
             driver starts at rest and the follower at its own speed.
     """
-    swing = Drive("function", function=_swing) if driven else None
+    swing = Drive("function", function=_swing, breaks=()) if driven else None
     driver = Body("driver", "slide", axis="x", mass=1.0, drive=swing)
     follower = Body("follower", "slide", axis="x", mass="mass", start={"velocity": "follower_speed"})
     stop = Contact("stop", ("driver", "follower"), TwoSidedStop("x"), law, elastic=elastic, smoothing=smoothing)

@@ -103,7 +103,7 @@ def _torque(t: Array, bodies: Moving, p: Params, siconos: bool) -> list[Action]:
 def _control(controller: str) -> Load:
     """The controller as a load."""
     function = lambda t, bodies, p: _torque(t, bodies, p, controller == "siconos")  # noqa: E731
-    return Load("control", function, ("crank",), _CONTROL)
+    return Load("control", function, ("crank",), _CONTROL, breaks=())
 
 
 def _coupler(p: Params) -> tuple[Array, Array, Array]:

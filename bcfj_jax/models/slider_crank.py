@@ -92,7 +92,7 @@ def slider_crank(
     rod: dict[str, Any] = {"parent": "crank", "at": ("crank_length", 0, 0), "mass": 0.21, "inertia": 2.5e-4}
     rod["center"] = (_half_rod, 0, 0)
     if ideal:
-        moved = (Drive("function", function=_rod_angle), Drive("function", function=_slider_place))
+        moved = [Drive("function", function=motion, breaks=()) for motion in (_rod_angle, _slider_place)]
         parts = (
             crank,
             Body("rod", "hinge", **rod, drive=moved[0]),

@@ -76,6 +76,20 @@ class Found(NamedTuple):
     seen: Any = None
 
 
+class Limits(NamedTuple):
+    """What ends steps beside their errors.
+
+    Attributes:
+        longest: of a step [s]; ``breaks``: (B,) sorted times at which steps end [s], or None.
+        hidden: (begin, end, state before, read, good) -> share of a step at which it has to end (``seeking``), or None;
+            ``read`` gives the state (n,) at a time within the step.
+    """
+
+    longest: Any
+    breaks: Array | None = None
+    hidden: Callable[..., Array] | None = None
+
+
 class AbstractWatch(eqx.Module):
     """What looks at every accepted step."""
 
@@ -157,6 +171,7 @@ def solve(
     share: float = 1.0,
     segment: int = 0,
     watch: AbstractWatch | None = None,
+    limits: Limits | None = None,
 ) -> Found:
     """Integrate rows (1 + k, n), the state and its tangents, from time 0; interpolate at ``times`` (T,), increasing.
 
@@ -173,6 +188,7 @@ def solve(
         share: of a tangent, to which its error is relative; below 1 for a sum of tangents, whose parts are smaller.
         segment: how many states a record keeps, which lengthens no run; 0: no record.
         watch: what looks at every accepted step, which changes none.
+        limits: of steps, beside their errors.
     """
     structure, tolerance = solver.structure, solver.tolerance
     alpha, constant = jnp.asarray(ALPHA), jnp.asarray(_ERROR)
@@ -228,8 +244,10 @@ def solve(
             record.starts.at[j].set(jnp.where(begins, start, record.starts[j])),
         )
 
-    def adapted(s: _State, good: Array, share: Array, sizes: Array) -> _State:
-        """After a rejection a shorter step; after order + 1 equal steps the order that allows the longest."""
+    def adapted(s: _State, good: Array, share: Array, sizes: Array, part: Array) -> _State:
+        """After a rejection a shorter step, or the ``part`` of one that hides a contact; after order + 1 equal steps the
+        order that allows the longest.
+        """
         order, d = s.order, s.differences
         lower = jnp.where(order > 1, constant[order - 1] * norm(d[order], sizes), jnp.inf)
         higher = jnp.where(order < orders, constant[order + 1] * norm(d[order + 2], sizes), jnp.inf)
@@ -237,8 +255,26 @@ def solve(
         factors = shares ** (-1.0 / (order + jnp.arange(3)))
         best = jnp.where(good, jnp.argmax(factors), 1)
         factor = jnp.where(jnp.isfinite(share), jnp.clip(_SAFETY * factors[best], _SHRINK, _GROWTH), 0.5)
-        order = order + best - 1
+        factor, order = jnp.where(part < 1.0, jnp.maximum(part, _SHRINK), factor), order + best - 1
         return s._replace(h=s.h * factor, order=order, equal=jnp.asarray(0), differences=rescaled(d, order, factor))
+
+    def shortened(s: _State) -> _State:
+        """With a step that ends at the next break, and is not too long."""
+        assert limits is not None
+        longest = limits.longest
+        if limits.breaks is not None:
+            k = jnp.searchsorted(limits.breaks, s.t + 2.0 * shortest + 1e-14 * s.t, side="right")
+            there = limits.breaks[jnp.minimum(k, limits.breaks.size - 1)]
+            longest = jnp.minimum(longest, jnp.where(there > s.t, there - s.t, jnp.inf))
+        factor = jnp.minimum(1.0, longest / s.h)
+        return jax.lax.cond(
+            factor < 1.0,
+            lambda s: s._replace(
+                h=s.h * factor, equal=jnp.asarray(0), differences=rescaled(s.differences, s.order, factor)
+            ),
+            lambda s: s,
+            s,
+        )
 
     def due(carry: tuple) -> Array:
         s, out, *_ = carry
@@ -262,8 +298,14 @@ def solve(
 
     def step(carry: tuple) -> tuple:
         tried, out, found, rates, record, seen = carry
+        tried = tried if limits is None else shortened(tried)
         bends, share, sizes, factors = attempt(tried)
-        good = share <= 1.0
+        good, part = share <= 1.0, jnp.ones(())
+        if limits is not None and limits.hidden is not None:
+            after = accepted(tried, bends)
+            read = lambda time: weighted(after, time) @ after.differences[: ORDERS + 1, 0]  # noqa: E731
+            part = limits.hidden(tried.t, after.t, tried.differences[0, 0], read, good)
+            good = good & (part >= 1.0)
         s = tried._replace(factors=factors, rejected=tried.rejected + ~good)
         s = jax.lax.cond(good, accepted, lambda s, _: s, s, bends)
         record = noted(record, tried, s, bends)
@@ -271,7 +313,7 @@ def solve(
             seen = jax.lax.cond(good, looked, lambda seen, _: seen, seen, s)
         s, out, found, rates = jax.lax.while_loop(due, write, (s, out, found, rates))
         change = ~good | (s.equal > s.order)
-        s = jax.lax.cond(change, adapted, lambda s, *_: s, s, good, share, sizes)
+        s = jax.lax.cond(change, adapted, lambda s, *_: s, s, good, share, sizes, part)
         return s, out, found, rates, record, seen
 
     def going(carry: tuple) -> Array:

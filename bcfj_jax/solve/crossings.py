@@ -161,7 +161,7 @@ def solved(
         watch = Watch(model, prepared, times[-1], solver.tolerance[0], most)
         found = bdf.solve(
             solver, made.args, changes, jnp.concatenate([start[None], by_start]), made.scales, times, made.first_step,
-            made.shortest_step, how.max_steps, watch=watch,
+            made.shortest_step, how.max_steps, watch=watch, limits=integrate.limits(made, solver),
         )  # fmt: skip
         m, (rows, *rest) = found.seen, integrate.ended(found, times, how)
         instants = m.found._replace(
@@ -182,6 +182,6 @@ def solved(
         return (rows[:, 0], aside), jnp.moveaxis(rows[:, 1:], 1, 0)
 
     times = jax.lax.stop_gradient(times)
-    x = (*posed.args[1:], posed.start, times, posed.scales, posed.first_step, how.tolerance)
+    x = (*posed.args[1:], posed.start, times, *integrate.fixed_in(posed, how.tolerance))
     states, (rest, rates, instants) = together(value, ahead)(x)
     return Solution(states, *rest), rates, instants

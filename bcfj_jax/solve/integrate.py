@@ -41,6 +41,7 @@ from bcfj_jax.solve.landing import NEAR, Instants, Landing, contacts
 from bcfj_jax.solve.plan import Plan, Way
 from bcfj_jax.solve.rodas import Rodas
 from bcfj_jax.solve.sdirk import Sdirk
+from bcfj_jax.solve.seeking import Breaking, Seeker, Seeking, hidden_in
 from bcfj_jax.solve.tangents import beside
 from bcfj_jax.solve.watched import Watched
 
@@ -48,6 +49,8 @@ _ADJOINTS = {"forward": dfx.ForwardMode(), "reverse": dfx.RecursiveCheckpointAdj
 
 # Relative tolerance at rounding level, so that large positions do not cause rejections.
 _ROUNDING = 4e-16
+# Of explicit runs, a share of their length.
+_ROUNDED = 1e-16
 # Of stiff models, whose steps begin short and may be rejected many times: length [s] below which a run has failed.
 _SHORTEST = 1e-15
 # Share of a random direction's tangent to which its error is relative. At 0.01 a gradient by 100 parameters of a joint with
@@ -72,6 +75,8 @@ class Problem(NamedTuple):
     Attributes:
         args: (model, what it has prepared).
         gains: proportional and integral, of the step control.
+        longest: length of a step at most [s]; ``breaks``: times (B,) at which steps end, sorted [s], or None.
+        seeks: whether steps are looked at for contacts that they hide (``seeking``).
     """
 
     field: Callable
@@ -79,9 +84,12 @@ class Problem(NamedTuple):
     start: Array
     scales: Array
     first_step: Array
-    shortest_step: float | None
+    shortest_step: Any
     gains: tuple[float, float]
     solver: dfx.AbstractSolver
+    longest: Array
+    breaks: Array | None
+    seeks: bool
     norm: Callable[[Array], Array] = _safe_norm
 
 
@@ -92,14 +100,21 @@ def problem(model: AbstractModel, params: Params, end: Array, how: Plan, differe
     scales = jax.lax.stop_gradient(model.error_scale(params, end))
     first = jnp.asarray(model.first_step(params, scales), dtype=jnp.float64)
     gains = _GAINS[stiff]
+    longest = jnp.minimum(how.longest, jnp.inf if model.longest_step is None else model.longest_step)
+    limits = longest, model.breaks(params, end), model.shows_proximity
     if not stiff:
         solver = getattr(dfx, named.NOT_STIFF[how.solver or "tsit5"])()
-        return Problem(_field, (model, prepared), start, scales, first, None, gains, solver)
+        if isinstance(solver, dfx.AbstractImplicitSolver):
+            # Of a step control of our own diffrax does not take over the tolerances.
+            finder = dfx.VeryChord(rtol=_ROUNDING, atol=how.tolerance * scales, norm=_safe_norm)
+            solver = eqx.tree_at(lambda s: s.root_finder, solver, finder)
+        shortest = _ROUNDED * jnp.maximum(jax.lax.stop_gradient(end), first)
+        return Problem(_field, (model, prepared), start, scales, first, shortest, gains, solver, *limits)
     last = jax.lax.stop_gradient(end)
     first = jnp.where(last > 0, jnp.minimum(first, 1e-2 * last), first)
     structure, implicit = model.structure(), differentiable or how.solver in ("sdirk2", "bdf")
     solver = Sdirk(structure, how.tolerance * scales) if implicit else Rodas(structure)
-    return Problem(structure.field, (model, prepared), start, scales, first, _SHORTEST, gains, solver)
+    return Problem(structure.field, (model, prepared), start, scales, first, _SHORTEST, gains, solver, *limits)
 
 
 def _field(t: Any, y: Array, args: tuple[AbstractModel, Any]) -> Array:
@@ -142,8 +157,6 @@ def integrate(
         return found._replace(states=found.states[:, 0])
     if differentiable and how.tangents and model.contacts:
         return _landed(posed, times, how, 1, mode)[0]
-    if how.extremes:
-        posed = posed._replace(solver=Watched(posed.solver))  # pyright: ignore[reportArgumentType]
     return _solved(posed, times, how, mode)
 
 
@@ -167,8 +180,32 @@ def _landed(problem: Problem, times: Array, how: Plan, most: int, mode: Way) -> 
     return end, contacts(memory)
 
 
-def controller(problem: Problem, how: Plan) -> dfx.PIDController:
-    """How steps are chosen."""
+def seeker(problem: Problem, how: Plan) -> dfx.AbstractSolver:
+    """The problem's solver, which looks for contacts within each step where the model shows them (``seeking``)."""
+    solver: Any = Watched(problem.solver) if how.extremes else problem.solver  # pyright: ignore[reportArgumentType]
+    if not problem.seeks:
+        return solver
+    tolerance = how.tolerance * problem.scales
+    # Dopri8 weighs no force at the end of a step in its error.
+    rows, blind = problem.start.ndim == 2, isinstance(problem.solver, dfx.Dopri8)
+    return Seeker(solver, tolerance, problem.scales, tolerance[0], problem.norm, rows, blind)
+
+
+def limits(problem: Problem, solver: Sdirk) -> bdf.Limits:
+    """What ends steps of BDF beside their errors."""
+    model, prepared = problem.args
+    find = hidden_in(model, prepared, solver.tolerance[0]) if problem.seeks else None
+    return bdf.Limits(problem.longest, problem.breaks, find)
+
+
+def controller(problem: Problem, how: Plan) -> dfx.AbstractStepSizeController:
+    """How steps are chosen: by their errors, for no hidden contact, and to end at breaks."""
+    control: dfx.AbstractStepSizeController = _by_errors(problem, how)
+    control = Seeking(control) if problem.seeks else control
+    return control if problem.breaks is None else Breaking(control, problem.breaks)
+
+
+def _by_errors(problem: Problem, how: Plan) -> dfx.PIDController:
     return dfx.PIDController(
         rtol=_ROUNDING,
         atol=how.tolerance * problem.scales,
@@ -176,6 +213,7 @@ def controller(problem: Problem, how: Plan) -> dfx.PIDController:
         icoeff=problem.gains[1],
         norm=problem.norm,
         dtmin=problem.shortest_step,
+        dtmax=problem.longest,
         force_dtmin=False,
     )
 
@@ -190,7 +228,7 @@ def _by_diffrax(
     """What diffrax finds with a step control, and, where its ``memory`` is asked for, what the control knows at the end."""
     solution = dfx.diffeqsolve(
         dfx.ODETerm(problem.field),  # pyright: ignore[reportArgumentType]
-        problem.solver,
+        seeker(problem, how),
         t0=0.0,
         t1=jnp.where(times[-1] > 0.0, times[-1], problem.first_step),
         dt0=problem.first_step,
@@ -209,9 +247,10 @@ def _by_diffrax(
     states, _ = solution.ys
     states = jnp.where(jnp.isfinite(states), states, jnp.nan)
     accepted, rejected = (solution.stats[f"num_{name}_steps"] for name in ("accepted", "rejected"))
+    memory: Any = solution.solver_state
     seen = ()
-    if how.extremes and solution.solver_state is not None:
-        seen = by_name(times[0], problem.start, problem.args, solution.solver_state[-1])
+    if how.extremes and memory is not None:
+        seen = by_name(times[0], problem.start, problem.args, (memory[0] if problem.seeks else memory)[-1])
     ended = Solution(states, code_of(solution.result, states), solution.ts[1][0], accepted, rejected, *seen)
     return ended, solution.controller_state
 
@@ -235,7 +274,7 @@ def _by_bdf(problem: Problem, solver: Sdirk, changes: tuple | None, start: Array
         problem, solver, changes, start, times, how = eqx.combine(arrays, static)
         found = bdf.solve(
             solver, problem.args, changes, start, problem.scales, times, problem.first_step, problem.shortest_step,
-            how.max_steps,
+            how.max_steps, limits=limits(problem, solver),
         )  # fmt: skip
         return ended(found, times, how)
 
@@ -252,11 +291,19 @@ def ended(found: bdf.Found, times: Array, how: Plan) -> Solution:
 
 def posed_at(problem: Problem, x: tuple) -> tuple[Problem, Sdirk]:
     """The problem of a stiff model with arrays in place of its own, and its solver."""
-    c, start, scales, first, tolerance = x
+    c, start, scales, first, longest, breaks, tolerance = x
     assert isinstance(problem.solver, Sdirk)
     solver = Sdirk(problem.solver.structure, tolerance * scales)
-    made = problem._replace(args=(problem.args[0], c), start=start, scales=scales, first_step=first, solver=solver)
+    made = problem._replace(
+        args=(problem.args[0], c), start=start, scales=scales, first_step=first, longest=longest, breaks=breaks,
+        solver=solver,
+    )  # fmt: skip
     return made, solver
+
+
+def fixed_in(problem: Problem, tolerance: Array) -> tuple:
+    """Arrays of a problem that are not differentiated, in the order of ``posed_at``."""
+    return problem.scales, problem.first_step, problem.longest, problem.breaks, tolerance
 
 
 def _anywhere(model: AbstractModel, params: Params) -> tuple[Any, Array]:
@@ -288,7 +335,7 @@ def _with_adjoint(problem: Problem, ahead: tuple[Any, Array] | None, times: Arra
         found = bdf.solve(
             solver, made.args, None if ahead is None else (model, by_args), rows, made.scales, times, made.first_step,
             made.shortest_step, how.max_steps, 2 if ahead is None else bdf.ORDERS, _LEAST,
-            min(adjoint.SEGMENT[ahead is not None], how.max_steps),
+            min(adjoint.SEGMENT[ahead is not None], how.max_steps), limits=limits(made, solver),
         )  # fmt: skip
         solution = ended(found, times, how)
         return solution._replace(states=solution.states[:, 0]), found.record
@@ -315,7 +362,7 @@ def _with_adjoint(problem: Problem, ahead: tuple[Any, Array] | None, times: Arra
 
     recorded, backward = lane_by_lane(run), lane_by_lane(back)
     solution.defvjp(forth, transposed)
-    fixed = (problem.scales, problem.first_step, _REVERSE * how.tolerance)
+    fixed = fixed_in(problem, _REVERSE * how.tolerance)
     return solution((problem.args[1], problem.start, times), (fixed, ahead))
 
 
@@ -347,6 +394,6 @@ def _with_tangents(problem: Problem, times: Array, how: Plan) -> Solution:
             moved = moved + by_times[:, :, None] * jax.vmap(lambda t, y: made.field(t, y, made.args))(times, states)
         return (states, tuple(rest)), moved
 
-    x = (*problem.args[1:], problem.start, times, problem.scales, problem.first_step, how.tolerance)
+    x = (*problem.args[1:], problem.start, times, *fixed_in(problem, how.tolerance))
     states, rest = together(value, ahead)(x)
     return Solution(states, *rest)

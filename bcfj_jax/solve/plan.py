@@ -13,7 +13,7 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.core.errors import InputError, nearest, quoted
-from bcfj_jax.core.quantities import whole
+from bcfj_jax.core.quantities import Quantity, whole
 from bcfj_jax.core.upward import upward
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve import named
@@ -23,6 +23,10 @@ Way = Literal["forward", "reverse"]
 LEVELS = {"fast": 5e-2, "balanced": 1e-2, "reference": 1e-5}
 # Attempted steps that a run may take where nothing else is asked for.
 MAX_STEPS = 400_000
+
+# Steps that a run which measures the error of another takes at least.
+LOOKS = 200
+LONGEST = Quantity("longest_step", "s", "longest step of a solver", 0.0, open_low=True)
 
 # Force error below which a stiff model's tangents count in the step control. In the joint a ball that carries nothing
 # swings below 1 N, and tangents depend on its phase: loose steps damp the swing, and tight ones resolve it only where the
@@ -38,7 +42,7 @@ class Plan(eqx.Module):
     are chosen for derivatives, too: a stiff model's for the error of its tangents, an explicit one's so that they end where
     contacts begin and end (``solve.landing``); a fit of single impacts need not pay for that. ``solver``: a name of
     ``solve.named``, where the model's own is not wanted. ``extremes``: whether each contact is looked at in every step
-    (``solve.extremes``); of values alone.
+    (``solve.extremes``); of values alone. ``longest``: of all steps [s], may be traced; a model has its own beside it.
     """
 
     tolerance: Array
@@ -46,6 +50,7 @@ class Plan(eqx.Module):
     tangents: bool = eqx.field(static=True, default=False)
     solver: str | None = eqx.field(static=True, default=None)
     extremes: bool = eqx.field(static=True, default=False)
+    longest: Any = eqx.field(default_factory=lambda: np.asarray(np.inf))
 
 
 def plan(

@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 from bcfj_jax.core import presented
 from bcfj_jax.core.errors import InputError, quoted, texts
 from bcfj_jax.core.programs import program
-from bcfj_jax.core.quantities import increasing, instants
+from bcfj_jax.core.quantities import increasing, instants, number
 from bcfj_jax.core.status import NO_FORCE, OK, reason
 from bcfj_jax.core.threads import together
 from bcfj_jax.mechanism import channels, inputs
@@ -26,7 +26,7 @@ from bcfj_jax.mechanism.model import AbstractModel, Choice, Params, Reading, Sol
 from bcfj_jax.mechanism.readings import contact_states
 from bcfj_jax.solve.forward_reverse import forward_and_reverse
 from bcfj_jax.solve.measured_error import Accuracy, measured
-from bcfj_jax.solve.plan import MAX_STEPS, Plan, Way, check_bits, force_error, plan
+from bcfj_jax.solve.plan import LONGEST, LOOKS, MAX_STEPS, Plan, Way, check_bits, force_error, plan
 
 Mode = Literal["auto", "forward", "reverse"]
 
@@ -218,6 +218,7 @@ def simulate(
     measure_error: bool = False,
     read: Sequence[str] = (),
     resolved_peaks: bool = False,
+    longest_step: float | str | None = None,
 ) -> Run:
     """Simulate a model and say how it went.
 
@@ -227,13 +228,14 @@ def simulate(
         scene: the model; params, times, accuracy: as ``force_history``.
         max_steps: budget of attempted steps; beyond it the run fails with that reason.
         solver: a name of ``solve.named`` in place of the model's own.
-        measure_error: run the same program again at a tenth of the tolerance, and report how far the two runs are apart
-            (``Run.accuracy``). Not of a model without a history, which takes no steps. Of a model without contacts
+        measure_error: run the same program again at a tenth of the tolerance, with no step longer than 1/200 of the run,
+            and report how far the two runs are apart (``Run.accuracy``). Not of a model without a history, which takes no steps. Of a model without contacts
             it is the error of the readings.
         read: names of readings to keep beside the contacts' (``mechanism.channels``), such as "slider.acceleration.x".
         resolved_peaks: look at every contact in every step of the solver, so that peaks and impulses do not depend on the
             times asked for (``Run.extremes``), and sum up what must balance (``Run.totals``). Not of a model without a
             history, which takes no steps, and not by the solver bdf.
+        longest_step: that the solver may take, [s] or a text such as "1 ms"; by default as long as its errors allow.
 
     Raises:
         InputError: for times that are not finite and increasing, an unknown accuracy or solver, a budget below 1, and
@@ -253,6 +255,7 @@ def simulate(
             measure_error=measure_error,
             read=read,
             resolved_peaks=resolved_peaks,
+            longest_step=longest_step,
         )
         run = lambda level, at: simulate(level, params, at, **same)  # noqa: E731
         return scene.choose(params, values, force_error(accuracy), run)
@@ -261,7 +264,11 @@ def simulate(
     looked = resolved_peaks and scene.traits.history
     if looked and solver == "bdf":
         raise InputError("resolved_peaks", "with the solver 'bdf'", "leave the solver out, or take rodas3 or sdirk2")
-    as_asked, tenth = (Plan(t, max_steps, solver=solver, extremes=looked) for t in (tolerance, 0.1 * tolerance))
+    longest = np.inf if longest_step is None else number("simulate", LONGEST, longest_step)
+    # What the run steps over, the one that checks it must not step over likewise.
+    other = np.minimum(longest, max(float(values[-1]), 0.0) / LOOKS or np.inf)
+    plans = (tolerance, longest), (0.1 * tolerance, other)
+    as_asked, tenth = (Plan(t, max_steps, solver=solver, extremes=looked, longest=np.asarray(x)) for t, x in plans)
     if not (measure_error and scene.traits.history):
         return timed(scene, params, values, as_asked, wanted)
     run, finer = together(*(partial(timed, scene, params, values, how, wanted) for how in (as_asked, tenth)))

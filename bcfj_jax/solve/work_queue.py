@@ -21,7 +21,7 @@ from jax import Array
 from bcfj_jax.core.status import NOT_FINITE, OK, SOLVER, STEPS
 from bcfj_jax.mechanism.model import AbstractModel, Params, Solution
 from bcfj_jax.solve.batched_jvp import changes
-from bcfj_jax.solve.integrate import Problem, controller, problem
+from bcfj_jax.solve.integrate import Problem, controller, problem, seeker
 from bcfj_jax.solve.plan import Plan
 from bcfj_jax.solve.tangents import beside
 
@@ -31,13 +31,17 @@ _GOING_ON = -1
 
 
 class _Place(NamedTuple):
-    """One place: the number of its run (that of all runs for none), the run's problem, and how far it is."""
+    """One place: the number of its run (that of all runs for none), the run's problem, and how far it is.
+
+    ``broken``: whether its next step begins behind a break.
+    """
 
     run: Array
     arrays: Any
     end: Array
     time: Array
     goal: Any
+    broken: Array
     state: Array
     memory: Any
     control: Any
@@ -104,24 +108,25 @@ def integrate_queue(
     def load(run: Array) -> _Place:
         at = jnp.minimum(run, total - 1)
         posed = pose({name: leaf[at] for name, leaf in params.items()}, ends[at])
-        terms, solver, zero, none = dfx.ODETerm(posed.field), posed.solver, jnp.zeros(()), jnp.zeros((), int)  # pyright: ignore[reportArgumentType]
+        terms, solver, zero, none = dfx.ODETerm(posed.field), seeker(posed, how), jnp.zeros(()), jnp.zeros((), int)  # pyright: ignore[reportArgumentType]
         goal, control = controller(posed, how).init(
             terms, zero, posed.first_step, posed.start, posed.first_step, posed.args, solver.func,
             solver.error_order(terms),
         )  # fmt: skip
         memory = solver.init(terms, zero, goal, posed.start, posed.args)
         arrays = eqx.filter(posed, eqx.is_array)
-        return _Place(run, arrays, ends[at], zero, goal, posed.start, memory, control, none, none, none)
+        broken = jnp.zeros((), bool)
+        return _Place(run, arrays, ends[at], zero, goal, broken, posed.start, memory, control, none, none, none)
 
     def advance(place: _Place) -> tuple[_Place, Array, Array]:
         """A place after one step, the states of the samples in it, and how its run ended."""
         posed = eqx.combine(place.arrays, static)
-        terms, solver = dfx.ODETerm(posed.field), posed.solver
+        terms, solver = dfx.ODETerm(posed.field), seeker(posed, how)
         goal = jnp.where(place.goal > place.end * (1.0 - 1e-14), place.end, place.goal)
         found, error, dense, memory, _ = solver.step(
-            terms, place.time, goal, place.state, posed.args, place.memory, jnp.asarray(False)
+            terms, place.time, goal, place.state, posed.args, place.memory, place.broken
         )
-        keep, _, after, _, control, fine = controller(posed, how).adapt_step_size(
+        keep, start, after, broken, control, fine = controller(posed, how).adapt_step_size(
             place.time, goal, place.state, found, posed.args, error, solver.error_order(terms), place.control
         )
         times = due(place.end, place.sample + jnp.arange(read))
@@ -139,8 +144,9 @@ def integrate_queue(
             return jax.tree.map(lambda x, y: jnp.where(which, x, y), new, old)
 
         moved = place._replace(
-            time=jnp.where(done, goal, place.time),
+            time=jnp.where(done, start, place.time),
             goal=jnp.where(again, place.goal, after),
+            broken=jnp.where(again, place.broken, broken),
             state=chosen(done, found, place.state),
             memory=chosen(done, memory, place.memory),
             control=chosen(again, place.control, control),

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.contact.gaps.base import ROUND, AbstractGap, Coefficients, Drawn, Face, Frame, Look, direction, one_of
+from bcfj_jax.contact.gaps.base import BENDS, ROUND, AbstractGap, Coefficients, Drawn, Face, Frame, Look, direction, one_of
 from bcfj_jax.contact.gaps.guides import between
 from bcfj_jax.core import shapes
 from bcfj_jax.core.errors import InputError
@@ -66,6 +66,11 @@ class BallBetweenPlanes(AbstractGap):
             angle = 2.0 * np.pi * np.arange(self.windows) / self.windows
             x, y = x * np.cos(angle) - y * np.sin(angle), x * np.sin(angle) + y * np.cos(angle)
         return between(a, b, turned(a.axes, (x, y, z)), c["clearance"], c["ball_radius"])
+
+    def bends(self, c: Coefficients) -> tuple[Number, Number]:
+        """By rotation alone."""
+        del c
+        return np.inf, BENDS
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
         """Outward: from a's marker to the ball's centre."""
@@ -156,6 +161,13 @@ class BallInGroove(AbstractGap):
             for sign in (1.0, -1.0)
         )
         return first, second
+
+    def bends(self, c: Coefficients) -> tuple[Number, Number]:
+        """Over the section's radius less the ball's, and by rotation."""
+        free = c["clearance"]
+        if self.section == "gothic":
+            free = free + c["ball_radius"] * (2.0 * c["conformity"] - 1.0)
+        return free, BENDS
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
         """Along the track."""

@@ -29,6 +29,8 @@ from bcfj_jax.core.shapes import Mesh
 from bcfj_jax.core.vectors import ZERO, Axes, Number, Vector, array, seen, subtract, turned
 
 Coefficients = Mapping[str, Array]
+# Rotation of a plane over which its distance from a point bends [rad].
+BENDS = 1.0
 # Lengths are sqrt(v . v + ROUND^2) [m]: coincident centres have no direction, no force and finite derivatives.
 ROUND = 1e-12
 
@@ -118,6 +120,16 @@ class Ground(bj.gaps.AbstractGap):
             a, b: markers on the first and on the second body.
             c: the coefficients named by ``needs``, SI; each a scalar, or (k,) over members.
         """
+
+    def bends(self, c: Coefficients) -> tuple[Number, Number]:
+        """Relative motion over which the penetration's course bends: of the markers [m], and of the bodies' rotation [rad].
+
+        The penetration is then the cubic through two looks a small share of that apart. Infinite where the motion never
+        bends it: places between planes, rotations of spheres. 0, where not known, has every step looked at in its middle.
+        Coefficients as ``faces``.
+        """
+        del c
+        return 0.0, 0.0
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
         """Direction that a force's axial component is read along, less its part along the normal: a's z axis.

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import equinox as eqx
 import numpy as np
 
-from bcfj_jax.contact.gaps.base import ROUND, AbstractGap, Coefficients, Drawn, Face, Frame, Look, direction, yes_or_no
+from bcfj_jax.contact.gaps.base import BENDS, ROUND, AbstractGap, Coefficients, Drawn, Face, Frame, Look, direction, yes_or_no
 from bcfj_jax.contact.gaps.spheres import Direction, in_plane
 from bcfj_jax.core import shapes
 from bcfj_jax.core.errors import InputError
@@ -81,6 +81,11 @@ class TwoSidedStop(AbstractGap):
         """Two faces, at +e and at -e."""
         return between(a, b, turned(a.axes, self.axis), c["clearance"])
 
+    def bends(self, c: Coefficients) -> tuple[Number, Number]:
+        """By rotation alone."""
+        del c
+        return np.inf, BENDS
+
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
         """In the stop's plane (class docstring)."""
         del b, c
@@ -121,6 +126,11 @@ class PinInSlot(AbstractGap):
     def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
         """Two faces, at +e and at -e."""
         return between(a, b, turned(a.axes, _across(self.axis)), c["clearance"], c["radius"])
+
+    def bends(self, c: Coefficients) -> tuple[Number, Number]:
+        """By rotation alone."""
+        del c
+        return np.inf, BENDS
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
         """Along the slot."""
@@ -181,6 +191,10 @@ class PinInBearing(AbstractGap):
         normal = scale(1.0 / distance, across)
         return (Face(distance - c["clearance"], normal, add(arm, scale(c["radius"], normal))),)
 
+    def bends(self, c: Coefficients) -> tuple[Number, Number]:
+        """Over the radius in which the centre is free; of both ends by rotation, too."""
+        return c["clearance"], BENDS if self.ends else np.inf
+
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
         """A ring and a pin."""
         del look
@@ -230,6 +244,11 @@ class SliderInGuide(AbstractGap):
         height = dot(across, add(subtract(b.place, a.place), corner))
         depth = times(side, height) - (c["half_width"] + c["clearance"])
         return (Face(depth, scale(side, across), corner),)
+
+    def bends(self, c: Coefficients) -> tuple[Number, Number]:
+        """By rotation alone."""
+        del c
+        return np.inf, BENDS
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
         """Along the guide."""

@@ -9,6 +9,7 @@ import equinox as eqx
 import numpy as np
 
 from bcfj_jax.contact.gaps.base import (
+    BENDS,
     ROUND,
     AbstractGap,
     Coefficients,
@@ -68,6 +69,11 @@ class PointOnPlane(AbstractGap):
         """One face."""
         up = turned(a.axes, self.axis)
         return (Face(-_above(a, b, up, c, self.clearance), negative(up)),)
+
+    def bends(self, c: Coefficients) -> tuple[Number, Number]:
+        """By rotation alone."""
+        del c
+        return np.inf, BENDS
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
         """In the plane (class docstring)."""
@@ -144,6 +150,10 @@ class SphereOnSphere(AbstractGap):
         normal = scale(-1.0 / distance, apart)
         return (Face(c["radius_a"] + c["radius_b"] - distance, normal, scale(c["radius_b"], normal)),)
 
+    def bends(self, c: Coefficients) -> tuple[Number, Number]:
+        """Over the distance of the centres in contact."""
+        return c["radius_a"] + c["radius_b"], np.inf
+
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
         """Two spheres."""
         del look
@@ -180,6 +190,10 @@ class SphereInSocket(AbstractGap):
         distance = length(apart, ROUND)
         normal = scale(1.0 / distance, apart)
         return (Face(distance - c["clearance"], normal, scale(c["radius"] - distance, normal)),)
+
+    def bends(self, c: Coefficients) -> tuple[Number, Number]:
+        """Over the radius in which the centre is free."""
+        return c["clearance"], np.inf
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
         """The z axis of a or of b."""

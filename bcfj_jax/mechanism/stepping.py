@@ -1,0 +1,93 @@
+"""What steps of a mechanism must not pass over: surfaces that meet within a step, kinks and bursts of amounts over time."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from bcfj_jax.core.vectors import add, length, scale, spread, subtract
+from bcfj_jax.mechanism.model import Params, Proximity
+
+if TYPE_CHECKING:
+    from bcfj_jax.mechanism.mechanism import Mechanism
+
+# A function of time of the user's own is looked at so many times in a run, and steps end at so many instants of it.
+_LOOKS, _ENDS = 2**14, 64
+# Second differences below this share of a function's size are rounding.
+_ROUNDING = 1e-10
+
+
+def proximity(m: Mechanism, t: Array, y: Array, p: Params) -> Proximity:
+    """``AbstractModel.proximity``: of every face, members apart, in the order of contacts.
+
+    A gap is a function of the place of b's marker in a's axes and, unless rotations do not bend it (``AbstractGap.bends``),
+    of b's rotation. The speed is that of this place, in a's axes where a's rotation counts, or that of the point of
+    contact where it is greater.
+    """
+    now, rows = m.instant(t, y, p, laws=False), []
+    for c in m.contacts:
+        first, second = (now.bodies.parts[name] for name in c.between)
+        a, b = c.frames(now.bodies.parts, p)
+        values = c.coefficients(p)
+        bends, angle = c.gap.bends(values)
+        turns = isinstance(angle, (int, float)) and np.isfinite(angle)
+        there = b.place if turns else a.place
+        moved = subtract(
+            second.velocity_at(subtract(b.place, second.place)), first.velocity_at(subtract(there, first.place))
+        )
+        spin = (length(first.spin) + length(second.spin)) / (angle or 1.0) if turns else 0.0
+        width, members = values.get("smoothing", 0.0), m.members[c.name]
+        for face, touch in now.faces[c.name]:
+            speed = jnp.asarray(length(moved))
+            if turns:
+                speed = jnp.maximum(speed, length(add(touch.slide, scale(touch.rate, face.normal))))
+            row = (face.depth + width, touch.rate, jnp.maximum(speed, jnp.abs(touch.rate)), spin, bends)
+            rows.append([jnp.atleast_1d(spread(x, members)) for x in row])
+    return Proximity(*(jnp.concatenate(part) for part in zip(*rows, strict=True)))
+
+
+def breaks(m: Mechanism, p: Params, end: ArrayLike) -> Array | None:
+    """``AbstractModel.breaks``: of loads and drives what they say of themselves, and of functions what looks find."""
+    drives = [(b.name, b.drive) for b in m.ordered if b.drive is not None]
+    said = [(drive, drive.kinks(name, p)) for name, drive in drives] + [(load, load.kinks(p)) for load in m.loads]
+    known = [x for _, found in said for x in found or ()]
+    unknown = [part for part, found in said if found is None]
+    looked: list[Array] = []
+    if unknown:
+        start, loads = m.initial_state(p), [load for load in m.loads if load in unknown]
+
+        def amounts(t: Array) -> Array:
+            """Motions of drives and forces of loads at a time, with everything else as it starts."""
+            moved = [drive.position(t, name, p) for name, drive in drives if drive in unknown]
+            return jnp.concatenate([jnp.asarray(moved, dtype=jnp.float64), m.loaded(loads, t, start, p)])
+
+        grid = jnp.asarray(end) * jnp.linspace(0.0, 1.0, _LOOKS + 1)
+        looked.append(_ends(grid, jax.vmap(amounts)(grid)))
+    times = [jnp.asarray(x, dtype=jnp.float64).ravel() for x in (*known, *looked)]
+    if not sum(x.size for x in times):
+        return None
+    found = jax.lax.stop_gradient(jnp.concatenate(times))
+    return jnp.sort(jnp.where(jnp.isfinite(found), found, jnp.inf))
+
+
+def _ends(grid: Array, values: Array) -> Array:
+    """Instants (K,) at which steps have to end, of functions (N + 1, n) of time on an even grid.
+
+    They lie where the functions bend: each pair has the same sum of roots of second differences between it. Infinite for
+    functions that do not bend.
+    """
+    bent, high, low = jnp.abs(jnp.diff(values, 2, axis=0)), jnp.max(values, axis=0), jnp.min(values, axis=0)
+    bent = jnp.where(bent > _ROUNDING * jnp.maximum(jnp.abs(high), jnp.abs(low)), bent, 0.0)
+    bent = jnp.max(bent / jnp.maximum(high - low, 1e-300), axis=1, initial=0.0)
+    # Each look stands for the interval before it and the one after it.
+    gone = jnp.concatenate([jnp.zeros(1), jnp.cumsum(jnp.sqrt(jnp.append(bent, 0.0) + jnp.append(0.0, bent)))])
+    share = (jnp.arange(_ENDS) + 0.5) / _ENDS
+    # ``interp`` wants places that increase: those without bend are passed over at once.
+    gone = gone + 1e-12 * gone[-1] * jnp.linspace(0.0, 1.0, gone.size)
+    at = jnp.interp(share * gone[-1], gone, grid)
+    return jnp.where(gone[-1] > 0, at, jnp.inf)
