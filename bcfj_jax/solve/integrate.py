@@ -247,10 +247,10 @@ def _by_diffrax(
     states, _ = solution.ys
     states = jnp.where(jnp.isfinite(states), states, jnp.nan)
     accepted, rejected = (solution.stats[f"num_{name}_steps"] for name in ("accepted", "rejected"))
-    memory: Any = solution.solver_state
+    known: Any = solution.solver_state
     seen = ()
-    if how.extremes and memory is not None:
-        seen = by_name(times[0], problem.start, problem.args, (memory[0] if problem.seeks else memory)[-1])
+    if how.extremes and known is not None:
+        seen = by_name(times[0], problem.start, problem.args, (known[0] if problem.seeks else known)[-1])
     ended = Solution(states, code_of(solution.result, states), solution.ts[1][0], accepted, rejected, *seen)
     return ended, solution.controller_state
 

@@ -53,9 +53,8 @@ def _rows(found: Run) -> list[list[str]]:
         steps = found.extremes.get(name) if found.status != "failed" else None
         top, deep = (steps.peak, steps.deepest) if steps else (force[..., 0], found.penetration[name])
         row = [name, _si(_known(np.nanmax, top), "N"), _si(_known(np.nanmax, deep), "m")]
-        row.append(
-            percent(_share(found, name) if steps is None else float(np.mean(steps.touching)) / float(found.times[-1]))
-        )
+        whole = float(found.times[-1])
+        row.append(percent(float(np.mean(steps.touching)) / whole if steps and whole > 0.0 else _share(found, name)))
         if measured:
             row.append(percent(max(part[name] for part in (measured.rms, measured.peak, measured.impulse))))
         rows.append(row)
