@@ -5,11 +5,13 @@ The features are ``peak``, ``mean``, ``impulse``, ``period``, ``dissipated_work`
 says what a window is and which errors those that take one raise.
 
 All but ``period``, ``unseen``, ``contact_times`` and what counts these are pure and differentiable and take arrays of shape
-(T,); ``vmap`` them over members and batches. They see samples only: what happens between two samples is not in them.
+(T,); ``vmap`` them over members and batches. They see samples only: what happens between two samples is not in them, but in
+``of_steps``.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -249,8 +251,27 @@ def contact_interval(times: ArrayLike, penetration: ArrayLike, rate: ArrayLike) 
     return (starts[-1] - starts[0]) / (len(starts) - 1) if len(starts) > 1 else float("nan")
 
 
+def of_steps(end: float, steps: Mapping[str, float]) -> dict[str, float]:
+    """``summary`` of what was found in the solver's steps from time 0 to ``end`` [s]: ``solve.extremes.Extremes`` as numbers."""
+    # What is pressed at time 0 began before it.
+    begun = steps["count"] - (steps["onset"] != steps["first"])
+    parted = np.isfinite(steps["end"])
+    return {
+        "peak": steps["peak"],
+        "mean": steps["impulse"] / end if end > 0.0 else steps["peak"],
+        "period": (steps["latest"] - steps["first"]) / (begun - 1.0) if begun > 1.0 else float("nan"),
+        "impulse": steps["impulse"],
+        "dissipated_work": steps["work"],
+        "contact_fraction": steps["touching"] / end if end > 0.0 else float(steps["deepest"] > 0.0),
+        "contact_count": steps["count"],
+        "contact_start": steps["onset"] if steps["count"] else float("nan"),
+        "contact_end": steps["end"] if parted else float("nan"),
+        "peak_penetration": steps["deepest"],
+    }
+
+
 def summary(times: ArrayLike, force: ArrayLike, penetration: ArrayLike, rate: ArrayLike) -> dict[str, float]:
-    """The features that ``UNITS`` names, of one contact, in these units.
+    """The features that ``UNITS`` names, of one contact, in these units, from its samples.
 
     The surfaces touch ``contact_count`` times: first from ``contact_start`` on, last until ``contact_end``, which is NaN
     where they still touch at the end of the history. The period is ``contact_interval``.

@@ -72,8 +72,11 @@ class Equations:
     def act(self, part: Part, arm: Vector, force: Vector, torque: Vector = ZERO) -> None:
         """A force at ``arm`` from a body's origin, and a torque; world."""
         for j, (w, v) in part.partials.items():
-            push = plus(dot(add(v, cross(w, arm)), force), dot(w, torque))
-            self.forces[j] = plus(self.forces[j], total(push, self.members[j]))
+            self.push(j, plus(dot(add(v, cross(w, arm)), force), dot(w, torque)))
+
+    def push(self, j: int, force: Number) -> None:
+        """A force on the velocity j."""
+        self.forces[j] = plus(self.forces[j], total(force, self.members[j]))
 
     def entry(self, j: int, k: int) -> Number:
         """M_jk."""

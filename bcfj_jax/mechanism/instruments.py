@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -11,6 +13,7 @@ from bcfj_jax.contact.gaps import Face
 from bcfj_jax.contact.normal import regularised_energy, regularised_force
 from bcfj_jax.contact.wrench import ContactForce
 from bcfj_jax.core.vectors import (
+    ZERO,
     Number,
     add,
     cross,
@@ -28,7 +31,7 @@ from bcfj_jax.core.vectors import (
 from bcfj_jax.mechanism import equations
 from bcfj_jax.mechanism.contacts import Contact
 from bcfj_jax.mechanism.loads import AbstractLoad, JointSpring
-from bcfj_jax.mechanism.model import BodyMotion, Flows, Params, Reading
+from bcfj_jax.mechanism.model import Account, BodyMotion, Flows, Params, Reading
 
 if TYPE_CHECKING:
     from bcfj_jax.mechanism.mechanism import Instant, Mechanism
@@ -165,3 +168,63 @@ def _power(m: Mechanism, load: AbstractLoad, t: Array, now: Instant, p: Params) 
         each = plus(dot(action.force, part.velocity_at(turned(part.axes, action.at))), dot(action.torque, part.spin))
         power = plus(power, jnp.sum(jnp.asarray(each)))
     return power
+
+
+# Velocities that turn; all others slide.
+_TURNING = ("speed", "wx", "wy", "wz")
+
+
+class _Forces(equations.Equations):
+    """Forces alone, and the sums of their sizes: those of a body in balance cancel each other."""
+
+    def __init__(self, members: Sequence[int]) -> None:
+        super().__init__(members)
+        self.sizes: list[Number] = [0.0 for _ in members]
+
+    def push(self, j: int, force: Number) -> None:
+        super().push(j, force)
+        self.sizes[j] = plus(self.sizes[j], equations.total(jnp.abs(jnp.asarray(force)), self.members[j]))
+
+
+def momenta(m: Mechanism, t: Array, y: Array, p: Params) -> dict[str, Account]:
+    """Generalised momentum of every free velocity u_j, and what changes it, from forces alone.
+
+    With Kane's partial velocities v_j (of the centres of mass) and w_j (``equations``), summed over the bodies,
+
+        p_j = sum m v_j . v + w_j . H,   dp_j/dt = Q_j + sum m dv_j/dt . v + dw_j/dt . H,   H = I w,
+
+    Q_j the contacts and loads. Of a slide p_j is the momentum [N s] along it of its body and all that hangs on it, of a
+    hinge their angular momentum about its axis [N m s], of a free body both, angular momentum about its own origin along
+    its own axes. Reactions of joints are in none. Neither the mass matrix nor accelerations are used.
+    """
+    now, count = m.instant(t, y, p), len(m._free)
+    found = _Forces(m._members)
+    m._pressed(found, now, p)
+    for load in m.loads:
+        m._loaded(found, load, t, now, p)
+    moved: dict[str, tuple] = {}
+    for b in m.ordered:
+        part, inertia = now.bodies.parts[b.name], m.inertia(b, p)
+        spun = ZERO if inertia is None else equations.inertial(inertia, part.axes, part.spin)
+        velocity = part.velocity_at(now.bodies.center[b.name])
+        moved[b.name] = (scale(now.bodies.mass[b.name], velocity), spun)
+
+    def momenta(t: Array, q: list[Array]) -> list[Array]:
+        """The momenta of other places and the same velocities."""
+        bodies, along = m.moving(t, list(q), list(now.v), p), [jnp.zeros(k or ()) for *_, k in m._free]
+        for name, (push, spun) in moved.items():
+            for j, (w, v) in bodies.parts[name].shifted(bodies.center[name]).partials.items():
+                if j < count:
+                    share = equations.total(plus(dot(v, push), dot(w, spun)), m._members[j])
+                    along[j] = along[j] + share
+        return along
+
+    ways = [jnp.broadcast_to(jnp.asarray(x, float), jnp.shape(q)) for x, q in zip(m._rates(now), now.q, strict=True)]
+    values, leaned = jax.jvp(momenta, (jnp.asarray(t, float), now.q), (jnp.ones(()), ways))
+    accounts = {}
+    for j, (body, rate, _) in enumerate(m._free):
+        shape = values[j].shape
+        force, size = (jnp.broadcast_to(jnp.asarray(x, float), shape) for x in (found.forces[j], found.sizes[j]))
+        what = "angular_momentum" if rate in _TURNING else "momentum"
+        accounts[f"{body} {what} {rate}"] = Account(values[j], force + leaned[j], size + jnp.abs(leaned[j]))
+    return accounts

@@ -34,7 +34,6 @@ from bcfj_jax.core.vectors import (
     add,
     dot,
     negative,
-    plus,
     scale,
     subtract,
     turned,
@@ -47,6 +46,7 @@ from bcfj_jax.mechanism.loads import AbstractLoad, JointSpring, Moving, checked_
 from bcfj_jax.mechanism.model import (
     IMPLICIT_SOLVERS,
     AbstractModel,
+    Account,
     BodyMotion,
     Flows,
     ModelTraits,
@@ -376,19 +376,22 @@ class Mechanism(AbstractModel):
             found.body(parts[b.name], now.bodies.center[b.name], now.bodies.mass[b.name], self.inertia(b, p))
         for load in self.loads:
             self._loaded(found, load, t, now, p)
-        for c in self.contacts if pressing else ():
-            first, second = (parts[name] for name in c.between)
+        if pressing:
+            self._pressed(found, now, p)
+        return found
+
+    def _pressed(self, found: Equations, now: Instant, p: Params) -> None:
+        for c in self.contacts:
+            first, second = (now.bodies.parts[name] for name in c.between)
             place = c.place(1, second, p)
             for face, touch in now.faces[c.name]:
                 point = add(place, face.lever)
                 found.act(second, subtract(point, second.place), touch.force)
                 found.act(first, subtract(point, first.place), negative(touch.force))
-        return found
 
     def _loaded(self, found: Equations, load: AbstractLoad, t: Array, now: Instant, p: Params) -> None:
         if isinstance(load, JointSpring):
-            j, force = self.sprung(load, t, now, p)
-            found.forces[j] = plus(found.forces[j], force)
+            found.push(*self.sprung(load, t, now, p))
             return
         try:
             actions = load.actions(t, now.bodies, p)
@@ -473,6 +476,10 @@ class Mechanism(AbstractModel):
     def flows(self, t: Array, y: Array, prepared: Params) -> Flows:
         """Power of drives and loads, what friction and damping take, kinetic and elastic energy."""
         return instruments.flows(self, t, y, prepared)
+
+    def accounts(self, t: Array, y: Array, prepared: Params) -> dict[str, Account]:
+        """Energy, and the generalised momentum of every free velocity."""
+        return super().accounts(t, y, prepared) | instruments.momenta(self, t, y, prepared)
 
     @property
     def body_names(self) -> tuple[str, ...]:

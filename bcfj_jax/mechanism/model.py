@@ -134,6 +134,20 @@ class Flows(NamedTuple):
     stored: dict[str, Array]
 
 
+class Account(NamedTuple):
+    """A quantity in one state that changes at a known rate, () or of a body's members (k,).
+
+    Attributes:
+        value: momentum [N s], angular momentum [N m s] or energy [J].
+        rate: its rate by forces, torques and powers [N, N m, W].
+        size: sum of the sizes of the rate's terms, in the same unit.
+    """
+
+    value: Array
+    rate: Array
+    size: Array
+
+
 class ModelTraits(NamedTuple):
     """What solvers, budgets and features follow from.
 
@@ -160,6 +174,7 @@ class Solution(NamedTuple):
     Attributes:
         accepted, rejected: numbers of steps.
         extremes: by contact ``solve.extremes.Extremes``, where the plan asks for them.
+        totals: by account ``solve.extremes.Totals``, likewise.
     """
 
     states: Array
@@ -168,6 +183,7 @@ class Solution(NamedTuple):
     accepted: Array
     rejected: Array
     extremes: Any = None
+    totals: Any = None
 
 
 class Choice(NamedTuple):
@@ -388,6 +404,19 @@ class AbstractModel(eqx.Module):
     def flows(self, t: Array, y: Array, prepared: Any) -> Flows:
         """The energy balance in one state."""
         raise InputError("balance", f"scene '{self.kind}' keeps no energy balance", "give a mechanism")
+
+    def accounts(self, t: Array, y: Array, prepared: Any) -> dict[str, Account]:
+        """What a run must balance, in one state: "energy", as ``flows`` have it; nothing where the model has none.
+
+        A mechanism has, too, "<body> momentum <velocity>" and "<body> angular_momentum <velocity>".
+        """
+        try:
+            given, taken, stored = self.flows(t, y, prepared)
+        except InputError:
+            return {}
+        powers = [*given.values(), *taken.values()]
+        rate = sum(given.values(), jnp.zeros(())) - sum(taken.values(), jnp.zeros(()))
+        return {"energy": Account(sum(stored.values(), jnp.zeros(())), rate, sum(map(jnp.abs, powers), jnp.zeros(())))}
 
     # What is refused, and what is known beside.
 

@@ -1,30 +1,40 @@
-"""Greatest and least contact forces of a run, found by the solver's own steps and not by the samples that it is read at.
+"""What happens in the steps of a run, and not in the samples that it is read at: contact forces, impulses, balances.
 
-A solver is wrapped: at the middle and the end of every accepted step each contact is looked at, through the step's own
-interpolation, and a parabola through the two and the step's beginning gives the crest between them. An impact that the
-step control resolves is thereby seen, however coarse the samples are; two looks a step are what it costs.
+At the middle and the end of every accepted step each contact and each account of the model (``AbstractModel.accounts``) is
+evaluated (``watched``). A parabola through the two and the step's beginning gives the greatest force between them, Simpson's
+rule the impulse and the work, a cubic the instant of touch. An impact that the step control resolves is thereby seen,
+however coarse the samples are. Without diffrax, which a kept program does not need.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
-import diffrax as dfx
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-# Where a step is looked at, as shares of it.
-_LOOKS = (0.5, 1.0)
+from bcfj_jax.mechanism.model import AbstractModel, Account, Params
+
+# Newton's steps to the root of a cubic, from that of its secant.
+_NEWTON = 5
 
 
 class Extremes(NamedTuple):
-    """Of one contact, () or of its members (k,).
+    """Of one contact, () or of its members (k,), from time 0 to the end of the run.
 
     Attributes:
         peak, least: greatest and least normal force [N]; the least is a peak, too, where a contact has two sides.
         peak_time, least_time: when they were [s].
         onset: when the surfaces first touched [s]; infinite where they have not.
+        first, latest: when they first and last began to touch after time 0 [s]; infinite likewise.
+        end: when they last parted [s]; infinite where they touch at the end of the run, or never did.
+        count: number of contacts.
+        touching: time in contact [s].
+        impulse: integral of the normal force [N s]; coarse: by how much Simpson's and the trapezium rule differ [N s].
+        work: integral of the size of the normal force over the penetration [J].
+        deepest: greatest penetration [m]; negative is the least gap.
     """
 
     peak: Array
@@ -32,23 +42,98 @@ class Extremes(NamedTuple):
     least: Array
     least_time: Array
     onset: Array
+    first: Array
+    latest: Array
+    end: Array
+    count: Array
+    touching: Array
+    impulse: Array
+    coarse: Array
+    work: Array
+    deepest: Array
+
+
+class Totals(NamedTuple):
+    """Of one account, () or of a body's members (k,), over a run.
+
+    Attributes:
+        first, last: its values at the beginning and at the end.
+        integral: of its rate over the time; size: of the sum of the sizes of the rate's terms.
+        miss: greatest size of what the value has changed by since the beginning, less the integral until then.
+        coarse: bound of the quadrature's error: the difference of two rules.
+        greatest: greatest size of the rate; when: it was [s].
+    """
+
+    first: Array
+    last: Array
+    integral: Array
+    size: Array
+    miss: Array
+    coarse: Array
+    greatest: Array
+    when: Array
 
 
 class Look(NamedTuple):
-    """Normal force [N] and penetration [m] of one contact."""
+    """Normal force [N], penetration [m] and its rate [m/s] of all contacts, members apart, (N,)."""
 
     force: Array
     penetration: Array
+    rate: Array
 
 
-def _look(t: Any, y: Array, args: tuple) -> dict[str, Look]:
+Args = tuple[AbstractModel, Any]
+
+
+def _by_name(t: Any, y: Array, args: Args) -> tuple[dict[str, Look], dict[str, Account]]:
     model, prepared = args
-    return {name: Look(r.force[..., 0], r.penetration) for name, r in model.observe(t, y, prepared).items()}
+    readings = model.observe(t, y, prepared)
+    looks = {name: Look(r.force[..., 0], r.penetration, r.rate) for name, r in readings.items()}
+    return looks, model.accounts(t, y, prepared)
 
 
-def _begun(t: Any, look: Look) -> Extremes:
-    at = jnp.full_like(look.force, t)
-    return Extremes(look.force, at, look.force, at, jnp.where(look.penetration > 0, at, jnp.inf))
+def look(t: Any, y: Array, args: Args) -> tuple[Look, Account]:
+    """All contacts and all accounts in one state, each as one array; ``args`` are (model, what it has prepared)."""
+    contacts, accounts = _by_name(t, y, args)
+
+    # In the order that JAX gives dictionaries.
+    def flat(parts: dict[str, Any]) -> list[Array]:
+        return [
+            jnp.concatenate([jnp.zeros(0), *(jnp.ravel(parts[name][k]) for name in sorted(parts))]) for k in range(3)
+        ]
+
+    return Look(*flat(contacts)), Account(*flat(accounts))
+
+
+def named(
+    t: Any, y: Array, args: Args, found: tuple[Extremes, Totals]
+) -> tuple[dict[str, Extremes], dict[str, Totals]]:
+    """What was found of all contacts and accounts, by their names."""
+    shapes = jax.eval_shape(lambda: _by_name(t, y, args))
+
+    def apart(whole: Any, parts: dict[str, Any]) -> dict[str, Any]:
+        result, at = {}, 0
+        for name, one in parts.items():
+            shape = one[0].shape
+            size = math.prod(shape)
+            result[name] = jax.tree.map(
+                lambda x, at=at, size=size, shape=shape: x[at : at + size].reshape(shape), whole
+            )
+            at += size
+        return result
+
+    contacts, accounts = (apart(whole, parts) for whole, parts in zip(found, shapes, strict=True))
+    return contacts, accounts
+
+
+def begun(t: Any, look: Look) -> Extremes:
+    """What is known of contacts at the start."""
+    at, none, zero = (jnp.full_like(look.force, x) for x in (t, jnp.inf, 0.0))
+    pressed = look.penetration > 0
+    return Extremes(
+        look.force, at, look.force, at, jnp.where(pressed, at, none), none, none, none, jnp.where(pressed, 1.0, zero),
+        zero, zero, zero, zero, look.penetration,
+    )  # fmt: skip
 
 
 def crest(first: Array, middle: Array, last: Array) -> tuple[Array, Array]:
@@ -67,68 +152,104 @@ def crest(first: Array, middle: Array, last: Array) -> tuple[Array, Array]:
     )
 
 
-def _after(known: Extremes, t0: Any, t1: Any, before: Look, middle: Look, end: Look) -> Extremes:
+def simpson(width: Any, first: Array, middle: Array, last: Array) -> tuple[Array, Array]:
+    """Integral of a parabola through values at 0, 1/2 and 1 of a width, and how far the trapezium rule is from it."""
+    return width / 6.0 * (first + 4.0 * middle + last), width / 12.0 * jnp.abs(first - 2.0 * middle + last)
+
+
+def _root(width: Any, a: Look, b: Look) -> Array:
+    """Share of a width at which the cubic of two penetrations and their rates is 0, where they differ in sign."""
+    d0, d1, v0, v1 = a.penetration, b.penetration, width * a.rate, width * b.rate
+    rise = d1 - d0
+    square, cube = 3.0 * rise - 2.0 * v0 - v1, v0 + v1 - 2.0 * rise
+    share = jnp.clip(-d0 / jnp.where(rise == 0, 1.0, rise), 0.0, 1.0)
+    for _ in range(_NEWTON):
+        value = d0 + share * (v0 + share * (square + share * cube))
+        slope = v0 + share * (2.0 * square + 3.0 * share * cube)
+        share = jnp.clip(share - jnp.where(slope * rise > 0, value / jnp.where(slope == 0, 1.0, slope), 0.0), 0.0, 1.0)
+    return share
+
+
+def _touched(known: Extremes, t: Any, width: Any, a: Look, b: Look) -> Extremes:
+    """Begins and ends of contacts between two looks that are a width apart."""
+    inside = a.penetration > 0, b.penetration > 0
+    begins, ends = ~inside[0] & inside[1], inside[0] & ~inside[1]
+    share = _root(width, a, b)
+    at = t + width * share
+    pressed = jnp.where(begins, 1.0 - share, jnp.where(ends, share, jnp.where(inside[1], 1.0, 0.0)))
+    return known._replace(
+        onset=jnp.where(begins & (known.onset == jnp.inf), at, known.onset),
+        first=jnp.where(begins & (known.first == jnp.inf), at, known.first),
+        latest=jnp.where(begins, at, known.latest),
+        end=jnp.where(begins, jnp.inf, jnp.where(ends, at, known.end)),
+        count=known.count + begins,
+        touching=known.touching + width * pressed,
+    )
+
+
+def after(known: Extremes, t0: Any, t1: Any, before: Look, middle: Look, end: Look) -> Extremes:
+    """What is known of contacts after a step."""
     top, high = crest(before.force, middle.force, end.force)
     bottom, low = crest(-before.force, -middle.force, -end.force)
     width = t1 - t0
     higher, lower = top > known.peak, -bottom < known.least
-    depths = before.penetration, end.penetration
-    rise = depths[1] - depths[0]
-    crossed = t0 + width * jnp.clip(-depths[0] / jnp.where(rise > 0, rise, 1.0), 0.0, 1.0)
-    first = jnp.where((depths[1] > 0) & (known.onset == jnp.inf), crossed, known.onset)
-    return Extremes(
-        jnp.where(higher, top, known.peak),
-        jnp.where(higher, t0 + width * high, known.peak_time),
-        jnp.where(lower, -bottom, known.least),
-        jnp.where(lower, t0 + width * low, known.least_time),
-        first,
+    deepest, _ = crest(before.penetration, middle.penetration, end.penetration)
+    pushed, coarse = simpson(width, before.force, middle.force, end.force)
+    worked, _ = simpson(width, *(jnp.abs(look.force) * look.rate for look in (before, middle, end)))
+    known = _touched(known, t0, 0.5 * width, before, middle)
+    return _touched(known, t0 + 0.5 * width, 0.5 * width, middle, end)._replace(
+        peak=jnp.where(higher, top, known.peak),
+        peak_time=jnp.where(higher, t0 + width * high, known.peak_time),
+        least=jnp.where(lower, -bottom, known.least),
+        least_time=jnp.where(lower, t0 + width * low, known.least_time),
+        impulse=known.impulse + pushed,
+        coarse=known.coarse + coarse,
+        work=known.work + worked,
+        deepest=jnp.maximum(known.deepest, deepest),
     )
 
 
-class Watched(dfx.AbstractAdaptiveSolver):
-    """A solver whose memory holds ``Extremes`` by contact as well; diffrax keeps it at accepted steps alone.
+def opened(t: Any, at: Account) -> Totals:
+    """What is known of accounts at the start."""
+    zero = jnp.zeros_like(at.rate)
+    return Totals(at.value, at.value, zero, zero, zero, zero, jnp.abs(at.rate), jnp.full_like(at.rate, t))
 
-    The arguments of its field are (model, what it has prepared).
+
+def added(known: Totals, t0: Any, t1: Any, before: Account, middle: Account, end: Account) -> Totals:
+    """What is known of accounts after a step."""
+    done, coarse = simpson(t1 - t0, before.rate, middle.rate, end.rate)
+    size, _ = simpson(t1 - t0, before.size, middle.size, end.size)
+    top, place = crest(*(jnp.abs(x.rate) for x in (before, middle, end)))
+    higher = top > known.greatest
+    done = known.integral + done
+    return Totals(
+        known.first, end.value, done, known.size + size, jnp.maximum(known.miss, jnp.abs(end.value - known.first - done)),
+        known.coarse + coarse, jnp.where(higher, top, known.greatest), jnp.where(higher, t0 + (t1 - t0) * place, known.when),
+    )  # fmt: skip
+
+
+def sampled(model: AbstractModel, params: Params, times: Array, states: Array) -> dict[str, Totals]:
+    """The accounts of states (T, n) at times (T,), by the trapezium rule between the samples.
+
+    ``coarse`` is what rates and sizes change by from sample to sample, times the intervals: the rule misses no more where
+    they do not turn between two samples.
     """
+    prepared, times = model.prepare(params), jnp.maximum(times, 0.0)
+    found = jax.vmap(lambda t, y: model.accounts(t, y, prepared))(times, states)
 
-    solver: dfx.AbstractAdaptiveSolver
+    def changes(values: Array) -> Array:
+        return jnp.abs(jnp.diff(values, axis=0))
 
-    @property
-    def term_structure(self):
-        """The solver's."""
-        return self.solver.term_structure
+    def summed(at: Account) -> Totals:
+        rate, zero = jnp.abs(at.rate), jnp.zeros_like(at.rate[:1])
+        gaps = jnp.diff(times).reshape(-1, *(1 for _ in rate.shape[1:]))
+        done, size = (
+            jnp.concatenate([zero, jnp.cumsum(0.5 * gaps * (x[1:] + x[:-1]), axis=0)]) for x in (at.rate, at.size)
+        )
+        return Totals(
+            at.value[0], at.value[-1], done[-1], size[-1], jnp.max(jnp.abs(at.value - at.value[0] - done), axis=0),
+            jnp.sum(gaps * jnp.maximum(changes(at.rate), changes(at.size)), axis=0), jnp.max(rate, axis=0),
+            times[jnp.argmax(rate, axis=0)],
+        )  # fmt: skip
 
-    @property
-    def interpolation_cls(self):
-        """The solver's."""
-        return self.solver.interpolation_cls
-
-    def order(self, terms):
-        """The solver's."""
-        return self.solver.order(terms)
-
-    def error_order(self, terms):
-        """The solver's."""
-        return self.solver.error_order(terms)
-
-    def init(self, terms, t0, t1, y0, args):
-        """The solver's memory, what is seen at the start, and the extremes so far."""
-        seen = _look(t0, y0, args)
-        begun = {name: _begun(t0, look) for name, look in seen.items()}
-        return self.solver.init(terms, t0, t1, y0, args), seen, begun
-
-    def func(self, terms, t0, y0, args):
-        """The solver's."""
-        return self.solver.func(terms, t0, y0, args)
-
-    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        """The solver's step, and what was seen in it."""
-        memory, before, known = solver_state
-        y1, error, dense, memory, result = self.solver.step(terms, t0, t1, y0, args, memory, made_jump)
-        between = self.interpolation_cls(t0=t0, t1=t1, **dense)
-        times = t0 + (t1 - t0) * jnp.asarray(_LOOKS)
-        states = jnp.stack([between.evaluate(times[0]), y1])
-        seen = jax.vmap(lambda t, y: _look(t, y, args))(times, states)
-        middle, end = ({name: Look(*(x[i] for x in look)) for name, look in seen.items()} for i in (0, 1))
-        found = {name: _after(known[name], t0, t1, before[name], middle[name], end[name]) for name in known}
-        return y1, error, dense, (memory, end, found), result
+    return {name: summed(at) for name, at in found.items()}

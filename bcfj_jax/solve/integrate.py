@@ -36,13 +36,14 @@ from bcfj_jax.core.status import NOT_FINITE, OK, SOLVER, STEPS
 from bcfj_jax.mechanism.model import AbstractModel, Params, Solution
 from bcfj_jax.solve import adjoint, bdf, named
 from bcfj_jax.solve.batched_jvp import lane_by_lane, still, together
-from bcfj_jax.solve.extremes import Watched
+from bcfj_jax.solve.extremes import named as by_name
 from bcfj_jax.solve.landing import NEAR, Instants, Landing, contacts
 from bcfj_jax.solve.plan import Plan, Way
 from bcfj_jax.solve.rodas import Rodas
 from bcfj_jax.solve.sdirk import Sdirk
 from bcfj_jax.solve.seeking import Breaking, Seeker, Seeking, hidden_in
 from bcfj_jax.solve.tangents import beside
+from bcfj_jax.solve.watched import Watched
 
 _ADJOINTS = {"forward": dfx.ForwardMode(), "reverse": dfx.RecursiveCheckpointAdjoint()}
 
@@ -249,9 +250,11 @@ def _by_diffrax(
     states, _ = solution.ys
     states = jnp.where(jnp.isfinite(states), states, jnp.nan)
     accepted, rejected = (solution.stats[f"num_{name}_steps"] for name in ("accepted", "rejected"))
-    memory: Any = solution.solver_state
-    extremes = (memory[0] if problem.seeks else memory)[-1] if how.extremes else None
-    ended = Solution(states, code_of(solution.result, states), solution.ts[1][0], accepted, rejected, extremes)
+    known: Any = solution.solver_state
+    seen = ()
+    if how.extremes and known is not None:
+        seen = by_name(times[0], problem.start, problem.args, (known[0] if problem.seeks else known)[-1])
+    ended = Solution(states, code_of(solution.result, states), solution.ts[1][0], accepted, rejected, *seen)
     return ended, solution.controller_state
 
 

@@ -50,8 +50,9 @@ class Run(NamedTuple):
         choice: the level at which an ``open`` model was run, and why; None for every other model.
         accuracy: the error that was measured, where ``measure_error`` asked for it; None without.
         readings: by name (T,), or (T, k) over members, what ``read`` asked for (``mechanism.channels``).
-        extremes: per contact greatest and least normal force, when they were, and the first touch, found in the solver's
-            steps (``solve.extremes``), where ``resolved_peaks`` asked for them.
+        extremes: per contact peaks, impulse, work, number and times of contacts, found in the solver's steps
+            (``solve.extremes.Extremes``), where ``resolved_peaks`` asked for them.
+        totals: likewise by account of the model what must balance (``solve.extremes.Totals``).
     """
 
     times: Float[np.ndarray, " T"]
@@ -69,6 +70,7 @@ class Run(NamedTuple):
     accuracy: Accuracy | None = None
     readings: dict[str, Float[np.ndarray, "T ..."]] = {}
     extremes: dict[str, Any] = {}
+    totals: dict[str, Any] = {}
 
     _view = "bcfj_jax.analysis.simulation.view"
     __repr__ = presented.text
@@ -231,8 +233,9 @@ def simulate(
             and report how far the two runs are apart (``Run.accuracy``). Not of a model without a history, which takes no steps. Of a model without contacts
             it is the error of the readings.
         read: names of readings to keep beside the contacts' (``mechanism.channels``), such as "slider.acceleration.x".
-        resolved_peaks: look at every contact in every step of the solver, so that peaks do not hang on the times asked
-            for (``Run.extremes``). Not of a model without a history, which takes no steps, and not by the solver bdf.
+        resolved_peaks: look at every contact in every step of the solver, so that peaks and impulses do not depend on the
+            times asked for (``Run.extremes``), and sum up what must balance (``Run.totals``). Not of a model without a
+            history, which takes no steps, and not by the solver bdf.
         longest_step: that the solver may take, [s] or a text such as "1 ms"; by default as long as its errors allow.
 
     Raises:
@@ -303,6 +306,7 @@ def timed(scene: AbstractModel, params: Params, values: np.ndarray, how: Plan, w
     states = contact_states(scene, params, readings)
     extremes = jax.tree.map(np.asarray, solution.extremes or {})
     extremes = {name: extremes[name] for name in run.force if name in extremes}
+    run = run._replace(totals=jax.tree.map(np.asarray, solution.totals or {}))
     return run._replace(state=states, trajectory=np.asarray(solution.states), readings=found, extremes=extremes)
 
 

@@ -160,7 +160,7 @@ def test_bounces_between_samples_are_counted_and_warned_of_where_they_matter(res
         depth[10:49] = 1e-6
     run = SimpleNamespace(
         times=np.linspace(0.0, 1.0, 100), penetration={"c": depth}, rate={"c": rate}, force={"c": np.zeros((100, 3))},
-        readings={}, status="failed",
+        readings={}, status="failed", extremes={},
     )  # fmt: skip
     depth[60:95] = 1e-6 if rests else depth[60:95]
     assert features.unseen(depth, rate).size == 1

@@ -9,6 +9,7 @@ import csv
 import io
 import json
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from bcfj_jax.io.outputs import COMPONENTS
 from bcfj_jax.io.page import Page, Picture, Table
 from bcfj_jax.io.scenefile import SceneFile, load
 from bcfj_jax.mechanism.readings import CREEPING, STATES, UNKNOWN
+from bcfj_jax.solve.extremes import Extremes
 from bcfj_jax.solve.simulation import Run
 
 NEEDED = ("forces.csv", "contacts.csv", "summary.json", "run.toml")
@@ -67,7 +69,7 @@ def summary(folder: Path) -> dict[str, Any]:
 
 
 def read(folder: Path, given: SceneFile, known: dict[str, Any]) -> Run:
-    """The run of a folder: forces, penetrations, slips, states and readings; rates are NaN, and there is no trajectory.
+    """The run of a folder: forces, penetrations, slips, states and peaks; rates are NaN, and there is no trajectory.
 
     Args:
         folder: of ``bcfj simulate``.
@@ -108,7 +110,21 @@ def read(folder: Path, given: SceneFile, known: dict[str, Any]) -> Run:
     return Run(
         times, force, depth, {name: np.full_like(x, np.nan) for name, x in depth.items()}, slip, known["status"],
         known.get("reason", ""), math.nan if failure is None else failure, stats, state,
+        extremes=_extremes(given.scene.members, known["contacts"]),
     )  # fmt: skip
+
+
+def _extremes(members: Mapping[str, int], contacts: Mapping[str, Mapping[str, Any]]) -> dict[str, Extremes]:
+    """What the summary knows of the solver's steps: peaks and their times; nothing where they were not looked at."""
+    found = {}
+    for name, count in members.items():
+        rows = [contacts.get(f"{name}_{k + 1}" if count else name, {}) for k in range(count or 1)]
+        if any("peak_of_samples" not in row for row in rows):
+            return {}
+        values = ([row.get(key) for row in rows] for key in Extremes._fields)
+        columns: Any = [np.array([math.nan if x is None else x for x in column], float) for column in values]
+        found[name] = Extremes(*(column if count else column[0] for column in columns))
+    return found
 
 
 def _codes(words: list[str]) -> np.ndarray:

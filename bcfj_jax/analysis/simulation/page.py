@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bcfj_jax.analysis import features
+from bcfj_jax.analysis import balance, features
 from bcfj_jax.analysis.simulation import pictures, views
 from bcfj_jax.analysis.simulation.views import Turning
 from bcfj_jax.core.errors import InputError
@@ -92,29 +92,59 @@ def drawn(
 
 
 def verdict(run: Run, content: Mapping[str, Any]) -> Verdict:
-    """The highest force, where and when, and its measured error."""
+    """The highest force, where and when, and its measured error; first what contradicts it.
+
+    "Finished" stands only where no balance is missed and the error is as asked where it was measured.
+    """
+    accuracy = content.get("accuracy") or {}
+    until = accuracy.get("agree_until")
+    apart = until is not None and math.isfinite(until)
+    differs = (
+        f"Two runs disagree from {brief(until, 's')} on, in {accuracy.get('differs') or 'a force'}." if apart else ""
+    )
+    if run.status == "failed":
+        return Verdict(BAD, "Failed", f"The run ended at {brief(run.failure_time, 's')}: {run.reason}.")
+    said, measured = _highest(run, accuracy), _worst(accuracy)
+    name, worst = max(measured.items(), key=lambda x: np.inf if math.isnan(x[1]) else x[1], default=("", 0.0))
+    found = content.get("balance", {})
+    if found.get("verdict") == balance.MISSED:
+        return Verdict(
+            BAD, "Forces and motion contradict each other", " ".join(filter(None, (found["reason"], differs, said)))
+        )
     if run.status != "ok":
-        at = f"The run ended at {brief(run.failure_time, 's')}: {run.reason}."
-        return Verdict(BAD, "Failed", at)
-    end = brief(float(run.times[-1]), "s")
+        return Verdict(BAD, run.status.capitalize(), " ".join(filter(None, (f"{run.reason}.", differs, said))))
+    if measured and not worst <= accuracy["asked"]:
+        also = f" The worst is {name}: {percent(worst, 2)}." if f"in {name}" not in said else ""
+        return Verdict(FAIR, "Less accurate than asked", f"{said}{also} {differs}".strip())
+    if apart:
+        return Verdict(FAIR, f"Sure until {brief(until, 's')}", f"{said} {differs}")
+    return Verdict(GOOD, "Finished", said)
+
+
+def _worst(accuracy: Mapping[str, Any]) -> dict[str, float]:
+    """By contact, or by reading of a scene without contacts, the worst of its measured errors; NaN: it is not known."""
+    found = {}
+    for name, errors in accuracy.get("measured", {}).items():
+        known = [float(x) for x in errors.values() if x is not None]
+        found[name] = float(np.max(known)) if known else math.nan
+    return found
+
+
+def _highest(run: Run, accuracy: Mapping[str, Any]) -> str:
+    """The highest force, where and when, and its measured error, in a sentence."""
+    end, worst = brief(float(run.times[-1]), "s"), _worst(accuracy)
     top = {name: p for name, p in pictures.peaks(run).items() if math.isfinite(p.force)}
-    if not top:
-        return Verdict(GOOD, "Finished", f"The run reached {end}; it has no contact.")
-    name, peak = max(top.items(), key=lambda item: item[1].force)
-    if not peak.force > 0.0:
-        return Verdict(GOOD, "Finished", f"The run reached {end} without a contact at any sample.")
-    where = f"{name}_{peak.member}" if peak.member else name
-    said = f"Highest force {brief(peak.force, 'N')}, in {where} at {brief(peak.time, 's')}"
-    accuracy = content.get("accuracy")
-    if not accuracy:
-        return Verdict(GOOD, "Finished", f"{said}; its error was not measured.")
-    errors = accuracy["measured"].get(name, {})
-    worst = max((float(e) for e in errors.values() if e is not None), default=math.nan)
-    asked = accuracy["asked"]
-    text = f"{said}; measured error {percent(worst, 2)}, asked {percent(asked)}."
-    if not worst <= asked:
-        return Verdict(FAIR, "Finished, less accurate than asked", text)
-    return Verdict(GOOD, "Finished", text)
+    name, peak = max(top.items(), key=lambda item: item[1].force, default=("", pictures.Peak(0.0, 0.0, 0)))
+    if peak.force > 0.0:
+        where = f"{name}_{peak.member}" if peak.member else name
+        said, error = f"Highest force {brief(peak.force, 'N')}, in {where} at {brief(peak.time, 's')}", worst.get(name)
+    else:
+        contact = f" without a contact{'' if run.extremes else ' at any sample'}" if top else "; it has no contact"
+        said, error = f"The run reached {end}{contact}", max(worst.values(), default=None)
+    if error is None:
+        return f"{said}{'' if accuracy else '; its error was not measured'}."
+    size = f"measured error {percent(error, 2)}" if math.isfinite(error) else "its measured error is not finite"
+    return f"{said}; {size}, asked {percent(accuracy['asked'])}."
 
 
 def by_contact(
@@ -178,7 +208,8 @@ def contact_rows(scene: AbstractModel, content: Mapping[str, Any]) -> list[list[
     groups = by_contact(scene, content["contacts"])
     # Of several contacts what fits on a screen.
     without = _ASIDE if len(groups) > 2 else ()
-    return _rows(groups, _cell, without, bool(note(content["contacts"])), _engineering(groups, content))
+    between = any(one.get(BETWEEN) and "peak_of_samples" not in one for one in content["contacts"].values())
+    return _rows(groups, _cell, without, between, _engineering(groups, content))
 
 
 def _engineering(groups: Sequence[tuple[str, Any]], content: Mapping[str, Any]) -> dict[str, list[str]]:
@@ -214,7 +245,9 @@ def quantity_rows(content: Mapping[str, Any]) -> list[list[str]]:
 
 
 def note(contacts: Mapping[str, Mapping[str, Any]]) -> str:
-    """What the column of contacts that no sample shows means; "" where there is none."""
+    """Where the features come from; what the column of contacts that no sample shows means; "" where there is none."""
+    if any("peak_of_samples" in one for one in contacts.values()):
+        return "Peaks, impulses, works and contact times are those of the solver's steps. "
     if not any(one.get(BETWEEN) for one in contacts.values()):
         return ""
     return "Between samples: contacts too short for the samples, which the other features leave out. "
@@ -246,6 +279,21 @@ def tables(scene: AbstractModel, content: Mapping[str, Any]) -> list[Table]:
     return found
 
 
+def balances(content: Mapping[str, Any]) -> list[Table]:
+    """How well momenta and energy balance, by body; nothing of a run that was made before they were judged."""
+    found = content.get("balance")
+    if not found:
+        return []
+    rows = [["body", "balance", "error", "allowed", "verdict"]]
+    for body, one in found["of"].items():
+        for what, error in one.items():
+            if isinstance(error, Mapping):
+                cells = (percent(error[key], 2) for key in ("error", "allowed"))
+                rows.append([body, what.replace("_", " "), *cells, one["verdict"]])
+    by = f"Integrated over the {found['quadrature']}; shares of the largest term." if found["quadrature"] else ""
+    return [Table("Balances of momentum and energy", rows, f"{found['sentence']} {by}".strip())]
+
+
 def _accuracy(accuracy: Mapping[str, Any]) -> Table:
     rows = [["contact", "asked", "force history (rms)", "peak", "impulse"]]
     for name, errors in accuracy["measured"].items():
@@ -262,9 +310,8 @@ def whole_table(content: Mapping[str, Any]) -> list[Table]:
     """What the summary says of the model as a whole: every group of numbers that is neither contacts nor solver."""
     rows = [["quantity", "value"]]
     for group, values in content.items():
-        if group in ("contacts", "accuracy", "solver", "units", "fidelity", "engineering") or not isinstance(
-            values, Mapping
-        ):
+        aside = ("contacts", "accuracy", "solver", "units", "fidelity", "engineering", "balance")
+        if group in aside or not isinstance(values, Mapping):
             continue
         units = values.get("units", {})
         for key, value in values.items():
@@ -299,5 +346,5 @@ def made(
     return Page(
         title=title, verdict=answer, pictures=tuple(shown[:2]), warnings=tuple(content.get("warnings", ())),
         tables=tuple(found), more=tuple(shown[2:]),
-        folded=(*whole_table(content), *more, report.solver_table(run.stats)),
+        folded=(*balances(content), *whole_table(content), *more, report.solver_table(run.stats)),
     )  # fmt: skip

@@ -37,17 +37,17 @@ class Peak(NamedTuple):
 
 
 def peaks(run: Run) -> dict[str, Peak]:
-    """The highest normal force of every contact; NaN where nothing is known."""
+    """The highest normal force of every contact, of the solver's steps where they were looked at; NaN: nothing is known."""
     found = {}
     for name, history in run.force.items():
-        normal = history[..., 0].reshape(len(run.times), -1)
-        known = np.where(np.isfinite(normal), normal, -np.inf)
+        values, times = history[..., 0].reshape(len(run.times), -1), run.times[:, None]
+        if steps := run.extremes.get(name):
+            values, times = (np.reshape(x, (1, -1)) for x in (steps.peak, steps.peak_time))
+        known = np.where(np.isfinite(values), values, -np.inf)
         at, member = np.unravel_index(int(np.argmax(known)), known.shape)
-        value = float(known[at, member])
+        value, time = float(known[at, member]), np.broadcast_to(times, known.shape)[at, member]
         members = history.ndim == 3
-        found[name] = Peak(
-            value if np.isfinite(value) else math.nan, float(run.times[at]), int(member) + 1 if members else 0
-        )
+        found[name] = Peak(value if np.isfinite(value) else math.nan, float(time), int(member) + 1 if members else 0)
     return found
 
 

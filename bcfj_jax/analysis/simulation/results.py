@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from bcfj_jax.analysis import envelope, features, histories
+from bcfj_jax.analysis import balance, envelope, features, histories
 from bcfj_jax.analysis.simulation import page, pictures
 from bcfj_jax.io import outputs, report
 from bcfj_jax.io.page import Table, model_form
@@ -19,6 +19,7 @@ from bcfj_jax.mechanism.channels import Channel, channel
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.mechanism.readings import STATES
 from bcfj_jax.solve.measured_error import FACTOR, Accuracy
+from bcfj_jax.solve.plan import force_error
 from bcfj_jax.solve.simulation import Run
 
 if TYPE_CHECKING:
@@ -74,10 +75,17 @@ def choice_sentence(run: Run) -> str:
 
 
 def verdict(run: Run) -> str:
-    """How the run went, in a sentence."""
-    if run.status == "ok":
-        return f"The simulation reached {format_si(float(run.times[-1]), 's')}."
-    return f"The simulation failed at {format_si(run.failure_time, 's')}: {run.reason}."
+    """How the run went, in a sentence; when it and the finer run disagree."""
+    if run.status == "failed":
+        return f"The simulation failed at {format_si(run.failure_time, 's')}: {run.reason}."
+    reached = f"The simulation reached {format_si(float(run.times[-1]), 's')}"
+    accuracy = run.accuracy
+    if accuracy is not None and np.isfinite(accuracy.agree_until):
+        since = (
+            f"it and the finer run disagree from {format_si(accuracy.agree_until, 's', 4)} on, in {accuracy.differs}"
+        )
+        reached = f"{reached}, but {since}"
+    return f"{reached}." if run.status == "ok" else f"{reached}; {run.status}: {run.reason}."
 
 
 # Accuracy.
@@ -141,7 +149,7 @@ def share_of_time(times: np.ndarray, state: np.ndarray) -> dict[str, float]:
 
 
 # Of a contact in the summary of a run whose peaks are those of the solver's steps.
-RESOLVED_UNITS = {"peak": "N", "peak_of_samples": "N", "peak_time": "s", "least": "N", "least_time": "s", "onset": "s"}
+RESOLVED_UNITS = {"peak_of_samples": "N", "peak_time": "s", "least": "N", "least_time": "s", "onset": "s"}
 
 
 def resolved(run: Run) -> dict[str, dict[str, float]]:
@@ -174,8 +182,12 @@ def summary(run: Run, turning: bool) -> dict[str, Any]:
             contacts[name]["period"] = found
     for name, depth in penetration.items():
         contacts[name][page.BETWEEN] = len(features.unseen(depth, rate[name]))
-    for name, found in resolved(run).items():
-        contacts[name] |= {"peak_of_samples": contacts[name]["peak"]} | found
+    # Of a failed run nothing is known as a whole.
+    for name, found in resolved(run).items() if run.status != "failed" else ():
+        whole = features.of_steps(float(run.times[-1]), found)
+        kept = {"period": contacts[name]["period"]} if turning else {}
+        more = {key: found[key] for key in RESOLVED_UNITS if key in found}
+        contacts[name] |= {"peak_of_samples": contacts[name]["peak"]} | whole | more | kept
     for name, state in outputs.channels(run.state).items():
         contacts[name]["share_of_time"] = share_of_time(run.times, state)
     chosen = {"fidelity": run.choice._asdict()} if run.choice else {}
@@ -213,14 +225,16 @@ def resolution_warnings(run: Run) -> list[str]:
         count = sum(missed.values())
         short = "1 short contact begins and ends" if count == 1 else f"{count} short contacts begin and end"
         found.append(
-            f"{_several(missed)}: {short} between two samples; peak, mean, impulse and work do not include "
+            f"{_several(missed)}: {short} between two samples; "
+            f"{'histories and pictures' if run.extremes else 'peak, mean, impulse and work'} do not include "
             f"{'it' if count == 1 else 'them'}; {more}"
         )
     if shortest:
         least = min(shortest.values())
+        coarse = "histories and pictures of it" if run.extremes else "its peak, impulse and work"
         found.append(
             f"{_several(shortest)}: the shortest contact has only {least} sample{'' if least == 1 else 's'}, so that "
-            f"its peak, impulse and work are coarse; {more}"
+            f"{coarse} are coarse; {more}"
         )
     return found
 
@@ -229,10 +243,10 @@ def work_warnings(run: Run) -> list[str]:
     """Contacts whose dissipated work is below 0, and why: no contact makes energy."""
     if run.status != "ok":
         return []
-    penetration, given_back, coarse = outputs.channels(run.penetration), [], []
+    penetration, given_back, coarse, steps = outputs.channels(run.penetration), [], [], resolved(run)
     for name, force in outputs.channels(run.force, 1).items():
         pushed, depth = np.abs(force[:, 0]), penetration[name]
-        work = float(features.dissipated_work(pushed, depth))
+        work = steps[name]["work"] if steps else float(features.dissipated_work(pushed, depth))
         if work < -_ROUNDING * float(pushed.max() * np.abs(depth).max()):
             # The integral of F dd ends below 0 where less is stored at the end than at the start.
             (given_back if depth[0] > max(depth[-1], 0.0) else coarse).append(name)
@@ -242,7 +256,8 @@ def work_warnings(run: Run) -> list[str]:
             f"{_several(given_back)}: the dissipated work is below 0: the run begins with the contact pressed, and the "
             "elastic energy that was stored then has come out"
         )
-    if coarse:
+    # In the solver's steps that is the error of the energy balance, which is judged.
+    if coarse and not steps:
         found.append(
             f"{_several(coarse)}: the dissipated work is below 0, which no contact does: the samples do not resolve the "
             "force against the penetration: raise [time] samples"
@@ -322,7 +337,10 @@ def write(folder: Path, given: SceneFile, run: Run, stem: str, framed: Sequence[
     whole, extra = given.scene.whole(given.params, run)
     for name, columns in extra.items():
         outputs.write_histories(folder / name, run.times, columns)
-    content = summary(run, given.scene.traits.turning) | whole
+    judged = balance.of_run(given.scene, given.params, run, force_error(given.accuracy))
+    if judged.verdict == balance.MISSED:
+        warnings.insert(0, judged.reason)
+    content = summary(run, given.scene.traits.turning) | {"balance": judged.content()} | whole
     warnings += filter(None, [whole.get("engineering", {}).get("warning")])
     content |= {"warnings": warnings}
     outputs.write_json(folder / "summary.json", content)
@@ -332,14 +350,17 @@ def write(folder: Path, given: SceneFile, run: Run, stem: str, framed: Sequence[
     if given.reads:
         tables.append(_readings_rows(given, run))
     answer = page.verdict(run, content)
-    said = f"{answer.word}. {answer.sentence} {choice_sentence(run)}".strip() if run.status == "ok" else verdict(run)
+    said = (
+        f"{answer.word}. {answer.sentence} {choice_sentence(run)}".strip() if run.status != "failed" else verdict(run)
+    )
     accuracy = "".join(f"{line}\n" for line in accuracy_sentences(run))
-    peaks = "Peaks are those of the solver's steps. " if run.extremes else ""
-    digits = [f"{page.note(content['contacts'])}{peaks}All digits: summary.json."] if run.force else []
+    digits = [f"{page.note(content['contacts'])}All digits: summary.json."] if run.force else []
     text = "\n\n".join([said, *map(report.text, tables), *digits])
     if accuracy:
-        accuracy = f"\n{accuracy}Model form: {model_form(given.scene.model_form)}\n"
-    return Written(f"{text}\n{accuracy}", warnings, content)
+        accuracy = f"{accuracy}Model form: {model_form(given.scene.model_form)}\n"
+    # What is missed stands first.
+    balanced = "" if judged.verdict == balance.MISSED else f"{judged.sentence()}\n"
+    return Written(f"{text}\n\n{balanced}{accuracy}", warnings, content)
 
 
 def draw(folder: Path, given: SceneFile, run: Run, stem: str, written: Written, animations: Sequence[str] = ()) -> None:

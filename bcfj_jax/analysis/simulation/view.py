@@ -49,9 +49,12 @@ def _rows(found: Run) -> list[list[str]]:
     measured = found.accuracy
     rows = [["contact", "peak force", "penetration", "in contact", *(["measured error"] if measured else [])]]
     for name, force in found.force.items():
-        depth = found.penetration[name]
-        row = [name, _si(_known(np.nanmax, force[..., 0]), "N"), _si(_known(np.nanmax, depth), "m")]
-        row.append(percent(_share(found, name)))
+        # Of the solver's steps where they were looked at.
+        steps = found.extremes.get(name) if found.status != "failed" else None
+        top, deep = (steps.peak, steps.deepest) if steps else (force[..., 0], found.penetration[name])
+        row = [name, _si(_known(np.nanmax, top), "N"), _si(_known(np.nanmax, deep), "m")]
+        whole = float(found.times[-1])
+        row.append(percent(float(np.mean(steps.touching)) / whole if steps and whole > 0.0 else _share(found, name)))
         if measured:
             row.append(percent(max(part[name] for part in (measured.rms, measured.peak, measured.impulse))))
         rows.append(row)
