@@ -24,7 +24,7 @@ from bcfj_jax.mechanism import channels, inputs
 from bcfj_jax.mechanism.channels import Channel, channel
 from bcfj_jax.mechanism.model import AbstractModel, Choice, Params, Reading, Solution
 from bcfj_jax.mechanism.readings import contact_states
-from bcfj_jax.solve.forward_reverse import forward_and_reverse
+from bcfj_jax.solve.forward_reverse import forward_and_reverse, forward_only, reverse_only
 from bcfj_jax.solve.measured_error import Accuracy, measured
 from bcfj_jax.solve.plan import MAX_STEPS, Plan, Way, check_bits, force_error, plan
 
@@ -131,19 +131,19 @@ def force_history(
     Returns:
         Per contact (T, 3) [N], or (T, k, 3) where the contact has k members: normal, axial, tangential.
     """
-    params, t, how = _given(scene, params, times, accuracy)
-    if mode == "forward":
-        return _forces("forward", scene, params, t, how, True)
-    if mode == "reverse":
-        return _forces("reverse", scene, params, t, how, True)
-    if mode == "auto":
+    x = _given(scene, params, times, accuracy)
+    return _differentiable(mode, lambda way, differentiable: lambda x: _forces(way, scene, *x, differentiable), x)
 
-        def way(mode: Way, differentiable: bool) -> Callable[[tuple], dict[str, Array]]:
-            return lambda x: _forces(mode, scene, x[0], x[1], x[2], differentiable)
 
-        ways = way("forward", True), way("reverse", True), way("forward", False)
-        return forward_and_reverse(*ways)((params, t, how))
-    raise InputError("mode", f"no mode {quoted(mode)}", "use auto, forward or reverse")
+def _differentiable(mode: Mode, ways: Callable[[Way, bool], Callable[[Any], Any]], x: Any) -> Any:
+    """``ways(way, differentiable)(x)`` of the way that a mode asks for, and an ``InputError`` for other derivatives."""
+    if mode not in ("auto", "forward", "reverse"):
+        raise InputError("mode", f"no mode {quoted(mode)}", "use auto, forward or reverse")
+    # Among the devices of a shard_map or pmap, JAX has to be kept from looking into the steps.
+    if mode == "auto" or jax.sharding.get_abstract_mesh().manual_axes:
+        back = None if mode == "forward" else ways("reverse", True)
+        return forward_and_reverse(ways("forward", True), back, ways("forward", False))(x)
+    return (forward_only if mode == "forward" else reverse_only)(ways(mode, True), x)
 
 
 def reading_history(
