@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.core import ShapedArray
 from jax.extend.core import Primitive
-from jax.interpreters import ad, batching, mlir
+from jax.interpreters import ad, batching, mlir, partial_eval
 from jax.sharding import AbstractMesh, NamedSharding, PartitionSpec
 
 from bcfj_jax.core.errors import InputError
@@ -38,6 +38,8 @@ class _Map(NamedTuple):
         pull: its transpose, (points, cotangents) -> vectors.
         reverse: of a map without vectors the function again, which goes through ``jax.vjp``; None for none.
         vectors, outs: shapes.
+        ways: of a function and its tangents together, how many points, the last, the first half of the outs does not
+            depend on: the ways in which the tangents go.
     """
 
     smooth: Callable[[Leaves, Leaves], list[Array]]
@@ -46,6 +48,7 @@ class _Map(NamedTuple):
     reverse: Callable[[Leaves], list[Array]] | None
     vectors: tuple[jax.ShapeDtypeStruct, ...]
     outs: tuple[jax.ShapeDtypeStruct, ...]
+    ways: int = 0
 
 
 # Operands: the points (so many), then the vectors.
@@ -106,13 +109,25 @@ def _abstract(*operands, points, of):
 
 
 def _derivative(primals, tangents, *, points, of):
-    values = _bound(primals, points, of)
     moving = [i for i, t in enumerate(tangents[:points]) if not isinstance(t, ad.Zero)]
+    split = any(isinstance(t, partial_eval.JaxprTracer) for t in tangents)
+
+    def moved(at: Leaves, new: Leaves) -> Leaves:
+        return [new[moving.index(i)] if i in moving else x for i, x in enumerate(at)]
+
+    if moving and not (of.vectors or of.reverse or split):
+        # Nobody will transpose this: value and tangents at once.
+        def both(at: Leaves, _: Leaves) -> list[Array]:
+            x, ways = at[:points], at[points:]
+            along = lambda *new: of.smooth(moved(x, new), [])  # noqa: E731
+            return [y for part in jax.jvp(along, tuple(x[i] for i in moving), tuple(ways)) for y in part]
+
+        pair = [*primals, *(tangents[i] for i in moving)]
+        found = _bound(pair, len(pair), of._replace(smooth=both, quick=both, outs=of.outs * 2, ways=len(moving)))
+        return found[: len(of.outs)], found[len(of.outs) :]
+    values = _bound(primals, points, of)
     changes: list[list[Array]] = []
     if moving:
-
-        def moved(at: Leaves, new: Leaves) -> Leaves:
-            return [new[moving.index(i)] if i in moving else x for i, x in enumerate(at)]
 
         def smooth(at: Leaves, ways: Leaves) -> list[Array]:
             x, fixed = at[:points], at[points:]
@@ -153,16 +168,27 @@ def _batch(operands, axes, *, points, of):
         jnp.broadcast_to(x, (size, *x.shape)) if a is batching.not_mapped else x
         for x, a in zip(moved[points:], axes[points:], strict=True)
     ]
-    many = lambda f: jax.vmap(lambda at, ways: f(at, ways), in_axes=(point_axes, 0), axis_size=size)  # noqa: E731
+    # Values beside tangents of several ways are the same for all of them.
+    same = len(of.outs) // 2 if all(a is None for a in point_axes[: points - of.ways]) and of.ways else 0
+    out_axes = [None] * same + [0] * (len(of.outs) - same)
     wide = lambda shapes: tuple(jax.ShapeDtypeStruct((size, *s.shape), s.dtype) for s in shapes)  # noqa: E731
-    batched = _Map(
-        *(lambda at, ways, f=many(f): f(list(at), list(ways)) for f in (of.smooth, of.quick, of.pull)),
-        None if of.reverse is None else lambda at: jax.vmap(of.reverse, in_axes=(point_axes,))(list(at)),
-        wide(of.vectors),
-        wide(of.outs),
+
+    def many(f: Callable[..., list[Array]], axes: Any) -> Callable[..., list[Array]]:
+        return lambda at, ways: jax.vmap(lambda at, ways: list(f(at, ways)), (point_axes, 0), axes)(
+            list(at), list(ways)
+        )
+
+    batched = of._replace(
+        smooth=many(of.smooth, out_axes),
+        quick=many(of.quick, out_axes),
+        pull=many(of.pull, 0),
+        reverse=of.reverse and (lambda at: jax.vmap(of.reverse, (point_axes,))(list(at))),
+        vectors=wide(of.vectors),
+        outs=of.outs[:same] + wide(of.outs[same:]),
     )
-    out = _bound([*moved[:points], *vectors], points, batched)
-    return out, [0] * len(out)
+    return _bound([*moved[:points], *vectors], points, batched), [
+        batching.not_mapped if a is None else a for a in out_axes
+    ]
 
 
 def _lowered(ctx, *operands, **what):
@@ -186,8 +212,9 @@ def forward_and_reverse(
     """One function out of two that compute the same: one with a jvp, one with a vjp.
 
     Both must be closed over static things only: everything traced is in their argument, arrays all.
-    The value is computed beside the tangents, so a jvp costs one evaluation more than ``forward``'s. Second derivatives
-    take ``forward`` twice, once for each pair of the scalars that they are taken by: ``jax.hessian`` too.
+    Where there is a reverse, the value is computed beside the tangents, so a jvp costs one evaluation more than
+    ``forward``'s. Second derivatives, those of ``jax.hessian`` too, are tangents of tangents, one for each pair of the
+    scalars that they are taken by.
 
     Args:
         forward: the function, supporting ``jax.jvp`` (of any order).
@@ -205,16 +232,16 @@ def forward_and_reverse(
         def flat(f: Callable[[X], Y]) -> Callable[[Leaves], list[Array]]:
             return lambda at: jax.tree.leaves(f(jax.tree.unflatten(structure, at)))
 
-        smooth, quick = (lambda at, _, f=flat(f): f(at) for f in (forward, value or forward))
-        of = _Map(smooth, quick, lambda at, _: [], flat(reverse) if reverse else None, (), _shapes(outs))
+        smooth, quick = flat(forward), flat(value or forward)
+        back = flat(reverse) if reverse else None
+        of = _Map(lambda at, _: smooth(at), lambda at, _: quick(at), lambda at, _: [], back, (), _shapes(outs))
         return jax.tree.unflatten(of_outs, _bound(leaves, len(leaves), of))
 
     return function
 
 
-# Around functions that have one direction alone: whoever asks for what they have not is told so.
-_reverse_only_p, _forward_only_p = Primitive("reverse_only"), Primitive("forward_only")
-_tangent_p, _gradient_p, _untransposed_p = map(Primitive, ("reverse_tangent", "reverse_gradient", "forward_tangent"))
+# Around a function that has a vjp alone: whoever evaluates a tangent of it, or differentiates its gradient, is told so.
+_reverse_only_p, _tangent_p, _gradient_p = map(Primitive, ("reverse_only", "reverse_tangent", "reverse_gradient"))
 
 
 def _no_tangent(*_, **__):
@@ -222,12 +249,7 @@ def _no_tangent(*_, **__):
     raise InputError("mode", found, "use mode='auto', or 'forward'")
 
 
-def _no_gradient(*_, **__):
-    remedy = "use mode='auto' or 'reverse'; for second derivatives 'auto', or jax.jacfwd(jax.jacfwd(...))"
-    raise InputError("mode", "'forward' has tangents alone: no gradients (vjp, grad, jacrev, hessian)", remedy)
-
-
-for _p in (_reverse_only_p, _forward_only_p, _tangent_p, _gradient_p, _untransposed_p):
+for _p in (_reverse_only_p, _tangent_p, _gradient_p):
     _p.def_abstract_eval(lambda x: x)
     _p.def_impl(lambda x: x)
     batching.defvectorized(_p)
@@ -236,16 +258,9 @@ _tangent_p.def_impl(_no_tangent)
 mlir.register_lowering(_tangent_p, _no_tangent)
 batching.primitive_batchers[_tangent_p] = ad.primitive_jvps[_gradient_p] = _no_tangent
 ad.defjvp(_reverse_only_p, lambda dx, _: _tangent_p.bind(dx))
-ad.defjvp(_forward_only_p, lambda dx, _: _untransposed_p.bind(dx))
 ad.deflinear2(_tangent_p, lambda ct, _: [ct if isinstance(ct, ad.Zero) else _gradient_p.bind(ct)])
-ad.deflinear2(_untransposed_p, _no_gradient)
 
 
-def reverse_only(f: Callable[[X], Y], x: X) -> Y:
-    """f(x) of a function that has a vjp alone; an ``InputError`` says so where a tangent of it is evaluated."""
-    return f(jax.tree.map(_reverse_only_p.bind, x))
-
-
-def forward_only(f: Callable[[X], Y], x: X) -> Y:
-    """f(x) of a function that has a jvp alone; an ``InputError`` says so where that is transposed."""
-    return jax.tree.map(_forward_only_p.bind, f(x))
+def reverse_only(x: X) -> X:
+    """The same arrays; where a tangent of them is evaluated, an ``InputError`` says that mode='reverse' has none."""
+    return jax.tree.map(_reverse_only_p.bind, x)

@@ -24,7 +24,7 @@ from bcfj_jax.mechanism import channels, inputs
 from bcfj_jax.mechanism.channels import Channel, channel
 from bcfj_jax.mechanism.model import AbstractModel, Choice, Params, Reading, Solution
 from bcfj_jax.mechanism.readings import contact_states
-from bcfj_jax.solve.forward_reverse import forward_and_reverse, forward_only, reverse_only
+from bcfj_jax.solve.forward_reverse import forward_and_reverse, reverse_only
 from bcfj_jax.solve.measured_error import Accuracy, measured
 from bcfj_jax.solve.plan import MAX_STEPS, Plan, Way, check_bits, force_error, plan
 
@@ -117,16 +117,17 @@ def force_history(
 ) -> dict[str, Float[Array, "T ... 3"]]:
     """Contact-force histories as a pure function of parameters and times.
 
-    jit, vmap, jvp, jacfwd and grad go through. Step-size control is never differentiated. A failed run
-    is NaN from the failure on; so is then every loss built on it.
+    jit, vmap, pmap, shard_map, jvp, grad and second derivatives (hessian) go through. Step-size control is never
+    differentiated. A failed run is NaN from the failure on; so is then every loss built on it.
 
     Args:
         scene: static structure.
         params: the scene's parameters, SI, from ``scene.parameters``.
         times: (T,) increasing [s]; the run starts at 0, and a time before 0 reads the initial state.
         accuracy: level, force error as a fraction of the peak, or a ``Plan`` (whose tolerance may be traced).
-        mode: "forward" (jvp, jacfwd, nested ones: fastest for some 50 parameters), "reverse" (vjp, grad;
-            of a stiff model by BDF's own steps), or "auto": both, first derivatives only, for one forward run more.
+        mode: "forward" (jvp, jacfwd: fastest for some 50 parameters; gradients and second derivatives are made of
+            tangents), "reverse" (vjp, grad, no other; of a stiff model by BDF's own steps), or "auto": both, for one
+            forward run more.
 
     Returns:
         Per contact (T, 3) [N], or (T, k, 3) where the contact has k members: normal, axial, tangential.
@@ -140,10 +141,10 @@ def _differentiable(mode: Mode, ways: Callable[[Way, bool], Callable[[Any], Any]
     if mode not in ("auto", "forward", "reverse"):
         raise InputError("mode", f"no mode {quoted(mode)}", "use auto, forward or reverse")
     # Among the devices of a shard_map or pmap, JAX has to be kept from looking into the steps.
-    if mode == "auto" or jax.sharding.get_abstract_mesh().manual_axes:
-        back = None if mode == "forward" else ways("reverse", True)
-        return forward_and_reverse(ways("forward", True), back, ways("forward", False))(x)
-    return (forward_only if mode == "forward" else reverse_only)(ways(mode, True), x)
+    if mode == "reverse" and not jax.sharding.get_abstract_mesh().manual_axes:
+        return ways("reverse", True)(reverse_only(x))
+    back = None if mode == "forward" else ways("reverse", True)
+    return forward_and_reverse(ways("forward", True), back, ways("forward", mode == "forward"))(x)
 
 
 def reading_history(
@@ -170,9 +171,9 @@ def reading_history(
     """
     params, t, how = _given(scene, params, times, accuracy)
     wanted = _channels(scene, read)
-    if mode not in ("forward", "reverse"):
-        raise InputError("mode", f"no mode {quoted(mode)}", "use forward or reverse")
-    return _histories(mode, scene, params, t, how, wanted)
+    if mode == "auto":
+        raise InputError("mode", "'auto' is of force_history alone", "use forward or reverse")
+    return _differentiable(mode, lambda way, _: lambda x: _histories(way, scene, *x, wanted), (params, t, how))
 
 
 @partial(jax.jit, static_argnums=(0, 1, 5))
