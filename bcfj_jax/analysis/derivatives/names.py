@@ -122,6 +122,9 @@ def complete(scene: AbstractModel, params: Params, wrt: Sequence[str]) -> tuple[
         if name not in scene.quantities:
             known = (*scene.quantities, *GROUPS)
             raise InputError("wrt", f"scene '{scene.kind}' has no parameter '{name}'", nearest(name, known))
+        if shape := scene.quantities[name].shape:
+            remedy = "name parameters that are one number each; arrays are trained by jax.grad of bj.force_history"
+            raise InputError("wrt", f"'{name}' is an array of shape {shape}", remedy)
         if names.count(name) > 1:
             raise InputError("wrt", f"'{name}' is named twice", "name it once")
         shared = name.rpartition(".")[2]
