@@ -134,8 +134,14 @@ class _Filled:
         """The arrays by the names of their coefficients."""
         return {self.prefix + key: x for key, x in held(self.part).items()}
 
-    def _with(self, c: Values) -> Any:
-        return filled(self.part, c, self.prefix)
+
+def _filling(name: str) -> Any:
+    """A method of the part, filled with the coefficients, which are the last argument."""
+    return lambda self, *args: getattr(filled(self.part, args[-1], self.prefix), name)(*args)
+
+
+def _same(name: str) -> Any:
+    return property(lambda self: getattr(self.part, name))
 
 
 class HeldLaw(_Filled, AbstractLaw):
@@ -143,22 +149,8 @@ class HeldLaw(_Filled, AbstractLaw):
 
     part: AbstractLaw
     prefix = "law."
-
-    @property
-    def states(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.part.states
-
-    def force(self, penetration: Array, rate: Array, c: Values) -> Array:
-        return self._with(c).force(penetration, rate, c)
-
-    def rates(self, penetration: Array, rate: Array, c: Values) -> tuple[Array, ...]:
-        return self._with(c).rates(penetration, rate, c)
-
-    def sizes(self, penetration: Array, c: Values) -> tuple[Array, ...]:
-        return self._with(c).sizes(penetration, c)
-
-    def stored(self, penetration: Array, c: Values) -> Array:
-        return self._with(c).stored(penetration, c)
+    states = _same("states")
+    force, rates, sizes, stored = map(_filling, ("force", "rates", "sizes", "stored"))
 
 
 class HeldFriction(_Filled, AbstractFriction):
@@ -166,30 +158,8 @@ class HeldFriction(_Filled, AbstractFriction):
 
     part: AbstractFriction
     prefix = "friction."
-
-    @property
-    def bristles(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.part.bristles
-
-    @property
-    def lags(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.part.lags
-
-    @property
-    def span(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.part.span
-
-    def mobility(self, speed_squared: Array, c: Values) -> Array:
-        return self._with(c).mobility(speed_squared, c)
-
-    def bond(self, speed_squared: Array, c: Values) -> tuple[Array, Array, Array]:
-        return self._with(c).bond(speed_squared, c)
-
-    def lag(self, speed_squared: Array, late: Array, c: Values) -> tuple[Array, Array]:
-        return self._with(c).lag(speed_squared, late, c)
-
-    def reach(self, c: Values) -> Array:
-        return self._with(c).reach(c)
+    bristles, lags, span = map(_same, ("bristles", "lags", "span"))
+    mobility, bond, lag, reach = map(_filling, ("mobility", "bond", "lag", "reach"))
 
 
 def law(given: AbstractLaw) -> AbstractLaw:

@@ -227,7 +227,7 @@ class Spring(AbstractLoad):
     """
 
     name: str = eqx.field(static=True)
-    between: tuple[str, str] = eqx.field(static=True, converter=tuple)
+    between: tuple[str, str] = eqx.field(static=True, converter=lambda x: tuple(x))
     stiffness: Size = sizes.field("spring stiffness", default=0.0)
     damping: Size = sizes.field("spring damping", default=0.0)
     free_length: Size = sizes.field("spring free_length", default=0.0)
@@ -270,7 +270,7 @@ class Bush(AbstractLoad):
     """
 
     name: str = eqx.field(static=True)
-    between: tuple[str, str] = eqx.field(static=True, converter=tuple)
+    between: tuple[str, str] = eqx.field(static=True, converter=lambda x: tuple(x))
     stiffness: Size = sizes.field("bush stiffness", default=1e7)
     damping: Size = sizes.field("bush damping", default=0.0)
     turning_damping: Size = sizes.field("bush turning_damping", default=0.0)
@@ -416,7 +416,7 @@ def kept(load: Any) -> Any:
     if not isinstance(load, AbstractLoad):
         return load
     found = arrays.taken(f"load {quoted(load.name)}", load)
-    return found if found is load else HeldLoad(found)
+    return found if found is load else HeldLoad(part=found)
 
 
 def quantities(where: str, given: Any) -> tuple[tuple[Quantity, Any], ...]:

@@ -199,7 +199,7 @@ class Mechanism(AbstractModel):
 
     @property
     def defaults(self) -> tuple[tuple[str, Any], ...]:
-        """Default values (numbers, or arrays), those of the mechanism before those of its parts; ``smoothing`` is 0 where nobody says."""
+        """Default values, numbers or arrays: the mechanism's, then its parts'; ``smoothing`` is 0 where nobody says."""
         found = {name: default for name, (_, default) in self._parameters.items() if default is not None}
         if "smoothing" in self._parameters:
             found.setdefault("smoothing", 0.0)

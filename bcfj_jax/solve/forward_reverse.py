@@ -147,7 +147,7 @@ def _derivative(primals, tangents, *, points, of):
         ways = [ad.instantiate_zeros(t) for t in tangents[points:]]
         changes.append(_bound([*primals[:points], *ways], points, of))
     if not changes:
-        return values, [ad.Zero.from_primal_value(x) for x in values]
+        return values, [ad.Zero(jax.typeof(x).to_tangent_aval()) for x in values]
     return values, changes[0] if len(changes) == 1 else [a + b for a, b in zip(*changes, strict=True)]
 
 

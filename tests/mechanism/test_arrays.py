@@ -134,18 +134,17 @@ def test_gradients_of_modules_are_those_of_differences(whole, mode):
     for k, name in enumerate(modules):
         way = jax.tree.map(lambda x: np.random.default_rng(3).normal(size=x.shape), eqx.filter(modules[name], _trained))
         along = sum(jnp.vdot(a, b) for a, b in zip(jax.tree.leaves(gradient[name]), jax.tree.leaves(way), strict=True))
-        step = 2e-3
         ends = [
-            loss({**modules, name: eqx.apply_updates(modules[name], jax.tree.map(lambda x, s=s: s * step * x, way))})
-            for s in (1, -1)
+            loss({**modules, name: eqx.apply_updates(modules[name], jax.tree.map(lambda x, s=s: s * x, way))})
+            for s in (2e-3, -2e-3)
         ]
-        difference = float(ends[0] - ends[1]) / (2 * step)
+        difference = float(ends[0] - ends[1]) / 4e-3
         assert abs(difference) > 1e-4, (k, name)
         assert float(along) == pytest.approx(difference, rel=2e-3), name
 
 
 def _trained(x):
-    return eqx.is_array(x) and jnp.issubdtype(x.dtype, jnp.floating) or isinstance(x, np.ndarray)
+    return isinstance(x, (jax.Array, np.ndarray)) and jnp.issubdtype(x.dtype, jnp.floating)
 
 
 @pytest.mark.full
@@ -201,7 +200,7 @@ def test_modules_in_the_wrong_place_are_refused(whole):
 
 
 def test_traced_structure_is_refused_and_the_message_says_where_values_are_passed(whole):
-    law, rub, wind = parts()
+    law, _, wind = parts()
     plane = bj.gaps.PointOnPlane("y")
     makers = {
         "mass": lambda x: bj.Body("b", "slide", mass=x),
@@ -229,6 +228,6 @@ def test_traced_structure_is_refused_and_the_message_says_where_values_are_passe
                 make(x)
                 return x
 
-            with pytest.raises(bj.InputError, match="traced.*pass the values as parameters"):
+            with pytest.raises(bj.InputError) as caught:
                 transform(of)(1.0)
-                pytest.fail(name)
+            assert "traced" in caught.value.found and "pass the values as parameters" in caught.value.remedy, name
