@@ -416,7 +416,7 @@ def kept(load: Any) -> Any:
     if not isinstance(load, AbstractLoad):
         return load
     found = arrays.taken(f"load {quoted(load.name)}", load)
-    return found if found is load else HeldLoad(part=found)
+    return found if found is load else HeldLoad(part=found)  # pyright: ignore[reportCallIssue]
 
 
 def quantities(where: str, given: Any) -> tuple[tuple[Quantity, Any], ...]:

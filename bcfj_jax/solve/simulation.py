@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 
 from bcfj_jax.core import presented
 from bcfj_jax.core.errors import InputError, quoted, texts
-from bcfj_jax.core.programs import program
+from bcfj_jax.core.programs import make_room, program
 from bcfj_jax.core.quantities import increasing, instants
 from bcfj_jax.core.status import NO_FORCE, OK, reason
 from bcfj_jax.core.threads import together
@@ -189,6 +189,7 @@ def _given(
     scene: AbstractModel, params: Params, times: ArrayLike, accuracy: str | float | Plan
 ) -> tuple[dict[str, Array], Array, Plan]:
     """What a pure function was given, checked where it is concrete."""
+    make_room()
     how = accuracy if isinstance(accuracy, Plan) else plan(inputs.model(scene), accuracy)
     found = inputs.parameters(inputs.model(scene), params)
     return {name: jnp.asarray(value) for name, value in found.items()}, instants(times), how
