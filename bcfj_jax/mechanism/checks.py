@@ -140,6 +140,12 @@ class _Recorder(Mapping):
         if name == "mass" and missing:
             remedy = f"a body that moves needs a mass: give {missing[0]}.mass, or mass for all bodies"
             raise InputError(f"{self.where} body '{missing[0]}' mass", f"no mass for {', '.join(missing)}", remedy)
+        if name == "inertia" and missing:
+            turned = [b for b in missing if b in self.scene.body_names and not self.scene.body(b).turns]
+            why = f"'{turned[0]}' turns with '{self.scene.body(turned[0]).parent}', which carries it" if turned else ""
+            remedy = f"a body that turns needs an inertia about its centre of mass: give {missing[0]}.inertia"
+            found = f"no inertia for {', '.join(missing)}{f'; {why}' if why else ''}"
+            raise InputError(f"{self.where} body '{missing[0]}' inertia", found, remedy)
         reads = f"; it is read by {', '.join(missing)}" if missing else ""
         beside = f", or {missing[0]}.{name}" if missing else ""
         raise InputError(self.where, f"the parameter '{name}' has no value{reads}", f"give {name}{beside}")

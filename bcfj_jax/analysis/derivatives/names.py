@@ -129,7 +129,9 @@ def complete(scene: AbstractModel, params: Params, wrt: Sequence[str]) -> tuple[
             raise InputError("wrt", f"'{name}' is named twice", "name it once")
         shared = name.rpartition(".")[2]
         if name not in full and shared not in full:
-            raise InputError("wrt", f"'{name}' has no value here", f"give one: scene.parameters({{'{name}': ...}})")
+            own = [known for known in full if known.endswith(f".{name}")]
+            remedy = f"name {' or '.join(own)}" if own else f"give one: scene.parameters({{'{name}': ...}})"
+            raise InputError("wrt", f"'{name}' has no value here", remedy)
         full[name] = full[name] if name in full else full[shared]
     return full, names
 
