@@ -42,6 +42,20 @@ def model(given: Any) -> AbstractModel:
     raise InputError("scene", f"{quoted(given)} is no model", remedy)
 
 
+def of_numbers(given: Any) -> AbstractModel:
+    """As ``model``, of what varies or fits numbers: a batch of points has no place for parameters that are arrays.
+
+    Raises:
+        InputError: as ``model``, and naming the parameters that are arrays.
+    """
+    found = model(given)
+    arrays = [name for name, quantity in found.quantities.items() if quantity.shape]
+    if arrays:
+        remedy = "vary it by bj.force_history and jax.vmap, train it by jax.grad; or close over its arrays as constants"
+        raise InputError(f"scene '{found.kind}'", f"has parameters that are arrays: {', '.join(arrays)}", remedy)
+    return found
+
+
 def named(scene: AbstractModel, given: Any, where: str) -> dict[str, Any]:
     """Values by the scene's own names of parameters; of two names of one parameter the last counts.
 

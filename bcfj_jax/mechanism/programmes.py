@@ -66,7 +66,8 @@ def checked_table(where: str, table: Any, least: int = 2) -> Table:
     late = np.flatnonzero(np.diff(knots) <= 0)
     if late.size:
         k = int(late[0])
-        raise InputError(where, f"time {k + 2} is {knots[k + 1]:g} s after {knots[k]:g} s", "give times that increase")
+        found = f"its times do not increase: time {k + 2} is {knots[k + 1]:g} s after {knots[k]:g} s"
+        raise InputError(where, found, "give times that increase")
     return tuple(knots.tolist()), tuple(values.tolist())
 
 

@@ -10,6 +10,7 @@ import pytest
 
 import bcfj_jax as bj
 from bcfj_jax.mechanism.arrays import Held
+from bcfj_jax.mechanism.inputs import of_numbers
 
 TIMES = np.linspace(0.0, 6e-3, 31)
 
@@ -195,6 +196,12 @@ def test_modules_in_the_wrong_place_are_refused(whole):
     scene, modules = whole
     with pytest.raises(bj.InputError, match=r"no parameter 'pad.frction.net.layers.0.weight'.*did you mean"):
         scene.parameters({"pad.frction": modules["pad.friction"]})
+    for refused in (
+        lambda: bj.design(scene, scene.parameters(), TIMES, "pad.peak", {"pad.damping": (0.05, 0.3)}),
+        lambda: of_numbers(scene),
+    ):
+        with pytest.raises(bj.InputError, match=r"has parameters that are arrays: pad\.law\.weights, "):
+            refused()
     with pytest.raises(bj.InputError, match="holds no array"):
         scene.parameters({"pad.law": bj.laws.MemoryFree()})
 
