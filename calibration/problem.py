@@ -282,7 +282,7 @@ class Problem:
         where = given.text("problem", self.where, "leave 'where' out")
         parts = {"experiments": Experiment, "free": Free}
         listed = {key: given.all_of(f"{where}: {key}", getattr(self, key), kind) for key, kind in parts.items()}
-        given.fill(self, {"scene": inputs.model(self.scene), **listed})
+        given.fill(self, {"scene": inputs.of_numbers(self.scene), **listed})
         # <contact>.clearance and clearance_<contact> are one parameter.
         one = self.scene.canonical
         names = [seen.feature for e in self.experiments for seen in e.features]

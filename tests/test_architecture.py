@@ -23,7 +23,9 @@ LAYERS = {
 }  # fmt: skip
 # What is computed, without files, units, commands and pictures.
 PHYSICS = ("core", "contact", "mechanism", "models", "solve")
-PHYSICS_FILES = tuple(f"analysis/{name}.py" for name in ("features", "histories", "energy_balance", "balance", "envelope"))
+PHYSICS_FILES = tuple(
+    f"analysis/{name}.py" for name in ("features", "histories", "energy_balance", "balance", "envelope")
+)
 TOOLS = {"pint", "pydantic", "typer", "matplotlib", "calibration"}
 # May know which model they hold: the models, what they are made of, and what is about one of them.
 KNOWING = ("models", "mechanism", "reproduction")

@@ -52,7 +52,8 @@ CHANGES_DRAWN: dict[str, Any] = CHANGES | {
     ]
 }
 _SHORT = {
-    "end": ("time", "end"), "longest_step": ("time", "longest_step"), "samples": ("time", "samples"), "level": ("accuracy", "level"), "seed": ("design", "seed"),
+    "end": ("time", "end"), "longest_step": ("time", "longest_step"), "samples": ("time", "samples"),
+    "level": ("accuracy", "level"), "seed": ("design", "seed"),
 }  # fmt: skip
 
 
@@ -66,7 +67,9 @@ def asked(options: Mapping[str, Any]) -> list[Change]:
     for name, words in _SHORT.items():
         value = options.get(name)
         if value is not None:
-            found.append(Change(f"--{name} {value}", words, changes.value(value) if name in ("end", "longest_step") else value))
+            found.append(
+                Change(f"--{name} {value}", words, changes.value(value) if name in ("end", "longest_step") else value)
+            )
     return found
 
 

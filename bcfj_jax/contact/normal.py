@@ -84,7 +84,8 @@ class Linear(bj.laws.AbstractLaw):
 def _work(force: Callable[[Array, Coefficients], Array], penetration: Array, c: Coefficients) -> Array:
     """Integral of a force from 0 to the penetration [J]."""
     reach = positive(penetration)
-    wide = {name: value[..., None] if getattr(value, "ndim", 0) else value for name, value in c.items()}
+    # Names with a dot are of arrays that a law reads as a whole (``mechanism.arrays``).
+    wide = {name: x[..., None] if getattr(x, "ndim", 0) and "." not in name else x for name, x in c.items()}
     return jnp.sum(force(reach[..., None] * _NODES**2, wide) * 2.0 * _NODES * _WEIGHTS, -1) * reach
 
 

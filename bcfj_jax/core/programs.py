@@ -6,6 +6,9 @@ tracing; XLA's own cache then has the machine code. A kept program is found by a
 structure, shapes, the package's sources, versions, XLA's options. Its file holds the digest of its content, and a file
 that does not match is made anew. Nothing is pickled. What holds a user's own code is not kept: its text alone does not
 say what it does.
+
+XLA takes some 120 to 350 memory maps for each program, of which Linux gives a process 65 530, and dies where there are
+none left. ``make_room`` drops the oldest programs before.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ import contextlib
 import dataclasses
 import enum
 import functools
+import gc
 import hashlib
 import importlib
 import importlib.metadata
@@ -31,6 +35,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.export
+import jax.monitoring
 import numpy as np
 
 from bcfj_jax.core import host
@@ -68,6 +73,10 @@ _asked: dict[Any, list[Any]] = {}
 _BY_HAND = 3
 _told: set[str] = set()
 _remembering = threading.Lock()
+# Share of Linux's limit of memory maps that programs may take, and after how many compilations that is looked at again.
+_SHARE, _EVERY = 0.5, 16
+_MAPS, _MOST = Path("/proc/self/maps"), Path("/proc/sys/vm/max_map_count")
+_compilations = {"now": 0, "looked": 0}
 
 
 class Unkept(Exception):
@@ -95,12 +104,13 @@ def program(
         A function of arguments of the same shapes; it gives the result as NumPy arrays.
     """
     begin = time.perf_counter()
+    make_room()
     wanted = _wanted(name, function, static, arguments)._replace(options=dict(options or {}))
     # Another thread may be making it.
     with _locks.setdefault(wanted.key, threading.Lock()):
-        if wanted.key not in _loaded:
-            _loaded[wanted.key] = _fetched(wanted) or _made(wanted)
-    return _loaded[wanted.key], time.perf_counter() - begin
+        found = _loaded.get(wanted.key) or _fetched(wanted) or _made(wanted)
+        _loaded[wanted.key] = found
+    return found, time.perf_counter() - begin
 
 
 def ask(name: str, function: Callable[..., Any], static: tuple[Any, ...], arguments: tuple[Any, ...]) -> Any:
@@ -110,18 +120,18 @@ def ask(name: str, function: Callable[..., Any], static: tuple[Any, ...], argume
     that a run that is refused compiles nothing; who asks more often, as a study does, gets a compiled program. What was
     answered so is compiled and kept by ``keep_asked``. Arguments as ``program``'s.
     """
+    make_room()
     wanted = _wanted(name, function, static, arguments)
-    if wanted.key not in _loaded:
-        with _locks.setdefault(wanted.key, threading.Lock()):
-            return _answered(wanted, arguments)
-    return _loaded[wanted.key](*arguments)
+    if (known := _loaded.get(wanted.key)) is not None:
+        return known(*arguments)
+    with _locks.setdefault(wanted.key, threading.Lock()):
+        return _answered(wanted, arguments)
 
 
 def _answered(wanted: _Wanted, arguments: tuple[Any, ...]) -> Any:
-    if wanted.key not in _loaded and (found := _fetched(wanted)) is not None:
+    if (found := _loaded.get(wanted.key) or _fetched(wanted)) is not None:
         _loaded[wanted.key] = found
-    if wanted.key in _loaded:
-        return _loaded[wanted.key](*arguments)
+        return found(*arguments)
     if wanted.key not in _asked:
         _asked[wanted.key] = [wanted, _traced(wanted), 0]
     entry = _asked[wanted.key]
@@ -132,9 +142,9 @@ def _answered(wanted: _Wanted, arguments: tuple[Any, ...]) -> Any:
             leaves = [np.asarray(x, s.dtype) for x, s in zip(jax.tree.leaves(arguments), wanted.shapes, strict=True)]
             found = host.evaluate(known.jaxpr, leaves)
             return jax.tree.unflatten(jax.tree.structure(known.out_info), found)
-    del _asked[wanted.key]
-    _loaded[wanted.key] = _made(wanted, jitted)
-    return _loaded[wanted.key](*arguments)
+    _asked.pop(wanted.key, None)
+    _loaded[wanted.key] = found = _made(wanted, jitted)
+    return found(*arguments)
 
 
 def keep_asked() -> None:
@@ -143,6 +153,37 @@ def keep_asked() -> None:
         for key, (wanted, (jitted, _), _) in list(_asked.items()):
             _loaded[key] = _made(wanted, jitted)
     _asked.clear()
+
+
+def _compiled_one(event: str, *_: Any, **__: Any) -> None:
+    if event.endswith("backend_compile_duration"):
+        _compilations["now"] += 1
+
+
+jax.monitoring.register_event_duration_secs_listener(_compiled_one)
+
+
+def make_room() -> None:
+    """Drop the oldest half of this process's programs, and what JAX keeps itself, where memory maps become few.
+
+    Also those of the user's own jitted functions: they compile again when they are next called. Elsewhere than on Linux
+    nothing is dropped.
+    """
+    if _compilations["now"] - _compilations["looked"] < _EVERY:
+        return
+    _compilations["looked"] = _compilations["now"]
+    try:
+        most = int(_MOST.read_text())
+        with _MAPS.open("rb") as file:
+            taken = sum(1 for _ in file)
+    except (OSError, ValueError):
+        return
+    if taken > _SHARE * most:
+        for key in list(_loaded)[: (len(_loaded) + 1) // 2]:
+            _loaded.pop(key, None)
+        _asked.clear()
+        jax.clear_caches()
+        gc.collect()
 
 
 def forget() -> None:

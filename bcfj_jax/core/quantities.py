@@ -24,7 +24,8 @@ class Quantity(NamedTuple):
     """One parameter of a scene.
 
     ``unit`` is how the value is kept (SI); ``N/m^n`` stands for newtons over metres to the contact's
-    exponent. The value must lie in [low, high], without ``low`` itself where ``open_low``.
+    exponent. The value must lie in [low, high], without ``low`` itself where ``open_low``. A parameter that is an array
+    has its ``shape``.
     """
 
     name: str
@@ -33,6 +34,7 @@ class Quantity(NamedTuple):
     low: float = -math.inf
     high: float = math.inf
     open_low: bool = False
+    shape: tuple[int, ...] = ()
 
     def valid(self, value: float) -> bool:
         """Whether a value lies in the range; NaN and infinities never do."""
@@ -262,6 +264,9 @@ def scalar(where: str, quantity: Quantity, value: Any, exponent: float | None = 
     Raises:
         InputError: as ``number``, and for several.
     """
+    if quantity.shape:
+        remedy = "name a parameter that is one number; arrays are trained by jax.grad of bj.force_history"
+        raise InputError(where, f"{quantity.name} is an array of shape {quantity.shape}", remedy)
     found = number(where, quantity, value, exponent)
     if np.ndim(found):
         raise InputError(where, f"{quantity.name} has shape {np.shape(found)}", "give one number")

@@ -22,7 +22,17 @@ from bcfj_jax.core.errors import InputError, nearest, quoted
 from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.core.vectors import WORLD, ZERO, Axes, Number, Vector, add, cross, minus, plus, scale, times, turned
 from bcfj_jax.mechanism import sizes
-from bcfj_jax.mechanism.programmes import SHAPES, area, checked_shape, checked_table, looked_up, risen
+from bcfj_jax.mechanism.programmes import (
+    SHAPES,
+    Table,
+    area,
+    checked_shape,
+    checked_table,
+    given_breaks,
+    given_table,
+    looked_up,
+    risen,
+)
 from bcfj_jax.mechanism.sizes import ORIGIN, Params, Place, Size
 
 GROUND = "ground"
@@ -59,14 +69,14 @@ class Drive(eqx.Module):
     """
 
     kind: str = eqx.field(static=True, default="constant")
-    speed: Size = eqx.field(static=True, default=None)
-    over: Size = eqx.field(static=True, default=None)
-    start: Size = eqx.field(static=True, default=0.0)
-    table: tuple[tuple[float, ...], tuple[float, ...]] | None = eqx.field(static=True, default=None)
-    function: Callable[[Array, Params], Array] | None = eqx.field(static=True, default=None)
+    speed: Size = sizes.field("drive speed", default=None)
+    over: Size = sizes.field("drive over", default=None)
+    start: Size = sizes.field("drive start", default=0.0)
+    table: Table | None = eqx.field(static=True, default=None, converter=lambda x: given_table("drive table", x))
+    function: Callable[[Array, Params], Array] | None = sizes.field("drive function", default=None)
     shape: str = eqx.field(static=True, default="smooth")
-    first: Size = eqx.field(static=True, default=0.0)
-    breaks: tuple[float, ...] | None = eqx.field(static=True, default=None, converter=lambda x: x and tuple(x))
+    first: Size = sizes.field("drive first", default=0.0)
+    breaks: tuple[float, ...] | None = eqx.field(static=True, default=None, converter=given_breaks)
 
     def __check_init__(self):
         where = "drive"
@@ -74,15 +84,8 @@ class Drive(eqx.Module):
         if self.kind not in known:
             raise InputError(where, f"no kind of drive '{self.kind}'", nearest(self.kind, known))
         checked_shape(f"{where} shape", self.shape)
-        if self.kind == "speeds":
-            checked_table(f"{where} table", self.table)
-        if self.kind == "table":
-            if self.table is None or len(self.table) != 2 or len(self.table[0]) != len(self.table[1]):
-                raise InputError(
-                    f"{where} table", "needs as many times as positions", "give table = [[times], [positions]]"
-                )
-            if len(self.table[0]) < 3 or np.any(np.diff(self.table[0]) <= 0):
-                raise InputError(f"{where} table", "needs three or more times that increase", "give more points")
+        if self.kind in ("table", "speeds"):
+            checked_table(f"{where} table", self.table, 3 if self.kind == "table" else 2)
         if self.kind == "function" and self.function is None:
             raise InputError(
                 where, "a drive of kind 'function' needs a function", "give function = (t, params) -> position"
@@ -196,12 +199,12 @@ class Body(eqx.Module):
     name: str = eqx.field(static=True)
     joint: str = eqx.field(static=True, default="free")
     parent: str = eqx.field(static=True, default=GROUND)
-    at: Place = eqx.field(static=True, default=ORIGIN)
-    axis: Any = eqx.field(static=True, default="z")
-    tilt: tuple[Any, Size] | None = eqx.field(static=True, default=None)
-    center: Place = eqx.field(static=True, default=ORIGIN)
-    mass: Size = eqx.field(static=True, default=None)
-    inertia: Any = eqx.field(static=True, default=None)
+    at: Place = sizes.field("body at", default=ORIGIN)
+    axis: Any = sizes.field("body axis", default="z")
+    tilt: tuple[Any, Size] | None = sizes.field("body tilt", default=None)
+    center: Place = sizes.field("body center", default=ORIGIN)
+    mass: Size = sizes.field("body mass", default=None)
+    inertia: Any = sizes.field("body inertia", default=None)
     start: tuple[tuple[str, Size], ...] = eqx.field(static=True, default=(), converter=lambda s: _items(s))
     drive: Drive | None = None
     members: int = eqx.field(static=True, default=0)
@@ -217,6 +220,7 @@ class Body(eqx.Module):
         if self.parent == self.name:
             raise InputError(f"{where} parent", "the body is its own parent", f"give another body, or '{GROUND}'")
         sizes.axis(self.axis, f"{where} axis")
+        self._check_inertia(where)
         if self.drive is not None and self.joint not in ("slide", "hinge"):
             found = f"a drive moves one coordinate, and the joint '{self.joint}' has {len(JOINTS[self.joint])}"
             raise InputError(f"{where} drive", found, "drive a slide or a hinge")
@@ -231,6 +235,16 @@ class Body(eqx.Module):
             if key not in (*self.coordinates, *self.rates):
                 known = (*self.coordinates, *self.rates)
                 raise InputError(f"{where} start", f"no coordinate '{key}'", nearest(key, known))
+
+    def _check_inertia(self, where: str) -> None:
+        if not isinstance(self.inertia, tuple):
+            return
+        if len(self.inertia) != 3:
+            found = f"{len(self.inertia)} numbers {list(self.inertia)}"
+            remedy = "give one number, or three about the body's axes, which are then its principal axes"
+            raise InputError(f"{where} inertia", found, remedy)
+        if all(isinstance(x, (int, float)) for x in self.inertia):
+            refuse_impossible(f"{where} inertia", self.inertia)
 
     @property
     def coordinates(self) -> tuple[str, ...]:
@@ -291,7 +305,21 @@ class Body(eqx.Module):
 
 
 def _items(start: Any) -> tuple[tuple[str, Size], ...]:
-    return tuple(start.items()) if isinstance(start, Mapping) else tuple(start)
+    items = start.items() if isinstance(start, Mapping) else start
+    return tuple((key, sizes.plain(f"body start {key}", size)) for key, size in items)
+
+
+def refuse_impossible(where: str, moments: tuple[Any, ...]) -> None:
+    """Refuse principal moments of inertia that no body has: each is at most the sum of the other two.
+
+    Raises:
+        InputError: with the greatest and the sum.
+    """
+    greatest, others = max(moments), sum(moments) - max(moments)
+    if greatest > others * (1.0 + 1e-9):
+        found = f"({', '.join(f'{float(x):g}' for x in moments)}) kg m^2: {greatest:g} is more than the others' sum, {others:g}"
+        remedy = "no body has such moments of inertia: correct them, so that none is more than the other two together"
+        raise InputError(where, found, remedy)
 
 
 def unit_of(key: str) -> str:

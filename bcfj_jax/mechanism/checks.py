@@ -17,7 +17,8 @@ from bcfj_jax.core import programs
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.numerics import positive
 from bcfj_jax.mechanism import inputs
-from bcfj_jax.mechanism.bodies import GROUND
+from bcfj_jax.mechanism.arrays import refuse_traced
+from bcfj_jax.mechanism.bodies import GROUND, refuse_impossible
 from bcfj_jax.mechanism.loads import JointSpring, checked
 
 if TYPE_CHECKING:
@@ -43,9 +44,11 @@ def check_structure(scene: Mechanism) -> None:
     bodies: dict[str, str] = {}
     for b in scene.bodies:
         if b.name in bodies:
-            found = f"body '{b.name}' has the parents '{bodies[b.name]}' and '{b.parent}', so joints alone would close a loop"
-            remedy = "give it one parent, and close the loop by a contact with clearance or a bush"
-            raise InputError(f"{where} body '{b.name}'", found, remedy)
+            remedy = (
+                "give every body a name of its own; where one body hangs on two others, its second joint would close a loop: "
+                "make that a contact with clearance, or a bush"
+            )
+            raise InputError(f"{where} body '{b.name}'", f"two bodies have the name '{b.name}'", remedy)
         bodies[b.name] = b.parent
     for b in scene.bodies:
         if b.parent != GROUND and b.parent not in bodies:
@@ -67,6 +70,8 @@ def check_structure(scene: Mechanism) -> None:
             at = bodies[at]
     for load in scene.loads:
         checked(f"{where} load", load)
+    for part in (*scene.contacts, *scene.loads):
+        _check_static(f"{where} {type(part).__name__.lower()} '{part.name}'", part)
     names: dict[str, str] = dict.fromkeys(bodies, "body")
     for part, what in [(c, "contact") for c in scene.contacts] + [(x, "load") for x in scene.loads]:
         if part.name in names and not (what == "load" and part.name == "gravity" and names[part.name] != "load"):
@@ -107,6 +112,16 @@ def check_structure(scene: Mechanism) -> None:
             raise InputError(f"{where} defaults", found, nearest(name, scene.quantities))
 
 
+def _check_static(where: str, part: Any) -> None:
+    """Refuse a part with traced values, or with a field that no program can be found by."""
+    refuse_traced(where, part)
+    try:
+        hash(part)
+    except TypeError as error:
+        remedy = "give tuples in place of lists, and arrays as fields of an equinox module that are not static"
+        raise InputError(where, f"is not hashable: {error}", remedy) from None
+
+
 class _Recorder(Mapping):
     """Parameters that remember which of them were read, and say which is missing."""
 
@@ -125,6 +140,12 @@ class _Recorder(Mapping):
         if name == "mass" and missing:
             remedy = f"a body that moves needs a mass: give {missing[0]}.mass, or mass for all bodies"
             raise InputError(f"{self.where} body '{missing[0]}' mass", f"no mass for {', '.join(missing)}", remedy)
+        if name == "inertia" and missing:
+            turned = [b for b in missing if b in self.scene.body_names and not self.scene.body(b).turns]
+            why = f"'{turned[0]}' turns with '{self.scene.body(turned[0]).parent}', which carries it" if turned else ""
+            remedy = f"a body that turns needs an inertia about its centre of mass: give {missing[0]}.inertia"
+            found = f"no inertia for {', '.join(missing)}{f'; {why}' if why else ''}"
+            raise InputError(f"{self.where} body '{missing[0]}' inertia", found, remedy)
         reads = f"; it is read by {', '.join(missing)}" if missing else ""
         beside = f", or {missing[0]}.{name}" if missing else ""
         raise InputError(self.where, f"the parameter '{name}' has no value{reads}", f"give {name}{beside}")
@@ -155,14 +176,26 @@ def _read(scene: Mechanism, names: tuple[str, ...], where: str) -> frozenset[str
         seen.update(p.read)
         return rates
 
-    shape = jax.ShapeDtypeStruct((), jnp.float64)
-    jax.eval_shape(everything, dict.fromkeys(names, shape))
+    known = scene.quantities
+    jax.eval_shape(everything, {name: jax.ShapeDtypeStruct(known[name].shape, jnp.float64) for name in names})
     return frozenset(seen)
 
 
 def names_read(scene: Mechanism, params: Params, where: str) -> frozenset[str]:
     """Names of the parameters that the mechanism's equations read."""
     return _read(scene, tuple(params), where)
+
+
+def check_inertia(scene: Mechanism, params: Params, where: str) -> None:
+    """Refuse three moments of inertia that no body has; traced and batched ones pass.
+
+    Raises:
+        InputError: naming the body.
+    """
+    for body in scene.bodies:
+        moments = scene.inertia(body, params)
+        if isinstance(moments, tuple) and not any(isinstance(x, Tracer) or np.ndim(x) for x in moments):
+            refuse_impossible(f"{where} body '{body.name}' inertia", tuple(map(float, moments)))
 
 
 def check_values(scene: Mechanism, params: Params, where: str = "") -> None:
@@ -179,7 +212,8 @@ def check_values(scene: Mechanism, params: Params, where: str = "") -> None:
         if quantity.name not in read:
             remedy = "use its name in a size or a coefficient, or remove the parameter"
             raise InputError(where, f"nothing reads the parameter '{quantity.name}'", remedy)
-    if any(isinstance(x, Tracer) or np.ndim(x) for x in params.values()):
+    known = scene.quantities
+    if any(isinstance(x, Tracer) or np.shape(x) != known[name].shape for name, x in params.items()):
         return
     _check_start(scene, dict(params), where)
 

@@ -26,7 +26,8 @@ from bcfj_jax.core.errors import InputError, origin, quoted
 from bcfj_jax.core.numerics import positive
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
 from bcfj_jax.core.vectors import WORLD, ZERO, Number, Vector, add, turned
-from bcfj_jax.mechanism import sizes
+from bcfj_jax.mechanism import arrays, sizes
+from bcfj_jax.mechanism.arrays import own_quantities
 from bcfj_jax.mechanism.bodies import Part
 from bcfj_jax.mechanism.sizes import ORIGIN, Params, Place, Size
 
@@ -88,7 +89,9 @@ class Contact(eqx.Module):
     friction: AbstractFriction | None = eqx.field(default=None, converter=lambda x: _friction(x))
     elastic: str | None = eqx.field(static=True, default=None)
     smoothing: bool = eqx.field(static=True, default=True)
-    at: tuple[Place, Place] = eqx.field(static=True, default=(ORIGIN, ORIGIN), converter=lambda x: _places(x))
+    at: tuple[Place, Place] = eqx.field(
+        static=True, default=(ORIGIN, ORIGIN), converter=lambda x: sizes.plain("contact at", x)
+    )
     values: tuple[tuple[str, Size], ...] = eqx.field(static=True, default=(), converter=lambda x: _items(x))
     approach: Any = eqx.field(static=True, default=Approach())
 
@@ -193,6 +196,7 @@ class Contact(eqx.Module):
     def parameters(self) -> dict[str, tuple[Quantity, float | None]]:
         """Shared coefficients, its own and its clearance, with defaults."""
         given, found = dict(self.values), {}
+        arrays_ = arrays.defaults(self.law, self.friction)
         special = {**self.gap.quantities, **own_quantities(self.law), **own_quantities(self.friction)}
         for name in self.reads:
             size = given.get(name)
@@ -201,13 +205,14 @@ class Contact(eqx.Module):
             meaning = special.get(name) or CATALOGUE.get(name)
             if meaning is None:
                 meaning = Quantity(name, "1", f"coefficient {name}")
-            default = None if size is None else float(size)
+            default = arrays_.get(name) if size is None else float(size)
             if name == "clearance":
                 own = f"clearance_{self.name}"
                 known = CATALOGUE.get(own) or meaning._replace(name=own, meaning=f"clearance of {self.name}")
                 found[own] = (known, default)
                 continue
-            found.setdefault(name, (meaning, None))
+            if name not in arrays_:  # Those are of one contact.
+                found.setdefault(name, (meaning, None))
             own = f"{self.name}.{name}"
             found[own] = (meaning._replace(name=own, meaning=f"{meaning.meaning}; of {self.name} alone"), default)
         for body, place in zip(self.between, self.at, strict=True):
@@ -241,28 +246,20 @@ class Contact(eqx.Module):
 
 
 def _items(values: Any) -> tuple[tuple[str, Size], ...]:
-    return tuple(values.items()) if isinstance(values, Mapping) else tuple(values)
+    items = values.items() if isinstance(values, Mapping) else values
+    return tuple((key, sizes.plain(f"contact values {key}", size)) for key, size in items)
 
 
 def _law(law: Any) -> AbstractLaw:
     if isinstance(law, str):  # By its name it is made where the elastic part is known, too.
         return law  # pyright: ignore[reportReturnType]
-    return checked("contact law", law, AbstractLaw, "law", "give a law's name")
-
-
-def _places(at: Any) -> Any:
-    return tuple(map(tuple, at))
+    return arrays.law(checked("contact law", law, AbstractLaw, "law", "give a law's name"))
 
 
 def _friction(friction: Any) -> AbstractFriction | None:
     if friction is None or isinstance(friction, AbstractFriction):
-        return friction
+        return friction and arrays.friction(friction)
     return laws.make_friction(friction)
-
-
-def own_quantities(part: Any) -> Mapping[str, Quantity]:
-    """What a law, and its elastic part, say of coefficients of their own."""
-    return {**getattr(getattr(part, "elastic", None), "quantities", {}), **getattr(part, "quantities", {})}
 
 
 class _Any(dict):

@@ -16,6 +16,7 @@ from jax.core import Tracer
 
 from bcfj_jax.core.errors import InputError, nearest, quoted
 from bcfj_jax.core.quantities import CATALOGUE, Quantity, check_order, number
+from bcfj_jax.mechanism.arrays import expanded
 
 if TYPE_CHECKING:
     from bcfj_jax.mechanism.model import AbstractModel
@@ -41,6 +42,20 @@ def model(given: Any) -> AbstractModel:
     raise InputError("scene", f"{quoted(given)} is no model", remedy)
 
 
+def of_numbers(given: Any) -> AbstractModel:
+    """As ``model``, of what varies or fits numbers: a batch of points has no place for parameters that are arrays.
+
+    Raises:
+        InputError: as ``model``, and naming the parameters that are arrays.
+    """
+    found = model(given)
+    arrays = [name for name, quantity in found.quantities.items() if quantity.shape]
+    if arrays:
+        remedy = "vary it by bj.force_history and jax.vmap, train it by jax.grad; or close over its arrays as constants"
+        raise InputError(f"scene '{found.kind}'", f"has parameters that are arrays: {', '.join(arrays)}", remedy)
+    return found
+
+
 def named(scene: AbstractModel, given: Any, where: str) -> dict[str, Any]:
     """Values by the scene's own names of parameters; of two names of one parameter the last counts.
 
@@ -51,7 +66,7 @@ def named(scene: AbstractModel, given: Any, where: str) -> dict[str, Any]:
         raise InputError(where, f"{quoted(given)} is no table of parameters", "give scene.parameters(...)")
     # Once: an equinox module makes a method anew each time that it is asked for.
     known, canonical, found = scene.quantities, scene.canonical, {}
-    for key, value in given.items():
+    for key, value in expanded(where, given).items():
         name = canonical(key) if isinstance(key, str) else key
         if not isinstance(name, str) or name not in known:
             # A right name in the wrong place is no misspelling: the law, or another option, does not read it.
@@ -103,6 +118,9 @@ def values(scene: AbstractModel, given: Any, where: str = "") -> dict[str, Any]:
     for name in sorted(by_name, key=exponents_first):
         power = exponent(scene, name, found, defaults) if isinstance(by_name[name], str) else None
         found[name] = number(where, known[name], by_name[name], power)
+        shape = known[name].shape
+        if shape and np.shape(found[name])[-len(shape) :] != shape:
+            raise _misshapen(where, name, np.shape(found[name]), f"give an array of shape {shape}")
     check_order(where, known, {**defaults, **found})
     return {name: found[name] for name in by_name}
 
@@ -119,15 +137,21 @@ def parameters(scene: AbstractModel, given: Any, where: str = "", traced: bool =
     """
     where = where or f"scene '{scene.kind}'"
     found = values(scene, given, where)
+    known: Mapping[str, Quantity] = scene.quantities
     for name, value in found.items():
-        if np.ndim(value):
-            remedy = "give one number; many runs are bj.study, or jax.vmap of bj.force_history"
-            raise InputError(where, f"{name} has shape {np.shape(value)}", remedy)
+        if np.shape(value) != known[name].shape:
+            right = f"an array of shape {known[name].shape}" if known[name].shape else "one number"
+            many = f"give {right}; many runs are bj.study, or jax.vmap of bj.force_history"
+            raise _misshapen(where, name, np.shape(value), many)
         if isinstance(value, Tracer) and not traced:
             remedy = "call this outside of jit, grad and vmap; bj.force_history and bj.reading_history go through them"
             raise InputError(where, f"{name} is traced", remedy)
     scene.require(found, where)
     return found
+
+
+def _misshapen(where: str, name: str, shape: tuple[int, ...], remedy: str) -> InputError:
+    return InputError(where, f"{name} has shape {shape}", remedy)
 
 
 def require_defaults(scene: AbstractModel, given: Mapping[str, Any], where: str) -> None:

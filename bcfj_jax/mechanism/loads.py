@@ -32,9 +32,9 @@ from bcfj_jax.core.vectors import (
     turned,
     unit,
 )
-from bcfj_jax.mechanism import sizes
+from bcfj_jax.mechanism import arrays, sizes
 from bcfj_jax.mechanism.bodies import GROUND, Drive, Part
-from bcfj_jax.mechanism.programmes import Programme, checked_shape
+from bcfj_jax.mechanism.programmes import Programme, Table, checked_shape, given_breaks, given_table
 from bcfj_jax.mechanism.sizes import ORIGIN, Params, Place, Size
 
 
@@ -124,7 +124,7 @@ class Pull(bj.loads.AbstractLoad):
 class Gravity(AbstractLoad):
     """Weight of every body, m g; g is the shared parameter ``gravity`` [m/s^2]."""
 
-    direction: Any = eqx.field(static=True, default="-y")
+    direction: Any = sizes.field("gravity direction", default="-y")
     name: str = eqx.field(static=True, default="gravity")
 
     def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
@@ -163,17 +163,17 @@ class Force(AbstractLoad):
 
     name: str = eqx.field(static=True)
     body: str = eqx.field(static=True)
-    direction: Any = eqx.field(static=True, default="x")
-    size: Size = eqx.field(static=True, default=None)
-    at: Place = eqx.field(static=True, default=ORIGIN)
-    ramp: Size = eqx.field(static=True, default=None)
-    table: Any = eqx.field(static=True, default=None)
+    direction: Any = sizes.field("force direction", default="x")
+    size: Size = sizes.field("force size", default=None)
+    at: Place = sizes.field("force at", default=ORIGIN)
+    ramp: Size = sizes.field("force ramp", default=None)
+    table: Table | None = eqx.field(static=True, default=None, converter=lambda x: given_table("force table", x))
     follows: bool = eqx.field(static=True, default=False)
     shape: str = eqx.field(static=True, default="smooth")
-    amplitude: Size = eqx.field(static=True, default=None)
-    frequency: Size = eqx.field(static=True, default=None)
-    reversal: Size = eqx.field(static=True, default=None)
-    reversal_ramp: Size = eqx.field(static=True, default=None)
+    amplitude: Size = sizes.field("force amplitude", default=None)
+    frequency: Size = sizes.field("force frequency", default=None)
+    reversal: Size = sizes.field("force reversal", default=None)
+    reversal_ramp: Size = sizes.field("force reversal_ramp", default=None)
 
     def __check_init__(self):
         where = f"load '{self.name}'"
@@ -242,11 +242,11 @@ class Spring(AbstractLoad):
     """
 
     name: str = eqx.field(static=True)
-    between: tuple[str, str] = eqx.field(static=True)
-    stiffness: Size = eqx.field(static=True, default=0.0)
-    damping: Size = eqx.field(static=True, default=0.0)
-    free_length: Size = eqx.field(static=True, default=0.0)
-    at: tuple[Place, Place] = eqx.field(static=True, default=(ORIGIN, ORIGIN))
+    between: tuple[str, str] = eqx.field(static=True, converter=lambda x: tuple(x))
+    stiffness: Size = sizes.field("spring stiffness", default=0.0)
+    damping: Size = sizes.field("spring damping", default=0.0)
+    free_length: Size = sizes.field("spring free_length", default=0.0)
+    at: tuple[Place, Place] = sizes.field("spring at", default=(ORIGIN, ORIGIN))
 
     @property
     def touches(self) -> tuple[str, ...]:
@@ -290,11 +290,11 @@ class Bush(AbstractLoad):
     """
 
     name: str = eqx.field(static=True)
-    between: tuple[str, str] = eqx.field(static=True)
-    stiffness: Size = eqx.field(static=True, default=1e7)
-    damping: Size = eqx.field(static=True, default=0.0)
-    turning_damping: Size = eqx.field(static=True, default=0.0)
-    at: tuple[Place, Place] = eqx.field(static=True, default=(ORIGIN, ORIGIN))
+    between: tuple[str, str] = eqx.field(static=True, converter=lambda x: tuple(x))
+    stiffness: Size = sizes.field("bush stiffness", default=1e7)
+    damping: Size = sizes.field("bush damping", default=0.0)
+    turning_damping: Size = sizes.field("bush turning_damping", default=0.0)
+    at: tuple[Place, Place] = sizes.field("bush at", default=(ORIGIN, ORIGIN))
 
     @property
     def touches(self) -> tuple[str, ...]:
@@ -337,9 +337,9 @@ class JointSpring(AbstractLoad):
 
     name: str = eqx.field(static=True)
     body: str = eqx.field(static=True)
-    stiffness: Size = eqx.field(static=True, default=0.0)
-    damping: Size = eqx.field(static=True, default=0.0)
-    rest: Size = eqx.field(static=True, default=0.0)
+    stiffness: Size = sizes.field("joint spring stiffness", default=0.0)
+    damping: Size = sizes.field("joint spring damping", default=0.0)
+    rest: Size = sizes.field("joint spring rest", default=0.0)
     drive: Drive | None = None
 
     @property
@@ -380,17 +380,19 @@ class Load(AbstractLoad):
     """A load of the user's own.
 
     Attributes:
-        function: (t, bodies: Moving, p) -> list of ``Action``.
+        function: (t, bodies: Moving, p) -> list of ``Action``; an equinox module with arrays, too (``arrays``).
         bodies: names of the bodies it acts on.
-        quantities: what the parameters of its own are, as ``Quantity``; it reads them from p by name.
+        quantities: what the parameters of its own are, as (``Quantity``, default); it reads them from p by name.
         breaks: times [s] at which steps have to end; None: looks at the function find where it bends.
     """
 
     name: str = eqx.field(static=True)
-    function: Callable[[Array, Moving, Params], list[Action]] = eqx.field(static=True)
+    function: Callable[[Array, Moving, Params], list[Action]]
     bodies: tuple[str, ...] = eqx.field(static=True, default=())
-    quantities: tuple[tuple[Quantity, float], ...] = eqx.field(static=True, default=())
-    breaks: tuple[float, ...] | None = eqx.field(static=True, default=None, converter=lambda x: x and tuple(x))
+    quantities: tuple[tuple[Quantity, Any], ...] = eqx.field(
+        static=True, default=(), converter=lambda x: quantities("quantities", x)
+    )
+    breaks: tuple[float, ...] | None = eqx.field(static=True, default=None, converter=given_breaks)
 
     @property
     def touches(self) -> tuple[str, ...]:
@@ -413,7 +415,67 @@ class Load(AbstractLoad):
 
     def parameters(self) -> dict[str, tuple[Quantity, float | None]]:
         """As given."""
-        return {quantity.name: (quantity, default) for quantity, default in self.quantities}
+        return {quantity.name: (quantity, arrays.plain(default)) for quantity, default in self.quantities}
+
+
+class HeldLoad(AbstractLoad):
+    """A load with arrays, which are parameters: ``<name>.<path>`` (``mechanism.arrays``)."""
+
+    part: AbstractLoad
+
+    @property
+    def name(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The load's."""
+        return self.part.name
+
+    @property
+    def touches(self) -> tuple[str, ...]:
+        """The load's."""
+        return self.part.touches
+
+    @property
+    def damps(self) -> bool:
+        """The load's."""
+        return self.part.damps
+
+    def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
+        """The load's, with its arrays."""
+        return arrays.filled(self.part, p, f"{self.name}.").actions(t, bodies, p)
+
+    def kinks(self, p: Params) -> list[ArrayLike] | None:
+        """The load's."""
+        return self.part.kinks(p)
+
+    def parameters(self) -> dict[str, tuple[Quantity, Any]]:
+        """The load's, and its arrays."""
+        return self.part.parameters() | arrays.of_load(self.part)
+
+
+def kept(load: Any) -> Any:
+    """A load as a mechanism keeps it; what is no load stays as it is."""
+    if not isinstance(load, AbstractLoad):
+        return load
+    found = arrays.taken(f"load {quoted(load.name)}", load)
+    return found if found is load else HeldLoad(part=found)  # pyright: ignore[reportCallIssue]
+
+
+def quantities(where: str, given: Any) -> tuple[tuple[Quantity, Any], ...]:
+    """Quantities of the user's with defaults: a ``float``, an array as ``arrays.Held``, or None.
+
+    Raises:
+        InputError: for what is no quantity, a default that is no number or of another shape than the quantity says.
+    """
+    found = []
+    for entry in given:
+        quantity, default = entry if isinstance(entry, tuple) and not isinstance(entry, Quantity) else (entry, None)
+        if not isinstance(quantity, Quantity):
+            raise InputError(where, quoted(entry), "give (Quantity(name, unit, meaning), default)")
+        default = None if default is None else arrays.number(f"{where} {quantity.name}", default)
+        shape = quantity.shape if default is None else np.shape(arrays.plain(default))
+        if quantity.shape not in ((), shape):
+            raise InputError(f"{where} {quantity.name}", f"shape {shape}", f"give an array of shape {quantity.shape}")
+        found.append((quantity._replace(shape=shape), default))
+    return tuple(found)
 
 
 def checked(where: str, given: Any) -> AbstractLoad:

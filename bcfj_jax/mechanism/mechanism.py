@@ -38,11 +38,11 @@ from bcfj_jax.core.vectors import (
     subtract,
     turned,
 )  # fmt: skip
-from bcfj_jax.mechanism import equations, instruments, sizes, stepping
+from bcfj_jax.mechanism import arrays, equations, instruments, sizes, stepping
 from bcfj_jax.mechanism.bodies import GROUND, STILL, Body, Part, carried, quaternion_rate
 from bcfj_jax.mechanism.contacts import Contact, raised
 from bcfj_jax.mechanism.equations import Equations, flat
-from bcfj_jax.mechanism.loads import AbstractLoad, JointSpring, Moving, checked_action
+from bcfj_jax.mechanism.loads import AbstractLoad, JointSpring, Moving, checked_action, kept, quantities
 from bcfj_jax.mechanism.model import (
     IMPLICIT_SOLVERS,
     AbstractModel,
@@ -99,10 +99,10 @@ class Mechanism(AbstractModel):
     kind: str = eqx.field(static=True)
     bodies: tuple[Body, ...] = eqx.field(converter=tuple)
     contacts: tuple[Contact, ...] = eqx.field(converter=tuple, default=())
-    loads: tuple[AbstractLoad, ...] = eqx.field(converter=tuple, default=())
-    own: tuple[tuple[Quantity, float | None], ...] = eqx.field(static=True, converter=lambda x: _own(x), default=())
+    loads: tuple[AbstractLoad, ...] = eqx.field(converter=lambda x: tuple(map(kept, x)), default=())
+    own: tuple[tuple[Quantity, Any], ...] = eqx.field(static=True, converter=lambda x: quantities("own", x), default=())
     given: tuple[tuple[str, float], ...] = eqx.field(static=True, converter=lambda x: _sorted(x), default=())
-    end: Any = eqx.field(static=True, default=1.0)
+    end: Any = sizes.field("end", default=1.0)
     samples: int = eqx.field(static=True, default=2001)
     scale: Callable[..., Array] | None = eqx.field(static=True, default=None)
     more: Callable[..., dict[str, float]] | None = eqx.field(static=True, default=None)
@@ -177,7 +177,7 @@ class Mechanism(AbstractModel):
         for load in self.loads:
             turns = isinstance(load, JointSpring) and self.body(load.body).joint == "hinge"
             found |= load.parameters(turns) if isinstance(load, JointSpring) else load.parameters()
-        found |= {quantity.name: (quantity, default) for quantity, default in self.own}
+        found |= {quantity.name: (quantity, arrays.plain(default)) for quantity, default in self.own}
         for name in self._named():
             if name not in found and name in CATALOGUE:
                 found[name] = (CATALOGUE[name], None)
@@ -201,13 +201,13 @@ class Mechanism(AbstractModel):
         return [x.removeprefix("-") for x in found if isinstance(x, str)]
 
     @property
-    def defaults(self) -> tuple[tuple[str, float], ...]:
-        """Default values, those of the mechanism before those of its parts; ``smoothing`` is 0 where nobody says."""
+    def defaults(self) -> tuple[tuple[str, Any], ...]:
+        """Default values, numbers or arrays: the mechanism's, then its parts'; ``smoothing`` is 0 where nobody says."""
         found = {name: default for name, (_, default) in self._parameters.items() if default is not None}
         if "smoothing" in self._parameters:
             found.setdefault("smoothing", 0.0)
         known, canonical = self._parameters, self.canonical
-        given = {canonical(name): float(value) for name, value in self.given}
+        given = {canonical(name): arrays.plain(value) for name, value in self.given}
         values = {**found, **given}
         return tuple((name, values[name]) for name in known if name in values)
 
@@ -560,9 +560,11 @@ class Mechanism(AbstractModel):
 
     def require(self, params: Params, where: str = "") -> None:
         """What the equations read and nobody gave."""
-        from bcfj_jax.mechanism.checks import names_read
+        from bcfj_jax.mechanism.checks import check_inertia, names_read
 
-        names_read(self, params, where or f"scene '{self.kind}'")
+        where = where or f"scene '{self.kind}'"
+        names_read(self, params, where)
+        check_inertia(self, params, where)
 
     def period(self, params: Params) -> tuple[float, float]:
         """One turn of the first driven hinge."""
@@ -597,18 +599,9 @@ class Mechanism(AbstractModel):
         return (self.more(self, params, times) if self.more is not None else {}), []
 
 
-def _own(quantities: Any) -> tuple[tuple[Quantity, float | None], ...]:
-    found = []
-    for entry in quantities:
-        quantity, default = entry if isinstance(entry, tuple) and not isinstance(entry, Quantity) else (entry, None)
-        if not isinstance(quantity, Quantity):
-            raise InputError("own", f"{entry!r}", "give (Quantity(name, unit, meaning), default)")
-        found.append((quantity, default))
-    return tuple(found)
-
-
-def _sorted(values: Any) -> tuple[tuple[str, float], ...]:
-    return tuple(values.items()) if isinstance(values, Mapping) else tuple(values)
+def _sorted(values: Any) -> tuple[tuple[str, Any], ...]:
+    items = values.items() if isinstance(values, Mapping) else values
+    return tuple((name, arrays.number(f"given {name}", value)) for name, value in items)
 
 
 def _flattened(part: tuple) -> list[Any]:

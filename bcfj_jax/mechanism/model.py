@@ -7,6 +7,7 @@ of float64 scalars that may be traced, batched and differentiated.
 
 from __future__ import annotations
 
+import dataclasses
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -261,6 +262,14 @@ class AbstractModel(eqx.Module):
         def defaults(self) -> tuple[tuple[str, float], ...]: ...  # noqa: D102
         @property
         def horizon(self) -> Callable[[Params], Array]: ...  # noqa: D102
+
+    # Equinox also compares what a model has computed of itself and keeps; one made anew is still the same program.
+    def __eq__(self, other: object) -> bool:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return type(self) is type(other) and all(
+            getattr(self, field.name) == getattr(other, field.name) for field in dataclasses.fields(self)
+        )
+
+    __hash__ = eqx.Module.__hash__
 
     # What it is.
 

@@ -15,6 +15,7 @@ from bcfj_jax.core.numerics import smooth_rise, smooth_step
 from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.core.vectors import Number, plus, times
 from bcfj_jax.mechanism import sizes
+from bcfj_jax.mechanism.arrays import refuse_traced
 from bcfj_jax.mechanism.sizes import Params, Size
 
 # Two rows of one length: times [s], increasing, and values.
@@ -60,9 +61,29 @@ def checked_table(where: str, table: Any, least: int = 2) -> Table:
         raise InputError(where, f"{quoted(table)} is no table", remedy) from None
     if knots.ndim != 1 or knots.shape != values.shape or knots.size < least:
         raise InputError(where, f"{knots.size} times beside {values.size} values", f"{remedy}, {least} or more")
-    if not (np.isfinite(knots).all() and np.isfinite(values).all() and np.all(np.diff(knots) > 0)):
-        raise InputError(where, "its numbers are not finite, or its times do not increase", "give increasing times")
+    if not (np.isfinite(knots).all() and np.isfinite(values).all()):
+        raise InputError(where, "its numbers are not finite", "give finite numbers")
+    late = np.flatnonzero(np.diff(knots) <= 0)
+    if late.size:
+        k = int(late[0])
+        found = f"its times do not increase: time {k + 2} is {knots[k + 1]:g} s after {knots[k]:g} s"
+        raise InputError(where, found, "give times that increase")
     return tuple(knots.tolist()), tuple(values.tolist())
+
+
+def given_table(where: str, table: Any) -> Table | None:
+    """``checked_table`` of a table that may be None.
+
+    Raises:
+        InputError: as ``checked_table``, and for one that is traced.
+    """
+    refuse_traced(where, table)
+    return None if table is None else checked_table(where, table)
+
+
+def given_breaks(times: Any) -> tuple[float, ...] | None:
+    """Times of breaks as floats [s]; None for none that are given."""
+    return None if times is None else tuple(map(float, times))
 
 
 def looked_up(t: ArrayLike, table: Table) -> Array:
@@ -102,7 +123,7 @@ class Programme(eqx.Module):
     size: Size = eqx.field(static=True, default=None)
     ramp: Size = eqx.field(static=True, default=None)
     shape: str = eqx.field(static=True, default="smooth")
-    table: Any = eqx.field(static=True, default=None)
+    table: Table | None = eqx.field(static=True, default=None)
     amplitude: Size = eqx.field(static=True, default=None)
     frequency: Size = eqx.field(static=True, default=None)
     reversal: Size = eqx.field(static=True, default=None)

@@ -13,8 +13,11 @@ if TYPE_CHECKING:  # It imports JAX, which who only writes files does not need.
 APART, TOUCHING, CREEPING, SLIDING, STUCK = range(5)
 STATES = ("apart", "touching", "creeping", "sliding", "stuck")
 UNKNOWN = -1
-# A bristle that bears less than this share of the friction of steady slip bends more than it slides.
-_HELD = 0.9
+# Bristles that bear less than this share of the friction of steady slip hold; in steady slip they bear all of it, to
+# within the error of a run.
+_HELD = 0.97
+# Friction of steady slip is read at this share of the transition speed or above: at rest its coefficient is rounded to 0.
+_SLOW = 0.1
 
 
 def contact_state(
@@ -64,8 +67,8 @@ def contact_states(model: AbstractModel, params: Params, readings: Mapping[str, 
         if friction is not None and friction.bristles and slip is not None:
             c = {name: model.coefficient(params, contact.name, name) for name in friction.needs}
             force = np.asarray(reading.force)
-            sliding = np.asarray(friction.coefficient(slip, c)) * np.abs(force[..., 0])
-            # At rest the coefficient of steady slip is rounded to 0; bristles hold there.
+            faster = np.maximum(slip, 0.0 if transition is None else _SLOW * transition)
+            sliding = np.asarray(friction.coefficient(faster, c)) * np.abs(force[..., 0])
             held = (slip == 0.0) | (np.hypot(force[..., 1], force[..., 2]) < _HELD * sliding)
         found[contact.name] = contact_state(pressed(reading), slip, transition, held)
     return found

@@ -5,17 +5,23 @@
 a function      of all parameters (SI), in Python only
 None            ``<part>.<key>`` where the parameters have it, else the shared ``<key>``
 0 (a length)    zero, which is no parameter and leaves the program
+
+A number may be of any library, and a row of numbers any sequence or array: ``plain`` makes them Python's, once.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
+import equinox as eqx
+import numpy as np
 from jax import Array
 
-from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.errors import InputError, quoted
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
+from bcfj_jax.mechanism.arrays import refuse_traced
 
 Params = Mapping[str, Array]
 Size = float | int | str | Callable[[Params], Any] | None
@@ -23,6 +29,35 @@ Place = tuple[Size, Size, Size]
 
 ORIGIN: Place = (0.0, 0.0, 0.0)
 _POSITIVE = {"mass", "inertia", "inertia_x", "inertia_y", "inertia_z"}
+
+
+def plain(where: str, given: Any) -> Any:
+    """What was given as a size or several: Python's numbers and tuples; names, functions and None stay.
+
+    Raises:
+        InputError: for what is none of these, and for traced values, which are passed as parameters.
+    """
+    refuse_traced(where, given)
+    return _plain(where, given)
+
+
+def _plain(where: str, given: Any) -> Any:
+    if given is None or isinstance(given, (str, bool)) or callable(given):
+        return given
+    if isinstance(given, (list, tuple)) or np.ndim(given):
+        return tuple(_plain(where, one) for one in given)
+    if isinstance(given, int):
+        return given
+    try:
+        return float(given)
+    except (TypeError, ValueError):
+        remedy = "give a number in SI units, the name of a parameter, or a function of the parameters"
+        raise InputError(where, f"{quoted(given)} is no number", remedy) from None
+
+
+def field(where: str, **more: Any) -> Any:
+    """A static field of a part that is a size, or several; ``where`` is its name in messages."""
+    return eqx.field(static=True, converter=partial(plain, where), **more)
 
 
 def length(size: Size, part: str, key: str, p: Params) -> Any:
@@ -75,8 +110,9 @@ def axis(direction: Any, where: str) -> Any:
                 where, f"no axis '{direction}'", "give x, y or z, with a minus or without, or three numbers"
             )
         return tuple(sign if letter == other else 0.0 for other in "xyz")
-    numbers = tuple(float(x) for x in direction)
-    size = sum(x * x for x in numbers) ** 0.5
-    if len(numbers) != 3 or not size > 0.0:
-        raise InputError(where, f"axis {list(numbers)}", "give three numbers, not all zero")
+    numbers = plain(where, direction)
+    right = isinstance(numbers, tuple) and len(numbers) == 3 and all(isinstance(x, (int, float)) for x in numbers)
+    size = sum(x * x for x in numbers) ** 0.5 if right else 0.0
+    if not size > 0.0:
+        raise InputError(where, f"axis {quoted(direction)}", "give three numbers, not all zero")
     return tuple(x / size for x in numbers)

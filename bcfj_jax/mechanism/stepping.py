@@ -45,7 +45,13 @@ def proximity(m: Mechanism, t: Array, y: Array, p: Params) -> Proximity:
         speed = plus(length(moved), times(bends.arm, spin))
         width, members = values.get("smoothing", 0.0), m.members[c.name]
         for face, touch in now.faces[c.name]:
-            row = (face.depth + width, touch.rate, jnp.maximum(speed, jnp.abs(touch.rate)), spin / bends.angle, bends.length)
+            row = (
+                face.depth + width,
+                touch.rate,
+                jnp.maximum(speed, jnp.abs(touch.rate)),
+                spin / bends.angle,
+                bends.length,
+            )
             rows.append([jnp.atleast_1d(spread(x, members)) for x in row])
     return Proximity(*(jnp.concatenate(part) for part in zip(*rows, strict=True)))
 

@@ -59,7 +59,7 @@ def implicit_by_default(scene: Mechanism) -> bool:
     if (known := _known(scene)) is not None:
         return known
     names, values = [name for name, _ in scene.defaults], [value for _, value in scene.defaults]
-    shapes = [jax.ShapeDtypeStruct((), jnp.float64)] * len(names)
+    shapes = [jax.ShapeDtypeStruct(np.shape(value), jnp.float64) for value in values]
 
     def all_of(*values: Array) -> tuple[Array, ...]:
         params = dict(zip(names, values, strict=True))

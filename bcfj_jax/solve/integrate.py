@@ -109,7 +109,8 @@ def problem(model: AbstractModel, params: Params, end: Array, how: Plan, differe
         solver = getattr(dfx, named.NOT_STIFF[how.solver or "tsit5"])()
         if isinstance(solver, dfx.AbstractImplicitSolver):
             # Of a step control of our own diffrax does not take over the tolerances.
-            finder = dfx.VeryChord(rtol=_ROUNDING, atol=how.tolerance * scales, norm=_safe_norm)
+            atol: Any = how.tolerance * scales
+            finder = dfx.VeryChord(rtol=_ROUNDING, atol=atol, norm=_safe_norm)
             solver = eqx.tree_at(lambda s: s.root_finder, solver, finder)
         shortest = _ROUNDED * jnp.maximum(jax.lax.stop_gradient(end), first)
         return Problem(_field, (model, prepared), start, scales, first, shortest, gains, solver, *limits)
@@ -183,7 +184,7 @@ def _landed(problem: Problem, times: Array, how: Plan, most: int, mode: Way) -> 
     return end, contacts(memory)
 
 
-def seeker(problem: Problem, how: Plan) -> dfx.AbstractSolver:
+def seeker(problem: Problem, how: Plan) -> Any:
     """The problem's solver, which looks for contacts within each step where the model shows them (``seeking``)."""
     solver: Any = Watched(problem.solver) if how.extremes else problem.solver  # pyright: ignore[reportArgumentType]
     if not problem.seeks:

@@ -124,9 +124,7 @@ def measured(
     )
 
 
-def parted(
-    times: np.ndarray, ours: Mapping[str, np.ndarray], truth: Mapping[str, np.ndarray]
-) -> tuple[float, str]:
+def parted(times: np.ndarray, ours: Mapping[str, np.ndarray], truth: Mapping[str, np.ndarray]) -> tuple[float, str]:
     """When and at which contact the bodies of two runs part in one event; NaN and "" where they do not.
 
     Errors grow from event to event, in a chaotic motion by some ten times each. An event that one run has alone is told from

@@ -268,6 +268,7 @@ class Seeker(dfx.AbstractAdaptiveSolver):
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         """The solver's step, and where it has to end."""
         memory, before = solver_state
+        error: Any
         y1, error, dense, memory, result = self.solver.step(terms, t0, t1, y0, args, memory, made_jump)
         between = self.interpolation_cls(t0=t0, t1=t1, **dense)
         if self.blind:
@@ -281,7 +282,7 @@ class Seeker(dfx.AbstractAdaptiveSolver):
         after = self._look(t1, y1, args)
         good = self.norm(jax.lax.stop_gradient(error) / self.tolerance) <= 1.0
         share = hidden(
-            Proximity(*before), after, t1 - t0, self.near,
+            Proximity(*before), after, jnp.asarray(t1 - t0), self.near,
             lambda s: self._look(t0 + s * (t1 - t0), between.evaluate(t0 + s * (t1 - t0)), args), good, self.blind,
         )  # fmt: skip
         return y1, (error, share), dense, (memory, jnp.stack(after)), result
@@ -318,7 +319,7 @@ class Breaking(dfx.AbstractStepSizeController):
         """Forwards only."""
         return Breaking(self.inner.wrap(direction), self.breaks)
 
-    def _before(self, t: Array, end: Array) -> Array:
+    def _before(self, t: Array, end: Any) -> Array:
         """The end of a step from t, at the next break if that is nearer."""
         k = jnp.searchsorted(self.breaks, t, side="right")
         there = jnp.where(k < self.breaks.size, self.breaks[jnp.minimum(k, self.breaks.size - 1)], jnp.inf)
@@ -364,7 +365,8 @@ class Seeking(dfx.AbstractStepSizeController):
 
     def adapt_step_size(self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state):
         """The inner control's decision on the error; of a step that it keeps and that hides a contact, a shorter one."""
-        (error, share), (before, tries) = y_error, controller_state
+        both: Any = y_error
+        (error, share), (before, tries) = both, controller_state
         keep, start, end, jump, state, result = self.inner.adapt_step_size(
             t0, t1, y0, y1_candidate, args, error, error_order, before
         )

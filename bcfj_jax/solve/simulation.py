@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 
 from bcfj_jax.core import presented
 from bcfj_jax.core.errors import InputError, quoted, texts
-from bcfj_jax.core.programs import program
+from bcfj_jax.core.programs import make_room, program
 from bcfj_jax.core.quantities import increasing, instants, number
 from bcfj_jax.core.status import NO_FORCE, OK, reason
 from bcfj_jax.core.threads import together
@@ -24,7 +24,7 @@ from bcfj_jax.mechanism import channels, inputs
 from bcfj_jax.mechanism.channels import Channel, channel
 from bcfj_jax.mechanism.model import AbstractModel, Choice, Params, Reading, Solution
 from bcfj_jax.mechanism.readings import contact_states
-from bcfj_jax.solve.forward_reverse import forward_and_reverse
+from bcfj_jax.solve.forward_reverse import forward_and_reverse, reverse_only
 from bcfj_jax.solve.measured_error import Accuracy, measured
 from bcfj_jax.solve.plan import LONGEST, LOOKS, MAX_STEPS, Plan, Way, check_bits, force_error, plan
 
@@ -120,33 +120,34 @@ def force_history(
 ) -> dict[str, Float[Array, "T ... 3"]]:
     """Contact-force histories as a pure function of parameters and times.
 
-    jit, vmap, jvp, jacfwd and grad go through. Step-size control is never differentiated. A failed run
-    is NaN from the failure on; so is then every loss built on it.
+    jit, vmap, pmap, shard_map, jvp, grad and second derivatives (hessian) go through. Step-size control is never
+    differentiated. A failed run is NaN from the failure on; so is then every loss built on it.
 
     Args:
         scene: static structure.
         params: the scene's parameters, SI, from ``scene.parameters``.
         times: (T,) increasing [s]; the run starts at 0, and a time before 0 reads the initial state.
         accuracy: level, force error as a fraction of the peak, or a ``Plan`` (whose tolerance may be traced).
-        mode: "forward" (jvp, jacfwd, nested ones: fastest for some 50 parameters), "reverse" (vjp, grad;
-            of a stiff model by BDF's own steps), or "auto": both, first derivatives only, for one forward run more.
+        mode: "forward" (jvp, jacfwd: fastest for some 50 parameters; gradients and second derivatives are made of
+            tangents), "reverse" (vjp, grad, no other; of a stiff model by BDF's own steps), or "auto": both, for one
+            forward run more.
 
     Returns:
         Per contact (T, 3) [N], or (T, k, 3) where the contact has k members: normal, axial, tangential.
     """
-    params, t, how = _given(scene, params, times, accuracy)
-    if mode == "forward":
-        return _forces("forward", scene, params, t, how, True)
-    if mode == "reverse":
-        return _forces("reverse", scene, params, t, how, True)
-    if mode == "auto":
+    x = _given(scene, params, times, accuracy)
+    return _differentiable(mode, lambda way, differentiable: lambda x: _forces(way, scene, *x, differentiable), x)
 
-        def way(mode: Way, differentiable: bool) -> Callable[[tuple], dict[str, Array]]:
-            return lambda x: _forces(mode, scene, x[0], x[1], x[2], differentiable)
 
-        ways = way("forward", True), way("reverse", True), way("forward", False)
-        return forward_and_reverse(*ways)((params, t, how))
-    raise InputError("mode", f"no mode {quoted(mode)}", "use auto, forward or reverse")
+def _differentiable(mode: Mode, ways: Callable[[Way, bool], Callable[[Any], Any]], x: Any) -> Any:
+    """``ways(way, differentiable)(x)`` of the way that a mode asks for, and an ``InputError`` for other derivatives."""
+    if mode not in ("auto", "forward", "reverse"):
+        raise InputError("mode", f"no mode {quoted(mode)}", "use auto, forward or reverse")
+    # Among the devices of a shard_map or pmap, JAX has to be kept from looking into the steps.
+    if mode == "reverse" and not jax.sharding.get_abstract_mesh().manual_axes:
+        return ways("reverse", True)(reverse_only(x))
+    back = None if mode == "forward" else ways("reverse", True)
+    return forward_and_reverse(ways("forward", True), back, ways("forward", mode == "forward"))(x)
 
 
 def reading_history(
@@ -173,9 +174,9 @@ def reading_history(
     """
     params, t, how = _given(scene, params, times, accuracy)
     wanted = _channels(scene, read)
-    if mode not in ("forward", "reverse"):
-        raise InputError("mode", f"no mode {quoted(mode)}", "use forward or reverse")
-    return _histories(mode, scene, params, t, how, wanted)
+    if mode == "auto":
+        raise InputError("mode", "'auto' is of force_history alone", "use forward or reverse")
+    return _differentiable(mode, lambda way, _: lambda x: _histories(way, scene, *x, wanted), (params, t, how))
 
 
 @partial(jax.jit, static_argnums=(0, 1, 5))
@@ -191,6 +192,7 @@ def _given(
     scene: AbstractModel, params: Params, times: ArrayLike, accuracy: str | float | Plan
 ) -> tuple[dict[str, Array], Array, Plan]:
     """What a pure function was given, checked where it is concrete."""
+    make_room()
     how = accuracy if isinstance(accuracy, Plan) else plan(inputs.model(scene), accuracy)
     found = inputs.parameters(inputs.model(scene), params)
     return {name: jnp.asarray(value) for name, value in found.items()}, instants(times), how
@@ -230,8 +232,8 @@ def simulate(
         max_steps: budget of attempted steps; beyond it the run fails with that reason.
         solver: a name of ``solve.named`` in place of the model's own.
         measure_error: run the same program again at a tenth of the tolerance, with no step longer than 1/200 of the run,
-            and report how far the two runs are apart (``Run.accuracy``). Not of a model without a history, which takes no steps. Of a model without contacts
-            it is the error of the readings.
+            and report how far the two runs are apart (``Run.accuracy``). Not of a model without a history, which takes
+            no steps. Of a model without contacts it is the error of the readings.
         read: names of readings to keep beside the contacts' (``mechanism.channels``), such as "slider.acceleration.x".
         resolved_peaks: look at every contact in every step of the solver, so that peaks and impulses do not depend on the
             times asked for (``Run.extremes``), and sum up what must balance (``Run.totals``). Not of a model without a

@@ -115,15 +115,14 @@ def in_mid_air() -> Family:
 
 def row() -> Family:
     """The first of five balls in a row, far from each other, sets off the rest."""
-    count = 5
-    places = [f"x{k}" for k in range(count)]
+    places, first = [f"x{k}" for k in range(5)], {"velocity": "speed"}
     bodies = [
-        Body(f"b{k}", "slide", axis="x", mass=0.1 * (1 + k % 2), start={"position": places[k]} | ({"velocity": "speed"} if k == 0 else {}))
-        for k in range(count)
-    ]  # fmt: skip
+        Body(f"b{k}", "slide", axis="x", mass=0.1 * (1 + k % 2), start={"position": place} | (first if k == 0 else {}))
+        for k, place in enumerate(places)
+    ]
     hits = [
         Contact(f"hit{k}", (f"b{k}", f"b{k + 1}"), gaps.SphereOnSphere(), values={"radius_a": "radius", "radius_b": "radius"})
-        for k in range(count - 1)
+        for k in range(4)
     ]  # fmt: skip
 
     def draw(rng: np.random.Generator) -> tuple[dict[str, float], float]:
@@ -144,21 +143,36 @@ def rolling() -> Family:
     mass, stiff = 0.17, 1e5
     rest = radius - mass * 9.81 / stiff
     bodies = [
-        Body("a", "sphere", mass=mass, inertia=0.4 * mass * radius**2, start={"x": "ax", "y": "aim", "z": rest, "vx": "speed", "wy": "spin"}),
-        Body("b", "sphere", mass=mass, inertia=0.4 * mass * radius**2, start={"z": rest}),
-    ]  # fmt: skip
-    table = {"stiffness": stiff, "exponent": 1.0, "damping": 0.5, "radius": radius, "friction_dynamic": 0.2, "friction_speed": 1e-2}
-    felt = [Contact("felt_" + n, ("ground", n), gaps.SphereOnPlane("z"), friction="coulomb", values=table) for n in "ab"]
+        Body(name, "sphere", mass=mass, inertia=0.4 * mass * radius**2, start={"z": rest} | start)
+        for name, start in (("a", {"x": "ax", "y": "aim", "vx": "speed", "wy": "spin"}), ("b", {}))
+    ]
+    table = {
+        "stiffness": stiff,
+        "exponent": 1.0,
+        "damping": 0.5,
+        "radius": radius,
+        "friction_dynamic": 0.2,
+        "friction_speed": 1e-2,
+    }
+    felt = [
+        Contact("felt_" + n, ("ground", n), gaps.SphereOnPlane("z"), friction="coulomb", values=table) for n in "ab"
+    ]
     hit = Contact("hit", ("a", "b"), gaps.SphereOnSphere(), values={"radius_a": radius, "radius_b": radius})
 
     def draw(rng: np.random.Generator) -> tuple[dict[str, float], float]:
         far, speed = radius * _log(rng, 3.0, 100.0), _log(rng, 3e-2, 10.0)
-        return {"ax": -far, "aim": rng.uniform(-1.2, 1.2) * radius, "speed": speed, "spin": speed / radius}, far / speed / rng.uniform(
-            0.5, 0.9
-        )
+        return {
+            "ax": -far,
+            "aim": rng.uniform(-1.2, 1.2) * radius,
+            "speed": speed,
+            "spin": speed / radius,
+        }, far / speed / rng.uniform(0.5, 0.9)
 
     return Family(
-        Mechanism("rolling", bodies, [*felt, hit], [loads.Gravity("-z")], own=_own("ax", "aim", "speed", "spin"), given=HARD), draw
+        Mechanism(
+            "rolling", bodies, [*felt, hit], [loads.Gravity("-z")], own=_own("ax", "aim", "speed", "spin"), given=HARD
+        ),
+        draw,
     )
 
 
@@ -189,7 +203,9 @@ def paddle() -> Family:
 
     def draw(rng: np.random.Generator) -> tuple[dict[str, float], float]:
         spin, angle, arm = _log(rng, 1e-1, 1e3), rng.uniform(0.2, 1.5), _log(rng, 1e-2, 1.0)
-        return {"spin": spin, "bx": arm * np.cos(angle), "by": arm * np.sin(angle)}, angle / spin / rng.uniform(0.3, 0.9)
+        return {"spin": spin, "bx": arm * np.cos(angle), "by": arm * np.sin(angle)}, angle / spin / rng.uniform(
+            0.3, 0.9
+        )
 
     return Family(Mechanism("paddle", bodies, [hit], own=_own("spin", "bx", "by"), given=HARD), draw)
 
@@ -252,7 +268,11 @@ def ram() -> Family:
 
     def draw(rng: np.random.Generator) -> tuple[dict[str, float], float]:
         end = _log(rng, 1e-1, 1e1)
-        return {"middle": rng.uniform(0.2, 0.8) * end, "width": _log(rng, 3e-3, 1e-1) * end, "far": _log(rng, 1e-3, 1e-1)}, end
+        return {
+            "middle": rng.uniform(0.2, 0.8) * end,
+            "width": _log(rng, 3e-3, 1e-1) * end,
+            "far": _log(rng, 1e-3, 1e-1),
+        }, end
 
     return Family(Mechanism("ram", bodies, [hit], [spring], own=_own("middle", "width", "far"), given=HARD), draw)
 
@@ -273,7 +293,8 @@ def six() -> Family:
     """Six balls in a plane, all towards the middle."""
     names = [f"{c}{k}" for k in range(6) for c in ("x", "y", "u", "v")]
     bodies = [
-        Body(f"b{k}", "particle", mass=0.1, start={"x": f"x{k}", "y": f"y{k}", "vx": f"u{k}", "vy": f"v{k}"}) for k in range(6)
+        Body(f"b{k}", "particle", mass=0.1, start={"x": f"x{k}", "y": f"y{k}", "vx": f"u{k}", "vy": f"v{k}"})
+        for k in range(6)
     ]
     hits = [
         Contact(f"h{i}{k}", (f"b{i}", f"b{k}"), gaps.SphereOnSphere(), values={"radius_a": "radius", "radius_b": "radius"})
@@ -309,7 +330,12 @@ def spun() -> Family:
     def draw(rng: np.random.Generator) -> tuple[dict[str, float], float]:
         far, speed = 0.03 * _log(rng, 3.0, 100.0), _log(rng, 1e-2, 1e2)
         turns = rng.uniform(-20.0, 20.0) * speed / far
-        return {"ax": -far, "speed": speed, "spin": turns, "tumble": rng.uniform(-5.0, 5.0) * speed / far}, 1.6 * far / speed
+        return {
+            "ax": -far,
+            "speed": speed,
+            "spin": turns,
+            "tumble": rng.uniform(-5.0, 5.0) * speed / far,
+        }, 1.6 * far / speed
 
     return Family(Mechanism("spun", bodies, hits, own=_own("ax", "speed", "spin", "tumble"), given=HARD), draw)
 
@@ -343,7 +369,7 @@ def judged(name: str, draws: int, seed: int = 0) -> dict[str, Any]:
     cases = [({**base, **{k: np.asarray(v) for k, v in values.items()}}, end) for values, end in cases]
     references, certain = [], []
     scene = family.scene.suited(base, 1.0, "tsit5")
-    program = _program(scene, Plan(np.asarray(0.0), 10_000_000, solver="tsit5", extremes=True))
+    program = _program(scene, Plan(jnp.zeros(()), 10_000_000, solver="tsit5", extremes=True))
     tight = plan(scene, 1e-6).tolerance
     for values, end in cases:
         found = [jax.device_get(program(values, end, tight, np.asarray(step * end))) for step in STEPS]
@@ -354,7 +380,7 @@ def judged(name: str, draws: int, seed: int = 0) -> dict[str, Any]:
         scene = family.scene.suited(base, 1.0, solver)
         looked = solver != "bdf"
         for accuracy in ACCURACIES:
-            how = Plan(np.asarray(0.0), 400_000, solver=solver, extremes=looked)
+            how = Plan(jnp.zeros(()), 400_000, solver=solver, extremes=looked)
             program = _program(scene, how)
             tolerance = plan(scene, accuracy, solver=solver).tolerance
             counts = {"runs": 0, "failed": 0, "contact missed": 0, "velocity off": 0, "worst": 0.0, "steps": 0}

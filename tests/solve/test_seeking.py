@@ -203,7 +203,9 @@ def test_a_plane_that_turns_strikes_what_it_would_pass():
     """A drive turns a plane; the point leaves it with the normal velocity that restitution gives."""
     paddle = Body("paddle", "hinge", mass=1.0, inertia=1e-2, drive=Drive("constant", speed=3.0))
     ball = Body("ball", "particle", mass=0.01, start={"x": 0.3 * np.cos(1.0).item(), "y": 0.3 * np.sin(1.0).item()})
-    scene = Mechanism("paddle", [paddle, ball], [Contact("hit", ("paddle", "ball"), gaps.PointOnPlane("y"), law="hertz")], given=HARD)
+    scene = Mechanism(
+        "paddle", [paddle, ball], [Contact("hit", ("paddle", "ball"), gaps.PointOnPlane("y"), law="hertz")], given=HARD
+    )
     run = bj.simulate(scene, scene.parameters(), np.linspace(0, 0.5, 6), read=["ball.velocity.x", "ball.velocity.y"])
     u = np.array([run.readings[f"ball.velocity.{k}"][-1] for k in "xy"])
     # Struck at 1/3 s, it leaves with twice the plane's velocity there, across the plane.
@@ -264,7 +266,9 @@ def test_unloading_is_seen_where_every_body_is_driven():
     for samples in (times, times[::100]):
         run = bj.simulate(scene, scene.parameters(), samples)
         force = np.interp(1.25, run.times, run.force["pad"][:, 0])
-        assert force == within(2e5 * (4e-4 - (4e-4 - float(press.position(jnp.asarray(1.25), "", {})) + 1e-4) / 0.49), 1e-3)
+        assert force == within(
+            2e5 * (4e-4 - (4e-4 - float(press.position(jnp.asarray(1.25), "", {})) + 1e-4) / 0.49), 1e-3
+        )
     run = bj.simulate(scene, scene.parameters(), times)
     work = np.trapezoid(run.force["pad"][:, 0], run.penetration["pad"])
     assert work == within(0.5 * 2e5 * 4e-4**2 * (1.0 - 0.49), 1e-4)
@@ -319,5 +323,7 @@ def test_a_run_that_steps_over_a_contact_is_doubtful(monkeypatch):
 def test_a_plan_has_a_longest_step_that_may_be_traced():
     times = jnp.array([0.0, 1e-3])
     scene = bj.scenes.impact()
-    steps = jax.jit(lambda x: integrate(scene, scene.parameters(), times, Plan(plan(scene).tolerance, longest=x)).accepted)
+    steps = jax.jit(
+        lambda x: integrate(scene, scene.parameters(), times, Plan(plan(scene).tolerance, longest=x)).accepted
+    )
     assert int(steps(jnp.asarray(1e-5))) >= 100 > int(steps(jnp.asarray(jnp.inf)))

@@ -122,11 +122,16 @@ def complete(scene: AbstractModel, params: Params, wrt: Sequence[str]) -> tuple[
         if name not in scene.quantities:
             known = (*scene.quantities, *GROUPS)
             raise InputError("wrt", f"scene '{scene.kind}' has no parameter '{name}'", nearest(name, known))
+        if shape := scene.quantities[name].shape:
+            remedy = "name parameters that are one number each; arrays are trained by jax.grad of bj.force_history"
+            raise InputError("wrt", f"'{name}' is an array of shape {shape}", remedy)
         if names.count(name) > 1:
             raise InputError("wrt", f"'{name}' is named twice", "name it once")
         shared = name.rpartition(".")[2]
         if name not in full and shared not in full:
-            raise InputError("wrt", f"'{name}' has no value here", f"give one: scene.parameters({{'{name}': ...}})")
+            own = [known for known in full if known.endswith(f".{name}")]
+            remedy = f"name {' or '.join(own)}" if own else f"give one: scene.parameters({{'{name}': ...}})"
+            raise InputError("wrt", f"'{name}' has no value here", remedy)
         full[name] = full[name] if name in full else full[shared]
     return full, names
 

@@ -105,7 +105,7 @@ def design(
         InputError: for names, bounds, tolerances and options that are not right.
     """
     t = increasing(times, 2)
-    params = inputs.parameters(inputs.model(scene), params, traced=False)
+    params = inputs.parameters(inputs.of_numbers(scene), params, traced=False)
     kappa = scalar("kappa", _KAPPA, kappa)
     sign = _sign(sense, distribution, samples, starts, norms, iterations)
     if scene.traits.open:

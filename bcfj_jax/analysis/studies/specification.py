@@ -160,6 +160,7 @@ def from_table(table: Mapping[str, Any], where: str = "study", beside: Path = Pa
         table["vary"] = tables.nested(table["vary"], _Axis)
     file = tables.validated(_File, table, where)
     given, own_end = _scene(file.scene, where, beside)
+    inputs.of_numbers(given.scene)
     kind = file.design.kind
     if kind not in KINDS:
         raise InputError(f"{where}: [design] kind", f"no design '{kind}'", nearest(kind, KINDS))

@@ -10,7 +10,18 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.contact.gaps.base import ROUND, AbstractGap, Bends, Coefficients, Drawn, Face, Frame, Look, direction, one_of
+from bcfj_jax.contact.gaps.base import (
+    ROUND,
+    AbstractGap,
+    Bends,
+    Coefficients,
+    Drawn,
+    Face,
+    Frame,
+    Look,
+    direction,
+    one_of,
+)
 from bcfj_jax.contact.gaps.guides import between
 from bcfj_jax.core import shapes
 from bcfj_jax.core.errors import InputError

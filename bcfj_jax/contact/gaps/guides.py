@@ -8,7 +8,18 @@ from typing import Any, ClassVar
 import equinox as eqx
 import numpy as np
 
-from bcfj_jax.contact.gaps.base import ROUND, AbstractGap, Bends, Coefficients, Drawn, Face, Frame, Look, direction, yes_or_no
+from bcfj_jax.contact.gaps.base import (
+    ROUND,
+    AbstractGap,
+    Bends,
+    Coefficients,
+    Drawn,
+    Face,
+    Frame,
+    Look,
+    direction,
+    yes_or_no,
+)
 from bcfj_jax.contact.gaps.spheres import Direction, in_plane
 from bcfj_jax.core import shapes
 from bcfj_jax.core.errors import InputError

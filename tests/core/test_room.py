@@ -1,0 +1,101 @@
+"""A process that goes on compiling lives: programs are dropped before Linux has no memory maps left for XLA."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bcfj_jax.core import programs
+
+CHILD = """
+from pathlib import Path
+import jax, jax.numpy as jnp, numpy as np
+import bcfj_jax
+from bcfj_jax.core import programs
+
+def sorted_often(n, x):
+    for _ in range(10):
+        x = jnp.sort(jnp.cos(x)) + jnp.cumsum(x)[-1] + n
+    return x
+
+taken = lambda: len(Path("/proc/self/maps").read_bytes().splitlines())
+most = before = taken()
+grown = 0
+for n in range(1000):
+    run, _ = programs.program("sorted", sorted_often, (n,), (np.ones(3),))
+    now = taken()
+    grown, most, before = grown + max(0, now - before), max(most, now), now
+    assert np.isfinite(run(np.ones(3))).all()
+print(grown, most, int(Path("/proc/sys/vm/max_map_count").read_text()))
+"""
+
+
+def double(n, x):
+    """A small program."""
+    return n * x
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="memory maps are counted on Linux")
+def test_a_thousand_programs_do_not_end_the_process():
+    done = subprocess.run([sys.executable, "-c", CHILD], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    grown, most, limit = map(int, done.stdout.split())
+    # Kept, they would have needed more than there are.
+    assert grown > limit > most
+
+
+@pytest.fixture
+def few_maps(tmp_path, monkeypatch):
+    """A process that is told to have few maps, and how many it is told to take."""
+    taken, most = tmp_path / "maps", tmp_path / "most"
+    most.write_text("100")
+    monkeypatch.setattr(programs, "_MAPS", taken)
+    monkeypatch.setattr(programs, "_MOST", most)
+    monkeypatch.setattr(programs, "_EVERY", 0)
+    monkeypatch.setattr(programs, "_loaded", {})
+    return taken
+
+
+def test_the_oldest_programs_go_where_maps_become_few(few_maps):
+    few_maps.write_text("one\n" * 50)
+    made = [programs.program("double", double, (n,), (np.ones(2),))[0] for n in range(4)]
+    assert len(programs._loaded) == 4
+    traced = []
+
+    @jax.jit
+    def of_the_user(x):
+        traced.append(None)
+        return x + 1.0
+
+    of_the_user(1.0)
+    few_maps.write_text("one\n" * 51)
+    programs.make_room()
+    assert [key[1] for key in programs._loaded] == [(2,), (3,)]
+    of_the_user(1.0)
+    assert len(traced) == 2
+    # What is at hand goes on, and what is asked for again is made again.
+    np.testing.assert_array_equal(made[0](np.ones(2)), np.zeros(2))
+    few_maps.unlink()
+    again, _ = programs.program("double", double, (1,), (np.ones(2),))
+    np.testing.assert_array_equal(again(np.ones(2)), np.ones(2))
+    assert len(programs._loaded) == 3
+
+
+def test_room_can_be_made_under_a_trace(few_maps):
+    few_maps.write_text("one\n" * 60)
+
+    @jax.jit
+    def within(x):
+        y = jnp.sin(x)
+        programs.make_room()
+        return jax.grad(lambda z: jnp.sum(jnp.sin(z) ** 2))(y)
+
+    x = jnp.linspace(0.0, 1.0, 3)
+    np.testing.assert_allclose(within(x), np.sin(2.0 * np.sin(x)), rtol=1e-14)

@@ -1,0 +1,52 @@
+"""``force_history`` of an impact among devices, exported, and differentiated twice: as plain derivatives are."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.sharding import Mesh, PartitionSpec
+
+import bcfj_jax as bj
+
+SCENE = bj.scenes.impact()
+PARAMS = SCENE.parameters(mass=0.5)
+TIMES = np.linspace(0.0, 60e-6, 21)
+
+
+def total(x, mode):
+    """A number of a run of a mass and a damping."""
+    params = {**PARAMS, "mass": x[0], "damping": x[1]}
+    return 1e-5 * jnp.sum(bj.force_history(SCENE, params, TIMES, mode=mode)["contact"][:, 0])
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("mode", ["auto", "forward", "reverse"])
+def test_gradients_among_devices_and_exported(mode):
+    x = jnp.array([[0.5, 0.1]])
+    slope = jax.grad(lambda x: total(x, mode))
+    expected = jax.jit(slope)(x[0])
+    mesh, rows = Mesh(np.array(jax.devices()[:1]), ("i",)), PartitionSpec("i")
+    among = jax.jit(jax.shard_map(jax.vmap(slope), mesh=mesh, in_specs=rows, out_specs=rows))
+    np.testing.assert_allclose(among(x)[0], expected, rtol=1e-9)
+    np.testing.assert_allclose(jax.pmap(slope)(x)[0], expected, rtol=1e-9)
+    kept = jax.export.deserialize(jax.export.export(jax.jit(slope))(x[0]).serialize())
+    np.testing.assert_allclose(kept.call(x[0]), expected, rtol=1e-9)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("mode", ["auto", "forward"])
+def test_hessians_are_differences_of_gradients(mode):
+    x, step = jnp.array([0.5, 0.1]), 1e-4
+    found = jax.jit(jax.hessian(lambda x: total(x, mode)))(x)
+    slope = jax.jit(jax.jacfwd(lambda x: total(x, mode)))
+    ends = [jnp.stack([slope(x + s * step * e) for e in jnp.eye(2)]) for s in (1, -1)]
+    np.testing.assert_allclose(found, (ends[0] - ends[1]) / (2 * step), rtol=2e-3)
+
+
+@pytest.mark.full
+def test_reverse_alone_names_the_mode_to_use():
+    for use in (jax.jacfwd, jax.hessian):
+        with pytest.raises(bj.InputError, match=r"mode: 'reverse' has gradients alone.*use mode='auto', or 'forward'"):
+            use(lambda x: total(x, "reverse"))(jnp.array([0.5, 0.1]))
