@@ -39,7 +39,7 @@ from bcfj_jax.core.vectors import (
     subtract,
     turned,
 )  # fmt: skip
-from bcfj_jax.mechanism import equations, instruments, sizes
+from bcfj_jax.mechanism import approaches, equations, instruments, sizes
 from bcfj_jax.mechanism.bodies import GROUND, STILL, Body, Part, carried, quaternion_rate
 from bcfj_jax.mechanism.contacts import Contact, raised
 from bcfj_jax.mechanism.equations import Equations, flat
@@ -47,6 +47,7 @@ from bcfj_jax.mechanism.loads import AbstractLoad, JointSpring, Moving, checked_
 from bcfj_jax.mechanism.model import (
     IMPLICIT_SOLVERS,
     AbstractModel,
+    Approaches,
     BodyMotion,
     Flows,
     ModelTraits,
@@ -436,6 +437,15 @@ class Mechanism(AbstractModel):
             for (face, touch), own in zip(now.faces[c.name], now.memory[c.name], strict=True):
                 found += c.learning(face, touch, own, p)
         return found
+
+    @cached_property
+    def remembered(self) -> tuple[int, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """``approaches.places``."""
+        return approaches.places(self)
+
+    def approaches(self, t: Array, y: Array, prepared: Params) -> Approaches:
+        """``approaches.approaches``."""
+        return approaches.approaches(self, t, y, prepared)
 
     # What instruments read.
 

@@ -136,12 +136,24 @@ class ModelTraits(NamedTuple):
     open: bool = False
 
 
+class Continuous(NamedTuple):
+    """Of each of C channels, whatever the samples: (C,) time [s] and (C, n) state of the step's end at which its force was
+    greatest, and integrals (C,) of its normal force by the time [N s] and by the penetration [J].
+    """
+
+    time: Array
+    state: Array
+    impulse: Array
+    work: Array
+
+
 class Solution(NamedTuple):
     """States (T, n) at the times asked for, NaN from a failure on; a status code; the time at which the run ended [s].
 
     Attributes:
         accepted, rejected: numbers of steps.
         extremes: by contact ``solve.extremes.Extremes``, where the plan asks for them.
+        whole: what is of the continuous curves between the first and the last time, where it was asked for.
     """
 
     states: Array
@@ -150,6 +162,15 @@ class Solution(NamedTuple):
     accepted: Array
     rejected: Array
     extremes: Any = None
+    whole: Continuous | None = None
+
+
+class Approaches(NamedTuple):
+    """Of k remembered approach speeds (k,): the penetration beyond which each stays [m], its rate [m/s], the speed [m/s]."""
+
+    depth: Array
+    rate: Array
+    speed: Array
 
 
 class Choice(NamedTuple):
@@ -300,6 +321,15 @@ class AbstractModel(eqx.Module):
         raise InputError(
             f"scene '{self.kind}'", "has a history: it is integrated", "this is an error in bcfj-jax: please report it"
         )
+
+    @property
+    def remembered(self) -> tuple[int, ...]:
+        """Indices in the state of approach speeds, which a touch sets and which stay until the next (``approaches``)."""
+        return ()
+
+    def approaches(self, t: Array, y: Array, prepared: Any) -> Approaches:
+        """What every speed of ``remembered`` is at a touch in this state."""
+        return Approaches(*[jnp.zeros(0)] * 3)
 
     # What instruments read.
 

@@ -6,7 +6,7 @@ tolerance, ``integrate`` runs it. Which solver a model gets follows from its tra
 | model | solver | why |
 |---|---|---|
 | not stiff | Tsit5 | a few elastic or damped springs are oscillatory, not stiff: explicit wins |
-| ... derivatives, where ``Plan.tangents`` asks | Tsit5 with ``landing`` | of a step across a kink they are wrong |
+| ... derivatives, of a model with contacts | Tsit5 with ``landing`` | of a step across a kink they are wrong |
 | stiff, values | RODAS3 on the model's structure | one factorisation a step; no iteration, so no run of a batch waits |
 | stiff, forward derivatives | SDIRK2 on the model's structure | every stage implicit and converged: tangents stay bounded |
 | ... tighter than 0.05 % | BDF on the model's structure | tangents' own error controlled: high order, one matrix a step |
@@ -22,6 +22,7 @@ prototype's Rosenbrock method reached 1e19 N.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import diffrax as dfx
@@ -33,12 +34,13 @@ from jax import Array
 
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.status import NOT_FINITE, OK, SOLVER, STEPS
-from bcfj_jax.mechanism.model import AbstractModel, Params, Solution
+from bcfj_jax.mechanism.model import AbstractModel, Continuous, Params, Solution
 from bcfj_jax.solve import adjoint, bdf, named
 from bcfj_jax.solve.batched_jvp import lane_by_lane, still, together
 from bcfj_jax.solve.extremes import Watched
-from bcfj_jax.solve.landing import NEAR, Instants, Landing, contacts
+from bcfj_jax.solve.landing import NEAR, Instants, Landing, contacts, look
 from bcfj_jax.solve.plan import Plan, Way
+from bcfj_jax.solve.remembering import Remembering, constant
 from bcfj_jax.solve.rodas import Rodas
 from bcfj_jax.solve.sdirk import Sdirk
 from bcfj_jax.solve.tangents import beside
@@ -108,13 +110,14 @@ def _field(t: Any, y: Array, args: tuple[AbstractModel, Any]) -> Array:
 
 def integrate(
     model: AbstractModel, params: Params, times: Array, how: Plan, mode: Way = "forward",
-    differentiable: bool = False,
+    differentiable: bool = False, whole: bool = False,
 ) -> Solution:  # fmt: skip
     """Integrate from time 0 and return the states at ``times`` (a time before 0 reads the initial state).
 
     Pure: jit, vmap, and the derivatives of one ``mode`` go through; those of a stiff model only where
     ``differentiable`` asks for the solver that is meant for them. Never raises for a failed run: its states are NaN
-    from there on and ``code`` says why.
+    from there on and ``code`` says why. ``whole``: whether what is of the continuous curves is wanted
+    (``Continuous``), of an explicit run with derivatives.
 
     Raises:
         InputError: for derivatives by a solver that has none, and for a model that is not chosen yet.
@@ -139,8 +142,8 @@ def integrate(
         assert isinstance(posed.solver, Sdirk)
         found = _by_bdf(posed, posed.solver, None, posed.start[None], times, how)
         return found._replace(states=found.states[:, 0])
-    if differentiable and how.tangents and model.contacts:
-        return _landed(posed, times, how, 1, mode)[0]
+    if differentiable and model.contacts:
+        return _with_landing(posed, times, how, mode, whole)
     if how.extremes:
         posed = posed._replace(solver=Watched(posed.solver))  # pyright: ignore[reportArgumentType]
     return _solved(posed, times, how, mode)
@@ -160,10 +163,63 @@ def landed(model: AbstractModel, params: Params, times: Array, how: Plan, most: 
     return _landed(problem(model, params, times[-1], how, True), times, how, most, "forward")
 
 
-def _landed(problem: Problem, times: Array, how: Plan, most: int, mode: Way) -> tuple[Solution, Instants]:
-    control = Landing(controller(problem, how), NEAR * how.tolerance * problem.scales[0], most)
+def _landed(
+    problem: Problem, times: Array, how: Plan, most: int, mode: Way, whole: bool = False
+) -> tuple[Solution, Instants]:
+    (model, _), near, size = problem.args, NEAR * how.tolerance * problem.scales[0], problem.start.size
+    channels = sum(max(1, count) for count in model.members.values())
+    if model.remembered:
+        # As diffrax does in forward mode to a solver that it knows.
+        solver: Any = problem.solver if mode == "reverse" else replace(problem.solver, scan_kind="lax")
+        field = constant(problem.field, model.remembered)
+        problem = problem._replace(field=field, solver=Remembering(solver, near, size))
+    if whole:
+        problem = _with_integrals(problem, channels)
+    since = jax.lax.stop_gradient(times[0]) if whole else None
+    control = Landing(controller(problem, how), near, most, size, since)
     end, memory = _by_diffrax(problem, times, how, mode, control, memory=True)
-    return end, contacts(memory)
+    if whole:
+        impulse, work = (end.states[-1] - end.states[0])[size:].reshape(2, channels)
+        top = Continuous(memory.tops.time[:channels], memory.tops.state[:channels], impulse, work)
+        end = end._replace(states=end.states[:, :size], whole=top)
+    return end, contacts(memory, channels)
+
+
+def _with_integrals(problem: Problem, channels: int) -> Problem:
+    """With the integrals of every channel's force by time and penetration behind the states; they have no say in the steps."""
+    size, field, norm = problem.start.size, problem.field, problem.norm
+
+    def more(t: Any, y: Array, args: tuple[AbstractModel, Any]) -> Array:
+        seen = look(args[0], t, y[:size], args[1])
+        return jnp.concatenate([field(t, y[:size], args), seen.force, jnp.abs(seen.force) * seen.rate])
+
+    start, scales = (jnp.concatenate([x, jnp.full(2 * channels, y)]) for x, y in ((problem.start, 0.0), (problem.scales, 1.0)))
+    return problem._replace(field=more, start=start, scales=scales, norm=lambda errors: norm(errors[:size]))
+
+
+def _with_landing(problem: Problem, times: Array, how: Plan, mode: Way, whole: bool) -> Solution:
+    """An explicit run that lands on its contacts where it is differentiated, and does not where only values are wanted."""
+    if mode == "reverse":
+        return _landed(problem, times, how, 1, mode, whole)[0]
+    arrays, static = eqx.partition((problem, times, how), eqx.is_array)
+
+    def landed(arrays: Any) -> Solution:
+        problem, times, how = eqx.combine(arrays, static)
+        return _landed(problem, times, how, 1, mode, whole)[0]
+
+    @jax.custom_jvp
+    def run(arrays: Any) -> Solution:
+        problem, times, how = eqx.combine(arrays, static)
+        found = _solved(problem, times, how, mode)
+        return found._replace(whole=unknown(jax.eval_shape(landed, arrays).whole))
+
+    run.defjvp(lambda primals, tangents: jax.jvp(landed, primals, tangents))
+    return run(arrays)
+
+
+def unknown(shapes: Any) -> Any:
+    """NaN of given shapes."""
+    return jax.tree.map(lambda x: jnp.full(x.shape, jnp.nan), shapes)
 
 
 def controller(problem: Problem, how: Plan) -> dfx.PIDController:
