@@ -138,11 +138,14 @@ class ModelTraits(NamedTuple):
 
 class Continuous(NamedTuple):
     """Of each of C channels, whatever the samples: (C,) time [s] and (C, n) state of the step's end at which its force was
-    greatest, and integrals (C,) of its normal force by the time [N s] and by the penetration [J].
+    greatest, (C,) lengths of the steps before and after it [s], and integrals (C,) of its normal force by the time [N s] and
+    by the penetration [J].
     """
 
     time: Array
     state: Array
+    before: Array
+    after: Array
     impulse: Array
     work: Array
 

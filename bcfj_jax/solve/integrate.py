@@ -180,8 +180,8 @@ def _landed(
     end, memory = _by_diffrax(problem, times, how, mode, control, memory=True)
     if whole:
         impulse, work = (end.states[-1] - end.states[0])[size:].reshape(2, channels)
-        top = Continuous(memory.tops.time[:channels], memory.tops.state[:channels], impulse, work)
-        end = end._replace(states=end.states[:, :size], whole=top)
+        _, *tops = jax.tree.map(lambda x: x[:channels], memory.tops)
+        end = end._replace(states=end.states[:, :size], whole=Continuous(*tops, impulse, work))
     return end, contacts(memory, channels)
 
 

@@ -4,8 +4,8 @@ The field of a mechanism has a kink where a contact begins and where it ends. A 
 depends on the kink's place in the step: forces bear it, their derivatives do not (10 % after a bounce at ``balanced``).
 Here a step that would cross is taken again so that it ends on the surface. The pieces between are smooth, so that state and
 tangents converge with the solver's order. The force is 0 on the surface, the field is continuous, and tangents at fixed
-times pass through without a jump (a law whose force jumps has another derivative: ``Reading`` of its begin says so). Where contacts
-remember their approach speeds, steps also end where these are set (``solve.remembering``).
+times pass through without a jump (a law whose force jumps has another derivative: ``Reading`` of its begin says so). Where
+contacts remember their approach speeds, steps also end where these are set (``solve.remembering``).
 """
 
 from __future__ import annotations
@@ -65,11 +65,19 @@ class Look(NamedTuple):
 
 
 class Tops(NamedTuple):
-    """Of each of C channels the end of the step at which its force was greatest: (C,) size [N], (C,) time [s], (C, n) state."""
+    """Of each of C channels the end of the step at which its force was greatest.
+
+    Attributes:
+        size: (C,) of that force [N].
+        time: (C,) [s]; state: (C, n).
+        before, after: (C,) lengths of the steps before and after it [s].
+    """
 
     size: Array
     time: Array
     state: Array
+    before: Array
+    after: Array
 
 
 class _Memory(NamedTuple):
@@ -152,7 +160,7 @@ class Landing(dfx.AbstractStepSizeController):
         tops = None
         if self.since is not None:
             size = jnp.where(t0 >= self.since, jnp.abs(seen.force), -jnp.inf)
-            tops = Tops(jax.lax.stop_gradient(size), none, jnp.broadcast_to(start, (none.size, start.size)))
+            tops = Tops(jax.lax.stop_gradient(size), none, jnp.broadcast_to(start, (none.size, start.size)), none, none)
         return first, _Memory(inner, seen, inside, found, jnp.asarray(0), jnp.asarray(0.0), none, none, top, tops)
 
     def adapt_step_size(self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state):
@@ -203,18 +211,20 @@ class Landing(dfx.AbstractStepSizeController):
             since,
             jnp.where(higher, fixed(t1), memory.high),
             jnp.where(higher, fixed(size), jnp.where(inside, memory.top, -jnp.inf)),
-            self._topped(memory.tops, kept, size, t1, after),
+            self._topped(memory.tops, kept, size, t0, t1, after),
         )
         return kept, start, end, jump, known, result
 
-    def _topped(self, tops: Tops | None, kept: Array, size: Array, t: Any, y: Array) -> Tops | None:
+    def _topped(self, tops: Tops | None, kept: Array, size: Array, begin: Any, end: Any, y: Array) -> Tops | None:
         """With the end of a step that is kept, where a force [N] is greater there."""
         if tops is None:
             return None
-        better = kept & (size > tops.size) & (t >= self.since)
+        better, fixed = kept & (size > tops.size) & (end >= self.since), jax.lax.stop_gradient
+        next_one = kept & ~better & (tops.time == begin)
         return Tops(
-            jnp.where(better, jax.lax.stop_gradient(size), tops.size), jnp.where(better, t, tops.time),
-            jnp.where(better[:, None], y, tops.state),
+            jnp.where(better, fixed(size), tops.size), jnp.where(better, end, tops.time),
+            jnp.where(better[:, None], y, tops.state), jnp.where(better, fixed(end - begin), tops.before),
+            jnp.where(better, 0.0, jnp.where(next_one, fixed(end - begin), tops.after)),
         )  # fmt: skip
 
 
