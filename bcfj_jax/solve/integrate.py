@@ -38,7 +38,7 @@ from bcfj_jax.mechanism.model import AbstractModel, Continuous, Params, Solution
 from bcfj_jax.solve import adjoint, bdf, named
 from bcfj_jax.solve.batched_jvp import lane_by_lane, still, together
 from bcfj_jax.solve.extremes import Watched
-from bcfj_jax.solve.landing import NEAR, Instants, Landing, contacts, look
+from bcfj_jax.solve.landing import NEAR, Instants, Landing, bending, contacts, look
 from bcfj_jax.solve.plan import Plan, Way
 from bcfj_jax.solve.remembering import Remembering, constant
 from bcfj_jax.solve.rodas import Rodas
@@ -175,6 +175,11 @@ def _landed(
         problem = problem._replace(field=field, solver=Remembering(solver, near, size))
     if whole:
         problem = _with_integrals(problem, channels)
+    corners = len(bending(model))
+    if corners:
+        # As much a share of the speed to expect as of the penetration (``first_step``).
+        speeds = jnp.full(corners, 1e-2 / problem.first_step)
+        near = near * jnp.concatenate([jnp.ones(channels + len(model.remembered)), speeds])
     since = jax.lax.stop_gradient(times[0]) if whole else None
     control = Landing(controller(problem, how), near, most, size, since)
     end, memory = _by_diffrax(problem, times, how, mode, control, memory=True)

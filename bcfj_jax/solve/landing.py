@@ -17,6 +17,7 @@ import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from bcfj_jax.mechanism.model import AbstractModel
@@ -118,20 +119,36 @@ def look(model: AbstractModel, t: Any, y: Array, prepared: Any) -> Look:
     return Look(*(jnp.concatenate(part) for part in zip(*rows, strict=True)))
 
 
+def bending(model: AbstractModel) -> tuple[int, ...]:
+    """Channels whose force has a corner where their penetration turns."""
+    counts = [max(1, model.members[contact.name]) for contact in model.contacts]
+    laws = [getattr(contact, "law", None) for contact in model.contacts]
+    every = [getattr(law, "bends", False) for law, count in zip(laws, counts, strict=True) for _ in range(count)]
+    return tuple(i for i, bends in enumerate(every) if bends)
+
+
 def surfaces(model: AbstractModel, t: Any, y: Array, prepared: Any) -> Look:
-    """Every channel, and every surface at which an approach speed is set, which bears no force."""
-    seen = look(model, t, y, prepared)
-    if not model.remembered:
-        return seen
-    more = model.approaches(t, y, prepared)
-    rows = zip(seen, (more.depth, more.rate, jnp.zeros_like(more.depth)), strict=True)
-    return Look(*(jnp.concatenate(pair) for pair in rows))
+    """Every channel; then, which bear no force, the surfaces at which approach speeds are set, and those of ``bending``.
+
+    The depth of the latter is the speed of departure [m/s]; its rate [m/s^2] goes by the field.
+    """
+    found = [look(model, t, y, prepared)]
+    none = lambda x: jnp.zeros_like(x)  # noqa: E731
+    if model.remembered:
+        more = model.approaches(t, y, prepared)
+        found.append(Look(more.depth, more.rate, none(more.depth)))
+    if corners := bending(model):
+        along = (jnp.ones_like(jnp.asarray(t)), model.vector_field(t, y, prepared))
+        speed, change = jax.jvp(lambda t, y: -look(model, t, y, prepared).rate, (jnp.asarray(t), y), along)
+        at = jnp.asarray(corners)
+        found.append(Look(speed[at], change[at], none(speed[at])))
+    return Look(*(jnp.concatenate(part) for part in zip(*found, strict=True)))
 
 
 class Landing(dfx.AbstractStepSizeController):
     """A step control that also ends steps on surfaces, and notes when contacts begin and end.
 
-    The arguments of the field are (model, what it has prepared). ``near`` [m]: a step ends on a surface within it.
+    The arguments of the field are (model, what it has prepared). ``near``: a step ends on a surface within it, [m] or [m/s].
     ``size`` is the number of states that the model reads; others may stand behind them. ``since`` [s]: from when on greatest
     forces are sought, which carry derivatives; None for none.
     """
@@ -191,12 +208,14 @@ class Landing(dfx.AbstractStepSizeController):
         higher = kept & inside & (turned | (size > memory.top))
         # To the surface; of a contact that ends, by ever shorter steps.
         surface = jnp.maximum(share, _LEAST) * dt
-        finest = jnp.min(jnp.where(memory.inside & crossing, _FINEST * (fixed(t0) - memory.since), jnp.inf))
+        # A turn is no end of a contact.
+        ends = np.arange(turned.size) < turned.size - len(bending(model))
+        finest = jnp.min(jnp.where(memory.inside & crossing & ends, _FINEST * (fixed(t0) - memory.since), jnp.inf))
         surface = jnp.where(surface > finest, _PART * surface, surface)
         # A step that only ends a flight says nothing of the length of the next.
         length = fixed(end - start)
         length = jnp.where(landed, jnp.maximum(length, _AFTER * free), length)
-        leaving = kept & inside & ~turned & (now.rate < 0) & ~near
+        leaving = kept & inside & ~turned & (now.rate < 0) & ~near & ends
         ahead = -now.depth / jnp.where(leaving, now.rate, -1.0)
         ahead = jnp.maximum(_PART * ahead, _FINEST * (fixed(t1) - memory.since))
         length = jnp.minimum(length, jnp.min(jnp.where(leaving, ahead, jnp.inf)))
