@@ -28,6 +28,7 @@ from typing import Any, NamedTuple
 import diffrax as dfx
 import equinox as eqx
 import jax
+import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -40,7 +41,7 @@ from bcfj_jax.solve.batched_jvp import lane_by_lane, still, together
 from bcfj_jax.solve.extremes import Watched
 from bcfj_jax.solve.landing import NEAR, Instants, Landing, bending, contacts, look
 from bcfj_jax.solve.plan import Plan, Way
-from bcfj_jax.solve.remembering import Remembering, constant
+from bcfj_jax.solve.remembering import Remembering, at_touch, constant
 from bcfj_jax.solve.rodas import Rodas
 from bcfj_jax.solve.sdirk import Sdirk
 from bcfj_jax.solve.tangents import beside
@@ -57,6 +58,8 @@ _LEAST = 0.001
 # Of what is asked, the tolerance of stiff models' reverse runs (benchmarks/models/joint_gradient.py): of which parameters
 # derivatives will be asked for is not known, and loose steps end at order 2.
 _REVERSE = 0.1
+# Force error at most of a stiff model's derivatives where approach speeds are remembered.
+_REMEMBERED = 1e-4
 # Proportional and integral gain of the step control.
 _GAINS = {True: (0.4, 0.3), False: (0.2, 0.5)}
 
@@ -137,6 +140,8 @@ def integrate(
     if traits.stiff and differentiable:
         if mode == "forward":
             return _with_tangents(posed, times, how)
+        if model.remembered:
+            return _by_directions(posed, times, how)
         return _with_adjoint(posed, _anywhere(model, params) if how.tangents else None, times, how)
     if traits.stiff and how.solver == "bdf" and not differentiable:
         assert isinstance(posed.solver, Sdirk)
@@ -293,7 +298,7 @@ def _by_bdf(problem: Problem, solver: Sdirk, changes: tuple | None, start: Array
         problem, solver, changes, start, times, how = eqx.combine(arrays, static)
         found = bdf.solve(
             solver, problem.args, changes, start, problem.scales, times, problem.first_step, problem.shortest_step,
-            how.max_steps,
+            how.max_steps, memory=at_touch(problem.args[0]),
         )  # fmt: skip
         return ended(found, times, how)
 
@@ -377,9 +382,46 @@ def _with_adjoint(problem: Problem, ahead: tuple[Any, Array] | None, times: Arra
     return solution((problem.args[1], problem.start, times), (fixed, ahead))
 
 
+def _by_directions(problem: Problem, times: Array, how: Plan) -> Solution:
+    """Reverse derivatives by forward tangents in all directions: what is set at a touch has no place in a record of steps."""
+    (model, prepared), start = problem.args, problem.start
+    how = replace(how, tolerance=jnp.minimum(how.tolerance, model.tolerance(_REMEMBERED)))
+    moving, fixed = eqx.partition((prepared, start), eqx.is_inexact_array)
+    flat, restored = jax.flatten_util.ravel_pytree(moving)
+
+    arrays, static = eqx.partition((problem, times, how, fixed), eqx.is_array)
+
+    def states(flat: Array, arrays: Any) -> tuple[Array, Solution]:
+        problem, times, how, fixed = eqx.combine(arrays, static)
+        prepared, start = eqx.combine(restored(flat), fixed)
+        found = _with_tangents(problem._replace(args=(model, prepared), start=start), times, how)
+        return found.states, found
+
+    @jax.custom_vjp
+    def solution(flat: Array, arrays: Any) -> Solution:
+        return states(flat, arrays)[1]
+
+    def forth(flat: Array, arrays: Any) -> tuple[Solution, tuple]:
+        # By shares: where the tangents' error is controlled, what is small is an effect of 100 %.
+        sizes = jnp.where(flat == 0.0, 1.0, jnp.abs(flat))
+        slopes, found = jax.jacfwd(lambda x: states(flat + sizes * x, arrays), has_aux=True)(jnp.zeros_like(flat))
+        return found, (slopes / sizes, arrays)
+
+    def back(kept: tuple, cotangents: Solution) -> tuple:
+        slopes, arrays = kept
+        return jnp.tensordot(cotangents.states, slopes, axes=2), jax.tree.map(still, arrays)
+
+    solution.defvjp(forth, back)
+    return solution(flat, jax.lax.stop_gradient(arrays))
+
+
 def _with_tangents(problem: Problem, times: Array, how: Plan) -> Solution:
     """A run whose forward tangents are solved beside it (``solve.tangents``)."""
-    (model, _), controlled = problem.args, how.tangents
+    model, _ = problem.args
+    # What is remembered of a touch has its derivative from BDF alone, whose tangents are good at tight tolerances.
+    controlled = how.tangents or bool(model.remembered)
+    if not how.tangents and controlled:
+        how = replace(how, tolerance=jnp.minimum(how.tolerance, model.tolerance(_REMEMBERED)))
 
     def of(x: tuple) -> tuple[Problem, Sdirk, Array, Plan]:
         c, start, times, *fixed = x

@@ -1,10 +1,12 @@
-"""Runs that land on contacts set remembered approach speeds there, exactly and with their derivatives.
+"""Remembered approach speeds are set at the touch, exactly and with their derivatives, where derivatives are taken.
 
 A contact whose law is stated by restitution remembers the speed of its approach. In a plain run the memory relaxes towards
 that speed as the gap closes (``mechanism.contacts.Approach``): its value is right within the tolerance, but its rate there,
 which the acceleration is, is below the tolerance, so that the derivative of the memory misses the acceleration times the
 shift of the touch. In a run whose steps end on contacts (``solve.landing``) nothing needs to relax: the step that begins at
-a touch has the speed of its own start as memory, a function of time and state that carries the derivatives of both.
+a touch has the speed of its own start as memory, a function of time and state that carries the derivatives of both. BDF's
+steps pass over a touch: after such a step the memory and its tangents are set to what they are at the root of the step's
+polynomial (``AtTouch``).
 """
 
 from __future__ import annotations
@@ -18,7 +20,12 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from bcfj_jax.mechanism.model import AbstractModel
+from bcfj_jax.mechanism.model import AbstractModel, Approaches
+from bcfj_jax.solve import batched_jvp
+from bcfj_jax.solve.bdf import AbstractMemory
+
+# Newton steps to a touch within a step.
+_NEWTON = 6
 
 # The clock's rounding, relative; beside it the tolerated distance counts.
 ROUNDING = 5e-15
@@ -87,3 +94,45 @@ class Remembering(dfx.AbstractAdaptiveSolver):
         made_jump = made_jump | jnp.any(touched)
         y1, error, dense, memory, result = self.solver.step(terms, t0, t1, y0, args, memory, made_jump)
         return y1, error, dense, (memory, apart), result
+
+
+class AtTouch(AbstractMemory):
+    """Approach speeds in runs by BDF; the arguments of the field are (model, what it has prepared)."""
+
+    places: tuple[int, ...] = eqx.field(static=True)
+
+    def before(self, t, y, args):
+        """Those whose surfaces are apart."""
+        model, prepared = args
+        return model.approaches(t, y, prepared).depth < 0.0
+
+    def set(self, end, length, read, args, changes):
+        """The speeds at the roots of the penetrations, whose shift is dt = -(dd/dp)/(dd/dt)."""
+        model = args[0]
+
+        def seen(t: Array, y: Array, args: Any) -> Approaches:
+            return model.approaches(t, y, args[1])
+
+        def at(k: Array) -> Array:
+            def moving(t: Array) -> tuple[Approaches, Approaches]:
+                return jax.jvp(lambda t: seen(t, read(t)[0], args), (t,), (jnp.ones_like(t),))
+
+            def closer(_: int, t: Array) -> Array:
+                now, change = moving(t)
+                return jnp.clip(t - now.depth[k] / jnp.where(change.depth[k] > 0, change.depth[k], jnp.inf), end - length, end)
+
+            touch = jax.lax.fori_loop(0, _NEWTON, closer, end - 0.5 * length)
+            rows, (now, change) = read(touch), moving(touch)
+            if rows.shape[0] == 1:
+                return now.speed[k][None]
+            function = lambda x: seen(touch, *x)  # noqa: E731
+            _, by = batched_jvp.along(function, (rows[0], args), (rows[1:], changes))
+            shift = -by.depth[:, k] / jnp.where(change.depth[k] > 0, change.depth[k], jnp.inf)
+            return jnp.concatenate([now.speed[k][None], by.speed[:, k] + change.speed[k] * shift])
+
+        return jax.vmap(at, out_axes=1)(jnp.arange(len(self.places)))
+
+
+def at_touch(model: AbstractModel) -> AtTouch | None:
+    """What a model's contacts remember of their approaches; None for nothing."""
+    return AtTouch(model.remembered) if model.remembered else None

@@ -41,9 +41,9 @@ def of_curve(model: AbstractModel, params: Params, whole: Continuous, first: Arr
 
 def summits(model: AbstractModel, params: Params, whole: Continuous, first: Array, last: Array) -> Array:
     """Normal force (C,) [N], of either sign, where its size is greatest; NaN where it is not smooth there, or beyond a time."""
-    from bcfj_jax.solve.landing import look  # With diffrax, which a kept program does not need.
+    from bcfj_jax.solve.landing import bending, look  # With diffrax, which a kept program does not need.
 
-    prepared, fixed = model.prepare(params), jax.lax.stop_gradient
+    prepared, fixed, corners = model.prepare(params), jax.lax.stop_gradient, bending(model)
 
     def field(t: Array, y: Array) -> Array:
         return model.vector_field(t, y, prepared)
@@ -57,6 +57,13 @@ def summits(model: AbstractModel, params: Params, whole: Continuous, first: Arra
         sign = fixed(jnp.sign(forces[0]))
         later, value, curve, slope, left = summit_of(sign * forces.reshape(SHORTER.size, -1), middle, reach)
         good = (curve < 0) & (jnp.abs(slope) * reach <= TILTED * value) & (left < LEAVES)
+        if corners:
+            # The step ends at the corner, where the force is greatest.
+            force = lambda t, y: sign * look(model, t, y, prepared).force[channel]  # noqa: E731
+            size, slope = jax.jvp(force, (t, y), (jnp.ones_like(t), field(t, y)))
+            there = jnp.isin(channel, jnp.asarray(corners))
+            later, value = jnp.where(there, t, later), jnp.where(there, size, value)
+            good = jnp.where(there, jnp.abs(slope) * reach <= TILTED * size, good)
         return jnp.where(fixed(good & (later >= first) & (later <= last)), sign * value, jnp.nan)
 
     return jax.vmap(one)(jnp.arange(whole.time.size), *whole[:4])
