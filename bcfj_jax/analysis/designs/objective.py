@@ -8,7 +8,8 @@ that do not:
 - the *norm*, ||F||_q = (1/T integral |F|^q dt)^(1/q) over time and members, which tends to the maximum from below as q
   grows and sees several equal peaks at once; a descent begins with it where ``norms`` says so.
 
-What is reported is neither, but the greatest sample.
+Where a run lands on its contacts, the summit of the continuous force takes the place of the crest, and is what is reported
+(``derivatives.curves``). What is reported otherwise is the greatest sample.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.analysis.derivatives.curves import even, quartic
+from bcfj_jax.analysis.derivatives.curves import PEAK, even, known, quartic
 from bcfj_jax.analysis.derivatives.jacobian import Histories, channel_names
 from bcfj_jax.analysis.derivatives.measures import vector
 from bcfj_jax.analysis.derivatives.names import Feature, event, feature, feature_unit, kind_unit, members
@@ -133,9 +134,15 @@ def measured(
         index = np.array([names.index(m) for m in members(feature.contacts[0], contacts)])
         values = (found.penetration if feature.kind == "peak_penetration" else found.force[:, :, 0])[:, index]
         values = jnp.abs(values) if feature.kind == "largest" else values
+        high = jnp.max(values)
+        # Of a force the summit of the continuous curve, where the run knows it.
+        curve = jnp.full(index.size, jnp.nan) if found.curve is None else found.curve[index, PEAK]
+        there = jax.vmap(lambda c: known(feature.kind, c, high))(jax.lax.stop_gradient(curve))
+        summit = jnp.max(jnp.where(there, jnp.abs(curve), -jnp.inf))
+        given = jnp.any(there) & (feature.kind != "peak_penetration")
         if norm is None:
-            return jnp.max(values)
-        top = quartic(values) if even(times) else jnp.max(values)
+            return jnp.where(given, summit, high)
+        top = jnp.where(given, summit, quartic(values) if even(times) else high)
         return jnp.where(jnp.isfinite(norm), _norm(times, values, jnp.where(jnp.isfinite(norm), norm, 2.0)), top)
 
     return [one(feature) for feature in wanted.features]
