@@ -286,8 +286,10 @@ def solve(
         apart = memory.before(s.t, kept[0, 0], args)
         there, at = before & ~apart, jnp.asarray(memory.places)
 
+        setting = memory.set
+
         def put(d: Array) -> Array:
-            rows = memory.set(s.t, s.h, lambda time: jnp.tensordot(weighted(s, time), kept, axes=1), args, changes)
+            rows = setting(s.t, s.h, lambda time: jnp.tensordot(weighted(s, time), kept, axes=1), args, changes)
             fresh = jnp.zeros((ROWS, *rows.shape)).at[0].set(rows)
             return d.at[:, :, at].set(jnp.where(there, fresh, d[:, :, at]))
 

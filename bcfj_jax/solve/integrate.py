@@ -203,7 +203,9 @@ def _with_integrals(problem: Problem, channels: int) -> Problem:
         seen = look(args[0], t, y[:size], args[1])
         return jnp.concatenate([field(t, y[:size], args), seen.force, jnp.abs(seen.force) * seen.rate])
 
-    start, scales = (jnp.concatenate([x, jnp.full(2 * channels, y)]) for x, y in ((problem.start, 0.0), (problem.scales, 1.0)))
+    start, scales = (
+        jnp.concatenate([x, jnp.full(2 * channels, y)]) for x, y in ((problem.start, 0.0), (problem.scales, 1.0))
+    )
     return problem._replace(field=more, start=start, scales=scales, norm=lambda errors: norm(errors[:size]))
 
 

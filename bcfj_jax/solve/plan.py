@@ -8,10 +8,10 @@ from __future__ import annotations
 from typing import Any, Literal
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from bcfj_jax.core.errors import InputError, nearest, quoted
@@ -72,9 +72,9 @@ def plan(
     max_steps = whole("max_steps", max_steps)
     stiff = model.traits.stiff
     named.check(solver, stiff)
-    if isinstance(accuracy, jax.core.Tracer):
+    if isinstance(accuracy, Tracer):
         # Tolerances are in proportion to the error, up to a loosest one.
-        share = accuracy / LEVELS["balanced"]
+        share = jnp.asarray(accuracy) / LEVELS["balanced"]
         traced = jnp.minimum(share * model.tolerance(LEVELS["balanced"]), model.tolerance(_LOOSEST))
         return Plan(traced, max_steps, solver == "bdf", solver)
     error = force_error(accuracy)

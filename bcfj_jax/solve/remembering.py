@@ -119,7 +119,9 @@ class AtTouch(AbstractMemory):
 
             def closer(_: int, t: Array) -> Array:
                 now, change = moving(t)
-                return jnp.clip(t - now.depth[k] / jnp.where(change.depth[k] > 0, change.depth[k], jnp.inf), end - length, end)
+                return jnp.clip(
+                    t - now.depth[k] / jnp.where(change.depth[k] > 0, change.depth[k], jnp.inf), end - length, end
+                )
 
             touch = jax.lax.fori_loop(0, _NEWTON, closer, end - 0.5 * length)
             rows, (now, change) = read(touch), moving(touch)

@@ -7,7 +7,7 @@ hundred times as much. The summit is found in two ways:
 - *along the motion* (``summits``), over the two steps of the solver about the greatest force at a step's end, where a run lands
   on its contacts;
 - *between samples* (``crest``), of the polynomial through the five samples about the highest, for every other history. The
-  difference to the polynomial through four of them is the error that is stated.
+  difference to the polynomial through four of them, twice, is the error that is stated.
 """
 
 from __future__ import annotations
@@ -98,7 +98,9 @@ def crest(times: np.ndarray, values: np.ndarray, slopes: np.ndarray) -> tuple[fl
             # Of the five samples the four nearest to the summit.
             four = np.sort(np.argsort(np.abs(nodes - place), kind="stable")[:4])
             coarse = _summit(nodes[four], values[near][four])
-            error = np.full(len(by), np.inf) if coarse is None else np.abs(slopes[:, near][:, four] @ coarse[2] - by)
+            error = (
+                np.full(len(by), np.inf) if coarse is None else 2.0 * np.abs(slopes[:, near][:, four] @ coarse[2] - by)
+            )
             return high, by, error
     error = np.zeros(len(slopes))
     if 0 < top < last:

@@ -46,7 +46,9 @@ def channel_features(times: np.ndarray, force: Array, depth: Array, curve: Array
 
     def top(kind: str, values: Array) -> Array:
         there = known(kind, jax.lax.stop_gradient(curve[PEAK]), jax.lax.stop_gradient(jnp.max(values)))
-        return jnp.where(there, jnp.abs(curve[PEAK]), quartic(values[:, None]) if even(times) else features.peak(values))
+        return jnp.where(
+            there, jnp.abs(curve[PEAK]), quartic(values[:, None]) if even(times) else features.peak(values)
+        )
 
     impulse = integral(IMPULSE, features.impulse(times, force)) if several else unknown
     work = features.dissipated_work(jnp.abs(force), depth)

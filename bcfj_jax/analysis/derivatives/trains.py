@@ -263,7 +263,9 @@ def _contact(
         # The corner is where the penetration turns.
         share, middle = _rule(_PANEL)[0], count + _PANEL
         slow, change = jax.jvp(
-            lambda t, y: read(t, y)[1], (grid[middle], states[middle]), (jnp.ones(()), field(grid[middle], states[middle]))
+            lambda t, y: read(t, y)[1],
+            (grid[middle], states[middle]),
+            (jnp.ones(()), field(grid[middle], states[middle])),
         )
         turn = -slow / jnp.where(change == 0, jnp.inf, fixed(change))
         rise, fall = first + (turn - first) * share, turn + (last - turn) * share

@@ -204,7 +204,8 @@ def _with_derivatives(
             rows.append(np.full(len(study.columns), np.nan))
             continue
         value, slopes = (
-            Histories(*(x[i] for x in part[:3]), state=None, curve=part.curve[i]) for part in (found.value, found.derivative)
+            Histories(*(x[i] for x in part[:3]), state=None, curve=part.curve[i])
+            for part in (found.value, found.derivative)
         )
         rows.append(_row(study, end * grid, value, slopes))
     reasons = [reason(code, how.max_steps) for code in found.code]
