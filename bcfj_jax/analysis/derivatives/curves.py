@@ -18,7 +18,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.typing import ArrayLike
 
 from bcfj_jax.analysis.derivatives.trains import LEAVES, SHORTER, SUMMIT, TILTED, ahead, summit_of
 from bcfj_jax.mechanism.model import AbstractModel, Continuous, Params
@@ -69,7 +68,7 @@ def summits(model: AbstractModel, params: Params, whole: Continuous, first: Arra
     return jax.vmap(one)(jnp.arange(whole.time.size), *whole[:4])
 
 
-def known(kind: str, curve: ArrayLike, highest: ArrayLike) -> Any:
+def known(kind: str, curve: Any, highest: Any) -> Any:
     """Which of peaks are those of the continuous curve: of ``peak`` or ``largest``, whose greatest sample is given."""
     xp = jnp if isinstance(curve, Array) else np
     size = xp.abs(curve) if kind == "largest" else curve

@@ -354,6 +354,6 @@ def ahead(field, t: Array, y: Array, shift: Array) -> Array:
             return (slope, total + weight * slope), None
 
         none = jnp.zeros_like(y)
-        return y + h * jax.lax.scan(stage, (none, none), (nodes, weights))[0][1]
+        return y + h * jax.lax.scan(stage, (none, none), (jnp.asarray(nodes), jnp.asarray(weights)))[0][1]
 
     return jax.lax.fori_loop(0, _PIECES, piece, y)

@@ -280,15 +280,16 @@ def _objectives(
     """The objective on norms with its gradient, on crests, and as it is reported, of N runs."""
     times = np.frombuffer(grid)
 
-    def of(force: Array, depth: Array, curve: Array, norm: Array | None) -> Array:
+    def of(read: tuple, norm: Array | None) -> Array:
+        force, depth, curve = read
         found = Histories(force[:, :, None], depth, None, None, curve)
         return objective.of(measured(times, found, objective, dict(contacts), norm))
 
     def one(read: tuple, slopes: tuple) -> tuple:
         def push(*along: Array) -> Array:
-            return jax.jvp(lambda *x: of(*x, norm), read, along)[1]
+            return jax.jvp(lambda *x: of(x, norm), read, along)[1]
 
         slope = jax.vmap(push, in_axes=-1)(*slopes)
-        return of(*read, norm), slope, of(*read, jnp.asarray(jnp.inf)), of(*read, None)
+        return of(read, norm), slope, of(read, jnp.asarray(jnp.inf)), of(read, None)
 
     return jax.vmap(one)((force, depth, curve), (force_slope, depth_slope, curve_slope))
