@@ -4,7 +4,7 @@ Random scenes of one impact: a disc on a plane with frictions, and laws in a bou
 with few samples in the contact, against central differences of runs without derivatives at 1e-9. A derivative counts where
 differences of two steps agree to 1e-4; a derivative below 0.01 % per 1 % counts as that much.
 
-    python -m benchmarks.analysis.feature_derivatives [--draws 3]
+    python -m benchmarks.analysis.feature_derivatives [--draws 3] [--only TEXT]
         writes results/feature_derivatives.json
 """
 
@@ -22,12 +22,12 @@ import numpy as np
 import bcfj_jax as bj
 from bcfj_jax import Body, Contact, Mechanism, gaps, loads
 from bcfj_jax.analysis.derivatives.certificate import LEAST
-from benchmarks.common import save
+from benchmarks.common import load, save
 
 LAWS = (
     "flores", "walton_braun", "memory_free", "exact", "lankarani_nikravesh", "gonthier", "hunt_crossley", "zhang", "hertz",
 )  # fmt: skip
-FRICTIONS = (None, "coulomb", "stribeck")
+FRICTIONS = (None, "coulomb")
 # Feature of the run, and the same of its only contact.
 SAME = {"peak": "peak_1", "impulse": "impulse_1"} | {x: x for x in ("begin_1", "end_1", "peak_time_1")}
 ACCURACY, TIGHT, STEPS, AGREE = 1e-5, 1e-9, (3e-4, 1e-4), 1e-4
@@ -114,9 +114,13 @@ def main() -> None:
     """Judge, print and keep."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--draws", type=int, default=3)
-    rng, rows = np.random.default_rng(7), []
-    draws = parser.parse_args().draws
+    parser.add_argument("--only", default="", help="scenes whose name holds this; others stay as they were kept")
+    rng, given = np.random.default_rng(7), parser.parse_args()
+    draws = given.draws
+    rows = [r for r in load("feature_derivatives")["rows"] if given.only not in r["scene"]] if given.only else []
     for name, scene, wrt in cases():
+        if given.only not in name:
+            continue
         own = [row for _ in range(draws) for row in judged(name, scene, wrt, drawn(scene, wrt, rng))]
         known = [r for r in own if r["reference"] <= AGREE]
         worst = max(known, key=lambda r: r["error"], default=None)
