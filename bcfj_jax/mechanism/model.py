@@ -24,6 +24,8 @@ from bcfj_jax.core.programs import ask
 from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.core.shapes import Drawing
 from bcfj_jax.mechanism import inputs
+from bcfj_jax.mechanism.moments import Approaches as Approaches
+from bcfj_jax.mechanism.moments import Continuous as Continuous
 from bcfj_jax.mechanism.structure import AbstractStructure, Dense
 
 Params = Mapping[str, Array]
@@ -136,20 +138,6 @@ class ModelTraits(NamedTuple):
     open: bool = False
 
 
-class Continuous(NamedTuple):
-    """Of each of C channels, whatever the samples: (C,) time [s] and (C, n) state of the step's end at which its force was
-    greatest, (C,) lengths of the steps before and after it [s], and integrals (C,) of its normal force by the time [N s] and
-    by the penetration [J].
-    """
-
-    time: Array
-    state: Array
-    before: Array
-    after: Array
-    impulse: Array
-    work: Array
-
-
 class Solution(NamedTuple):
     """States (T, n) at the times asked for, NaN from a failure on; a status code; the time at which the run ended [s].
 
@@ -166,14 +154,6 @@ class Solution(NamedTuple):
     rejected: Array
     extremes: Any = None
     whole: Continuous | None = None
-
-
-class Approaches(NamedTuple):
-    """Of k remembered approach speeds (k,): the penetration beyond which each stays [m], its rate [m/s], the speed [m/s]."""
-
-    depth: Array
-    rate: Array
-    speed: Array
 
 
 class Choice(NamedTuple):
