@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from bcfj_jax.mechanism.mechanism import Mechanism as Mechanism
     from bcfj_jax.mechanism.model import AbstractModel as AbstractModel
     from bcfj_jax.models import scenes as scenes
+    from bcfj_jax.solve.plan import Plan as Plan
     from bcfj_jax.solve.simulation import Run as Run
     from bcfj_jax.solve.simulation import force_history as force_history
     from bcfj_jax.solve.simulation import reading_history as reading_history
@@ -72,6 +73,7 @@ _PUBLIC = {
     "Load": "mechanism.loads",
     "Mechanism": "mechanism.mechanism",
     "AbstractModel": "mechanism.model",
+    "Plan": "solve.plan",
     "use_code": "io.usercode",
     "animate": "io.view.export",
     **{name: "solve.simulation" for name in ("Run", "force_history", "reading_history", "simulate")},

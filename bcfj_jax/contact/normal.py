@@ -41,9 +41,13 @@ _NODES, _WEIGHTS = (0.5 * (x + shift) for x, shift in zip(np.polynomial.legendre
 
 
 class AbstractLaw(Part):
-    """Normal force F(d, d') >= 0 of one contact; ``states`` names the numbers that the law remembers of it."""
+    """Normal force F(d, d') >= 0 of one contact; ``states`` names the numbers that the law remembers of it.
+
+    ``bends`` says whether the force has a corner over the penetration where that turns, from approach to departure.
+    """
 
     states: ClassVar[tuple[str, ...]] = ()
+    bends: ClassVar[bool] = False
     example: ClassVar[str] = """
 class Linear(bj.laws.AbstractLaw):
     needs = ("stiffness",)
@@ -336,6 +340,7 @@ class AbstractPlastic(AbstractLaw):
     """
 
     states: ClassVar[tuple[str, ...]] = ("unloaded",)
+    bends: ClassVar[bool] = True
     elastic: eqx.AbstractVar[AbstractElastic]
 
     @abstractmethod
@@ -355,10 +360,11 @@ class AbstractPlastic(AbstractLaw):
         return height * self.elastic.force(equivalent, c)
 
     def rates(self, penetration: Array, rate: Array, c: Coefficients) -> tuple[Array, ...]:
-        """The distance grows as the surfaces part, and falls to 0 as they close."""
+        """The distance grows as the surfaces part, and falls to 0 as they close; at separation it stops without a jump."""
         unloaded = c["unloaded"]
         deepest = jnp.maximum(penetration + unloaded, 1e-30)
-        return (-rate * jnp.where(rate < 0, 1.0, smooth_step(unloaded / (_RELOADED * deepest))),)
+        left, right = (smooth_step(x / (_RELOADED * deepest)) for x in (penetration, unloaded))
+        return (-rate * jnp.where(rate < 0, left, right),)
 
     def sizes(self, penetration: Array, c: Coefficients) -> tuple[Array, ...]:
         """A part of the unloading curve's width."""

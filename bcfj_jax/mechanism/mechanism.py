@@ -38,7 +38,7 @@ from bcfj_jax.core.vectors import (
     subtract,
     turned,
 )  # fmt: skip
-from bcfj_jax.mechanism import arrays, equations, instruments, sizes, stepping
+from bcfj_jax.mechanism import approaches, arrays, equations, instruments, sizes, stepping
 from bcfj_jax.mechanism.bodies import GROUND, STILL, Body, Part, carried, quaternion_rate
 from bcfj_jax.mechanism.contacts import Contact, raised
 from bcfj_jax.mechanism.equations import Equations, flat
@@ -47,6 +47,7 @@ from bcfj_jax.mechanism.model import (
     IMPLICIT_SOLVERS,
     AbstractModel,
     Account,
+    Approaches,
     BodyMotion,
     Flows,
     ModelTraits,
@@ -462,6 +463,15 @@ class Mechanism(AbstractModel):
     def breaks(self, params: Params, end: ArrayLike) -> Array | None:
         """``stepping.breaks``."""
         return stepping.breaks(self, params, end)
+
+    @cached_property
+    def remembered(self) -> tuple[int, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """``approaches.places``."""
+        return approaches.places(self)
+
+    def approaches(self, t: Array, y: Array, prepared: Params) -> Approaches:
+        """``approaches.approaches``."""
+        return approaches.approaches(self, t, y, prepared)
 
     # What instruments read.
 

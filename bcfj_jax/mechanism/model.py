@@ -25,6 +25,8 @@ from bcfj_jax.core.programs import ask
 from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.core.shapes import Drawing
 from bcfj_jax.mechanism import inputs
+from bcfj_jax.mechanism.moments import Approaches as Approaches
+from bcfj_jax.mechanism.moments import Continuous as Continuous
 from bcfj_jax.mechanism.structure import AbstractStructure, Dense
 
 Params = Mapping[str, Array]
@@ -176,6 +178,7 @@ class Solution(NamedTuple):
         accepted, rejected: numbers of steps.
         extremes: by contact ``solve.extremes.Extremes``, where the plan asks for them.
         totals: by account ``solve.extremes.Totals``, likewise.
+        whole: what is of the continuous curves between the first and the last time, where it was asked for.
     """
 
     states: Array
@@ -185,6 +188,7 @@ class Solution(NamedTuple):
     rejected: Array
     extremes: Any = None
     totals: Any = None
+    whole: Continuous | None = None
 
 
 class Choice(NamedTuple):
@@ -362,6 +366,15 @@ class AbstractModel(eqx.Module):
     def longest_step(self) -> float | None:
         """Longest step that a solver may take [s]; None: as long as its errors allow."""
         return None
+
+    @property
+    def remembered(self) -> tuple[int, ...]:
+        """Indices in the state of approach speeds, which a touch sets and which stay until the next (``approaches``)."""
+        return ()
+
+    def approaches(self, t: Array, y: Array, prepared: Any) -> Approaches:
+        """What every speed of ``remembered`` is at a touch in this state."""
+        return Approaches(*[jnp.zeros(0)] * 3)
 
     # What instruments read.
 

@@ -52,7 +52,9 @@ class Observed(AbstractModel):
     )
     recurs, pitch, pitch_before, turned = map(_of, ("recurs", "pitch", "pitch_before", "turned"))
     choice_options, whole, orbits, variants = map(_of, ("choice_options", "whole", "orbits", "variants"))
-    coefficient, canonical = map(_of, ("coefficient", "canonical"))
+    coefficient, canonical, remembered, approaches = map(  # pyright: ignore[reportAssignmentType]
+        _of, ("coefficient", "canonical", "remembered", "approaches")
+    )
     drawing, carriers, scenery, level = map(_of, ("drawing", "carriers", "scenery", "level"))
 
     def __getattr__(self, name: str) -> Any:

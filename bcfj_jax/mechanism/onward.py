@@ -8,7 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
-from bcfj_jax.mechanism.model import AbstractModel, Params
+from bcfj_jax.mechanism.model import AbstractModel, Approaches, Params
 from bcfj_jax.mechanism.observed import Observed
 from bcfj_jax.mechanism.structure import AbstractStructure
 
@@ -54,6 +54,10 @@ class Onward(Observed):
     def vector_field(self, t: Array, y: Array, prepared: Any) -> Array:
         """The model's, later."""
         return self.inner.vector_field(t + prepared[1], y, prepared[0])
+
+    def approaches(self, t: Array, y: Array, prepared: Any) -> Approaches:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The model's, later."""
+        return self.inner.approaches(t + prepared[1], y, prepared[0])
 
     def structure(self) -> AbstractStructure:
         """The model's, later."""

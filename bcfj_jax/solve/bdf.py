@@ -102,6 +102,23 @@ class AbstractWatch(eqx.Module):
         """What is known after a step that ended at ``end`` [s]; ``read`` gives the state (n,) at a time within it."""
 
 
+class AbstractMemory(eqx.Module):
+    """States that an event within a step sets, and that do not change until the next: after it they have no differences."""
+
+    places: eqx.AbstractVar[tuple[int, ...]]
+
+    @abstractmethod
+    def before(self, t: Array, y: Array, args: Any) -> Array:
+        """Of each place, whether its event is still to come (k,), in the state (n,)."""
+
+    @abstractmethod
+    def set(self, end: Array, length: Array, read: Callable[[Array], Array], args: Any, changes: Any) -> Array:
+        """What each place is (1 + k, m) after an event in the step that ended at ``end`` [s]: its value, and its tangents.
+
+        ``read`` gives rows (1 + k, n) at a time within the step, at fixed times.
+        """
+
+
 class _State(NamedTuple):
     """D: (rows, 1 + k, n) differences; ``equal``: steps taken with this length and order."""
 
@@ -172,6 +189,7 @@ def solve(
     segment: int = 0,
     watch: AbstractWatch | None = None,
     limits: Limits | None = None,
+    memory: AbstractMemory | None = None,
 ) -> Found:
     """Integrate rows (1 + k, n), the state and its tangents, from time 0; interpolate at ``times`` (T,), increasing.
 
@@ -189,6 +207,7 @@ def solve(
         segment: how many states a record keeps, which lengthens no run; 0: no record.
         watch: what looks at every accepted step, which changes none.
         limits: of steps, beside their errors.
+        memory: states that events set; not where a record is kept.
     """
     structure, tolerance = solver.structure, solver.tolerance
     alpha, constant = jnp.asarray(ALPHA), jnp.asarray(_ERROR)
@@ -296,8 +315,24 @@ def solve(
         assert watch is not None
         return watch.after(seen, s.t, s.h, lambda time: weighted(s, time) @ s.differences[: ORDERS + 1, 0])
 
+    def remembered(s: _State, before: Array) -> tuple[_State, Array]:
+        """After an accepted step: what its events set, and which are to come."""
+        assert memory is not None
+        kept = s.differences[: ORDERS + 1]
+        apart = memory.before(s.t, kept[0, 0], args)
+        there, at = before & ~apart, jnp.asarray(memory.places)
+
+        setting = memory.set
+
+        def put(d: Array) -> Array:
+            rows = setting(s.t, s.h, lambda time: jnp.tensordot(weighted(s, time), kept, axes=1), args, changes)
+            fresh = jnp.zeros((ROWS, *rows.shape)).at[0].set(rows)
+            return d.at[:, :, at].set(jnp.where(there, fresh, d[:, :, at]))
+
+        return s._replace(differences=jax.lax.cond(jnp.any(there), put, lambda d: d, s.differences)), apart
+
     def step(carry: tuple) -> tuple:
-        tried, out, found, rates, record, seen = carry
+        tried, out, found, rates, record, seen, before = carry
         tried = tried if limits is None else shortened(tried)
         bends, share, sizes, factors = attempt(tried)
         good, part = share <= 1.0, jnp.ones(())
@@ -312,9 +347,11 @@ def solve(
         if watch is not None:
             seen = jax.lax.cond(good, looked, lambda seen, _: seen, seen, s)
         s, out, found, rates = jax.lax.while_loop(due, write, (s, out, found, rates))
+        if memory is not None:
+            s, before = jax.lax.cond(good, remembered, lambda *x: x, s, before)
         change = ~good | (s.equal > s.order)
         s = jax.lax.cond(change, adapted, lambda s, *_: s, s, good, share, sizes, part)
-        return s, out, found, rates, record, seen
+        return s, out, found, rates, record, seen, before
 
     def going(carry: tuple) -> Array:
         s, out, *_ = carry
@@ -336,5 +373,6 @@ def solve(
     rates = None if watch is None else jnp.full((times.size, start.shape[1]), jnp.nan)
     seen = None if watch is None else watch.begin(start[0])
     ready = jax.lax.while_loop(due, write, (begin, zero, found, rates))
-    s, _, found, rates, record, seen = jax.lax.while_loop(going, step, (*ready, record, seen))
+    before = None if memory is None else memory.before(jnp.zeros(()), start[0], args)
+    s, _, found, rates, record, seen, _ = jax.lax.while_loop(going, step, (*ready, record, seen, before))
     return Found(found, s.t, s.accepted, s.rejected, record, rates, seen)

@@ -23,6 +23,7 @@ from bcfj_jax.solve import bdf, integrate
 from bcfj_jax.solve.batched_jvp import together
 from bcfj_jax.solve.landing import PIECES, Instants, Look, crossed_at, cubic, look, put
 from bcfj_jax.solve.plan import Plan
+from bcfj_jax.solve.remembering import at_touch
 
 # Newton steps from the cubic's root to that of the step's polynomial.
 _NEWTON = 4
@@ -161,7 +162,7 @@ def solved(
         watch = Watch(model, prepared, times[-1], solver.tolerance[0], most)
         found = bdf.solve(
             solver, made.args, changes, jnp.concatenate([start[None], by_start]), made.scales, times, made.first_step,
-            made.shortest_step, how.max_steps, watch=watch, limits=integrate.limits(made, solver),
+            made.shortest_step, how.max_steps, watch=watch, limits=integrate.limits(made, solver), memory=at_touch(model),
         )  # fmt: skip
         m, (rows, *rest) = found.seen, integrate.ended(found, times, how)
         instants = m.found._replace(

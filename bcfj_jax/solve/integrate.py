@@ -6,7 +6,7 @@ tolerance, ``integrate`` runs it. Which solver a model gets follows from its tra
 | model | solver | why |
 |---|---|---|
 | not stiff | Tsit5 | a few elastic or damped springs are oscillatory, not stiff: explicit wins |
-| ... derivatives, where ``Plan.tangents`` asks | Tsit5 with ``landing`` | of a step across a kink they are wrong |
+| ... derivatives, of a model with contacts | Tsit5 with ``landing`` | of a step across a kink they are wrong |
 | stiff, values | RODAS3 on the model's structure | one factorisation a step; no iteration, so no run of a batch waits |
 | stiff, forward derivatives | SDIRK2 on the model's structure | every stage implicit and converged: tangents stay bounded |
 | ... tighter than 0.05 % | BDF on the model's structure | tangents' own error controlled: high order, one matrix a step |
@@ -22,23 +22,26 @@ prototype's Rosenbrock method reached 1e19 N.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import diffrax as dfx
 import equinox as eqx
 import jax
+import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.status import NOT_FINITE, OK, SOLVER, STEPS
-from bcfj_jax.mechanism.model import AbstractModel, Params, Solution
+from bcfj_jax.mechanism.model import AbstractModel, Continuous, Params, Solution
 from bcfj_jax.solve import adjoint, bdf, named
 from bcfj_jax.solve.batched_jvp import lane_by_lane, still, together
 from bcfj_jax.solve.extremes import named as by_name
-from bcfj_jax.solve.landing import NEAR, Instants, Landing, contacts
+from bcfj_jax.solve.landing import NEAR, Instants, Landing, bending, contacts, look
 from bcfj_jax.solve.plan import Plan, Way
+from bcfj_jax.solve.remembering import Remembering, at_touch, constant
 from bcfj_jax.solve.rodas import Rodas
 from bcfj_jax.solve.sdirk import Sdirk
 from bcfj_jax.solve.seeking import Breaking, Seeker, Seeking, hidden_in
@@ -59,6 +62,8 @@ _LEAST = 0.001
 # Of what is asked, the tolerance of stiff models' reverse runs (benchmarks/models/joint_gradient.py): of which parameters
 # derivatives will be asked for is not known, and loose steps end at order 2.
 _REVERSE = 0.1
+# Force error at most of a stiff model's derivatives where approach speeds are remembered.
+_REMEMBERED = 1e-4
 # Proportional and integral gain of the step control.
 _GAINS = {True: (0.4, 0.3), False: (0.2, 0.5)}
 
@@ -128,13 +133,14 @@ def _field(t: Any, y: Array, args: tuple[AbstractModel, Any]) -> Array:
 
 def integrate(
     model: AbstractModel, params: Params, times: Array, how: Plan, mode: Way = "forward",
-    differentiable: bool = False,
+    differentiable: bool = False, whole: bool = False,
 ) -> Solution:  # fmt: skip
     """Integrate from time 0 and return the states at ``times`` (a time before 0 reads the initial state).
 
     Pure: jit, vmap, and the derivatives of one ``mode`` go through; those of a stiff model only where
     ``differentiable`` asks for the solver that is meant for them. Never raises for a failed run: its states are NaN
-    from there on and ``code`` says why.
+    from there on and ``code`` says why. ``whole``: whether what is of the continuous curves is wanted
+    (``Continuous``), of an explicit run with derivatives.
 
     Raises:
         InputError: for derivatives by a solver that has none, and for a model that is not chosen yet.
@@ -154,13 +160,15 @@ def integrate(
     if traits.stiff and differentiable:
         if mode == "forward":
             return _with_tangents(posed, times, how)
+        if model.remembered:
+            return _by_directions(posed, times, how)
         return _with_adjoint(posed, _anywhere(model, params) if how.tangents else None, times, how)
     if traits.stiff and how.solver == "bdf" and not differentiable:
         assert isinstance(posed.solver, Sdirk)
         found = _by_bdf(posed, posed.solver, None, posed.start[None], times, how)
         return found._replace(states=found.states[:, 0])
-    if differentiable and how.tangents and model.contacts:
-        return _landed(posed, times, how, 1, mode)[0]
+    if differentiable and model.contacts:
+        return _with_landing(posed, times, how, mode, whole)
     return _solved(posed, times, how, mode)
 
 
@@ -178,10 +186,70 @@ def landed(model: AbstractModel, params: Params, times: Array, how: Plan, most: 
     return _landed(problem(model, params, times[-1], how, True), times, how, most, "forward")
 
 
-def _landed(problem: Problem, times: Array, how: Plan, most: int, mode: Way) -> tuple[Solution, Instants]:
-    control = Landing(controller(problem, how), NEAR * how.tolerance * problem.scales[0], most)
+def _landed(
+    problem: Problem, times: Array, how: Plan, most: int, mode: Way, whole: bool = False
+) -> tuple[Solution, Instants]:
+    (model, _), near, size = problem.args, NEAR * how.tolerance * problem.scales[0], problem.start.size
+    channels = sum(max(1, count) for count in model.members.values())
+    if model.remembered:
+        # As diffrax does in forward mode to a solver that it knows.
+        solver: Any = problem.solver if mode == "reverse" else replace(problem.solver, scan_kind="lax")
+        field = constant(problem.field, model.remembered)
+        problem = problem._replace(field=field, solver=Remembering(solver, near, size))
+    if whole:
+        problem = _with_integrals(problem, channels)
+    corners = len(bending(model))
+    if corners:
+        # As much a share of the speed to expect as of the penetration (``first_step``).
+        speeds = jnp.full(corners, 1e-2 / problem.first_step)
+        near = near * jnp.concatenate([jnp.ones(channels + len(model.remembered)), speeds])
+    since = jax.lax.stop_gradient(times[0]) if whole else None
+    control = Landing(controller(problem, how), near, most, size, since)
     end, memory = _by_diffrax(problem, times, how, mode, control, memory=True)
-    return end, contacts(memory)
+    if whole:
+        impulse, work = (end.states[-1] - end.states[0])[size:].reshape(2, channels)
+        _, time, state, before, after = jax.tree.map(lambda x: x[:channels], memory.tops)
+        end = end._replace(states=end.states[:, :size], whole=Continuous(time, state, before, after, impulse, work))
+    return end, contacts(memory, channels)
+
+
+def _with_integrals(problem: Problem, channels: int) -> Problem:
+    """With the integrals of every channel's force by time and penetration behind the states; they have no say in the steps."""
+    size, field, norm = problem.start.size, problem.field, problem.norm
+
+    def more(t: Any, y: Array, args: tuple[AbstractModel, Any]) -> Array:
+        seen = look(args[0], t, y[:size], args[1])
+        return jnp.concatenate([field(t, y[:size], args), seen.force, jnp.abs(seen.force) * seen.rate])
+
+    start, scales = (
+        jnp.concatenate([x, jnp.full(2 * channels, y)]) for x, y in ((problem.start, 0.0), (problem.scales, 1.0))
+    )
+    return problem._replace(field=more, start=start, scales=scales, norm=lambda errors: norm(errors[:size]))
+
+
+def _with_landing(problem: Problem, times: Array, how: Plan, mode: Way, whole: bool) -> Solution:
+    """An explicit run that lands on its contacts where it is differentiated, and does not where only values are wanted."""
+    if mode == "reverse":
+        return _landed(problem, times, how, 1, mode, whole)[0]
+    arrays, static = eqx.partition((problem, times, how), eqx.is_array)
+
+    def landed(arrays: Any) -> Solution:
+        problem, times, how = eqx.combine(arrays, static)
+        return _landed(problem, times, how, 1, mode, whole)[0]
+
+    @jax.custom_jvp
+    def run(arrays: Any) -> Solution:
+        problem, times, how = eqx.combine(arrays, static)
+        found = _solved(problem, times, how, mode)
+        return found._replace(whole=unknown(jax.eval_shape(landed, arrays).whole))
+
+    run.defjvp(lambda primals, tangents: jax.jvp(landed, primals, tangents))
+    return run(arrays)
+
+
+def unknown(shapes: Any) -> Any:
+    """NaN of given shapes."""
+    return jax.tree.map(lambda x: jnp.full(x.shape, jnp.nan), shapes)
 
 
 def seeker(problem: Problem, how: Plan) -> Any:
@@ -252,10 +320,10 @@ def _by_diffrax(
     states = jnp.where(jnp.isfinite(states), states, jnp.nan)
     accepted, rejected = (solution.stats[f"num_{name}_steps"] for name in ("accepted", "rejected"))
     known: Any = solution.solver_state
-    seen = ()
+    extremes = totals = None
     if how.extremes and known is not None:
-        seen = by_name(times[0], problem.start, problem.args, (known[0] if problem.seeks else known)[-1])
-    ended = Solution(states, code_of(solution.result, states), solution.ts[1][0], accepted, rejected, *seen)
+        extremes, totals = by_name(times[0], problem.start, problem.args, (known[0] if problem.seeks else known)[-1])
+    ended = Solution(states, code_of(solution.result, states), solution.ts[1][0], accepted, rejected, extremes, totals)
     return ended, solution.controller_state
 
 
@@ -278,7 +346,7 @@ def _by_bdf(problem: Problem, solver: Sdirk, changes: tuple | None, start: Array
         problem, solver, changes, start, times, how = eqx.combine(arrays, static)
         found = bdf.solve(
             solver, problem.args, changes, start, problem.scales, times, problem.first_step, problem.shortest_step,
-            how.max_steps, limits=limits(problem, solver),
+            how.max_steps, limits=limits(problem, solver), memory=at_touch(problem.args[0]),
         )  # fmt: skip
         return ended(found, times, how)
 
@@ -370,9 +438,46 @@ def _with_adjoint(problem: Problem, ahead: tuple[Any, Array] | None, times: Arra
     return solution((problem.args[1], problem.start, times), (fixed, ahead))
 
 
+def _by_directions(problem: Problem, times: Array, how: Plan) -> Solution:
+    """Reverse derivatives by forward tangents in all directions: what is set at a touch has no place in a record of steps."""
+    (model, prepared), start = problem.args, problem.start
+    how = replace(how, tolerance=jnp.minimum(how.tolerance, model.tolerance(_REMEMBERED)))
+    moving, fixed = eqx.partition((prepared, start), eqx.is_inexact_array)
+    flat, restored = jax.flatten_util.ravel_pytree(moving)
+
+    arrays, static = eqx.partition((problem, times, how, fixed), eqx.is_array)
+
+    def states(flat: Array, arrays: Any) -> tuple[Array, Solution]:
+        problem, times, how, fixed = eqx.combine(arrays, static)
+        prepared, start = eqx.combine(restored(flat), fixed)
+        found = _with_tangents(problem._replace(args=(model, prepared), start=start), times, how)
+        return found.states, found
+
+    @jax.custom_vjp
+    def solution(flat: Array, arrays: Any) -> Solution:
+        return states(flat, arrays)[1]
+
+    def forth(flat: Array, arrays: Any) -> tuple[Solution, tuple]:
+        # By shares: where the tangents' error is controlled, what is small is an effect of 100 %.
+        sizes = jnp.where(flat == 0.0, 1.0, jnp.abs(flat))
+        slopes, found = jax.jacfwd(lambda x: states(flat + sizes * x, arrays), has_aux=True)(jnp.zeros_like(flat))
+        return found, (slopes / sizes, arrays)
+
+    def back(kept: tuple, cotangents: Solution) -> tuple:
+        slopes, arrays = kept
+        return jnp.tensordot(cotangents.states, slopes, axes=2), jax.tree.map(still, arrays)
+
+    solution.defvjp(forth, back)
+    return solution(flat, jax.lax.stop_gradient(arrays))
+
+
 def _with_tangents(problem: Problem, times: Array, how: Plan) -> Solution:
     """A run whose forward tangents are solved beside it (``solve.tangents``)."""
-    (model, _), controlled = problem.args, how.tangents
+    model, _ = problem.args
+    # What is remembered of a touch has its derivative from BDF alone, whose tangents are good at tight tolerances.
+    controlled = how.tangents or bool(model.remembered)
+    if not how.tangents and controlled:
+        how = replace(how, tolerance=jnp.minimum(how.tolerance, model.tolerance(_REMEMBERED)))
 
     def of(x: tuple) -> tuple[Problem, Sdirk, Array, Plan]:
         c, start, times, *fixed = x

@@ -4,7 +4,8 @@ The field of a mechanism has a kink where a contact begins and where it ends. A 
 depends on the kink's place in the step: forces bear it, their derivatives do not (10 % after a bounce at ``balanced``).
 Here a step that would cross is taken again so that it ends on the surface. The pieces between are smooth, so that state and
 tangents converge with the solver's order. The force is 0 on the surface, the field is continuous, and tangents at fixed
-times pass through without a jump (a law whose force jumps has another derivative: ``Reading`` of its begin says so).
+times pass through without a jump (a law whose force jumps has another derivative: ``Reading`` of its begin says so). Where
+contacts remember their approach speeds, steps also end where these are set (``solve.remembering``).
 """
 
 from __future__ import annotations
@@ -16,13 +17,14 @@ import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from bcfj_jax.mechanism.model import AbstractModel
+from bcfj_jax.solve.remembering import close
 
 # A step ends on the surface when it is this share of the tolerated error of a penetration from it.
 NEAR = 1e-3
-_ROUNDING = 5e-15
 # A step is taken anew so many times at most, and ends beyond this share of the one that it replaces.
 _TRIES, _LEAST = 8, 1e-4
 # A step of so small a part of the flight or the contact so far is not taken anew.
@@ -63,8 +65,24 @@ class Look(NamedTuple):
     force: Array
 
 
+class Tops(NamedTuple):
+    """Of each of C channels the end of the step at which its force was greatest.
+
+    Attributes:
+        size: (C,) of that force [N].
+        time: (C,) [s]; state: (C, n).
+        before, after: (C,) lengths of the steps before and after it [s].
+    """
+
+    size: Array
+    time: Array
+    state: Array
+    before: Array
+    after: Array
+
+
 class _Memory(NamedTuple):
-    """What the controller knows.
+    """What the controller knows; of C channels, and behind them of the surfaces at which approach speeds are set.
 
     Attributes:
         inner: the inner control's state.
@@ -75,6 +93,7 @@ class _Memory(NamedTuple):
         free: length of the step that first crossed it [s].
         since: (C,) when each channel began to touch or not to [s].
         high, top: (C,) when the force was greatest in this contact [s], and its size [N].
+        tops: of the whole run; None where nobody asks.
     """
 
     inner: Any
@@ -86,6 +105,7 @@ class _Memory(NamedTuple):
     since: Array
     high: Array
     top: Array
+    tops: Tops | None
 
 
 @partial(jax.jit, static_argnums=0)  # Traced once for all of its places, and for each derivative of them.
@@ -99,31 +119,66 @@ def look(model: AbstractModel, t: Any, y: Array, prepared: Any) -> Look:
     return Look(*(jnp.concatenate(part) for part in zip(*rows, strict=True)))
 
 
+def bending(model: AbstractModel) -> tuple[int, ...]:
+    """Channels whose force has a corner where their penetration turns."""
+    counts = [max(1, model.members[contact.name]) for contact in model.contacts]
+    laws = [getattr(contact, "law", None) for contact in model.contacts]
+    every = [getattr(law, "bends", False) for law, count in zip(laws, counts, strict=True) for _ in range(count)]
+    return tuple(i for i, bends in enumerate(every) if bends)
+
+
+def surfaces(model: AbstractModel, t: Any, y: Array, prepared: Any) -> Look:
+    """Every channel; then, which bear no force, the surfaces at which approach speeds are set, and those of ``bending``.
+
+    The depth of the latter is the speed of departure [m/s]; its rate [m/s^2] goes by the field.
+    """
+    found = [look(model, t, y, prepared)]
+    none = lambda x: jnp.zeros_like(x)  # noqa: E731
+    if model.remembered:
+        more = model.approaches(t, y, prepared)
+        found.append(Look(more.depth, more.rate, none(more.depth)))
+    if corners := bending(model):
+        along = (jnp.ones_like(jnp.asarray(t)), model.vector_field(t, y, prepared))
+        speed, change = jax.jvp(lambda t, y: -look(model, t, y, prepared).rate, (jnp.asarray(t), y), along)
+        at = jnp.asarray(corners)
+        found.append(Look(speed[at], change[at], none(speed[at])))
+    return Look(*(jnp.concatenate(part) for part in zip(*found, strict=True)))
+
+
 class Landing(dfx.AbstractStepSizeController):
     """A step control that also ends steps on surfaces, and notes when contacts begin and end.
 
-    The arguments of the field are (model, what it has prepared). ``near`` [m]: a step ends on a surface within it.
+    The arguments of the field are (model, what it has prepared). ``near``: a step ends on a surface within it, [m] or [m/s].
+    ``size`` is the number of states that the model reads; others may stand behind them. ``since`` [s]: from when on greatest
+    forces are sought, which carry derivatives; None for none.
     """
 
     inner: dfx.AbstractStepSizeController
     near: Array
     most: int = eqx.field(static=True)
+    size: int = eqx.field(static=True)
+    since: Array | None = None
 
     def wrap(self, direction):
         """Forwards only."""
-        return Landing(self.inner.wrap(direction), self.near, self.most)
+        return Landing(self.inner.wrap(direction), self.near, self.most, self.size, self.since)
 
     def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
         """The inner control's first step; what touches at the start."""
         first, inner = self.inner.init(terms, t0, t1, y0, dt0, args, func, error_order)
         model, prepared = args
-        seen = look(model, t0, y0, prepared)
+        start = y0[: self.size]
+        seen = surfaces(model, t0, start, prepared)
         inside = (seen.depth > 0) | ((seen.depth == 0) & (seen.rate > 0) & (seen.force > 0))
         empty = jnp.full((*seen.depth.shape, self.most), jnp.nan)
         count = jnp.where(inside, 1, 0)
         found, top = Instants(empty, empty, empty, count), jnp.where(inside, jnp.abs(seen.force), -jnp.inf)
         none = jnp.zeros(seen.depth.shape)
-        return first, _Memory(inner, seen, inside, found, jnp.asarray(0), jnp.asarray(0.0), none, none, top)
+        tops = None
+        if self.since is not None:
+            size = jnp.where(t0 >= self.since, jnp.abs(seen.force), -jnp.inf)
+            tops = Tops(jax.lax.stop_gradient(size), none, jnp.broadcast_to(start, (none.size, start.size)), none, none)
+        return first, _Memory(inner, seen, inside, found, jnp.asarray(0), jnp.asarray(0.0), none, none, top, tops)
 
     def adapt_step_size(self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state):
         """The inner control's decision; of a step that it keeps and that crosses, another one to the surface."""
@@ -131,17 +186,16 @@ class Landing(dfx.AbstractStepSizeController):
         keep, start, end, jump, inner, result = self.inner.adapt_step_size(
             t0, t1, y0, y1_candidate, args, y_error, error_order, memory.inner
         )
-        model, prepared = args
-        now, dt = look(model, t1, y1_candidate, prepared), t1 - t0
+        (model, prepared), after = args, y1_candidate[: self.size]
+        now, dt = surfaces(model, t1, after, prepared), t1 - t0
         fixed = jax.lax.stop_gradient
-        # No nearer than the clock's rounding lets a step end.
-        close = fixed(jnp.maximum(self.near, _ROUNDING * jnp.abs(t1 * now.rate)))
-        near, heading = jnp.abs(now.depth) <= close, jnp.where(memory.inside, -now.rate, now.rate) > 0
+        reach = close(self.near, t1, now.rate)
+        near, heading = jnp.abs(now.depth) <= reach, jnp.where(memory.inside, -now.rate, now.rate) > 0
         beyond = jnp.where(memory.inside, -now.depth, now.depth) > 0
         crossing = keep & beyond & ~near
         share = jax.lax.cond(
             jnp.any(crossing),
-            lambda: jnp.min(jnp.where(crossing, crossed_at(memory.before, now, memory.inside, dt, 0.5 * close), 1.0)),
+            lambda: jnp.min(jnp.where(crossing, crossed_at(memory.before, now, memory.inside, dt, 0.5 * reach), 1.0)),
             lambda: jnp.ones_like(dt),
         )
         # A step so short is on the surface, whatever the rounding of the penetration lets it show.
@@ -154,12 +208,14 @@ class Landing(dfx.AbstractStepSizeController):
         higher = kept & inside & (turned | (size > memory.top))
         # To the surface; of a contact that ends, by ever shorter steps.
         surface = jnp.maximum(share, _LEAST) * dt
-        finest = jnp.min(jnp.where(memory.inside & crossing, _FINEST * (fixed(t0) - memory.since), jnp.inf))
+        # A turn is no end of a contact.
+        ends = np.arange(turned.size) < turned.size - len(bending(model))
+        finest = jnp.min(jnp.where(memory.inside & crossing & ends, _FINEST * (fixed(t0) - memory.since), jnp.inf))
         surface = jnp.where(surface > finest, _PART * surface, surface)
         # A step that only ends a flight says nothing of the length of the next.
         length = fixed(end - start)
         length = jnp.where(landed, jnp.maximum(length, _AFTER * free), length)
-        leaving = kept & inside & ~turned & (now.rate < 0) & ~near
+        leaving = kept & inside & ~turned & (now.rate < 0) & ~near & ends
         ahead = -now.depth / jnp.where(leaving, now.rate, -1.0)
         ahead = jnp.maximum(_PART * ahead, _FINEST * (fixed(t1) - memory.since))
         length = jnp.minimum(length, jnp.min(jnp.where(leaving, ahead, jnp.inf)))
@@ -174,8 +230,21 @@ class Landing(dfx.AbstractStepSizeController):
             since,
             jnp.where(higher, fixed(t1), memory.high),
             jnp.where(higher, fixed(size), jnp.where(inside, memory.top, -jnp.inf)),
+            self._topped(memory.tops, kept, size, t0, t1, after),
         )
         return kept, start, end, jump, known, result
+
+    def _topped(self, tops: Tops | None, kept: Array, size: Array, begin: Any, end: Any, y: Array) -> Tops | None:
+        """With the end of a step that is kept, where a force [N] is greater there."""
+        if tops is None:
+            return None
+        better, fixed = kept & (size > tops.size) & (end >= self.since), jax.lax.stop_gradient
+        next_one = kept & ~better & (tops.time == begin)
+        return Tops(
+            jnp.where(better, fixed(size), tops.size), jnp.where(better, end, tops.time),
+            jnp.where(better[:, None], y, tops.state), jnp.where(better, fixed(end - begin), tops.before),
+            jnp.where(better, 0.0, jnp.where(next_one, fixed(end - begin), tops.after)),
+        )  # fmt: skip
 
 
 def cubic(before: Look, now: Look, dt: Any, s: Array) -> Array:
@@ -232,7 +301,8 @@ def put(table: Array, where: Array, count: Array, values: Any) -> Array:
     return table.at[jnp.arange(count.size), place].set(values, mode="drop")
 
 
-def contacts(last: _Memory) -> Instants:
+def contacts(last: _Memory, channels: int) -> Instants:
     """What a run's memory at its end knows of its contacts; of one that is still closed when its force was greatest so far."""
     last = jax.lax.stop_gradient(last)
-    return last.found._replace(high=put(last.found.high, last.inside, last.found.count, last.high))
+    found = last.found._replace(high=put(last.found.high, last.inside, last.found.count, last.high))
+    return jax.tree.map(lambda x: x[:channels], found)

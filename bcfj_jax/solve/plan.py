@@ -11,6 +11,8 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.core import Tracer
+from jax.typing import ArrayLike
 
 from bcfj_jax.core.errors import InputError, nearest, quoted
 from bcfj_jax.core.quantities import Quantity, whole
@@ -23,6 +25,8 @@ Way = Literal["forward", "reverse"]
 LEVELS = {"fast": 5e-2, "balanced": 1e-2, "reference": 1e-5}
 # Attempted steps that a run may take where nothing else is asked for.
 MAX_STEPS = 400_000
+# The largest force error that may be asked for.
+_LOOSEST = 0.5
 
 # Steps that a run which measures the error of another takes at least.
 LOOKS = 200
@@ -38,9 +42,9 @@ _TANGENTS_BELOW = 5e-4
 class Plan(eqx.Module):
     """How a model will be integrated.
 
-    ``tolerance`` may be traced: changing it does not compile again; changing the rest does. ``tangents``: whether steps
-    are chosen for derivatives, too: a stiff model's for the error of its tangents, an explicit one's so that they end where
-    contacts begin and end (``solve.landing``); a fit of single impacts need not pay for that. ``solver``: a name of
+    ``tolerance`` may be traced: changing it does not compile again; changing the rest does. ``tangents``: whether a stiff
+    model's steps are chosen for the error of its tangents, too; an explicit one's, where it is differentiated, always end where
+    contacts begin and end (``solve.landing``). ``solver``: a name of
     ``solve.named``, where the model's own is not wanted. ``extremes``: whether each contact is looked at in every step
     (``solve.extremes``); of values alone. ``longest``: of all steps [s], may be traced; a model has its own beside it.
     """
@@ -54,13 +58,14 @@ class Plan(eqx.Module):
 
 
 def plan(
-    model: AbstractModel, accuracy: str | float = "balanced", max_steps: int = MAX_STEPS, solver: str | None = None
+    model: AbstractModel, accuracy: str | ArrayLike = "balanced", max_steps: int = MAX_STEPS, solver: str | None = None
 ) -> Plan:
     """Tolerance for a model and an accuracy.
 
     Args:
         model: what will be integrated.
-        accuracy: a level (``LEVELS``) or the tolerated force error as a fraction of the peak, 1e-9 to 0.5.
+        accuracy: a level (``LEVELS``) or the tolerated force error as a fraction of the peak, 1e-9 to 0.5. A traced number is
+            taken as it is, and cannot choose between a stiff model's methods: it takes the one for loose steps.
         max_steps: budget of attempted steps; beyond it a run fails with that reason.
         solver: a name of ``solve.named`` in place of the model's own.
 
@@ -70,8 +75,14 @@ def plan(
     """
     check_bits()
     max_steps = whole("max_steps", max_steps)
-    error, stiff = force_error(accuracy), model.traits.stiff
+    stiff = model.traits.stiff
     named.check(solver, stiff)
+    if isinstance(accuracy, Tracer):
+        # Tolerances are in proportion to the error, up to a loosest one.
+        share = jnp.asarray(accuracy) / LEVELS["balanced"]
+        traced = jnp.minimum(share * model.tolerance(LEVELS["balanced"]), model.tolerance(_LOOSEST))
+        return Plan(traced, max_steps, solver == "bdf", solver)
+    error = force_error(accuracy)
     tangents = solver == "bdf" or (solver is None and stiff and error < _TANGENTS_BELOW)
     # An array of NumPy, which compiles nothing.
     tolerance: Any = np.asarray(model.tolerance(error), dtype=np.float64)
@@ -90,7 +101,7 @@ def check_bits() -> None:
         )
 
 
-def force_error(accuracy: str | float) -> float:
+def force_error(accuracy: str | ArrayLike) -> float:
     """Force error that a level, a number or a text such as "1 %" asks for, as a fraction of the peak.
 
     Raises:
@@ -101,7 +112,9 @@ def force_error(accuracy: str | float) -> float:
             raise InputError("accuracy", f"no level {quoted(accuracy)}", nearest(accuracy, LEVELS))
         return LEVELS[accuracy]
     error = upward("quantity")(accuracy, "1", "accuracy") if isinstance(accuracy, str) else accuracy
-    if not isinstance(error, (int, float, np.number)) or not 1e-9 <= error <= 0.5:
+    if isinstance(error, (Array, np.ndarray)) and error.ndim == 0:
+        error = float(error)
+    if not isinstance(error, (int, float, np.number)) or not 1e-9 <= error <= _LOOSEST:
         right = f"give {', '.join(LEVELS)}, or a fraction of the peak from 1e-9 to 0.5"
         raise InputError("accuracy", f"force_error = {quoted(accuracy)}", right)
     return float(error)

@@ -115,19 +115,21 @@ def force_history(
     params: Params,
     times: Float[ArrayLike, " T"],
     *,
-    accuracy: str | float | Plan = "balanced",
+    accuracy: str | ArrayLike | Plan = "balanced",
     mode: Mode = "auto",
 ) -> dict[str, Float[Array, "T ... 3"]]:
     """Contact-force histories as a pure function of parameters and times.
 
     jit, vmap, pmap, shard_map, jvp, grad and second derivatives (hessian) go through. Step-size control is never
-    differentiated. A failed run is NaN from the failure on; so is then every loss built on it.
+    differentiated. A run that is differentiated ends steps where contacts begin and end, and is as accurate as asked,
+    derivatives too. A failed run is NaN from the failure on; so is then every loss built on it.
 
     Args:
         scene: static structure.
         params: the scene's parameters, SI, from ``scene.parameters``.
         times: (T,) increasing [s]; the run starts at 0, and a time before 0 reads the initial state.
-        accuracy: level, force error as a fraction of the peak, or a ``Plan`` (whose tolerance may be traced).
+        accuracy: level, force error as a fraction of the peak, which may be traced, or a ``Plan`` (``bj.Plan``), whose
+            tolerance may be.
         mode: "forward" (jvp, jacfwd: fastest for some 50 parameters; gradients and second derivatives are made of
             tangents), "reverse" (vjp, grad, no other; of a stiff model by BDF's own steps), or "auto": both, for one
             forward run more.
@@ -156,7 +158,7 @@ def reading_history(
     times: Float[ArrayLike, " T"],
     read: Sequence[str],
     *,
-    accuracy: str | float | Plan = "balanced",
+    accuracy: str | ArrayLike | Plan = "balanced",
     mode: Literal["forward", "reverse"] = "forward",
 ) -> dict[str, Float[Array, "T ..."]]:
     """Histories of any readings (``mechanism.channels``) as a pure function of parameters and times.
@@ -189,7 +191,7 @@ def _histories(
 
 
 def _given(
-    scene: AbstractModel, params: Params, times: ArrayLike, accuracy: str | float | Plan
+    scene: AbstractModel, params: Params, times: ArrayLike, accuracy: str | ArrayLike | Plan
 ) -> tuple[dict[str, Array], Array, Plan]:
     """What a pure function was given, checked where it is concrete."""
     make_room()

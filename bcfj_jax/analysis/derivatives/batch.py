@@ -1,8 +1,9 @@
 """Histories and their derivatives of many runs at once: one compiled program for a number of runs.
 
 What ``jacobian.level`` gives of one run. Tangents go beside the states through the work queue
-(``solve.work_queue``), so that no run waits for the slowest. Instants that are solved for themselves are each searched
-from the run before. On several devices each has its own part of the batch and its own queue.
+(``solve.work_queue``), so that no run waits for the slowest. Explicit runs that land on their contacts are solved one after
+the other within the program, on a CPU. Instants that are solved for themselves are each searched from the run before. On
+several devices each has its own part of the batch and its own queue.
 """
 
 from __future__ import annotations
@@ -16,10 +17,10 @@ import numpy as np
 from jax import Array
 from jax.sharding import Mesh, PartitionSpec
 
-from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel
+from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel, histories
 from bcfj_jax.core.programs import program
 from bcfj_jax.core.status import NO_FORCE, OK, STEEP
-from bcfj_jax.mechanism.model import AbstractModel
+from bcfj_jax.mechanism.model import AbstractModel, Solution
 from bcfj_jax.solve.batched_jvp import along, changes
 from bcfj_jax.solve.plan import Plan
 from bcfj_jax.solve.simulation import readings
@@ -76,9 +77,9 @@ def run(
     found = batch(*arguments)
     rounds = int(np.max(found[4]))
     value, slopes, code, end, steps = (jax.tree.map(lambda x: x[:count], part) for part in (*found[:4], found[5]))
-    force, *others = (np.moveaxis(x, 2, 1) for x in slopes)
-    derivative = Histories(force[..., None], *others, state=None)
-    return Runs(Histories(*value, state=None), derivative, code, end, steps, rounds)
+    force, *others = (np.moveaxis(x, 2, 1) for x in slopes[:3])
+    derivative = Histories(force[..., None], *others, state=None, curve=slopes[3])
+    return Runs(Histories(*value[:3], state=None, curve=value[3]), derivative, code, end, steps, rounds)
 
 
 def filled(count: int, size: int) -> tuple[np.ndarray, Mesh | None]:
@@ -122,6 +123,11 @@ def _program(
     return divided(part, mesh, params, ends, how, count, grid)
 
 
+def one_of(params: dict) -> dict:
+    """The first run's parameters."""
+    return {name: leaf[0] for name, leaf in params.items()}
+
+
 def places() -> int:
     """Runs under way at one time."""
     return _PLACES if jax.default_backend() == "cpu" else 1024
@@ -139,8 +145,9 @@ def jacobians(
         whole: whether all of a force is given back; else the normal part alone.
 
     Returns:
-        Values (N, T, C, 3 or 1), (N, T, C) twice; derivatives (N, T, P, C) of normal force, penetration and rate; then
-        (N,) codes and ends, the rounds of all places, and (N,) attempted steps.
+        Values (N, T, C, 3 or 1), (N, T, C) twice, (N, C, 3) of the continuous curve (``Histories``); derivatives (N, T, P, C)
+        of normal force, penetration and rate, (N, P, C, 3) of the curve; then (N,) codes and ends, the rounds of all places,
+        and (N,) attempted steps.
     """
     from bcfj_jax.solve.work_queue import (
         integrate_queue,
@@ -201,8 +208,32 @@ def jacobians(
         value, by, lost, steep = kept(value, by, tangents, sizes(params, wrt))
         return ahead, (value, tuple(jnp.moveaxis(x, 0, 1) for x in by), lost, steep, solution._replace(states=still))
 
+    def landed(one: tuple) -> tuple:
+        params, end = one
+
+        def at(shares: Array) -> tuple:
+            found, (code, stop, *steps) = histories(scene, moved(params, shares), end * grid, how)
+            read = tuple(found[:3])
+            return (read, found.curve, found.state), (read, found.curve, Solution(still, code, stop, *steps))
+
+        slopes, (value, curve, solution) = jax.jacfwd(at, has_aux=True)(still)
+        by, along_curve, tangents = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), slopes)
+        unit = sizes(params, wrt)
+        value, by, lost, steep = kept(value, by, tangents, unit)
+        by = (*(jnp.moveaxis(x, 0, 1) for x in by), along_curve / unit[:, None, None])
+        return (*value, curve), by, lost, steep, solution
+
     rounds = jnp.asarray(0)
-    if scene.traits.history:
+    if scene.traits.history and scene.contacts and not scene.traits.stiff:
+        runs = jnp.arange(ends.size), params, ends
+        # Those beyond the count cost nothing.
+        nothing = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(landed, (one_of(params), ends[0])))
+        if jax.default_backend() == "cpu":
+            found = jax.lax.map(lambda x: jax.lax.cond(x[0] < count, landed, lambda _: nothing, x[1:]), runs)
+        else:
+            found = jax.vmap(landed)(runs[1:])
+        value, slopes, lost, steep, solution = found
+    elif scene.traits.history:
         width = min(places(), ends.size)
         solution, rounds = integrate_queue(scene, params, ends, grid, how, count, width, wrt)
         value, slopes, lost, steep = jax.lax.map(look, (params, ends, solution.states))
@@ -213,6 +244,9 @@ def jacobians(
         else:
             found = jax.vmap(lambda *one: instants(near, one)[1])(params, ends)
         value, slopes, lost, steep, solution = found
+    if len(value) < 4:
+        shape = (ends.size, value[1].shape[-1], 3)
+        value, slopes = (*value, jnp.full(shape, jnp.nan)), (*slopes, jnp.zeros((shape[0], len(wrt), *shape[1:])))
     code, end = solution.code, solution.end
     for bad, why in ((lost, NO_FORCE), (steep, STEEP)):
         now = (code == OK) & bad.any(axis=1)

@@ -25,7 +25,7 @@ from jaxtyping import Float
 from bcfj_jax.analysis.derivatives.jacobian import by_shares, channel_names
 from bcfj_jax.analysis.derivatives.names import EVENTS, Feature, complete, event, members
 from bcfj_jax.analysis.derivatives.names import feature as named
-from bcfj_jax.analysis.derivatives.trains import PHASES, Marks, flat, instants, planned, train
+from bcfj_jax.analysis.derivatives.trains import PHASES, TILTED, Marks, flat, instants, planned, train
 from bcfj_jax.core.errors import InputError, texts
 from bcfj_jax.core.programs import program
 from bcfj_jax.core.quantities import increasing
@@ -44,8 +44,8 @@ TIGHTER = 1.0 / 16.0
 # Tolerances of the two solves that bound a number of a contact (``bounds``), over its own, by whether the model is stiff. One
 # number of two solves may agree by luck, as one in ten of the joint's does.
 BOUNDING = {False: (1.0 / 16.0, 1.0 / 256.0), True: (1.0 / 4.0, 1.0 / 40.0)}
-# An impulse of so uneven a force is not known; and a peak whose tilt would change the force by this share over the contact.
-_UNEVEN, _TILTED = 1e-3, 1e-6
+# An impulse of so uneven a force is not known.
+_UNEVEN = 1e-3
 _INTEGRATED = ("impulse", "center", "width")
 
 
@@ -321,7 +321,7 @@ def _why(found: Solved, channel: int, number: int, kind: str, name: str) -> str:
         return f"its force is too uneven: the points that it is read at give its impulse to {v.unsure[row]:.1g}"
     if kind in ("peak", "peak_time"):
         length = np.sqrt(2.0 * v.peak[row] / max(-v.bend[row], 1e-300))
-        if not (v.bend[row] < 0 and abs(v.tilt[row]) * length <= _TILTED * v.peak[row]):
+        if not (v.bend[row] < 0 and abs(v.tilt[row]) * length <= TILTED * v.peak[row]):
             return "its force has no smooth peak"
     return "" if np.isfinite(getattr(v, kind)[row]) else "it is not finite: the contact begins or ends without speed"
 

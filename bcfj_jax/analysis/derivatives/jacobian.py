@@ -21,7 +21,7 @@ from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.plan import Plan, Way
 
 # The histories behind ``force_history``, with penetrations and states beside the forces.
-from bcfj_jax.solve.simulation import outcome, timed
+from bcfj_jax.solve.simulation import readings, timed
 
 
 class Histories(NamedTuple):
@@ -30,12 +30,15 @@ class Histories(NamedTuple):
     Attributes:
         force: (T, C, 3) [N], penetration, rate: (T, C) [m, m/s] of C channels, a contact's members one by one.
         state: (T, n) in units of the states' natural sizes.
+        curve: (C, 3) peak, impulse and work of the continuous curve (``curves``), NaN where a run knows them from samples
+            alone; None where there are samples alone.
     """
 
     force: Any
     penetration: Any
     rate: Any
     state: Any
+    curve: Any = None
 
 
 class Level(NamedTuple):
@@ -75,9 +78,15 @@ def histories(
     scene: AbstractModel, params: Params, times: Array, how: Plan, mode: Way = "forward"
 ) -> tuple[Histories, tuple]:
     """Histories by the solver meant for derivatives, and (code, end, accepted, rejected). Pure."""
-    solution, readings = outcome(scene, params, times, how, mode, True)
-    force, depth, rate = by_channel(scene, readings)
-    found = Histories(force, depth, rate, solution.states / jax.lax.stop_gradient(scene.error_scale(params)))
+    from bcfj_jax.analysis.derivatives.curves import of_curve  # With diffrax, which a kept program does not need.
+    from bcfj_jax.solve.integrate import integrate
+
+    solution = integrate(scene, params, times, how, mode, True, whole=True)
+    force, depth, rate = by_channel(scene, readings(scene, params, times, solution.states))
+    curve = jnp.full((force.shape[1], 3), jnp.nan)
+    if solution.whole is not None:
+        curve = of_curve(scene, params, solution.whole, times[0], times[-1])
+    found = Histories(force, depth, rate, solution.states / jax.lax.stop_gradient(scene.error_scale(params)), curve)
     return found, (solution.code, solution.end, solution.accepted, solution.rejected)
 
 

@@ -18,7 +18,9 @@ from numpy.polynomial.chebyshev import chebvander
 
 from bcfj_jax.analysis import features
 from bcfj_jax.analysis import histories as comparison
+from bcfj_jax.analysis.derivatives import curves
 from bcfj_jax.analysis.derivatives.certificate import apart
+from bcfj_jax.analysis.derivatives.curves import IMPULSE, PEAK, WORK, even, known, quartic
 from bcfj_jax.analysis.derivatives.jacobian import Histories, channel_names
 from bcfj_jax.analysis.derivatives.names import Feature, event, members
 from bcfj_jax.analysis.derivatives.starting import START, of_members, starting
@@ -26,18 +28,36 @@ from bcfj_jax.analysis.histories import correlations, crest_lags, shifts
 
 _FEWEST = 11  # samples: a residual of order 9 over fewer is rounding
 _FEW = 6  # samples: of fewer in a contact the loop of force against penetration is not known
+# Columns of ``Histories.curve`` by features.
+_INTEGRALS = {"mean": IMPULSE, "impulse": IMPULSE, "dissipated_work": WORK}
 
 
-def channel_features(times: np.ndarray, force: Array, depth: Array) -> dict[str, Array]:
-    """Features of one channel, (T,) normal force [N] and penetration [m], that JAX differentiates. Pure."""
+def channel_features(times: np.ndarray, force: Array, depth: Array, curve: Array | None = None) -> dict[str, Array]:
+    """Features of one channel, (T,) normal force [N] and penetration [m], that JAX differentiates. Pure.
+
+    ``curve``: (3,) what is known of the continuous curve (``Histories``).
+    """
     unknown = jnp.asarray(jnp.nan)
     several = len(times) > 1
+    curve = jnp.full(3, jnp.nan) if curve is None else curve
+
+    def integral(column: int, samples: Array) -> Array:
+        return jnp.where(jnp.isfinite(curve[column]), curve[column], samples)
+
+    def top(kind: str, values: Array) -> Array:
+        there = known(kind, jax.lax.stop_gradient(curve[PEAK]), jax.lax.stop_gradient(jnp.max(values)))
+        return jnp.where(
+            there, jnp.abs(curve[PEAK]), quartic(values[:, None]) if even(times) else features.peak(values)
+        )
+
+    impulse = integral(IMPULSE, features.impulse(times, force)) if several else unknown
+    work = features.dissipated_work(jnp.abs(force), depth)
     return {
-        "peak": features.peak(force),
-        "largest": features.peak(jnp.abs(force)),
-        "mean": features.mean(times, force) if several else unknown,
-        "impulse": features.impulse(times, force) if several else unknown,
-        "dissipated_work": features.dissipated_work(jnp.abs(force), depth) if several else unknown,
+        "peak": top("peak", force),
+        "largest": top("largest", jnp.abs(force)),
+        "mean": impulse / (times[-1] - times[0]) if several else unknown,
+        "impulse": impulse,
+        "dissipated_work": integral(WORK, work) if several else unknown,
         "residual_oscillation": features.residual_oscillation(times, force) if len(times) >= _FEWEST else unknown,
         "contact_fraction": features.contact_fraction(times, depth) if several else unknown,
         "ripple": features.ripple(times, force),
@@ -62,7 +82,9 @@ def vector(
     """
     place = {name: i for i, name in enumerate(channel_names(contacts))}
     normal = found.force[:, :, 0]
-    every = jax.vmap(lambda f, d: channel_features(times, f, d), in_axes=1)(normal, found.penetration)
+    curve = jnp.full((normal.shape[1], 3), jnp.nan) if found.curve is None else found.curve
+    each = jax.vmap(lambda f, d, c: channel_features(times, f, d, c), in_axes=(1, 1, 0))
+    every = each(normal, found.penetration, curve)
 
     def one(feature: Feature) -> Array:
         if feature.kind in ("period", *START):
@@ -153,12 +175,19 @@ def sampling(
 ) -> np.ndarray:
     """Relative errors (F, P) of features' derivatives that come from the samples, whatever the solver; 0 where unknown.
 
-    Of works: what every second sample, even or odd, gives otherwise, which is three times the error of the trapezoidal
-    rule where samples are many; infinite where fewer than ``_FEW`` samples bear more than a twentieth of the peak in a
-    contact, on average. ``values`` (P,) are the parameters'.
+    None where a number is of the continuous curve (``Histories.curve``). Of peaks that of the crest (``curves.crest``). Of
+    integrals what every second sample, even or odd, gives otherwise, which is three times the error of the trapezoidal
+    rule where samples are many; of works infinite where fewer than ``_FEW`` samples bear more than a twentieth of the peak in
+    a contact, on average. ``values`` (P,) are the parameters'.
     """
     found = np.zeros((len(wanted), len(values)))
-    works = [i for i, f in enumerate(wanted) if f.kind == "dissipated_work"]
+    place = {name: i for i, name in enumerate(channel_names(contacts))}
+    for i, f in enumerate(wanted):
+        if f.kind in ("peak", "largest"):
+            own = [_peak(f.kind, times, value, derivative, place[m]) for m in members(f.contacts[0], contacts)]
+            number, by, error = own[int(np.argmax([x for x, *_ in own]))]
+            found[i] = apart((by + error)[None], by[None], np.array([number]), values)[0]
+    works = [i for i, f in enumerate(wanted) if f.kind in _INTEGRALS and not _continuous(f, value, place, contacts)]
     if not works or len(times) < 4:
         return found
     kept, last = [wanted[i] for i in works], len(times) - 1
@@ -169,14 +198,36 @@ def sampling(
         thinner = Histories(*(x[:, every] for x in derivative[:3]), state=None)
         coarse = measure(times[every], thin, thinner, kept, contacts, False)[1]
         found[works] = np.maximum(found[works], apart(coarse, slopes, numbers, values))
-    place = {name: i for i, name in enumerate(channel_names(contacts))}
     for i, slope in zip(works, slopes, strict=True):
+        if wanted[i].kind != "dissipated_work":
+            continue
         force = np.abs(value.force[:, [place[m] for m in members(wanted[i].contacts[0], contacts)], 0])
         bears = force > 0.05 * force.max(axis=0, initial=0.0)
         begins = np.count_nonzero(bears[1:] & ~bears[:-1], axis=0) + bears[0]
         if np.any((begins > 0) & (bears.sum(axis=0) < _FEW * begins)):
             found[i] = np.where(slope != 0.0, np.inf, 0.0)
     return found
+
+
+def _continuous(feature: Feature, value: Histories, place: Mapping[str, int], contacts: Mapping[str, int]) -> bool:
+    """Whether an integral is known of the continuous curve."""
+    own = [place[m] for m in members(feature.contacts[0], contacts)]
+    return value.curve is not None and bool(np.isfinite(value.curve[own, _INTEGRALS[feature.kind]]).all())
+
+
+def _peak(
+    kind: str, times: np.ndarray, value: Histories, derivative: Histories, channel: int
+) -> tuple[float, np.ndarray, np.ndarray]:
+    """A channel's peak, its derivatives (P,), and how far these may be off."""
+    force, slope = value.force[:, channel, 0], derivative.force[:, :, channel, 0]
+    if kind == "largest":
+        force, slope = np.abs(force), np.sign(force) * slope
+    if value.curve is not None and known(kind, value.curve[channel, PEAK], np.max(force)):
+        top, by = value.curve[channel, PEAK], derivative.curve[:, channel, PEAK]
+        return float(abs(top)), np.sign(top) * by, np.zeros(len(by))
+    if not (np.isfinite(force).all() and np.isfinite(slope).all()):
+        return float(np.max(force)), slope[:, int(np.argmax(force))], np.full(len(slope), np.nan)
+    return curves.crest(times, force, slope)
 
 
 def _mean(found: Sequence[tuple[float, np.ndarray]]) -> tuple[float, np.ndarray]:
@@ -190,11 +241,13 @@ def _along(
     force, depth = value.force[:, channel, 0], value.penetration[:, channel]
     slope, change = derivative.force[:, :, channel, 0], derivative.penetration[:, :, channel]
     if kind in ("peak", "largest"):
-        top = int(np.argmax(force if kind == "peak" else np.abs(force)))
-        sign = np.sign(force[top]) if kind == "largest" else 1.0
-        return float(sign * force[top]), sign * slope[:, top]
+        return _peak(kind, times, value, derivative, channel)[:2]
     if len(times) < (_FEWEST if kind == "residual_oscillation" else 2):
         return float("nan"), np.full(len(slope), np.nan)
+    column = _INTEGRALS.get(kind)
+    if column is not None and value.curve is not None and np.isfinite(value.curve[channel, column]):
+        over = times[-1] - times[0] if kind == "mean" else 1.0
+        return float(value.curve[channel, column] / over), derivative.curve[:, channel, column] / over
     if kind in ("mean", "impulse"):
         over = times[-1] - times[0] if kind == "mean" else 1.0
         return float(np.trapezoid(force, times) / over), np.trapezoid(slope, times, axis=1) / over

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Literal, NamedTuple
@@ -26,7 +27,7 @@ from bcfj_jax.analysis.derivatives.certificate import Certificate, Check, Compar
 from bcfj_jax.analysis.derivatives.contact_events import BOUNDING, TIGHTER, check_followed, filled
 from bcfj_jax.analysis.derivatives.differences import against, scales
 from bcfj_jax.analysis.derivatives.differences import direction as random_direction
-from bcfj_jax.analysis.derivatives.jacobian import Histories, Level, forces
+from bcfj_jax.analysis.derivatives.jacobian import Histories, Level, forces, level
 from bcfj_jax.analysis.derivatives.measures import measure, sampling
 from bcfj_jax.analysis.derivatives.names import Feature, complete, default_features, event
 from bcfj_jax.analysis.derivatives.names import feature as named
@@ -34,6 +35,7 @@ from bcfj_jax.analysis.derivatives.norms import norm
 from bcfj_jax.analysis.derivatives.reverse import Gradient, gradient, reversed_certificate, reversible
 from bcfj_jax.analysis.derivatives.steady import Steady, prepared
 from bcfj_jax.analysis.derivatives.steady import steady as of_steady
+from bcfj_jax.analysis.derivatives.witnesses import witnessed
 from bcfj_jax.core import presented
 from bcfj_jax.core.errors import InputError, nearest, quoted, texts
 from bcfj_jax.core.progress import stage
@@ -229,6 +231,17 @@ def sensitivity(
         agree = feature_bounds([slopes, between, tight], numbers, values)
     agree = np.maximum(agree, luckless(climbed, histories))
     agree = agree + sampling(t, last.value, last.derivative, wanted, contacts, values)
+    if differences != "none" and climbed.beside is not None and scene.traits.history and not scene.traits.stiff:
+        finer = Plan(np.asarray(climbed.beside[0].tolerance), max_steps, True)  # pyright: ignore[reportArgumentType]
+
+        def features_at(at: np.ndarray) -> np.ndarray:
+            new = {**full, **{n: np.asarray(x) for n, x in zip(names, at, strict=True)}}
+            beside = level(scene, new, t, names, finer)
+            moved = measure(t, beside.value, beside.derivative, wanted, contacts, turning)[0]
+            return moved if beside.good else np.full(len(wanted), np.nan)
+
+        with contextlib.suppress(OutOfTime):
+            agree = spend.on(lambda: witnessed(features_at, values, slopes, agree))
     if found.steady is not None:
         agree = np.maximum(agree, _off_steady(scene, full, t, last, found.steady, wanted, names))
     table = {n: {f.name: float(agree[i, k]) for i, f in enumerate(wanted)} for k, n in enumerate(names)}

@@ -136,10 +136,10 @@ class Evaluator:
         self.spent.points += 1
         if not self.objective.sampled or self._refusal(values):
             return None
-        *read, code, _ = (x[0] for x in self._read(values[None]))
+        force, depth, _, *slopes, _, code, _ = (x[0] for x in self._read(values[None]))
         if code != OK:
             return None
-        return sampled(read, self.objective, self.scene.members, self.space.slope(values))
+        return sampled([force, depth, *slopes], self.objective, self.scene.members, self.space.slope(values))
 
     @cached_property
     def near(self) -> Any:
@@ -165,6 +165,7 @@ class Evaluator:
         shape = self.batch, len(self.times), sum(max(1, members) for members in self.scene.members.values())
         force, depth = np.full(shape, np.nan), np.full(shape, np.nan)
         slopes = [np.full((*shape, len(self.space.names)), np.nan) for _ in range(2)]
+        curve = np.full((shape[0], shape[2], 3), np.nan)
         code, whys, compile_s = np.full(self.batch, NOT_FINITE), [""] * self.batch, runs.compile_s
         code[:count] = runs.code
 
@@ -185,7 +186,7 @@ class Evaluator:
         self.spent.wall_s += time.perf_counter() - begin - compile_s
         self.spent.compile_s += compile_s
         self.spent.batches += 1
-        return force, depth, *slopes, code, whys
+        return force, depth, curve, *slopes, np.zeros((*curve.shape, len(self.space.names))), code, whys
 
     def _batch(self, points: np.ndarray, near: Any) -> tuple:
         """``_runs``, filled up with the first point; what runs one by one is shared out among the cores."""
@@ -236,25 +237,27 @@ def _runs(
     scene: AbstractModel, names: tuple[str, ...], fixed: dict, points: Array, times: Array, how: Plan, count: Array,
     near: Any,
 ) -> tuple:  # fmt: skip
-    """Normal forces and penetrations (N, T, C), their tangents (N, T, C, P), codes and equilibria, for any objective."""
+    """Normal forces and penetrations (N, T, C), continuous curves (N, C, 3), the tangents of the three with a last axis (P,),
+    codes and equilibria, for any objective.
+    """
     if scene.traits.history and possible(scene, how):
         size = len(points)
         params = {name: jnp.full(size, value) for name, value in fixed.items()}
         params |= {name: points[:, k] for k, name in enumerate(names)}
         ends, grid = jnp.full(size, times[-1]), times / times[-1]
         value, slopes, code, *_ = jacobians(scene, names, params, ends, grid, how, count)
-        moved = (jnp.moveaxis(x, 2, -1) for x in slopes[:2])
-        return value[0][..., 0], value[1], *moved, code, near
+        moved = (jnp.moveaxis(slopes[0], 2, -1), jnp.moveaxis(slopes[1], 2, -1), jnp.moveaxis(slopes[3], 1, -1))
+        return value[0][..., 0], value[1], value[3], *moved, code, near
 
     def one(theta: Array) -> tuple[tuple, tuple]:
         params = {**fixed, **{name: theta[k] for k, name in enumerate(names)}}
         if scene.traits.history:
             found, (code, *_) = histories(scene, params, times, how)
-            read, places = (found.force[:, :, 0], found.penetration), near
+            read, places = (found.force[:, :, 0], found.penetration, found.curve), near
         else:
             solution, places = scene.instants(params, times, near, rates=False)
             force, depth, _ = by_channel(scene, readings(scene, params, times, solution.states))
-            read, code = (force[:, :, 0], depth), solution.code
+            read, code = (force[:, :, 0], depth, jnp.full((depth.shape[1], 3), jnp.nan)), solution.code
         return read, (read, code, places)
 
     whole = jax.jacfwd(one, has_aux=True)
@@ -271,21 +274,22 @@ def _runs(
 
 
 def _objectives(
-    grid: bytes, objective: Objective, contacts: tuple[tuple[str, int], ...], force: Array, depth: Array,
-    force_slope: Array, depth_slope: Array, norm: Array,
+    grid: bytes, objective: Objective, contacts: tuple[tuple[str, int], ...], force: Array, depth: Array, curve: Array,
+    force_slope: Array, depth_slope: Array, curve_slope: Array, norm: Array,
 ) -> tuple:  # fmt: skip
-    """The objective on norms with its gradient, on crests, and on greatest samples, of N runs."""
+    """The objective on norms with its gradient, on crests, and as it is reported, of N runs."""
     times = np.frombuffer(grid)
 
-    def of(force: Array, depth: Array, norm: Array | None) -> Array:
-        found = Histories(force[:, :, None], depth, None, None)
+    def of(read: tuple, norm: Array | None) -> Array:
+        force, depth, curve = read
+        found = Histories(force[:, :, None], depth, None, None, curve)
         return objective.of(measured(times, found, objective, dict(contacts), norm))
 
-    def one(force: Array, depth: Array, force_slope: Array, depth_slope: Array) -> tuple:
+    def one(read: tuple, slopes: tuple) -> tuple:
         def push(*along: Array) -> Array:
-            return jax.jvp(lambda f, d: of(f, d, norm), (force, depth), along)[1]
+            return jax.jvp(lambda *x: of(x, norm), read, along)[1]
 
-        slope = jax.vmap(push, in_axes=-1)(force_slope, depth_slope)
-        return of(force, depth, norm), slope, of(force, depth, jnp.asarray(jnp.inf)), of(force, depth, None)
+        slope = jax.vmap(push, in_axes=-1)(*slopes)
+        return of(read, norm), slope, of(read, jnp.asarray(jnp.inf)), of(read, None)
 
-    return jax.vmap(one)(force, depth, force_slope, depth_slope)
+    return jax.vmap(one)((force, depth, curve), (force_slope, depth_slope, curve_slope))

@@ -8,7 +8,8 @@ that do not:
 - the *norm*, ||F||_q = (1/T integral |F|^q dt)^(1/q) over time and members, which tends to the maximum from below as q
   grows and sees several equal peaks at once; a descent begins with it where ``norms`` says so.
 
-What is reported is neither, but the greatest sample.
+Where a run lands on its contacts, the summit of the continuous force takes the place of the crest, and is what is reported
+(``derivatives.curves``). What is reported otherwise is the greatest sample.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from bcfj_jax.analysis.derivatives.curves import PEAK, even, known, quartic
 from bcfj_jax.analysis.derivatives.jacobian import Histories, channel_names
 from bcfj_jax.analysis.derivatives.measures import vector
 from bcfj_jax.analysis.derivatives.names import Feature, event, feature, feature_unit, kind_unit, members
@@ -132,9 +134,15 @@ def measured(
         index = np.array([names.index(m) for m in members(feature.contacts[0], contacts)])
         values = (found.penetration if feature.kind == "peak_penetration" else found.force[:, :, 0])[:, index]
         values = jnp.abs(values) if feature.kind == "largest" else values
+        high = jnp.max(values)
+        # Of a force the summit of the continuous curve, where the run knows it.
+        curve = jnp.full(index.size, jnp.nan) if found.curve is None else found.curve[index, PEAK]
+        there = jax.vmap(lambda c: known(feature.kind, c, high))(jax.lax.stop_gradient(curve))
+        summit = jnp.max(jnp.where(there, jnp.abs(curve), -jnp.inf))
+        given = jnp.any(there) & (feature.kind != "peak_penetration")
         if norm is None:
-            return jnp.max(values)
-        top = crest(values) if _even(times) else jnp.max(values)
+            return jnp.where(given, summit, high)
+        top = jnp.where(given, summit, quartic(values) if even(times) else high)
         return jnp.where(jnp.isfinite(norm), _norm(times, values, jnp.where(jnp.isfinite(norm), norm, 2.0)), top)
 
     return [one(feature) for feature in wanted.features]
@@ -160,55 +168,6 @@ def sampled(
     beside = np.pad(values, ((1, 1), (0, 0)), constant_values=-np.inf)
     peaks = (values >= beside[:-2]) & (values >= beside[2:])
     return values.ravel(), slopes.reshape(-1, stretch.size), peaks.ravel()
-
-
-def _even(times: np.ndarray) -> bool:
-    gaps = np.diff(times)
-    return bool(gaps.size and np.ptp(gaps) <= 1e-6 * gaps.max())
-
-
-def crest(values: Array) -> Array:
-    """Maximum over time and members of (T, k) samples at even times, between samples, too.
-
-    With s the place of the quartic's maximum in samples from the greatest one: Newton's method finds it, and one more
-    step of it that is differentiated carries ds/dF = -(dp'/dF)/p''. The greatest sample itself, where it is the
-    first or last two, or the quartic has no maximum within a sample of it.
-    """
-    count = values.shape[0]
-    greatest = jnp.max(values)
-    if count < 5:
-        return greatest
-    flat = jnp.argmax(jax.lax.stop_gradient(values))
-    top, member = flat // values.shape[1], flat % values.shape[1]
-    start = jnp.clip(top - 2, 0, count - 5)
-    near = jax.lax.dynamic_slice_in_dim(jnp.take(values, member, axis=1), start, 5)
-    c = jnp.asarray(_TAYLOR) @ (near - jax.lax.stop_gradient(near[2]))
-
-    def step(c: Array, s: Array) -> tuple[Array, Array]:
-        first = c[1] + s * (2.0 * c[2] + s * (3.0 * c[3] + s * 4.0 * c[4]))
-        return first, 2.0 * c[2] + s * (6.0 * c[3] + s * 12.0 * c[4])
-
-    fixed, s = jax.lax.stop_gradient(c), jnp.zeros(())
-
-    def closer(_: int, s: Array) -> Array:
-        first, second = step(fixed, s)
-        return jnp.clip(s - first / jnp.where(second < 0.0, second, -jnp.inf), -1.0, 1.0)
-
-    s = jax.lax.stop_gradient(jax.lax.fori_loop(0, 6, closer, s))
-    second = step(fixed, s)[1]
-    inside = (top >= 2) & (top < count - 2) & (second < 0.0) & (jnp.abs(s) < 1.0)
-    safe = jnp.where(inside, second, -1.0)
-    s = s - jnp.where(inside, step(c, s)[0], 0.0) / safe
-    high = c[0] + s * (c[1] + s * (c[2] + s * (c[3] + s * c[4]))) + jax.lax.stop_gradient(near[2])
-    # A parabola's rises by up to 1/24; a jump within the five samples makes a quartic that rises further.
-    spread = jax.lax.stop_gradient(jnp.max(near) - jnp.min(near))
-    return jnp.where(inside & (high - greatest <= _RISE * spread), high, greatest)
-
-
-# How far a crest may rise above its greatest sample, over the spread of its five.
-_RISE = 0.06
-# Coefficients of the quartic through samples at -2 .. 2.
-_TAYLOR = np.linalg.inv(np.vander(np.arange(-2.0, 3.0), 5, increasing=True))
 
 
 def _norm(times: np.ndarray, values: Array, q: Array) -> Array:

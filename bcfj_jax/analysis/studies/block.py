@@ -203,7 +203,10 @@ def _with_derivatives(
         if code != OK:
             rows.append(np.full(len(study.columns), np.nan))
             continue
-        value, slopes = (Histories(*(x[i] for x in part[:3]), state=None) for part in (found.value, found.derivative))
+        value, slopes = (
+            Histories(*(x[i] for x in part[:3]), state=None, curve=part.curve[i])
+            for part in (found.value, found.derivative)
+        )
         rows.append(_row(study, end * grid, value, slopes))
     reasons = [reason(code, how.max_steps) for code in found.code]
     force = found.value.force if study.histories else np.zeros((len(last), 0, 0, 0))
