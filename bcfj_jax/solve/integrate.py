@@ -192,10 +192,8 @@ def _landed(
     (model, _), near, size = problem.args, NEAR * how.tolerance * problem.scales[0], problem.start.size
     channels = sum(max(1, count) for count in model.members.values())
     if model.remembered:
-        # As diffrax does in forward mode to a solver that it knows.
-        solver: Any = problem.solver if mode == "reverse" else replace(problem.solver, scan_kind="lax")
         field = constant(problem.field, model.remembered)
-        problem = problem._replace(field=field, solver=Remembering(solver, near, size))
+        problem = problem._replace(field=field, solver=Remembering(looped(problem.solver, mode), near, size))
     if whole:
         problem = _with_integrals(problem, channels)
     corners = len(bending(model))
@@ -290,6 +288,11 @@ def _by_errors(problem: Problem, how: Plan) -> dfx.PIDController:
     )
 
 
+def looped(solver: Any, mode: Way) -> Any:
+    """A solver whose stages are a plain loop in forward mode, as diffrax makes it of one that nothing is wrapped around."""
+    return replace(solver, scan_kind="lax") if mode == "forward" and hasattr(solver, "scan_kind") else solver
+
+
 def _solved(problem: Problem, times: Array, how: Plan, mode: Way) -> Solution:
     return _by_diffrax(problem, times, how, mode, controller(problem, how))[0]
 
@@ -298,6 +301,7 @@ def _by_diffrax(
     problem: Problem, times: Array, how: Plan, mode: Way, control: dfx.AbstractStepSizeController, memory: bool = False
 ) -> tuple[Solution, Any]:
     """What diffrax finds with a step control, and, where its ``memory`` is asked for, what the control knows at the end."""
+    problem = problem._replace(solver=looped(problem.solver, mode))
     solution = dfx.diffeqsolve(
         dfx.ODETerm(problem.field),  # pyright: ignore[reportArgumentType]
         seeker(problem, how),

@@ -109,7 +109,7 @@ def level(scene: AbstractModel, params: Params, times: np.ndarray, wrt: tuple[st
     slopes, (value, (code, end, accepted, rejected)), scale = solve(*arguments)
     wall = time.perf_counter() - begin
     # One dictionary by name in every field of the histories.
-    derivative = Histories(*(np.stack([part[name] for name in wrt]) for part in slopes))
+    derivative = Histories(*(part and np.stack([part[name] for name in wrt]) for part in slopes))
     # A force that is 0 has a derivative of 0, whatever the state's is.
     finite = np.isfinite(derivative.force).all(axis=(0, 2, 3)) & np.isfinite(derivative.state).all(axis=(0, 2))
     if code == OK and not np.isfinite(value.force).all():
