@@ -268,14 +268,15 @@ def predictions(model: Model, point: Any, log_depth: Any) -> np.ndarray:
 def divided(model: Model) -> tuple[Model, tuple[Any, ...]]:
     """A model without its numbers, which is what a program is made of, and these."""
     bare = tuple(axis._replace(lower=0.0, upper=1.0, decades=False) for axis in model.coordinates)
-    frame = replace(model, data=None, how=replace(model.how, tolerance=None), bounds=None, coordinates=bare, loss="")
-    return frame, (model.data, model.how.tolerance, model.bounds)
+    how = replace(model.how, tolerance=None, longest=None)
+    frame = replace(model, data=None, how=how, bounds=None, coordinates=bare, loss="")
+    return frame, (model.data, (model.how.tolerance, model.how.longest), model.bounds)
 
 
 def whole(frame: Model, numbers: tuple[Any, ...]) -> Model:
     """The model of ``divided``'s two parts."""
-    data, tolerance, bounds = numbers
-    return replace(frame, data=data, how=replace(frame.how, tolerance=tolerance), bounds=bounds)
+    data, (tolerance, longest), bounds = numbers
+    return replace(frame, data=data, how=replace(frame.how, tolerance=tolerance, longest=longest), bounds=bounds)
 
 
 def _evaluated(frame: Model, numbers: tuple[Any, ...], points: Array, count: Array, log_depth: Array) -> Evaluated:
