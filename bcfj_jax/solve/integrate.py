@@ -44,7 +44,7 @@ from bcfj_jax.solve.plan import Plan, Way
 from bcfj_jax.solve.remembering import Remembering, at_touch, constant
 from bcfj_jax.solve.rodas import Rodas
 from bcfj_jax.solve.sdirk import Sdirk
-from bcfj_jax.solve.seeking import Breaking, Seeker, Seeking, hidden_in
+from bcfj_jax.solve.seeking import Breaking, Limited, Seeker, Seeking, hidden_in
 from bcfj_jax.solve.tangents import beside
 from bcfj_jax.solve.watched import Watched
 
@@ -95,6 +95,7 @@ class Problem(NamedTuple):
     longest: Array
     breaks: Array | None
     seeks: bool
+    stiff: bool
     norm: Callable[[Array], Array] = _safe_norm
 
 
@@ -109,7 +110,7 @@ def problem(model: AbstractModel, params: Params, end: Array, how: Plan, differe
     first = jnp.where(jnp.isfinite(first), first, 1e-2 * jax.lax.stop_gradient(end))
     gains = _GAINS[stiff]
     longest = jnp.minimum(how.longest, jnp.inf if model.longest_step is None else model.longest_step)
-    limits = longest, model.breaks(params, end), model.shows_proximity
+    limits = longest, model.breaks(params, end), model.shows_proximity, stiff
     if not stiff:
         solver = getattr(dfx, named.NOT_STIFF[how.solver or "tsit5"])()
         if isinstance(solver, dfx.AbstractImplicitSolver):
@@ -271,6 +272,7 @@ def limits(problem: Problem, solver: Sdirk) -> bdf.Limits:
 def controller(problem: Problem, how: Plan) -> dfx.AbstractStepSizeController:
     """How steps are chosen: by their errors, for no hidden contact, and to end at breaks."""
     control: dfx.AbstractStepSizeController = _by_errors(problem, how)
+    control = control if problem.stiff else Limited(control, problem.longest, problem.shortest_step)
     control = Seeking(control) if problem.seeks else control
     return control if problem.breaks is None else Breaking(control, problem.breaks)
 
@@ -282,8 +284,8 @@ def _by_errors(problem: Problem, how: Plan) -> dfx.PIDController:
         pcoeff=problem.gains[0],
         icoeff=problem.gains[1],
         norm=problem.norm,
-        dtmin=problem.shortest_step,
-        dtmax=problem.longest,
+        dtmin=problem.shortest_step if problem.stiff else None,
+        dtmax=problem.longest if problem.stiff else None,
         force_dtmin=False,
     )
 

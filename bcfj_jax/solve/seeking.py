@@ -42,6 +42,8 @@ _DEEPER = 4.0
 _AGREES = 0.1
 # A step is taken again for hidden contacts so many times at most, so that rounding cannot hold it.
 _TRIES = 50
+# A step that is taken again is no shorter than this share of it, and not taken again where time's rounding shows.
+_LEAST, _ROUNDING = 1e-6, 1e-13
 # A blind solver's step that differs by this share of the natural sizes from Simpson's rule is none.
 _WILD = 0.1
 # The shortest stride, a share of the step, and the most looks at one step: a longer step is taken again.
@@ -307,6 +309,32 @@ def seen(model: AbstractModel, t: Any, y: Array, prepared: Any) -> Proximity:
     return model.proximity(t, y, prepared)
 
 
+class Limited(dfx.AbstractStepSizeController):
+    """A step control whose steps are no longer than ``longest`` [s], and which fails where they would be below ``shortest``."""
+
+    inner: dfx.AbstractStepSizeController
+    longest: Array
+    shortest: Array
+
+    def wrap(self, direction):
+        """Forwards only."""
+        return Limited(self.inner.wrap(direction), self.longest, self.shortest)
+
+    def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
+        """The inner control's, if it is not too long."""
+        first, inner = self.inner.init(terms, t0, t1, y0, dt0, args, func, error_order)
+        return jnp.minimum(first, t0 + self.longest), inner
+
+    def adapt_step_size(self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state):
+        """The inner control's decision, within the limits."""
+        keep, start, end, jump, inner, result = self.inner.adapt_step_size(
+            t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
+        )
+        lost = ~keep & (end - start < self.shortest)
+        result = dfx.RESULTS.where(lost, dfx.RESULTS.dt_min_reached, result)
+        return keep, start, jnp.minimum(end, start + self.longest), jump, inner, result
+
+
 class Breaking(dfx.AbstractStepSizeController):
     """A step control whose steps end just before breaks and begin just behind them, so that no stage is on either side.
 
@@ -372,8 +400,9 @@ class Seeking(dfx.AbstractStepSizeController):
         keep, start, end, jump, state, result = self.inner.adapt_step_size(
             t0, t1, y0, y1_candidate, args, error, error_order, before
         )
-        again = keep & (share < 1.0) & (tries < _TRIES)
+        part = jnp.maximum(share, _LEAST) * (t1 - t0)
+        again = keep & (share < 1.0) & (tries < _TRIES) & (part > _ROUNDING * jnp.abs(t0))
         tries = jnp.where(again, tries + 1, jnp.where(keep, 0, tries))
         state = jax.tree.map(lambda old, new: jnp.where(again, old, new), before, state), tries
-        end = jnp.where(again, t0 + share * (t1 - t0), end)
+        end = jnp.where(again, t0 + part, end)
         return keep & ~again, jnp.where(again, t0, start), end, jump & ~again, state, result

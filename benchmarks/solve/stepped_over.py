@@ -7,14 +7,17 @@ reference. Compared are which contacts happen, and the velocities of all bodies 
 received. A run of several bounces that hangs on rounding is told by the reference itself: where the reference at a third of
 its step differs from it by more than a tenth of the limit, the draw is not judged.
 
-    python -m benchmarks.solve.stepped_over [--draws N] [--only FAMILY ...] [--name NAME]     writes results/stepped_over.json
+    python -m benchmarks.solve.stepped_over [--draws N] [--only FAMILY ...] [--solvers NAME ...]   stepped_over.json
+    python -m benchmarks.solve.stepped_over --before --solvers tsit5 rodas3     without looks: stepped_over_before.json
+    python -m benchmarks.solve.stepped_over page      writes the table into docs/mechanisms.md
 """
 
 from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import fields
 from typing import Any, NamedTuple
 
 os.environ.setdefault("EQX_ON_ERROR", "nan")
@@ -31,12 +34,12 @@ from bcfj_jax.mechanism.contacts import Contact
 from bcfj_jax.mechanism.mechanism import Mechanism
 from bcfj_jax.solve.integrate import integrate
 from bcfj_jax.solve.plan import Plan, plan
-from benchmarks.common import save
+from benchmarks.common import RESULTS, load, markdown, put_in_readme, save
 
 ACCURACIES = ("balanced", 1e-4)
 EXPLICIT, IMPLICIT = ("tsit5", "dopri5", "dopri8", "bosh3", "kvaerno5"), ("rodas3", "sdirk2", "bdf")
 # Steps of the reference, shares of the run; of its own check.
-STEPS = (1e-4, 3e-5)
+STEPS = (1e-4, 5e-5)
 # Instants at which velocities are read, for the greatest.
 _SAMPLES = 65
 # Velocities at the end may be off by this share of the greatest, per accuracy; a contact missed is off by all of it.
@@ -346,22 +349,65 @@ FAMILIES: dict[str, Callable[[], Family]] = {
 }
 
 
+class _Before(Mechanism):
+    """A mechanism as it was solved before steps were looked at."""
+
+    @property
+    def shows_proximity(self) -> bool:
+        """No."""
+        return False
+
+    def breaks(self, params: Any, end: Any) -> None:
+        """None."""
+        del params, end
+
+
+def table() -> str:
+    """By solver and accuracy: runs, and in how many of them a contact was missed or a velocity was off."""
+    rows = [["solver, accuracy", "runs", "a contact missed", "velocities off", "failed", "the same before"]]
+    totals: dict[str, dict[str, float]] = {}
+    before: dict[str, float] = {}
+    for name, into in (("stepped_over", totals), ("stepped_over_before", None)):
+        for family in load(name)["families"].values():
+            for solver, counts in family["solvers"].items():
+                if into is None:
+                    wrong = max(counts["contact missed"], counts["velocity off"])
+                    before[solver] = before.get(solver, 0) + wrong
+                    before[f"{solver} runs"] = before.get(f"{solver} runs", 0) + counts["runs"]
+                    continue
+                sums = into.setdefault(solver, dict.fromkeys(counts, 0))
+                for key, value in counts.items():
+                    sums[key] = max(sums[key], value) if key == "worst" else sums[key] + value
+    for solver, sums in totals.items():
+        told = f"{before[solver]} of {before[f'{solver} runs']} wrong" if solver in before else ""
+        missed = "not looked at" if solver.startswith("bdf") else f"{sums['contact missed']}"
+        rows.append(
+            [solver.replace(" ", ", "), f"{sums['runs']}", missed, f"{sums['velocity off']}", f"{sums['failed']}", told]
+        )
+    return markdown(rows)
+
+
 def _program(scene: Mechanism, how: Plan) -> Callable[..., Any]:
-    """(parameters, end, tolerance, longest) -> velocities over the run, whether each contact was touched, status."""
+    """(parameters, end, tolerance, longest) -> velocities over the run, contacts, status, steps, last begin."""
     count = len(scene._free)
     first = sum(k or 1 for *_, k in scene._placed)
 
     def run(params: dict[str, Any], end: Any, tolerance: Any, longest: Any) -> Any:
         asked = Plan(tolerance, how.max_steps, solver=how.solver, extremes=how.extremes, longest=longest)
         found = integrate(scene, params, end * jnp.linspace(0.0, 1.0, _SAMPLES), asked)
-        touched = jnp.stack([x.onset < jnp.inf for x in (found.extremes or {}).values()]) if how.extremes else None
-        return found.states[:, first : first + count], touched, found.code, found.accepted + found.rejected
+        met = found.extremes or {}
+        counts = jnp.stack([jnp.stack([x.onset < jnp.inf, x.count]) for x in met.values()]) if met else None
+        last = jnp.max(jnp.stack([jnp.where(x.latest < jnp.inf, x.latest, 0.0) for x in met.values()])) if met else None
+        return found.states[:, first : first + count], counts, found.code, found.accepted + found.rejected, last
 
     return jax.jit(run)
 
 
-def judged(name: str, draws: int, seed: int = 0) -> dict[str, Any]:
-    """What every solver makes of so many draws of a family: by solver and accuracy, counts of what was wrong."""
+def judged(name: str, draws: int, solvers: Sequence[str], before: bool = False, seed: int = 0) -> dict[str, Any]:
+    """What solvers make of so many draws of a family: by solver and accuracy, counts of what was wrong.
+
+    ``before``: without looks within steps and without breaks; the reference has both.
+    """
     family = FAMILIES[name]()
     rng = np.random.default_rng((seed, *name.encode()))
     cases = [family.draw(rng) for _ in range(draws)]
@@ -374,16 +420,27 @@ def judged(name: str, draws: int, seed: int = 0) -> dict[str, Any]:
     for values, end in cases:
         found = [jax.device_get(program(values, end, tight, np.asarray(step * end))) for step in STEPS]
         references.append(found[1])
-        certain.append(_off(found[0], found[1]) < 0.1 * LIMITS[1e-4])
+        # What begins just before the end may as well begin just after it.
+        certain.append(_off(found[0], found[1]) < 0.1 * LIMITS[1e-4] and not 0.98 * end < found[1][4])
     rows: dict[str, Any] = {}
-    for solver in (*EXPLICIT, *IMPLICIT):
+    kind = _Before if before else Mechanism
+    for solver in solvers:
         scene = family.scene.suited(base, 1.0, solver)
+        scene = kind(**{f.name: getattr(scene, f.name) for f in fields(scene)})
         looked = solver != "bdf"
         for accuracy in ACCURACIES:
             how = Plan(jnp.zeros(()), 400_000, solver=solver, extremes=looked)
             program = _program(scene, how)
             tolerance = plan(scene, accuracy, solver=solver).tolerance
-            counts = {"runs": 0, "failed": 0, "contact missed": 0, "velocity off": 0, "worst": 0.0, "steps": 0}
+            counts = {
+                "runs": 0,
+                "failed": 0,
+                "contact missed": 0,
+                "count off": 0,
+                "velocity off": 0,
+                "worst": 0.0,
+                "steps": 0,
+            }
             for (values, end), truth, sure in zip(cases, references, certain, strict=True):
                 if not sure:
                     continue
@@ -391,7 +448,9 @@ def judged(name: str, draws: int, seed: int = 0) -> dict[str, Any]:
                 off = _off(found, truth)
                 counts["runs"] += 1
                 counts["failed"] += int(found[2] != 0)
-                counts["contact missed"] += int(looked and not np.array_equal(found[1], truth[1]))
+                if looked:
+                    counts["contact missed"] += int(np.any(found[1][:, 0] != truth[1][:, 0]))
+                    counts["count off"] += int(np.any(found[1][:, 1] != truth[1][:, 1]))
                 counts["velocity off"] += int(not off <= LIMITS[accuracy])
                 counts["worst"] = float(max(counts["worst"], off))
                 counts["steps"] += int(found[3])
@@ -410,16 +469,26 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--draws", type=int, default=250)
     parser.add_argument("--only", nargs="*", default=list(FAMILIES))
-    parser.add_argument("--name", default="stepped_over")
+    parser.add_argument("--solvers", nargs="*", default=[*EXPLICIT, *IMPLICIT])
+    parser.add_argument("--before", action="store_true")
+    parser.add_argument("--name", default="")
+    parser.add_argument("what", nargs="?", choices=["run", "page"], default="run")
     options = parser.parse_args()
-    found = {}
-    for name in options.only:
-        found[name] = judged(name, options.draws)
-        print(name, found[name]["not judged"], "of", options.draws, "not judged", flush=True)
-        for solver, counts in found[name]["solvers"].items():
+    name = options.name or ("stepped_over_before" if options.before else "stepped_over")
+    if options.what == "page":
+        put_in_readme("stepped_over", table(), "docs/mechanisms.md")
+        return
+    # Runs of several calls add up in one file.
+    path = RESULTS / f"{name}.json"
+    found = load(name)["families"] if path.exists() else {}
+    for family in options.only:
+        new = judged(family, options.draws, options.solvers, options.before)
+        print(family, new["not judged"], "of", options.draws, "not judged", flush=True)
+        for solver, counts in new["solvers"].items():
             print("   ", solver, counts, flush=True)
+        found[family] = {**new, "solvers": found.get(family, {}).get("solvers", {}) | new["solvers"]}
+        save(name, {"families": found})
         jax.clear_caches()
-    save(options.name, {"families": found})
 
 
 if __name__ == "__main__":
