@@ -50,6 +50,12 @@ DRIVES = (
 )  # fmt: skip
 
 
+def moments(rng: np.random.Generator) -> tuple[float, ...]:
+    """Principal moments of inertia that a body can have: of three point masses on each axis."""
+    x, y, z = rng.uniform(0.005, 0.025, 3).tolist()
+    return y + z, z + x, x + y
+
+
 def body(i: int, joint: str, parents: list[str], rng: np.random.Generator) -> Body:
     """A random body; a sphere is the end of its branch, for its attitude is not known."""
     three = lambda size: tuple((size * rng.normal(size=3)).tolist())  # noqa: E731
@@ -61,7 +67,7 @@ def body(i: int, joint: str, parents: list[str], rng: np.random.Generator) -> Bo
         f"b{i}", joint, parents[rng.integers(len(parents))], three(0.3), axis,
         tilt=(three(1.0), float(rng.normal())) if rng.random() < 0.5 else None,
         center=(0.0, 0.0, 0.0) if joint == "sphere" else three(0.1), mass=float(rng.uniform(0.5, 2.0)),
-        inertia=inertia if joint == "sphere" or rng.random() < 0.5 else tuple(rng.uniform(0.01, 0.05, 3).tolist()), drive=drive,
+        inertia=inertia if joint == "sphere" or rng.random() < 0.5 else moments(rng), drive=drive,
     )  # fmt: skip
     start = {key: float(0.3 * rng.normal()) for key in (*made.coordinates, *made.rates)}
     if "q0" in start:

@@ -98,9 +98,10 @@ class Mechanism(AbstractModel):
     """
 
     kind: str = eqx.field(static=True)
-    bodies: tuple[Body, ...] = eqx.field(converter=tuple)
-    contacts: tuple[Contact, ...] = eqx.field(converter=tuple, default=())
-    loads: tuple[AbstractLoad, ...] = eqx.field(converter=lambda x: tuple(map(kept, x)), default=())
+    # Static, as functions within them are: a model has no leaves, and goes through every transformation as it is.
+    bodies: tuple[Body, ...] = eqx.field(static=True, converter=tuple)
+    contacts: tuple[Contact, ...] = eqx.field(static=True, converter=tuple, default=())
+    loads: tuple[AbstractLoad, ...] = eqx.field(static=True, converter=lambda x: tuple(map(kept, x)), default=())
     own: tuple[tuple[Quantity, Any], ...] = eqx.field(static=True, converter=lambda x: quantities("own", x), default=())
     given: tuple[tuple[str, float], ...] = eqx.field(static=True, converter=lambda x: _sorted(x), default=())
     end: Any = sizes.field("end", default=1.0)

@@ -258,8 +258,8 @@ def seeker(problem: Problem, how: Plan) -> Any:
         return solver
     tolerance = how.tolerance * problem.scales
     # Dopri8 weighs no force at the end of a step in its error.
-    rows, blind = problem.start.ndim == 2, isinstance(problem.solver, dfx.Dopri8)
-    return Seeker(solver, tolerance, problem.scales, tolerance[0], problem.norm, rows, blind)
+    blind = isinstance(problem.solver, dfx.Dopri8)
+    return Seeker(solver, tolerance, problem.scales, tolerance[0], problem.norm, blind)
 
 
 def limits(problem: Problem, solver: Sdirk) -> bdf.Limits:

@@ -226,7 +226,6 @@ class Seeker(dfx.AbstractAdaptiveSolver):
         solver: whose steps are looked at; ``tolerance``: (n,) the step control's absolute one; ``scales``: its natural sizes.
         norm: the step control's, of errors over the tolerance.
         near: penetration that counts as none [m].
-        rows: whether states are rows of a state and its tangents, and ``args`` (args, their changes).
         blind: whether the solver's error ignores forces at a step's end (``hidden``), and its interpolant is not used.
     """
 
@@ -235,7 +234,6 @@ class Seeker(dfx.AbstractAdaptiveSolver):
     scales: Array
     near: Array
     norm: Callable[[Array], Array] = eqx.field(static=True)
-    rows: bool = eqx.field(static=True, default=False)
     blind: bool = eqx.field(static=True, default=False)
 
     @property
@@ -266,8 +264,9 @@ class Seeker(dfx.AbstractAdaptiveSolver):
         return self.solver.func(terms, t0, y0, args)
 
     def _look(self, t: Any, y: Array, args: Any) -> Proximity:
-        model, prepared = args[0] if self.rows else args
-        return seen(model, *jax.lax.stop_gradient((t, y[0] if self.rows else y, prepared)))
+        # With tangents beside the state there are rows of both, and args may be (args, their changes).
+        model, prepared = args[0] if isinstance(args[0], tuple) else args
+        return seen(model, *jax.lax.stop_gradient((t, y[0] if y.ndim == 2 else y, prepared)))
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         """The solver's step, and where it has to end."""
@@ -351,8 +350,9 @@ class Breaking(dfx.AbstractStepSizeController):
 
     def _before(self, t: Array, end: Any) -> Array:
         """The end of a step from t, at the next break if that is nearer."""
-        k = jnp.searchsorted(self.breaks, t, side="right")
-        there = jnp.where(k < self.breaks.size, self.breaks[jnp.minimum(k, self.breaks.size - 1)], jnp.inf)
+        t, breaks = jax.lax.stop_gradient((t, self.breaks))
+        k = jnp.searchsorted(breaks, t, side="right")
+        there = jnp.where(k < breaks.size, breaks[jnp.minimum(k, breaks.size - 1)], jnp.inf)
         return jnp.minimum(end, jnp.maximum(jnp.nextafter(there, -jnp.inf), jnp.nextafter(t, jnp.inf)))
 
     def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
@@ -370,7 +370,7 @@ class Breaking(dfx.AbstractStepSizeController):
         fixed = jax.lax.stop_gradient
         cut = keep & (fixed(t1 - t0) < fixed(free) * (1.0 - 1e-9))
         result = dfx.RESULTS.where(cut, dfx.RESULTS.successful, result)
-        behind = jnp.nextafter(jnp.nextafter(start, jnp.inf), jnp.inf)
+        behind = jnp.nextafter(jnp.nextafter(fixed(start), jnp.inf), jnp.inf)
         k = jnp.searchsorted(self.breaks, start, side="right")
         next_break = self.breaks[jnp.minimum(k, self.breaks.size - 1)]
         reached = keep & (next_break > start) & (next_break < behind)

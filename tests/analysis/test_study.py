@@ -255,15 +255,17 @@ def test_histories_are_kept_and_guarded(here):
     result = bj.study(table, here / "out", workers=1)
     for point in range(3):
         times, force = result.forces(point)
-        assert force[:, 0, 0].max() == result.column("contact.peak")[point]
+        # The peak is that of the curve between the samples.
+        assert 0.0 <= result.column("contact.peak")[point] / force[:, 0, 0].max() - 1.0 < 1e-5
         assert np.all(np.diff(times) > 0)
     group = zarr.open_group(next((here / "out/blocks").glob("*.zarr")), mode="r")
     assert group.attrs["contacts"] == ["contact"]
+    kept = result.forces(1)[1]
     chunk = next(p for p in (here / "out/blocks").rglob("c/*") if p.is_file() or p.is_dir())
     target = chunk if chunk.is_file() else next(p for p in chunk.rglob("*") if p.is_file())
     target.write_bytes(target.read_bytes()[:-7])
     again = bj.study(table, here / "out", workers=1)
-    assert again.forces(1)[1][:, 0, 0].max() == result.column("contact.peak")[1]
+    assert np.array_equal(again.forces(1)[1], kept)
 
 
 @pytest.mark.full

@@ -245,6 +245,22 @@ def test_a_pulse_of_a_function_gives_its_momentum(where, middle, size):
     assert run.readings["block.velocity.x"][-1] == within(10.0 * width / 2.0, 2e-2)
 
 
+@pytest.mark.full
+@pytest.mark.parametrize("solver", ["rodas3", "bdf"])
+def test_functions_go_through_implicit_solvers(solver):
+    known = [(bj.Quantity(name, "s", name), 0.0) for name in ("middle", "width")]
+    scene = block(loads.Load("push", wave, ("block",), tuple(known))).suited({}, 1.0, solver)
+    params = scene.parameters(middle=0.4, width=0.01)
+    slope = jax.grad(
+        lambda w: bj.reading_history(scene, {**params, "width": w}, jnp.array([0.0, 1.0]), ["block.velocity.x"])[
+            "block.velocity.x"
+        ][-1]
+    )
+    run = bj.simulate(scene, params, np.array([0.0, 1.0]), read=["block.velocity.x"], solver=solver)
+    assert run.readings["block.velocity.x"][-1] == within(10.0 * 0.01 / 2.0, 2e-2)
+    assert np.isfinite(slope(jnp.asarray(0.01)))
+
+
 def test_parts_say_where_they_bend():
     p = {"ramp": 0.2, "turn": 0.5, "over": 0.1, "hand.drive_ramp": 0.3}
     force = loads.Force("f", "b", size=1.0, ramp="ramp", reversal="turn", reversal_ramp="over")

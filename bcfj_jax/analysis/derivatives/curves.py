@@ -28,8 +28,6 @@ PEAK, IMPULSE, WORK = range(3)
 _HIGHER = 1e-3
 # How far a crest may rise above its greatest sample, over the spread of its five: a parabola's rises by up to 1/24.
 _RISE = 0.06
-# Coefficients of the quartic through samples at -2 .. 2.
-_TAYLOR = np.linalg.inv(np.vander(np.arange(-2.0, 3.0), 5, increasing=True))
 
 
 def of_curve(model: AbstractModel, params: Params, whole: Continuous, first: Array, last: Array) -> Array:
@@ -124,14 +122,8 @@ def _summit(nodes: np.ndarray, values: np.ndarray) -> tuple[float, float, np.nda
     return place, float(terms(place)), place**powers @ inverse
 
 
-def even(times: np.ndarray) -> bool:
-    """Whether times are evenly spaced."""
-    gaps = np.diff(times)
-    return bool(gaps.size and np.ptp(gaps) <= 1e-6 * gaps.max())
-
-
-def quartic(values: Array) -> Array:
-    """Maximum over time and members of (T, k) samples at even times, between samples, too.
+def quartic(times: np.ndarray, values: Array) -> Array:
+    """Maximum over time and members of (T, k) samples at increasing times (T,), between samples, too.
 
     With s the place of the quartic's maximum in samples from the greatest one: Newton's method finds it, and one more
     step of it that is differentiated carries ds/dF = -(dp'/dF)/p''. The greatest sample itself, where it is the
@@ -145,7 +137,9 @@ def quartic(values: Array) -> Array:
     top, member = flat // values.shape[1], flat % values.shape[1]
     start = jnp.clip(top - 2, 0, count - 5)
     near = jax.lax.dynamic_slice_in_dim(jnp.take(values, member, axis=1), start, 5)
-    c = jnp.asarray(_TAYLOR) @ (near - jax.lax.stop_gradient(near[2]))
+    at = jax.lax.dynamic_slice_in_dim(jnp.asarray(times), start, 5)
+    nodes = 2.0 * (at - at[2]) / (at[3] - at[1])
+    c = jnp.linalg.solve(nodes[:, None] ** jnp.arange(5), near - jax.lax.stop_gradient(near[2]))
 
     def step(c: Array, s: Array) -> tuple[Array, Array]:
         first = c[1] + s * (2.0 * c[2] + s * (3.0 * c[3] + s * 4.0 * c[4]))

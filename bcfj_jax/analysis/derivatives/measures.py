@@ -20,7 +20,7 @@ from bcfj_jax.analysis import features
 from bcfj_jax.analysis import histories as comparison
 from bcfj_jax.analysis.derivatives import curves
 from bcfj_jax.analysis.derivatives.certificate import apart
-from bcfj_jax.analysis.derivatives.curves import IMPULSE, PEAK, WORK, even, known, quartic
+from bcfj_jax.analysis.derivatives.curves import IMPULSE, PEAK, WORK, known, quartic
 from bcfj_jax.analysis.derivatives.jacobian import Histories, channel_names
 from bcfj_jax.analysis.derivatives.names import Feature, event, members
 from bcfj_jax.analysis.derivatives.starting import START, of_members, starting
@@ -46,9 +46,7 @@ def channel_features(times: np.ndarray, force: Array, depth: Array, curve: Array
 
     def top(kind: str, values: Array) -> Array:
         there = known(kind, jax.lax.stop_gradient(curve[PEAK]), jax.lax.stop_gradient(jnp.max(values)))
-        return jnp.where(
-            there, jnp.abs(curve[PEAK]), quartic(values[:, None]) if even(times) else features.peak(values)
-        )
+        return jnp.where(there, jnp.abs(curve[PEAK]), quartic(times, values[:, None]))
 
     impulse = integral(IMPULSE, features.impulse(times, force)) if several else unknown
     work = features.dissipated_work(jnp.abs(force), depth)

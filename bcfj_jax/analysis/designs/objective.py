@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.analysis.derivatives.curves import PEAK, even, known, quartic
+from bcfj_jax.analysis.derivatives.curves import PEAK, known, quartic
 from bcfj_jax.analysis.derivatives.jacobian import Histories, channel_names
 from bcfj_jax.analysis.derivatives.measures import vector
 from bcfj_jax.analysis.derivatives.names import Feature, event, feature, feature_unit, kind_unit, members
@@ -142,7 +142,7 @@ def measured(
         given = jnp.any(there) & (feature.kind != "peak_penetration")
         if norm is None:
             return jnp.where(given, summit, high)
-        top = jnp.where(given, summit, quartic(values) if even(times) else high)
+        top = jnp.where(given, summit, quartic(times, values))
         return jnp.where(jnp.isfinite(norm), _norm(times, values, jnp.where(jnp.isfinite(norm), norm, 2.0)), top)
 
     return [one(feature) for feature in wanted.features]

@@ -25,7 +25,7 @@ from bcfj_jax.core.quantities import Quantity, scalar
 from bcfj_jax.core.status import OK, reason
 from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.model import AbstractModel, Params
-from bcfj_jax.solve.integrate import Problem, code_of, controller, integrate, problem
+from bcfj_jax.solve.integrate import Problem, code_of, controller, integrate, problem, seeker
 from bcfj_jax.solve.plan import MAX_STEPS, Plan, plan
 from bcfj_jax.solve.sdirk import Sdirk
 from bcfj_jax.solve.tangents import SdirkTangents
@@ -154,7 +154,7 @@ def advance(both: Problem, how: Plan, rows: Array, begin: Array, end: Array) -> 
     """Rows, or a state alone, carried from one time to another [s]; with a status code (``core.status``)."""
     solution = dfx.diffeqsolve(
         dfx.ODETerm(both.field),  # pyright: ignore[reportArgumentType]
-        both.solver,
+        seeker(both, how),
         t0=begin,
         t1=end,
         dt0=jnp.minimum(both.first_step, end - begin),
