@@ -283,8 +283,9 @@ def solve(
         longest = limits.longest
         if limits.breaks is not None:
             k = jnp.searchsorted(limits.breaks, s.t + 2.0 * shortest + 1e-14 * s.t, side="right")
-            there = limits.breaks[jnp.minimum(k, limits.breaks.size - 1)]
-            longest = jnp.minimum(longest, jnp.where(there > s.t, there - s.t, jnp.inf))
+            # The one that the last step has reached, to rounding, is behind.
+            there = jnp.append(limits.breaks, jnp.inf)[k]
+            longest = jnp.minimum(longest, there - s.t)
         factor = jnp.minimum(1.0, longest / s.h)
         return jax.lax.cond(
             factor < 1.0,
