@@ -20,7 +20,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from bcfj_jax.contact.gaps import Face
+from bcfj_jax.contact.gaps import AbstractGap, Face
 from bcfj_jax.contact.normal import IMPERFECT, AbstractLaw, Imperfect
 from bcfj_jax.contact.wrench import ContactForce, press
 from bcfj_jax.core.errors import InputError
@@ -456,6 +456,19 @@ class Mechanism(AbstractModel):
     def shows_proximity(self) -> bool:
         """Where there are contacts."""
         return bool(self.contacts)
+
+    @property
+    def unsure(self) -> bool:
+        """Where a gap does not say what bends it."""
+        return any(type(c.gap).bends is AbstractGap.bends for c in self.contacts)
+
+    @property
+    def unweighed(self) -> bool:
+        """Where the motion of both bodies of a contact is given."""
+        moved = {GROUND}
+        for body in self.ordered:
+            moved |= {body.name} if body.drive is not None and body.parent in moved else set()
+        return any(moved.issuperset(c.between) for c in self.contacts)
 
     def proximity(self, t: Array, y: Array, prepared: Params) -> Proximity:
         """``stepping.proximity``."""

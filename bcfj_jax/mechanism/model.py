@@ -353,6 +353,11 @@ class AbstractModel(eqx.Module):
         """Whether steps are looked at for contacts that they hide, by ``proximity``; not where none can hide one."""
         return False
 
+    @property
+    def unsure(self) -> bool:
+        """Whether steps are looked at between their ends, too, since what bends a penetration's course is not known."""
+        return False
+
     def proximity(self, t: Array, y: Array, prepared: Any) -> Proximity:
         """How near all surfaces are to each other in one state. Only of a model that ``shows_proximity``."""
         raise InputError(f"scene '{self.kind}'", "shows no proximity", "this is an error in bcfj-jax: please report it")
@@ -366,6 +371,11 @@ class AbstractModel(eqx.Module):
     def longest_step(self) -> float | None:
         """Longest step that a solver may take [s]; None: as long as its errors allow."""
         return None
+
+    @property
+    def unweighed(self) -> bool:
+        """Whether a contact acts between bodies whose motion is given, so that no step's error weighs what its force does."""
+        return False
 
     @property
     def remembered(self) -> tuple[int, ...]:

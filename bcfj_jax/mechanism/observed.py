@@ -41,8 +41,8 @@ class Observed(AbstractModel):
     first_step, structure, origin, instants, motions, flows = map(
         _of, ("first_step", "structure", "origin", "instants", "motions", "flows")
     )
-    proximity, shows_proximity, breaks, longest_step = map(
-        _of, ("proximity", "shows_proximity", "breaks", "longest_step")
+    proximity, shows_proximity, unsure, unweighed, breaks, longest_step = map(
+        _of, ("proximity", "shows_proximity", "unsure", "unweighed", "breaks", "longest_step")
     )  # pyright: ignore[reportAssignmentType]
     body_names, body_members, drive_coordinate, settled_when, tables, model_form = map(  # pyright: ignore[reportAssignmentType]
         _of, ("body_names", "body_members", "drive_coordinate", "settled_when", "tables", "model_form")

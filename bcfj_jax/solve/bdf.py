@@ -81,7 +81,7 @@ class Limits(NamedTuple):
 
     Attributes:
         longest: of a step [s]; ``breaks``: (B,) sorted times at which steps end [s], or None.
-        hidden: (begin, end, state before, read, good) -> share of a step at which it has to end (``seeking``), or None;
+        hidden: (begin, end, state before, read) -> share of a step at which it has to end (``seeking``), or None;
             ``read`` gives the state (n,) at a time within the step.
     """
 
@@ -340,7 +340,7 @@ def solve(
         if limits is not None and limits.hidden is not None:
             after = accepted(tried, bends)
             read = lambda time: weighted(after, time) @ after.differences[: ORDERS + 1, 0]  # noqa: E731
-            part = limits.hidden(tried.t, after.t, tried.differences[0, 0], read, good)
+            part = limits.hidden(tried.t, after.t, tried.differences[0, 0], read)
             good = good & (part >= 1.0)
         s = tried._replace(factors=factors, rejected=tried.rejected + ~good)
         s = jax.lax.cond(good, accepted, lambda s, _: s, s, bends)

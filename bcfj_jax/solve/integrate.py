@@ -44,7 +44,7 @@ from bcfj_jax.solve.plan import Plan, Way
 from bcfj_jax.solve.remembering import Remembering, at_touch, constant
 from bcfj_jax.solve.rodas import Rodas
 from bcfj_jax.solve.sdirk import Sdirk
-from bcfj_jax.solve.seeking import Breaking, Limited, Seeker, Seeking, hidden_in
+from bcfj_jax.solve.seeking import Breaking, Limited, Seeker, Seeking, allowed_in
 from bcfj_jax.solve.tangents import beside
 from bcfj_jax.solve.watched import Watched
 
@@ -64,6 +64,8 @@ _LEAST = 0.001
 _REVERSE = 0.1
 # Force error at most of a stiff model's derivatives where approach speeds are remembered.
 _REMEMBERED = 1e-4
+# Share of a run that a step may take where no error weighs a contact's force (``AbstractModel.unweighed``).
+_UNWEIGHED = 1e-3
 # Proportional and integral gain of the step control.
 _GAINS = {True: (0.4, 0.3), False: (0.2, 0.5)}
 
@@ -81,7 +83,7 @@ class Problem(NamedTuple):
         args: (model, what it has prepared).
         gains: proportional and integral, of the step control.
         longest: length of a step at most [s]; ``breaks``: times (B,) at which steps end, sorted [s], or None.
-        seeks: whether steps are looked at for contacts that they hide (``seeking``).
+        seeks: whether steps are looked at for contacts that they hide (``seeking``); ``unsure``: and between their ends.
     """
 
     field: Callable
@@ -95,6 +97,7 @@ class Problem(NamedTuple):
     longest: Array
     breaks: Array | None
     seeks: bool
+    unsure: bool
     stiff: bool
     norm: Callable[[Array], Array] = _safe_norm
 
@@ -110,7 +113,9 @@ def problem(model: AbstractModel, params: Params, end: Array, how: Plan, differe
     first = jnp.where(jnp.isfinite(first), first, 1e-2 * jax.lax.stop_gradient(end))
     gains = _GAINS[stiff]
     longest = jnp.minimum(how.longest, jnp.inf if model.longest_step is None else model.longest_step)
-    limits = longest, model.breaks(params, end), model.shows_proximity, stiff
+    if model.unweighed:
+        longest = jnp.minimum(longest, _UNWEIGHED * jax.lax.stop_gradient(end))
+    limits = longest, model.breaks(params, end), model.shows_proximity, model.unsure, stiff
     if not stiff:
         solver = getattr(dfx, named.NOT_STIFF[how.solver or "tsit5"])()
         if isinstance(solver, dfx.AbstractImplicitSolver):
@@ -256,16 +261,16 @@ def seeker(problem: Problem, how: Plan) -> Any:
     solver: Any = Watched(problem.solver) if how.extremes else problem.solver  # pyright: ignore[reportArgumentType]
     if not problem.seeks:
         return solver
-    tolerance = how.tolerance * problem.scales
+    near = (how.tolerance * problem.scales)[0]
     # Dopri8 weighs no force at the end of a step in its error.
     blind = isinstance(problem.solver, dfx.Dopri8)
-    return Seeker(solver, tolerance, problem.scales, tolerance[0], problem.norm, blind)
+    return Seeker(solver, problem.scales, near, problem.norm, problem.unsure, blind)
 
 
 def limits(problem: Problem, solver: Sdirk) -> bdf.Limits:
     """What ends steps of BDF beside their errors."""
     model, prepared = problem.args
-    find = hidden_in(model, prepared, solver.tolerance[0]) if problem.seeks else None
+    find = allowed_in(model, prepared, solver.tolerance[0]) if problem.seeks else None
     return bdf.Limits(problem.longest, problem.breaks, find)
 
 

@@ -14,7 +14,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -23,6 +22,7 @@ from jax import Array
 from bcfj_jax.mechanism.model import AbstractModel, Approaches
 from bcfj_jax.solve import batched_jvp
 from bcfj_jax.solve.bdf import AbstractMemory
+from bcfj_jax.solve.wrapped import AbstractWrapped
 
 # Newton steps to a touch within a step.
 _NEWTON = 6
@@ -41,34 +41,15 @@ def constant(field: Callable, places: tuple[int, ...]) -> Callable:
     return lambda t, y, args: field(t, y, args).at[jnp.asarray(places)].set(0.0)
 
 
-class Remembering(dfx.AbstractAdaptiveSolver):
+class Remembering(AbstractWrapped):
     """A solver that sets approach speeds in the state where a step begins at a touch.
 
     The arguments of its field are (model, what it has prepared). Its memory holds which of the surfaces were apart.
     ``size`` is the number of states that the model reads; others may stand behind them.
     """
 
-    solver: dfx.AbstractAdaptiveSolver
     near: Array
     size: int = eqx.field(static=True)
-
-    @property
-    def term_structure(self):
-        """The solver's."""
-        return self.solver.term_structure
-
-    @property
-    def interpolation_cls(self):
-        """The solver's."""
-        return self.solver.interpolation_cls
-
-    def order(self, terms):
-        """The solver's."""
-        return self.solver.order(terms)
-
-    def error_order(self, terms):
-        """The solver's."""
-        return self.solver.error_order(terms)
 
     def _apart(self, t: Any, y: Array, args: tuple[AbstractModel, Any]) -> tuple[Array, Array]:
         """Which surfaces are apart (k,), and what is remembered of those that are not [m/s]."""
@@ -79,10 +60,6 @@ class Remembering(dfx.AbstractAdaptiveSolver):
     def init(self, terms, t0, t1, y0, args):
         """The solver's memory, and what is apart at the start."""
         return self.solver.init(terms, t0, t1, y0, args), self._apart(t0, y0, args)[0]
-
-    def func(self, terms, t0, y0, args):
-        """The solver's."""
-        return self.solver.func(terms, t0, y0, args)
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         """The solver's step, from a start that remembers how its touches came about."""

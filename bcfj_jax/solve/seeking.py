@@ -1,23 +1,20 @@
-"""Contacts that begin and end within a step: found on the step's own interpolant, so that no step passes over one.
+"""Steps in which no contact begins and ends unseen: each is short enough that both its ends tell of all between them.
 
-An error estimate knows the field at a step's stages alone: bodies that meet and part between two stages do not meet. Every
-step that the error control would keep is therefore looked at. Of each face the model tells the penetration, its rate and how
-fast the bodies move past each other (``mechanism.model.Proximity``) at both ends. Nothing is hidden where
+An error estimate knows the field at a step's stages alone: bodies that meet and part between two stages do not meet. Of each
+face the model tells the penetration, its rate and how fast the bodies move past each other (``mechanism.model.Proximity``) at
+both ends of every step. Nothing is hidden where
 
 - the surfaces are farther apart than the bodies move in the step, or
 - the bodies move by a small share of what the penetration's course bends over, so that it is the cubic through both
-  ends, and that cubic does not touch in between.
+  ends, and that cubic neither touches in between nor is deeper by far than both ends know.
 
-Else the step is gone through in strides, each of which the cubic describes as a look in its middle confirms, halved until it
-does. A step in which a contact begins and ends, ends and begins, or is deeper by far than both ends know, is taken
-again: to where the contact begins, or, where it is closed at the start, to where it is deepest. What happens from there
-on the error estimate sees. The strides are those of a safe ray march (Hart, The Visual Computer 12 (1996) 527) where surfaces are
-far from each other.
+Any other step is taken again, shorter: to the earliest possible touch by the distance and the speed, as a safe ray march does
+(Hart, The Visual Computer 12 (1996) 527), to that small share, or to where the cubic begins to touch or is deepest. What
+happens from there on the error estimate sees.
 """
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -28,245 +25,179 @@ import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.mechanism.model import AbstractModel, Proximity
-from bcfj_jax.solve.landing import crossed_at
+from bcfj_jax.solve.wrapped import AbstractWrapped
 
 # Speeds within a step are taken to be up to this multiple of the greater one at its ends.
 _FASTER = 1.25
-# Share of the length over which a penetration's course bends that bodies may move between two looks.
+# Share of the length over which a penetration's course bends that bodies may move in a step.
 _SHARE = 0.3
 # The cubic's error over that length times the fourth power of the share: d''''/384 of a distance between two points.
 _BAND = 0.01
 # A contact is hidden where it is so many times deeper than at both ends.
 _DEEPER = 4.0
-# A stride is good where the look in its middle differs by this share of how far the surfaces are from touching.
-_AGREES = 0.1
+# Of a gap that does not say what bends it, the cubic is good where two looks, at shares of the step that no wave fits, differ
+# from it by this share of how far the surfaces are from touching.
+_INNER, _AGREES = (0.31, 0.5), 0.1
 # A step is taken again for hidden contacts so many times at most, so that rounding cannot hold it.
 _TRIES = 50
 # A step that is taken again is no shorter than this share of it, and not taken again where time's rounding shows.
 _LEAST, _ROUNDING = 1e-6, 1e-13
 # A blind solver's step that differs by this share of the natural sizes from Simpson's rule is none.
 _WILD = 0.1
-# The shortest stride, a share of the step, and the most looks at one step: a longer step is taken again.
-_SHORTEST, _MOST = 1e-7, 4000
-
-Sight = Callable[[Array], Proximity]
+# Halvings of a step that has to end at a touch of its cubic.
+_HALVINGS = 45
 
 
-class _March(NamedTuple):
-    """Where the march through a step is; (C,) of each face.
-
-    Attributes:
-        at, stride: shares of the step gone through, and tried next; ``looks`` so far.
-        here: what is seen at ``at``.
-        inside: whether the face touches there; ``changes``: how often it has begun or ended to touch.
-        first: share at which it first did; ``top``, ``deepest``: greatest penetration [m] and its share.
-    """
-
-    at: Array
-    stride: Array
-    looks: Array
-    here: Proximity
-    inside: Array
-    changes: Array
-    first: Array
-    top: Array
-    deepest: Array
-
-
-def hidden(before: Proximity, after: Proximity, h: Array, near: Array, sight: Sight, good: Any, blind: bool) -> Array:
-    """Share of a step at which it has to end so that no contact is hidden in it; 1 where none is.
+def allowed(
+    a: Proximity, b: Proximity, h: Array, near: Array, inner: tuple[Proximity, ...], blind: bool
+) -> tuple[Array, Array]:
+    """Share of a step at which it has to end so that no contact is hidden in it, 1 where none is; longest next step [s].
 
     Args:
-        before, after: what is seen at both ends.
+        a, b: what is seen at both ends.
         h: the step's length [s].
         near: penetration that counts as none [m].
-        sight: what is seen at a share of the step, on its interpolant.
-        good: whether the step will be kept; else nothing is looked for.
+        inner: what is seen on the step's interpolant at ``_INNER``, where a gap does not say what bends it; else ().
         blind: whether the error estimate ignores the field at the step's end: then no step may end within a contact
             that begins in it.
     """
-    fixed = jax.lax.stop_gradient
-    before, after, h, near = fixed((before, after, h, near))
-    inside = before.depth > jnp.where(before.rate > 0, -near, near)
-    clear = _clear(before, after, h, near)
+    a, b, h, near, inner = jax.lax.stop_gradient((a, b, h, near, inner))
+    inside = a.depth > jnp.where(a.rate > 0, -near, near)
+    moved = h * _FASTER * jnp.maximum(a.speed, b.speed)
+    turned = h * _FASTER * jnp.maximum(a.turn, b.turn)
+    gap = jnp.maximum(jnp.minimum(-a.depth, -b.depth), 0.0)
+    apart = (gap > 0.0) & (-(a.depth + b.depth) > moved)
+    # The course bends over more motion where the surfaces are apart.
+    bends = jnp.minimum(a.bends, b.bends)
+    bent = jnp.maximum(turned, _over(moved, bends + gap))
+    small = bent <= _SHARE
+    fit = _fit(a, h)
+    if inner:
+        small = jnp.where(bends > 0.0, small, _agrees(a, inner, b, h, near))
+        fit = jnp.where(bends > 0.0, fit, 0.5)
+    band = jnp.where(bends > 0.0, _BAND * moved * jnp.minimum(bent, _SHARE) ** 3, 0.0)
+    cubic = _between(a, b, h)
+    high, low = cubic.extremes()
+    # What both ends know; of surfaces that part at the end a damped law may not.
+    known = jnp.maximum(jnp.maximum(a.depth, jnp.where(b.rate >= 0.0, b.depth, 0.0)), near)
+    deeper = high.depth + band > _DEEPER * known
+    parts = (a.depth > near) & (b.depth > near) & (low.depth - band < -near)
     if blind:
-        clear = clear & (inside | (after.depth <= 4.0 * near))
-    wanted = good & ~jnp.all(clear | ~jnp.isfinite(after.depth))
-    # A loop, though short, costs what it carries: a step that hides nothing has none.
-    return jax.lax.cond(
-        wanted, lambda: _marched(before, after, inside, wanted, h, near, sight, blind), lambda: jnp.ones_like(h)
-    )
+        deeper = deeper | (~inside & (b.depth > 4.0 * near))
+    touches = ~inside & (high.depth > 2.0 * near)
+    there = jnp.where(touches, _touch(cubic, high, 2.0 * near, blind), jnp.where(deeper, 0.95 * high.at, low.at))
+    # Where the band alone says so, the cubic does not know where.
+    there = jnp.where((there > 0.0) & (there < 0.95), there, jnp.where(touches, there, 0.5))
+    share = jnp.where(small, jnp.where(deeper | parts, there, 1.0), jnp.minimum(fit, 0.9))
+    share = jnp.min(jnp.where(apart | ~jnp.isfinite(b.depth), 1.0, share), initial=1.0)
+    # A step towards surfaces that are not far would be taken again.
+    towards = (b.depth < 0.0) & (b.rate > 0.0) & (bends > 0.0)
+    return share, h * jnp.min(jnp.where(towards, _fit(b, h), jnp.inf), initial=jnp.inf)
 
 
-def _marched(
-    before: Proximity, after: Proximity, inside: Array, wanted: Array, h: Array, near: Array, sight: Sight, blind: bool
-) -> Array:
-    """``hidden`` of a step that has to be gone through; ``inside``: which faces touch at its start."""
-    fixed, zero = jax.lax.stop_gradient, jnp.zeros_like(before.depth)
-    begin = _March(
-        jnp.where(wanted, 0.0, 1.0), jnp.ones(()), jnp.asarray(0), before, inside, jnp.zeros(zero.shape, int),
-        zero + jnp.inf, zero - jnp.inf, zero,
-    )  # fmt: skip
-
-    def further(m: _March) -> _March:
-        middle, end = fixed(sight(m.at + 0.5 * m.stride)), fixed(sight(m.at + m.stride))
-        described = _described(m.here, middle, end, m.stride * h, near) | (m.stride <= _SHORTEST)
-        gone = _gone(_gone(m, m.here, middle, m.at, h, near), middle, end, m.at + 0.5 * m.stride, h, near)
-        at = m.at + m.stride
-        kept = gone._replace(at=at, stride=jnp.minimum(2.0 * m.stride, 1.0 - at), here=end)
-        taken = jax.tree.map(lambda x, y: jnp.where(described, x, y), kept, m._replace(stride=0.5 * m.stride))
-        return taken._replace(looks=m.looks + 2)
-
-    m = jax.lax.while_loop(lambda m: (m.at < 1.0) & (m.looks < _MOST), further, begin)
-    unseen = (m.changes > 1) | (m.top > _DEEPER * _known(before, after, near))
-    if blind:
-        landed = jnp.abs(after.depth - 2.0 * near) <= 2.0 * near
-        unseen = unseen | ((m.changes > 0) & ~inside & ~landed)
-    share = jnp.where(inside & (m.changes < 2), m.deepest, jnp.minimum(m.first, m.deepest))
-    share = jnp.min(jnp.where(unseen & wanted, share, 1.0), initial=1.0)
-    # A step of more looks than are allowed ends where they ended.
-    return jnp.where(m.at < 1.0, jnp.minimum(share, jnp.maximum(m.at, _SHORTEST)), share)
+def _fit(seen: Proximity, h: Array) -> Array:
+    """Share of a step of length h [s] in which nothing can touch or the course is a cubic, whichever is longer (C,)."""
+    moved, turned = h * _FASTER * seen.speed, h * _FASTER * seen.turn
+    return jnp.maximum(-seen.depth / moved, 0.9 * _SHARE / jnp.maximum(turned, moved / seen.bends))
 
 
-def _clear(a: Proximity, b: Proximity, h: Array, near: Array) -> Array:
-    """Faces (C,) of which both ends of a step tell that nothing is hidden in it."""
-    moved = _moved(h, a, b)
-    share = jnp.maximum(h * _FASTER * jnp.maximum(a.turn, b.turn), jnp.where(moved > 0, moved / _over(a, b), 0.0))
-    small = share <= _SHARE
-    band = _BAND * moved * jnp.where(small, share, 0.0) ** 3
-    # A cubic leaves its chord by at most 4/27 of what its slopes at both ends differ from the chord's; 0.15 is no less.
-    chord = b.depth - a.depth
-    band = band + 0.15 * (jnp.abs(h * a.rate - chord) + jnp.abs(h * b.rate - chord))
-    top, bottom = jnp.maximum(a.depth, b.depth), jnp.minimum(a.depth, b.depth)
-    parts = (a.depth > near) & (b.depth > near) & (bottom - band < -near)
-    return _apart(a, b, moved) | (small & (top + band <= _DEEPER * _known(a, b, near)) & ~parts)
+class Extreme(NamedTuple):
+    """A greatest or least penetration [m] of a cubic, and the share of the step where it is; (C,) each."""
+
+    depth: Array
+    at: Array
 
 
-def _known(a: Proximity, b: Proximity, near: Array) -> Array:
-    """Penetrations (C,) of which both ends of a step know [m]: of surfaces that part at its end a damped law may not."""
-    return jnp.maximum(jnp.maximum(a.depth, jnp.where(b.rate >= 0, b.depth, 0.0)), near)
+class _Cubic(NamedTuple):
+    """Hermite's cubic of the penetrations (C,) in a step, by powers of the share of it [m]."""
+
+    value: Array
+    slope: Array
+    second: Array
+    third: Array
+
+    def at(self, s: Any) -> Array:
+        return self.value + s * (self.slope + s * (self.second + s * self.third))
+
+    def slope_at(self, s: Any) -> Array:
+        return self.slope + s * (2.0 * self.second + 3.0 * s * self.third)
+
+    def extremes(self) -> tuple[Extreme, Extreme]:
+        """Greatest and least between 0 and 1."""
+        # Roots of the slope, by the form that loses no digits.
+        root = jnp.sqrt(jnp.maximum(self.second**2 - 3.0 * self.third * self.slope, 0.0))
+        sum_of = -(self.second + jnp.where(self.second >= 0.0, root, -root))
+        ratio = lambda a, b: jnp.where(b == 0.0, 0.0, a / jnp.where(b == 0.0, 1.0, b))  # noqa: E731
+        first, last = self.value, self.value + self.slope + self.second + self.third
+        high, low = (Extreme(jnp.where(x, last, first), jnp.where(x, 1.0, 0.0)) for x in (last > first, last <= first))
+        for s in (jnp.clip(ratio(sum_of, 3.0 * self.third), 0.0, 1.0), jnp.clip(ratio(self.slope, sum_of), 0.0, 1.0)):
+            value = self.at(s)
+            higher, lower = value > high.depth, value < low.depth
+            high = Extreme(jnp.where(higher, value, high.depth), jnp.where(higher, s, high.at))
+            low = Extreme(jnp.where(lower, value, low.depth), jnp.where(lower, s, low.at))
+        return high, low
 
 
-def _moved(h: Array, *seen: Proximity) -> Array:
-    """How far the bodies of each face may move past each other in a time (C,) [m]."""
-    return h * _FASTER * functools.reduce(jnp.maximum, [s.speed for s in seen])
+def _between(a: Proximity, b: Proximity, h: Array) -> _Cubic:
+    rise, p, q = b.depth - a.depth, h * a.rate, h * b.rate
+    return _Cubic(a.depth, p, 3.0 * rise - 2.0 * p - q, p + q - 2.0 * rise)
 
 
-def _over(a: Proximity, b: Proximity) -> Array:
-    """Motion over which the penetrations' course bends (C,) [m]: farther where the surfaces are apart."""
-    return jnp.minimum(a.bends, b.bends) + jnp.maximum(jnp.minimum(-a.depth, -b.depth), 0.0)
+def _over(x: Array, y: Array) -> Array:
+    """x / y where x is positive, else 0."""
+    return jnp.where(x > 0.0, x / y, 0.0)
 
 
-def _apart(a: Proximity, b: Proximity, moved: Array) -> Array:
-    """Faces (C,) that are farther apart than the bodies move."""
-    return (a.depth < 0) & (b.depth < 0) & (-(a.depth + b.depth) > moved)
+def _touch(cubic: _Cubic, high: Extreme, level: Array, exact: bool) -> Array:
+    """Share of a step before ``high`` at which the cubic of the penetration reaches a level [m], or just before that.
+
+    The cubic is concave towards its top: one step of Newton from the chord's root ends before the touch.
+    """
+    if not exact:
+        chord = high.at * _over(level - cubic.value, high.depth - cubic.value)
+        return jnp.maximum(chord - _over(cubic.at(chord) - level, cubic.slope_at(chord)), 0.1 * chord)
+    low, end = jnp.zeros_like(high.at), high.at
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + end)
+        past = cubic.at(middle) > level
+        low, end = jnp.where(past, low, middle), jnp.where(past, middle, end)
+    return end
 
 
-def _turns(a: Proximity, b: Proximity, h: Array) -> tuple[list[Array], list[Array]]:
-    """Shares of the time h at which the Hermite cubic of the penetration turns, at most 1, and its values there [m] (C,)."""
-    x, y, p, q = a.depth, b.depth, h * a.rate, h * b.rate
-    second, third = 3.0 * (y - x) - 2.0 * p - q, 2.0 * (x - y) + p + q
-    # Roots of p + 2 second s + 3 third s^2, by the form that loses no digits.
-    root = jnp.sqrt(jnp.maximum(second**2 - 3.0 * third * p, 0.0))
-    sum_of = -(second + jnp.where(second >= 0, root, -root))
-    ratio = lambda a, b: jnp.where(b == 0, 0.0, a / jnp.where(b == 0, 1.0, b))  # noqa: E731
-    shares = [jnp.clip(s, 0.0, 1.0) for s in (ratio(sum_of, 3.0 * third), ratio(p, sum_of))]
-    return shares, [x + s * (p + s * (second + s * third)) for s in shares]
+def _agrees(a: Proximity, inner: tuple[Proximity, ...], b: Proximity, h: Array, near: Array) -> Array:
+    """Whether the cubic through both ends of a step of length h [s] describes what is seen at ``_INNER``, of each face."""
+    cubic = _between(a, b, h)
+    sizes, good = jnp.maximum(jnp.abs(a.depth), jnp.abs(b.depth)), jnp.ones(a.depth.shape, bool)
+    for turn in cubic.extremes():
+        sizes = jnp.where((turn.at > 0.0) & (turn.at < 1.0), jnp.minimum(sizes, jnp.abs(turn.depth)), sizes)
+    for s, m in zip(_INNER, inner, strict=True):
+        off = jnp.abs(m.depth - cubic.at(s)) + jnp.abs(h * m.rate - cubic.slope_at(s)) / 8.0
+        good = good & ((off <= jnp.maximum(0.5 * near, _AGREES * sizes)) | ~jnp.isfinite(m.depth))
+    return good
 
 
-def _extremes(a: Proximity, b: Proximity, h: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """Greatest and least penetration [m] of the Hermite cubic, each with its share of the time h before it (C,)."""
-    shares, values = _turns(a, b, h)
-    shares = jnp.stack([*shares, jnp.zeros_like(a.depth), jnp.ones_like(a.depth)])
-    values = jnp.stack([*values, a.depth, b.depth])
+class Seeker(AbstractWrapped):
+    """A solver that tells its step control (error, share, longest): where its step has to end, how long the next may be.
 
-    def best(i: Array) -> tuple[Array, Array]:
-        return jnp.take_along_axis(shares, i[None], 0)[0], jnp.take_along_axis(values, i[None], 0)[0]
-
-    return best(jnp.argmax(values, axis=0)), best(jnp.argmin(values, axis=0))
-
-
-def _described(a: Proximity, m: Proximity, b: Proximity, h: Array, near: Array) -> Array:
-    """Whether the cubic through both ends of a stride of length h [s] describes what its middle sees, of every face."""
-    middle = 0.5 * (a.depth + b.depth) + h * (a.rate - b.rate) / 8.0
-    slope = h * m.rate - 1.5 * (b.depth - a.depth) + 0.25 * h * (a.rate + b.rate)
-    off = jnp.abs(m.depth - middle) + jnp.abs(slope) / 8.0
-    (high, top), (low, bottom) = _extremes(a, b, h)
-    within = lambda s: (s > 0) & (s < 1)  # noqa: E731
-    sizes = jnp.maximum(jnp.abs(a.depth), jnp.abs(b.depth))
-    sizes = jnp.where(within(high), jnp.minimum(sizes, jnp.abs(top)), sizes)
-    sizes = jnp.where(within(low), jnp.minimum(sizes, jnp.abs(bottom)), sizes)
-    turned = h * jnp.max(jnp.stack([a.turn, m.turn, b.turn]), axis=0)
-    good = (off <= jnp.maximum(0.5 * near, _AGREES * sizes)) & (turned <= 5.0)
-    lost = ~jnp.isfinite(m.depth)
-    return jnp.all(good | lost | _apart(a, b, _moved(h, a, m, b)))
-
-
-def _gone(m: _March, a: Proximity, b: Proximity, at: Array, h: Array, near: Array) -> _March:
-    """After half a stride, from the share ``at`` on: which faces have begun and ended to touch, and how deep they were."""
-    long = 0.5 * m.stride
-    (high, top), (_, bottom) = _extremes(a, b, long * h)
-    out, into = m.inside & (bottom < -2.0 * near), ~m.inside & (top > 2.0 * near)
-    changed = out | into
-    back = changed & jnp.where(m.inside, b.depth > near, b.depth < -near)
-    crossed = at + long * crossed_at(a, b, m.inside, long * h, -2.0 * near)
-    return m._replace(
-        inside=m.inside ^ changed ^ back,
-        changes=m.changes + changed + back,
-        first=jnp.where(changed & (m.changes == 0), crossed, m.first),
-        top=jnp.maximum(m.top, top),
-        deepest=jnp.where(top > m.top, at + long * high, m.deepest),
-    )
-
-
-class Seeker(dfx.AbstractAdaptiveSolver):
-    """A solver that tells its step control, beside the error, where its step has to end (``hidden``): (error, share).
+    Both are ``allowed``'s.
 
     Attributes:
-        solver: whose steps are looked at; ``tolerance``: (n,) the step control's absolute one; ``scales``: its natural sizes.
-        norm: the step control's, of errors over the tolerance.
+        scales: natural sizes (n,) of the states; ``norm``: the step control's, of what is relative to them.
         near: penetration that counts as none [m].
-        blind: whether the solver's error ignores forces at a step's end (``hidden``), and its interpolant is not used.
+        unsure: whether steps are looked at in between, too (``AbstractModel.unsure``).
+        blind: whether the solver's error ignores forces at a step's end (``allowed``), and its interpolant is not used.
     """
 
-    solver: dfx.AbstractAdaptiveSolver
-    tolerance: Array
     scales: Array
     near: Array
     norm: Callable[[Array], Array] = eqx.field(static=True)
-    blind: bool = eqx.field(static=True, default=False)
-
-    @property
-    def term_structure(self):
-        """The solver's."""
-        return self.solver.term_structure
-
-    @property
-    def interpolation_cls(self):
-        """The solver's."""
-        return self.solver.interpolation_cls
-
-    def order(self, terms):
-        """The solver's."""
-        return self.solver.order(terms)
-
-    def error_order(self, terms):
-        """The solver's."""
-        return self.solver.error_order(terms)
+    unsure: bool = eqx.field(static=True)
+    blind: bool = eqx.field(static=True)
 
     def init(self, terms, t0, t1, y0, args):
         """The solver's memory, and what is seen at the start."""
         # One array, which costs less to carry than five.
-        return self.solver.init(terms, t0, t1, y0, args), jnp.stack(self._look(t0, y0, args))
-
-    def func(self, terms, t0, y0, args):
-        """The solver's."""
-        return self.solver.func(terms, t0, y0, args)
-
-    def _look(self, t: Any, y: Array, args: Any) -> Proximity:
-        # With tangents beside the state there are rows of both, and args may be (args, their changes).
-        model, prepared = args[0] if isinstance(args[0], tuple) else args
-        return seen(model, *jax.lax.stop_gradient((t, y[0] if y.ndim == 2 else y, prepared)))
+        return self.solver.init(terms, t0, t1, y0, args), jnp.stack(_seen(t0, y0, args))
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         """The solver's step, and where it has to end."""
@@ -277,27 +208,30 @@ class Seeker(dfx.AbstractAdaptiveSolver):
         if self.blind:
             # A stage within a contact that neither the new state nor its error weighs would bend the solver's interpolant.
             slope = lambda t, y: (t1 - t0) * self.solver.func(terms, t, y, args)  # noqa: E731
-            k0, k1, middle = slope(t0, y0), slope(t1, y1), 0.5 * (t0 + t1)
+            half, k0, k1 = 0.5 * (t0 + t1), slope(t0, y0), slope(t1, y1)
             between = dfx.ThirdOrderHermitePolynomialInterpolation(t0=t0, t1=t1, y0=y0, y1=y1, k0=k0, k1=k1)
-            simpson = y0 + (k0 + 4.0 * slope(middle, between.evaluate(middle)) + k1) / 6.0
-            wild = self.norm((y1 - simpson) / self.scales) > _WILD
-            error = jnp.where(wild, jnp.inf, error)
-        after = self._look(t1, y1, args)
-        good = self.norm(jax.lax.stop_gradient(error) / self.tolerance) <= 1.0
-        share = hidden(
-            Proximity(*before), after, jnp.asarray(t1 - t0), self.near,
-            lambda s: self._look(t0 + s * (t1 - t0), between.evaluate(t0 + s * (t1 - t0)), args), good, self.blind,
-        )  # fmt: skip
-        return y1, (error, share), dense, (memory, jnp.stack(after)), result
+            simpson = y0 + (k0 + 4.0 * slope(half, between.evaluate(half)) + k1) / 6.0
+            error = jnp.where(self.norm((y1 - simpson) / self.scales) > _WILD, jnp.inf, error)
+        inner = [t0 + s * (t1 - t0) for s in _INNER] if self.unsure else []
+        inner, after = tuple(_seen(t, between.evaluate(t), args) for t in inner), _seen(t1, y1, args)
+        limits = allowed(Proximity(*before), after, jnp.asarray(t1 - t0), self.near, inner, self.blind)
+        return y1, (error, *limits), dense, (memory, jnp.stack(after)), result
 
 
-def hidden_in(model: AbstractModel, prepared: Any, near: Array) -> Callable[..., Array]:
-    """``hidden`` of a model's steps as ``bdf.Limits`` takes it: (begin, end, state before, read, good) -> share."""
+def _seen(t: Any, y: Array, args: Any) -> Proximity:
+    # With tangents beside the state there are rows of both, and args may be (args, their changes).
+    model, prepared = args[0] if isinstance(args[0], tuple) else args
+    return seen(model, *jax.lax.stop_gradient((t, y[0] if y.ndim == 2 else y, prepared)))
 
-    def find(begin: Array, end: Array, before: Array, read: Callable[[Array], Array], good: Array) -> Array:
+
+def allowed_in(model: AbstractModel, prepared: Any, near: Array) -> Callable[..., Array]:
+    """``allowed`` of a model's steps as ``bdf.Limits`` takes it: (begin, end, state before, read) -> share."""
+
+    def find(begin: Array, end: Array, before: Array, read: Callable[[Array], Array]) -> Array:
         look = lambda t, y: seen(model, *jax.lax.stop_gradient((t, y, prepared)))  # noqa: E731
-        sight = lambda s: look(begin + s * (end - begin), read(begin + s * (end - begin)))  # noqa: E731
-        return hidden(look(begin, before), look(end, read(end)), end - begin, near, sight, good, False)
+        times = [begin + s * (end - begin) for s in _INNER] if model.unsure else []
+        inner = tuple(look(t, read(t)) for t in times)
+        return allowed(look(begin, before), look(end, read(end)), end - begin, near, inner, False)[0]
 
     return find
 
@@ -396,7 +330,7 @@ class Seeking(dfx.AbstractStepSizeController):
     def adapt_step_size(self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state):
         """The inner control's decision on the error; of a step that it keeps and that hides a contact, a shorter one."""
         both: Any = y_error
-        (error, share), (before, tries) = both, controller_state
+        (error, share, longest), (before, tries) = both, controller_state
         keep, start, end, jump, state, result = self.inner.adapt_step_size(
             t0, t1, y0, y1_candidate, args, error, error_order, before
         )
@@ -404,5 +338,5 @@ class Seeking(dfx.AbstractStepSizeController):
         again = keep & (share < 1.0) & (tries < _TRIES) & (part > _ROUNDING * jnp.abs(t0))
         tries = jnp.where(again, tries + 1, jnp.where(keep, 0, tries))
         state = jax.tree.map(lambda old, new: jnp.where(again, old, new), before, state), tries
-        end = jnp.where(again, t0 + part, end)
+        end = jnp.where(again, t0 + part, jnp.where(keep, jnp.minimum(end, start + longest), end))
         return keep & ~again, jnp.where(again, t0, start), end, jump & ~again, state, result

@@ -2,50 +2,26 @@
 
 from __future__ import annotations
 
-import diffrax as dfx
 import jax
 import jax.numpy as jnp
 
 from bcfj_jax.solve.extremes import added, after, begun, look, opened
+from bcfj_jax.solve.wrapped import AbstractWrapped
 
 # Where a step is looked at, as shares of it.
 _LOOKS = (0.5, 1.0)
 
 
-class Watched(dfx.AbstractAdaptiveSolver):
+class Watched(AbstractWrapped):
     """A solver whose memory holds ``Extremes`` of the contacts and ``Totals`` of the accounts, at accepted steps alone.
 
     The arguments of its field are (model, what it has prepared).
     """
 
-    solver: dfx.AbstractAdaptiveSolver
-
-    @property
-    def term_structure(self):
-        """The solver's."""
-        return self.solver.term_structure
-
-    @property
-    def interpolation_cls(self):
-        """The solver's."""
-        return self.solver.interpolation_cls
-
-    def order(self, terms):
-        """The solver's."""
-        return self.solver.order(terms)
-
-    def error_order(self, terms):
-        """The solver's."""
-        return self.solver.error_order(terms)
-
     def init(self, terms, t0, t1, y0, args):
         """The solver's memory, what is seen at the start, and what is known so far."""
         seen = look(t0, y0, args)
         return self.solver.init(terms, t0, t1, y0, args), seen, (begun(t0, seen[0]), opened(t0, seen[1]))
-
-    def func(self, terms, t0, y0, args):
-        """The solver's."""
-        return self.solver.func(terms, t0, y0, args)
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         """The solver's step, and what was seen in it."""
