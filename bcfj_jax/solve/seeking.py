@@ -5,11 +5,11 @@ face the model tells the penetration, its rate and how fast the bodies move past
 both ends of every step. Nothing is hidden where
 
 - the surfaces are farther apart than the bodies move in the step, or
-- the bodies move by a small share of what the penetration's course bends over, so that it is the cubic through both
-  ends, and that cubic neither touches in between nor is deeper by far than both ends know.
+- the bodies move no farther than what the penetration's course bends over, so that it is the cubic through both
+  ends but for a known band, and that cubic neither touches in between nor is deeper by far than both ends know.
 
 Any other step is taken again, shorter: to the earliest possible touch by the distance and the speed, as a safe ray march does
-(Hart, The Visual Computer 12 (1996) 527), to that small share, or to where the cubic begins to touch or is deepest. What
+(Hart, The Visual Computer 12 (1996) 527), to that length, or to where the cubic begins to touch or is deepest. What
 happens from there on the error estimate sees.
 """
 
@@ -29,9 +29,10 @@ from bcfj_jax.solve.wrapped import AbstractWrapped
 
 # Speeds within a step are taken to be up to this multiple of the greater one at its ends.
 _FASTER = 1.25
-# Share of the length over which a penetration's course bends that bodies may move in a step.
-_SHARE = 0.3
-# The cubic's error over that length times the fourth power of the share: d''''/384 of a distance between two points.
+# Bodies may move by the length over which a penetration's course bends in a step, as much as ``_FASTER`` takes it to be.
+_SHARE = _FASTER
+# The cubic's error over that length times the fourth power of the share: d''''/384 of a distance between two points, 3/384 at
+# most, a quarter more.
 _BAND = 0.01
 # A contact is hidden where it is so many times deeper than at both ends.
 _DEEPER = 4.0
@@ -90,8 +91,8 @@ def allowed(
     there = jnp.where((there > 0.0) & (there < 0.95), there, jnp.where(touches, there, 0.5))
     share = jnp.where(small, jnp.where(deeper | parts, there, 1.0), jnp.minimum(fit, 0.9))
     share = jnp.min(jnp.where(apart | ~jnp.isfinite(b.depth), 1.0, share), initial=1.0)
-    # A step towards surfaces that are not far would be taken again.
-    towards = (b.depth < 0.0) & (b.rate > 0.0) & (bends > 0.0)
+    # A step towards surfaces that are far away, as long as errors allow, would be taken again.
+    towards = (-b.depth > bends) & (b.rate > 0.0) & (bends > 0.0)
     return share, h * jnp.min(jnp.where(towards, _fit(b, h), jnp.inf), initial=jnp.inf)
 
 
