@@ -207,7 +207,7 @@ def _landed(
     end, memory = _by_diffrax(problem, times, how, mode, control, memory=True)
     if whole:
         impulse, work = (end.states[-1] - end.states[0])[size:].reshape(2, channels)
-        _, time, state, before, after = jax.tree.map(lambda x: x[:channels], memory.tops)
+        _, time, state, before, after = jax.tree.map(lambda x: x[:, :channels], memory.tops)
         end = end._replace(states=end.states[:, :size], whole=Continuous(time, state, before, after, impulse, work))
     return end, contacts(memory, channels)
 

@@ -66,12 +66,12 @@ class Look(NamedTuple):
 
 
 class Tops(NamedTuple):
-    """Of each of C channels the end of the step at which its force was greatest.
+    """Of each of C channels the ends of the steps at which its force was greatest, and least.
 
     Attributes:
-        size: (C,) of that force [N].
-        time: (C,) [s]; state: (C, n).
-        before, after: (C,) lengths of the steps before and after it [s].
+        size: (2, C) of that force [N], and of the opposite of the least.
+        time: (2, C) [s]; state: (2, C, n).
+        before, after: (2, C) lengths of the steps before and after these [s].
     """
 
     size: Array
@@ -176,8 +176,10 @@ class Landing(dfx.AbstractStepSizeController):
         none = jnp.zeros(seen.depth.shape)
         tops = None
         if self.since is not None:
-            size = jnp.where(t0 >= self.since, jnp.abs(seen.force), -jnp.inf)
-            tops = Tops(jax.lax.stop_gradient(size), none, jnp.broadcast_to(start, (none.size, start.size)), none, none)
+            size = jnp.where(t0 >= self.since, _both(seen.force), -jnp.inf)
+            none_yet = jnp.zeros(size.shape)
+            states = jnp.broadcast_to(start, (*size.shape, start.size))
+            tops = Tops(jax.lax.stop_gradient(size), none_yet, states, none_yet, none_yet)
         return first, _Memory(inner, seen, inside, found, jnp.asarray(0), jnp.asarray(0.0), none, none, top, tops)
 
     def adapt_step_size(self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state):
@@ -220,6 +222,7 @@ class Landing(dfx.AbstractStepSizeController):
         ahead = jnp.maximum(_PART * ahead, _FINEST * (fixed(t1) - memory.since))
         length = jnp.minimum(length, jnp.min(jnp.where(leaving, ahead, jnp.inf)))
         start, end = jnp.where(again, t0, start), jnp.where(again, t0 + surface, start + length)
+        inner = jax.tree.map(lambda a, b: jnp.where(landed, a, b), restarted(inner), inner)
         known = _Memory(
             jax.tree.map(lambda a, b: jnp.where(again, a, b), memory.inner, inner),
             Look(*(jnp.where(kept, a, b) for a, b in zip(now, memory.before, strict=True))),
@@ -230,21 +233,35 @@ class Landing(dfx.AbstractStepSizeController):
             since,
             jnp.where(higher, fixed(t1), memory.high),
             jnp.where(higher, fixed(size), jnp.where(inside, memory.top, -jnp.inf)),
-            self._topped(memory.tops, kept, size, t0, t1, after),
+            self._topped(memory.tops, kept, _both(now.force), t0, t1, after),
         )
         return kept, start, end, jump, known, result
 
     def _topped(self, tops: Tops | None, kept: Array, size: Array, begin: Any, end: Any, y: Array) -> Tops | None:
-        """With the end of a step that is kept, where a force [N] is greater there."""
+        """With the end of a step that is kept, where a force (2, C) [N] is greater there."""
         if tops is None:
             return None
         better, fixed = kept & (size > tops.size) & (end >= self.since), jax.lax.stop_gradient
         next_one = kept & ~better & (tops.time == begin)
         return Tops(
             jnp.where(better, fixed(size), tops.size), jnp.where(better, end, tops.time),
-            jnp.where(better[:, None], y, tops.state), jnp.where(better, fixed(end - begin), tops.before),
+            jnp.where(better[..., None], y, tops.state), jnp.where(better, fixed(end - begin), tops.before),
             jnp.where(better, 0.0, jnp.where(next_one, fixed(end - begin), tops.after)),
         )  # fmt: skip
+
+
+def _both(force: Array) -> Array:
+    """Forces (C,) and their opposites (2, C): the least is the opposite's greatest."""
+    return jnp.stack([force, -force])
+
+
+def restarted(control: tuple) -> tuple:
+    """A step control's memory, wrapped or not, without the errors of earlier steps, as it starts.
+
+    The error of a step that only reaches a surface is rounding: the steps after it would depend on how a program rounds.
+    """
+    first, *rest = control
+    return (restarted(first), *rest) if isinstance(first, tuple) else (*map(jnp.ones_like, control[:2]), *control[2:])
 
 
 def cubic(before: Look, now: Look, dt: Any, s: Array) -> Array:

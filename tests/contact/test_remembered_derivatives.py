@@ -1,0 +1,149 @@
+"""Laws that remember an approach or a course: every way to a derivative of an impact against differences of tight runs."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import bcfj_jax as bj
+from bcfj_jax import Body, Contact, Mechanism, gaps, laws, loads
+from bcfj_jax.contact.restitution import FACTORS
+
+# One program for all laws that are chosen among by a number.
+SPEEDS = {name: laws.make(name) for name in FACTORS}
+COURSES = {name: laws.make(name) for name in ("walton_braun", "thornton", "standard_linear_solid")}
+WHICH = {"which": bj.Quantity("which", "1", "number of a law", 0.0)}
+GIVEN = {"stiffness": 1e7, "exponent": 1.5, "mass": 0.5, "restitution": 0.7, "height": 0.1, "which": 0.0}
+MORE = {"damping": 0.1, "relaxation": 0.4, "relaxation_time": 1e-3, "yield_penetration": 3e-4}
+END, STEP, TIGHT, ACCURACY = 0.16, 2e-4, 1e-9, 1e-6
+READ = "body.velocity.y"
+
+
+def chosen(known, coefficients):
+    """The law of the number ``which``, or nought of the other laws' forces and of the rates of their states."""
+    every = tuple(known.values())
+
+    class Chosen(laws.AbstractLaw):
+        quantities = WHICH
+        needs = tuple(dict.fromkeys((*(n for law in every for n in law.needs), "which")))
+        states = tuple(dict.fromkeys(n for law in every for n in law.states))
+        bends = any(law.bends for law in every)
+
+        def _of(self, c, values):
+            return jnp.select([jnp.abs(c["which"] - i) < 0.5 for i in range(len(values))], values)
+
+        def force(self, penetration, rate, c):
+            if known is SPEEDS:
+                factor = lambda e: self._of(c, [law.factor(e) for law in every])  # noqa: E731
+                return dataclasses.replace(every[0], factor=factor).force(penetration, rate, c)
+            return self._of(c, [law.force(penetration, rate, c) for law in every])
+
+        def rates(self, penetration, rate, c):
+            each = [dict(zip(law.states, law.rates(penetration, rate, c), strict=True)) for law in every]
+            none = jnp.zeros_like(penetration)
+            return tuple(self._of(c, [x.get(name, none) for x in each]) for name in self.states)
+
+        def sizes(self, penetration, c):
+            found = {}
+            for law in every:
+                found |= dict(zip(law.states, law.sizes(penetration, c), strict=True))
+            return tuple(found[name] for name in self.states)
+
+    body = Body("body", "slide", axis="y", mass="mass", start={"position": "height"})
+    contact = Contact("contact", ("ground", "body"), gaps.PointOnPlane("y"), law=Chosen(), smoothing=False)
+    own = [(bj.Quantity("height", "m", "drop", 0.0), GIVEN["height"])]
+    make = functools.partial(Mechanism, "drop", [body], [contact], [loads.Gravity("-y")], own=own, end=END)
+    values = {**GIVEN, **coefficients}
+    return make(given={n: x for n, x in values.items() if n in make().quantities and n != "height"})
+
+
+class Ways:
+    """A scene, and how the speed at its end depends on height and restitution: each way is compiled once."""
+
+    def __init__(self, known, coefficients, wrt):
+        self.scene, self.wrt, self.names = chosen(known, coefficients), wrt, tuple(known)
+        given, times = self.scene.parameters(), jnp.array([0.0, END])
+
+        def leaving(x, which, accuracy, mode="forward"):
+            params = {**given, "which": which, **dict(zip(wrt, x, strict=True))}
+            return bj.reading_history(self.scene, params, times, [READ], accuracy=accuracy, mode=mode)[READ][-1]
+
+        self.at = jnp.array([float(given[n]) for n in wrt])
+        self.value = jax.jit(leaving)
+        self.jvp = jax.jit(lambda x, d, *rest: jax.jvp(lambda x: leaving(x, *rest), (x,), (d,)))
+        self.jacfwd = jax.jit(jax.jacfwd(leaving))
+        self.grad = jax.jit(jax.grad(lambda *x: leaving(*x, "reverse")))
+        self.params = lambda which, **more: {**given, "which": float(which), **more}
+
+
+@pytest.fixture(scope="module")
+def speeds():
+    return Ways(SPEEDS, {}, ("height", "restitution"))
+
+
+@pytest.fixture(scope="module")
+def courses():
+    return Ways(COURSES, MORE, ("height", "stiffness"))
+
+
+def check(ways, name):
+    """Every way to a derivative of a run through one impact."""
+    which, x, wrt = float(ways.names.index(name)), ways.at, ways.wrt
+    moves = [STEP * x * e for e in np.eye(len(x))]
+    tight = [float(ways.value(x + m, which, TIGHT) - ways.value(x - m, which, TIGHT)) / 2 for m in moves]
+    right = np.array(tight) / (STEP * x)
+    assert np.all(np.abs(right) > 0)
+    size = float(ways.value(x, which, TIGHT)) / x
+
+    def close(found, right, size):
+        np.testing.assert_array_less(np.abs(found - right), 2e-4 * (np.abs(right) + size))
+
+    for k, unit in enumerate(np.eye(len(x))):
+        value, along = ways.jvp(x, unit, which, ACCURACY)
+        close(value, size[k] * x[k], 0.0)
+        close(along, right[k], size[k])
+    close(ways.jacfwd(x, which, ACCURACY), right, size)
+    close(ways.grad(x, which, ACCURACY), right, size)
+    # Features of the run and of its contact, against differences of tight runs; the last is derived from the first by hand.
+    params, times = ways.params(which), np.array([0.0, END])
+    kinds = ["begin_1", "end_1", "peak_1", "impulse_1"]
+    names = [f"contact.{kind}" for kind in kinds]
+    run = bj.contact_events(ways.scene, params, times, wrt, accuracy=ACCURACY, features=names)
+    found = bj.sensitivity(
+        ways.scene, params, np.linspace(0.0, END, 41), wrt, accuracy=ACCURACY, features=["contact.peak", "contact.impulse"],
+        differences="none",
+    )  # fmt: skip
+    assert found.certificate is not None
+    for p, value in zip(wrt, x, strict=True):
+        moved = [
+            bj.contact_events(
+                ways.scene, {**params, p: float(value * (1 + s))}, times, accuracy=TIGHT, features=names
+            ).features
+            for s in (STEP, -STEP)
+        ]
+        for kind, feature in zip(kinds, names, strict=True):
+            difference = (moved[0][feature] - moved[1][feature]) / (2 * STEP * float(value))
+            size = abs(run.features[feature] / float(value))
+            close(run.feature_derivatives[p][feature], difference, size)
+            if kind in ("peak_1", "impulse_1"):
+                whole = f"contact.{kind[:-2]}"
+                bound = found.certificate.parameters[p].features[whole]
+                off = abs(found.feature_derivatives[p][whole] - difference)
+                assert off <= (min(bound, 1e-3) + 1e-5) * max(abs(difference), 1e-2 * size)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("law", [*SPEEDS])
+def test_laws_with_an_approach_speed(speeds, law):
+    check(speeds, law)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("law", [*COURSES])
+def test_laws_with_a_course(courses, law):
+    check(courses, law)
