@@ -15,6 +15,7 @@ import argparse
 import os
 import zlib
 from collections.abc import Callable, Iterator
+from functools import lru_cache, partial
 from typing import Any
 
 os.environ.setdefault("EQX_ON_ERROR", "nan")
@@ -31,6 +32,7 @@ from bcfj_jax.analysis.derivatives.jacobian import channel_names, histories
 from bcfj_jax.contact.laws import FRICTION, LAWS
 from bcfj_jax.mechanism.observed import observing
 from bcfj_jax.solve.plan import Plan, plan
+from benchmarks.analysis import chosen
 from benchmarks.common import load, save
 
 # Of the run, columns of ``Histories.curve``; of its only contact.
@@ -61,61 +63,94 @@ GAPS: dict[str, tuple[Any, dict[str, float], dict[str, float], str]] = {
 SHARED = {
     "stiffness": 1e8, "exponent": 1.5, "mass": 0.02, "damping": 0.1, "friction_dynamic": 0.1, "friction_static": 0.15,
     "friction_speed": 0.05, "friction_memory": 1e-3, "friction_viscous": 0.01, "bristle_stiffness": 1e5,
-    "bristle_damping": 10.0, "restitution": 0.7,
+    "bristle_damping": 10.0, "restitution": 0.7, "which": 0.0,
 }  # fmt: skip
-Case = tuple[str, Mechanism, tuple[str, ...], str]
+DROP = {
+    "stiffness": 1e7, "mass": 0.5, "dashpot": 50.0, "damping_depth": 1e-4, "bottoming_stiffness": 1e7,
+    "bottoming_penetration": 5e-4, "bottoming_width": 1e-4, "bottoming_damping": 0.2, "relaxation": 0.4,
+    "relaxation_time": 1e-3, "yield_penetration": 3e-4,
+}  # fmt: skip
 
 
-def plane(
-    gap: Any, sizes: dict[str, float], start: dict[str, Any], wrt: tuple[str, ...], law: str, friction: str | None
-) -> tuple[Mechanism, tuple[str, ...]]:
-    """A body in a plane beside a gap, under gravity, and what it is differentiated by."""
+def _remembers(law: Any) -> bool:
+    return "approach_speed" in law.needs
+
+
+# Laws, and frictions, of which one program serves all: with an approach speed, with states, and with neither.
+SPEEDS, COURSES = ({n: x for n, x in LAWS.items() if test(x)} for test in (_remembers, lambda x: x.states))
+OTHERS = {n: x for n, x in LAWS.items() if n not in (*SPEEDS, *COURSES)}
+PLAIN = {n: x for n, x in FRICTION.items() if not (x.bristles or x.lags)}
+LOSSES = ("restitution", "damping", "dashpot", "relaxation", "yield_penetration")
+# Name, scene, what it is differentiated by, the channel that touches first, and the number of the law.
+Case = tuple[str, Mechanism, tuple[str, ...], str, int]
+
+
+def plane(gap: Any, sizes: dict[str, float], start: dict[str, Any], law: str, friction: Any) -> Mechanism:
+    """A body in a plane beside a gap, under gravity."""
     body = Body("b", "planar", mass="mass", inertia=2.5e-6, start=start)
     contact = Contact("contact", ("ground", "b"), gap, law=law, friction=friction, smoothing=False, values=sizes)
     own = [(bj.Quantity(n, u, n), x) for n, u, x in (("height", "m", 0.0105), ("fall", "m/s", 0.5))]
-    own = [one for one in own if one[0].name in start.values()]
-    scene = Mechanism("disc", [body], [contact], [loads.Gravity("-y")], own=own, end=5e-3)
-    known = {n: x for n, x in SHARED.items() if n in scene.quantities}
-    return Mechanism("disc", [body], [contact], [loads.Gravity("-y")], own=own, given=known, end=5e-3), wrt
+    return _made("disc", body, contact, [one for one in own if one[0].name in start.values()], SHARED, 5e-3)
+
+
+def drop(law: Any) -> Mechanism:
+    """A body that falls on a surface."""
+    body = Body("body", "slide", axis="y", mass="mass", start={"position": "drop_height"})
+    contact = Contact("contact", ("ground", "body"), gaps.PointOnPlane("y"), law=law, smoothing=False)
+    return _made("bounce", body, contact, [(bj.Quantity("drop_height", "m", "height"), 0.1)], SHARED | DROP, 0.3)
+
+
+def _made(kind: str, body: Body, contact: Contact, own: list, values: dict[str, float], end: float) -> Mechanism:
+    def scene(given: dict[str, float]) -> Mechanism:
+        return Mechanism(kind, [body], [contact], [loads.Gravity("-y")], own=own, given=given, end=end)
+
+    known = scene({}).quantities
+    return scene({n: x for n, x in values.items() if n in known})
 
 
 def cases() -> Iterator[Case]:
-    """Scenes by name, each with the parameters that it is differentiated by, and the channel that touches."""
-    for law, friction in (("flores", "coulomb"), *(("memory_free", y) for y in (None, *FRICTION))):
-        start = {"y": "height", "vx": 0.5, "vy": -0.5, "speed": 10.0}
-        by = ("height", "mass", "stiffness", *(("friction_dynamic",) if friction else ()))
-        scene, wrt = plane(gaps.SphereOnPlane("y"), {"radius": 0.01}, start, by, law, friction)
-        yield f"disc, {law}, friction {friction}", scene, wrt, "contact"
-    for name, (gap, sizes, start, member) in GAPS.items():
-        moving = {**start, "vx": 0.03, "vy": "fall", "speed": 0.5}
+    """Scenes; of those of one program the scene is one object."""
+    start = {"y": "height", "vx": 0.5, "vy": -0.5, "speed": 10.0}
+    wrt = ("height", "mass", "stiffness", "friction_dynamic")
+    disc = partial(plane, gaps.SphereOnPlane("y"), {"radius": 0.01}, start)
+    yield "disc, flores, friction coulomb", disc("flores", "coulomb"), wrt, "contact", 0
+    yield "disc, memory_free, friction None", disc("memory_free", None), wrt[:-1], "contact", 0
+    scene = disc("memory_free", chosen.friction(PLAIN))
+    for i, friction in enumerate(PLAIN):
+        yield f"disc, memory_free, friction {friction}", scene, wrt, "contact", i
+    for friction in (n for n in FRICTION if n not in PLAIN):
+        yield f"disc, memory_free, friction {friction}", disc("memory_free", friction), wrt, "contact", 0
+    for name, (gap, sizes, at, member) in GAPS.items():
+        moving = {**at, "vx": 0.03, "vy": "fall", "speed": 0.5}
         by = ("fall", "mass", "stiffness", *(("clearance_contact",) if "clearance" in sizes else ()))
-        scene, wrt = plane(gap, sizes, moving, by, "memory_free", None)
-        yield f"gap {name}", scene, wrt, f"contact{member}"
-    for law in LAWS:
-        scene = bj.scenes.bounce(law=law, smoothing=False)
-        loss = tuple(n for n in ("restitution", "damping", "dashpot") if n in scene.quantities)
-        yield f"bounce, {law}", scene, ("drop_height", "mass", "stiffness", *loss), "contact"
+        yield f"gap {name}", plane(gap, sizes, moving, "memory_free", None), by, f"contact{member}", 0
+    for title, known in (("speeds", SPEEDS), ("courses", COURSES), ("others", OTHERS)):
+        scene = drop(chosen.law(known))
+        for i, (law, one) in enumerate(known.items()):
+            by = ("drop_height", "mass", "stiffness", *(n for n in LOSSES if n in one.needs))
+            yield f"bounce, {title}, {law}", scene, by, "contact", i
 
 
-def drawn(scene: Mechanism, wrt: tuple[str, ...], rng: np.random.Generator) -> dict[str, Any]:
+def drawn(scene: Mechanism, wrt: tuple[str, ...], which: int, rng: np.random.Generator) -> dict[str, Any]:
     """The scene's values, those that it is differentiated by within a factor of 1.3, of a height above the disc 1.02."""
-    loss = {"restitution": 0.7} if "restitution" in scene.quantities else {}
-    found = {name: float(x) for name, x in scene.parameters(loss).items()}
+    found = {name: float(x) for name, x in scene.parameters().items()}
+    found |= {"which": float(which)} if "which" in found else {}
     for name in wrt:
         reach = {"height": 0.02, "restitution": 0.1}.get(name, 0.3)
         found[name] *= float(np.exp(rng.uniform(-reach, reach)))
     return found
 
 
-def curve_of(scene: Mechanism, channel: str, last: float) -> Callable[[dict[str, Any]], np.ndarray]:
+@lru_cache
+def curve_of(scene: Mechanism, channel: str) -> Callable[[dict[str, Any], float], np.ndarray]:
     """Peak, impulse, work and greatest penetration of a run of values, which ends its steps on surfaces."""
     seen = observing(scene, [f"{channel}.penetration.peak"])
-    names, times, how = channel_names(seen.members), jnp.array([0.0, last]), Plan(plan(scene, TIGHT).tolerance)
+    names, how = channel_names(seen.members), Plan(plan(scene, TIGHT).tolerance)
     force, depth = names.index(channel), names.index(f"{channel}.penetration")
-    run = jax.jit(lambda p: histories(seen, p, times, how, "reverse")[0].curve)
+    run = jax.jit(lambda p, last: histories(seen, p, last * jnp.array([0.0, 1.0]), how, "reverse")[0].curve)
 
-    def numbers(params: dict[str, Any]) -> np.ndarray:
-        found = run({n: jnp.asarray(x) for n, x in params.items()})
+    def numbers(params: dict[str, Any], last: float) -> np.ndarray:
+        found = run({n: jnp.asarray(x) for n, x in params.items()}, last)
         return np.array([*found[force, :3], found[depth, PEAK]])
 
     return numbers
@@ -129,19 +164,19 @@ def judged(name: str, scene: Mechanism, wrt: tuple[str, ...], channel: str, para
     )
     begin, end = (first.features[f"{channel}.{n}"] for n in EVENTS[:2])
     last = end + 0.5 * min(begin, end - begin)
-    curve = curve_of(scene, channel, last)
+    curve = curve_of(scene, channel)
 
     def numbers(changed: dict[str, Any]) -> np.ndarray:
         found = bj.contact_events(scene, changed, np.array([0.0, last]), accuracy=TIGHT, features=asked)
         times = [found.features[n] for n in asked]
-        return np.array([*curve(changed), *times, times[1] - times[0]])
+        return np.array([*curve(changed, last), *times, times[1] - times[0]])
 
-    # Some ten samples in the contact.
-    times = np.linspace(0.0, last, int(10 * last / (end - begin)) + 2)
-    if len(times) > 20_001:
-        times = np.concatenate([[0.0], np.linspace(begin - 0.3 * (end - begin), last, 19)])
+    # Some ten samples in the contact; as many of every scene.
+    times = np.concatenate([[0.0], np.linspace(begin - 0.3 * min(begin, end - begin), last, 19)])
     kinds, here = (*RUN, *EVENTS), numbers(params)
-    found = bj.sensitivity(scene, params, times, wrt, accuracy=ACCURACY, features=[f"{channel}.{n}" for n in kinds])
+    # The same names of every scene of a program.
+    every = tuple(sorted({*wrt, *(n for n in LOSSES if n in scene.quantities)}))
+    found = bj.sensitivity(scene, params, times, every, accuracy=ACCURACY, features=[f"{channel}.{n}" for n in kinds])
     assert found.certificate is not None
     rows = []
     for p in wrt:
@@ -161,7 +196,7 @@ def judged(name: str, scene: Mechanism, wrt: tuple[str, ...], channel: str, para
         bounds.append((bounds[ended] * size[ended] + bounds[begun] * size[begun]) / size[-1])
         said.append(max(said[begun], said[ended], key=lambda x: x != "trusted"))
         for k, kind in enumerate((*kinds, "duration")):
-            if kind == "dissipated_work" and scene.contacts[0].law is LAWS["hertz"]:
+            if kind == "dissipated_work" and name.endswith("hertz"):
                 continue  # None is lost.
             rows.append(
                 {
@@ -179,12 +214,14 @@ def main() -> None:
     parser.add_argument("--only", default="", help="scenes whose name holds this; others stay as they were kept")
     given = parser.parse_args()
     rows = [r for r in load("feature_derivatives")["rows"] if given.only not in r["scene"]] if given.only else []
-    for name, scene, wrt, channel in cases():
+    for name, scene, wrt, channel, which in cases():
         if given.only not in name:
             continue
         # The same values whichever scenes are asked for.
         rng = np.random.default_rng(zlib.crc32(name.encode()))
-        own = [row for _ in range(given.draws) for row in judged(name, scene, wrt, channel, drawn(scene, wrt, rng))]
+        own = [
+            row for _ in range(given.draws) for row in judged(name, scene, wrt, channel, drawn(scene, wrt, which, rng))
+        ]
         known = [r for r in own if r["reference"] <= AGREE]
         worst = max(known, key=lambda r: r["error"], default=None)
         print(name, len(own), len(known), worst, flush=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 
 import jax
@@ -13,49 +12,21 @@ import pytest
 import bcfj_jax as bj
 from bcfj_jax import Body, Contact, Mechanism, gaps, laws, loads
 from bcfj_jax.contact.restitution import FACTORS
+from benchmarks.analysis import chosen
 
 # One program for all laws that are chosen among by a number.
 SPEEDS = {name: laws.make(name) for name in FACTORS}
 COURSES = {name: laws.make(name) for name in ("walton_braun", "thornton", "standard_linear_solid")}
-WHICH = {"which": bj.Quantity("which", "1", "number of a law", 0.0)}
 GIVEN = {"stiffness": 1e7, "exponent": 1.5, "mass": 0.5, "restitution": 0.7, "height": 0.1, "which": 0.0}
 MORE = {"damping": 0.1, "relaxation": 0.4, "relaxation_time": 1e-3, "yield_penetration": 3e-4}
 END, STEP, TIGHT, ACCURACY = 0.16, 2e-4, 1e-9, 1e-6
 READ = "body.velocity.y"
 
 
-def chosen(known, coefficients):
-    """The law of the number ``which``, or nought of the other laws' forces and of the rates of their states."""
-    every = tuple(known.values())
-
-    class Chosen(laws.AbstractLaw):
-        quantities = WHICH
-        needs = tuple(dict.fromkeys((*(n for law in every for n in law.needs), "which")))
-        states = tuple(dict.fromkeys(n for law in every for n in law.states))
-        bends = any(law.bends for law in every)
-
-        def _of(self, c, values):
-            return jnp.select([jnp.abs(c["which"] - i) < 0.5 for i in range(len(values))], values)
-
-        def force(self, penetration, rate, c):
-            if known is SPEEDS:
-                factor = lambda e: self._of(c, [law.factor(e) for law in every])  # noqa: E731
-                return dataclasses.replace(every[0], factor=factor).force(penetration, rate, c)
-            return self._of(c, [law.force(penetration, rate, c) for law in every])
-
-        def rates(self, penetration, rate, c):
-            each = [dict(zip(law.states, law.rates(penetration, rate, c), strict=True)) for law in every]
-            none = jnp.zeros_like(penetration)
-            return tuple(self._of(c, [x.get(name, none) for x in each]) for name in self.states)
-
-        def sizes(self, penetration, c):
-            found = {}
-            for law in every:
-                found |= dict(zip(law.states, law.sizes(penetration, c), strict=True))
-            return tuple(found[name] for name in self.states)
-
+def falling(known, coefficients):
+    """A body that falls on a surface; the law is chosen by its number."""
     body = Body("body", "slide", axis="y", mass="mass", start={"position": "height"})
-    contact = Contact("contact", ("ground", "body"), gaps.PointOnPlane("y"), law=Chosen(), smoothing=False)
+    contact = Contact("contact", ("ground", "body"), gaps.PointOnPlane("y"), law=chosen.law(known), smoothing=False)
     own = [(bj.Quantity("height", "m", "drop", 0.0), GIVEN["height"])]
     make = functools.partial(Mechanism, "drop", [body], [contact], [loads.Gravity("-y")], own=own, end=END)
     values = {**GIVEN, **coefficients}
@@ -66,7 +37,7 @@ class Ways:
     """A scene, and how the speed at its end depends on height and restitution: each way is compiled once."""
 
     def __init__(self, known, coefficients, wrt):
-        self.scene, self.wrt, self.names = chosen(known, coefficients), wrt, tuple(known)
+        self.scene, self.wrt, self.names = falling(known, coefficients), wrt, tuple(known)
         given, times = self.scene.parameters(), jnp.array([0.0, END])
 
         def leaving(x, which, accuracy, mode="forward"):

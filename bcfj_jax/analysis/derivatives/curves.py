@@ -65,9 +65,7 @@ def summits(model: AbstractModel, params: Params, whole: Continuous, first: Arra
         return jnp.where(fixed(good & (later >= first) & (later <= last)), sign * value, jnp.nan)
 
     every = jax.vmap(one, (None, 0, 0, 0, 0, 0))
-    return jax.vmap(every, (0, None, 0, 0, 0, 0))(
-        jnp.array([1.0, -1.0]), jnp.arange(whole.impulse.size), *whole[:4]
-    )
+    return jax.vmap(every, (0, None, 0, 0, 0, 0))(jnp.array([1.0, -1.0]), jnp.arange(whole.impulse.size), *whole[:4])
 
 
 def top(kind: str, curve: Any, highest: Any) -> tuple[Any, Any]:

@@ -78,7 +78,10 @@ def histories(
     scene: AbstractModel, params: Params, times: Array, how: Plan, mode: Way = "forward"
 ) -> tuple[Histories, tuple]:
     """Histories by the solver meant for derivatives, and (code, end, accepted, rejected). Pure."""
-    from bcfj_jax.analysis.derivatives.curves import COLUMNS, of_curve  # With diffrax, which a kept program does not need.
+    from bcfj_jax.analysis.derivatives.curves import (  # With diffrax, which a kept program does not need.
+        COLUMNS,
+        of_curve,
+    )
     from bcfj_jax.solve.integrate import integrate
 
     solution = integrate(scene, params, times, how, mode, True, whole=True)

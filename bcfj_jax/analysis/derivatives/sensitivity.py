@@ -223,9 +223,11 @@ def sensitivity(
     if not certify:
         return found
     histories = bounded(t, climbed, values, _width(t, average))
-    agree = np.full(slopes.shape, np.inf)
+    agree, here = np.full(slopes.shape, np.inf), np.full(len(wanted), np.nan)
     if climbed.beside is not None:
-        between, tight = (measure(t, r.value, r.derivative, wanted, contacts, turning)[1] for r in climbed.beside)
+        (here, between), (_, tight) = (
+            measure(t, r.value, r.derivative, wanted, contacts, turning) for r in climbed.beside
+        )
         for slope, share in zip((between, tight), BOUNDING[scene.traits.stiff], strict=True):
             filled(scene, full, t[-1], names, how, wanted, numbers.copy(), slope, TIGHTER * share)
         agree = feature_bounds([slopes, between, tight], numbers, values)
@@ -241,7 +243,7 @@ def sensitivity(
             return moved if beside.good else np.full(len(wanted), np.nan)
 
         with contextlib.suppress(OutOfTime):
-            agree = spend.on(lambda: witnessed(features_at, values, slopes, agree))
+            agree = spend.on(lambda: witnessed(features_at, here, values, slopes, agree))
     if found.steady is not None:
         agree = np.maximum(agree, _off_steady(scene, full, t, last, found.steady, wanted, names))
     table = {n: {f.name: float(agree[i, k]) for i, f in enumerate(wanted)} for k, n in enumerate(names)}
