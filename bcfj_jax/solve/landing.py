@@ -34,6 +34,8 @@ _AFTER = 0.05
 # A contact is left by steps of this share of what is left of it, down to this share of its length: of K d^n with n < 2 the
 # tangents of a step that ends near the surface are wrong by the step's length to the power n.
 _PART, _FINEST = 0.5, 3e-4
+# A force that ends within a contact is left by Newton's steps of this share, down to this share of the greatest force.
+_NEWTON, _ENDED = 0.999, 1e-7
 # Pieces of a step in which its crossing is sought, and halvings of the piece.
 PIECES, _HALVINGS = 16, 50
 
@@ -203,6 +205,8 @@ class Landing(dfx.AbstractStepSizeController):
         # A step so short is on the surface, whatever the rounding of the penetration lets it show.
         short = fixed(dt) <= _SHORT * jnp.max(jnp.where(crossing, fixed(t1) - memory.since, 0.0))
         again = jnp.any(crossing) & (memory.tries < _TRIES) & (share < 1.0) & ~short
+        ending, early = self._ending(memory, now, t0, y0[: self.size], args, dt, keep & ~again)
+        again = again | early
         turned, kept = keep & ~again & (beyond | (near & heading)), keep & ~again
         landed = jnp.any(turned)
         inside, free = memory.inside ^ turned, jnp.where(again, jnp.maximum(memory.free, fixed(dt)), memory.free)
@@ -214,6 +218,7 @@ class Landing(dfx.AbstractStepSizeController):
         ends = np.arange(turned.size) < turned.size - len(bending(model))
         finest = jnp.min(jnp.where(memory.inside & crossing & ends, _FINEST * (fixed(t0) - memory.since), jnp.inf))
         surface = jnp.where(surface > finest, _PART * surface, surface)
+        surface = jnp.where(early, ending, surface)
         # A step that only ends a flight says nothing of the length of the next.
         length = fixed(end - start)
         length = jnp.where(landed, jnp.maximum(length, _AFTER * free), length)
@@ -236,6 +241,34 @@ class Landing(dfx.AbstractStepSizeController):
             self._topped(memory.tops, kept, _both(now.force), t0, t1, after),
         )
         return kept, start, end, jump, known, result
+
+    def _ending(
+        self, memory: _Memory, now: Look, t0: Any, y0: Array, args: Any, dt: Any, kept: Array
+    ) -> tuple[Array, Array]:
+        """How far from a step's start a force ends within its contact [s], and whether the step is to end there.
+
+        A force F that is cut off at 0 has a corner there. A step ahead of it goes to where F + F' h is 0, which moves with the
+        parameters: from its end on F does not depend on them.
+        """
+        model, prepared = args
+        never = jnp.zeros_like(dt), jnp.zeros((), bool)
+        if not any(getattr(getattr(contact, "law", None), "ends", False) for contact in model.contacts):
+            return never
+        size, fixed = jnp.abs(memory.before.force), jax.lax.stop_gradient
+        over = kept & (now.force == 0) & (now.depth > 0) & (size > _ENDED * memory.top) & (memory.tries < _TRIES)
+
+        def root() -> Array:
+            t, y, given = fixed((jnp.asarray(t0), y0, prepared))
+            force = lambda t, y: jnp.abs(look(model, t, y, given).force)  # noqa: E731
+            slope = jax.jvp(force, (t, y), (jnp.ones_like(t), model.vector_field(t, y, given)))[1]
+            slope = jnp.concatenate([slope, jnp.zeros(size.size - slope.size)])
+            falls = slope < 0
+            length = jnp.where(falls, _NEWTON * size / jnp.where(falls, -fixed(slope), 1.0), 0.5 * dt)
+            return jnp.min(jnp.where(over, jnp.maximum(length, _LEAST * dt), jnp.inf))
+
+        found = jax.lax.cond(jnp.any(over), root, lambda: jnp.full_like(dt, jnp.inf))
+        early = found < fixed(dt)
+        return jnp.where(early, found, dt), early
 
     def _topped(self, tops: Tops | None, kept: Array, size: Array, begin: Any, end: Any, y: Array) -> Tops | None:
         """With the end of a step that is kept, where a force (2, C) [N] is greater there."""

@@ -29,6 +29,7 @@ def law(known: Mapping[str, Any]) -> laws.AbstractLaw:
         needs = tuple(dict.fromkeys((*(n for one in every for n in one.needs), "which")))
         states = tuple(dict.fromkeys(n for one in every for n in one.states))
         bends = any(one.bends for one in every)
+        ends = any(one.ends for one in every)
 
         def force(self, penetration, rate, c):
             if all(factors):
