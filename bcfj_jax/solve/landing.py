@@ -10,6 +10,7 @@ contacts remember their approach speeds, steps also end where these are set (``s
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -20,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from bcfj_jax.contact.normal import GAP
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve.remembering import close
 
@@ -123,22 +125,39 @@ def look(model: AbstractModel, t: Any, y: Array, prepared: Any) -> Look:
 
 def bending(model: AbstractModel) -> tuple[int, ...]:
     """Channels whose force has a corner where their penetration turns."""
+    return _channels(model, lambda contact: getattr(contact.law, "bends", False))
+
+
+def bristled(model: AbstractModel) -> tuple[int, ...]:
+    """Channels whose friction has bristles, which begin to bend at a gap of ``normal.GAP``."""
+    return _channels(model, lambda contact: contact.friction is not None and contact.friction.bristles)
+
+
+def _channels(model: AbstractModel, which: Callable[[Any], bool]) -> tuple[int, ...]:
     counts = [max(1, model.members[contact.name]) for contact in model.contacts]
-    laws = [getattr(contact, "law", None) for contact in model.contacts]
-    every = [getattr(law, "bends", False) for law, count in zip(laws, counts, strict=True) for _ in range(count)]
-    return tuple(i for i, bends in enumerate(every) if bends)
+    every = [which(contact) for contact, count in zip(model.contacts, counts, strict=True) for _ in range(count)]
+    return tuple(i for i, is_one in enumerate(every) if is_one)
 
 
 def surfaces(model: AbstractModel, t: Any, y: Array, prepared: Any) -> Look:
-    """Every channel; then, which bear no force, the surfaces at which approach speeds are set, and those of ``bending``.
+    """Every channel; then, which bear no force, the surfaces at which approach speeds are set, and those at which bristles
+    begin to bend, and those of ``bending``.
 
-    The depth of the latter is the speed of departure [m/s]; its rate [m/s^2] goes by the field.
+    The depth of the last is the speed of departure [m/s]; its rate [m/s^2] goes by the field.
     """
     found = [look(model, t, y, prepared)]
     none = lambda x: jnp.zeros_like(x)  # noqa: E731
     if model.remembered:
         more = model.approaches(t, y, prepared)
         found.append(Look(more.depth, more.rate, none(more.depth)))
+    if bending_from := bristled(model):
+        wide = [
+            model.coefficient(prepared, c.name, "smoothing") if getattr(c, "smoothing", False) else jnp.zeros(())
+            for c in model.contacts
+            for _ in range(max(1, model.members[c.name]))
+        ]
+        near, at = found[0], jnp.asarray(bending_from)
+        found.append(Look((near.depth + jnp.stack(wide) + GAP)[at], near.rate[at], none(near.force[at])))
     if corners := bending(model):
         along = (jnp.ones_like(jnp.asarray(t)), model.vector_field(t, y, prepared))
         speed, change = jax.jvp(lambda t, y: -look(model, t, y, prepared).rate, (jnp.asarray(t), y), along)
@@ -214,8 +233,8 @@ class Landing(dfx.AbstractStepSizeController):
         higher = kept & inside & (turned | (size > memory.top))
         # To the surface; of a contact that ends, by ever shorter steps.
         surface = jnp.maximum(share, _LEAST) * dt
-        # A turn is no end of a contact.
-        ends = np.arange(turned.size) < turned.size - len(bending(model))
+        # A turn is no end of a contact, nor is where a bristle begins.
+        ends = np.arange(turned.size) < turned.size - len(bending(model)) - len(bristled(model))
         finest = jnp.min(jnp.where(memory.inside & crossing & ends, _FINEST * (fixed(t0) - memory.since), jnp.inf))
         surface = jnp.where(surface > finest, _PART * surface, surface)
         surface = jnp.where(early, ending, surface)

@@ -26,7 +26,7 @@ def law(known: Mapping[str, Any]) -> laws.AbstractLaw:
 
     class Chosen(laws.AbstractLaw):
         quantities = WHICH
-        needs = tuple(dict.fromkeys((*(n for one in every for n in one.needs), "which")))
+        needs = tuple(dict.fromkeys((*(n for one in every for n in one.needs), "which")))  # pyright: ignore
         states = tuple(dict.fromkeys(n for one in every for n in one.states))
         bends = any(one.bends for one in every)
         ends = any(one.ends for one in every)
@@ -58,7 +58,7 @@ def friction(known: Mapping[str, Any]) -> laws.AbstractFriction:
 
     class Chosen(laws.AbstractFriction):
         quantities = WHICH
-        needs = tuple(dict.fromkeys((*(n for one in every for n in one.needs), "which")))
+        needs = tuple(dict.fromkeys((*(n for one in every for n in one.needs), "which")))  # pyright: ignore
 
         def mobility(self, speed_squared, c):
             return _of(c, [one.mobility(speed_squared, c) for one in every])

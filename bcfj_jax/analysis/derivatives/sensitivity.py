@@ -80,6 +80,7 @@ class Sensitivity(NamedTuple):
         steady: of the motion that the run settles to, where that was asked for and the model knows its pitch.
         values: of the parameters of ``wrt`` [SI], at which the derivatives are taken.
         reasons: by name, why a feature of a single contact is NaN.
+        sampled: names of features that are known from samples alone, whose bounds count what lies between samples.
     """
 
     times: Float[np.ndarray, " T"]
@@ -96,6 +97,7 @@ class Sensitivity(NamedTuple):
     steady: Steady | None = None
     values: dict[str, float] = {}
     reasons: dict[str, str] = {}
+    sampled: tuple[str, ...] = ()
 
     _view = "bcfj_jax.analysis.derivatives.view"
     __repr__ = presented.text
@@ -232,7 +234,9 @@ def sensitivity(
             filled(scene, full, t[-1], names, how, wanted, numbers.copy(), slope, TIGHTER * share)
         agree = feature_bounds([slopes, between, tight], numbers, values)
     agree = np.maximum(agree, luckless(climbed, histories))
-    agree = agree + sampling(t, last.value, last.derivative, wanted, contacts, values)
+    between_samples = sampling(t, last.value, last.derivative, wanted, contacts, values)
+    agree = agree + between_samples
+    found = found._replace(sampled=tuple(f.name for f, x in zip(wanted, between_samples, strict=True) if np.any(x)))
     if differences != "none" and climbed.beside is not None and scene.traits.history and not scene.traits.stiff:
         finer = Plan(np.asarray(climbed.beside[0].tolerance), max_steps, True)  # pyright: ignore[reportArgumentType]
 
