@@ -95,11 +95,15 @@ def crest(times: np.ndarray, values: np.ndarray, slopes: np.ndarray) -> tuple[fl
         if found is not None and found[1] - values[top] <= _RISE * np.ptp(values[near]):
             place, high, weights = found
             by = slopes[:, near] @ weights
+            # Where there is no force at all the polynomial is not the curve.
+            bare = bool(np.any(values[near] == 0.0))
             # Of the five samples the four nearest to the summit.
             four = np.sort(np.argsort(np.abs(nodes - place), kind="stable")[:4])
             coarse = _summit(nodes[four], values[near][four])
             error = (
-                np.full(len(by), np.inf) if coarse is None else 2.0 * np.abs(slopes[:, near][:, four] @ coarse[2] - by)
+                np.full(len(by), np.inf)
+                if coarse is None or bare
+                else 2.0 * np.abs(slopes[:, near][:, four] @ coarse[2] - by)
             )
             return high, by, error
     error = np.zeros(len(slopes))
