@@ -1,4 +1,4 @@
-"""Laws that remember an approach or a course: every way to a derivative of an impact against differences of tight runs."""
+"""Laws that remember an approach: every way to a derivative of an impact against differences of tight runs."""
 
 from __future__ import annotations
 
@@ -16,9 +16,7 @@ from benchmarks.analysis import chosen
 
 # One program for all laws that are chosen among by a number.
 SPEEDS = {name: laws.make(name) for name in FACTORS}
-COURSES = {name: laws.make(name) for name in ("walton_braun", "thornton", "standard_linear_solid")}
 GIVEN = {"stiffness": 1e7, "exponent": 1.5, "mass": 0.5, "restitution": 0.7, "height": 0.1, "which": 0.0}
-MORE = {"damping": 0.1, "relaxation": 0.4, "relaxation_time": 1e-3, "yield_penetration": 3e-4}
 END, STEP, TIGHT, ACCURACY = 0.16, 2e-4, 1e-9, 1e-6
 READ = "body.velocity.y"
 
@@ -55,11 +53,6 @@ class Ways:
 @pytest.fixture(scope="module")
 def speeds():
     return Ways(SPEEDS, {}, ("height", "restitution"))
-
-
-@pytest.fixture(scope="module")
-def courses():
-    return Ways(COURSES, MORE, ("height", "stiffness"))
 
 
 def check(ways, name):
@@ -114,9 +107,3 @@ def check(ways, name):
 @pytest.mark.parametrize("law", [*SPEEDS])
 def test_laws_with_an_approach_speed(speeds, law):
     check(speeds, law)
-
-
-@pytest.mark.full
-@pytest.mark.parametrize("law", [*COURSES])
-def test_laws_with_a_course(courses, law):
-    check(courses, law)
