@@ -43,11 +43,13 @@ _NODES, _WEIGHTS = (0.5 * (x + shift) for x, shift in zip(np.polynomial.legendre
 class AbstractLaw(Part):
     """Normal force F(d, d') >= 0 of one contact; ``states`` names the numbers that the law remembers of it.
 
-    ``bends`` says whether the force has a corner over the penetration where that turns, from approach to departure.
+    ``bends`` says whether the force has a corner over the penetration where that turns, from approach to departure; ``ends``
+    whether it may end, with a corner, before the surfaces part.
     """
 
     states: ClassVar[tuple[str, ...]] = ()
     bends: ClassVar[bool] = False
+    ends: ClassVar[bool] = False
     example: ClassVar[str] = """
 class Linear(bj.laws.AbstractLaw):
     needs = ("stiffness",)
@@ -115,6 +117,7 @@ class KelvinVoigt(AbstractLaw):
     Coefficients: ``stiffness`` K [N/m], ``dashpot`` c [N s/m].
     """
 
+    ends: ClassVar[bool] = True
     elastic: AbstractElastic = Linear()
     tension: bool = eqx.field(static=True, default=False)
 
@@ -235,6 +238,7 @@ class AdamsImpact(AbstractLaw):
     Coefficients: those of the elastic part, ``dashpot`` c_max [N s/m], ``damping_depth`` h [m] > 0.
     """
 
+    ends: ClassVar[bool] = True
     elastic: AbstractElastic = Power()
 
     @property
@@ -256,6 +260,7 @@ class ElastoGap(AbstractLaw):
     Coefficients: those of the elastic part, ``dashpot`` c [N s/m].
     """
 
+    ends: ClassVar[bool] = True
     elastic: AbstractElastic = Power()
 
     @property
@@ -286,6 +291,7 @@ class StandardLinearSolid(AbstractLaw):
     """
 
     states: ClassVar[tuple[str, ...]] = ("relaxed_force",)
+    ends: ClassVar[bool] = True
     elastic: AbstractElastic = Power()
 
     @property
@@ -341,6 +347,7 @@ class AbstractPlastic(AbstractLaw):
 
     states: ClassVar[tuple[str, ...]] = ("unloaded",)
     bends: ClassVar[bool] = True
+    ends: ClassVar[bool] = True
     elastic: eqx.AbstractVar[AbstractElastic]
 
     @abstractmethod

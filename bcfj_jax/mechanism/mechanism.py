@@ -487,6 +487,10 @@ class Mechanism(AbstractModel):
         """``approaches.approaches``."""
         return approaches.approaches(self, t, y, prepared)
 
+    def misremembered(self, params: Params, run: Any) -> tuple[str, float]:
+        """``approaches.doubt``."""
+        return approaches.doubt(self, params, run.times, run.penetration, run.rate, run.trajectory)
+
     # What instruments read.
 
     def observe(self, t: Array, y: Array, prepared: Params) -> dict[str, Reading]:

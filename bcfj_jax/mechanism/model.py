@@ -386,6 +386,11 @@ class AbstractModel(eqx.Module):
         """What every speed of ``remembered`` is at a touch in this state."""
         return Approaches(*[jnp.zeros(0)] * 3)
 
+    def misremembered(self, params: Params, run: Any) -> tuple[str, float]:
+        """Why a run (``simulation.Run``) met other approach speeds than it remembers, and from when on [s]; "" and NaN if not."""
+        del params, run
+        return "", float("nan")
+
     # What instruments read.
 
     @abstractmethod

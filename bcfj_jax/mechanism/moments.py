@@ -8,9 +8,9 @@ from jax import Array
 
 
 class Continuous(NamedTuple):
-    """Of each of C channels, whatever the samples: (C,) time [s] and (C, n) state of the step's end at which its force was
-    greatest, (C,) lengths of the steps before and after it [s], and integrals (C,) of its normal force by the time [N s] and
-    by the penetration [J].
+    """Of each of C channels, whatever the samples: (2, C) time [s] and (2, C, n) state of the steps' ends at which its force was
+    greatest, and least; (2, C) lengths of the steps before and after these [s]; and integrals (C,) of its normal force by the
+    time [N s] and by the penetration [J].
     """
 
     time: Array

@@ -52,8 +52,8 @@ class Observed(AbstractModel):
     )
     recurs, pitch, pitch_before, turned = map(_of, ("recurs", "pitch", "pitch_before", "turned"))
     choice_options, whole, orbits, variants = map(_of, ("choice_options", "whole", "orbits", "variants"))
-    coefficient, canonical, remembered, approaches = map(  # pyright: ignore[reportAssignmentType]
-        _of, ("coefficient", "canonical", "remembered", "approaches")
+    coefficient, canonical, remembered, approaches, misremembered = map(  # pyright: ignore[reportAssignmentType]
+        _of, ("coefficient", "canonical", "remembered", "approaches", "misremembered")
     )
     drawing, carriers, scenery, level = map(_of, ("drawing", "carriers", "scenery", "level"))
 

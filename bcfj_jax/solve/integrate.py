@@ -39,7 +39,7 @@ from bcfj_jax.mechanism.model import AbstractModel, Continuous, Params, Solution
 from bcfj_jax.solve import adjoint, bdf, named
 from bcfj_jax.solve.batched_jvp import lane_by_lane, still, together
 from bcfj_jax.solve.extremes import named as by_name
-from bcfj_jax.solve.landing import NEAR, Instants, Landing, bending, contacts, look
+from bcfj_jax.solve.landing import NEAR, Instants, Landing, bending, bristled, contacts, look
 from bcfj_jax.solve.plan import Plan, Way
 from bcfj_jax.solve.remembering import Remembering, at_touch, constant
 from bcfj_jax.solve.rodas import Rodas
@@ -206,13 +206,13 @@ def _landed(
     if corners:
         # As much a share of the speed to expect as of the penetration (``first_step``).
         speeds = jnp.full(corners, 1e-2 / problem.first_step)
-        near = near * jnp.concatenate([jnp.ones(channels + len(model.remembered)), speeds])
+        near = near * jnp.concatenate([jnp.ones(channels + len(model.remembered) + len(bristled(model))), speeds])
     since = jax.lax.stop_gradient(times[0]) if whole else None
     control = Landing(controller(problem, how), near, most, size, since)
     end, memory = _by_diffrax(problem, times, how, mode, control, memory=True)
     if whole:
         impulse, work = (end.states[-1] - end.states[0])[size:].reshape(2, channels)
-        _, time, state, before, after = jax.tree.map(lambda x: x[:channels], memory.tops)
+        _, time, state, before, after = jax.tree.map(lambda x: x[:, :channels], memory.tops)
         end = end._replace(states=end.states[:, :size], whole=Continuous(time, state, before, after, impulse, work))
     return end, contacts(memory, channels)
 

@@ -10,6 +10,7 @@ contacts remember their approach speeds, steps also end where these are set (``s
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -20,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from bcfj_jax.contact.normal import GAP
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve.remembering import close
 
@@ -34,6 +36,8 @@ _AFTER = 0.05
 # A contact is left by steps of this share of what is left of it, down to this share of its length: of K d^n with n < 2 the
 # tangents of a step that ends near the surface are wrong by the step's length to the power n.
 _PART, _FINEST = 0.5, 3e-4
+# A force that ends within a contact is left by Newton's steps of this share, down to this share of the greatest force.
+_NEWTON, _ENDED = 0.999, 1e-7
 # Pieces of a step in which its crossing is sought, and halvings of the piece.
 PIECES, _HALVINGS = 16, 50
 
@@ -66,12 +70,12 @@ class Look(NamedTuple):
 
 
 class Tops(NamedTuple):
-    """Of each of C channels the end of the step at which its force was greatest.
+    """Of each of C channels the ends of the steps at which its force was greatest, and least.
 
     Attributes:
-        size: (C,) of that force [N].
-        time: (C,) [s]; state: (C, n).
-        before, after: (C,) lengths of the steps before and after it [s].
+        size: (2, C) of that force [N], and of the opposite of the least.
+        time: (2, C) [s]; state: (2, C, n).
+        before, after: (2, C) lengths of the steps before and after these [s].
     """
 
     size: Array
@@ -121,22 +125,39 @@ def look(model: AbstractModel, t: Any, y: Array, prepared: Any) -> Look:
 
 def bending(model: AbstractModel) -> tuple[int, ...]:
     """Channels whose force has a corner where their penetration turns."""
+    return _channels(model, lambda contact: getattr(contact.law, "bends", False))
+
+
+def bristled(model: AbstractModel) -> tuple[int, ...]:
+    """Channels whose friction has bristles, which begin to bend at a gap of ``normal.GAP``."""
+    return _channels(model, lambda contact: contact.friction is not None and contact.friction.bristles)
+
+
+def _channels(model: AbstractModel, which: Callable[[Any], bool]) -> tuple[int, ...]:
     counts = [max(1, model.members[contact.name]) for contact in model.contacts]
-    laws = [getattr(contact, "law", None) for contact in model.contacts]
-    every = [getattr(law, "bends", False) for law, count in zip(laws, counts, strict=True) for _ in range(count)]
-    return tuple(i for i, bends in enumerate(every) if bends)
+    every = [which(contact) for contact, count in zip(model.contacts, counts, strict=True) for _ in range(count)]
+    return tuple(i for i, is_one in enumerate(every) if is_one)
 
 
 def surfaces(model: AbstractModel, t: Any, y: Array, prepared: Any) -> Look:
-    """Every channel; then, which bear no force, the surfaces at which approach speeds are set, and those of ``bending``.
+    """Every channel; then, which bear no force, the surfaces at which approach speeds are set, and those at which bristles
+    begin to bend, and those of ``bending``.
 
-    The depth of the latter is the speed of departure [m/s]; its rate [m/s^2] goes by the field.
+    The depth of the last is the speed of departure [m/s]; its rate [m/s^2] goes by the field.
     """
     found = [look(model, t, y, prepared)]
     none = lambda x: jnp.zeros_like(x)  # noqa: E731
     if model.remembered:
         more = model.approaches(t, y, prepared)
         found.append(Look(more.depth, more.rate, none(more.depth)))
+    if bending_from := bristled(model):
+        wide = [
+            model.coefficient(prepared, c.name, "smoothing") if getattr(c, "smoothing", False) else jnp.zeros(())
+            for c in model.contacts
+            for _ in range(max(1, model.members[c.name]))
+        ]
+        near, at = found[0], jnp.asarray(bending_from)
+        found.append(Look((near.depth + jnp.stack(wide) + GAP)[at], near.rate[at], none(near.force[at])))
     if corners := bending(model):
         along = (jnp.ones_like(jnp.asarray(t)), model.vector_field(t, y, prepared))
         speed, change = jax.jvp(lambda t, y: -look(model, t, y, prepared).rate, (jnp.asarray(t), y), along)
@@ -176,8 +197,10 @@ class Landing(dfx.AbstractStepSizeController):
         none = jnp.zeros(seen.depth.shape)
         tops = None
         if self.since is not None:
-            size = jnp.where(t0 >= self.since, jnp.abs(seen.force), -jnp.inf)
-            tops = Tops(jax.lax.stop_gradient(size), none, jnp.broadcast_to(start, (none.size, start.size)), none, none)
+            size = jnp.where(t0 >= self.since, _both(seen.force), -jnp.inf)
+            none_yet = jnp.zeros(size.shape)
+            states = jnp.broadcast_to(start, (*size.shape, start.size))
+            tops = Tops(jax.lax.stop_gradient(size), none_yet, states, none_yet, none_yet)
         return first, _Memory(inner, seen, inside, found, jnp.asarray(0), jnp.asarray(0.0), none, none, top, tops)
 
     def adapt_step_size(self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state):
@@ -201,6 +224,8 @@ class Landing(dfx.AbstractStepSizeController):
         # A step so short is on the surface, whatever the rounding of the penetration lets it show.
         short = fixed(dt) <= _SHORT * jnp.max(jnp.where(crossing, fixed(t1) - memory.since, 0.0))
         again = jnp.any(crossing) & (memory.tries < _TRIES) & (share < 1.0) & ~short
+        ending, early = self._ending(memory, now, t0, y0[: self.size], args, dt, keep & ~again)
+        again = again | early
         turned, kept = keep & ~again & (beyond | (near & heading)), keep & ~again
         landed = jnp.any(turned)
         inside, free = memory.inside ^ turned, jnp.where(again, jnp.maximum(memory.free, fixed(dt)), memory.free)
@@ -208,10 +233,11 @@ class Landing(dfx.AbstractStepSizeController):
         higher = kept & inside & (turned | (size > memory.top))
         # To the surface; of a contact that ends, by ever shorter steps.
         surface = jnp.maximum(share, _LEAST) * dt
-        # A turn is no end of a contact.
-        ends = np.arange(turned.size) < turned.size - len(bending(model))
+        # A turn is no end of a contact, nor is where a bristle begins.
+        ends = np.arange(turned.size) < turned.size - len(bending(model)) - len(bristled(model))
         finest = jnp.min(jnp.where(memory.inside & crossing & ends, _FINEST * (fixed(t0) - memory.since), jnp.inf))
         surface = jnp.where(surface > finest, _PART * surface, surface)
+        surface = jnp.where(early, ending, surface)
         # A step that only ends a flight says nothing of the length of the next.
         length = fixed(end - start)
         length = jnp.where(landed, jnp.maximum(length, _AFTER * free), length)
@@ -220,6 +246,7 @@ class Landing(dfx.AbstractStepSizeController):
         ahead = jnp.maximum(_PART * ahead, _FINEST * (fixed(t1) - memory.since))
         length = jnp.minimum(length, jnp.min(jnp.where(leaving, ahead, jnp.inf)))
         start, end = jnp.where(again, t0, start), jnp.where(again, t0 + surface, start + length)
+        inner = jax.tree.map(lambda a, b: jnp.where(landed, a, b), restarted(inner), inner)
         known = _Memory(
             jax.tree.map(lambda a, b: jnp.where(again, a, b), memory.inner, inner),
             Look(*(jnp.where(kept, a, b) for a, b in zip(now, memory.before, strict=True))),
@@ -230,21 +257,63 @@ class Landing(dfx.AbstractStepSizeController):
             since,
             jnp.where(higher, fixed(t1), memory.high),
             jnp.where(higher, fixed(size), jnp.where(inside, memory.top, -jnp.inf)),
-            self._topped(memory.tops, kept, size, t0, t1, after),
+            self._topped(memory.tops, kept, _both(now.force), t0, t1, after),
         )
         return kept, start, end, jump, known, result
 
+    def _ending(
+        self, memory: _Memory, now: Look, t0: Any, y0: Array, args: Any, dt: Any, kept: Array
+    ) -> tuple[Array, Array]:
+        """How far from a step's start a force ends within its contact [s], and whether the step is to end there.
+
+        A force F that is cut off at 0 has a corner there. A step ahead of it goes to where F + F' h is 0, which moves with the
+        parameters: from its end on F does not depend on them.
+        """
+        model, prepared = args
+        never = jnp.zeros_like(dt), jnp.zeros((), bool)
+        if not any(getattr(getattr(contact, "law", None), "ends", False) for contact in model.contacts):
+            return never
+        size, fixed = jnp.abs(memory.before.force), jax.lax.stop_gradient
+        over = kept & (now.force == 0) & (now.depth > 0) & (size > _ENDED * memory.top) & (memory.tries < _TRIES)
+
+        def root() -> Array:
+            t, y, given = fixed((jnp.asarray(t0), y0, prepared))
+            force = lambda t, y: jnp.abs(look(model, t, y, given).force)  # noqa: E731
+            slope = jax.jvp(force, (t, y), (jnp.ones_like(t), model.vector_field(t, y, given)))[1]
+            slope = jnp.concatenate([slope, jnp.zeros(size.size - slope.size)])
+            falls = slope < 0
+            length = jnp.where(falls, _NEWTON * size / jnp.where(falls, -fixed(slope), 1.0), 0.5 * dt)
+            return jnp.min(jnp.where(over, jnp.maximum(length, _LEAST * dt), jnp.inf))
+
+        found = jax.lax.cond(jnp.any(over), root, lambda: jnp.full_like(dt, jnp.inf))
+        early = found < fixed(dt)
+        return jnp.where(early, found, dt), early
+
     def _topped(self, tops: Tops | None, kept: Array, size: Array, begin: Any, end: Any, y: Array) -> Tops | None:
-        """With the end of a step that is kept, where a force [N] is greater there."""
+        """With the end of a step that is kept, where a force (2, C) [N] is greater there."""
         if tops is None:
             return None
         better, fixed = kept & (size > tops.size) & (end >= self.since), jax.lax.stop_gradient
         next_one = kept & ~better & (tops.time == begin)
         return Tops(
             jnp.where(better, fixed(size), tops.size), jnp.where(better, end, tops.time),
-            jnp.where(better[:, None], y, tops.state), jnp.where(better, fixed(end - begin), tops.before),
+            jnp.where(better[..., None], y, tops.state), jnp.where(better, fixed(end - begin), tops.before),
             jnp.where(better, 0.0, jnp.where(next_one, fixed(end - begin), tops.after)),
         )  # fmt: skip
+
+
+def _both(force: Array) -> Array:
+    """Forces (C,) and their opposites (2, C): the least is the opposite's greatest."""
+    return jnp.stack([force, -force])
+
+
+def restarted(control: tuple) -> tuple:
+    """A step control's memory, wrapped or not, without the errors of earlier steps, as it starts.
+
+    The error of a step that only reaches a surface is rounding: the steps after it would depend on how a program rounds.
+    """
+    first, *rest = control
+    return (restarted(first), *rest) if isinstance(first, tuple) else (*map(jnp.ones_like, control[:2]), *control[2:])
 
 
 def cubic(before: Look, now: Look, dt: Any, s: Array) -> Array:

@@ -40,8 +40,9 @@ class Run(NamedTuple):
             Contacts that have k members (balls): (T, k, 3) here and (T, k) below.
         penetration, rate: per contact (T,): overlap [m] (negative: gap) and its rate [m/s].
         slip: per contact (T,): sliding speed [m/s]; empty for models that only approach.
-        status: "ok", "failed", or "doubtful" where ``measure_error`` found that the run may have missed an event; a failed run
-            is NaN from the failure on.
+        status: "ok", "failed", or "doubtful" where ``measure_error`` found that the run may have missed an event, or where
+            a contact met another approach speed than it remembers (``mechanism.approaches``); a failed run is NaN from the
+            failure on.
         reason, failure_time: why and from when on [s] it failed or is doubtful; "" and NaN for a good run.
         stats: steps accepted and rejected, tolerance, wall and compile seconds.
         state: per contact (T,): codes of ``readings.contact_state`` that count ``readings.STATES`` (apart, touching,
@@ -275,16 +276,21 @@ def simulate(
     plans = (tolerance, longest), (0.1 * tolerance, other)
     as_asked, tenth = (Plan(t, max_steps, solver=solver, extremes=looked, longest=np.asarray(x)) for t, x in plans)
     if not (measure_error and scene.traits.history):
-        return timed(scene, params, values, as_asked, wanted)
+        run = timed(scene, params, values, as_asked, wanted)
+        return _doubtful(run, *scene.misremembered(params, run))
     run, finer = together(*(partial(timed, scene, params, values, how, wanted) for how in (as_asked, tenth)))
     found = measured(
         force_error(accuracy), scene.settled_from(params), values, _compared(run), _compared(finer),
         (run.rate, finer.rate), tolerance=run.stats["tolerance"], wall_s=finer.stats["wall_s"],
     )  # fmt: skip
-    why, since = found.doubt
-    if run.status == "ok" and why:
-        run = run._replace(status="doubtful", reason=why, failure_time=since)
+    run = _doubtful(_doubtful(run, *found.doubt), *scene.misremembered(params, run))
     return run._replace(accuracy=found)
+
+
+def _doubtful(run: Run, why: str, since: float) -> Run:
+    """A run that is good but for a reason, from a time on [s]; "" for none."""
+    good = run.status != "ok" or not why
+    return run if good else run._replace(status="doubtful", reason=why, failure_time=since)
 
 
 def _compared(run: Run) -> dict[str, np.ndarray]:

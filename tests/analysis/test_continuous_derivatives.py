@@ -171,7 +171,13 @@ def test_a_witness_sees_what_all_tolerances_miss():
         return np.array([at[0] ** 2 * at[1], np.nan])
 
     right = np.array([[12.0, 4.0], [1.0, 1.0]])
-    assert np.array_equal(witnessed(features, values, right, bounds), bounds)
+    here, runs = features(values), []
+
+    def counted(at):
+        runs.append(at)
+        return features(at)
+
+    assert np.array_equal(witnessed(counted, here, values, right, bounds), bounds) and len(runs) == 1
     wrong = right * [[1.05, 1.0], [1.0, 1.0]]
-    found = witnessed(features, values, wrong, bounds)
+    found = witnessed(features, here, values, wrong, bounds)
     assert 0.04 < found[0, 0] < 0.07 and found[0, 1] < 1e-4 and np.array_equal(found[1], bounds[1])

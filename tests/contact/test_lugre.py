@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from oracles import within
 from scipy.integrate import solve_ivp
 
+import bcfj_jax as bj
 from bcfj_jax.contact.friction import LuGre
 
 
@@ -171,3 +172,33 @@ def test_lugre_takes_a_batch():
             (Bristles().settle(z, slip, time, batch), Bristles().settle(z[row], slip[row], time[row], c)),
         )
         assert all(np.allclose(many[row], one, rtol=1e-13, atol=0.0) for many, one in pairs)
+
+
+@pytest.mark.full
+def test_a_bristle_has_its_derivative_through_a_touch():
+    """It begins to bend in the last micrometre of the gap, where an explicit step ends: at every accuracy it is right."""
+    start = {"y": "height", "vx": 0.5, "vy": -0.5, "speed": 10.0}
+    body = bj.Body("b", "planar", mass=0.02, inertia=2.5e-6, start=start)
+    contact = bj.Contact(
+        "contact", ("ground", "b"), bj.gaps.SphereOnPlane("y"), friction="lugre", smoothing=False,
+        values={"radius": 0.01},
+    )  # fmt: skip
+    given = {"stiffness": 1e8, "exponent": 1.5, "damping": 0.1, "friction_static": 0.15, "friction_dynamic": 0.1}
+    given |= {"friction_speed": 0.05, "bristle_stiffness": 1e5, "bristle_damping": 10.0}
+    own = [(bj.Quantity("height", "m", "height", 0.0), 0.0105)]
+    scene = bj.Mechanism(
+        "disc", [body], [contact], [bj.loads.Gravity("-y")], own=own, given=given, end=2e-3, implicit=False
+    )
+    params, times = scene.parameters(), jnp.array([0.0, 2e-3])
+
+    @jax.jit
+    def leaving(height, friction, accuracy):
+        moved = {**params, "height": height, "friction_dynamic": friction}
+        return bj.reading_history(scene, moved, times, ["b.velocity.x"], accuracy=accuracy)["b.velocity.x"][-1]
+
+    at = 0.0105, 0.1
+    for k, value in enumerate(at):
+        step = 1e-4 * value * np.eye(2)[k]
+        right = (leaving(*(at + step), 1e-9) - leaving(*(at - step), 1e-9)) / (2 * step[k])
+        along = jax.jvp(lambda *x: leaving(*x, 1e-2), at, tuple(np.eye(2)[k]))[1]
+        assert float(along) == pytest.approx(float(right), rel=1e-5)

@@ -97,3 +97,20 @@ def test_none_of_the_joints_that_are_refused_is_left_out(name, options):
     # And next to none is looked at in vain.
     assert (found & ~bad).sum() <= 1
     assert bad.any() != (name == "what no check reads")
+
+
+def test_a_speed_that_is_not_remembered_is_said():
+    body = Body("body", "slide", axis="y", mass=0.1, start={"position": "height", "velocity": "speed"})
+    floor = Contact("floor", ("ground", "body"), PointOnPlane("y"), "exact", smoothing=False)
+    own = ((Quantity("height", "m", "height at time 0"), 1e-4), (Quantity("speed", "m/s", "speed at time 0"), 0.0))
+    given = {"stiffness": 1e9, "exponent": 1.5, "restitution": 0.7}
+    scene = Mechanism("drop", (body,), (floor,), (Gravity("-y"),), own=own, given=given, end=1.0)
+    for height, said in ((1e-4, False), (2e-8, True)):
+        params, fall = scene.parameters({"height": height}), np.sqrt(2.0 * height / 9.81)
+        run = bj.simulate(scene, params, np.linspace(0.0, fall + 6e-4, 3001), read=["body.velocity.y"])
+        speed, met = run.readings["body.velocity.y"], np.sqrt(2.0 * 9.81 * height)
+        # Off by more than a twentieth where, and only where, it is said.
+        assert (abs(np.max(speed) / met / 0.7 - 1.0) > 0.05) == said
+        assert (run.status == "doubtful") == said
+        assert ("restitution is not the one asked for" in run.reason) == said
+        assert not said or abs(run.failure_time / fall - 1.0) < 0.05

@@ -29,10 +29,10 @@ def test_gradients_among_devices_and_exported(mode):
     expected = jax.jit(slope)(x[0])
     mesh, rows = Mesh(np.array(jax.devices()[:1]), ("i",)), PartitionSpec("i")
     among = jax.jit(jax.shard_map(jax.vmap(slope), mesh=mesh, in_specs=rows, out_specs=rows))
-    np.testing.assert_allclose(among(x)[0], expected, rtol=1e-7)
-    np.testing.assert_allclose(jax.pmap(slope)(x)[0], expected, rtol=1e-7)
+    np.testing.assert_allclose(among(x)[0], expected, rtol=1e-12)
+    np.testing.assert_allclose(jax.pmap(slope)(x)[0], expected, rtol=1e-12)
     kept = jax.export.deserialize(jax.export.export(jax.jit(slope))(x[0]).serialize())
-    np.testing.assert_allclose(kept.call(x[0]), expected, rtol=1e-7)
+    np.testing.assert_allclose(kept.call(x[0]), expected, rtol=1e-12)
 
 
 @pytest.mark.full

@@ -145,8 +145,8 @@ def jacobians(
         whole: whether all of a force is given back; else the normal part alone.
 
     Returns:
-        Values (N, T, C, 3 or 1), (N, T, C) twice, (N, C, 3) of the continuous curve (``Histories``); derivatives (N, T, P, C)
-        of normal force, penetration and rate, (N, P, C, 3) of the curve; then (N,) codes and ends, the rounds of all places,
+        Values (N, T, C, 3 or 1), (N, T, C) twice, (N, C, 4) of the continuous curve (``Histories``); derivatives (N, T, P, C)
+        of normal force, penetration and rate, (N, P, C, 4) of the curve; then (N,) codes and ends, the rounds of all places,
         and (N,) attempted steps.
     """
     from bcfj_jax.solve.work_queue import (

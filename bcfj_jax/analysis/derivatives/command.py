@@ -12,10 +12,10 @@ from bcfj_jax.analysis.derivatives import pictures
 from bcfj_jax.analysis.derivatives.certificate import BROKEN, TRUSTED
 from bcfj_jax.analysis.derivatives.names import complete, default_features, derivative_unit, feature, feature_unit
 from bcfj_jax.analysis.derivatives.ranking import (
-    LEGEND,
     Ranking,
     certificate_rows,
     drivers,
+    legend,
     ranked_rows,
     ranking,
     said,
@@ -138,9 +138,7 @@ def page(
     """
     certificate = found.certificate
     shown = [
-        _strongest(
-            head if k else "Percent change of features per percent change of parameters", rows, bool(certificate)
-        )
+        _strongest(head if k else "Percent change of features per percent change of parameters", rows, legend(found))
         for k, (head, rows) in enumerate(tables)
     ]
     if certificate:
@@ -151,11 +149,11 @@ def page(
     return Page(title, answer(found, ranked, sentences), drawn, tables=tuple(shown), folded=(solver,))
 
 
-def _strongest(title: str, rows: list[list[str]], certified: bool) -> Table:
+def _strongest(title: str, rows: list[list[str]], note: str) -> Table:
     """The table with its strongest rows; the others are folded."""
     most = _MOST_ROWS + 1
     rest = (Table(f"{len(rows) - most} weaker features", [rows[0], *rows[most:]]),) if len(rows) > most + 2 else ()
-    return Table(title, rows[:most] if rest else rows, LEGEND if certified else "", rest)
+    return Table(title, rows[:most] if rest else rows, note, rest)
 
 
 def answer(found: Sensitivity, ranked: Ranking, sentences: Sequence[str]) -> Verdict:
@@ -184,8 +182,8 @@ def checked(what: str, wrt: Sequence[str], features: Sequence[str]) -> tuple[tup
 
 def _tables(found: Sensitivity, params: Any) -> list[tuple[str, list[list[str]]]]:
     """Of the run's features, and of those of steady motion."""
-    head = f"Percent change of features per percent change of parameters. {LEGEND if found.certificate else ''}".strip()
-    tables = [(head, ranked_rows(found.features, ranking(found, params)))]
+    head = f"Percent change of features per percent change of parameters. {legend(found)}".strip()
+    tables = [(head, ranked_rows(found.features, ranking(found, params), found.sampled))]
     if found.steady is not None and not found.steady.reason:
         turn = format_si(found.steady.turn, "s", 4)
         head = f"The same of steady motion, over one turn of {turn}, whatever the start"

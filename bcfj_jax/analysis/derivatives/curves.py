@@ -22,8 +22,8 @@ from jax import Array
 from bcfj_jax.analysis.derivatives.trains import LEAVES, SHORTER, SUMMIT, TILTED, ahead, summit_of
 from bcfj_jax.mechanism.model import AbstractModel, Continuous, Params
 
-# Columns of what is of the continuous curve (C, 3), by features.
-PEAK, IMPULSE, WORK = range(3)
+# Columns of what is of the continuous curve (C, 4), by features; the last is the least value.
+PEAK, IMPULSE, WORK, LEAST = COLUMNS = range(4)
 # A sample that is higher than the summit by this share is of another one.
 _HIGHER = 1e-3
 # How far a crest may rise above its greatest sample, over the spread of its five: a parabola's rises by up to 1/24.
@@ -31,13 +31,15 @@ _RISE = 0.06
 
 
 def of_curve(model: AbstractModel, params: Params, whole: Continuous, first: Array, last: Array) -> Array:
-    """Peak [N], impulse [N s] and work [J] of every channel (C, 3) between two times [s]; a peak is NaN that is no summit."""
-    peaks = summits(model, params, whole, first, last)
-    return jnp.stack([peaks, whole.impulse, whole.work], axis=1)
+    """Peak [N], impulse [N s], work [J] and least force [N] of every channel (C, 4) between two times [s]; NaN for no summit."""
+    peak, least = summits(model, params, whole, first, last)
+    return jnp.stack([peak, whole.impulse, whole.work, least], axis=1)
 
 
 def summits(model: AbstractModel, params: Params, whole: Continuous, first: Array, last: Array) -> Array:
-    """Normal force (C,) [N], of either sign, where its size is greatest; NaN where it is not smooth there, or beyond a time."""
+    """Normal force (2, C) [N] where it is greatest, and least; NaN where it is not smooth there, of the other sign, or
+    beyond a time.
+    """
     from bcfj_jax.solve.landing import bending, look  # With diffrax, which a kept program does not need.
 
     prepared, fixed, corners = model.prepare(params), jax.lax.stop_gradient, bending(model)
@@ -45,13 +47,12 @@ def summits(model: AbstractModel, params: Params, whole: Continuous, first: Arra
     def field(t: Array, y: Array) -> Array:
         return model.vector_field(t, y, prepared)
 
-    def one(channel: Array, t: Array, y: Array, before: Array, after: Array) -> Array:
+    def one(sign: Array, channel: Array, t: Array, y: Array, before: Array, after: Array) -> Array:
         # Neither of the two steps crosses a surface; the top's derivative is that at fixed times.
         middle, reach = fixed(t) + 0.5 * (after - before), 0.5 * (after + before)
         times = middle + reach * np.outer(SHORTER, SUMMIT).ravel()
         states = jax.vmap(lambda at: ahead(field, t, y, at - t))(times)
         forces = jax.vmap(lambda t, y: look(model, t, y, prepared).force[channel])(times, states)
-        sign = fixed(jnp.sign(forces[0]))
         later, value, curve, slope, left = summit_of(sign * forces.reshape(SHORTER.size, -1), middle, reach)
         good = (curve < 0) & (jnp.abs(slope) * reach <= TILTED * value) & (left < LEAVES)
         if corners:
@@ -63,14 +64,16 @@ def summits(model: AbstractModel, params: Params, whole: Continuous, first: Arra
             good = jnp.where(there, jnp.abs(slope) * reach <= TILTED * size, good)
         return jnp.where(fixed(good & (later >= first) & (later <= last)), sign * value, jnp.nan)
 
-    return jax.vmap(one)(jnp.arange(whole.time.size), *whole[:4])
+    every = jax.vmap(one, (None, 0, 0, 0, 0, 0))
+    return jax.vmap(every, (0, None, 0, 0, 0, 0))(jnp.array([1.0, -1.0]), jnp.arange(whole.impulse.size), *whole[:4])
 
 
-def known(kind: str, curve: Any, highest: Any) -> Any:
-    """Which of peaks are those of the continuous curve: of ``peak`` or ``largest``, whose greatest sample is given."""
+def top(kind: str, curve: Any, highest: Any) -> tuple[Any, Any]:
+    """Column of a channel's ``peak`` or ``largest`` (4,), and whether it is known: none whose greatest sample is higher."""
     xp = jnp if isinstance(curve, Array) else np
-    size = xp.abs(curve) if kind == "largest" else curve
-    return (size > 0) & (highest <= (1.0 + _HIGHER) * size)
+    peak, least = curve[PEAK], -curve[LEAST]
+    lower = (kind == "largest") & (least > xp.where(peak > 0, peak, 0.0))
+    return xp.where(lower, LEAST, PEAK), highest <= (1.0 + _HIGHER) * xp.where(lower, least, peak)
 
 
 def crest(times: np.ndarray, values: np.ndarray, slopes: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
@@ -92,11 +95,15 @@ def crest(times: np.ndarray, values: np.ndarray, slopes: np.ndarray) -> tuple[fl
         if found is not None and found[1] - values[top] <= _RISE * np.ptp(values[near]):
             place, high, weights = found
             by = slopes[:, near] @ weights
+            # Where there is no force at all the polynomial is not the curve.
+            bare = bool(np.any(values[near] == 0.0))
             # Of the five samples the four nearest to the summit.
             four = np.sort(np.argsort(np.abs(nodes - place), kind="stable")[:4])
             coarse = _summit(nodes[four], values[near][four])
             error = (
-                np.full(len(by), np.inf) if coarse is None else 2.0 * np.abs(slopes[:, near][:, four] @ coarse[2] - by)
+                np.full(len(by), np.inf)
+                if coarse is None or bare
+                else 2.0 * np.abs(slopes[:, near][:, four] @ coarse[2] - by)
             )
             return high, by, error
     error = np.zeros(len(slopes))

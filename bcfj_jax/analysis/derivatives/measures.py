@@ -20,7 +20,7 @@ from bcfj_jax.analysis import features
 from bcfj_jax.analysis import histories as comparison
 from bcfj_jax.analysis.derivatives import curves
 from bcfj_jax.analysis.derivatives.certificate import apart
-from bcfj_jax.analysis.derivatives.curves import IMPULSE, PEAK, WORK, known, quartic
+from bcfj_jax.analysis.derivatives.curves import COLUMNS, IMPULSE, WORK, quartic
 from bcfj_jax.analysis.derivatives.jacobian import Histories, channel_names
 from bcfj_jax.analysis.derivatives.names import Feature, event, members
 from bcfj_jax.analysis.derivatives.starting import START, of_members, starting
@@ -35,18 +35,18 @@ _INTEGRALS = {"mean": IMPULSE, "impulse": IMPULSE, "dissipated_work": WORK}
 def channel_features(times: np.ndarray, force: Array, depth: Array, curve: Array | None = None) -> dict[str, Array]:
     """Features of one channel, (T,) normal force [N] and penetration [m], that JAX differentiates. Pure.
 
-    ``curve``: (3,) what is known of the continuous curve (``Histories``).
+    ``curve``: (4,) what is known of the continuous curve (``Histories``).
     """
     unknown = jnp.asarray(jnp.nan)
     several = len(times) > 1
-    curve = jnp.full(3, jnp.nan) if curve is None else curve
+    curve = jnp.full(len(COLUMNS), jnp.nan) if curve is None else curve
 
     def integral(column: int, samples: Array) -> Array:
         return jnp.where(jnp.isfinite(curve[column]), curve[column], samples)
 
     def top(kind: str, values: Array) -> Array:
-        there = known(kind, jax.lax.stop_gradient(curve[PEAK]), jax.lax.stop_gradient(jnp.max(values)))
-        return jnp.where(there, jnp.abs(curve[PEAK]), quartic(times, values[:, None]))
+        column, there = curves.top(kind, *jax.lax.stop_gradient((curve, jnp.max(values))))
+        return jnp.where(there, jnp.abs(curve[column]), quartic(times, values[:, None]))
 
     impulse = integral(IMPULSE, features.impulse(times, force)) if several else unknown
     work = features.dissipated_work(jnp.abs(force), depth)
@@ -80,7 +80,7 @@ def vector(
     """
     place = {name: i for i, name in enumerate(channel_names(contacts))}
     normal = found.force[:, :, 0]
-    curve = jnp.full((normal.shape[1], 3), jnp.nan) if found.curve is None else found.curve
+    curve = jnp.full((normal.shape[1], len(COLUMNS)), jnp.nan) if found.curve is None else found.curve
     each = jax.vmap(lambda f, d, c: channel_features(times, f, d, c), in_axes=(1, 1, 0))
     every = each(normal, found.penetration, curve)
 
@@ -220,9 +220,11 @@ def _peak(
     force, slope = value.force[:, channel, 0], derivative.force[:, :, channel, 0]
     if kind == "largest":
         force, slope = np.abs(force), np.sign(force) * slope
-    if value.curve is not None and known(kind, value.curve[channel, PEAK], np.max(force)):
-        top, by = value.curve[channel, PEAK], derivative.curve[:, channel, PEAK]
-        return float(abs(top)), np.sign(top) * by, np.zeros(len(by))
+    if value.curve is not None:
+        column, known = curves.top(kind, value.curve[channel], np.max(force))
+        if known:
+            top, by = value.curve[channel, column], derivative.curve[:, channel, column]
+            return float(abs(top)), np.sign(top) * by, np.zeros(len(by))
     if not (np.isfinite(force).all() and np.isfinite(slope).all()):
         return float(np.max(force)), slope[:, int(np.argmax(force))], np.full(len(slope), np.nan)
     return curves.crest(times, force, slope)

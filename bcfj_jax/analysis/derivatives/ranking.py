@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -70,12 +70,18 @@ def _ranked(features, derivatives, distance, wrt, known, values) -> Ranking:
     return Ranking([names[i] for i in rows], [parameters[k] for k in columns], table[at], apart[at])
 
 
-def ranked_rows(features: Mapping[str, float], ranked: Ranking) -> list[list[str]]:
-    """The table: features down with their values, parameters across."""
+def ranked_rows(features: Mapping[str, float], ranked: Ranking, sampled: Collection[str] = ()) -> list[list[str]]:
+    """The table: features down with their values, parameters across; ``sampled`` ones have a star."""
     rows = [["% per %", "value", *ranked.parameters]]
     for name, *lines in zip(ranked.features, ranked.elasticity, ranked.apart, strict=True):
         value = brief(features[name], feature_unit(name))
-        rows.append([name, value, *(_cell(x, apart) for x, apart in zip(*lines, strict=True))])
+        rows.append(
+            [
+                f"{name} *" if name in sampled else name,
+                value,
+                *(_cell(x, apart) for x, apart in zip(*lines, strict=True)),
+            ]
+        )
     return rows
 
 
@@ -83,6 +89,13 @@ LEGEND = (
     "Without a mark: good to 3 % (a small number to 0.0003). ±: its error at most. "
     "In brackets: not known within 10 % (0.001), so that it is a size only. 0: below 0.0001. -: no derivative."
 )
+
+SAMPLED = "*: of samples alone; the error counts what lies between them."
+
+
+def legend(found: Sensitivity) -> str:
+    """What the table's marks mean; "" of a result that is not certified."""
+    return " ".join([LEGEND, *([SAMPLED] if found.sampled else [])]) if found.certificate else ""
 
 
 def _cell(elasticity: float, apart: float) -> str:

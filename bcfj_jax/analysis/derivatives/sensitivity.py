@@ -80,6 +80,7 @@ class Sensitivity(NamedTuple):
         steady: of the motion that the run settles to, where that was asked for and the model knows its pitch.
         values: of the parameters of ``wrt`` [SI], at which the derivatives are taken.
         reasons: by name, why a feature of a single contact is NaN.
+        sampled: names of features that are known from samples alone, whose bounds count what lies between samples.
     """
 
     times: Float[np.ndarray, " T"]
@@ -96,6 +97,7 @@ class Sensitivity(NamedTuple):
     steady: Steady | None = None
     values: dict[str, float] = {}
     reasons: dict[str, str] = {}
+    sampled: tuple[str, ...] = ()
 
     _view = "bcfj_jax.analysis.derivatives.view"
     __repr__ = presented.text
@@ -223,14 +225,18 @@ def sensitivity(
     if not certify:
         return found
     histories = bounded(t, climbed, values, _width(t, average))
-    agree = np.full(slopes.shape, np.inf)
+    agree, here = np.full(slopes.shape, np.inf), np.full(len(wanted), np.nan)
     if climbed.beside is not None:
-        between, tight = (measure(t, r.value, r.derivative, wanted, contacts, turning)[1] for r in climbed.beside)
+        (here, between), (_, tight) = (
+            measure(t, r.value, r.derivative, wanted, contacts, turning) for r in climbed.beside
+        )
         for slope, share in zip((between, tight), BOUNDING[scene.traits.stiff], strict=True):
             filled(scene, full, t[-1], names, how, wanted, numbers.copy(), slope, TIGHTER * share)
         agree = feature_bounds([slopes, between, tight], numbers, values)
     agree = np.maximum(agree, luckless(climbed, histories))
-    agree = agree + sampling(t, last.value, last.derivative, wanted, contacts, values)
+    between_samples = sampling(t, last.value, last.derivative, wanted, contacts, values)
+    agree = agree + between_samples
+    found = found._replace(sampled=tuple(f.name for f, x in zip(wanted, between_samples, strict=True) if np.any(x)))
     if differences != "none" and climbed.beside is not None and scene.traits.history and not scene.traits.stiff:
         finer = Plan(np.asarray(climbed.beside[0].tolerance), max_steps, True)  # pyright: ignore[reportArgumentType]
 
@@ -241,7 +247,7 @@ def sensitivity(
             return moved if beside.good else np.full(len(wanted), np.nan)
 
         with contextlib.suppress(OutOfTime):
-            agree = spend.on(lambda: witnessed(features_at, values, slopes, agree))
+            agree = spend.on(lambda: witnessed(features_at, here, values, slopes, agree))
     if found.steady is not None:
         agree = np.maximum(agree, _off_steady(scene, full, t, last, found.steady, wanted, names))
     table = {n: {f.name: float(agree[i, k]) for i, f in enumerate(wanted)} for k, n in enumerate(names)}

@@ -20,7 +20,7 @@ def told(found: Sensitivity) -> Told:
     verdict = found.certificate.verdict if found.certificate else "not certified"
     if found.status != "ok":
         return Told("failed", [ranking.said(found)])
-    rows = ranking.ranked_rows(found.features, ranking.ranking(found, found.values))
+    rows = ranking.ranked_rows(found.features, ranking.ranking(found, found.values), found.sampled)
     wide = [[*row[:5], *(["..."] if len(row) > 5 else [])] for row in rows]
     return Told(verdict, [ranking.said(found)], wide, [f"derivatives by {len(found.wrt)} parameter(s) per SI unit"])
 
@@ -36,6 +36,7 @@ def frame(found: Sensitivity) -> tuple[dict[str, Any], str]:
             slope = found.feature_derivatives[name][feature]
             share = slope * found.values[name] / value if value else np.nan
             verdict = checks[name].feature_verdicts.get(feature, "") if name in checks else ""
+            verdict += ", bound from samples" if verdict and feature in found.sampled else ""
             row = (feature, name, value, feature_unit(feature), slope, share, verdict)
             for column, cell in zip(table.values(), row, strict=True):
                 column.append(cell)

@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.analysis.derivatives.curves import PEAK, known, quartic
+from bcfj_jax.analysis.derivatives.curves import COLUMNS, quartic, top
 from bcfj_jax.analysis.derivatives.jacobian import Histories, channel_names
 from bcfj_jax.analysis.derivatives.measures import vector
 from bcfj_jax.analysis.derivatives.names import Feature, event, feature, feature_unit, kind_unit, members
@@ -136,14 +136,15 @@ def measured(
         values = jnp.abs(values) if feature.kind == "largest" else values
         high = jnp.max(values)
         # Of a force the summit of the continuous curve, where the run knows it.
-        curve = jnp.full(index.size, jnp.nan) if found.curve is None else found.curve[index, PEAK]
-        there = jax.vmap(lambda c: known(feature.kind, c, high))(jax.lax.stop_gradient(curve))
-        summit = jnp.max(jnp.where(there, jnp.abs(curve), -jnp.inf))
+        curve = jnp.full((index.size, len(COLUMNS)), jnp.nan) if found.curve is None else found.curve[index]
+        column, there = jax.vmap(lambda c: top(feature.kind, c, high))(jax.lax.stop_gradient(curve))
+        sizes = jnp.abs(jnp.take_along_axis(curve, column[:, None], 1)[:, 0])
+        summit = jnp.max(jnp.where(there, sizes, -jnp.inf))
         given = jnp.any(there) & (feature.kind != "peak_penetration")
         if norm is None:
             return jnp.where(given, summit, high)
-        top = jnp.where(given, summit, quartic(times, values))
-        return jnp.where(jnp.isfinite(norm), _norm(times, values, jnp.where(jnp.isfinite(norm), norm, 2.0)), top)
+        crest = jnp.where(given, summit, quartic(times, values))
+        return jnp.where(jnp.isfinite(norm), _norm(times, values, jnp.where(jnp.isfinite(norm), norm, 2.0)), crest)
 
     return [one(feature) for feature in wanted.features]
 
