@@ -16,6 +16,9 @@ loss = "linear"                  what a residual costs, as in ``Problem``
 accuracy = 1e-6                  error of the simulated forces as a share of their peak, likewise
 sensor = "free"                  time_offset and the zero of each unit are free within bounds that each record gives
                                  (``data.sensor``), unless the file says what they are; "exact" holds them at 0
+filter = { kind = "bessel", order = 4, zero_phase = true, cutoff = "1 kHz" }   the low-pass between sensor and record
+                                 (``filters``); without a cutoff it is free within bounds that the records give. "none";
+                                 "unknown", the default of a free sensor: the fit asks whether a record tells one from the law
 [free.NAME]                      lower, upper, start, scale, or NAME = [lower, upper] under [free];
                                  each = true gives every experiment its own, false none. Without
                                  bounds a nuisance has those that each record gives. bounds = { NAME = [from, to] } in
@@ -48,6 +51,7 @@ from calibration.data.readers import read
 from calibration.data.sensor import Sensor
 from calibration.data.table import split
 from calibration.data.textfile import Stated
+from calibration.filters import HIGHEST, Filter
 from calibration.problem import ADEQUATE, NUISANCES, OFFSETS, Channel, Experiment, Free, Problem, nuisances, units_of
 
 
@@ -75,6 +79,17 @@ class _Experiment(tables.Table):
     encoding: str | None = None
     header: int | list[int] | None = None
     bounds: dict[str, list[Any]] = {}
+
+
+class _Filter(tables.Table):
+    kind: Literal["butterworth", "bessel"] = "butterworth"
+    order: int = pydantic.Field(2, ge=1, le=HIGHEST)
+    zero_phase: bool = False
+    cutoff: Any = None
+
+    @property
+    def filter(self) -> Filter:
+        return Filter(self.kind, self.order, self.zero_phase)
 
 
 class FreeTable(tables.Table):
@@ -105,6 +120,7 @@ class _File(tables.Table):
     accuracy: float | None = pydantic.Field(None, ge=1e-9, le=0.5)
     adequate: Any = None
     sensor: Literal["free", "exact"] = "free"
+    filter: _Filter | Literal["none", "unknown"] | None = None
     model: list[dict[str, Any]] = []
     candidate: list[dict[str, Any]] = []
 
@@ -129,6 +145,9 @@ def load_with_records(path: str | Path) -> tuple[Problem, list[Prepared]]:
     path = given.path("calibration.load", path)
     file = _content(path)
     base = _scene(file, path)
+    if isinstance(file.filter, _Filter) and file.filter.cutoff is not None:
+        for entry in file.experiment:
+            entry.parameters.setdefault("cutoff", file.filter.cutoff)
     known = {**base.scene.quantities, **nuisances(o for entry in file.experiment for o in entry.observe)}
     one = base.scene.canonical
     records = _records(file, path, base)
@@ -149,6 +168,7 @@ def load_with_records(path: str | Path) -> tuple[Problem, list[Prepared]]:
         loss=file.loss,
         accuracy=file.accuracy or 0.0,
         tolerances=dict(base.tolerances),
+        filter=_filter(file, base),
         adequate=ADEQUATE if file.adequate is None else quantity(file.adequate, "1", f"{path}: adequate"),
     )
     every = ((r, found.notes.get(i, [])) for i, (_, _, r) in enumerate(records) if r)
@@ -201,7 +221,9 @@ def _sensor(
     searched = {f.name: (f.lower, f.upper) for f in (free_of(n, t, path, known) for n, t in bounded.items())}
     stated = {one(name) for name in file.free} | {n for e in experiments for n in e.fixed}
     asked = [n for n, t in file.free.items() if n in NUISANCES and t.lower is None and t.upper is None]
-    measured = file.sensor == "free" and scene.traits.history and not scene.traits.turning
+    passed = file.filter.filter if isinstance(file.filter, _Filter) else None
+    asked += ["cutoff"] if passed and "cutoff" not in stated else []
+    measured = _measured(file, base)
     # What contacts do above the reading at rest does not know its zero.
     observed = [o for entry in file.experiment for o in entry.observe if not entry.events]
     unasked = [n for n in dict.fromkeys(sensor.unasked(observed)) if n not in stated] if measured else []
@@ -215,7 +237,7 @@ def _sensor(
         for i, ((_, _, record), e) in enumerate(zip(records, experiments, strict=True)):
             params = {**{n: float(v) for n, v in base.params.items()}, **e.fixed}
             given = (
-                sensor.proposed(name, record, scene, params, searched) if record else "it has no history of readings"
+                sensor.proposed(name, record, scene, params, searched, passed) if record else "it has no history of readings"
             )
             if isinstance(given, str):
                 doubts[i] = given
@@ -239,6 +261,18 @@ def _sensor(
         unknowns += len(fitted) if name in unasked else 0
         found.add(name, proposals, known)
     return found
+
+
+def _measured(file: _File, base: scenefile.SceneFile) -> bool:
+    """Whether records are taken as measured, by sensors that leave something open."""
+    return file.sensor == "free" and base.scene.traits.history and not base.scene.traits.turning
+
+
+def _filter(file: _File, base: scenefile.SceneFile) -> Any:
+    """The filter of a ``Problem``."""
+    if isinstance(file.filter, _Filter):
+        return file.filter.filter
+    return file.filter or ("unknown" if _measured(file, base) else "none")
 
 
 def _proposed(name: str, found: Sensor, file: _File, path: Path, known: dict[str, Quantity]) -> Free:
