@@ -32,6 +32,7 @@ from calibration.selection.alternatives import Outcome, solve
 from calibration.selection.next_experiment import as_json as candidates_json
 from calibration.selection.next_experiment import table as candidates_table
 from calibration.uncertainty import intervals as uncertainty
+from calibration.uncertainty import unstated_filter
 from calibration.uncertainty.estimates import REFERENCE
 from calibration.uncertainty.intervals import check_kind
 from calibration.uncertainty.law_miss import NEXT_RUN
@@ -48,6 +49,7 @@ MEANING = {
     "runs": "runs differ",
     "robust": "runs, or blocks of samples, differ",
     "discrepancy": "the law misses a shape of the contact",
+    unstated_filter.KIND: "a filter that nobody stated",
     NEXT_RUN: "the estimate of one more run by itself",
 }
 _BUDGET = "Errors of the sensor and of fixed values that residuals do not show: how far each moves the estimates"

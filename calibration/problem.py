@@ -263,8 +263,8 @@ class Problem:
     deviations costs (``losses.loss_of``). ``adequate``: share of the peak that a law may miss a contact by, to be called
     adequate (``diagnostics.answers``). ``tolerances`` (SI): how well fixed values are known, as limits of 95 %; without
     one, 1 % of the value (``diagnostics.systematic``). ``filter``: what the readings passed between sensor and record, whose
-    ``cutoff`` is free or given; "none", or "unknown": a fit then asks whether a record tells one from the law
-    (``uncertainty.unstated_filter``).
+    ``cutoff`` is free or given; "none"; or "unknown": where the record's clock is free, too, a fit asks whether the record
+    tells one from the law (``uncertainty.unstated_filter``).
 
     Raises:
         InputError: on construction, for a free parameter the scene does not have, bounds the wrong way
@@ -281,7 +281,7 @@ class Problem:
     loss: str = "linear"
     adequate: float = ADEQUATE
     tolerances: dict[str, float] = field(default_factory=dict)
-    filter: Filter | Literal["none", "unknown"] = "none"
+    filter: Filter | Literal["none", "unknown"] = "unknown"
 
     def __post_init__(self) -> None:
         where = given.text("problem", self.where, "leave 'where' out")
