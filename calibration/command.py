@@ -22,7 +22,7 @@ from calibration.data.preparation import Prepared
 from calibration.diagnostics.answers import Answer
 from calibration.fit import AllStartsFailed, Fit, Parameter
 from calibration.problem import Problem
-from calibration.problemfile import load, load_with_records, sources
+from calibration.problemfile import base_of, load, load_with_records, sources
 from calibration.report import plots_uncertainty
 from calibration.report.diagnosis import as_json as diagnosis_json
 from calibration.report.diagnosis import sections
@@ -71,7 +71,7 @@ def run(
     check_kind(intervals)
     problem, understood = load_with_records(path)
     folder = outputs.open_folder(out, "calibrate", path.stem, (*FILES, _SO_FAR), goes_on=NAME)
-    base = _base(path, problem)
+    base = base_of(path)
     key = key_of(
         [asdict(e) for e in problem.experiments], _resolved(path, base, problem, seed, starts), problem.accuracy,
         problem.loss, tables.read(path).get("model"), packages=("bcfj_jax", "calibration"),
@@ -119,7 +119,7 @@ def export_petab(path: Path, folder: Path) -> int:
 
     library("petab.v2", "--export-petab", "petab")
     problem = load(path)
-    print(export(problem, _base(Path(path), problem).resolved, folder))
+    print(export(problem, base_of(Path(path)).resolved, folder))
     return DONE
 
 
@@ -402,11 +402,6 @@ def _write_scene(target: Path, path: Path, base: scenefile.SceneFile, result: Fi
     fitted = {n: v for n, v in result.values.items() if n in resolved["parameters"]}
     content = {**resolved, "parameters": {**resolved["parameters"], **fitted}}
     outputs.write_toml(target, content, f"fitted by bcfj calibrate {path.name}; verdict: {result.verdict}")
-
-
-def _base(path: Path, problem: Problem) -> scenefile.SceneFile:
-    named = tables.read(path)["scene"]
-    return scenefile.load(path.parent / named if str(named).endswith(".toml") else named)
 
 
 def _resolved(path: Path, base: scenefile.SceneFile, problem: Problem, seed: int, starts: int) -> dict[str, Any]:

@@ -153,6 +153,8 @@ def fit(
     whole("seed", seed, least=0)
     check_kind(intervals)
     influence.refuse_data(problem)
+    for doubt in problem.doubts:
+        log.info("before the fit: %s", doubt)
     fitted = tuple(e for e in problem.experiments if not e.hold_out)
     model = build(problem, fitted)
     ahead(partial(evaluation, model))
@@ -174,6 +176,8 @@ def fit(
         raise AllStartsFailed(f"all {len(ends)} starts failed: {why}")
     model, ends, noise = settle(model, fitted, ends, found.log_depth, problem.accuracy)
     assessed = _assess(problem, fitted, labels, model, ends, found.log_depth, noise, seed, checked, intervals)
+    if problem.doubts:
+        assessed = _refused(assessed, "; ".join(problem.doubts))
     return with_budget(problem, assessed) if systematic else assessed
 
 
@@ -202,6 +206,9 @@ def _with_filters(problem: Problem, found: Fit) -> Fit:
     sensor = {axis.name for axis in model.coordinates} | model.data.chain.keys()
     asked = problem.filter == "unknown" and "time_offset" in {f.name for f in problem.free}
     if not asked or problem.loss != "linear" or budget(problem.scene).rough or at.noise.integrator:
+        return found
+    # At a bound a filter may explain what the bound does.
+    if any(p.at_bound for p in found.parameters.values()):
         return found
     if found.search.answer != "converged" or sensor & {"bandwidth", "resonance"} or model.data.features.size:
         return found

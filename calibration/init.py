@@ -40,6 +40,10 @@ _WIDE, _LOSS, _MARGIN = 30.0, (0.01, 5.0), 1.4
 # Speeds that a mass which is not known yet leaves open [m/s].
 _ANY_SPEED = (0.01, 100.0)
 _EXPONENTS = (1.0, 2.5)
+_BODY = (
+    "Force over acceleration is {}, the mass of the body with that sensor: it is the mass of the contact only where the other "
+    "body is held. Of two free bodies give mass (what strikes) and struck_mass"
+)
 
 
 class _Line(NamedTuple):
@@ -135,6 +139,7 @@ def _text(
         f"# Found: {_summary(found, s)}.",
         *(f"# {text}." for text in _other(found, kind)),
         *([f"# CHECK: {doubt}."] if doubt else []),
+        *([f"# {_BODY.format(format_si(s.mass, 'kg', 3))}."] if s.mass and not s.speed and mass is None else []),
         _Line(f'scene = "{kind}"', _SAID[kind]),
         _Line('sensor = "free"', 'each record\'s clock and zero are found, too; "exact" holds them at 0'),
         "[[experiment]]",
@@ -201,9 +206,8 @@ def _known(s: Sizes, mass: float | None, speed: float | None, found: Understood)
     m: float | tuple[float, float] | None = mass
     if v is None and s.speed:
         v, speed_from = (s.speed[0] / _MARGIN, s.speed[1] * _MARGIN), "from the motion before contact"
-    if m is None and s.mass and s.mass > 0:
-        what = "the impulse over the change of the speed" if s.speed else "force over acceleration"
-        m, mass_from = float(f"{s.mass:.3g}"), f"CHECK the mass, {what}: weigh it"
+    if m is None and s.mass and s.mass > 0 and s.speed:
+        m, mass_from = float(f"{s.mass:.3g}"), "CHECK the mass, the impulse over the change of the speed: weigh it"
     pushed = np.isfinite(s.impulse) and s.impulse > 0
     force = "N" in found.columns and pushed
     if m is None and isinstance(v, float) and force:

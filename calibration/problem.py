@@ -264,7 +264,8 @@ class Problem:
     adequate (``diagnostics.answers``). ``tolerances`` (SI): how well fixed values are known, as limits of 95 %; without
     one, 1 % of the value (``diagnostics.systematic``). ``filter``: what the readings passed between sensor and record, whose
     ``cutoff`` is free or given; "none"; or "unknown": where the record's clock is free, too, a fit asks whether the record
-    tells one from the law (``uncertainty.unstated_filter``).
+    tells one from the law (``uncertainty.unstated_filter``). ``doubts``: why given values may be wrong, in words; a fit with
+    one identifies nothing.
 
     Raises:
         InputError: on construction, for a free parameter the scene does not have, bounds the wrong way
@@ -282,6 +283,7 @@ class Problem:
     adequate: float = ADEQUATE
     tolerances: dict[str, float] = field(default_factory=dict)
     filter: Filter | Literal["none", "unknown"] = "unknown"
+    doubts: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         where = given.text("problem", self.where, "leave 'where' out")

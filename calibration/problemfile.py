@@ -29,7 +29,7 @@ filter = { kind = "bessel", order = 4, zero_phase = true, cutoff = "1 kHz" }   t
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -45,14 +45,18 @@ from bcfj_jax.io.units import format_si, quantity, toleranced
 from bcfj_jax.mechanism.channels import channel, unit_of
 from bcfj_jax.models import scenes
 from calibration import given
-from calibration.data import sensor, stated, trains
+from calibration.data import plausible, sensor, stated, trains
 from calibration.data.preparation import Prepared, Recipe, prepare
 from calibration.data.readers import read
 from calibration.data.sensor import Sensor
-from calibration.data.table import split
+from calibration.data.table import Table, split
 from calibration.data.textfile import Stated
 from calibration.filters import HIGHEST, Filter
 from calibration.problem import ADEQUATE, NUISANCES, OFFSETS, Channel, Experiment, Free, Problem, nuisances, units_of
+
+
+# Options of scenes that a parameter's name asks for.
+_NAMED = {"impact": {"struck_mass": "struck", "gravity": "gravity"}}
 
 
 class _Experiment(tables.Table):
@@ -150,7 +154,7 @@ def load_with_records(path: str | Path) -> tuple[Problem, list[Prepared]]:
             entry.parameters.setdefault("cutoff", file.filter.cutoff)
     known = {**base.scene.quantities, **nuisances(o for entry in file.experiment for o in entry.observe)}
     one = base.scene.canonical
-    records = _records(file, path, base)
+    records, parts = _records(file, path, base)
     experiments = [
         _experiment(entry, record, f"{path}: [[experiment]] {k + 1}", known, one) for k, entry, record in records
     ]
@@ -171,6 +175,8 @@ def load_with_records(path: str | Path) -> tuple[Problem, list[Prepared]]:
         filter=_filter(file, base),
         adequate=ADEQUATE if file.adequate is None else quantity(file.adequate, "1", f"{path}: adequate"),
     )
+    doubts = _doubts(problem, file, [(entry, record) for _, entry, record in records], parts)
+    problem = replace(problem, doubts=doubts) if doubts else problem
     every = ((r, found.notes.get(i, [])) for i, (_, _, r) in enumerate(records) if r)
     return problem, [replace(record, notes=(*record.notes, *own)) for record, own in every]
 
@@ -282,24 +288,65 @@ def _proposed(name: str, found: Sensor, file: _File, path: Path, known: dict[str
     return free_of(name, table, path, known)
 
 
+def options_of(scene: str, named: Collection[str]) -> dict[str, bool]:
+    """Options of a built-in scene for physics that is there only where a parameter of it is named."""
+    return {option: True for name, option in _NAMED.get(scene, {}).items() if name in named}
+
+
+def base_of(path: Path) -> scenefile.SceneFile:
+    """The scene of a calibration file; raises as ``load``."""
+    return _scene(_content(path), path)
+
+
 def _scene(file: _File, path: Path) -> scenefile.SceneFile:
     beside = path.parent / file.scene
     if file.scene.endswith(".toml") and not os.path.exists(beside):
         raise InputError(f"{path}: scene", f"no file {beside}", "give a path relative to this file, or a scene's name")
     if not file.scene.endswith(".toml") and file.scene not in scenes.SCENES:
         raise InputError(f"{path}: scene", f"no scene '{file.scene}'", nearest(file.scene, scenes.SCENES))
-    return scenefile.load(beside if file.scene.endswith(".toml") else file.scene)
+    if file.scene.endswith(".toml"):
+        return scenefile.load(beside)
+    options = options_of(file.scene, {name for entry in file.experiment for name in entry.parameters} | file.free.keys())
+    return scenefile.from_table({"scene": {"kind": file.scene, **options}}, None) if options else scenefile.load(file.scene)
 
 
-def _records(file: _File, path: Path, base: scenefile.SceneFile) -> list[tuple[int, _Experiment, Prepared | None]]:
-    """Every record (None where an entry gives only features) with the number of its entry and the entry."""
+def _doubts(
+    problem: Problem, file: _File, records: list[tuple[_Experiment, Prepared | None]], parts: list[Table | None]
+) -> tuple[str, ...]:
+    """Why given masses and speeds of single impacts may be wrong, by their records (``data.plausible``)."""
+    names, free = problem.scene.quantities, {f.name: f for f in problem.free}
+    if not {"mass", "approach_speed"} <= names.keys() or "mass" in free or len(problem.scene.members) != 1:
+        return ()
+    if {"impact_angle", "struck_mass"} & free.keys() or "impact_angle" in names or "drop_height" in names:
+        return ()
+    found = []
+    for e, (entry, record), part in zip(problem.experiments, records, parts, strict=True):
+        if record is None or part is None or entry.events:
+            continue
+        own = problem.params | e.fixed
+        mass = plausible.effective(own["mass"], own.get("struck_mass"))
+        speed, known = free.get("approach_speed"), "mass" in e.tolerances
+        bounds = e.bounds.get("approach_speed", (speed.lower, speed.upper) if speed else (own["approach_speed"],) * 2)
+        said = plausible.impulse(record, mass, bounds)
+        if not said and speed and not known and "struck_mass" not in names and set(entry.observe) == {"contact.normal"}:
+            said = plausible.other_body(record, part, entry.observe, mass)
+        found += [said] if said else []
+    return tuple(dict.fromkeys(found))
+
+
+def _records(
+    file: _File, path: Path, base: scenefile.SceneFile
+) -> tuple[list[tuple[int, _Experiment, Prepared | None]], list[Table | None]]:
+    """Every record (None where an entry gives only features) with the number of its entry and the entry; and its rows."""
     records, broken = [], Faults()
+    rows: list[Table | None] = []
     for k, entry in enumerate(file.experiment):
         where = f"{path}: [[experiment]] {k + 1}"
         if not entry.observe and not entry.features:
             raise InputError(f"{where} observe", "nothing is observed", 'give { "contact.normal" = "force [N]" }')
         if not entry.observe:
             records.append((k, entry, None))
+            rows.append(None)
             continue
         for observes in entry.observe:  # Before its column is read in a unit that a wrong name does not have.
             channel(observes, base.scene, where=f"{where} observe '{observes}'")
@@ -323,11 +370,12 @@ def _records(file: _File, path: Path, base: scenefile.SceneFile) -> list[tuple[i
             with faults:
                 record = prepare(name, part, entry.time, entry.observe, recipe, where)
                 records.append((k, entry, replace(record, notes=(said, *record.notes) if said else record.notes)))
+                rows.append(part)
                 said = ""  # Of a file, not of each of its runs.
         with broken:
             faults.refuse(whole.name)
     broken.refuse(str(path))
-    return records
+    return records, rows
 
 
 def _recipe(entry: _Experiment, where: str, impact: bool, offset: bool) -> Recipe:

@@ -10,6 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from calibration.noise.scatter import scatter
+
 # Samples from which on a level of rest is looked for, and the fewest that are one.
 _FEW, _LEVEL = 6, 3
 # A share of a record's range: a level of rest is narrower, and the record begins there.
@@ -27,7 +29,8 @@ _DEPARTED = 0.1
 class Event(NamedTuple):
     """One contact in a record: first and last sample in it, their times [s], the largest rise, and the usual step [s].
 
-    ``before`` is the time of the last sample before it, or a step earlier where there is none.
+    ``before`` is the time of the last sample before it, or a step earlier where there is none. ``loose`` [s]: how wrong its
+    ends may be for noise that was smoothed.
     """
 
     first: int
@@ -37,6 +40,7 @@ class Event(NamedTuple):
     end: float
     peak: float
     step: float
+    loose: float = 0.0
 
     @property
     def duration(self) -> float:
@@ -124,7 +128,9 @@ def contacts(observes: str, times: np.ndarray, values: np.ndarray) -> list[Event
         while last + 1 < clock.size and rises[last + 1 : last + 2 + width].max() > 0.5 * high:
             last += 1
         last = k + int(np.flatnonzero(rises[k : last + 1] > 0.5 * high)[-1])
-        found.append(_event(clock, seen, k, last, float(rises[k : last + 1].max()), step))
+        first, end = (k, last) if width == 1 else _grown(rises, k, last, high)
+        event = _event(clock, seen, first, end, float(rises[k : last + 1].max()), step)
+        found.append(event._replace(loose=(width - 1) * step))
         k = last + 1
     return found
 
@@ -134,7 +140,7 @@ def steady(rises: np.ndarray) -> tuple[np.ndarray, float, int]:
 
     A wrong sample (``alone``) is replaced by its neighbours. Where the noise reaches a tenth of the peak the rises are a running mean, a quarter as wide as what stands out best of the noise.
     """
-    noise, wrong = _noise(rises), np.flatnonzero(alone(rises))
+    noise, wrong = scatter(rises), np.flatnonzero(alone(rises))
     rises = rises.copy()
     rises[wrong] = 0.5 * (rises[wrong - 1] + rises[wrong + 1])
     peak, width = float(rises.max()), 1
@@ -149,10 +155,14 @@ def steady(rises: np.ndarray) -> tuple[np.ndarray, float, int]:
     return rises, max(_SHARE * peak, min(_SIGMAS * max(noise, still), 0.5 * peak)), width
 
 
-def _noise(rises: np.ndarray) -> float:
-    """Deviation of white noise by third differences, in which a contact leaves little; 0 of few samples."""
-    few = rises.size < 2 * _FEW
-    return 0.0 if few else 1.4826 * float(np.median(np.abs(np.diff(rises, 3)))) / np.sqrt(20.0)
+def _grown(rises: np.ndarray, first: int, last: int, high: float) -> tuple[int, int]:
+    """Samples at which a contact that is above the noise from ``first`` to ``last`` begins and ends, along its flanks."""
+    inside = rises[first : last + 1]
+    upper = 0.5 * (high + float(inside.max()))
+    above = np.flatnonzero(inside >= upper)
+    rise_, fall = int(above[0]), inside.size - 1 - int(above[-1])
+    before, after = (round(level / (upper - level) * n) for level, n in ((high, rise_), (0.5 * high, fall)))
+    return max(first - before, 0), min(last + after, rises.size - 1)
 
 
 def alone(rises: np.ndarray) -> np.ndarray:
@@ -162,7 +172,7 @@ def alone(rises: np.ndarray) -> np.ndarray:
     """
     if rises.size < 2 * _FEW:
         return np.zeros(rises.size, dtype=bool)
-    noise = _noise(rises)
+    noise = scatter(rises)
 
     def lone(x: np.ndarray) -> np.ndarray:
         around = np.maximum(x[:-2], x[2:])

@@ -15,7 +15,7 @@ from bcfj_jax import InputError
 from bcfj_jax.core.errors import Faults
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import unit_of
-from calibration.data.events import alone, quantity, rest, rise, steady, turning
+from calibration.data.events import alone, contacts, quantity, rest, rise, steady, turning
 from calibration.data.inspection import (
     TOUCHING,
     channel_notes,
@@ -189,7 +189,9 @@ def _first_contact(clock: np.ndarray, observes: str, values: np.ndarray, where: 
     far = quantity(observes) == "place" and values.size > 2
     least = 0.0
     if quantity(observes) in ("normal", "pulse") and values.size > 2:
-        values, least, _ = steady(values)
+        values, least, width = steady(values)
+        if width > 1 and (loud := contacts(observes, clock, position)):
+            return loud[0].begin
     peak = values[turning(clock, position)] if far else np.max(values, initial=0.0)
     if not peak > 0:
         if not observes.endswith(".normal"):

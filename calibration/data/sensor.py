@@ -131,8 +131,8 @@ def _clock(
     first, last = (scene.first_touch({**params, **({moving: x} if moving else {})}) for x in ends)
     if first is None or last is None:
         return f"the time of the first contact of scene '{scene.kind}' follows only from a simulation"
-    lower = event.before - event.step - _BEFORE[quantity(observes)] * event.duration - last
-    upper = event.begin + event.step + _AFTER * event.duration - first
+    lower = event.before - event.step - event.loose - _BEFORE[quantity(observes)] * event.duration - last
+    upper = event.begin + event.step + event.loose + _AFTER * event.duration - first
     if moving and not several:
         return Proposal(lower, upper, f"{moving} is free and moves the contact as well")
     return Proposal(lower, upper, "" if event.first else "the record begins in contact")
