@@ -211,11 +211,11 @@ def _known(s: Sizes, mass: float | None, speed: float | None, found: Understood)
     pushed = np.isfinite(s.impulse) and s.impulse > 0
     force = "N" in found.columns and pushed
     if m is None and isinstance(v, float) and force:
-        m = (s.impulse / (2.0 * v) / _MARGIN, s.impulse / v * _MARGIN)
+        m = (s.impulses[0] / (2.0 * v) / _MARGIN, s.impulses[1] / v * _MARGIN)
     if v is None and isinstance(m, float) and force:
-        v, speed_from = (s.impulse / (2.0 * m) / _MARGIN, s.impulse / m * _MARGIN), "from the impulse and the mass"
+        v, speed_from = (s.impulses[0] / (2.0 * m) / _MARGIN, s.impulses[1] / m * _MARGIN), "from the impulse and the mass"
     elif v is None and pushed and not force:  # What an acceleration sums up to is v (1 + e).
-        v, speed_from = (s.impulse / 2.0 / _MARGIN, s.impulse * _MARGIN), "from the change of speed in contact"
+        v, speed_from = (s.impulses[0] / 2.0 / _MARGIN, s.impulses[1] * _MARGIN), "from the change of speed in contact"
     return _Known(m, v if v is not None else _ANY_SPEED, mass_from, speed_from)
 
 
@@ -332,7 +332,10 @@ def _free(s: Sizes, known: _Known, kind: str, found: Understood, elastic: bool) 
         lines.append(_box("mass", (f'"{x:.3g} kg"' for x in known.mass), "from the impulse and the speed"))
     if kind == "bounce":
         height = (v or 1.0) ** 2 / (2.0 * _GRAVITY)
-        lines.append(_box("drop_height", (f'"{k * height:.3g} m"' for k in (0.5, 2.0)), known.speed_from, each))
+        # Runs may be of several heights, whose flights are as the speeds.
+        ends = [height * (t / s.flights[0]) ** 2 for t in s.after] if s.flights and known.speed_from != "as given" else [height] * 2
+        box = (f'"{x:.3g} m"' for x in (0.5 * ends[0], 2.0 * ends[1]))
+        lines.append(_box("drop_height", box, known.speed_from, each))
     elif isinstance(known.speed, tuple):
         note = "any: the mass is not known yet" if open_scale else known.speed_from
         lines.append(_box("approach_speed", (f'"{x:.3g} m/s"' for x in known.speed), note, each))

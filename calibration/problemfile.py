@@ -2,7 +2,7 @@
 
 scene = "impact.toml"            a scene file (relative to this one) or a built-in scene's name
 [[experiment]]                   name; file (of a kind in ``readers``), table (which one inside it), time, rows,
-                                 observe, noise (of the samples as fitted) and its correlation time; hold_out =
+                                 observe, noise (of a sample as recorded, or as resampled) and its correlation time; hold_out =
                                  true, or the runs to hold out: ["run 5"];
                                  parameters (known for it alone; "0.55 kg +- 2 %" says how well); features,
                                  feature_noise and span (``stated``); events = true fits times, peaks and impulses of
@@ -357,7 +357,8 @@ def _records(
         whole = read(path.parent / entry.file, f"{where} file", entry.table, stated)
         # Where nothing turns, every record is of impacts: apart, in contact, apart.
         recipe = _recipe(entry, where, not base.scene.traits.turning, "force_offset" in file.free)
-        recipe = replace(recipe, exact=file.sensor == "exact")
+        thin = "" if entry.events else "mean" if entry.correlation in (0, 0.0) else "every"
+        recipe = replace(recipe, exact=file.sensor == "exact", thin=thin if not base.scene.traits.turning else "")
         parts = split(whole, entry.rows, where)
         if isinstance(entry.hold_out, list) and (unknown := set(entry.hold_out) - {label for label, _ in parts}):
             runs = ", ".join(label for label, _ in parts)
@@ -430,6 +431,9 @@ def _experiment(
         raise InputError(f"{where} events", "nothing is observed", 'give observe = { "contact.normal" = "force [N]" }')
     for observes, reading in record.readings.items() if record else ():
         sigma, relative, jitter = stated.noise(entry.noise, observes, reading.values, f"{where} noise")
+        # What is stated is the noise of a sample as recorded.
+        shrunk = np.sqrt(record.averaged) if record else 1.0
+        sigma, relative, jitter = None if sigma is None else sigma / shrunk, relative / shrunk, jitter / shrunk
         if entry.events:
             if jitter:
                 raise InputError(f"{where} noise", "a clock that jitters", "state the noise of the reading for events")

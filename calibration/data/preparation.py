@@ -15,7 +15,7 @@ from bcfj_jax import InputError
 from bcfj_jax.core.errors import Faults
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import unit_of
-from calibration.data.events import alone, contacts, quantity, rest, rise, steady, turning
+from calibration.data.events import alone, contacts, quantity, rest, rise, steady, telling, turning
 from calibration.data.inspection import (
     TOUCHING,
     channel_notes,
@@ -25,7 +25,7 @@ from calibration.data.inspection import (
     clock_note,
     jumps,
 )
-from calibration.data.resampling import resampled
+from calibration.data.resampling import resampled, thinned
 from calibration.data.table import Table
 
 
@@ -41,6 +41,7 @@ class Recipe:
         impact: whether the record holds a whole impact, which begins and ends apart.
         offset: whether the reading where there is nothing to read is unknown.
         exact: whether the sensor's zero is 0, though the record rests elsewhere.
+        thin: "mean" or "every": how a record with more samples than its contacts need is thinned (``resampling.thinned``).
     """
 
     resample: float | None = None
@@ -50,6 +51,7 @@ class Recipe:
     impact: bool = False
     offset: bool = False
     exact: bool = False
+    thin: str = ""
 
 
 @dataclass(frozen=True)
@@ -75,6 +77,7 @@ class Prepared:
         first_contact: what alignment took from the clock [s], or None.
         window: as asked [s].
         notes: in words, for people.
+        averaged: so many successive samples are one.
     """
 
     name: str
@@ -86,6 +89,7 @@ class Prepared:
     first_contact: float | None
     window: tuple[float, float] | None
     notes: tuple[str, ...]
+    averaged: int = 1
 
 
 def prepare(name: str, part: Table, time: str, observe: dict[str, str], recipe: Recipe, where: str) -> Prepared:
@@ -136,6 +140,11 @@ def prepare(name: str, part: Table, time: str, observe: dict[str, str], recipe: 
         notes += said
     keep = _inside(times, recipe.window, name, where)
     times, values = times[keep], {o: v[keep] for o, v in values.items()}
+    averaged = 1
+    if recipe.thin and recipe.resample is None:
+        events = next((e for o in telling(list(values)) if (e := contacts(o, times, values[o]))), [])
+        times, values, averaged, said = thinned(times, values, events, recipe.thin == "mean")
+        notes += said
     for observes, kept in values.items():
         if recipe.impact and observes.endswith(".normal"):
             cut, place = recipe.window is not None, _place(part, observe[observes])
@@ -150,6 +159,7 @@ def prepare(name: str, part: Table, time: str, observe: dict[str, str], recipe: 
         first_contact=first_contact,
         window=recipe.window,
         notes=tuple(notes),
+        averaged=averaged,
     )
 
 
