@@ -495,6 +495,7 @@ def _systematic(problem: Problem, found: Fit) -> Budget:
         *systematic.of_sensor(model, predictions(model, best.point, log_depth), found.optimum.series, stated),
         *systematic.of_law(law),
         *systematic.of_fixed(model, best, log_depth, tolerances, stated),
+        *systematic.of_weight(model, best, log_depth, found.optimum.series),
     ]
     slopes, values = placed(model, best, log_depth)[1], model.values(best.point, log_depth)
     sizes = [1.0 if axis.log else max(abs(v), 1e-300) for axis, v in zip(model.coordinates, values, strict=True)]
