@@ -230,11 +230,12 @@ def _with_filters(problem: Problem, found: Fit) -> Fit:
         return found
     kept = [k for k, axis in enumerate(model.coordinates) if axis.name not in NUISANCES and axis.experiment is None]
     if open_.decisive:
-        values = model.values(open_.best.point, at.log_depth)
-        moved = [f"{found.labels[k]} {brief(values[k], found.parameters[found.labels[k]].unit)}" for k in kept]
-        now = [brief(found.parameters[found.labels[k]].value, found.parameters[found.labels[k]].unit) for k in kept]
-        pairs = ", ".join(f"{a} in place of {b}" for a, b in zip(moved, now, strict=True))
-        return _refused(found, f"{unstated_filter.seen(open_)}: {pairs}. {unstated_filter.REMEDY}")
+        values, moved = model.values(open_.best.point, at.log_depth), []
+        for k in kept:
+            name, p = found.labels[k], found.parameters[found.labels[k]]
+            ends = open_.ends(k, (float(values[k]),) * 2, model.coordinates[k])
+            moved.append(f"{name} {brief(ends[0], p.unit)} to {brief(ends[1], p.unit)} in place of {brief(p.value, p.unit)}")
+        return _refused(found, f"{unstated_filter.seen(open_)}: {', '.join(moved)}. {unstated_filter.REMEDY}")
     parameters, wide = dict(found.parameters), []
     for k in kept:
         axis, name = model.coordinates[k], found.labels[k]

@@ -114,7 +114,8 @@ def one(seed: int, folder: Path, how: str) -> dict[str, Any]:
         return row | {"verdict": "refused", "wrong": [], "why": str(error)[:200]}
     values = {name: found.parameters[name].value for name in TRUTH}
     sure = found.verdict in ("identified", "adequate")
-    return row | {"verdict": found.verdict, "wrong": missed(found) if sure else [], "values": values}
+    because = found.reasons[0][:160] if found.reasons else ""
+    return row | {"verdict": found.verdict, "wrong": missed(found) if sure else [], "values": values, "because": because}
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:

@@ -15,6 +15,7 @@ import numpy as np
 from calibration.diagnostics.fit_tests import Test
 from calibration.diagnostics.records import Record
 from calibration.diagnostics.residual_tests import Series
+from calibration.noise.scatter import scatter
 
 # Held-out runs may be missed by so much more: they differ from the fitted ones, too.
 _HELD_OUT = 2.0
@@ -118,7 +119,7 @@ def contacts_met(records: Sequence[Record]) -> Test:
                 continue
             seen = np.isfinite(values)
             peak = float(np.max(values[seen], initial=0.0))
-            high = seen & (values > max(_HIGH * peak, _NOISY * record.sigma[name]))
+            high = seen & (values > max(_HIGH * peak, _NOISY * scatter(values[seen])))
             if peak > 0.0 and high.any():
                 worst = max(worst, float(np.mean(np.abs(record.prediction[name][high]) < _LOW * peak)))
     reason = (
