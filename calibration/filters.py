@@ -48,8 +48,8 @@ class Filter(NamedTuple):
         others = poles[:, None] - poles + np.eye(poles.size)
         # Residues of H(s) = prod(-p)/prod(s - p), over -p_k.
         weights = np.prod(-poles) / np.prod(others, axis=1) / -poles
-        upper = poles.imag > -1e-9
-        rates, kept = -poles[upper], weights[upper] * np.where(poles[upper].imag > 1e-9, 2.0, 1.0)
+        upper = np.imag(poles) > -1e-9
+        rates, kept = -poles[upper], weights[upper] * np.where(np.imag(poles[upper]) > 1e-9, 2.0, 1.0)
         filled = np.ones(TERMS, dtype=complex), np.zeros(TERMS, dtype=complex)
         filled[0][: rates.size], filled[1][: rates.size] = rates, kept
         return filled
@@ -61,11 +61,11 @@ class Filter(NamedTuple):
 
     def _poles(self) -> np.ndarray:
         """Of the cut-off 1 rad/s."""
-        from scipy.signal import bessel, butter
+        from scipy.signal import besselap, buttap
 
-        if self.kind == "bessel":
-            return np.asarray(bessel(self.order, 1.0, analog=True, output="zpk", norm="mag")[1])
-        return np.asarray(butter(self.order, 1.0, analog=True, output="zpk")[1])
+        # The analogue prototypes: zeros, poles, gain.
+        found = besselap(self.order, norm="mag") if self.kind == "bessel" else buttap(self.order)
+        return np.array(found[1], dtype=complex)
 
     def __str__(self) -> str:
         name = "Bessel" if self.kind == "bessel" else "Butterworth"

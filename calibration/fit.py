@@ -233,8 +233,10 @@ def _with_filters(problem: Problem, found: Fit) -> Fit:
         values, moved = model.values(open_.best.point, at.log_depth), []
         for k in kept:
             name, p = found.labels[k], found.parameters[found.labels[k]]
-            ends = open_.ends(k, (float(values[k]),) * 2, model.coordinates[k])
-            moved.append(f"{name} {brief(ends[0], p.unit)} to {brief(ends[1], p.unit)} in place of {brief(p.value, p.unit)}")
+            ends = open_.ends(k, (float(values[k]), float(values[k])), model.coordinates[k])
+            moved.append(
+                f"{name} {brief(ends[0], p.unit)} to {brief(ends[1], p.unit)} in place of {brief(p.value, p.unit)}"
+            )
         return _refused(found, f"{unstated_filter.seen(open_)}: {', '.join(moved)}. {unstated_filter.REMEDY}")
     parameters, wide = dict(found.parameters), []
     for k in kept:

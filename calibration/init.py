@@ -213,7 +213,10 @@ def _known(s: Sizes, mass: float | None, speed: float | None, found: Understood)
     if m is None and isinstance(v, float) and force:
         m = (s.impulses[0] / (2.0 * v) / _MARGIN, s.impulses[1] / v * _MARGIN)
     if v is None and isinstance(m, float) and force:
-        v, speed_from = (s.impulses[0] / (2.0 * m) / _MARGIN, s.impulses[1] / m * _MARGIN), "from the impulse and the mass"
+        v, speed_from = (
+            (s.impulses[0] / (2.0 * m) / _MARGIN, s.impulses[1] / m * _MARGIN),
+            "from the impulse and the mass",
+        )
     elif v is None and pushed and not force:  # What an acceleration sums up to is v (1 + e).
         v, speed_from = (s.impulses[0] / 2.0 / _MARGIN, s.impulses[1] * _MARGIN), "from the change of speed in contact"
     return _Known(m, v if v is not None else _ANY_SPEED, mass_from, speed_from)
@@ -333,7 +336,8 @@ def _free(s: Sizes, known: _Known, kind: str, found: Understood, elastic: bool) 
     if kind == "bounce":
         height = (v or 1.0) ** 2 / (2.0 * _GRAVITY)
         # Runs may be of several heights, whose flights are as the speeds.
-        ends = [height * (t / s.flights[0]) ** 2 for t in s.after] if s.flights and known.speed_from != "as given" else [height] * 2
+        given = known.speed_from == "as given" or not s.flights
+        ends = [height] * 2 if given else [height * (t / s.flights[0]) ** 2 for t in s.after]
         box = (f'"{x:.3g} m"' for x in (0.5 * ends[0], 2.0 * ends[1]))
         lines.append(_box("drop_height", box, known.speed_from, each))
     elif isinstance(known.speed, tuple):

@@ -28,8 +28,9 @@ Number = Any
 
 # Nuisance parameters of the measuring chain, of a force or whatever else x is read, t being the record's clock:
 #   reading(t) = gain G[b(R[L[x]])](t - time_offset) + force_offset + drift t + hum_sine sin(w t) + hum_cosine cos(w t),
-# G the low-pass of ``Problem.filter`` with its cutoff; L a sensor of first order, y' = 2 pi bandwidth (x - y); R one of second order, y'' + 2 z v y' + v^2 y = v^2 x with
-# v = 2 pi resonance and z = resonance_damping; b(y) = y (1 + gain_bend |y|); w = 2 pi hum_frequency.
+# G the low-pass of ``Problem.filter`` with its cutoff; L a sensor of first order, y' = 2 pi bandwidth (x - y); R one of
+# second order, y'' + 2 z v y' + v^2 y = v^2 x with v = 2 pi resonance and z = resonance_damping; b(y) = y (1 + gain_bend |y|);
+# w = 2 pi hum_frequency.
 NUISANCES = {
     "time_offset": Quantity("time_offset", "s", "clock of the record ahead of the model's"),
     "force_offset": Quantity("force_offset", "N", "reading where there is nothing to read, in the channels' unit"),
@@ -60,7 +61,8 @@ OWN = ("time_offset", *OFFSETS.values(), "gain", "drift", "hum_sine", "hum_cosin
 # Of a chain that neither gives nor seeks them; what an element needs beside its own number.
 NEUTRAL = {
     "time_offset": 0.0, **dict.fromkeys(OFFSETS.values(), 0.0), "gain": 1.0, "bandwidth": 1e12, "cutoff": 1e12,
-    "resonance": 1e12, "resonance_damping": 0.05, "gain_bend": 0.0, "drift": 0.0, "hum_frequency": 50.0, "hum_sine": 0.0, "hum_cosine": 0.0,
+    "resonance": 1e12, "resonance_damping": 0.05, "gain_bend": 0.0, "drift": 0.0, "hum_frequency": 50.0,
+    "hum_sine": 0.0, "hum_cosine": 0.0,
 }  # fmt: skip
 _NEEDS = {"resonance_damping": ("resonance",), "hum_sine": ("hum_frequency",), "hum_cosine": ("hum_frequency",)}
 # In the unit of what is read, so that one number does not serve channels of several; and what comes after that unit.

@@ -54,7 +54,6 @@ from calibration.data.textfile import Stated
 from calibration.filters import HIGHEST, Filter
 from calibration.problem import ADEQUATE, NUISANCES, OFFSETS, Channel, Experiment, Free, Problem, nuisances, units_of
 
-
 # Options of scenes that a parameter's name asks for.
 _NAMED = {"impact": {"struck_mass": "struck", "gravity": "gravity"}}
 
@@ -243,7 +242,9 @@ def _sensor(
         for i, ((_, _, record), e) in enumerate(zip(records, experiments, strict=True)):
             params = {**{n: float(v) for n, v in base.params.items()}, **e.fixed}
             given = (
-                sensor.proposed(name, record, scene, params, searched, passed) if record else "it has no history of readings"
+                sensor.proposed(name, record, scene, params, searched, passed)
+                if record
+                else "it has no history of readings"
             )
             if isinstance(given, str):
                 doubts[i] = given
@@ -306,8 +307,14 @@ def _scene(file: _File, path: Path) -> scenefile.SceneFile:
         raise InputError(f"{path}: scene", f"no scene '{file.scene}'", nearest(file.scene, scenes.SCENES))
     if file.scene.endswith(".toml"):
         return scenefile.load(beside)
-    options = options_of(file.scene, {name for entry in file.experiment for name in entry.parameters} | file.free.keys())
-    return scenefile.from_table({"scene": {"kind": file.scene, **options}}, None) if options else scenefile.load(file.scene)
+    options = options_of(
+        file.scene, {name for entry in file.experiment for name in entry.parameters} | file.free.keys()
+    )
+    return (
+        scenefile.from_table({"scene": {"kind": file.scene, **options}}, None)
+        if options
+        else scenefile.load(file.scene)
+    )
 
 
 def _doubts(
@@ -326,7 +333,8 @@ def _doubts(
         own = problem.params | e.fixed
         mass = plausible.effective(own["mass"], own.get("struck_mass"))
         speed, known = free.get("approach_speed"), "mass" in e.tolerances
-        bounds = e.bounds.get("approach_speed", (speed.lower, speed.upper) if speed else (own["approach_speed"],) * 2)
+        usual = (speed.lower, speed.upper) if speed else (own["approach_speed"], own["approach_speed"])
+        bounds: tuple[float, float] = e.bounds.get("approach_speed", usual)
         said = plausible.impulse(record, mass, bounds)
         if not said and speed and not known and "struck_mass" not in names and set(entry.observe) == {"contact.normal"}:
             said = plausible.other_body(record, part, entry.observe, mass)

@@ -28,7 +28,11 @@ _RARE = 10.0
 
 
 def impact(
-    law: str = "memory_free", elastic: str | None = None, smoothing: bool = True, struck: bool = False, gravity: bool = False
+    law: str = "memory_free",
+    elastic: str | None = None,
+    smoothing: bool = True,
+    struck: bool = False,
+    gravity: bool = False,
 ) -> Mechanism:
     """One mass strikes one surface head-on: one coordinate, the distance travelled towards the surface.
 
@@ -46,8 +50,9 @@ def impact(
     """
     bodies = (Body("body", "slide", axis="x", mass="mass", start={"velocity": "approach_speed"}),)
     bodies += (Body("struck", "slide", axis="x", mass="struck_mass"),) if struck else ()
+    pair = ("struck" if struck else "ground", "body")
     surface = Contact(
-        "contact", ("struck" if struck else "ground", "body"), PointOnPlane("-x", clearance=True), law, elastic=elastic, smoothing=smoothing,
+        "contact", pair, PointOnPlane("-x", clearance=True), law, elastic=elastic, smoothing=smoothing,
         approach="parameter",
     )  # fmt: skip
     given = picked({**STEEL_BALL, "clearance_contact": 0.0}, [*surface.reads, "mass", "clearance_contact"])

@@ -22,8 +22,8 @@ import numpy as np
 from scipy import signal
 from scipy.integrate import solve_ivp
 
-from benchmarks.common import save
 from bcfj_jax import InputError
+from benchmarks.common import save
 from calibration import Fit, fit
 from calibration.problemfile import load
 
@@ -73,11 +73,12 @@ def record(seed: int) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
         "kind": str(rng.choice(["butterworth", "bessel"])), "order": int(rng.integers(1, 9)),
         "zero_phase": bool(rng.integers(2)), "cutoff": ratio / (2.0 * duration),
     }  # fmt: skip
-    design = signal.butter if what["kind"] == "butterworth" else signal.bessel
-    extra = {} if what["kind"] == "butterworth" else {"norm": "mag"}
-    sections = design(what["order"], what["cutoff"], fs=FINER / step, output="sos", **extra)
+    if what["kind"] == "butterworth":
+        sections = signal.butter(what["order"], what["cutoff"], fs=FINER / step, output="sos")
+    else:
+        sections = signal.bessel(what["order"], what["cutoff"], fs=FINER / step, output="sos", norm="mag")
     run = signal.sosfiltfilt if what["zero_phase"] else signal.sosfilt
-    smooth = run(sections, contact(fine)[0])[::FINER]
+    smooth = np.asarray(run(sections, contact(fine)[0]))[::FINER]
     noise = float(rng.choice([0.003, 0.01, 0.03]))
     read = smooth + noise * smooth.max() * rng.standard_normal(smooth.size)
     return fine[::FINER] - fine[0], read, what | {"ratio": ratio, "noise": noise}
@@ -105,7 +106,9 @@ def missed(found: Fit) -> list[str]:
 def one(seed: int, folder: Path, how: str) -> dict[str, Any]:
     """A row: the filter, what was stated, the verdict, and what it gets wrong."""
     times, read, what = record(seed)
-    np.savetxt(folder / "run.csv", np.stack([times, read], axis=1), "%.9g", ",", header="time [s],force [N]", comments="")
+    np.savetxt(
+        folder / "run.csv", np.stack([times, read], axis=1), "%.9g", ",", header="time [s],force [N]", comments=""
+    )
     (folder / "run.toml").write_text(FILE.format(filter=stated(what, how), mass=MASS, speed=SPEED))
     row = {"seed": seed, **what, "stated": how}
     try:
@@ -115,7 +118,12 @@ def one(seed: int, folder: Path, how: str) -> dict[str, Any]:
     values = {name: found.parameters[name].value for name in TRUTH}
     sure = found.verdict in ("identified", "adequate")
     because = found.reasons[0][:160] if found.reasons else ""
-    return row | {"verdict": found.verdict, "wrong": missed(found) if sure else [], "values": values, "because": because}
+    return row | {
+        "verdict": found.verdict,
+        "wrong": missed(found) if sure else [],
+        "values": values,
+        "because": because,
+    }
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:

@@ -138,7 +138,8 @@ def contacts(observes: str, times: np.ndarray, values: np.ndarray) -> list[Event
 def steady(rises: np.ndarray) -> tuple[np.ndarray, float, int]:
     """Rises (T,) in which neither one wrong sample nor the noise is a contact, what is above both, and the mean's width.
 
-    A wrong sample (``alone``) is replaced by its neighbours. Where the noise reaches a tenth of the peak the rises are a running mean, a quarter as wide as what stands out best of the noise.
+    A wrong sample (``alone``) is replaced by its neighbours. Where the noise is above _LOUD of the peak, the rises are a
+    running mean, a quarter as wide as the one whose peak is highest above the noise.
     """
     noise, wrong = scatter(rises), np.flatnonzero(alone(rises))
     rises = rises.copy()

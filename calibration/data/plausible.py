@@ -57,8 +57,9 @@ def impulse(record: Prepared, mass: float, speed: tuple[float, float]) -> str:
         return ""
     ratio = pushed / (mass * float(np.sqrt(speed[0] * speed[1])))
     return (
-        f"{record.name}: impulse / (mass x speed) is {ratio:.3g}, and 1 + e is 1 to 2: mass ({format_si(mass, 'kg', 3)}), speed, "
-        "a unit or the gain is wrong; where both bodies are free, give mass and struck_mass, or their effective mass m1 m2/(m1 + m2)"
+        f"{record.name}: impulse / (mass x speed) is {ratio:.3g}, and 1 + e is 1 to 2: mass ({format_si(mass, 'kg', 3)}), "
+        "speed, a unit or the gain is wrong; where both bodies are free, give mass and struck_mass, or their effective mass "
+        "m1 m2/(m1 + m2)"
     )
 
 
@@ -90,8 +91,8 @@ def other_body(record: Prepared, part: Table, observe: Mapping[str, str], mass: 
         ends = sorted((abs(product) / square, size / abs(product)))
         if ends[0] * (1.0 - _SAME) <= mass <= ends[1] * (1.0 + _SAME):
             return (
-                f"{record.name}: the mass given, {format_si(mass, 'kg', 3)}, is force over '{header}', the mass of the body with that "
-                "sensor, and forces alone do not show whether the other body is free: then the contact feels "
+                f"{record.name}: the mass given, {format_si(mass, 'kg', 3)}, is force over '{header}', the mass of the "
+                "body with that sensor, and forces alone do not show whether the other body is free: then the contact feels "
                 "m1 m2/(m1 + m2), and the stiffness is wrong by a power of it. Give mass and struck_mass (the mass of the "
                 'body that is struck), or say how well the mass is known, as in "4 kg +- 1 %", or give the speed'
             )

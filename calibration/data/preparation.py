@@ -123,7 +123,9 @@ def prepare(name: str, part: Table, time: str, observe: dict[str, str], recipe: 
             check_channel(observes, values, masked[observes], zero, _place(part, observe[observes]))
     faults.refuse(part.name)
     first = next(iter(raw), "")
-    first_contact = _first_contact(clock, first, np.where(wrong[first], np.nan, raw[first]), where) if recipe.align else None
+    first_contact = (
+        _first_contact(clock, first, np.where(wrong[first], np.nan, raw[first]), where) if recipe.align else None
+    )
     clock = clock - (first_contact or 0.0)
     breaks = jumps(clock)
     notes = [clock_note(clock)]

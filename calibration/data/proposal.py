@@ -326,8 +326,8 @@ def sizes(found: Understood) -> Sizes:
         mass=mass,
         flights=[float(b.begin - a.end) for a, b in zip(longest.events, longest.events[1:], strict=False)],
         begin=float(longest.events[0].begin),
-        impulses=(min(pushed), max(pushed)) if pushed else (float("nan"),) * 2,
-        after=(min(flown), max(flown)) if flown else (float("nan"),) * 2,
+        impulses=(min(pushed, default=np.nan), max(pushed, default=np.nan)),
+        after=(min(flown, default=np.nan), max(flown, default=np.nan)),
     )
 
 

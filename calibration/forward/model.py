@@ -158,7 +158,6 @@ class Model(eqx.Module):
 
     def predictions(self, point: Array, log_depth: Array) -> Array:
         """What each channel would have read, (E, C, T), SI."""
-
         passed = self.data.passed
 
         def one(params: dict, own: dict, times: Array) -> Array:

@@ -145,7 +145,9 @@ def _recursion(keep: Array, pushed: Array, first: Array) -> Array:
     keep = jnp.pad(keep, (0, rest), constant_values=1.0).reshape(-1, width).T[..., None]
     pushed = jnp.pad(pushed, ((0, rest), (0, 0))).reshape(-1, width, pushed.shape[1]).transpose(1, 0, 2)
 
-    def inside(state: tuple[Array, Array], step: tuple[Array, Array]) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    def inside(
+        state: tuple[Array, Array], step: tuple[Array, Array]
+    ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         state = step[0] * state[0], step[0] * state[1] + step[1]
         return state, state
 

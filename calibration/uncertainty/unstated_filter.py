@@ -295,4 +295,4 @@ def hidden(found: Ambiguity) -> str:
     """Of one that is not decisive: the slowest filter that explains the record as well."""
     one = found.slowest
     slow = f"a {one.filter} at {format_si(one.cutoff, 'Hz', 2)}" if one else "a filter"
-    return f"the record does not tell a filter from the law: {slow} explains it as well as none"
+    return f"the record does not distinguish a filter from the law: {slow} explains it as well as none"

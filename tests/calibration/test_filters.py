@@ -161,15 +161,15 @@ def test_a_filter_that_nobody_stated_is_never_taken_for_the_law(tmp_path, passed
 @pytest.mark.full
 @pytest.mark.parametrize("known", [True, False])
 def test_a_stated_filter_is_part_of_the_model_with_its_cutoff_given_or_free(tmp_path, known):
-    cutoff = ', cutoff = "150 Hz"' if known else ""
+    cutoff = ', cutoff = "300 Hz"' if known else ""
     line = f'filter = {{ kind = "butterworth", order = 3, zero_phase = true{cutoff} }}'
-    problem = written(tmp_path, line, Filter("butterworth", 3, True), 150.0)
+    problem = written(tmp_path, line, Filter("butterworth", 3, True), 300.0, 0.2)
     assert ("cutoff" in {f.name for f in problem.free}) is not known
     found = fit(problem)
     assert found.verdict in ("identified", "adequate") and held(found)
     if not known:
         low, high = found.parameters["cutoff"].ci95
-        assert low < 150.0 < high < 1.3 * low
+        assert low < 300.0 < high < 1.3 * low
 
 
 @pytest.mark.parametrize(

@@ -145,7 +145,9 @@ def written(folder: Path, known: str, more: str = "", columns: str = "") -> Prob
     rng = np.random.default_rng(8)
     rows = [CLOCK, force + 0.004 * force.max() * rng.standard_normal(CLOCK.size)]
     rows += [block + 0.01 * block.max() * rng.standard_normal(CLOCK.size)] if columns else []
-    np.savetxt(folder / "run.csv", np.stack(rows, axis=1), delimiter=",", header=f"time [s],force [N]{columns}", comments="")
+    np.savetxt(
+        folder / "run.csv", np.stack(rows, axis=1), delimiter=",", header=f"time [s],force [N]{columns}", comments=""
+    )
     (folder / "run.toml").write_text(FILE.format(known=known, more=more))
     return load(folder / "run.toml")
 
