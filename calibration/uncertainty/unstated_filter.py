@@ -4,12 +4,13 @@ The fit is repeated with low-passes of several kinds, each with its cut-off held
 coordinates free. With S the sum of squares there and S_min the least of all, the plain fit among them, a cut-off is not
 excluded where
 
-    m ln(S / S_min) < 3.84,    m = n (1 - c) / (1 + c),
+    m ln(S / S_min) < 5.99,    m = n (1 - c) / (1 + c),
 
-n samples whose residuals at the best fit correlate by c from one to the next. With all deviations stated, S - S_min takes
-that place where it is less. What the estimates are at those cut-offs is one more kind of interval, "filter": the hull of
-z(f) +- h(f) sqrt(1 - D(f)/3.84), z the estimates, h their half widths and D the left side above. Where the plain fit itself
-is excluded by more than 10, a filter is there, or a law that looks like one: the record does not say which.
+(95 % of chi-square for two numbers: the cut-off, and which filter), n samples whose residuals at the best fit correlate by c
+from one to the next. With all deviations stated, S - S_min takes that place where it is less. What the estimates are at
+those cut-offs is one more kind of interval, "filter": the hull of z(f) +- h(f) sqrt(1 - D(f)/5.99), z the estimates, h their
+half widths and D the left side above. Where the plain fit itself is excluded by more than 10, a filter is there, or a law that
+looks like one: the record does not say which.
 
 The filter works on the predictions of the compiled model, sampled as finely as a contact needs, without its delay, which
 the record's clock holds.
@@ -45,7 +46,9 @@ FILTERS = (
 _FASTEST, _SLOWEST, _RATIO, _BETWEEN = 45.0, 0.2, 2.0**0.5, 4
 # Samples that a contact needs, and where the search for slower filters ends.
 _SAMPLES, _HOPELESS = 100, 60.0
-ALLOWED, DECISIVE = 3.84, 10.0
+# Samples of all records together up to which they are made finer; beyond them every second filter stands for all.
+_MOST = 6000
+ALLOWED, DECISIVE = 5.99, 10.0
 # Name of the kind of interval.
 KIND = "filter"
 # A contact says at least so much of a filter, however residuals correlate.
@@ -102,7 +105,9 @@ class _Sampled:
         d = model.data
         self.model, self.log_depth, self.counts = model, log_depth, [e.times.size for e in experiments]
         steps = [float(np.median(np.diff(e.times))) for e in experiments if e.times.size > 1]
-        self.parts = max(1, int(np.ceil(_SAMPLES * max(steps) / duration)))
+        wanted = int(np.ceil(_SAMPLES * max(steps) / duration))
+        self.parts = max(1, min(wanted, _MOST // sum(self.counts)))
+        self.filters = FILTERS if sum(self.counts) <= _MOST else FILTERS[::2]
         self.weights, self.memory = np.asarray(d.weights), np.asarray(d.memory)
         self.values, self.previous = np.asarray(d.values), np.asarray(d.previous)
         bare = eqx.tree_at(
@@ -242,7 +247,7 @@ def _chains(sampled: _Sampled, plain: Tried, series: list[Series], duration: flo
     """Of each filter the plain fit, and fits at ever lower cut-offs, as far down as they may explain the record."""
     count = int(np.log(_FASTEST / _SLOWEST) / np.log(_RATIO)) + 1
     chains, best = [], plain
-    for passed in FILTERS:
+    for passed in sampled.filters:
         chains.append([plain])
         for cutoff in _FASTEST / duration / _RATIO ** np.arange(count):
             chains[-1].append(sampled.fitted(chains[-1][-1].point, passed, float(cutoff)))
