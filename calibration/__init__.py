@@ -4,6 +4,7 @@ Reading order: ``problem`` (plain data), ``forward.model`` (residuals), ``search
 """
 
 from bcfj_jax import __version__ as __version__
+from calibration.filters import Filter as Filter
 from calibration.fit import Fit as Fit
 from calibration.fit import fit as fit
 from calibration.problem import Channel as Channel

@@ -22,7 +22,7 @@ from calibration.data.preparation import Prepared
 from calibration.diagnostics.answers import Answer
 from calibration.fit import AllStartsFailed, Fit, Parameter
 from calibration.problem import Problem
-from calibration.problemfile import load, load_with_records, sources
+from calibration.problemfile import base_of, load, load_with_records, sources
 from calibration.report import plots_uncertainty
 from calibration.report.diagnosis import as_json as diagnosis_json
 from calibration.report.diagnosis import sections
@@ -32,6 +32,7 @@ from calibration.selection.alternatives import Outcome, solve
 from calibration.selection.next_experiment import as_json as candidates_json
 from calibration.selection.next_experiment import table as candidates_table
 from calibration.uncertainty import intervals as uncertainty
+from calibration.uncertainty import unstated_filter
 from calibration.uncertainty.estimates import REFERENCE
 from calibration.uncertainty.intervals import check_kind
 from calibration.uncertainty.law_miss import NEXT_RUN
@@ -48,6 +49,7 @@ MEANING = {
     "runs": "runs differ",
     "robust": "runs, or blocks of samples, differ",
     "discrepancy": "the law misses a shape of the contact",
+    unstated_filter.KIND: "a filter that nobody stated",
     NEXT_RUN: "the estimate of one more run by itself",
 }
 _BUDGET = "Errors of the sensor and of fixed values that residuals do not show: how far each moves the estimates"
@@ -69,7 +71,7 @@ def run(
     check_kind(intervals)
     problem, understood = load_with_records(path)
     folder = outputs.open_folder(out, "calibrate", path.stem, (*FILES, _SO_FAR), goes_on=NAME)
-    base = _base(path, problem)
+    base = base_of(path)
     key = key_of(
         [asdict(e) for e in problem.experiments], _resolved(path, base, problem, seed, starts), problem.accuracy,
         problem.loss, tables.read(path).get("model"), packages=("bcfj_jax", "calibration"),
@@ -117,7 +119,7 @@ def export_petab(path: Path, folder: Path) -> int:
 
     library("petab.v2", "--export-petab", "petab")
     problem = load(path)
-    print(export(problem, _base(Path(path), problem).resolved, folder))
+    print(export(problem, base_of(Path(path)).resolved, folder))
     return DONE
 
 
@@ -400,11 +402,6 @@ def _write_scene(target: Path, path: Path, base: scenefile.SceneFile, result: Fi
     fitted = {n: v for n, v in result.values.items() if n in resolved["parameters"]}
     content = {**resolved, "parameters": {**resolved["parameters"], **fitted}}
     outputs.write_toml(target, content, f"fitted by bcfj calibrate {path.name}; verdict: {result.verdict}")
-
-
-def _base(path: Path, problem: Problem) -> scenefile.SceneFile:
-    named = tables.read(path)["scene"]
-    return scenefile.load(path.parent / named if str(named).endswith(".toml") else named)
 
 
 def _resolved(path: Path, base: scenefile.SceneFile, problem: Problem, seed: int, starts: int) -> dict[str, Any]:

@@ -12,9 +12,11 @@ import numpy as np
 from bcfj_jax import InputError
 from bcfj_jax.core import presented
 from bcfj_jax.core.errors import quoted
+from bcfj_jax.core.progress import stage
 from bcfj_jax.core.quantities import whole
 from bcfj_jax.core.threads import ahead
 from bcfj_jax.io.journal import Journal
+from bcfj_jax.io.page import brief
 from bcfj_jax.mechanism.channels import unit_of
 from calibration.diagnostics import answers, fit_tests, influence, law_errors, misfit_location, systematic
 from calibration.diagnostics.answers import Answer, contacts_met
@@ -31,11 +33,12 @@ from calibration.forward.runs import Contact, commonest_failure, contacts, failu
 from calibration.noise.averaging import averaged, stepped
 from calibration.noise.estimation import settle
 from calibration.noise.noise_model import Estimate
-from calibration.problem import Experiment, Problem
+from calibration.problem import NUISANCES, Experiment, Problem
 from calibration.search.evaluate import evaluator, loosened
 from calibration.search.refinement import End
 from calibration.search.starts import Screen, batch_size, by_cost, reference_depth, screen, search
 from calibration.solver_budget import budget
+from calibration.uncertainty import unstated_filter
 from calibration.uncertainty.estimates import REFERENCE, ends_of, estimates, placed, widened
 from calibration.uncertainty.estimates import Parameter as Parameter
 from calibration.uncertainty.estimates import Reference as Reference
@@ -150,6 +153,8 @@ def fit(
     whole("seed", seed, least=0)
     check_kind(intervals)
     influence.refuse_data(problem)
+    for doubt in problem.doubts:
+        log.info("before the fit: %s", doubt)
     fitted = tuple(e for e in problem.experiments if not e.hold_out)
     model = build(problem, fitted)
     ahead(partial(evaluation, model))
@@ -171,17 +176,21 @@ def fit(
         raise AllStartsFailed(f"all {len(ends)} starts failed: {why}")
     model, ends, noise = settle(model, fitted, ends, found.log_depth, problem.accuracy)
     assessed = _assess(problem, fitted, labels, model, ends, found.log_depth, noise, seed, checked, intervals)
+    if problem.doubts:
+        assessed = _refused(assessed, "; ".join(problem.doubts))
     return with_budget(problem, assessed) if systematic else assessed
 
 
 def with_budget(problem: Problem, found: Fit) -> Fit:
-    """A fit with the errors that its residuals do not show: ``systematic``, and the intervals that allow for them.
+    """A fit with the errors that its residuals do not show: filters that nobody stated (``uncertainty.unstated_filter``),
+    ``systematic``, and the intervals that allow for them.
 
     Unchanged where no estimate is determined or no channel is read.
     """
     model = found.optimum.model
     if found.optimum.spread.covariance is None or not model.channels:
         return found
+    found = _with_filters(problem, found)
     allowed = _systematic(problem, found)
     parameters = {
         name: replace(p, with_budget=widened(axis, p, partial(allowed.widened, name)))
@@ -189,6 +198,75 @@ def with_budget(problem: Problem, found: Fit) -> Fit:
     }
     reference = found.reference and found.reference.widened(partial(allowed.widened, REFERENCE))
     return replace(found, systematic=allowed, parameters=parameters, reference=reference)
+
+
+def _with_filters(problem: Problem, found: Fit) -> Fit:
+    """A fit whose intervals allow for a filter that nobody stated, and whose verdict says where one hides the law."""
+    at, model = found.optimum, found.optimum.model
+    sensor = {axis.name for axis in model.coordinates} | model.data.chain.keys()
+    asked = problem.filter == "unknown" and "time_offset" in {f.name for f in problem.free}
+    if not asked or problem.loss != "linear" or budget(problem.scene).rough or at.noise.integrator:
+        return found
+    # At a bound a filter may explain what the bound does.
+    if any(p.at_bound for p in found.parameters.values()):
+        return found
+    if found.search.answer != "converged" or sensor & {"bandwidth", "resonance"} or model.data.features.size:
+        return found
+    fitted = tuple(e for e in problem.experiments if not e.hold_out)
+    slopes = placed(model, at.end, at.log_depth)[1]
+    shown = [found.parameters[name].ci95 for name in found.labels]
+    halves = [
+        half(ends, axis.log) if ends else at.spread.half_width(slope)
+        for ends, axis, slope in zip(shown, model.coordinates, slopes, strict=True)
+    ]
+    reference = found.reference
+    if reference:
+        k = model.pair()[0]
+        own = at.spread.half_width(np.diag(model.box(at.log_depth)[1])[k])
+        halves.append(half(reference.ci95, True) if reference.ci95 else own)
+    with stage("filters"):
+        open_ = unstated_filter.ambiguity(model, fitted, at.series, at.end, at.log_depth, np.array(halves))
+    if open_ is None:
+        return found
+    kept = [k for k, axis in enumerate(model.coordinates) if axis.name not in NUISANCES and axis.experiment is None]
+    if open_.decisive:
+        values, moved = model.values(open_.best.point, at.log_depth), []
+        for k in kept:
+            name, p = found.labels[k], found.parameters[found.labels[k]]
+            ends = open_.ends(k, (float(values[k]), float(values[k])), model.coordinates[k])
+            moved.append(
+                f"{name} {brief(ends[0], p.unit)} to {brief(ends[1], p.unit)} in place of {brief(p.value, p.unit)}"
+            )
+        return _refused(found, f"{unstated_filter.seen(open_)}: {', '.join(moved)}. {unstated_filter.REMEDY}")
+    parameters, wide = dict(found.parameters), []
+    for k in kept:
+        axis, name = model.coordinates[k], found.labels[k]
+        p = parameters[name]
+        if p.ci95 is None:
+            continue
+        ends = open_.ends(k, p.ci95, axis)
+        parameters[name] = replace(p, intervals={**p.intervals, unstated_filter.KIND: ends})
+        if half(ends, axis.log) >= fit_tests.widest(axis):
+            wide.append(f"{name} anywhere from {brief(ends[0], p.unit)} to {brief(ends[1], p.unit)}")
+        elif half(ends, axis.log) > half(p.ci95, axis.log):
+            parameters[name] = replace(parameters[name], ci95=ends, headline=unstated_filter.KIND)
+    if wide:
+        return _refused(found, f"{unstated_filter.hidden(open_)}: {', '.join(wide)}. {unstated_filter.REMEDY}")
+    if reference and reference.ci95:
+        reference = replace(reference, ci95=open_.ends(-1, reference.ci95))
+    return replace(found, parameters=parameters, reference=reference)
+
+
+def _refused(found: Fit, text: str) -> Fit:
+    """A fit whose record does not tell the law from what else it may show: no interval is given."""
+    parameters = {n: replace(p, ci95=None, headline="", intervals={}) for n, p in found.parameters.items()}
+    reference = found.reference and replace(found.reference, ci95=None)
+    of_data = Answer("partly" if found.data.answer == "determined" else found.data.answer, [text, *found.data.because])
+    verdict = answers.verdict(found.search, of_data, found.law)
+    return replace(
+        found, verdict=verdict, reasons=[text, *found.reasons], data=of_data, parameters=parameters,
+        reference=reference, evidence=found.evidence.withheld(f"no profile is given: {verdict}"),
+    )  # fmt: skip
 
 
 def _given_start(problem: Problem, model: Model) -> np.ndarray:
@@ -420,6 +498,7 @@ def _systematic(problem: Problem, found: Fit) -> Budget:
         *systematic.of_sensor(model, predictions(model, best.point, log_depth), found.optimum.series, stated),
         *systematic.of_law(law),
         *systematic.of_fixed(model, best, log_depth, tolerances, stated),
+        *systematic.of_weight(model, best, log_depth, found.optimum.series),
     ]
     slopes, values = placed(model, best, log_depth)[1], model.values(best.point, log_depth)
     sizes = [1.0 if axis.log else max(abs(v), 1e-300) for axis, v in zip(model.coordinates, values, strict=True)]

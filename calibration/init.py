@@ -40,6 +40,10 @@ _WIDE, _LOSS, _MARGIN = 30.0, (0.01, 5.0), 1.4
 # Speeds that a mass which is not known yet leaves open [m/s].
 _ANY_SPEED = (0.01, 100.0)
 _EXPONENTS = (1.0, 2.5)
+_BODY = (
+    "Force over acceleration is {}, the mass of the body with that sensor: it is the mass of the contact only where the other "
+    "body is held. Of two free bodies give mass (what strikes) and struck_mass"
+)
 
 
 class _Line(NamedTuple):
@@ -135,6 +139,7 @@ def _text(
         f"# Found: {_summary(found, s)}.",
         *(f"# {text}." for text in _other(found, kind)),
         *([f"# CHECK: {doubt}."] if doubt else []),
+        *([f"# {_BODY.format(format_si(s.mass, 'kg', 3))}."] if s.mass and not s.speed and mass is None else []),
         _Line(f'scene = "{kind}"', _SAID[kind]),
         _Line('sensor = "free"', 'each record\'s clock and zero are found, too; "exact" holds them at 0'),
         "[[experiment]]",
@@ -201,17 +206,19 @@ def _known(s: Sizes, mass: float | None, speed: float | None, found: Understood)
     m: float | tuple[float, float] | None = mass
     if v is None and s.speed:
         v, speed_from = (s.speed[0] / _MARGIN, s.speed[1] * _MARGIN), "from the motion before contact"
-    if m is None and s.mass and s.mass > 0:
-        what = "the impulse over the change of the speed" if s.speed else "force over acceleration"
-        m, mass_from = float(f"{s.mass:.3g}"), f"CHECK the mass, {what}: weigh it"
+    if m is None and s.mass and s.mass > 0 and s.speed:
+        m, mass_from = float(f"{s.mass:.3g}"), "CHECK the mass, the impulse over the change of the speed: weigh it"
     pushed = np.isfinite(s.impulse) and s.impulse > 0
     force = "N" in found.columns and pushed
     if m is None and isinstance(v, float) and force:
-        m = (s.impulse / (2.0 * v) / _MARGIN, s.impulse / v * _MARGIN)
+        m = (s.impulses[0] / (2.0 * v) / _MARGIN, s.impulses[1] / v * _MARGIN)
     if v is None and isinstance(m, float) and force:
-        v, speed_from = (s.impulse / (2.0 * m) / _MARGIN, s.impulse / m * _MARGIN), "from the impulse and the mass"
+        v, speed_from = (
+            (s.impulses[0] / (2.0 * m) / _MARGIN, s.impulses[1] / m * _MARGIN),
+            "from the impulse and the mass",
+        )
     elif v is None and pushed and not force:  # What an acceleration sums up to is v (1 + e).
-        v, speed_from = (s.impulse / 2.0 / _MARGIN, s.impulse * _MARGIN), "from the change of speed in contact"
+        v, speed_from = (s.impulses[0] / 2.0 / _MARGIN, s.impulses[1] * _MARGIN), "from the change of speed in contact"
     return _Known(m, v if v is not None else _ANY_SPEED, mass_from, speed_from)
 
 
@@ -328,7 +335,11 @@ def _free(s: Sizes, known: _Known, kind: str, found: Understood, elastic: bool) 
         lines.append(_box("mass", (f'"{x:.3g} kg"' for x in known.mass), "from the impulse and the speed"))
     if kind == "bounce":
         height = (v or 1.0) ** 2 / (2.0 * _GRAVITY)
-        lines.append(_box("drop_height", (f'"{k * height:.3g} m"' for k in (0.5, 2.0)), known.speed_from, each))
+        # Runs may be of several heights, whose flights are as the speeds.
+        given = known.speed_from == "as given" or not s.flights
+        ends = [height] * 2 if given else [height * (t / s.flights[0]) ** 2 for t in s.after]
+        box = (f'"{x:.3g} m"' for x in (0.5 * ends[0], 2.0 * ends[1]))
+        lines.append(_box("drop_height", box, known.speed_from, each))
     elif isinstance(known.speed, tuple):
         note = "any: the mass is not known yet" if open_scale else known.speed_from
         lines.append(_box("approach_speed", (f'"{x:.3g} m/s"' for x in known.speed), note, each))

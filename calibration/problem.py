@@ -20,15 +20,17 @@ from bcfj_jax.mechanism.channels import unit_of
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.mechanism.observed import observing
 from calibration import given
+from calibration.filters import Filter
 from calibration.solver_budget import budget
 
 # A number, SI, or a text with its unit, which a ``Problem`` makes a number of.
 Number = Any
 
 # Nuisance parameters of the measuring chain, of a force or whatever else x is read, t being the record's clock:
-#   reading(t) = gain b(R[L[x]](t - time_offset)) + force_offset + drift t + hum_sine sin(w t) + hum_cosine cos(w t),
-# L a sensor of first order, y' = 2 pi bandwidth (x - y); R one of second order, y'' + 2 z v y' + v^2 y = v^2 x with
-# v = 2 pi resonance and z = resonance_damping; b(y) = y (1 + gain_bend |y|); w = 2 pi hum_frequency.
+#   reading(t) = gain G[b(R[L[x]])](t - time_offset) + force_offset + drift t + hum_sine sin(w t) + hum_cosine cos(w t),
+# G the low-pass of ``Problem.filter`` with its cutoff; L a sensor of first order, y' = 2 pi bandwidth (x - y); R one of
+# second order, y'' + 2 z v y' + v^2 y = v^2 x with v = 2 pi resonance and z = resonance_damping; b(y) = y (1 + gain_bend |y|);
+# w = 2 pi hum_frequency.
 NUISANCES = {
     "time_offset": Quantity("time_offset", "s", "clock of the record ahead of the model's"),
     "force_offset": Quantity("force_offset", "N", "reading where there is nothing to read, in the channels' unit"),
@@ -39,6 +41,7 @@ NUISANCES = {
     "bandwidth": Quantity(
         "bandwidth", "Hz", "frequency at which a first-order sensor passes 1/sqrt(2)", 0.0, 1e12, True
     ),
+    "cutoff": Quantity("cutoff", "Hz", "frequency at which one pass of the filter passes 1/sqrt(2)", 0.0, 1e12, True),
     "resonance": Quantity("resonance", "Hz", "undamped frequency of a second-order sensor", 0.0, 1e12, True),
     "resonance_damping": Quantity(
         "resonance_damping", "1", "damping of a second-order sensor as a share of critical", 0.0, 0.99, True
@@ -57,8 +60,9 @@ OFFSETS = {
 OWN = ("time_offset", *OFFSETS.values(), "gain", "drift", "hum_sine", "hum_cosine")
 # Of a chain that neither gives nor seeks them; what an element needs beside its own number.
 NEUTRAL = {
-    "time_offset": 0.0, **dict.fromkeys(OFFSETS.values(), 0.0), "gain": 1.0, "bandwidth": 1e12, "resonance": 1e12,
-    "resonance_damping": 0.05, "gain_bend": 0.0, "drift": 0.0, "hum_frequency": 50.0, "hum_sine": 0.0, "hum_cosine": 0.0,
+    "time_offset": 0.0, **dict.fromkeys(OFFSETS.values(), 0.0), "gain": 1.0, "bandwidth": 1e12, "cutoff": 1e12,
+    "resonance": 1e12, "resonance_damping": 0.05, "gain_bend": 0.0, "drift": 0.0, "hum_frequency": 50.0,
+    "hum_sine": 0.0, "hum_cosine": 0.0,
 }  # fmt: skip
 _NEEDS = {"resonance_damping": ("resonance",), "hum_sine": ("hum_frequency",), "hum_cosine": ("hum_frequency",)}
 # In the unit of what is read, so that one number does not serve channels of several; and what comes after that unit.
@@ -260,7 +264,10 @@ class Problem:
     motion, whose derivatives would take ten times as long. ``loss`` is SciPy's name for what a residual of z standard
     deviations costs (``losses.loss_of``). ``adequate``: share of the peak that a law may miss a contact by, to be called
     adequate (``diagnostics.answers``). ``tolerances`` (SI): how well fixed values are known, as limits of 95 %; without
-    one, 1 % of the value (``diagnostics.systematic``).
+    one, 1 % of the value (``diagnostics.systematic``). ``filter``: what the readings passed between sensor and record, whose
+    ``cutoff`` is free or given; "none"; or "unknown": where the record's clock is free, too, a fit asks whether the record
+    tells one from the law (``uncertainty.unstated_filter``). ``doubts``: why given values may be wrong, in words; a fit with
+    one identifies nothing.
 
     Raises:
         InputError: on construction, for a free parameter the scene does not have, bounds the wrong way
@@ -277,6 +284,8 @@ class Problem:
     loss: str = "linear"
     adequate: float = ADEQUATE
     tolerances: dict[str, float] = field(default_factory=dict)
+    filter: Filter | Literal["none", "unknown"] = "unknown"
+    doubts: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         where = given.text("problem", self.where, "leave 'where' out")
@@ -299,6 +308,7 @@ class Problem:
             )
         if not any(not e.hold_out for e in self.experiments):
             raise InputError(self.where, "no experiment to fit", "give at least one [[experiment]] without hold_out")
+        self._check_filter()
         known = self.quantities
         changed: dict[str, Any] = {"params": given.numbers(f"{where}: params", self.params, known)}
         changed["accuracy"] = scalar(f"{where}: accuracy", _ACCURACY, asked)
@@ -353,6 +363,20 @@ class Problem:
         fixed, tolerances = given.numbers(place, fixed, known), given.tolerances(place, tolerances, known)
         own = {"fixed": fixed, "tolerances": tolerances, "bounds": bounds}
         return e if all(getattr(e, key) == value for key, value in own.items()) else replace(e, **own)
+
+    def _check_filter(self) -> None:
+        """A filter needs a cut-off, and a cut-off a filter."""
+        where = f"{self.where}: filter"
+        named = [{f.name for f in self.free} | e.fixed.keys() for e in self.experiments]
+        if isinstance(self.filter, Filter):
+            self.filter.checked(where)
+            if not all("cutoff" in own for own in named):
+                raise InputError(where, "the cut-off is missing", "give cutoff, or add [free.cutoff]")
+        elif not (isinstance(self.filter, str) and self.filter in ("none", "unknown")):
+            raise InputError(where, quoted(self.filter), 'give a calibration.Filter, "none" or "unknown"')
+        elif any("cutoff" in own for own in named):
+            remedy = 'give filter = { kind = "butterworth", order = 2, zero_phase = false }'
+            raise InputError(f"{self.where}: cutoff", "no filter is given that it is of", remedy)
 
     def _check_fixed(self, e: Experiment) -> None:
         """Values of one record that must agree with each other."""

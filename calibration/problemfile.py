@@ -2,7 +2,7 @@
 
 scene = "impact.toml"            a scene file (relative to this one) or a built-in scene's name
 [[experiment]]                   name; file (of a kind in ``readers``), table (which one inside it), time, rows,
-                                 observe, noise (of the samples as fitted) and its correlation time; hold_out =
+                                 observe, noise (of a sample as recorded, or as resampled) and its correlation time; hold_out =
                                  true, or the runs to hold out: ["run 5"];
                                  parameters (known for it alone; "0.55 kg +- 2 %" says how well); features,
                                  feature_noise and span (``stated``); events = true fits times, peaks and impulses of
@@ -16,6 +16,9 @@ loss = "linear"                  what a residual costs, as in ``Problem``
 accuracy = 1e-6                  error of the simulated forces as a share of their peak, likewise
 sensor = "free"                  time_offset and the zero of each unit are free within bounds that each record gives
                                  (``data.sensor``), unless the file says what they are; "exact" holds them at 0
+filter = { kind = "bessel", order = 4, zero_phase = true, cutoff = "1 kHz" }   the low-pass between sensor and record
+                                 (``filters``); without a cutoff it is free within bounds that the records give. "none";
+                                 "unknown", the default of a free sensor: the fit asks whether a record tells one from the law
 [free.NAME]                      lower, upper, start, scale, or NAME = [lower, upper] under [free];
                                  each = true gives every experiment its own, false none. Without
                                  bounds a nuisance has those that each record gives. bounds = { NAME = [from, to] } in
@@ -26,7 +29,7 @@ sensor = "free"                  time_offset and the zero of each unit are free 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -42,13 +45,17 @@ from bcfj_jax.io.units import format_si, quantity, toleranced
 from bcfj_jax.mechanism.channels import channel, unit_of
 from bcfj_jax.models import scenes
 from calibration import given
-from calibration.data import sensor, stated, trains
+from calibration.data import plausible, sensor, stated, trains
 from calibration.data.preparation import Prepared, Recipe, prepare
 from calibration.data.readers import read
 from calibration.data.sensor import Sensor
-from calibration.data.table import split
+from calibration.data.table import Table, split
 from calibration.data.textfile import Stated
+from calibration.filters import HIGHEST, Filter
 from calibration.problem import ADEQUATE, NUISANCES, OFFSETS, Channel, Experiment, Free, Problem, nuisances, units_of
+
+# Options of scenes that a parameter's name asks for.
+_NAMED = {"impact": {"struck_mass": "struck", "gravity": "gravity"}}
 
 
 class _Experiment(tables.Table):
@@ -75,6 +82,17 @@ class _Experiment(tables.Table):
     encoding: str | None = None
     header: int | list[int] | None = None
     bounds: dict[str, list[Any]] = {}
+
+
+class _Filter(tables.Table):
+    kind: Literal["butterworth", "bessel"] = "butterworth"
+    order: int = pydantic.Field(2, ge=1, le=HIGHEST)
+    zero_phase: bool = False
+    cutoff: Any = None
+
+    @property
+    def filter(self) -> Filter:
+        return Filter(self.kind, self.order, self.zero_phase)
 
 
 class FreeTable(tables.Table):
@@ -105,6 +123,7 @@ class _File(tables.Table):
     accuracy: float | None = pydantic.Field(None, ge=1e-9, le=0.5)
     adequate: Any = None
     sensor: Literal["free", "exact"] = "free"
+    filter: _Filter | Literal["none", "unknown"] | None = None
     model: list[dict[str, Any]] = []
     candidate: list[dict[str, Any]] = []
 
@@ -129,9 +148,12 @@ def load_with_records(path: str | Path) -> tuple[Problem, list[Prepared]]:
     path = given.path("calibration.load", path)
     file = _content(path)
     base = _scene(file, path)
+    if isinstance(file.filter, _Filter) and file.filter.cutoff is not None:
+        for entry in file.experiment:
+            entry.parameters.setdefault("cutoff", file.filter.cutoff)
     known = {**base.scene.quantities, **nuisances(o for entry in file.experiment for o in entry.observe)}
     one = base.scene.canonical
-    records = _records(file, path, base)
+    records, parts = _records(file, path, base)
     experiments = [
         _experiment(entry, record, f"{path}: [[experiment]] {k + 1}", known, one) for k, entry, record in records
     ]
@@ -149,8 +171,11 @@ def load_with_records(path: str | Path) -> tuple[Problem, list[Prepared]]:
         loss=file.loss,
         accuracy=file.accuracy or 0.0,
         tolerances=dict(base.tolerances),
+        filter=_filter(file, base),
         adequate=ADEQUATE if file.adequate is None else quantity(file.adequate, "1", f"{path}: adequate"),
     )
+    doubts = _doubts(problem, file, [(entry, record) for _, entry, record in records], parts)
+    problem = replace(problem, doubts=doubts) if doubts else problem
     every = ((r, found.notes.get(i, [])) for i, (_, _, r) in enumerate(records) if r)
     return problem, [replace(record, notes=(*record.notes, *own)) for record, own in every]
 
@@ -201,7 +226,9 @@ def _sensor(
     searched = {f.name: (f.lower, f.upper) for f in (free_of(n, t, path, known) for n, t in bounded.items())}
     stated = {one(name) for name in file.free} | {n for e in experiments for n in e.fixed}
     asked = [n for n, t in file.free.items() if n in NUISANCES and t.lower is None and t.upper is None]
-    measured = file.sensor == "free" and scene.traits.history and not scene.traits.turning
+    passed = file.filter.filter if isinstance(file.filter, _Filter) else None
+    asked += ["cutoff"] if passed and "cutoff" not in stated else []
+    measured = _measured(file, base)
     # What contacts do above the reading at rest does not know its zero.
     observed = [o for entry in file.experiment for o in entry.observe if not entry.events]
     unasked = [n for n in dict.fromkeys(sensor.unasked(observed)) if n not in stated] if measured else []
@@ -215,7 +242,9 @@ def _sensor(
         for i, ((_, _, record), e) in enumerate(zip(records, experiments, strict=True)):
             params = {**{n: float(v) for n, v in base.params.items()}, **e.fixed}
             given = (
-                sensor.proposed(name, record, scene, params, searched) if record else "it has no history of readings"
+                sensor.proposed(name, record, scene, params, searched, passed)
+                if record
+                else "it has no history of readings"
             )
             if isinstance(given, str):
                 doubts[i] = given
@@ -241,11 +270,33 @@ def _sensor(
     return found
 
 
+def _measured(file: _File, base: scenefile.SceneFile) -> bool:
+    """Whether records are taken as measured, by sensors that leave something open."""
+    return file.sensor == "free" and base.scene.traits.history and not base.scene.traits.turning
+
+
+def _filter(file: _File, base: scenefile.SceneFile) -> Any:
+    """The filter of a ``Problem``."""
+    if isinstance(file.filter, _Filter):
+        return file.filter.filter
+    return file.filter or ("unknown" if _measured(file, base) else "none")
+
+
 def _proposed(name: str, found: Sensor, file: _File, path: Path, known: dict[str, Quantity]) -> Free:
     """A nuisance that is free within the bounds of each record."""
     lower, upper = found.envelope(name)
     table = file.free.get(name, FreeTable()).model_copy(update={"lower": lower, "upper": upper})
     return free_of(name, table, path, known)
+
+
+def options_of(scene: str, named: Collection[str]) -> dict[str, bool]:
+    """Options of a built-in scene for physics that is there only where a parameter of it is named."""
+    return {option: True for name, option in _NAMED.get(scene, {}).items() if name in named}
+
+
+def base_of(path: Path) -> scenefile.SceneFile:
+    """The scene of a calibration file; raises as ``load``."""
+    return _scene(_content(path), path)
 
 
 def _scene(file: _File, path: Path) -> scenefile.SceneFile:
@@ -254,18 +305,56 @@ def _scene(file: _File, path: Path) -> scenefile.SceneFile:
         raise InputError(f"{path}: scene", f"no file {beside}", "give a path relative to this file, or a scene's name")
     if not file.scene.endswith(".toml") and file.scene not in scenes.SCENES:
         raise InputError(f"{path}: scene", f"no scene '{file.scene}'", nearest(file.scene, scenes.SCENES))
-    return scenefile.load(beside if file.scene.endswith(".toml") else file.scene)
+    if file.scene.endswith(".toml"):
+        return scenefile.load(beside)
+    options = options_of(
+        file.scene, {name for entry in file.experiment for name in entry.parameters} | file.free.keys()
+    )
+    return (
+        scenefile.from_table({"scene": {"kind": file.scene, **options}}, None)
+        if options
+        else scenefile.load(file.scene)
+    )
 
 
-def _records(file: _File, path: Path, base: scenefile.SceneFile) -> list[tuple[int, _Experiment, Prepared | None]]:
-    """Every record (None where an entry gives only features) with the number of its entry and the entry."""
+def _doubts(
+    problem: Problem, file: _File, records: list[tuple[_Experiment, Prepared | None]], parts: list[Table | None]
+) -> tuple[str, ...]:
+    """Why given masses and speeds of single impacts may be wrong, by their records (``data.plausible``)."""
+    names, free = problem.scene.quantities, {f.name: f for f in problem.free}
+    if not {"mass", "approach_speed"} <= names.keys() or "mass" in free or len(problem.scene.members) != 1:
+        return ()
+    if {"impact_angle", "struck_mass"} & free.keys() or "impact_angle" in names or "drop_height" in names:
+        return ()
+    found = []
+    for e, (entry, record), part in zip(problem.experiments, records, parts, strict=True):
+        if record is None or part is None or entry.events:
+            continue
+        own = problem.params | e.fixed
+        mass = plausible.effective(own["mass"], own.get("struck_mass"))
+        speed, known = free.get("approach_speed"), "mass" in e.tolerances
+        usual = (speed.lower, speed.upper) if speed else (own["approach_speed"], own["approach_speed"])
+        bounds: tuple[float, float] = e.bounds.get("approach_speed", usual)
+        said = plausible.impulse(record, mass, bounds)
+        if not said and speed and not known and "struck_mass" not in names and set(entry.observe) == {"contact.normal"}:
+            said = plausible.other_body(record, part, entry.observe, mass)
+        found += [said] if said else []
+    return tuple(dict.fromkeys(found))
+
+
+def _records(
+    file: _File, path: Path, base: scenefile.SceneFile
+) -> tuple[list[tuple[int, _Experiment, Prepared | None]], list[Table | None]]:
+    """Every record (None where an entry gives only features) with the number of its entry and the entry; and its rows."""
     records, broken = [], Faults()
+    rows: list[Table | None] = []
     for k, entry in enumerate(file.experiment):
         where = f"{path}: [[experiment]] {k + 1}"
         if not entry.observe and not entry.features:
             raise InputError(f"{where} observe", "nothing is observed", 'give { "contact.normal" = "force [N]" }')
         if not entry.observe:
             records.append((k, entry, None))
+            rows.append(None)
             continue
         for observes in entry.observe:  # Before its column is read in a unit that a wrong name does not have.
             channel(observes, base.scene, where=f"{where} observe '{observes}'")
@@ -276,7 +365,8 @@ def _records(file: _File, path: Path, base: scenefile.SceneFile) -> list[tuple[i
         whole = read(path.parent / entry.file, f"{where} file", entry.table, stated)
         # Where nothing turns, every record is of impacts: apart, in contact, apart.
         recipe = _recipe(entry, where, not base.scene.traits.turning, "force_offset" in file.free)
-        recipe = replace(recipe, exact=file.sensor == "exact")
+        thin = "" if entry.events else "mean" if entry.correlation in (0, 0.0) else "every"
+        recipe = replace(recipe, exact=file.sensor == "exact", thin=thin if not base.scene.traits.turning else "")
         parts = split(whole, entry.rows, where)
         if isinstance(entry.hold_out, list) and (unknown := set(entry.hold_out) - {label for label, _ in parts}):
             runs = ", ".join(label for label, _ in parts)
@@ -289,11 +379,12 @@ def _records(file: _File, path: Path, base: scenefile.SceneFile) -> list[tuple[i
             with faults:
                 record = prepare(name, part, entry.time, entry.observe, recipe, where)
                 records.append((k, entry, replace(record, notes=(said, *record.notes) if said else record.notes)))
+                rows.append(part)
                 said = ""  # Of a file, not of each of its runs.
         with broken:
             faults.refuse(whole.name)
     broken.refuse(str(path))
-    return records
+    return records, rows
 
 
 def _recipe(entry: _Experiment, where: str, impact: bool, offset: bool) -> Recipe:
@@ -348,6 +439,9 @@ def _experiment(
         raise InputError(f"{where} events", "nothing is observed", 'give observe = { "contact.normal" = "force [N]" }')
     for observes, reading in record.readings.items() if record else ():
         sigma, relative, jitter = stated.noise(entry.noise, observes, reading.values, f"{where} noise")
+        # What is stated is the noise of a sample as recorded.
+        shrunk = np.sqrt(record.averaged) if record else 1.0
+        sigma, relative, jitter = None if sigma is None else sigma / shrunk, relative / shrunk, jitter / shrunk
         if entry.events:
             if jitter:
                 raise InputError(f"{where} noise", "a clock that jitters", "state the noise of the reading for events")

@@ -17,7 +17,7 @@ LAYERS = {
         "cli", "__main__",
     ),
     "calibration": (
-        "solver_budget", "given", "problem", "forward", "search", "noise", "diagnostics", "uncertainty", "fit",
+        "solver_budget", "given", "filters", "problem", "forward", "search", "noise", "diagnostics", "uncertainty", "fit",
         "verification", "data", "problemfile", "init", "selection", "petab", "report", "command",
     ),
 }  # fmt: skip

@@ -101,6 +101,7 @@ CATALOGUE: dict[str, Quantity] = {
         _positive("half_width", "m", "half of the width of the block across its guide"),
         # bodies, motion, loads
         _positive("mass", "kg", "mass of the moving body (effective mass m1 m2/(m1 + m2) of two)"),
+        _positive("struck_mass", "kg", "mass of a free body that is struck"),
         _not_negative("approach_speed", "m/s", "speed towards the surface at time 0"),
         _not_negative("clearance_contact", "m", "gap between body and surface at time 0"),
         _not_negative("drop_height", "m", "height of the body's lowest point at time 0, at rest"),

@@ -27,10 +27,17 @@ _MANY = 5.0
 _RARE = 10.0
 
 
-def impact(law: str = "memory_free", elastic: str | None = None, smoothing: bool = True) -> Mechanism:
+def impact(
+    law: str = "memory_free",
+    elastic: str | None = None,
+    smoothing: bool = True,
+    struck: bool = False,
+    gravity: bool = False,
+) -> Mechanism:
     """One mass strikes one surface head-on: one coordinate, the distance travelled towards the surface.
 
-    Two free bodies are the same scene with the effective mass and the closing speed. At time 0 the body
+    Where the surface is that of a second body, which is free and at rest, ``struck`` gives it a coordinate and the mass
+    ``struck_mass``: the force is that of the effective mass m M/(m + M), and either body's motion may be read. At time 0 the body
     is ``clearance_contact`` away, moving at ``approach_speed``. The force is (normal, 0, 0). The approach speed of 1.5 m/s
     is the paper's; the ball is ``steel_ball``'s.
 
@@ -38,22 +45,31 @@ def impact(law: str = "memory_free", elastic: str | None = None, smoothing: bool
         law: name of a normal-force law (``laws.LAWS``).
         elastic: name of its elastic part (``laws.ELASTIC``).
         smoothing: whether the contact is regularised; False takes it out of the program.
+        struck: whether the surface is on a free body, at rest at first.
+        gravity: whether bodies weigh, towards the surface: ``gravity`` [m/s^2].
     """
-    body = Body("body", "slide", axis="x", mass="mass", start={"velocity": "approach_speed"})
+    bodies = (Body("body", "slide", axis="x", mass="mass", start={"velocity": "approach_speed"}),)
+    bodies += (Body("struck", "slide", axis="x", mass="struck_mass"),) if struck else ()
+    pair = ("struck" if struck else "ground", "body")
     surface = Contact(
-        "contact", ("ground", "body"), PointOnPlane("-x", clearance=True), law, elastic=elastic, smoothing=smoothing,
+        "contact", pair, PointOnPlane("-x", clearance=True), law, elastic=elastic, smoothing=smoothing,
         approach="parameter",
     )  # fmt: skip
     given = picked({**STEEL_BALL, "clearance_contact": 0.0}, [*surface.reads, "mass", "clearance_contact"])
+    given |= {"approach_speed": 1.5} | ({"struck_mass": STEEL_BALL["mass"]} if struck else {})
+    given |= {"gravity": 9.81} if gravity else {}
     return Mechanism(
-        "impact", (body,), (surface,), given=given | {"approach_speed": 1.5}, end=_impact_end, samples=1001,
+        "impact", bodies, (surface,), (Gravity("x"),) if gravity else (), given=given, end=_impact_end, samples=1001,
         more=_envelope, touch=_met,
     )  # fmt: skip
 
 
 def _met(p: Mapping[str, float]) -> float | None:
-    """First contact [s]: the clearance at the approach speed."""
-    return p["clearance_contact"] / p["approach_speed"] if p["approach_speed"] > 0 else None
+    """First contact [s]: the clearance c at the approach speed v, 2 c/(v + sqrt(v^2 + 2 g c)) where a body alone falls."""
+    gap, speed = p["clearance_contact"], p["approach_speed"]
+    falling = 0.0 if "struck_mass" in p else p.get("gravity", 0.0)
+    together = speed + float(np.sqrt(max(speed * speed + 2.0 * falling * gap, 0.0)))
+    return 2.0 * gap / together if together > 0 else None
 
 
 def _impact_end(p: Params) -> Array:
@@ -61,7 +77,8 @@ def _impact_end(p: Params) -> Array:
     stiffness = p["stiffness"] if "stiffness" in p else jnp.asarray(STEEL_BALL["stiffness"])
     exponent = p["exponent"] if "exponent" in p else jnp.asarray(1.0)
     speed = jnp.maximum(p["approach_speed"], 1e-6)
-    return p["clearance_contact"] / speed + 1.5 * undamped_duration(stiffness, exponent, p["mass"], speed)
+    mass = p["mass"] * p["struck_mass"] / (p["mass"] + p["struck_mass"]) if "struck_mass" in p else p["mass"]
+    return p["clearance_contact"] / speed + 1.5 * undamped_duration(stiffness, exponent, mass, speed)
 
 
 class _Fall(Approach):

@@ -10,12 +10,18 @@ from typing import NamedTuple
 
 import numpy as np
 
+from calibration.noise.scatter import scatter
+
 # Samples from which on a level of rest is looked for, and the fewest that are one.
 _FEW, _LEVEL = 6, 3
 # A share of a record's range: a level of rest is narrower, and the record begins there.
 _NARROW = 0.1
 # A contact begins above so many deviations of the rest, or this share of the peak, and ends below half of that.
 _SIGMAS, _SHARE = 6.0, 0.05
+# Noise above this share of the peak is smoothed; a sample stands alone whose neighbours have less than this share of it.
+_LOUD, _ALONE = 0.04, 0.3
+# Samples above half of the peak of a contact that no single sample can be.
+_RESOLVED = 4
 # Of a velocity or a position: the share of its largest departure that is contact.
 _DEPARTED = 0.1
 
@@ -23,7 +29,8 @@ _DEPARTED = 0.1
 class Event(NamedTuple):
     """One contact in a record: first and last sample in it, their times [s], the largest rise, and the usual step [s].
 
-    ``before`` is the time of the last sample before it, or a step earlier where there is none.
+    ``before`` is the time of the last sample before it, or a step earlier where there is none. ``loose`` [s]: how wrong its
+    ends may be for noise that was smoothed.
     """
 
     first: int
@@ -33,6 +40,7 @@ class Event(NamedTuple):
     end: float
     peak: float
     step: float
+    loose: float = 0.0
 
     @property
     def duration(self) -> float:
@@ -109,9 +117,7 @@ def contacts(observes: str, times: np.ndarray, values: np.ndarray) -> list[Event
         first = int(np.flatnonzero(rises > _DEPARTED * peak)[0])
         high = np.flatnonzero(rises[first:] > (1.0 - _DEPARTED) * peak)[0]
         return [_event(clock, seen, first, first + int(high), peak, step)]
-    quiet = rises[rises < _SHARE * peak]
-    noise = 1.4826 * float(np.median(np.abs(quiet - np.median(quiet)))) if quiet.size >= _LEVEL else 0.0
-    high = max(_SHARE * peak, min(_SIGMAS * noise, 0.5 * peak))
+    rises, high, width = steady(rises)
     found, k = [], 0
     while k < clock.size:
         if rises[k] <= high:
@@ -119,12 +125,75 @@ def contacts(observes: str, times: np.ndarray, values: np.ndarray) -> list[Event
             continue
         last = k
         # One low sample between two high ones is noise, not a flight.
-        while last + 1 < clock.size and rises[last + 1 : last + 3].max() > 0.5 * high:
+        while last + 1 < clock.size and rises[last + 1 : last + 2 + width].max() > 0.5 * high:
             last += 1
         last = k + int(np.flatnonzero(rises[k : last + 1] > 0.5 * high)[-1])
-        found.append(_event(clock, seen, k, last, float(rises[k : last + 1].max()), step))
+        first, end = (k, last) if width == 1 else _grown(rises, k, last, high)
+        event = _event(clock, seen, first, end, float(rises[k : last + 1].max()), step)
+        found.append(event._replace(loose=(width - 1) * step))
         k = last + 1
     return found
+
+
+def steady(rises: np.ndarray) -> tuple[np.ndarray, float, int]:
+    """Rises (T,) in which neither one wrong sample nor the noise is a contact, what is above both, and the mean's width.
+
+    A wrong sample (``alone``) is replaced by its neighbours. Where the noise is above _LOUD of the peak, the rises are a
+    running mean, a quarter as wide as the one whose peak is highest above the noise.
+    """
+    noise, wrong = scatter(rises), np.flatnonzero(alone(rises))
+    rises = rises.copy()
+    rises[wrong] = 0.5 * (rises[wrong - 1] + rises[wrong + 1])
+    peak, width = float(rises.max()), 1
+    if _SIGMAS * noise > 0.5 * peak or noise > _LOUD * peak:
+        widths = np.unique(np.round(np.geomspace(1, max(rises.size // 4, 1), 24)).astype(int)) // 2 * 2 + 1
+        best = max(widths, key=lambda w: float(_mean(rises, w).max()) * np.sqrt(w))
+        width = int(best) // 4 // 2 * 2 + 1
+        rises, noise = _mean(rises, width), noise / np.sqrt(width)
+        peak = float(rises.max())
+    quiet = rises[rises < _SHARE * peak]
+    still = 1.4826 * float(np.median(np.abs(quiet - np.median(quiet)))) if quiet.size >= _LEVEL else 0.0
+    return rises, max(_SHARE * peak, min(_SIGMAS * max(noise, still), 0.5 * peak)), width
+
+
+def _grown(rises: np.ndarray, first: int, last: int, high: float) -> tuple[int, int]:
+    """Samples at which a contact that is above the noise from ``first`` to ``last`` begins and ends, along its flanks."""
+    inside = rises[first : last + 1]
+    upper = 0.5 * (high + float(inside.max()))
+    above = np.flatnonzero(inside >= upper)
+    rise_, fall = int(above[0]), inside.size - 1 - int(above[-1])
+    before, after = (round(level / (upper - level) * n) for level, n in ((high, rise_), (0.5 * high, fall)))
+    return max(first - before, 0), min(last + after, rises.size - 1)
+
+
+def alone(rises: np.ndarray) -> np.ndarray:
+    """Which of the rises (T,) are wrong samples: they stand alone before all contacts or above them, or pull half as much.
+
+    Only where a contact has samples enough that one by itself is none.
+    """
+    if rises.size < 2 * _FEW:
+        return np.zeros(rises.size, dtype=bool)
+    noise = scatter(rises)
+
+    def lone(x: np.ndarray) -> np.ndarray:
+        around = np.maximum(x[:-2], x[2:])
+        found = (x[1:-1] > 2.0 * _SIGMAS * noise) & (around < np.maximum(_ALONE * x[1:-1], _SIGMAS * noise))
+        return np.r_[False, found, False]
+
+    wrong = lone(rises)
+    others = np.where(wrong, 0.0, rises)
+    peak, high = float(others.max()), np.diff(np.r_[False, others > 0.5 * others.max(), False].astype(int))
+    longest = int(np.max(np.flatnonzero(high == -1) - np.flatnonzero(high == 1), initial=0))
+    if longest < _RESOLVED or peak < 2.0 * _SIGMAS * noise:
+        return np.zeros(rises.size, dtype=bool)
+    first = int(np.flatnonzero(others > 0.5 * peak)[0])
+    return (wrong & ((np.arange(rises.size) < first) | (rises > peak))) | (lone(-rises) & (rises < -0.5 * peak))
+
+
+def _mean(rises: np.ndarray, width: int) -> np.ndarray:
+    """Running mean (T,) over an odd number of samples, of fewer at the ends."""
+    ones = np.ones(width)
+    return np.convolve(rises, ones, "same") / np.convolve(np.ones(rises.size), ones, "same")
 
 
 def _event(clock: np.ndarray, seen: np.ndarray, first: int, last: int, peak: float, step: float) -> Event:

@@ -15,7 +15,7 @@ from bcfj_jax import InputError
 from bcfj_jax.core.errors import Faults
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import unit_of
-from calibration.data.events import quantity, rest, rise, turning
+from calibration.data.events import alone, contacts, quantity, rest, rise, steady, telling, turning
 from calibration.data.inspection import (
     TOUCHING,
     channel_notes,
@@ -25,7 +25,7 @@ from calibration.data.inspection import (
     clock_note,
     jumps,
 )
-from calibration.data.resampling import resampled
+from calibration.data.resampling import resampled, thinned
 from calibration.data.table import Table
 
 
@@ -41,6 +41,7 @@ class Recipe:
         impact: whether the record holds a whole impact, which begins and ends apart.
         offset: whether the reading where there is nothing to read is unknown.
         exact: whether the sensor's zero is 0, though the record rests elsewhere.
+        thin: "mean" or "every": how a record with more samples than its contacts need is thinned (``resampling.thinned``).
     """
 
     resample: float | None = None
@@ -50,6 +51,7 @@ class Recipe:
     impact: bool = False
     offset: bool = False
     exact: bool = False
+    thin: str = ""
 
 
 @dataclass(frozen=True)
@@ -75,6 +77,7 @@ class Prepared:
         first_contact: what alignment took from the clock [s], or None.
         window: as asked [s].
         notes: in words, for people.
+        averaged: so many successive samples are one.
     """
 
     name: str
@@ -86,6 +89,7 @@ class Prepared:
     first_contact: float | None
     window: tuple[float, float] | None
     notes: tuple[str, ...]
+    averaged: int = 1
 
 
 def prepare(name: str, part: Table, time: str, observe: dict[str, str], recipe: Recipe, where: str) -> Prepared:
@@ -110,13 +114,18 @@ def prepare(name: str, part: Table, time: str, observe: dict[str, str], recipe: 
     for observes, header in observe.items():
         with faults:
             raw[observes] = _signed(part, header, unit_of(observes), where)
-    masked = {o: np.abs(values) >= recipe.saturation.get(o, np.inf) for o, values in raw.items()}
+    saturated = {o: np.abs(values) >= recipe.saturation.get(o, np.inf) for o, values in raw.items()}
+    wrong = {o: _wrong(o, values, clock) & ~saturated[o] for o, values in raw.items()}
+    masked = {o: saturated[o] | wrong[o] for o in raw}
     for observes, values in raw.items():
         with faults:
             zero = _zero(values, recipe)
             check_channel(observes, values, masked[observes], zero, _place(part, observe[observes]))
     faults.refuse(part.name)
-    first_contact = _first_contact(clock, *next(iter(raw.items())), where) if recipe.align else None
+    first = next(iter(raw), "")
+    first_contact = (
+        _first_contact(clock, first, np.where(wrong[first], np.nan, raw[first]), where) if recipe.align else None
+    )
     clock = clock - (first_contact or 0.0)
     breaks = jumps(clock)
     notes = [clock_note(clock)]
@@ -125,13 +134,19 @@ def prepare(name: str, part: Table, time: str, observe: dict[str, str], recipe: 
         gaps = f"{breaks.size} gaps in time, the longest of" if breaks.size > 1 else "a gap in time of"
         notes.append(f"{gaps} {longest}; nothing is interpolated over {'them' if breaks.size > 1 else 'it'}")
     for observes, values in raw.items():
-        notes += channel_notes(observes, values, masked[observes])
+        notes += channel_notes(observes, values, saturated[observes])
+        notes += _wrong_notes(observes, values[wrong[observes]], clock[wrong[observes]])
     times, values = clock, {o: np.where(masked[o], np.nan, v) for o, v in raw.items()}
     if recipe.resample is not None:
         times, values, said = resampled(clock, breaks, values, recipe.resample, where)
         notes += said
     keep = _inside(times, recipe.window, name, where)
     times, values = times[keep], {o: v[keep] for o, v in values.items()}
+    averaged = 1
+    if recipe.thin and recipe.resample is None:
+        events = next((e for o in telling(list(values)) if (e := contacts(o, times, values[o]))), [])
+        times, values, averaged, said = thinned(times, values, events, recipe.thin == "mean")
+        notes += said
     for observes, kept in values.items():
         if recipe.impact and observes.endswith(".normal"):
             cut, place = recipe.window is not None, _place(part, observe[observes])
@@ -146,6 +161,7 @@ def prepare(name: str, part: Table, time: str, observe: dict[str, str], recipe: 
         first_contact=first_contact,
         window=recipe.window,
         notes=tuple(notes),
+        averaged=averaged,
     )
 
 
@@ -158,18 +174,42 @@ def _signed(part: Table, header: str, unit: str, where: str) -> np.ndarray:
     return sign * part.numbers(header.removeprefix("-").strip(), unit, f"{where} observe", blank=True)
 
 
+def _wrong(observes: str, values: np.ndarray, clock: np.ndarray) -> np.ndarray:
+    """Which readings (N,) are wrong samples: far from rest, alone, where there is no contact (``events.alone``)."""
+    wrong, seen = np.zeros(values.size, dtype=bool), np.flatnonzero(np.isfinite(values))
+    if quantity(observes) in ("normal", "pulse") and seen.size > 2:
+        wrong[seen[alone(rise(observes, clock[seen], values[seen]))]] = True
+    return wrong
+
+
+def _wrong_notes(observes: str, values: np.ndarray, clock: np.ndarray) -> list[str]:
+    if not values.size:
+        return []
+    first = f"{format_si(float(values[0]), unit_of(observes), 3)} at {format_si(float(clock[0]), 's', 3)}"
+    many = f"{values.size} wrong samples are" if values.size > 1 else "1 wrong sample is"
+    return [f"{observes}: {many} left out, far from rest and alone: {first}{', ...' if values.size > 1 else ''}"]
+
+
 def _first_contact(clock: np.ndarray, observes: str, values: np.ndarray, where: str) -> float:
-    """Time of the first sample above rest by a tenth of the peak; only a normal force has a sign that it must have."""
+    """Time of the first sample above rest by a tenth of the peak, or by the noise where that is more.
+
+    Neither a wrong sample nor the noise is one (``events.steady``). Only a normal force has a sign that it must have.
+    """
     seen = np.isfinite(values)
     clock, values = clock[seen], values[seen]
     position, values = values, rise(observes, clock, values) if values.size > 2 else values
     far = quantity(observes) == "place" and values.size > 2
+    least = 0.0
+    if quantity(observes) in ("normal", "pulse") and values.size > 2:
+        values, least, width = steady(values)
+        if width > 1 and (loud := contacts(observes, clock, position)):
+            return loud[0].begin
     peak = values[turning(clock, position)] if far else np.max(values, initial=0.0)
     if not peak > 0:
         if not observes.endswith(".normal"):
             raise InputError(f"{where} observe", f"'{observes}' reads 0 throughout", "choose another column")
         raise InputError(f"{where} observe", "the force is never positive", 'flip its sign with "-" before the column')
-    return float(clock[np.flatnonzero(values > TOUCHING * peak)[0]])
+    return float(clock[np.flatnonzero(values > max(TOUCHING * peak, min(least, 0.5 * peak)))[0]])
 
 
 def _zero(values: np.ndarray, recipe: Recipe) -> float:

@@ -273,7 +273,8 @@ def _turning(clock: np.ndarray, values: np.ndarray) -> float:
 class Sizes:
     """What the first contacts say: peak [N], impulse [N s], duration [s], samples in contact, step [s], contacts a run.
 
-    Of records without a force, peak and impulse are per mass. ``speed`` and ``restitution`` from a velocity or position,
+    Of records without a force, peak and impulse are per mass; ``impulses`` and ``after``: the least and the largest impulse, and
+    time to the second contact [s], of all records. ``speed`` and ``restitution`` from a velocity or position,
     ``mass`` from the impulse over the change of the speed, or from force over acceleration; None where no reading gives them.
     """
 
@@ -288,6 +289,8 @@ class Sizes:
     mass: float | None
     flights: list[float]
     begin: float
+    impulses: tuple[float, float]
+    after: tuple[float, float]
 
 
 def sizes(found: Understood) -> Sizes:
@@ -307,6 +310,8 @@ def sizes(found: Understood) -> Sizes:
         f, a = (np.nan_to_num(np.concatenate(x)) for x in zip(*pairs, strict=True))
         mass = float(f @ a / (a @ a)) if a @ a > 0 else None
     longest = max(records, key=lambda r: len(r.events))
+    pushed = [r.impulse() for r in has]
+    flown = [float(r.events[1].begin - r.events[0].end) for r in records if len(r.events) > 1]
     return Sizes(
         peak=float(np.median([r.events[0].peak if "N" in r.readings else np.nan for r in has]))
         if has
@@ -321,6 +326,8 @@ def sizes(found: Understood) -> Sizes:
         mass=mass,
         flights=[float(b.begin - a.end) for a, b in zip(longest.events, longest.events[1:], strict=False)],
         begin=float(longest.events[0].begin),
+        impulses=(min(pushed, default=np.nan), max(pushed, default=np.nan)),
+        after=(min(flown, default=np.nan), max(flown, default=np.nan)),
     )
 
 

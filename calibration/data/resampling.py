@@ -6,10 +6,63 @@ import numpy as np
 
 from bcfj_jax import InputError
 from bcfj_jax.io.units import format_si
+from calibration.data.events import Event
 
+# A contact of more than so many samples is averaged down to at least as many, where the record has more than so many.
+_ENOUGH, _MANY = 250, 3000
+# How far about a contact, by its duration, everything is kept of a record that has too many samples still.
+_NEAR = 1.5
 # The low-pass against aliasing: order of each of its two passes, its edge as a share of the new rate, and how many
 # samples its passes need at the ends.
 _ORDER, _EDGE, _PAD = 8, 0.4, 30
+# Samples of a block that is kept or left out.
+_BLOCK = 32
+
+
+def thinned(
+    clock: np.ndarray, channels: dict[str, np.ndarray], events: list[Event], averaged: bool
+) -> tuple[np.ndarray, dict[str, np.ndarray], int, list[str]]:
+    """A record brought down to the samples that its contacts need: means of m successive samples, times too.
+
+    A mean of white noise has its deviation over sqrt(m), so that nothing of what the record says of the noise is lost; what a
+    mean does to a contact of _ENOUGH samples is below 1e-5 of its peak. Far from contacts whole blocks are left out.
+
+    Args:
+        clock: (N,) [s].
+        channels: (N,) each, NaN where nothing was measured.
+        events: contacts in it.
+        averaged: whether means are taken; else every m-th sample, for noise that remembers itself.
+
+    Returns:
+        Times, channels, m, and notes; m is 1 where nothing was done.
+    """
+    if clock.size <= _MANY or not events:
+        return clock, channels, 1, []
+    step = float(np.median(np.diff(clock)))
+    size = int(min(e.duration for e in events) / step / _ENOUGH)
+    size = max(min(size, clock.size // _MANY + 1), 1)
+    whole = clock.size // size * size
+    blocks = clock[:whole].reshape(-1, size)
+    if averaged:
+        own = np.ptp(blocks, axis=1) < 1.5 * step * size
+        times = blocks.mean(axis=1)
+        found = {o: np.where(own, v[:whole].reshape(-1, size).mean(axis=1), np.nan) for o, v in channels.items()}
+    else:
+        times, found = blocks[:, 0], {o: v[:whole:size] for o, v in channels.items()}
+    near = np.zeros(times.size, dtype=bool)
+    for e in events:
+        near |= (times > e.begin - _NEAR * e.duration) & (times < e.end + _NEAR * e.duration)
+    far = np.flatnonzero(~near)
+    every = max(1, -(-2 * far.size // _MANY))
+    near[far[(far // _BLOCK) % every == 0]] = True
+    if size == 1 and every == 1:
+        return clock, channels, 1, []
+    kind = "means of" if averaged else "one of"
+    notes = [f"{clock.size} samples thinned to {int(near.sum())}"]
+    notes[0] += f", {kind} {size} successive ones" if size > 1 else ""
+    notes[0] += f"; of what is far from contacts one part in {every} is kept" if every > 1 else ""
+    notes[0] += "; resample = RATE says otherwise"
+    return times[near], {o: v[near] for o, v in found.items()}, size if averaged else 1, notes
 
 
 def resampled(

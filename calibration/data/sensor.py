@@ -7,6 +7,8 @@ unless the problem file says ``sensor = "exact"``, each within bounds that the r
     force_offset,     the mean of the samples before the first contact, and on either side five of their deviations or
     acceleration_     2 % of the peak, whichever is more
     offset
+    cutoff            of a filter that is said to be there: 0.3 to 100 over a contact's duration; the clock's bounds then
+                      allow for its delay
     position_offset   the reading at the first contact less the model's place there; half of its range on either side
 """
 
@@ -24,12 +26,15 @@ from bcfj_jax.mechanism.channels import unit_of
 from bcfj_jax.mechanism.model import AbstractModel
 from calibration.data.events import Event, contacts, quantity, telling
 from calibration.data.preparation import Prepared
+from calibration.filters import Filter
 from calibration.problem import OFFSETS, units_of
 
 # Bounds of the clock about the first contact: shares of a contact's duration before and after, by what is read.
 _BEFORE, _AFTER = {"normal": 0.25, "pulse": 0.25, "velocity": 0.5, "place": 1.0}, 0.1
 # Bounds of a level of rest: so many deviations, and at least this share of the peak.
 _SIGMAS, _SHARE = 5.0, 0.02
+# Bounds of a filter's cut-off, by a contact's duration; how far, by the cut-off, a filter run back spreads a contact.
+_CUTOFFS, _SPREAD = (0.3, 100.0), 0.3
 # Samples before the first contact that are a rest, and what of a contact's duration before it is none.
 _RESTING, _CLEAR = 4, 0.25
 # What sets the time of the first contact, and would move it as the record's clock does.
@@ -82,6 +87,7 @@ def proposed(
     scene: AbstractModel,
     params: Mapping[str, float],
     free: Mapping[str, tuple[float, float]],
+    passed: Filter | None = None,
 ) -> Proposal | str:
     """Bounds of one nuisance from one record, or why there are none.
 
@@ -90,8 +96,9 @@ def proposed(
         record: as prepared.
         scene, params: of the record, SI.
         free: what else is searched, with its bounds.
+        passed: the filter between sensor and record.
     """
-    if name != "time_offset" and name not in OFFSETS.values():
+    if name not in ("time_offset", "cutoff") and name not in OFFSETS.values():
         return f"a record does not give a {name}"
     for observes in telling(list(record.readings)):
         found = contacts(observes, record.times, record.readings[observes].values)
@@ -99,8 +106,17 @@ def proposed(
             break
     else:
         return "it shows no contact"
+    slow, fast = (share / found[0].duration for share in _CUTOFFS)
+    if name == "cutoff":
+        return Proposal(slow, fast)
     if name == "time_offset":
-        return _clock(observes, found, record, scene, params, free)
+        given = _clock(observes, found, record, scene, params, free)
+        if passed is None or isinstance(given, str):
+            return given
+        # What the filter delays or, run back, spreads to before the contact.
+        slowest = params.get("cutoff", free.get("cutoff", (slow,))[0])
+        late, early = passed.delay / slowest, _SPREAD / slowest if passed.zero_phase else 0.0
+        return given._replace(lower=given.lower - late, upper=given.upper + early)
     return _zero(name, found[0], record, params)
 
 
@@ -115,8 +131,8 @@ def _clock(
     first, last = (scene.first_touch({**params, **({moving: x} if moving else {})}) for x in ends)
     if first is None or last is None:
         return f"the time of the first contact of scene '{scene.kind}' follows only from a simulation"
-    lower = event.before - event.step - _BEFORE[quantity(observes)] * event.duration - last
-    upper = event.begin + event.step + _AFTER * event.duration - first
+    lower = event.before - event.step - event.loose - _BEFORE[quantity(observes)] * event.duration - last
+    upper = event.begin + event.step + event.loose + _AFTER * event.duration - first
     if moving and not several:
         return Proposal(lower, upper, f"{moving} is free and moves the contact as well")
     return Proposal(lower, upper, "" if event.first else "the record begins in contact")

@@ -15,13 +15,15 @@ import numpy as np
 from calibration.diagnostics.fit_tests import Test
 from calibration.diagnostics.records import Record
 from calibration.diagnostics.residual_tests import Series
+from calibration.noise.scatter import scatter
 
 # Held-out runs may be missed by so much more: they differ from the fitted ones, too.
 _HELD_OUT = 2.0
 # Fewer samples before contact show no noise, and residuals of less than so many times it are no news.
 _RESTING, _LOUDER = 8, 1.5
 # A reading of so much of the peak where so little is predicted is a contact that the model does not have there.
-_HIGH, _LOW, _MOST_UNMET = 0.2, 0.02, 0.1
+# Below so many deviations a reading may be noise.
+_HIGH, _LOW, _MOST_UNMET, _NOISY = 0.2, 0.02, 0.1, 3.5
 
 
 class Answer(NamedTuple):
@@ -117,7 +119,7 @@ def contacts_met(records: Sequence[Record]) -> Test:
                 continue
             seen = np.isfinite(values)
             peak = float(np.max(values[seen], initial=0.0))
-            high = seen & (values > _HIGH * peak)
+            high = seen & (values > max(_HIGH * peak, _NOISY * scatter(values[seen])))
             if peak > 0.0 and high.any():
                 worst = max(worst, float(np.mean(np.abs(record.prediction[name][high]) < _LOW * peak)))
     reason = (

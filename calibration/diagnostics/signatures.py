@@ -176,6 +176,32 @@ def _flow(times: np.ndarray, tangent: np.ndarray) -> np.ndarray:
     return flow
 
 
+def weight(model: Model, series: list[Series], point: np.ndarray, log_depth: float, gravity: float) -> np.ndarray:
+    """What a gravity [m/s^2] towards the surface adds to the residuals (N,) of single impacts; 0 where a record shows none.
+
+    In contact the force beside is the weight: the contact force changes by k x + c x', an acceleration that a sensor on the
+    body reads (free of gravity itself) by that over the mass. Before touch it is in the speed of approach.
+    """
+    table, shape = params_at(model, point, log_depth), model.data.values.shape
+    column, known = np.zeros(model.data.values.size + model.data.features.size), {}
+    names = list(model.scene.members)
+    for s in series:
+        i, j, _ = np.unravel_index(s.rows[0], shape)
+        part, _, what = model.channels[j].partition(".")
+        felt = part if what == "normal" else names[0] if len(names) == 1 and what.startswith("acceleration") else ""
+        offset = table[i]["time_offset"]
+        if felt and i not in known:
+            known[i] = _motion(model, int(i), table[i], felt, s.clock - offset)
+        motion = known.get(i) if felt else None
+        if motion is None or motion.flow is None:
+            continue
+        push = np.full(motion.times.size, -motion.mass * gravity)
+        change = np.where(motion.depth > 0.0, motion.reply(push) - push, 0.0)
+        read = change if what == "normal" else -change / motion.mass
+        column[s.rows] = s.white(np.interp(s.clock - offset, motion.times, read, left=0.0))
+    return column
+
+
 def of_readings(scene: Scene, errors: list[np.ndarray]) -> np.ndarray:
     """Errors of every series' readings [SI], the same amplitude for all, as a column (N, 1)."""
     column = np.zeros((scene.size, 1))

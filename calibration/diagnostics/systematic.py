@@ -22,6 +22,7 @@ import numpy as np
 
 from calibration.diagnostics.fit_tests import Spread
 from calibration.diagnostics.residual_tests import Series
+from calibration.diagnostics.signatures import weight
 from calibration.forward.losses import influence
 from calibration.forward.model import Model, evaluation
 from calibration.problem import OFFSETS
@@ -54,6 +55,7 @@ _STEP, _SHARE = 1e-2, 0.01
 _LAW = 0.05
 # Constants, which are known.
 _KNOWN = ("gravity",)
+_GRAVITY = 9.81
 # An error that moves no estimate by more than this share is not named.
 _NAMED = 1e-4
 _QUANTILE = 1.959964
@@ -206,6 +208,14 @@ def of_fixed(
             unit, most = ("of itself", share) if share else ("of its tolerance", 1.0)
             found.append(Error(name, unit, most, change / most))
     return found
+
+
+def of_weight(model: Model, best: End, log_depth: float, series: list[Series]) -> list[Error]:
+    """The weight of a body that strikes at a speed, of a scene that knows no gravity: as much of it as may act."""
+    known = {axis.name for axis in model.coordinates} | model.data.fixed.keys()
+    if "approach_speed" not in known or "gravity" in known or budget(model.scene).rough:
+        return []
+    return [Error("gravity", f"of {_GRAVITY} m/s^2", 1.0, weight(model, series, best.point, log_depth, _GRAVITY))]
 
 
 def of_law(signatures: dict[str, dict[str, np.ndarray]]) -> list[Error]:

@@ -23,10 +23,12 @@ from bcfj_jax.analysis.derivatives.names import complete
 from bcfj_jax.core.programs import program
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve.plan import Plan, plan
+from calibration.filters import Filter
 from calibration.forward.coordinates import Coordinate, coordinates_of
 from calibration.forward.losses import loss_of
 from calibration.forward.observables import (
     ObservedFeatures,
+    Passed,
     fine,
     grid,
     is_single,
@@ -41,11 +43,13 @@ from calibration.solver_budget import budget
 
 # Parts of a measuring chain, by their nuisances: what no experiment names is not compiled.
 _CHAIN = (
-    ("time_offset", "force_offset", "gain"), ("bandwidth",), ("resonance", "resonance_damping"), ("gain_bend",),
+    ("time_offset", "force_offset", "gain"), ("bandwidth",), ("cutoff",), ("resonance", "resonance_damping"), ("gain_bend",),
     ("drift",), ("hum_frequency", "hum_sine", "hum_cosine"),
 )  # fmt: skip
 # Steps over a record that its force is sampled in where a sensor's low-pass is to be applied.
 _FINE_STEPS = 2000
+# A filter that is run back over a record begins by so much of its span after the last sample.
+_BEYOND = 0.25
 # So many times the steps where tangents count in their control: of the joint with all options, 0.3 s by BDF at 3e-4 take
 # more than a method of order 2 would say.
 _FOR_TANGENTS = 4
@@ -63,6 +67,7 @@ class Data(eqx.Module):
         memory: (E, C, T) correlation of a sample's noise with the one before, whose index is ``previous``.
         features, feature_weights: (E, F) likewise.
         fixed, chain: by name (E,), scene parameters and nuisances where they are not searched.
+        passed: the filter between sensor and record, or None.
     """
 
     times: Array
@@ -74,6 +79,7 @@ class Data(eqx.Module):
     feature_weights: Array
     fixed: dict[str, Array]
     chain: dict[str, Array]
+    passed: Passed | None = None
 
 
 class Model(eqx.Module):
@@ -152,12 +158,15 @@ class Model(eqx.Module):
 
     def predictions(self, point: Array, log_depth: Array) -> Array:
         """What each channel would have read, (E, C, T), SI."""
+        passed = self.data.passed
 
         def one(params: dict, own: dict, times: Array) -> Array:
             shifted = times - own["time_offset"]
             # Samples may stand in any order; of those that read the initial state, a batch is done at its first step.
             order = jnp.argsort(shifted)
-            sampled, places = fine(shifted, self.parts) if self.parts else (shifted[order], jnp.argsort(order))
+            beyond = 0.0 if passed is None else _BEYOND
+            places = jnp.argsort(order)
+            sampled, places = fine(shifted, self.parts, beyond) if self.parts else (shifted[order], places)
             # A body that is at a place at time 0 came there with the speed that it has then.
             speeds = {
                 c: c.replace(".place.", ".velocity.") for c in self.channels if ".place." in c and " in " not in c
@@ -166,7 +175,7 @@ class Model(eqx.Module):
             seen = reading_history(self.scene, params, sampled, read, accuracy=self.how)
             before = jnp.minimum(sampled, 0.0)
             readings = [seen[c] + (seen[speeds[c]][0] * before if c in speeds else 0.0) for c in self.channels]
-            return through(own, sampled, jnp.stack(readings, axis=1), self._offsets(own))[places].T
+            return through(own, sampled, jnp.stack(readings, axis=1), self._offsets(own), passed)[places].T
 
         if not self.channels:
             return jnp.zeros(self.data.values.shape)
@@ -195,7 +204,7 @@ class Model(eqx.Module):
                     continue
                 found, _ = histories(self.scene, params, times, self.how)
                 flat = found.force.reshape(times.size, -1)
-                force = through(own, times, flat, own["force_offset"]).reshape(found.force.shape)
+                force = through(own, times, flat, own["force_offset"], self.data.passed).reshape(found.force.shape)
                 seen = Histories(force, found.penetration, found.rate, None)
                 whole = measured(self.scene, observed, seen)
                 values = values.at[: len(observed.names)].set(jnp.where(ones, values[: len(ones)], whole))
@@ -326,7 +335,7 @@ def build(
     given: dict[str, Any] = dict(problem.params)
     params = complete(problem.scene, given, tuple(dict.fromkeys(own)))[0] if own else given
     named = known | {f.name for f in problem.free}
-    filtered = bool(named & {"bandwidth", "resonance"})
+    filtered = bool(named & {"bandwidth", "resonance", "cutoff"})
     parts = [part for part in _CHAIN if part is _CHAIN[0] or named & set(part)]
     chain = {name: NEUTRAL[name] for part in parts for name in part}
     chain |= {name: 0.0 for name in OFFSETS.values() if name in named}
@@ -347,13 +356,20 @@ def build(
         scene=problem.scene,
         coordinates=axes,
         channels=channels,
-        data=Data(*arrays, fixed=fixed, chain=chain),  # pyright: ignore[reportArgumentType]
+        data=Data(*arrays, fixed=fixed, chain=chain, passed=passed_of(problem)),  # pyright: ignore[reportArgumentType]
         bounds=np.array([[axis.lower for axis in axes], [axis.upper for axis in axes]]),  # pyright: ignore[reportArgumentType]
         how=how,
         observed_features=observed,
         parts=max(4, -(-_FINE_STEPS // longest)) if filtered else 0,
         loss=problem.loss,
     )
+
+
+def passed_of(problem: Problem) -> Passed | None:
+    """Numbers of the filter between sensor and record: all filters share one program."""
+    if not isinstance(problem.filter, Filter):
+        return None
+    return Passed(*problem.filter.terms, np.array(problem.filter.zero_phase))  # pyright: ignore[reportArgumentType]
 
 
 def _steps(problem: Problem) -> int:

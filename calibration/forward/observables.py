@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -35,6 +36,14 @@ class ObservedFeatures(NamedTuple):
     count: int
 
 
+class Passed(NamedTuple):
+    """Numbers of a low-pass: rates and weights (K,) of ``filters.Filter.terms``, and whether it is run back."""
+
+    rates: Array
+    weights: Array
+    back: Array
+
+
 def low_pass(times: Array, values: Array, bandwidth: Array) -> Array:
     """Output of a first-order sensor, y' = 2 pi bandwidth (x - y), at rest before the first time.
 
@@ -65,7 +74,29 @@ def resonant(times: Array, values: Array, frequency: Array, damping: Array) -> A
     return jnp.imag(u * pole / s)
 
 
-def through(chain: Mapping[str, Array], times: Array, values: Array, offset: Array) -> Array:
+def filtered(times: Array, values: Array, cutoff: Array, passed: Passed) -> Array:
+    """Output of a low-pass (``calibration.filters``), at rest before the first time, and after the last where it is run back.
+
+    Exact for an input that is linear between samples, and so is each of two passes.
+
+    Args:
+        times, values: as of ``low_pass``.
+        cutoff: [Hz].
+        passed: the filter's numbers.
+    """
+    w = 2.0 * jnp.pi * cutoff
+
+    def once(clock: Array, x: Array) -> Array:
+        each = jax.vmap(lambda rate: _first_order(clock, x, rate * w))(passed.rates)
+        return jnp.real(jnp.tensordot(passed.weights, each, 1))
+
+    forward = once(times, values)
+    return jnp.where(passed.back, once(-times[::-1], forward[::-1])[::-1], forward)
+
+
+def through(
+    chain: Mapping[str, Array], times: Array, values: Array, offset: Array, passed: Passed | None = None
+) -> Array:
     """What a measuring chain reads of what is there, (T, C); parts that ``chain`` does not name are not compiled.
 
     Args:
@@ -73,6 +104,7 @@ def through(chain: Mapping[str, Array], times: Array, values: Array, offset: Arr
         times: (T,) [s] of the model's clock, not decreasing.
         values: (T, C) readings of the model, SI.
         offset: () or (C,) readings where there is nothing to read.
+        passed: the filter whose cutoff ``chain`` names.
     """
     if "bandwidth" in chain:
         values = low_pass(times, values, chain["bandwidth"])
@@ -80,6 +112,8 @@ def through(chain: Mapping[str, Array], times: Array, values: Array, offset: Arr
         values = resonant(times, values, chain["resonance"], chain["resonance_damping"])
     if "gain_bend" in chain:
         values = values * (1.0 + chain["gain_bend"] * jnp.abs(values))
+    if passed is not None:
+        values = filtered(times, values, chain["cutoff"], passed)
     read, clock = chain["gain"] * values + offset, times[:, None] + chain["time_offset"]
     if "drift" in chain:
         read = read + chain["drift"] * clock
@@ -97,21 +131,45 @@ def _first_order(times: Array, values: Array, rate: Array) -> Array:
     some = steps > 0
     mean = jnp.where(some, -jnp.expm1(-angle) / jnp.where(some, angle, 1.0), 1.0)
     pushed = (mean - keep)[:, None] * values[:-1] + (1.0 - mean)[:, None] * values[1:]
-
-    def compose(first: tuple[Array, Array], second: tuple[Array, Array]) -> tuple[Array, Array]:
-        return first[0] * second[0], second[0] * first[1] + second[1]
-
-    kept, sums = jax.lax.associative_scan(compose, (jnp.broadcast_to(keep[:, None], pushed.shape), pushed))
-    return jnp.concatenate([values[:1].astype(sums.dtype), kept * values[:1] + sums])
+    return _recursion(keep, pushed, values[0])
 
 
-def fine(times: Array, parts: int) -> tuple[Array, Array]:
-    """Times with ``parts`` steps in each of their own, from 0 or before, and where the given ones are among them."""
+def _recursion(keep: Array, pushed: Array, first: Array) -> Array:
+    """u_0 = first (C,), u_n+1 = keep_n u_n + pushed_n, (N + 1, C); keep (N,), pushed (N, C).
+
+    Blocks side by side from 0, then from block to block: some 2 sqrt(N) steps one after the other.
+    """
+    count = keep.size
+    width = math.isqrt(max(count - 1, 0)) + 1
+    rest = -count % width
+    keep = jnp.pad(keep, (0, rest), constant_values=1.0).reshape(-1, width).T[..., None]
+    pushed = jnp.pad(pushed, ((0, rest), (0, 0))).reshape(-1, width, pushed.shape[1]).transpose(1, 0, 2)
+
+    def inside(
+        state: tuple[Array, Array], step: tuple[Array, Array]
+    ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        state = step[0] * state[0], step[0] * state[1] + step[1]
+        return state, state
+
+    begin = jnp.ones_like(keep[0]), jnp.zeros_like(pushed[0])
+    (kept, sums), (each_kept, each_sum) = jax.lax.scan(inside, begin, (keep, pushed))
+    across = lambda u, block: (block[0] * u + block[1], u)  # noqa: E731
+    starts = jax.lax.scan(across, first.astype(sums.dtype), (kept, sums))[1]
+    found = (each_kept * starts + each_sum).transpose(1, 0, 2).reshape(-1, first.size)[:count]
+    return jnp.concatenate([first.astype(found.dtype)[None], found])
+
+
+def fine(times: Array, parts: int, beyond: float = 0.0) -> tuple[Array, Array]:
+    """Times with ``parts`` steps in each of their own, from 0 or before, and where the given ones are among them.
+
+    ``beyond``: by which share of their span they go on after the last.
+    """
     first = jnp.linspace(jnp.minimum(times[0], 0.0), times[0], 8 * parts, endpoint=False)
     steps = jnp.arange(parts) / parts
     between = (times[:-1, None] + jnp.diff(times)[:, None] * steps).ravel()
     places = 8 * parts + parts * jnp.arange(times.size)
-    return jnp.concatenate([first, between, times[-1:]]), places
+    after = times[-1] + beyond * (times[-1] - times[0]) * jnp.arange(1, 8 * parts + 1 if beyond else 1) / (8 * parts)
+    return jnp.concatenate([first, between, times[-1:], after]), places
 
 
 def measured(scene: AbstractModel, observed: ObservedFeatures, found: Histories) -> Array:

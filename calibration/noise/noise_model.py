@@ -3,7 +3,8 @@
 With weighted residuals r, their Jacobian J and the projection M = 1 - J (J^T J)^-1 J^T, a channel's deviation obeys
 sigma^2 = |M r|^2 / (n - leverage) over its own samples: with one channel, cost over degrees of freedom. A correlation
 time minimises the restricted likelihood, the deviations following. Noise that grows with the reading is taken at the
-model's reading, so that what was measured does not weigh itself. A deviation that is no larger than the integrator's
+model's reading, so that what was measured does not weigh itself. Records whose errors scatter differently by more than a
+factor of three have their deviations in that ratio. A deviation that is no larger than the integrator's
 error (``integration.Limit``) is not noise that was seen. Nothing here searches: the model is linear about a point.
 """
 
@@ -18,11 +19,14 @@ from scipy.optimize import minimize_scalar
 
 from calibration.forward.integration import Limit
 from calibration.forward.model import Model, evaluation
+from calibration.noise.scatter import scatter
 from calibration.problem import Channel, Experiment
 
 # Beyond so many deviations a sample is no noise to a robust loss.
 OUTLYING = 4.0
 _LEAST_CORRELATION = 0.02
+# Deviations of records that differ by more are not one; errors of which less is scatter show a miss, not the noise.
+_APART, _WHITE = 3.0, 0.2
 
 
 class Estimate(NamedTuple):
@@ -132,7 +136,19 @@ def _series(
             at = read[i, j, own], experiment.times[own]
             deviation = np.ones(own.size) if channel.sigma is None else channel.deviation(*at)
             found.append(_Series((i, j), channel, own, gaps, shaped[i, j, own], slopes[i, j, own], deviation))
+    for name in {s.channel.observes for s in found if s.channel.sigma is None}:
+        mine = [k for k, s in enumerate(found) if s.channel.sigma is None and s.channel.observes == name]
+        for k, share in zip(mine, _ratios([found[k].error for k in mine]), strict=True):
+            found[k] = found[k]._replace(deviation=found[k].deviation * share)
     return found, (errors[read.size :], jacobian[read.size :])
+
+
+def _ratios(errors: list[np.ndarray]) -> np.ndarray:
+    """Deviations of records over their geometric mean, where they clearly differ and are what errors are made of; else 1."""
+    each, size = np.array([scatter(e) for e in errors]), np.array([float(np.std(e)) for e in errors])
+    if np.any(each <= _WHITE * size) or not np.all(each > 0) or each.max() < _APART * each.min():
+        return np.ones(each.size)
+    return each / np.exp(np.mean(np.log(each)))
 
 
 def _deviation(s: _Series, sigma: dict[str, float]) -> np.ndarray:

@@ -31,7 +31,7 @@ from bcfj_jax.io.units import quantity
 from bcfj_jax.mechanism.channels import unit_of
 from calibration.fit import Fit, fit, with_budget
 from calibration.problem import NUISANCES, Problem, nuisances, units_of
-from calibration.problemfile import FreeTable, free_of
+from calibration.problemfile import FreeTable, free_of, options_of
 from calibration.selection.choice import Choice, choose
 from calibration.selection.next_experiment import Candidate, Gain, next_experiment
 
@@ -137,7 +137,9 @@ def candidates(path: Path, problem: Problem) -> list[Candidate]:
 def _model(entry: _Model, content: dict[str, Any], path: Path, problem: Problem) -> Alternative:
     where = f"{path}: [[model]] '{entry.name}'"
     named = content["scene"]
-    table = tables.read(path.parent / named) if named.endswith(".toml") else {"scene": {"kind": named}}
+    own = {name for e in problem.experiments for name in e.fixed} | {f.name for f in problem.free}
+    built_in = {"scene": {"kind": named, **options_of(named, own)}}
+    table = tables.read(path.parent / named) if named.endswith(".toml") else built_in
     options = {**table["scene"], **entry.scene}
     model = scenefile.model({**table, "scene": options}, where)
     known = model.quantities

@@ -1,0 +1,162 @@
+"""Records behind a low-pass: does a verdict that is sure hold the truth, whether the filter is stated or not?
+
+One contact by SciPy, behind a Butterworth or Bessel filter of order 1 to 8, causal or run forwards and backwards, made by
+``scipy.signal`` at a higher rate, with a cut-off between 0.5 and 20 times the contact's own frequency 1/(2 T); then noise.
+The problem file says nothing of it, its kind, or its kind and cut-off, in turn. False is a verdict ``identified`` or
+``adequate`` with a printed interval of a coefficient or the reference force that excludes the truth.
+
+    python -m benchmarks.calibration.filters [--records 200] [--minutes 5] [--stated nothing]
+
+keeps results/filters.json.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import signal
+from scipy.integrate import solve_ivp
+
+from bcfj_jax import InputError
+from benchmarks.common import save
+from calibration import Fit, fit
+from calibration.problemfile import load
+
+TRUTH = {"stiffness": 5e6, "exponent": 1.4, "damping": 0.2}
+MASS, SPEED, SAMPLES, FINER = 0.6, 0.9, 300, 16
+STATED = ("nothing", "kind", "kind and cut-off")
+FILE = """scene = "impact"
+{filter}
+[[experiment]]
+file = "run.csv"
+time = "time [s]"
+observe = {{ "contact.normal" = "force [N]" }}
+align = "onset"
+noise = "estimate"
+parameters = {{ mass = "{mass} kg", approach_speed = "{speed} m/s" }}
+[free]
+stiffness = [1e5, 3e8]
+exponent = [1.0, 2.5]
+damping = [0.01, 3.0]
+"""
+
+
+def contact(times: np.ndarray) -> tuple[np.ndarray, float]:
+    """Force (T,) of a contact from time 0 on, and its duration [s]."""
+
+    def law(depth: float, rate: float) -> float:
+        return TRUTH["stiffness"] * max(depth, 0.0) ** TRUTH["exponent"] * max(1.0 + TRUTH["damping"] * rate, 0.0)
+
+    run = solve_ivp(
+        lambda t, y: [y[1], -law(y[0], y[1]) / MASS], (0.0, 0.05), [0.0, SPEED], "DOP853", rtol=1e-9, atol=1e-13,
+        max_step=2e-4, dense_output=True,
+    )  # fmt: skip
+    ends = run.t[(run.y[0] < 0.0) & (run.t > 1e-4)]
+    states = run.sol(np.clip(times, 0.0, 0.05))
+    force = np.array([law(d, v) for d, v in states.T]) * (times > 0.0) * (times < ends[0])
+    return force, float(ends[0])
+
+
+def record(seed: int) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
+    """Times (T,), readings (T,) and what the filter was."""
+    rng = np.random.default_rng(seed)
+    duration = contact(np.zeros(1))[1]
+    step = 4.5 * duration / SAMPLES
+    fine = -1.5 * duration + step / FINER * np.arange(SAMPLES * FINER) + step * rng.uniform()
+    ratio = float(np.exp(rng.uniform(np.log(0.5), np.log(20.0))))
+    what = {
+        "kind": str(rng.choice(["butterworth", "bessel"])), "order": int(rng.integers(1, 9)),
+        "zero_phase": bool(rng.integers(2)), "cutoff": ratio / (2.0 * duration),
+    }  # fmt: skip
+    if what["kind"] == "butterworth":
+        sections = signal.butter(what["order"], what["cutoff"], fs=FINER / step, output="sos")
+    else:
+        sections = signal.bessel(what["order"], what["cutoff"], fs=FINER / step, output="sos", norm="mag")
+    run = signal.sosfiltfilt if what["zero_phase"] else signal.sosfilt
+    smooth = np.asarray(run(sections, contact(fine)[0]))[::FINER]
+    noise = float(rng.choice([0.003, 0.01, 0.03]))
+    read = smooth + noise * smooth.max() * rng.standard_normal(smooth.size)
+    return fine[::FINER] - fine[0], read, what | {"ratio": ratio, "noise": noise}
+
+
+def stated(what: dict[str, Any], how: str) -> str:
+    """The line of the problem file."""
+    if how == "nothing":
+        return ""
+    cutoff = f', cutoff = "{what["cutoff"]:.6g} Hz"' if how == STATED[2] else ""
+    back = str(what["zero_phase"]).lower()
+    return f'filter = {{ kind = "{what["kind"]}", order = {what["order"]}, zero_phase = {back}{cutoff} }}'
+
+
+def missed(found: Fit) -> list[str]:
+    """What printed intervals exclude."""
+    wrong = [n for n, true in TRUTH.items() if (e := found.parameters[n].ci95) and not e[0] <= true <= e[1]]
+    at = found.reference
+    if at and at.ci95:
+        true = TRUTH["stiffness"] * at.penetration ** TRUTH["exponent"]
+        wrong += [] if at.ci95[0] <= true <= at.ci95[1] else ["reference force"]
+    return wrong
+
+
+def one(seed: int, folder: Path, how: str) -> dict[str, Any]:
+    """A row: the filter, what was stated, the verdict, and what it gets wrong."""
+    times, read, what = record(seed)
+    np.savetxt(
+        folder / "run.csv", np.stack([times, read], axis=1), "%.9g", ",", header="time [s],force [N]", comments=""
+    )
+    (folder / "run.toml").write_text(FILE.format(filter=stated(what, how), mass=MASS, speed=SPEED))
+    row = {"seed": seed, **what, "stated": how}
+    try:
+        found = fit(load(folder / "run.toml"), seed=seed)
+    except InputError as error:
+        return row | {"verdict": "refused", "wrong": [], "why": str(error)[:200]}
+    values = {name: found.parameters[name].value for name in TRUTH}
+    sure = found.verdict in ("identified", "adequate")
+    because = found.reasons[0][:160] if found.reasons else ""
+    return row | {
+        "verdict": found.verdict,
+        "wrong": missed(found) if sure else [],
+        "values": values,
+        "because": because,
+    }
+
+
+def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """By what was stated: verdicts, sure ones and false ones."""
+    found = {}
+    for how in dict.fromkeys(r["stated"] for r in rows):
+        own = [r for r in rows if r["stated"] == how]
+        verdicts = [r["verdict"] for r in own]
+        sure = [r for r in own if r["verdict"] in ("identified", "adequate")]
+        found[how] = {
+            "records": len(own), "sure": len(sure), "false": sum(bool(r["wrong"]) for r in sure),
+            "verdicts": {v: verdicts.count(v) for v in sorted(set(verdicts))},
+        }  # fmt: skip
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--records", type=int, default=200)
+    parser.add_argument("--minutes", type=float, default=5.0)
+    parser.add_argument("--stated", nargs="*", default=STATED, choices=STATED)
+    options = parser.parse_args()
+    begin, rows = time.perf_counter(), []
+    with tempfile.TemporaryDirectory() as folder:
+        for seed in range(options.records):
+            rows.append(one(seed, Path(folder), options.stated[seed % len(options.stated)]))
+            print({k: v for k, v in rows[-1].items() if k != "seed"}, flush=True)
+            if time.perf_counter() - begin > 60.0 * options.minutes:
+                break
+    found = summary(rows)
+    print(found)
+    save("filters", {"seconds": time.perf_counter() - begin, "summary": found, "rows": rows})
+
+
+if __name__ == "__main__":
+    main()

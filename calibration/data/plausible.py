@@ -1,0 +1,107 @@
+"""Whether mass, speed and force of an impact agree with each other, asked of the record before anything is fitted.
+
+Of a body of the mass m that strikes at the speed v and leaves at e v the force has the impulse J = m v (1 + e), whatever the
+law: J/(m v) lies between 1 and 2. Where both bodies are free, m is their effective mass m1 m2/(m1 + m2).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from bcfj_jax import InputError
+from bcfj_jax.io.units import column, format_si, scale_of
+from calibration.data.events import contacts
+from calibration.data.preparation import Prepared
+from calibration.data.table import Table
+from calibration.noise.scatter import scatter
+
+# J/(m v) and what it may be missed by; so much of the level of rest may be wrong over a contact, of the peak.
+_LEAST, _MOST, _MARGIN, _LEVEL = 1.0, 2.0, 0.03, 0.01
+# A mass is that of a column of accelerations to this share; a force explains such a column from this correlation on.
+_SAME, _ALIKE = 0.25, 0.7
+
+
+def effective(mass: float, struck: float | None) -> float:
+    """Mass [kg] that a contact feels: m, or m M/(m + M) where a free body of mass M is struck."""
+    return mass if struck is None else mass * struck / (mass + struck)
+
+
+def impulse(record: Prepared, mass: float, speed: tuple[float, float]) -> str:
+    """Why an impact's mass [kg] and the bounds of its speed [m/s] contradict its impulse; "" where they do not.
+
+    Nothing is said of a record whose first contact is not whole, and of one that does not show the normal force alone.
+    """
+    reading = record.readings.get("contact.normal")
+    if reading is None or not speed[0] > 0.0 or not mass > 0.0:
+        return ""
+    seen = np.isfinite(reading.values)
+    clock, values = record.times[seen], reading.values[seen]
+    found = contacts("contact.normal", record.times, reading.values)
+    if not found or clock.size < 8:
+        return ""
+    first = found[0]
+    longer = max(0.25 * first.duration, 2.0 * first.step)
+    end = first.end + longer if len(found) == 1 else min(first.end + longer, found[1].before)
+    inside = (clock >= first.begin - longer) & (clock <= end)
+    before = values[clock < first.begin - longer]
+    if before.size < 4 or clock[-1] < end:
+        return ""
+    pushed = float(np.trapezoid(values[inside] - np.mean(before), clock[inside]))
+    noise = scatter(values)
+    span = first.duration + 2.0 * longer
+    doubt = 3.0 * noise * float(np.sqrt(span * first.step + span**2 / before.size)) + _LEVEL * first.peak * span
+    low, high = (pushed - doubt) / (mass * speed[1]), (pushed + doubt) / (mass * speed[0])
+    if high > _LEAST - _MARGIN and low < _MOST + _MARGIN:
+        return ""
+    ratio = pushed / (mass * float(np.sqrt(speed[0] * speed[1])))
+    return (
+        f"{record.name}: impulse / (mass x speed) is {ratio:.3g}, and 1 + e is 1 to 2: mass ({format_si(mass, 'kg', 3)}), "
+        "speed, a unit or the gain is wrong; where both bodies are free, give mass and struck_mass, or their effective mass "
+        "m1 m2/(m1 + m2)"
+    )
+
+
+def other_body(record: Prepared, part: Table, observe: Mapping[str, str], mass: float) -> str:
+    """Why a mass [kg] may be of the wrong body, where force alone is read and the speed is not known; "" where nothing says so.
+
+    A column of accelerations that is not fitted and goes with the force is of one body. That this mass is the effective one
+    needs the other body to be held.
+    """
+    reading = record.readings.get("contact.normal")
+    if reading is None:
+        return ""
+    taken = {header.removeprefix("-").strip() for header in observe.values()}
+    force = reading.raw - np.nanmedian(reading.raw)
+    for header in part.header:
+        if header in taken or not _is_acceleration(header):
+            continue
+        try:
+            read = part.numbers(header, "m/s^2", part.name, blank=True)
+        except InputError:
+            continue
+        both = np.isfinite(force) & np.isfinite(read)
+        read = read - np.nanmedian(read)
+        square = float(read[both] @ read[both])
+        product, size = float(force[both] @ read[both]), float(force[both] @ force[both])
+        if not square > 0.0 or abs(product) < _ALIKE * np.sqrt(square * size):
+            continue
+        # By the force, whose noise is the smaller share, and by the acceleration: noise of either pulls one of them down.
+        ends = sorted((abs(product) / square, size / abs(product)))
+        if ends[0] * (1.0 - _SAME) <= mass <= ends[1] * (1.0 + _SAME):
+            return (
+                f"{record.name}: the mass given, {format_si(mass, 'kg', 3)}, is force over '{header}', the mass of the "
+                "body with that sensor, and forces alone do not show whether the other body is free: then the contact feels "
+                "m1 m2/(m1 + m2), and the stiffness is wrong by a power of it. Give mass and struck_mass (the mass of the "
+                'body that is struck), or say how well the mass is known, as in "4 kg +- 1 %", or give the speed'
+            )
+    return ""
+
+
+def _is_acceleration(header: str) -> bool:
+    unit = column(header)[1]
+    try:
+        return bool(unit) and bool(scale_of(str(unit), "m/s^2", header))
+    except InputError:
+        return False

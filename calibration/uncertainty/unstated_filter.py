@@ -1,0 +1,303 @@
+"""Whether a record tells a low-pass that nobody stated from the law: amplifiers and recorders smooth what they store.
+
+The fit is repeated with low-passes of several kinds, each with its cut-off held at ever lower frequencies and all other
+coordinates free. With S the sum of squares there and S_min the least of all, the plain fit among them, a cut-off is not
+excluded where
+
+    m ln(S / S_min) < 5.99,    m = n (1 - c) / (1 + c),
+
+(95 % of chi-square for two numbers: the cut-off, and which filter), n samples whose residuals at the best fit correlate by c
+from one to the next. With all deviations stated, S - S_min takes that place where it is less. What the estimates are at
+those cut-offs is one more kind of interval, "filter": the hull of z(f) +- h(f) sqrt(1 - D(f)/5.99), z the estimates, h their
+half widths and D the left side above. Where the plain fit itself is excluded by more than 10, a filter is there, or a law that
+looks like one: the record does not say which.
+
+The filter works on the predictions of the compiled model, sampled as finely as a contact needs, without its delay, which
+the record's clock holds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+from scipy.interpolate import interp1d
+from scipy.optimize import least_squares
+from scipy.signal import lfilter
+
+from bcfj_jax.io.units import format_si
+from calibration.diagnostics.residual_tests import Series
+from calibration.filters import Filter
+from calibration.forward.coordinates import Coordinate
+from calibration.forward.model import Model, evaluation
+from calibration.problem import Experiment
+from calibration.search.refinement import FAILED_RESIDUAL, End
+from calibration.uncertainty.estimates import placed
+
+# Filters that stand for all of order 1 to 8.
+FILTERS = (
+    Filter("butterworth", 2, True), Filter("butterworth", 4, True), Filter("butterworth", 1, True),
+    Filter("butterworth", 8, True), Filter("butterworth", 2), Filter("butterworth", 1), Filter("butterworth", 4),
+    Filter("butterworth", 8), Filter("bessel", 4),
+)  # fmt: skip
+# Cut-offs over a contact's duration, and between two of them so many points.
+_FASTEST, _SLOWEST, _RATIO, _BETWEEN = 45.0, 0.2, 2.0**0.5, 4
+# Samples that a contact needs, and where the search for slower filters ends.
+_SAMPLES, _HOPELESS = 100, 60.0
+# Samples of all records together up to which they are made finer; beyond them every second filter stands for all.
+_MOST = 6000
+ALLOWED, DECISIVE = 5.99, 10.0
+# Name of the kind of interval.
+KIND = "filter"
+# A contact says at least so much of a filter, however residuals correlate.
+_FEWEST = 12.0
+
+
+class Tried(NamedTuple):
+    """A fit with one filter, or with none: its cut-off [Hz], unit-box point (P,), sum of squares, residuals and Jacobian."""
+
+    filter: Filter | None
+    cutoff: float
+    point: np.ndarray
+    square: float
+    residuals: np.ndarray
+    jacobian: np.ndarray
+
+
+class Ambiguity(NamedTuple):
+    """What unstated filters make of a fit.
+
+    Attributes:
+        best: the fit of least squares.
+        plain: D of the fit without a filter.
+        low, high: (K,) ends of the hull, of each coordinate on its scale and, last, of the logarithm of the reference
+            force where that is searched; infinite where the slowest filter of all is not excluded.
+        slowest: of the filters that are not excluded the one with the lowest cut-off; None where all are.
+    """
+
+    best: Tried
+    plain: float
+    low: np.ndarray
+    high: np.ndarray
+    slowest: Tried | None
+
+    @property
+    def decisive(self) -> bool:
+        """Whether the record excludes the fit without a filter."""
+        return self.plain >= DECISIVE
+
+    def ends(self, k: int, ci95: tuple[float, float], axis: Coordinate | None = None) -> tuple[float, float]:
+        """Hull of estimate k with the interval that it has, within the bounds of its axis, SI; None: a logarithm."""
+        log = axis is None or axis.log
+        low, high = np.log(ci95) if log else ci95
+        low, high = min(low, self.low[k]), max(high, self.high[k])
+        if axis is not None:
+            low, high = np.clip((low, high), axis.lower, axis.upper)
+        return (float(np.exp(low)), float(np.exp(high))) if log else (float(low), float(high))
+
+
+class _Sampled:
+    """Predictions of a model and their derivatives, filtered: residuals and Jacobian as the model weighs them."""
+
+    def __init__(self, model: Model, experiments: tuple[Experiment, ...], log_depth: float, duration: float) -> None:
+        d = model.data
+        self.model, self.log_depth, self.counts = model, log_depth, [e.times.size for e in experiments]
+        steps = [float(np.median(np.diff(e.times))) for e in experiments if e.times.size > 1]
+        wanted = int(np.ceil(_SAMPLES * max(steps) / duration))
+        self.parts = max(1, min(wanted, _MOST // sum(self.counts)))
+        self.filters = FILTERS if sum(self.counts) <= _MOST else FILTERS[::2]
+        self.weights, self.memory = np.asarray(d.weights), np.asarray(d.memory)
+        self.values, self.previous = np.asarray(d.values), np.asarray(d.previous)
+        bare = eqx.tree_at(
+            lambda m: (m.data.values, m.data.weights, m.data.memory),
+            model,
+            (np.zeros_like(self.values), np.ones_like(self.weights), np.zeros_like(self.memory)),
+        )
+        times = np.asarray(d.times)
+        between = np.zeros_like(times)
+        for i, count in enumerate(self.counts):
+            own = np.diff(times[i, :count])
+            between[i, : count - 1], between[i, count - 1] = own, np.median(own)
+        self.clocks = [times + between * k / self.parts for k in range(self.parts)]
+        self.models = [eqx.tree_at(lambda m, t=clock: m.data.times, bare, clock) for clock in self.clocks]
+
+    def at(self, point: np.ndarray, passed: Filter, cutoff: float) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals (N,) and their Jacobian (N, P); not finite where the simulation fails."""
+        count, shape = point.size, self.weights.shape
+        rows = []
+        for model in self.models:
+            found = evaluation(model)(point[None], self.log_depth)
+            size = int(np.prod(shape))
+            both = np.concatenate([found.residuals[0][:size, None], found.jacobians[0][:size]], axis=1)
+            rows.append(both.reshape(*shape, count + 1))
+        if not all(np.isfinite(row).all() for row in rows):
+            return np.full(int(np.prod(shape)), np.nan), np.zeros((int(np.prod(shape)), count))
+        read = np.zeros((*shape, count + 1))
+        for i, own in enumerate(self.counts):
+            clock = np.stack([c[i, :own] for c in self.clocks], axis=1).ravel()
+            values = np.stack([row[i, :, :own] for row in rows], axis=2).reshape(shape[1], own * self.parts, -1)
+            read[i, :, :own] = _passed(clock, values, self.clocks[0][i, :own], passed, cutoff)
+        weighed = np.where(self.weights[..., None] > 0, read, 0.0) * self.weights[..., None]
+        weighed[..., 0] -= np.where(self.weights > 0, self.values, 0.0) * self.weights
+        before = np.take_along_axis(weighed, self.previous[..., None], axis=2)
+        white = (weighed - self.memory[..., None] * before) / np.sqrt(1.0 - self.memory[..., None] ** 2)
+        white = np.where(self.weights[..., None] > 0, white, 0.0).reshape(-1, count + 1)
+        return white[:, 0], white[:, 1:]
+
+    def fitted(self, point: np.ndarray, passed: Filter, cutoff: float) -> Tried:
+        """The least squares with a filter, from a point on; the clock is not bound, for its bounds know no filter."""
+        seen: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+
+        def evaluate(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            if u.tobytes() not in seen:
+                seen.clear()
+                residuals, jacobian = self.at(u, passed, cutoff)
+                failed = np.full_like(residuals, FAILED_RESIDUAL)
+                seen[u.tobytes()] = (residuals, jacobian) if np.isfinite(residuals).all() else (failed, jacobian)
+            return seen[u.tobytes()]
+
+        clock = np.array([axis.name == "time_offset" for axis in self.model.coordinates])
+        result = least_squares(
+            lambda u: evaluate(u)[0],
+            np.where(clock, point, np.clip(point, 1e-9, 1.0 - 1e-9)),
+            jac=lambda u: evaluate(u)[1],  # pyright: ignore[reportArgumentType]
+            bounds=(np.where(clock, -np.inf, 0.0), np.where(clock, np.inf, 1.0)),
+            x_scale="jac", ftol=1e-5, xtol=1e-6, max_nfev=15,
+        )  # fmt: skip
+        residuals, jacobian = evaluate(result.x)
+        return Tried(passed, cutoff, result.x, float(residuals @ residuals), residuals, jacobian)
+
+
+def _passed(clock: np.ndarray, values: np.ndarray, times: np.ndarray, passed: Filter, cutoff: float) -> np.ndarray:
+    """Values (C, N, M) at a clock (N,) behind a filter without its delay, at times (T,): (C, T, M); at rest outside."""
+    step, beyond = float(np.median(np.diff(clock))), 2.0 / cutoff
+    span = float(clock[-1] - clock[0])
+    beyond = min(beyond, span)
+    even = np.arange(clock[0] - beyond, clock[-1] + beyond + step, step)
+    signal = _at(even, clock, values)
+    signal = _once(signal, passed, cutoff, step)
+    if passed.zero_phase:
+        signal = _once(signal[:, ::-1], passed, cutoff, step)[:, ::-1]
+    return _at(times + passed.delay / cutoff, even, signal)
+
+
+def _at(times: np.ndarray, clock: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Values (C, N, M) at other times, linear between those of the clock and constant outside."""
+    places = np.interp(times, clock, np.arange(clock.size, dtype=float))
+    low = np.minimum(places.astype(int), max(clock.size - 2, 0))
+    share = (places - low)[:, None]
+    return values[:, low] * (1.0 - share) + values[:, low + 1] * share
+
+
+def _once(values: np.ndarray, passed: Filter, cutoff: float, step: float) -> np.ndarray:
+    """One pass over even samples (C, N, M), exact for an input that is linear between them."""
+    moved, found = values - values[:, :1], np.zeros(values.shape)
+    for rate, weight in zip(*passed.terms, strict=True):
+        if weight:
+            angle = 2.0 * np.pi * cutoff * rate * step
+            keep = np.exp(-angle)
+            mean = -np.expm1(-angle) / angle
+            found += (weight * lfilter([1.0 - mean, mean - keep], [1.0, -keep], moved, axis=1)).real
+    return found + values[:, :1]
+
+
+def ambiguity(
+    model: Model, experiments: tuple[Experiment, ...], series: list[Series], end: End, log_depth: float,
+    halves: np.ndarray,
+) -> Ambiguity | None:  # fmt: skip
+    """What filters leave open; None where the model has no contact.
+
+    Args:
+        model, experiments: what was fitted, with the weights of its noise.
+        series, end: of the optimum.
+        log_depth: ln of the reference penetration [m].
+        halves: (K,) half widths of the intervals there, as of ``Ambiguity.low``.
+    """
+    longest = [s.longest for s in series if np.isfinite(s.longest) and s.longest > 0.0]
+    if not longest:
+        return None
+    plain = Tried(None, np.inf, end.point, float(end.residuals @ end.residuals), end.residuals, end.jacobian)
+    chains = _chains(_Sampled(model, experiments, log_depth, max(longest)), plain, series, max(longest))
+    best = min((one for chain in chains for one in chain), key=lambda one: one.square)
+    low, high = np.full(halves.size, np.inf), np.full(halves.size, -np.inf)
+    slowest: Tried | None = None
+    own = _scaled(model, plain, end, log_depth)[1]
+    for chain in chains:
+        places, deviations = map(np.stack, zip(*(_scaled(model, one, end, log_depth) for one in chain), strict=True))
+        excess = np.array([_excess(one, best, series) for one in chain])
+        # Between two cut-offs as on a straight line.
+        at = np.linspace(0.0, len(chain) - 1.0, (len(chain) - 1) * _BETWEEN + 1)
+        between = lambda y, at=at: interp1d(np.arange(y.shape[0]), y, axis=0)(at)  # noqa: E731
+        over = between(excess)
+        kept = over < ALLOWED
+        reach = halves * (between(deviations) / own) * np.sqrt(1.0 - np.minimum(over, ALLOWED) / ALLOWED)[:, None]
+        low = np.min([low, *(between(places) - reach)[kept]], axis=0)
+        high = np.max([high, *(between(places) + reach)[kept]], axis=0)
+        for one, over_it in zip(chain[1:], excess[1:], strict=True):
+            if over_it < ALLOWED and (slowest is None or one.cutoff < slowest.cutoff):
+                slowest = one
+        if excess[-1] < ALLOWED:
+            low, high = np.full(halves.size, -np.inf), np.full(halves.size, np.inf)
+    return Ambiguity(best, _excess(plain, best, series), low, high, slowest)
+
+
+def _chains(sampled: _Sampled, plain: Tried, series: list[Series], duration: float) -> list[list[Tried]]:
+    """Of each filter the plain fit, and fits at ever lower cut-offs, as far down as they may explain the record."""
+    count = int(np.log(_FASTEST / _SLOWEST) / np.log(_RATIO)) + 1
+    chains, best = [], plain
+    for passed in sampled.filters:
+        chains.append([plain])
+        for cutoff in _FASTEST / duration / _RATIO ** np.arange(count):
+            chains[-1].append(sampled.fitted(chains[-1][-1].point, passed, float(cutoff)))
+            best = min(best, chains[-1][-1], key=lambda one: one.square)
+            if _excess(chains[-1][-1], best, series) > _HOPELESS:
+                break
+    return chains
+
+
+def _excess(one: Tried, best: Tried, series: list[Series]) -> float:
+    """D of one fit against the best."""
+    rows, own = [s.rows for s in series], best.residuals
+    pairs, size = sum(float(own[r[1:]] @ own[r[:-1]]) for r in rows), sum(float(own[r] @ own[r]) for r in rows)
+    kept = min(max(pairs / size, 0.0), 0.999) if size > 0 else 0.0
+    samples = sum(r.size for r in rows)
+    count = max(samples * (1.0 - kept) / (1.0 + kept), min(_FEWEST, samples))
+    by_size = count * float(np.log(max(one.square, 1e-300) / max(best.square, 1e-300)))
+    return by_size if any(s.estimated for s in series) else min(by_size, one.square - best.square)
+
+
+def _scaled(model: Model, one: Tried, end: End, log_depth: float) -> tuple[np.ndarray, np.ndarray]:
+    """Estimates (K,) on their scales, and their deviations for residuals of variance 1."""
+    z, slopes = placed(model, replace(end, point=one.point), log_depth)
+    if model.referenced:
+        lower, width = model.box(log_depth)
+        k = model.pair()[0]
+        z, slopes = np.append(z, lower[k] + one.point[k] * width[k]), np.vstack([slopes, np.diag(width)[k]])
+    size = np.linalg.norm(one.jacobian, axis=0)
+    size = np.where(size > 0, size, 1.0)
+    covariance = np.linalg.pinv((one.jacobian / size).T @ (one.jacobian / size), rcond=1e-12) / np.outer(size, size)
+    return z, np.sqrt(np.einsum("kp,pq,kq->k", slopes, covariance, slopes))
+
+
+REMEDY = (
+    'What helps: state the low-pass of amplifier and recorder, filter = { kind = "butterworth", order = 2, zero_phase = false, '
+    'cutoff = "1 kHz" }, or filter = "none" where there is none; or record with a wider one, and faster'
+)
+
+
+def seen(found: Ambiguity) -> str:
+    """Of a decisive one in words: the filter that explains the record better."""
+    one = found.best
+    return (
+        f"the record shows a filter, or a law that looks like one: a {one.filter} at {format_si(one.cutoff, 'Hz', 2)} "
+        "explains it decisively better than the law alone"
+    )
+
+
+def hidden(found: Ambiguity) -> str:
+    """Of one that is not decisive: the slowest filter that explains the record as well."""
+    one = found.slowest
+    slow = f"a {one.filter} at {format_si(one.cutoff, 'Hz', 2)}" if one else "a filter"
+    return f"the record does not distinguish a filter from the law: {slow} explains it as well as none"

@@ -1,0 +1,267 @@
+"""Records that may mislead: wrong samples, loud noise, two free bodies, wrong masses, too many samples, weight.
+
+Contacts are SciPy's, of F = K d^n (1 + a d') without regularisation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from typer.testing import CliRunner
+
+import bcfj_jax as bj
+from bcfj_jax.cli import app
+from calibration import Channel, Experiment, Free, Problem, fit, load
+from calibration.data.events import alone, contacts
+from calibration.data.preparation import _first_contact as onset
+from calibration.diagnostics.signatures import weight
+from calibration.noise.noise_model import _ratios as ratios
+from calibration.noise.scatter import scatter
+from calibration.problemfile import prepared
+
+pytestmark = pytest.mark.filterwarnings("error")
+TRUTH = {"stiffness": 3e6, "exponent": 1.45, "damping": 0.22}
+TOUCH = 11.3e-3
+FILE = """scene = "impact"
+[[experiment]]
+file = "run.csv"
+time = "time [s]"
+observe = {{ "contact.normal" = "force [N]" }}
+noise = "estimate"
+align = "onset"
+parameters = {{ {known} }}
+[free]
+stiffness = [1e5, 3e9]
+exponent = [1.0, 2.5]
+damping = [0.005, 5.0]
+{more}
+"""
+
+
+def law(depth: float, rate: float) -> float:
+    elastic = TRUTH["stiffness"] * max(depth, 0.0) ** TRUTH["exponent"]
+    return elastic * max(1.0 + TRUTH["damping"] * rate, 0.0)
+
+
+def pair(times: np.ndarray, mass: float, struck: float, speed: float) -> tuple[np.ndarray, np.ndarray]:
+    """Force (T,), and acceleration (T,) of the struck body, of two free bodies that touch at TOUCH."""
+    run = solve_ivp(
+        lambda t, y: [y[2], y[3], -law(y[0] - y[1], y[2] - y[3]) / mass, law(y[0] - y[1], y[2] - y[3]) / struck],
+        (0.0, 0.04), [0.0, 0.0, speed, 0.0], "DOP853", rtol=1e-10, atol=1e-13, max_step=1e-4, dense_output=True,
+    )  # fmt: skip
+    state = run.sol(np.clip(times - TOUCH, 0.0, 0.04))
+    force = np.array([law(a - b, u - v) for a, b, u, v in state.T]) * (times > TOUCH)
+    return force, force / struck
+
+
+def pulse(times: np.ndarray, mass: float = 0.5, speed: float = 1.0) -> np.ndarray:
+    return pair(times, mass, 1e12, speed)[0]
+
+
+def duration(force: np.ndarray, times: np.ndarray) -> float:
+    return float(np.ptp(times[force > 0.0]))
+
+
+CLOCK = np.arange(0.0, 0.05, 1e-4)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e4])
+@pytest.mark.parametrize("height", [-6.0, -1.2, 0.4, 1.5, 8.0])
+def test_one_wrong_sample_moves_no_onset(height, scale):
+    force = pulse(CLOCK)
+    read = force + 0.004 * force.max() * np.random.default_rng(2).standard_normal(CLOCK.size)
+    expected = onset(CLOCK, "contact.normal", scale * read, "here")
+    for at in (3, 40, 80, 400):
+        wrong = read.copy()
+        wrong[at] = height * force.max()
+        assert onset(CLOCK, "contact.normal", scale * wrong, "here") == expected
+        if at < 100 or abs(height) > 1.0:
+            (found,) = contacts("contact.normal", CLOCK, wrong)[:1]
+            assert abs(found.begin - TOUCH) < 0.15 * duration(force, CLOCK)
+            assert np.flatnonzero(alone(wrong)).tolist() == [at]
+
+
+def test_no_sample_of_a_contact_is_wrong():
+    for step in (1e-4, 4e-4, 1e-3, 2.2e-3):
+        times = np.arange(0.0, 0.06, step)
+        for shift in np.linspace(0.0, step, 7):
+            assert not alone(pulse(times + shift)).any()
+    # Contacts of one sample or two, and a first one that is the highest.
+    assert not alone(np.array([0.0] * 20 + [9.0] + [0.0] * 9 + [6.0, 4.0] + [0.0] * 9)).any()
+
+
+@pytest.mark.parametrize("level", [0.02, 0.1, 0.2])
+@pytest.mark.parametrize("step", [5e-5, 1.5e-4])
+def test_noise_sets_no_onset(level, step):
+    times = np.arange(0.0, 0.05, step)
+    force = pulse(times)
+    for seed in range(20):
+        read = force + level * force.max() * np.random.default_rng(seed).standard_normal(times.size)
+        late = onset(times, "contact.normal", read, "here") - TOUCH
+        assert abs(late) < 0.2 * duration(force, times)
+
+
+def test_scatter_is_the_noise_and_not_the_signal():
+    force = pulse(np.arange(0.0, 0.05, 5e-5))
+    noise = 3.0 * np.random.default_rng(0).standard_normal(force.size)
+    assert scatter(force + noise) == pytest.approx(3.0, rel=0.15)
+    noise[::97] += 1e4
+    assert scatter(force + noise) == pytest.approx(3.0, rel=0.2)
+    assert scatter(7.0 * (force + noise)) == pytest.approx(7.0 * scatter(force + noise), rel=1e-12)
+
+
+def test_records_of_clearly_different_noise_have_deviations_of_their_own():
+    rng = np.random.default_rng(4)
+    quiet, loud = rng.standard_normal(400), 20.0 * rng.standard_normal(400)
+    found = ratios([quiet, loud])
+    assert found[1] / found[0] == pytest.approx(20.0, rel=0.25) and np.prod(found) == pytest.approx(1.0)
+    assert ratios([quiet, 2.0 * quiet]).tolist() == [1.0, 1.0]
+    # A miss of the law is no noise.
+    assert ratios([quiet, loud + 1e3 * np.sin(np.arange(400) / 30.0)]).tolist() == [1.0, 1.0]
+
+
+def test_two_free_bodies_are_one_of_their_effective_mass_and_keep_their_momentum():
+    params = TRUTH | {"mass": 0.4, "struck_mass": 1.7, "approach_speed": 0.8}
+    times = np.linspace(0.0, 0.02, 401)
+    two, one = bj.scenes.impact(smoothing=False, struck=True), bj.scenes.impact(smoothing=False)
+    ran = bj.simulate(two, two.parameters(params), times)
+    same = one.parameters(TRUTH | {"mass": 0.4 * 1.7 / 2.1, "approach_speed": 0.8})
+    force = np.asarray(ran.force["contact"])[:, 0]
+    np.testing.assert_allclose(force, np.asarray(bj.simulate(one, same, times).force["contact"])[:, 0],
+                               atol=1e-3 * force.max())  # fmt: skip
+    np.testing.assert_allclose(force, pair(times + TOUCH, 0.4, 1.7, 0.8)[0], atol=1e-3 * force.max())
+    names = ("body.velocity.x", "struck.velocity.x")
+    read = bj.reading_history(two, two.parameters(params), times, names)
+    moment = 0.4 * np.asarray(read[names[0]]) + 1.7 * np.asarray(read[names[1]])
+    np.testing.assert_allclose(moment, 0.4 * 0.8, rtol=1e-4)
+
+
+def written(folder: Path, known: str, more: str = "", columns: str = "") -> Problem:
+    force, block = pair(CLOCK, 0.3, 3.5, 1.5)
+    rng = np.random.default_rng(8)
+    rows = [CLOCK, force + 0.004 * force.max() * rng.standard_normal(CLOCK.size)]
+    rows += [block + 0.01 * block.max() * rng.standard_normal(CLOCK.size)] if columns else []
+    np.savetxt(
+        folder / "run.csv", np.stack(rows, axis=1), delimiter=",", header=f"time [s],force [N]{columns}", comments=""
+    )
+    (folder / "run.toml").write_text(FILE.format(known=known, more=more))
+    return load(folder / "run.toml")
+
+
+SPEED_FREE = "approach_speed = [0.02, 9.0]"
+BLOCK = ",block acceleration [m/s^2]"
+
+
+@pytest.mark.parametrize(
+    ("known", "more", "columns", "said"),
+    [
+        ('mass = "3.5 kg", approach_speed = "1.5 m/s"', "", "", "impulse"),
+        ('mass = "0.1 kg", approach_speed = "1.5 m/s"', "", "", "impulse"),
+        ('mass = "3.5 kg"', "approach_speed = [0.5, 9.0]", "", "impulse"),
+        ('mass = "3.5 kg"', SPEED_FREE, BLOCK, "block acceleration"),
+        ('mass = "3.5 kg"', SPEED_FREE, "", ""),
+        ('mass = "3.5 kg +- 1 %"', SPEED_FREE, BLOCK, ""),
+        ('mass = "0.3 kg", struck_mass = "3.5 kg"', SPEED_FREE, BLOCK, ""),
+        ('mass = "0.3 kg", struck_mass = "3.5 kg", approach_speed = "1.5 m/s"', "", BLOCK, ""),
+        ('mass = "0.2763 kg", approach_speed = "1.5 m/s"', "", BLOCK, ""),
+    ],
+)
+def test_masses_that_the_impulse_or_another_sensor_contradicts_are_said(tmp_path, known, more, columns, said):
+    doubts = written(tmp_path, known, more, columns).doubts
+    assert bool(doubts) == bool(said) and all(said in doubt for doubt in doubts)
+
+
+@pytest.mark.full
+def test_with_a_doubt_nothing_is_identified_and_with_both_masses_the_law_is(tmp_path):
+    wrong = fit(written(tmp_path, 'mass = "3.5 kg"', SPEED_FREE, BLOCK))
+    assert wrong.verdict == "not_identified" and "struck_mass" in wrong.reasons[0]
+    assert wrong.parameters["stiffness"].value > 10.0 * TRUTH["stiffness"]
+    assert all(p.ci95 is None for p in wrong.parameters.values())
+    right = fit(written(tmp_path, 'mass = "0.3 kg", struck_mass = "3.5 kg", approach_speed = "1.5 m/s"', "", BLOCK))
+    assert right.verdict == "identified"
+    for name, true in TRUTH.items():
+        low, high = right.parameters[name].ci95
+        assert low < true < high
+
+
+def test_init_takes_no_force_over_acceleration_for_the_mass_of_a_contact(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    written(tmp_path, 'mass = "1 kg", approach_speed = "1 m/s"', "", BLOCK)
+    Path("run.toml").unlink()
+    done = CliRunner().invoke(app, ["init", "calibration", "run.csv"])
+    text = Path("run.toml").read_text()
+    assert done.exit_code == 0 and 'mass = "? kg"' in text and "Force over acceleration is 3." in text
+
+
+def test_the_box_of_init_holds_the_speed_of_every_run(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    speeds, lines = (0.3, 0.9, 2.4, 2.4, 2.4), []
+    for run, speed in enumerate(speeds):
+        lines += [f"{run},{t:.6f},{f:.6g}" for t, f in zip(CLOCK, pulse(CLOCK, 0.5, speed), strict=True)]
+    Path("run.csv").write_text("run,time [s],force [N]\n" + "\n".join(lines) + "\n")
+    assert CliRunner().invoke(app, ["init", "calibration", "run.csv", "--mass", "0.5 kg"]).exit_code == 0
+    (box,) = [f for f in load("run.toml").free if f.name == "approach_speed"]
+    assert box.lower < min(speeds) and max(speeds) < box.upper
+
+
+@pytest.mark.parametrize("noise", ["estimate", "3 N"])
+def test_a_record_of_too_many_samples_keeps_its_contact_and_its_noise(tmp_path, monkeypatch, noise):
+    monkeypatch.chdir(tmp_path)
+    times = np.arange(0.0, 0.14, 2e-6)
+    force = pulse(times)
+    read = force + 3.0 * np.random.default_rng(6).standard_normal(times.size)
+    np.savetxt("run.csv", np.stack([times, read], axis=1), "%.8g", ",", header="time [s],force [N]", comments="")
+    known = 'mass = "0.5 kg", approach_speed = "1 m/s"'
+    Path("run.toml").write_text(FILE.format(known=known, more="").replace('"estimate"', f'"{noise}"'))
+    (record,), problem = prepared("run.toml"), load("run.toml")
+    kept = record.readings["contact.normal"].values
+    assert 500 < record.times.size < 4000 and any("thinned" in note for note in record.notes)
+    clock = record.times + record.first_contact
+    inside = (clock > TOUCH) & (clock < TOUCH + duration(force, times))
+    assert inside.sum() >= 240
+    left = kept - np.interp(clock, times, force)
+    assert np.std(left) == pytest.approx(3.0 / np.sqrt(record.averaged), rel=0.1)
+    sigma = problem.experiments[0].channels[0].sigma
+    assert sigma is None if noise == "estimate" else sigma == pytest.approx(3.0 / np.sqrt(record.averaged))
+    # Remembered noise is not averaged.
+    Path("run.toml").write_text(Path("run.toml").read_text().replace("align", 'correlation = "10 us"\nalign'))
+    assert prepared("run.toml")[0].averaged == 1
+
+
+@pytest.mark.full
+def test_weight_is_in_the_budget_of_an_impact_that_knows_none_and_may_be_asked_for():
+    heavy, plain = bj.scenes.impact(smoothing=False, gravity=True), bj.scenes.impact(smoothing=False)
+    params = {"stiffness": 1e5, "exponent": 1.5, "damping": 0.3, "mass": 0.6, "approach_speed": 0.4}
+    times = np.linspace(-5e-3, 0.09, 500)
+    after = times[times >= 0.0]
+
+    def force(gravity: float) -> np.ndarray:
+        ran = bj.simulate(heavy, heavy.parameters(params | {"gravity": gravity}), after)
+        return np.r_[np.zeros(times.size - after.size), np.asarray(ran.force["contact"])[:, 0]]
+
+    read = force(0.0) + 0.05 * np.random.default_rng(0).standard_normal(times.size)
+    free = tuple(Free(n, 0.2 * params[n], 5.0 * params[n]) for n in ("stiffness", "damping"))
+    runs = (Experiment("drop", times, (Channel("contact.normal", read, 0.05),)),)
+    problem = Problem(plain, {k: float(v) for k, v in plain.parameters(params).items()}, runs, free)
+    found = fit(problem)
+    at = found.optimum
+    seen = 0.05 * weight(at.model, at.series, at.end.point, at.log_depth, 0.02)
+    expected = force(0.02) - force(0.0)
+    assert np.sqrt(np.mean((seen - expected) ** 2)) < 0.05 * np.sqrt(np.mean(expected**2))
+    assert "gravity" in [line.error for line in found.systematic.lines]
+    known = replace(problem, scene=heavy, params=problem.params | {"gravity": 9.81})
+    assert "gravity" not in [line.error for line in fit(known).systematic.lines]
+
+
+def test_gravity_of_an_impact_is_a_scene_of_its_own_where_a_file_names_it(tmp_path):
+    plain = written(tmp_path, 'mass = "0.3 kg", approach_speed = "1.5 m/s"')
+    heavy = written(tmp_path, 'mass = "0.3 kg", approach_speed = "1.5 m/s", gravity = "9.81 m/s^2"')
+    assert "gravity" not in plain.scene.quantities and "gravity" in heavy.scene.quantities
+    # Dropped onto the surface from 0.1 m at rest: sqrt(2 c/g).
+    scene = bj.scenes.impact(gravity=True)
+    at = scene.first_touch({"clearance_contact": 0.1, "approach_speed": 0.0, "gravity": 9.81})
+    assert at == pytest.approx(np.sqrt(0.2 / 9.81))
