@@ -27,6 +27,7 @@ import pydantic
 from jax import Array
 
 from bcfj_jax.contact import laws
+from bcfj_jax.core import limits
 from bcfj_jax.core.errors import InputError, clip, nearest
 from bcfj_jax.core.quantities import check_order, check_value, number
 from bcfj_jax.io import changes, mechanismfile, mechanismtables, programmes, tables, usercode
@@ -77,7 +78,7 @@ class SceneFile:
 
 class _Time(tables.Table):
     end: tables.Number = None
-    samples: int | None = pydantic.Field(default=None, ge=2, le=10_000_000)
+    samples: int | None = pydantic.Field(default=None, ge=2, le=limits.SAMPLES)
     longest_step: tables.Number = None
 
 

@@ -18,8 +18,9 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from bcfj_jax.core import limits
 from bcfj_jax.core.errors import InputError, nearest, quoted
-from bcfj_jax.core.quantities import Quantity
+from bcfj_jax.core.quantities import Quantity, whole
 from bcfj_jax.core.vectors import WORLD, ZERO, Axes, Number, Vector, add, cross, minus, plus, scale, times, turned
 from bcfj_jax.mechanism import sizes
 from bcfj_jax.mechanism.programmes import (
@@ -207,7 +208,9 @@ class Body(eqx.Module):
     inertia: Any = sizes.field("body inertia", default=None)
     start: tuple[tuple[str, Size], ...] = eqx.field(static=True, default=(), converter=lambda s: _items(s))
     drive: Drive | None = None
-    members: int = eqx.field(static=True, default=0)
+    members: int = eqx.field(
+        static=True, default=0, converter=lambda n: whole("body members", n, least=0, most=limits.MEMBERS)
+    )
 
     def __check_init__(self):
         where = f"body {quoted(self.name)}"

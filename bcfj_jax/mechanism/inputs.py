@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.core import Tracer
@@ -148,6 +149,19 @@ def parameters(scene: AbstractModel, given: Any, where: str = "", traced: bool =
             raise InputError(where, f"{name} is traced", remedy)
     scene.require(found, where)
     return found
+
+
+def poisoned(scene: AbstractModel, given: Mapping[str, Array]) -> dict[str, Array]:
+    """Values of one run, all NaN where one that is traced is out of its range: so is then the run from its first instant.
+
+    Under jit and vmap nothing can be refused. A run whose parameters are not finite ends in some twenty attempts.
+    """
+    known: Mapping[str, Quantity] = scene.quantities
+    inside = [jnp.all(known[name].valid(value)) for name, value in given.items() if isinstance(value, Tracer)]
+    if not inside:
+        return dict(given)
+    factor = jnp.where(jnp.all(jnp.stack(inside)), 1.0, jnp.nan)
+    return {name: value * factor for name, value in given.items()}
 
 
 def _misshapen(where: str, name: str, shape: tuple[int, ...], remedy: str) -> InputError:

@@ -23,8 +23,9 @@ from jax.typing import ArrayLike
 from bcfj_jax.contact.gaps import Face
 from bcfj_jax.contact.normal import IMPERFECT, AbstractLaw, Imperfect
 from bcfj_jax.contact.wrench import ContactForce, press
+from bcfj_jax.core import limits
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.core.quantities import CATALOGUE, Quantity
+from bcfj_jax.core.quantities import CATALOGUE, Quantity, whole
 from bcfj_jax.core.shapes import Drawing
 from bcfj_jax.core.status import OK
 from bcfj_jax.core.vectors import (
@@ -105,7 +106,9 @@ class Mechanism(AbstractModel):
     own: tuple[tuple[Quantity, Any], ...] = eqx.field(static=True, converter=lambda x: quantities("own", x), default=())
     given: tuple[tuple[str, float], ...] = eqx.field(static=True, converter=lambda x: _sorted(x), default=())
     end: Any = sizes.field("end", default=1.0)
-    samples: int = eqx.field(static=True, default=2001)
+    samples: int = eqx.field(
+        static=True, default=2001, converter=lambda n: whole("samples", n, least=2, most=limits.SAMPLES)
+    )
     scale: Callable[..., Array] | None = eqx.field(static=True, default=None)
     more: Callable[..., dict[str, float]] | None = eqx.field(static=True, default=None)
     implicit: bool | None = eqx.field(static=True, default=None)

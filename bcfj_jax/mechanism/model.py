@@ -8,6 +8,7 @@ of float64 scalars that may be traced, batched and differentiated.
 from __future__ import annotations
 
 import dataclasses
+import textwrap
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -274,6 +275,15 @@ class AbstractModel(eqx.Module):
         )
 
     __hash__ = eqx.Module.__hash__
+
+    def __repr__(self) -> str:
+        """What it is made of, by name: a few lines of at most 100 characters, whatever its size."""
+        parts = {"bodies": self.body_names, "contacts": self.members, "parameters": self.quantities}
+        lines = [
+            f"{label}: {textwrap.shorten(', '.join(names), 85, placeholder=' ...')}" for label, names in parts.items()
+        ]
+        counted = ", ".join(f"{len(names)} {label}" for label, names in parts.items())
+        return "\n  ".join([f"<{type(self).__name__} '{self.title}': {counted}", *lines]) + ">"
 
     # What it is.
 

@@ -122,7 +122,8 @@ def force_history(
 
     jit, vmap, pmap, shard_map, jvp, grad and second derivatives (hessian) go through. Step-size control is never
     differentiated. A run that is differentiated ends steps where contacts begin and end, and is as accurate as asked,
-    derivatives too. A failed run is NaN from the failure on; so is then every loss built on it.
+    derivatives too. A failed run is NaN from the failure on; so is then every loss built on it. A parameter out of its
+    range raises ``InputError``, and under jit and vmap, where nothing can be raised, makes all of the run NaN.
 
     Args:
         scene: static structure.
@@ -196,7 +197,7 @@ def _given(
     """What a pure function was given, checked where it is concrete."""
     make_room()
     how = accuracy if isinstance(accuracy, Plan) else plan(inputs.model(scene), accuracy)
-    found = inputs.parameters(inputs.model(scene), params)
+    found = inputs.poisoned(scene, inputs.parameters(inputs.model(scene), params))
     return {name: jnp.asarray(value) for name, value in found.items()}, instants(times), how
 
 

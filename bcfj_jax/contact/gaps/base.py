@@ -23,8 +23,9 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.contact.part import Part
+from bcfj_jax.core import limits
 from bcfj_jax.core.errors import InputError, nearest
-from bcfj_jax.core.quantities import Quantity
+from bcfj_jax.core.quantities import Quantity, whole
 from bcfj_jax.core.shapes import Mesh
 from bcfj_jax.core.vectors import ZERO, Axes, Number, Vector, array, seen, subtract, turned
 
@@ -210,6 +211,15 @@ def one_of(option: str, value: Any, known: Iterable[str]) -> None:
     known = tuple(known)
     if value not in known:
         raise InputError(f"gap, option '{option}'", f"no {option} '{value}'", nearest(str(value), known))
+
+
+def counted(option: str, value: Any) -> int:
+    """A number of members as an ``int``; 0 leaves it to the bodies.
+
+    Raises:
+        InputError: for what is none.
+    """
+    return whole(f"gap, option '{option}'", value, least=0, most=limits.MEMBERS)
 
 
 def yes_or_no(option: str, value: Any) -> None:
