@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from bcfj_jax.core.errors import QUOTED, InputError, quoted
+from bcfj_jax.core.inside import Tracer
 from bcfj_jax.core.upward import upward
 
 

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.core import Tracer
 
 from bcfj_jax.core.errors import InputError, nearest, quoted
+from bcfj_jax.core.inside import Tracer
 from bcfj_jax.core.quantities import CATALOGUE, Quantity, check_order, number
 from bcfj_jax.mechanism.arrays import expanded
 

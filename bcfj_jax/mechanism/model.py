@@ -80,6 +80,7 @@ class BodyMotion(NamedTuple):
         spin, spin_rate: (..., 3) angular velocity and its rate [rad/s, rad/s^2]; None likewise.
         angle: (...,) turn of a body that has one axis [rad]; None for the rest.
         drive: (...,) force or torque of its drive [N, N m]; None for a body without one.
+        joint: (...,) coordinates of its joint and their rates, by the names that a start has for them.
     """
 
     place: Array
@@ -90,6 +91,7 @@ class BodyMotion(NamedTuple):
     spin_rate: Array | None = None
     angle: Array | None = None
     drive: Array | None = None
+    joint: Mapping[str, Array] = {}
 
 
 class Pose(NamedTuple):

@@ -11,10 +11,10 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from bcfj_jax.core.errors import InputError, nearest, quoted
+from bcfj_jax.core.inside import Tracer
 from bcfj_jax.core.quantities import Quantity, whole
 from bcfj_jax.core.upward import upward
 from bcfj_jax.mechanism.model import AbstractModel

@@ -45,6 +45,24 @@ def test_hessians_are_differences_of_gradients(mode):
     np.testing.assert_allclose(found, (ends[0] - ends[1]) / (2 * step), rtol=2e-3)
 
 
+DERIVATIVES = {"grad": jax.grad, "jacfwd": jax.jacfwd, "jacrev": jax.jacrev, "jvp": lambda f: lambda x: jax.jvp(f, (x,), (x,))[1],
+               "hessian": jax.hessian}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "name", ["jacfwd", *(pytest.param(n, marks=pytest.mark.full) for n in DERIVATIVES if n != "jacfwd")]
+)
+def test_derivatives_of_a_batch_are_those_of_its_runs(name):
+    """vmap of a derivative and the derivative of a vmap, compiled and not, against one run after the other."""
+    x, derivative = jnp.array([[0.5, 0.1], [0.3, 0.2]]), DERIVATIVES[name](lambda x: total(x, "auto"))
+    one = jnp.stack([jax.jit(derivative)(row) for row in x])
+    np.testing.assert_allclose(jax.vmap(derivative)(x), one, rtol=1e-6)
+    np.testing.assert_allclose(jax.jit(jax.vmap(derivative))(x), one, rtol=1e-6)
+    if name in ("jacfwd", "jacrev"):
+        both = DERIVATIVES[name](lambda x: jax.vmap(lambda row: total(row, "auto"))(x))(x)
+        np.testing.assert_allclose(jnp.stack([both[i, i] for i in range(2)]), one, rtol=1e-6)
+
+
 @pytest.mark.full
 def test_reverse_alone_names_the_mode_to_use():
     for use in (jax.jacfwd, jax.hessian):
