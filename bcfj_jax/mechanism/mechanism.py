@@ -49,6 +49,7 @@ from bcfj_jax.mechanism.model import (
     AbstractModel,
     Account,
     Approaches,
+    Bodies,
     BodyMotion,
     Flows,
     ModelTraits,
@@ -592,6 +593,13 @@ class Mechanism(AbstractModel):
             found = f"none of its drives turns: {', '.join(b.name for b in self._driven)}"
             raise InputError(f"scene '{self.kind}'", found, "give the period, or interval and settle")
         return super().period(params)
+
+    def bodies_at(self, params: Params, contact: str) -> Bodies:
+        """By the sizes that the contact's gap reads."""
+        found = next(one for one in self.contacts if one.name == contact)
+        read = found.coefficients(params)
+        c = {name: float(np.min(np.asarray(read[name]))) for name in found.gap.needs}
+        return Bodies(found.gap.size(c), found.gap.radius(c))
 
     def coordinates(self) -> dict[str, tuple[int, int]]:
         """By ``<body>.<coordinate>``; a body of one coordinate by its name."""

@@ -94,6 +94,18 @@ class BodyMotion(NamedTuple):
     joint: Mapping[str, Array] = {}
 
 
+class Bodies(NamedTuple):
+    """Lengths of the bodies at a contact; None where they are not known.
+
+    Attributes:
+        size: least length of the bodies at the contact, a radius or half a side [m].
+        radius: relative radius, 1/R = 1/R_1 + 1/R_2, of bodies that touch at a point of two equal curvatures [m].
+    """
+
+    size: float | None = None
+    radius: float | None = None
+
+
 class Pose(NamedTuple):
     """Where a body is drawn: (..., 3) its origin [m], (..., 3, 3) its axes as columns; a body with members has (k, ...)."""
 
@@ -545,6 +557,11 @@ class AbstractModel(eqx.Module):
         """What a run (``solve.simulation.Run``) says against the model's own assumptions."""
         del params, run
         return []
+
+    def bodies_at(self, params: Params, contact: str) -> Bodies:
+        """How large the bodies at a contact are, as far as the model reads it. On the host."""
+        del params, contact
+        return Bodies()
 
     def settled_from(self, params: Params) -> float:
         """Time [s] from which the promised error holds: 0 unless the model forgets its start first.

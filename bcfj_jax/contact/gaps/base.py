@@ -34,6 +34,10 @@ Coefficients = Mapping[str, Array]
 ROUND = 1e-12
 
 
+# Lengths of bodies among the sizes that gaps read.
+_OF_BODIES = ("radius", "radius_a", "radius_b", "ball_radius", "half_length", "half_width")
+
+
 class Frame(NamedTuple):
     """A marker on a body: its place [m] and its body's axes, as columns, in world components."""
 
@@ -138,6 +142,15 @@ class Ground(bj.gaps.AbstractGap):
         """What bends the penetration's course near contact (``Bends``); where not known, every step is looked at."""
         del c
         return Bends(0.0)
+
+    def size(self, c: Mapping[str, float]) -> float | None:
+        """Least length of a body that it reads [m], a radius or half a side; None where it reads none. ``c`` holds numbers."""
+        return min((c[name] for name in self.needs if name in _OF_BODIES), default=None)
+
+    def radius(self, c: Mapping[str, float]) -> float | None:
+        """Relative radius R of bodies that touch at a point of two equal curvatures, 1/R = 1/R_1 + 1/R_2 [m]; else None."""
+        del c
+        return None
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
         """Direction that a force's axial component is read along, less its part along the normal: a's z axis.

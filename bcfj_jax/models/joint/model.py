@@ -23,6 +23,7 @@ from bcfj_jax.core.shapes import Drawing
 from bcfj_jax.core.status import OK, UNBALANCED
 from bcfj_jax.mechanism.model import (
     AbstractModel,
+    Bodies,
     BodyMotion,
     Coarser,
     Flows,
@@ -285,6 +286,11 @@ class JointModel(Joint):
     def warnings(self, params: Params, run: Any) -> list[str]:
         """``validity.warnings``."""
         return validity.warnings(self, params, run)
+
+    def bodies_at(self, params: Params, contact: str) -> Bodies:
+        """A ball, which is the smallest body at every contact that it has, and thinner than any other at the rest."""
+        del contact
+        return Bodies(float(params["ball_radius"]))
 
     def settled_from(self, params: Params) -> float:
         """When the load has risen and a ball's pitch has passed."""
