@@ -458,7 +458,7 @@ def _gap(given: str | dict[str, Any], place: str) -> tuple[AbstractGap, Any]:
     kind = given if isinstance(given, str) else given.get("kind")
     if kind is None:
         raise InputError(f"{place}.kind", "the key 'kind' is missing", f"give one of {', '.join(GAPS)}")
-    if kind not in GAPS:
+    if not isinstance(kind, str) or kind not in GAPS:
         raise InputError(place, f"no gap '{kind}'", nearest(str(kind), GAPS) + usercode.hint())
     try:
         gap = make_gap(kind, **options)

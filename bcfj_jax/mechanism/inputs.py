@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.typing import ArrayLike
 
 from bcfj_jax.core.errors import InputError, nearest, quoted
 from bcfj_jax.core.inside import Tracer
@@ -151,17 +152,14 @@ def parameters(scene: AbstractModel, given: Any, where: str = "", traced: bool =
     return found
 
 
-def poisoned(scene: AbstractModel, given: Mapping[str, Array]) -> dict[str, Array]:
-    """Values of one run, all NaN where one that is traced is out of its range: so is then the run from its first instant.
+def poison(scene: AbstractModel, given: Mapping[str, Array]) -> ArrayLike:
+    """What the values of one run and all that comes of them are multiplied by: NaN where a traced one is out of range, else 1.
 
     Under jit and vmap nothing can be refused. A run whose parameters are not finite ends in some twenty attempts.
     """
     known: Mapping[str, Quantity] = scene.quantities
     inside = [jnp.all(known[name].valid(value)) for name, value in given.items() if isinstance(value, Tracer)]
-    if not inside:
-        return dict(given)
-    factor = jnp.where(jnp.all(jnp.stack(inside)), 1.0, jnp.nan)
-    return {name: value * factor for name, value in given.items()}
+    return jnp.where(jnp.all(jnp.stack(inside)), 1.0, jnp.nan) if inside else 1.0
 
 
 def _misshapen(where: str, name: str, shape: tuple[int, ...], remedy: str) -> InputError:
