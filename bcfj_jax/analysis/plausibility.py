@@ -81,7 +81,7 @@ def of_contact(
     return [Finding(contact, PRESSURE, float(pressure), ISO_76)] if pressure > ISO_76 else []
 
 
-def at(model: AbstractModel, params: Params, times: np.ndarray) -> list[Finding]:
+def at(model: AbstractModel, params: Mapping[str, Any], times: np.ndarray) -> list[Finding]:
     """As ``of_run``, of a run at the level "fast"; nothing where it cannot be made."""
     try:
         return of_run(model, params, simulate(model, params, times, accuracy="fast"))

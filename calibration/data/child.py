@@ -237,8 +237,8 @@ def sheets(file: str, wanted: str) -> dict[str, list]:
         with zipfile.ZipFile(file) as archive:
             size = sum(part.file_size for part in archive.infolist())
         if size > _UNPACKED:
-            found = f"it unpacks to {size / 2**20:.3g} MB, more than the {_UNPACKED / 2**20:.3g} MB read here"
-            raise Refused(found, "write it as Parquet or HDF5")
+            large = f"it unpacks to {size / 2**20:.3g} MB, more than the {_UNPACKED / 2**20:.3g} MB read here"
+            raise Refused(large, "write it as Parquet or HDF5")
     with python_calamine.CalamineWorkbook.from_path(file) as book:
         names = book.sheet_names
         read = [wanted] if wanted in names else [] if wanted != "*" else names

@@ -136,3 +136,10 @@ def test_every_verb_says_it_first(verb, folder):
     assert "floor is pressed" in first and "unit of the stiffness" in first, done.stdout + done.stderr
     page = json.loads((folder / verb / "report.json").read_text())
     assert page["verdict"]["word"] == "Not plausible"
+
+
+def test_a_run_that_failed_stays_failed(folder):
+    done = run("simulate", str(folder / "ball.toml"), "--set", "accuracy.max_steps=5", "--out", str(folder / "failed"))
+    assert done.exit_code == 3, done.stdout + done.stderr
+    page = json.loads((folder / "failed" / "report.json").read_text())
+    assert page["verdict"]["word"] == "Failed"

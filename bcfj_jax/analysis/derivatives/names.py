@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import fnmatch
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 from jax import Array
@@ -135,7 +135,7 @@ def complete(scene: AbstractModel, params: Params, wrt: Sequence[str]) -> tuple[
     return full, names
 
 
-def in_its_place(params: Params, name: str) -> list[str] | None:
+def in_its_place(params: Collection[str], name: str) -> list[str] | None:
     """Names of the parameters that have a value where this one has none; None where it has one, its own or the shared."""
     if name in params or name.rpartition(".")[2] in params:
         return None

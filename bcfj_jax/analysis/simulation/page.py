@@ -100,7 +100,7 @@ def verdict(run: Run, content: Mapping[str, Any], absurd: Sequence[Finding] = ()
     """
     found = _verdict(run, content)
     if run.status == "failed":
-        return found._replace(sentence=f"{found.sentence} {headline(absurd)}".strip())
+        return Verdict(found.kind, found.word, f"{found.sentence} {headline(absurd)}".strip())
     return judged(absurd, found)
 
 
