@@ -16,3 +16,8 @@ from calibration.problemfile import load as load
 from calibration.selection.choice import choose as choose
 from calibration.selection.next_experiment import Candidate as Candidate
 from calibration.selection.next_experiment import next_experiment as next_experiment
+
+
+def __dir__() -> list[str]:
+    public = ("Fit", "Channel", "Experiment", "Free", "Observation", "Problem", "Candidate")
+    return sorted(["__version__", "fit", "load", "choose", "next_experiment", *public])

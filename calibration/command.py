@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from bcfj_jax import InputError
+from bcfj_jax.analysis import plausibility
 from bcfj_jax.core.extras import library
 from bcfj_jax.core.programs import keep_asked
 from bcfj_jax.core.progress import stage
@@ -95,14 +97,14 @@ def run(
             return FAILED
         except KeyboardInterrupt as stop:
             return _interrupted(folder, path, stop)
-        result = outcome.fit
-        _write(folder, path, outcome, starts, time.perf_counter() - begin, diagnosed)
-        print(text(result))
+        result, absurd = outcome.fit, _absurd(outcome)
+        _write(folder, path, outcome, starts, time.perf_counter() - begin, diagnosed, absurd)
+        print("\n".join(filter(None, [plausibility.headline(absurd), text(result)])))
         for heading, rows in [*_comparisons(outcome), *_explained(outcome, diagnosed)]:
             print(f"\n{heading}\n{report.text(rows)}")
         print(f"\nresults and pictures, all in report.html: {folder}", flush=True)
         with stage("drawing"):
-            _draw(folder, path, outcome, understood, diagnosed)
+            _draw(folder, path, outcome, understood, diagnosed, absurd)
         (folder / _SO_FAR).unlink(missing_ok=True)
         journal.remove()
     keep_asked()
@@ -142,6 +144,17 @@ def _interrupted(folder: Path, path: Path, stop: KeyboardInterrupt) -> int:
         outputs.write_json(folder / _SO_FAR, best)
     print(f"{stop.finished} starts finished; the best so far is in {folder / _SO_FAR}", file=sys.stderr)
     return INTERRUPTED
+
+
+def _absurd(outcome: Outcome) -> list[plausibility.Finding]:
+    """What is not plausible of the longest record that is fitted, as the fitted values run it."""
+    problem, scene = outcome.problem, outcome.problem.scene
+    longest = max(
+        (e for e in problem.experiments if not e.hold_out), key=lambda e: e.times[-1] if e.times.size else 0.0
+    )
+    fitted = {name: p.value for name, p in outcome.fit.parameters.items() if name in scene.quantities}
+    params = {name: x for name, x in {**problem.params, **longest.fixed, **fitted}.items() if name in scene.quantities}
+    return plausibility.at(scene, params, longest.times) if longest.times.size else []
 
 
 def text(result: Fit) -> str:
@@ -322,7 +335,13 @@ def _explained(outcome: Outcome, diagnosed: diagnosis.Diagnosis | None) -> list[
 
 
 def _write(
-    folder: Path, path: Path, outcome: Outcome, starts: int, seconds: float, diagnosed: diagnosis.Diagnosis | None
+    folder: Path,
+    path: Path,
+    outcome: Outcome,
+    starts: int,
+    seconds: float,
+    diagnosed: diagnosis.Diagnosis | None,
+    absurd: Sequence[plausibility.Finding],
 ) -> None:
     """The result. The journal is there until ``_draw`` is done: cut off before, the same command completes the folder."""
     problem, result = outcome.problem, outcome.fit
@@ -337,11 +356,25 @@ def _write(
     if outcome.choice:
         outputs.write_json(folder / "models.json", choice.as_json(outcome.choice))
     said = {"diagnosis": diagnosis_json(diagnosed, result)} if diagnosed else {}
-    outputs.write_json(folder / "fit.json", {**as_json(result), **_compared(outcome), **said, "wall_s": seconds})
+    outputs.write_json(
+        folder / "fit.json",
+        {
+            **as_json(result),
+            "plausibility": plausibility.content(absurd),
+            **_compared(outcome),
+            **said,
+            "wall_s": seconds,
+        },
+    )
 
 
 def _draw(
-    folder: Path, path: Path, outcome: Outcome, understood: list[Prepared], diagnosed: diagnosis.Diagnosis | None
+    folder: Path,
+    path: Path,
+    outcome: Outcome,
+    understood: list[Prepared],
+    diagnosed: diagnosis.Diagnosis | None,
+    absurd: Sequence[plausibility.Finding],
 ) -> None:
     """Pictures, and the report that holds them."""
     from calibration.data import plot as dataplot
@@ -376,10 +409,11 @@ def _draw(
         Table("Data: what was understood of each record", [["record", "what was understood"], *notes]),
     ]
     shown = [one for one in drawn if one is not None]
-    report.write(folder, Page(
-        f"Calibration of {path.name}", page.verdict(result), tuple(shown[:2]), (*result.reasons, *result.notes),
-        tuple(found), tuple(shown[2:]), tuple(folded),
-    ), outcome.base.scene.model_form)  # fmt: skip
+    verdict, words = plausibility.judged(absurd, page.verdict(result)), (*result.reasons, *result.notes)
+    made = Page(
+        f"Calibration of {path.name}", verdict, tuple(shown[:2]), words, tuple(found), tuple(shown[2:]), tuple(folded)
+    )
+    report.write(folder, made, outcome.base.scene.model_form)
 
 
 def _compared(outcome: Outcome) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from bcfj_jax import InputError
-from bcfj_jax.core import presented
+from bcfj_jax.core import limits, presented
 from bcfj_jax.core.errors import quoted
 from bcfj_jax.core.progress import stage
 from bcfj_jax.core.quantities import whole
@@ -148,9 +148,9 @@ def fit(
     if not isinstance(problem, Problem):
         remedy = 'give a calibration.Problem, or calibration.load("problem.toml")'
         raise InputError("calibration.fit", f"{quoted(problem)} is no problem", remedy)
-    if whole("starts", starts) < 4:
+    starts, seed = whole("starts", starts, most=limits.STARTS), whole("seed", seed, least=0)
+    if starts < 4:
         raise InputError("starts", f"{starts}", "use at least 4: agreement of fewer proves nothing")
-    whole("seed", seed, least=0)
     check_kind(intervals)
     influence.refuse_data(problem)
     for doubt in problem.doubts:

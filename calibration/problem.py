@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from bcfj_jax import InputError, nearest
 from bcfj_jax.analysis.derivatives.contact_events import check_followed
-from bcfj_jax.analysis.derivatives.names import event, feature, feature_unit, kind_unit
+from bcfj_jax.analysis.derivatives.names import event, feature, feature_unit, in_its_place, kind_unit
 from bcfj_jax.core.errors import quoted
 from bcfj_jax.core.quantities import Quantity, check_order, real, scalar
 from bcfj_jax.mechanism import inputs
@@ -449,6 +449,11 @@ class Problem:
             )
         if f.log and f.lower <= 0:
             raise InputError(where, f"scale = log with lower = {f.lower:g}", "use positive bounds or scale = 'linear'")
+        own = in_its_place(self.params, f.name) if f.name in self.scene.quantities else None
+        if own is not None:
+            beside = f"[free.{own[0]}]" if own else f"[parameters] {f.name} = ... in the scene file, or params"
+            found = f"'{f.name}' has no value that the search could stand in for"
+            raise InputError(where, found, f"{'write' if own else 'give it in'} {beside}")
 
 
 def _check_experiment(experiment: Experiment, scene: AbstractModel) -> None:

@@ -129,3 +129,9 @@ def test_files_say_what_they_are(path):
 
     look(tree.body)
     assert not missing
+
+
+@pytest.mark.parametrize("path", [p for p in SOURCES if p.name != "inside.py"], ids=named)
+def test_what_jax_may_move_is_imported_in_one_place(path):
+    unstable = ("jax.core", "jax.extend", "jax.interpreters", "jax._src", "jaxlib", "jax.experimental")
+    assert not [name for name in imports(path) if name.startswith(unstable)], "import it in core/inside.py"

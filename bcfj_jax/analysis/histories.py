@@ -19,10 +19,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.inside import Tracer
 from bcfj_jax.core.numerics import power
 from bcfj_jax.core.quantities import increasing
 

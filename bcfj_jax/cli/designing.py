@@ -8,6 +8,7 @@ import typer
 
 from bcfj_jax.cli.base import DONE, SIMULATION_FAILED, app, ready, say, verb
 from bcfj_jax.cli.options import Code, Dry, Out, of_design
+from bcfj_jax.core import limits
 from bcfj_jax.core.errors import InputError
 
 
@@ -29,7 +30,9 @@ def design(
             "again.",
         ),
     ] = None,
-    starts: Annotated[int | None, typer.Option(min=1, help="Number of starting points, by default 8.")] = None,
+    starts: Annotated[
+        int | None, typer.Option(min=1, max=limits.STARTS, help="Number of starting points, by default 8.")
+    ] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Seed of the starting points, by default 0.")] = None,
     confirm: Annotated[bool | None, typer.Option(help="Whether an independent run checks the optimum.")] = None,
     certify: Annotated[bool | None, typer.Option(help="Whether the gradient at the optimum is certified.")] = None,

@@ -12,6 +12,7 @@ import typer
 
 from bcfj_jax.cli.base import DONE, Session, app, ready, verb
 from bcfj_jax.cli.options import SET_ALONE, Code, Dry, Out, of_problem
+from bcfj_jax.core import limits
 
 
 def _unsaid() -> Callable[[logging.LogRecord], bool]:
@@ -35,7 +36,7 @@ def calibrate(
     problem: Annotated[Path, typer.Argument(help="A calibration file.")],
     out: Out = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the starting points.")] = 0,
-    starts: Annotated[int, typer.Option(min=4, help="Number of starting points.")] = 12,
+    starts: Annotated[int, typer.Option(min=4, max=limits.STARTS, help="Number of starting points.")] = 12,
     intervals: Annotated[str, typer.Option(help="covariance, profile or posterior.")] = "covariance",
     diagnose: Annotated[
         bool, typer.Option("--diagnose", help="Say what would explain a miss; confirm by fits.")

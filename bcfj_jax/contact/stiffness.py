@@ -15,6 +15,9 @@ from jax.typing import ArrayLike
 from bcfj_jax.contact.elliptic import associate_integrals
 from bcfj_jax.core.numerics import newton_root, power
 
+# ISO 76: largest pressure of a ball's static load rating [Pa]; a lasting dent of 1e-4 of the ball's diameter.
+ISO_76 = 4.2e9
+
 
 def effective_modulus(modulus_1: ArrayLike, poisson_1: ArrayLike, modulus_2: ArrayLike, poisson_2: ArrayLike) -> Array:
     """E* of  1/E* = (1 - nu1^2)/E1 + (1 - nu2^2)/E2  (Hertz 1881).

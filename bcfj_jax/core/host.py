@@ -12,7 +12,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
+
+from bcfj_jax.core.inside import ClosedJaxpr, Jaxpr, Literal
 
 
 class Unknown(Exception):

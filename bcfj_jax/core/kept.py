@@ -13,8 +13,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jax.extend import core
-from jax.interpreters import ad, batching, mlir
+
+from bcfj_jax.core import inside
+from bcfj_jax.core.inside import Primitive, ad
 
 
 def kept(*values: Array) -> Any:
@@ -40,12 +41,12 @@ def _loop(*values: Array) -> list[Array]:
     return list(jax.lax.while_loop(lambda carry: carry[0], body, (never, *values))[1:])
 
 
-_KEPT = core.Primitive("kept")
+_KEPT = Primitive("kept")
 _KEPT.multiple_results = True
 _KEPT.def_impl(lambda *values: list(values))
 _KEPT.def_abstract_eval(lambda *values: list(values))
-mlir.register_lowering(_KEPT, mlir.lower_fun(_loop, multiple_results=True))
-batching.primitive_batchers[_KEPT] = lambda values, axes: (_KEPT.bind(*values), axes)
+inside.register_lowering(_KEPT, inside.lowered_by(_loop, multiple_results=True))
+inside.batchers[_KEPT] = lambda values, axes: (_KEPT.bind(*values), axes)
 
 
 def _jvp(values: Any, tangents: Any) -> tuple[list[Array], list[Any]]:

@@ -102,12 +102,14 @@ def program(
 
     Returns:
         A function of arguments of the same shapes; it gives the result as NumPy arrays.
+
+    Within ``jax.disable_jit()`` it is compiled all the same: that is for the user's own functions.
     """
     begin = time.perf_counter()
     make_room()
     wanted = _wanted(name, function, static, arguments)._replace(options=dict(options or {}))
     # Another thread may be making it.
-    with _locks.setdefault(wanted.key, threading.Lock()):
+    with _locks.setdefault(wanted.key, threading.Lock()), jax.disable_jit(False):
         found = _loaded.get(wanted.key) or _fetched(wanted) or _made(wanted)
         _loaded[wanted.key] = found
     return found, time.perf_counter() - begin
@@ -124,7 +126,7 @@ def ask(name: str, function: Callable[..., Any], static: tuple[Any, ...], argume
     wanted = _wanted(name, function, static, arguments)
     if (known := _loaded.get(wanted.key)) is not None:
         return known(*arguments)
-    with _locks.setdefault(wanted.key, threading.Lock()):
+    with _locks.setdefault(wanted.key, threading.Lock()), jax.disable_jit(False):
         return _answered(wanted, arguments)
 
 
@@ -255,7 +257,7 @@ def _compiled(call: Callable[..., Any], wanted: _Wanted) -> Callable[..., Any]:
 
     def run(*arguments: Any) -> Any:
         leaves = zip(jax.tree.leaves(arguments), wanted.shapes, strict=True)
-        with stage(f"running '{wanted.name}'"):
+        with stage(f"running '{wanted.name}'"), jax.disable_jit(False):
             return jax.device_get(compiled(*(np.asarray(x, s.dtype) if np.isscalar(x) else x for x, s in leaves)))
 
     return run

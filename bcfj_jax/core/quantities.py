@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from bcfj_jax.core.errors import QUOTED, InputError, quoted
+from bcfj_jax.core.inside import Tracer
 from bcfj_jax.core.upward import upward
 
 
@@ -36,10 +36,10 @@ class Quantity(NamedTuple):
     open_low: bool = False
     shape: tuple[int, ...] = ()
 
-    def valid(self, value: float) -> bool:
-        """Whether a value lies in the range; NaN and infinities never do."""
+    def valid(self, value: Any) -> Any:
+        """Whether a value lies in the range, of an array each number, traced ones too; NaN and infinities never do."""
         above = value > self.low if self.open_low else value >= self.low
-        return math.isfinite(value) and above and value <= self.high
+        return (abs(value) < math.inf) & above & (value <= self.high)
 
     def text(self, value: float, digits: int = 6) -> str:
         """A value as people read it, with its unit where it has one."""

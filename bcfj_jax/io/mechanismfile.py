@@ -427,13 +427,13 @@ def _listed(content: Mapping[str, Any], table: str, where: str) -> list[Mapping[
     return entries
 
 
-def _checked(model: type[M], table: Mapping[str, Any], place: str) -> M:
+def _checked(model: type[M], table: object, place: str) -> M:
     """``tables.validated`` with an entry's place in front of the key."""
     try:
-        return tables.validated(model, dict(table), "@")
+        return tables.validated(model, table, "@")
     except InputError as error:
         key = re.sub(r"^@: (?:\[(.*?)\] )?", lambda m: f"{m[1]}." if m[1] else "", error.where)
-        raise InputError(f"{place} {key}", error.found, error.remedy) from None
+        raise InputError(f"{place} {key}".rstrip(), error.found, error.remedy) from None
 
 
 @contextlib.contextmanager
@@ -458,7 +458,7 @@ def _gap(given: str | dict[str, Any], place: str) -> tuple[AbstractGap, Any]:
     kind = given if isinstance(given, str) else given.get("kind")
     if kind is None:
         raise InputError(f"{place}.kind", "the key 'kind' is missing", f"give one of {', '.join(GAPS)}")
-    if kind not in GAPS:
+    if not isinstance(kind, str) or kind not in GAPS:
         raise InputError(place, f"no gap '{kind}'", nearest(str(kind), GAPS) + usercode.hint())
     try:
         gap = make_gap(kind, **options)

@@ -9,6 +9,7 @@ from typing import Any
 
 import pydantic
 
+from bcfj_jax.core import limits
 from bcfj_jax.io import tables
 from bcfj_jax.mechanism.bodies import GROUND
 
@@ -49,7 +50,7 @@ class BodyTable(tables.Table):
     inertia: Any = None
     start: dict[str, Any] = {}
     drive: DriveTable | None = None
-    members: int = pydantic.Field(default=0, ge=0)
+    members: int = pydantic.Field(default=0, ge=0, le=limits.MEMBERS)
 
 
 class ContactTable(tables.Table):

@@ -27,8 +27,9 @@ import pydantic
 from jax import Array
 
 from bcfj_jax.contact import laws
+from bcfj_jax.core import limits
 from bcfj_jax.core.errors import InputError, clip, nearest
-from bcfj_jax.core.quantities import check_order, check_value, number
+from bcfj_jax.core.quantities import check_order, check_value, scalar
 from bcfj_jax.io import changes, mechanismfile, mechanismtables, programmes, tables, usercode
 from bcfj_jax.io.scenetemplate import template as template
 from bcfj_jax.io.spheres import Spheres
@@ -77,7 +78,7 @@ class SceneFile:
 
 class _Time(tables.Table):
     end: tables.Number = None
-    samples: int | None = pydantic.Field(default=None, ge=2, le=10_000_000)
+    samples: int | None = pydantic.Field(default=None, ge=2, le=limits.SAMPLES)
     longest_step: tables.Number = None
 
 
@@ -199,7 +200,7 @@ def _longest(time: _Time, where: str) -> float | None:
     Raises:
         InputError: for what is no length of time above 0.
     """
-    return None if time.longest_step is None else float(number(f"{where}: [time]", LONGEST, time.longest_step))
+    return None if time.longest_step is None else scalar(f"{where}: [time]", LONGEST, time.longest_step)
 
 
 def _plain(table: Mapping[str, Any]) -> dict[str, Any]:

@@ -134,7 +134,8 @@ def validated(model: type[M], table: object, where: str, inside: str = "") -> M:
         raise InputError(place, f"unknown key '{clip(key)}'", nearest(key, _known(model, problem["loc"][:-1])))
     if problem["type"] == "missing":
         raise InputError(place, f"the key '{key}' is missing", "it must be given")
-    message = problem["msg"].removeprefix("Input should be ")
+    tabled = problem["type"] in ("model_type", "model_attributes_type", "dict_type")
+    message = "a table: keys and values" if tabled else problem["msg"].removeprefix("Input should be ")
     given = problem["input"]
     raise InputError(
         place, f"{clip(repr(given) if isinstance(given, str) else given)} is not accepted", f"give {message}"

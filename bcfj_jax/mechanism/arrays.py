@@ -20,12 +20,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.core import Tracer
 
 from bcfj_jax.contact.friction import AbstractFriction
 from bcfj_jax.contact.normal import AbstractLaw
 from bcfj_jax.contact.part import Part
 from bcfj_jax.core.errors import InputError, quoted
+from bcfj_jax.core.inside import Tracer
 from bcfj_jax.core.quantities import Quantity
 
 P = TypeVar("P")

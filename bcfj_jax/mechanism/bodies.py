@@ -18,8 +18,9 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from bcfj_jax.core import limits
 from bcfj_jax.core.errors import InputError, nearest, quoted
-from bcfj_jax.core.quantities import Quantity
+from bcfj_jax.core.quantities import Quantity, whole
 from bcfj_jax.core.vectors import WORLD, ZERO, Axes, Number, Vector, add, cross, minus, plus, scale, times, turned
 from bcfj_jax.mechanism import sizes
 from bcfj_jax.mechanism.programmes import (
@@ -50,8 +51,8 @@ JOINTS: dict[str, tuple[tuple[str, str, int], ...]] = {
     "free": (("x", "slide", 0), ("y", "slide", 1), ("z", "slide", 2), ("", "ball", 2)),
     "sphere": (("x", "slide", 0), ("y", "slide", 1), ("z", "slide", 2), ("", "spin", 2)),
 }
-_RATES = {"position": "velocity", "angle": "speed", "x": "vx", "y": "vy", "z": "vz"}
-_QUATERNION, _SPINS = ("q0", "q1", "q2", "q3"), ("wx", "wy", "wz")
+RATES = {"position": "velocity", "angle": "speed", "x": "vx", "y": "vy", "z": "vz"}
+QUATERNION, SPINS = ("q0", "q1", "q2", "q3"), ("wx", "wy", "wz")
 
 
 class Drive(eqx.Module):
@@ -207,7 +208,9 @@ class Body(eqx.Module):
     inertia: Any = sizes.field("body inertia", default=None)
     start: tuple[tuple[str, Size], ...] = eqx.field(static=True, default=(), converter=lambda s: _items(s))
     drive: Drive | None = None
-    members: int = eqx.field(static=True, default=0)
+    members: int = eqx.field(
+        static=True, default=0, converter=lambda n: whole("body members", n, least=0, most=limits.MEMBERS)
+    )
 
     def __check_init__(self):
         where = f"body {quoted(self.name)}"
@@ -233,8 +236,15 @@ class Body(eqx.Module):
             )
         for key, _ in self.start:
             if key not in (*self.coordinates, *self.rates):
-                known = (*self.coordinates, *self.rates)
-                raise InputError(f"{where} start", f"no coordinate '{key}'", nearest(key, known))
+                raise self._no_start(f"{where} start", key)
+
+    def _no_start(self, where: str, key: str) -> InputError:
+        """Why the start says nothing by this name."""
+        if self.drive is None:
+            known = (*self.coordinates, *self.rates)
+            return InputError(where, f"the joint '{self.joint}' has no coordinate '{key}'", nearest(key, known))
+        found = f"'{key}' of a body that is driven: its drive says where it is"
+        return InputError(where, found, "give the drive's own 'start', and 'speed' (of a ramp 'first') at time 0")
 
     def _check_inertia(self, where: str) -> None:
         if not isinstance(self.inertia, tuple):
@@ -251,7 +261,7 @@ class Body(eqx.Module):
         """Names of its coordinates in the state; none of a driven body."""
         if self.drive is not None:
             return ()
-        parts = ((name,) if kind in ("slide", "hinge") else _QUATERNION if kind == "ball" else ()
+        parts = ((name,) if kind in ("slide", "hinge") else QUATERNION if kind == "ball" else ()
                  for name, kind, _ in JOINTS[self.joint])  # fmt: skip
         return tuple(name for part in parts for name in part)
 
@@ -260,7 +270,7 @@ class Body(eqx.Module):
         """Names of its velocities in the state."""
         if self.drive is not None:
             return ()
-        parts = ((_RATES[name],) if kind in ("slide", "hinge") else _SPINS for name, kind, _ in JOINTS[self.joint])
+        parts = ((RATES[name],) if kind in ("slide", "hinge") else SPINS for name, kind, _ in JOINTS[self.joint])
         return tuple(name for part in parts for name in part)
 
     @property
@@ -328,7 +338,7 @@ def unit_of(key: str) -> str:
         return "m"
     if key in ("angle",):
         return "rad"
-    return "m/s" if key in ("velocity", "vx", "vy", "vz") else "1" if key in _QUATERNION else "rad/s"
+    return "m/s" if key in ("velocity", "vx", "vy", "vz") else "1" if key in QUATERNION else "rad/s"
 
 
 class Part(NamedTuple):

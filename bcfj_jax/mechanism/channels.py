@@ -7,6 +7,7 @@
     <body>.spin | spin_rate.x|y|z                [rad/s, rad/s^2]
     <body>.angle                                 [rad], of a body with one axis
     <body>.torque | drive                        what its drive exerts [N m or N]
+    <body>.position | velocity | speed | x | ... coordinates of its joint and their rates, as in a body's start
 
 Of a part with members "seat_ball_2" is the second. A vector can be resolved in the axes of a body, as in
 "journal.force.x in rod": the same force looks constant in one frame and turns once a revolution in another. Every reading
@@ -24,12 +25,16 @@ import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.mechanism.bodies import QUATERNION, RATES, SPINS
+from bcfj_jax.mechanism.bodies import unit_of as unit_of_start
 from bcfj_jax.mechanism.model import AbstractModel, BodyMotion, Params, Reading
 
 _OWN = {"normal": 0, "axial": 1, "tangential": 2}
 _SCALARS = {"penetration": "m", "rate": "m/s", "slip": "m/s"}
 _VECTORS = {"place": "m", "velocity": "m/s", "acceleration": "m/s^2", "spin": "rad/s", "spin_rate": "rad/s^2"}
-_TURNS = {"angle": "rad", "torque": "N m", "drive": "N"}
+_DRIVEN = {"torque": "N m", "drive": "N"}
+# The names that a body's start has.
+_JOINT = {key: unit_of_start(key) for key in (*RATES, *RATES.values(), *SPINS, *QUATERNION)}
 
 
 class Channel(NamedTuple):
@@ -58,7 +63,7 @@ class Channel(NamedTuple):
 
 
 _PATTERN = re.compile(
-    rf"\w+\.(?:{'|'.join([*_OWN, *_SCALARS, *_TURNS])}|(?:force|{'|'.join(_VECTORS)})\.[xyz])(?: in \w+)?"
+    rf"\w+\.(?:{'|'.join([*_OWN, *_SCALARS, *_DRIVEN, *_JOINT])}|(?:force|{'|'.join(_VECTORS)})\.[xyz])(?: in \w+)?"
 )
 
 
@@ -75,7 +80,7 @@ def unit_of(name: str) -> str:
 def quantity_of(name: str) -> tuple[str, str]:
     """What an axis calls a reading, and its SI unit, by its name: ("spin rate", "rad/s^2")."""
     what = name.partition(" in ")[0].split(".")[1] if "." in name else ""
-    unit = {**_SCALARS, **_VECTORS, **_TURNS}.get(what)
+    unit = {**_SCALARS, **_VECTORS, **_DRIVEN, **_JOINT}.get(what)
     return (what.replace("_", " "), unit) if unit else ("force", "N")
 
 
@@ -105,7 +110,7 @@ def channel(name: str, model: AbstractModel, frame: str = "", where: str = "read
     if part in contacts:
         known = [*_OWN, *_SCALARS, *(f"force.{k}" for k in "xyz")]
     elif part in bodies:
-        known = [*(f"{v}.{k}" for v in _VECTORS for k in "xyz"), *_TURNS]
+        known = [*(f"{v}.{k}" for v in _VECTORS for k in "xyz"), *_DRIVEN, *_JOINT]
     else:
         known = [*(n for c, k in contacts.items() for n in (c, *(f"{c}_{i + 1}" for i in range(k)))), *bodies]
         raise InputError(where, f"no contact '{part}' and no body of that name", nearest(part, known))
@@ -140,9 +145,13 @@ def _value(c: Channel, contacts: Mapping[str, Reading], bodies: Mapping[str, Bod
             return found.force[..., _OWN[c.what]]
         return _component(c, found.world, bodies) if c.axis else _there(c, getattr(found, c.what))
     motion = bodies[c.part]
-    if c.what in ("torque", "drive"):
+    if c.what in _DRIVEN:
         return _there(c, motion.drive)
-    return _component(c, getattr(motion, c.what), bodies) if c.axis else _there(c, getattr(motion, c.what))
+    if c.axis:
+        return _component(c, getattr(motion, c.what), bodies)
+    if motion.joint and c.what in _JOINT and c.what not in motion.joint:
+        raise InputError("reading", f"the joint of '{c.part}' has no {c.what}", nearest(c.what, motion.joint))
+    return _there(c, motion.joint.get(c.what, motion.angle if c.what == "angle" else None))
 
 
 def _there(c: Channel, value: Any) -> Array:

@@ -10,11 +10,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.core import Tracer
 
 from bcfj_jax.contact.gaps import SphereInSocket, SphereOnSphere
 from bcfj_jax.core import programs
 from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.inside import Tracer
 from bcfj_jax.core.numerics import positive
 from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.arrays import refuse_traced
@@ -148,7 +148,8 @@ class _Recorder(Mapping):
             raise InputError(f"{self.where} body '{missing[0]}' inertia", found, remedy)
         reads = f"; it is read by {', '.join(missing)}" if missing else ""
         beside = f", or {missing[0]}.{name}" if missing else ""
-        raise InputError(self.where, f"the parameter '{name}' has no value{reads}", f"give {name}{beside}")
+        in_file = f"; in a scene file: [parameters] {name} = ..., also of a parameter that is fitted"
+        raise InputError(self.where, f"the parameter '{name}' has no value{reads}", f"give {name}{beside}{in_file}")
 
     def __contains__(self, name: object) -> bool:
         if name in self.values_:

@@ -10,11 +10,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.core import Tracer
+from jax.typing import ArrayLike
 
 from bcfj_jax.core.errors import InputError, nearest, quoted
+from bcfj_jax.core.inside import Tracer
 from bcfj_jax.core.quantities import CATALOGUE, Quantity, check_order, number
 from bcfj_jax.mechanism.arrays import expanded
 
@@ -148,6 +150,16 @@ def parameters(scene: AbstractModel, given: Any, where: str = "", traced: bool =
             raise InputError(where, f"{name} is traced", remedy)
     scene.require(found, where)
     return found
+
+
+def poison(scene: AbstractModel, given: Mapping[str, Array]) -> ArrayLike:
+    """What the values of one run and all that comes of them are multiplied by: NaN where a traced one is out of range, else 1.
+
+    Under jit and vmap nothing can be refused. A run whose parameters are not finite ends in some twenty attempts.
+    """
+    known: Mapping[str, Quantity] = scene.quantities
+    inside = [jnp.all(known[name].valid(value)) for name, value in given.items() if isinstance(value, Tracer)]
+    return jnp.where(jnp.all(jnp.stack(inside)), 1.0, jnp.nan) if inside else 1.0
 
 
 def _misshapen(where: str, name: str, shape: tuple[int, ...], remedy: str) -> InputError:

@@ -29,6 +29,7 @@ from bcfj_jax.core.vectors import (
     unit,
 )  # fmt: skip
 from bcfj_jax.mechanism import equations
+from bcfj_jax.mechanism.bodies import JOINTS, RATES
 from bcfj_jax.mechanism.contacts import Contact
 from bcfj_jax.mechanism.loads import AbstractLoad, JointSpring
 from bcfj_jax.mechanism.model import Account, BodyMotion, Flows, Params, Reading
@@ -96,23 +97,20 @@ def motions(m: Mechanism, t: Array, y: Array, p: Params) -> dict[str, BodyMotion
         gain = add(at.drift, *(scale(rates[j], v) for j, (_, v) in at.partials.items() if j < count))
         turns = m.turning(b.name)
         swirl = add(at.swirl, *(scale(rates[j], w) for j, (w, _) in at.partials.items() if j < count))
-        angle = drive = None
-        if b.joint in ("hinge", "planar", "bearing"):
-            angle = b.drive.position(t, b.name, p) if b.drive else now.q[_angle(m, b.name)]
+        drive, joint = None, {key: now.q[i] for i, (name, key, _) in enumerate(m._placed) if name == b.name}
+        joint |= {key: now.v[j] for j, (name, key, _) in enumerate(m._free) if name == b.name}
         if b.drive is not None:
+            key = JOINTS[b.joint][0][0]
+            joint = dict(zip((key, RATES[key]), b.drive.motion(t, b.name, p), strict=False))
             drive, driven = jnp.asarray(gathered.reaction(driven, rates)), driven + 1
         found[b.name] = BodyMotion(
             place=stacked(at.place, k), velocity=stacked(at.velocity, k), acceleration=stacked(gain, k),
             axes=jnp.stack([stacked(x, k) for x in part.axes], -1) if turns else None,
             spin=stacked(at.spin, k) if turns else None, spin_rate=stacked(swirl, k) if turns else None,
-            angle=None if angle is None else spread(angle, k), drive=drive,
+            angle=None if joint.get("angle") is None else spread(joint["angle"], k), drive=drive,
+            joint={key: spread(jnp.asarray(x), k) for key, x in joint.items()},
         )  # fmt: skip
     return found
-
-
-def _angle(m: Mechanism, body: str) -> int:
-    """Where a body's turn is among the coordinates."""
-    return next(i for i, (name, key, _) in enumerate(m._placed) if name == body and key == "angle")
 
 
 def flows(m: Mechanism, t: Array, y: Array, p: Params) -> Flows:

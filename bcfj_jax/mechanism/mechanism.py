@@ -23,8 +23,9 @@ from jax.typing import ArrayLike
 from bcfj_jax.contact.gaps import AbstractGap, Face
 from bcfj_jax.contact.normal import IMPERFECT, AbstractLaw, Imperfect
 from bcfj_jax.contact.wrench import ContactForce, press
+from bcfj_jax.core import limits
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.core.quantities import CATALOGUE, Quantity
+from bcfj_jax.core.quantities import CATALOGUE, Quantity, whole
 from bcfj_jax.core.shapes import Drawing
 from bcfj_jax.core.status import OK
 from bcfj_jax.core.vectors import (
@@ -48,6 +49,7 @@ from bcfj_jax.mechanism.model import (
     AbstractModel,
     Account,
     Approaches,
+    Bodies,
     BodyMotion,
     Flows,
     ModelTraits,
@@ -105,7 +107,9 @@ class Mechanism(AbstractModel):
     own: tuple[tuple[Quantity, Any], ...] = eqx.field(static=True, converter=lambda x: quantities("own", x), default=())
     given: tuple[tuple[str, float], ...] = eqx.field(static=True, converter=lambda x: _sorted(x), default=())
     end: Any = sizes.field("end", default=1.0)
-    samples: int = eqx.field(static=True, default=2001)
+    samples: int = eqx.field(
+        static=True, default=2001, converter=lambda n: whole("samples", n, least=2, most=limits.SAMPLES)
+    )
     scale: Callable[..., Array] | None = eqx.field(static=True, default=None)
     more: Callable[..., dict[str, float]] | None = eqx.field(static=True, default=None)
     implicit: bool | None = eqx.field(static=True, default=None)
@@ -606,6 +610,13 @@ class Mechanism(AbstractModel):
             found = f"none of its drives turns: {', '.join(b.name for b in self._driven)}"
             raise InputError(f"scene '{self.kind}'", found, "give the period, or interval and settle")
         return super().period(params)
+
+    def bodies_at(self, params: Params, contact: str) -> Bodies:
+        """By the sizes that the contact's gap reads."""
+        found = next(one for one in self.contacts if one.name == contact)
+        read = found.coefficients(params)
+        c = {name: float(np.min(np.asarray(read[name]))) for name in found.gap.needs}
+        return Bodies(found.gap.size(c), found.gap.radius(c))
 
     def coordinates(self) -> dict[str, tuple[int, int]]:
         """By ``<body>.<coordinate>``; a body of one coordinate by its name."""

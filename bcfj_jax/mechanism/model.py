@@ -8,6 +8,7 @@ of float64 scalars that may be traced, batched and differentiated.
 from __future__ import annotations
 
 import dataclasses
+import textwrap
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -79,6 +80,7 @@ class BodyMotion(NamedTuple):
         spin, spin_rate: (..., 3) angular velocity and its rate [rad/s, rad/s^2]; None likewise.
         angle: (...,) turn of a body that has one axis [rad]; None for the rest.
         drive: (...,) force or torque of its drive [N, N m]; None for a body without one.
+        joint: (...,) coordinates of its joint and their rates, by the names that a start has for them.
     """
 
     place: Array
@@ -89,6 +91,19 @@ class BodyMotion(NamedTuple):
     spin_rate: Array | None = None
     angle: Array | None = None
     drive: Array | None = None
+    joint: Mapping[str, Array] = {}
+
+
+class Bodies(NamedTuple):
+    """Lengths of the bodies at a contact; None where they are not known.
+
+    Attributes:
+        size: least length of the bodies at the contact, a radius or half a side [m].
+        radius: relative radius, 1/R = 1/R_1 + 1/R_2, of bodies that touch at a point of two equal curvatures [m].
+    """
+
+    size: float | None = None
+    radius: float | None = None
 
 
 class Pose(NamedTuple):
@@ -274,6 +289,15 @@ class AbstractModel(eqx.Module):
         )
 
     __hash__ = eqx.Module.__hash__
+
+    def __repr__(self) -> str:
+        """What it is made of, by name: a few lines of at most 100 characters, whatever its size."""
+        parts = {"bodies": self.body_names, "contacts": self.members, "parameters": self.quantities}
+        lines = [
+            f"{label}: {textwrap.shorten(', '.join(names), 85, placeholder=' ...')}" for label, names in parts.items()
+        ]
+        counted = ", ".join(f"{len(names)} {label}" for label, names in parts.items())
+        return "\n  ".join([f"<{type(self).__name__} '{self.title}': {counted}", *lines]) + ">"
 
     # What it is.
 
@@ -548,6 +572,11 @@ class AbstractModel(eqx.Module):
         """What a run (``solve.simulation.Run``) says against the model's own assumptions."""
         del params, run
         return []
+
+    def bodies_at(self, params: Params, contact: str) -> Bodies:
+        """How large the bodies at a contact are, as far as the model reads it. On the host."""
+        del params, contact
+        return Bodies()
 
     def settled_from(self, params: Params) -> float:
         """Time [s] from which the promised error holds: 0 unless the model forgets its start first.

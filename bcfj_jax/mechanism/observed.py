@@ -50,7 +50,9 @@ class Observed(AbstractModel):
     check, require, period, coordinates, neutral, envelope, settled_from = map(
         _of, ("check", "require", "period", "coordinates", "neutral", "envelope", "settled_from")
     )
-    recurs, pitch, pitch_before, turned = map(_of, ("recurs", "pitch", "pitch_before", "turned"))
+    recurs, pitch, pitch_before, turned, bodies_at = map(
+        _of, ("recurs", "pitch", "pitch_before", "turned", "bodies_at")
+    )
     choice_options, whole, orbits, variants = map(_of, ("choice_options", "whole", "orbits", "variants"))
     coefficient, canonical, remembered, approaches, misremembered = map(  # pyright: ignore[reportAssignmentType]
         _of, ("coefficient", "canonical", "remembered", "approaches", "misremembered")

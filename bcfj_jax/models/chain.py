@@ -15,6 +15,7 @@ from jax import Array
 
 from bcfj_jax.contact.gaps import SphereOnSphere
 from bcfj_jax.contact.restitution import undamped_duration
+from bcfj_jax.core import limits
 from bcfj_jax.core.quantities import whole
 from bcfj_jax.mechanism.bodies import Body
 from bcfj_jax.mechanism.contacts import Contact
@@ -37,7 +38,7 @@ def chain(count: int = 10, law: str = "hertz", elastic: str | None = None, smoot
         count: number of spheres, 2 or more.
         law, elastic, smoothing: as ``impact``.
     """
-    count = whole("scene 'chain' count", count, least=2, most=1000)
+    count = whole("scene 'chain' count", count, least=2, most=limits.MEMBERS)
     spheres, contacts = [], []
     for i in range(1, count + 1):
         start = {"velocity": "approach_speed"} if i == 1 else {}

@@ -17,12 +17,11 @@ from typing import Any, NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jax.core import ShapedArray
-from jax.extend.core import Primitive
-from jax.interpreters import ad, batching, mlir, partial_eval
 from jax.sharding import AbstractMesh, NamedSharding, PartitionSpec
 
+from bcfj_jax.core import inside
 from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.inside import NOT_MAPPED, Primitive, ShapedArray, ad
 
 X = TypeVar("X")
 Y = TypeVar("Y")
@@ -110,7 +109,7 @@ def _abstract(*operands, points, of):
 
 def _derivative(primals, tangents, *, points, of):
     moving = [i for i, t in enumerate(tangents[:points]) if not isinstance(t, ad.Zero)]
-    split = any(isinstance(t, partial_eval.JaxprTracer) for t in tangents)
+    split = any(inside.to_be_transposed(t) for t in tangents)
 
     def moved(at: Leaves, new: Leaves) -> Leaves:
         return [new[moving.index(i)] if i in moving else x for i, x in enumerate(at)]
@@ -160,12 +159,12 @@ def _transpose(cotangents, *operands, points, of):
 
 
 def _batch(operands, axes, *, points, of):
-    size = next(x.shape[a] for x, a in zip(operands, axes, strict=True) if a is not batching.not_mapped)
-    moved = [x if a is batching.not_mapped else jnp.moveaxis(x, a, 0) for x, a in zip(operands, axes, strict=True)]
-    point_axes = [None if a is batching.not_mapped else 0 for a in axes[:points]]
+    size = next(x.shape[a] for x, a in zip(operands, axes, strict=True) if a is not NOT_MAPPED)
+    moved = [x if a is NOT_MAPPED else jnp.moveaxis(x, a, 0) for x, a in zip(operands, axes, strict=True)]
+    point_axes = [None if a is NOT_MAPPED else 0 for a in axes[:points]]
     # Vectors are broadcast so that the batched map and its transpose have the same shape of arguments.
     vectors = [
-        jnp.broadcast_to(x, (size, *x.shape)) if a is batching.not_mapped else x
+        jnp.broadcast_to(x, (size, *x.shape)) if a is NOT_MAPPED else x
         for x, a in zip(moved[points:], axes[points:], strict=True)
     ]
     # Values beside tangents of several ways are the same for all of them.
@@ -186,24 +185,22 @@ def _batch(operands, axes, *, points, of):
         vectors=wide(of.vectors),
         outs=of.outs[:same] + wide(of.outs[same:]),
     )
-    return _bound([*moved[:points], *vectors], points, batched), [
-        batching.not_mapped if a is None else a for a in out_axes
-    ]
+    return _bound([*moved[:points], *vectors], points, batched), [NOT_MAPPED if a is None else a for a in out_axes]
 
 
 def _lowered(ctx, *operands, **what):
     """Compiled as for one device: nothing within asks what varies between devices."""
     plain = [ShapedArray(a.shape, a.dtype) for a in ctx.avals_in]
     with jax.sharding.use_abstract_mesh(AbstractMesh((), ())):
-        return mlir.lower_fun(_evaluate, multiple_results=True)(ctx.replace(avals_in=plain), *operands, **what)
+        return inside.lowered_by(_evaluate, multiple_results=True)(ctx.replace(avals_in=plain), *operands, **what)
 
 
 _map_p.def_impl(_evaluate)
 _map_p.def_abstract_eval(_abstract)
 ad.primitive_jvps[_map_p] = _derivative
 ad.primitive_transposes[_map_p] = _transpose
-batching.primitive_batchers[_map_p] = _batch
-mlir.register_lowering(_map_p, _lowered)
+inside.batchers[_map_p] = _batch
+inside.register_lowering(_map_p, _lowered)
 
 
 def forward_and_reverse(
@@ -252,11 +249,11 @@ def _no_tangent(*_, **__):
 for _p in (_reverse_only_p, _tangent_p, _gradient_p):
     _p.def_abstract_eval(lambda x: x)
     _p.def_impl(lambda x: x)
-    batching.defvectorized(_p)
-    mlir.register_lowering(_p, lambda _, x: [x])
+    inside.elementwise(_p)
+    inside.register_lowering(_p, lambda _, x: [x])
 _tangent_p.def_impl(_no_tangent)
-mlir.register_lowering(_tangent_p, _no_tangent)
-batching.primitive_batchers[_tangent_p] = ad.primitive_jvps[_gradient_p] = _no_tangent
+inside.register_lowering(_tangent_p, _no_tangent)
+inside.batchers[_tangent_p] = ad.primitive_jvps[_gradient_p] = _no_tangent
 ad.defjvp(_reverse_only_p, lambda dx, _: _tangent_p.bind(dx))
 ad.deflinear2(_tangent_p, lambda ct, _: [ct if isinstance(ct, ad.Zero) else _gradient_p.bind(ct)])
 

@@ -11,10 +11,10 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from bcfj_jax.core.errors import InputError, nearest, quoted
+from bcfj_jax.core.inside import Tracer
 from bcfj_jax.core.quantities import Quantity, whole
 from bcfj_jax.core.upward import upward
 from bcfj_jax.mechanism.model import AbstractModel
@@ -50,7 +50,7 @@ class Plan(eqx.Module):
     """
 
     tolerance: Array
-    max_steps: int = eqx.field(static=True, default=MAX_STEPS)
+    max_steps: int = eqx.field(static=True, default=MAX_STEPS, converter=lambda n: whole("max_steps", n))
     tangents: bool = eqx.field(static=True, default=False)
     solver: str | None = eqx.field(static=True, default=None)
     extremes: bool = eqx.field(static=True, default=False)
@@ -74,7 +74,6 @@ def plan(
             switched JAX back to 32-bit numbers (``benchmarks/solve/precision.py`` says what they would cost).
     """
     check_bits()
-    max_steps = whole("max_steps", max_steps)
     stiff = model.traits.stiff
     named.check(solver, stiff)
     if isinstance(accuracy, Tracer):

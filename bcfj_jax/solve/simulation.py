@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 from bcfj_jax.core import presented
 from bcfj_jax.core.errors import InputError, quoted, texts
 from bcfj_jax.core.programs import make_room, program
-from bcfj_jax.core.quantities import increasing, instants, number
+from bcfj_jax.core.quantities import increasing, instants, scalar
 from bcfj_jax.core.status import NO_FORCE, OK, reason
 from bcfj_jax.core.threads import together
 from bcfj_jax.mechanism import channels, inputs
@@ -123,7 +123,8 @@ def force_history(
 
     jit, vmap, pmap, shard_map, jvp, grad and second derivatives (hessian) go through. Step-size control is never
     differentiated. A run that is differentiated ends steps where contacts begin and end, and is as accurate as asked,
-    derivatives too. A failed run is NaN from the failure on; so is then every loss built on it.
+    derivatives too. A failed run is NaN from the failure on; so is then every loss built on it. A parameter out of its
+    range raises ``InputError``, and under jit and vmap, where nothing can be raised, makes all of the run NaN.
 
     Args:
         scene: static structure.
@@ -138,8 +139,9 @@ def force_history(
     Returns:
         Per contact (T, 3) [N], or (T, k, 3) where the contact has k members: normal, axial, tangential.
     """
-    x = _given(scene, params, times, accuracy)
-    return _differentiable(mode, lambda way, differentiable: lambda x: _forces(way, scene, *x, differentiable), x)
+    x, factor = _given(scene, params, times, accuracy)
+    found = _differentiable(mode, lambda way, differentiable: lambda x: _forces(way, scene, *x, differentiable), x)
+    return {name: force * factor for name, force in found.items()}
 
 
 def _differentiable(mode: Mode, ways: Callable[[Way, bool], Callable[[Any], Any]], x: Any) -> Any:
@@ -175,11 +177,12 @@ def reading_history(
     Raises:
         InputError: for a reading that the model has not, with the nearest that it has.
     """
-    params, t, how = _given(scene, params, times, accuracy)
+    x, factor = _given(scene, params, times, accuracy)
     wanted = _channels(scene, read)
     if mode == "auto":
         raise InputError("mode", "'auto' is of force_history alone", "use forward or reverse")
-    return _differentiable(mode, lambda way, _: lambda x: _histories(way, scene, *x, wanted), (params, t, how))
+    found = _differentiable(mode, lambda way, _: lambda x: _histories(way, scene, *x, wanted), x)
+    return {name: value * factor for name, value in found.items()}
 
 
 @partial(jax.jit, static_argnums=(0, 1, 5))
@@ -193,12 +196,13 @@ def _histories(
 
 def _given(
     scene: AbstractModel, params: Params, times: ArrayLike, accuracy: str | ArrayLike | Plan
-) -> tuple[dict[str, Array], Array, Plan]:
-    """What a pure function was given, checked where it is concrete."""
+) -> tuple[tuple[dict[str, Array], Array, Plan], ArrayLike]:
+    """What a pure function was given, checked where it is concrete, and what it is multiplied by (``inputs.poison``)."""
     make_room()
     how = accuracy if isinstance(accuracy, Plan) else plan(inputs.model(scene), accuracy)
     found = inputs.parameters(inputs.model(scene), params)
-    return {name: jnp.asarray(value) for name, value in found.items()}, instants(times), how
+    factor = inputs.poison(scene, found)
+    return ({name: jnp.asarray(value) * factor for name, value in found.items()}, instants(times), how), factor
 
 
 def _channels(scene: AbstractModel, read: Sequence[str]) -> tuple[Channel, ...]:
@@ -270,7 +274,7 @@ def simulate(
     looked = resolved_peaks and scene.traits.history
     if looked and solver == "bdf":
         raise InputError("resolved_peaks", "with the solver 'bdf'", "leave the solver out, or take rodas3 or sdirk2")
-    longest = np.inf if longest_step is None else number("simulate", LONGEST, longest_step)
+    longest = np.inf if longest_step is None else scalar("simulate", LONGEST, longest_step)
     # What the run steps over, the one that checks it must not step over likewise.
     other = np.minimum(longest, max(float(values[-1]), 0.0) / LOOKS or np.inf)
     plans = (tolerance, longest), (0.1 * tolerance, other)

@@ -11,6 +11,7 @@ scene         loaded; if it is accepted and its scene runs quickly, it is simula
               (../shared/physics.md section 3), computed here from the parameters alone.
 calibration   loaded with its records, as ``bcfj validate`` does
 study         loaded, its points drawn if there are fewer than 100 000
+... values    files that use every table (``wholes``): each of their values in turn replaced by one of every other kind
 csv, ...      records of each data format, read with the columns and units of a good calibration
 journal, ...  what a cut-off job has kept, restored
 
@@ -28,6 +29,7 @@ import signal
 import sys
 import tempfile
 import time
+import tomllib
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -35,11 +37,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import tomli_w
 from scipy.optimize import brentq
 
 from benchmarks.common import RESULTS, ROOT, load, markdown, put_in_readme, save
-from benchmarks.robustness import kept, records
-from benchmarks.robustness.mutations import of_bytes, of_lines, of_toml
+from benchmarks.robustness import kept, records, wholes
+from benchmarks.robustness.mutations import of_bytes, of_lines, of_nodes, of_toml
 
 HANG = 5.0
 # A message may list what is known; the value that it refuses is cut.
@@ -67,21 +70,21 @@ class Hang(BaseException):
 
 @contextmanager
 def limited(seconds: float) -> Iterator[None]:
-    """Interrupt Python code after a time."""
+    """Interrupt Python code after a time of its own, whatever else the machine does; after 12 times that on the wall, end."""
 
     def stop(*_: object) -> None:
         raise Hang
 
-    before = signal.signal(signal.SIGALRM, stop)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    before = signal.signal(signal.SIGPROF, stop)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
     # No signal's handler runs within a library's own loop: then this process ends, and says where.
     faulthandler.dump_traceback_later(12.0 * seconds, exit=True, file=2)
     try:
         yield
     finally:
         faulthandler.cancel_dump_traceback_later()
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)
 
 
 def message_fault(message: str, file: Path, content: bytes) -> str:
@@ -270,7 +273,8 @@ class Target(NamedTuple):
         suffix: of the damaged file's name.
         read: how it is read.
         then: what is done with what was accepted; a text says what is wrong with that.
-        count: number of cases.
+        count: number of cases; of ``wholes`` at most.
+        wholes: contents each of whose values is changed in turn, in place of ``good`` and ``mutate``.
     """
 
     good: list[bytes]
@@ -279,6 +283,7 @@ class Target(NamedTuple):
     read: Callable[[Path], Any]
     then: Callable[[Any], str]
     count: int
+    wholes: tuple[Any, ...] = ()
 
 
 def nothing(found: Any) -> str:
@@ -294,6 +299,7 @@ def damaged_record(rng: np.random.Generator, good: bytes) -> bytes:
 
 def targets(count: int, folder: Path) -> dict[str, Target]:
     """Every kind of file; ``count`` cases of TOML files, a quarter of that of each format of data."""
+    from bcfj_jax.analysis.designs import designfile
     from bcfj_jax.analysis.studies import specification
     from bcfj_jax.io import scenefile
     from calibration import problemfile
@@ -320,6 +326,14 @@ def targets(count: int, folder: Path) -> dict[str, Target]:
         name: Target([text.encode() for text in good], of_toml, ".toml", read, then, count)
         for name, (good, read, then) in files.items()
     }
+    (folder / "whole.csv").write_bytes(records.FORMATS[".csv"]())
+    for name, whole, read in (
+        ("scene values", wholes.MECHANISM, scenefile.load),
+        ("calibration values", wholes.CALIBRATION, problemfile.load),
+        ("study values", wholes.STUDY, specification.load),
+        ("design values", wholes.DESIGN, lambda file: designfile.load(str(file), {})),
+    ):
+        found[name] = Target([whole.encode()], of_toml, ".toml", read, nothing, 2 * count, (tomllib.loads(whole),))
     for suffix, write in records.FORMATS.items():
         found[suffix] = Target([write()], damaged_record, suffix, fitted, nothing, count // 4)
     for name, make in kept.KINDS.items():
@@ -332,10 +346,16 @@ def targets(count: int, folder: Path) -> dict[str, Target]:
 
 def cases(name: str, how: Target, folder: Path, seed: int) -> Iterator[tuple[int, Case]]:
     """The cases of one kind of file, one after the other; each can be made again from the seed and its number."""
+    file = folder / f"{name.strip('.').replace(' ', '_')}_case{how.suffix}"
+    if how.wholes:
+        every = [one for whole in how.wholes for one in of_nodes(whole)]
+        chosen = np.random.default_rng(seed).permutation(len(every))[: how.count]
+        for k in sorted(chosen.tolist()):
+            yield k, run_case(how.read, how.then, file, tomli_w.dumps(every[k][1]).encode())
+        return
     for k in range(how.count):
         rng = np.random.default_rng([seed, k, len(name)])
-        content = how.mutate(rng, how.good[k % len(how.good)])
-        yield k, run_case(how.read, how.then, folder / f"{name.strip('.')}_case{how.suffix}", content)
+        yield k, run_case(how.read, how.then, file, how.mutate(rng, how.good[k % len(how.good)]))
 
 
 def one_kind(target: str, how: Target, folder: Path, seed: int) -> dict[str, Any]:
@@ -353,7 +373,7 @@ def one_kind(target: str, how: Target, folder: Path, seed: int) -> dict[str, Any
     # With that of the processes that read files in this one's stead.
     memory = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     return {
-        "cases": how.count, "accepted": ended["accepted"], "refused": ended["refused"], "faults": sum(bad.values()),
+        "cases": sum(ended.values()), "accepted": ended["accepted"], "refused": ended["refused"], "faults": sum(bad.values()),
         "of": bad, "slowest to read [s]": round(slowest, 3), "simulated": getattr(how.then, "runs", 0),
         "compared": getattr(how.then, "compared", 0), "highest memory [GB]": round(memory / 1024**2, 3),
     }  # fmt: skip

@@ -6,7 +6,8 @@ A mutation is drawn from a NumPy generator, so that every case can be made again
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 
@@ -158,3 +159,54 @@ def of_toml(rng: Rng, good: bytes) -> bytes:
                 lines[at] = _OF_A_LINE[int(rng.integers(0, len(_OF_A_LINE)))](rng, lines[at])
     made = ("\n".join(lines) + "\n").encode("utf-8", "surrogatepass")
     return b"\xef\xbb\xbf" + made if rng.random() < 0.02 else made
+
+
+# What may stand in the place of any value of a file, each of another kind.
+OF_ANOTHER_KIND: tuple[Any, ...] = (
+    "z", "", "nan", "1e400 m", 0, -1, 10**18, 1.5, float("nan"), float("inf"), -1e300, True, [], ["a"], [1, 2], [[1.0], [2.0]],
+    [{}], {}, {"a": 1}, {"kind": "z"}, {"name": []},
+)  # fmt: skip
+
+
+def of_nodes(content: Any) -> Iterator[tuple[str, Any]]:
+    """Every value of a file's content, tables and lists too, replaced by each of ``OF_ANOTHER_KIND``, taken out, or named anew.
+
+    The content is that of ``tomllib``; what comes out is (the path and the value in words, the changed content), to be written
+    by ``tomli_w``.
+    """
+    for path in _paths(content):
+        where = ".".join(map(str, path))
+        for value in OF_ANOTHER_KIND:
+            yield f"{where} = {value!r}", _changed(content, path, value)
+        yield f"{where} taken out", _changed(content, path, _OUT)
+        if isinstance(path[-1], str):
+            yield f"{where} misspelt", _changed(content, (*path[:-1], f"{path[-1]}x"), _at(content, path))
+
+
+_OUT = object()
+
+
+def _paths(content: Any, above: tuple = ()) -> Iterator[tuple]:
+    inside = content.items() if isinstance(content, dict) else enumerate(content) if isinstance(content, list) else ()
+    for key, value in inside:
+        yield (*above, key)
+        yield from _paths(value, (*above, key))
+
+
+def _at(content: Any, path: tuple) -> Any:
+    for key in path:
+        content = content[key]
+    return content
+
+
+def _changed(content: Any, path: tuple, value: Any) -> Any:
+    """A copy with another value at a path."""
+    made = dict(content) if isinstance(content, dict) else list(content)
+    key, *rest = path
+    if rest:
+        made[key] = _changed(content[key], tuple(rest), value)
+    elif value is _OUT:
+        del made[key]
+    else:
+        made[key] = value
+    return made

@@ -1,22 +1,26 @@
-"""Reads a MATLAB or HDF5 file in a process of its own, which a damaged file may end: see ``isolated``.
+"""Reads a binary file in a process of its own, which a damaged file may end: see ``isolated``.
 
     python -P child.py FILE TABLE BYTES SECONDS
 
-Two things go to the standard output: a line of JSON, [[path of the table, name, unit, size, whether values follow], ...], and
-then, in this order, the values of the table TABLE ("*" for every table, "" for the only one), each as an .npy. A column is a
-vector of numbers or texts, or one of either; no object leaves. This file imports nothing of ours, for its start is most of what
-reading a file costs.
+Two things go to the standard output: a line of JSON, {"tables": [[path of the table, name, unit, size, whether values follow],
+...], "note": what the file lacks}, and then, in this order, the values of the table TABLE ("*" for every table, "" for the only
+one), each as an .npy. A column is a vector of numbers or texts, or one of either; no object leaves. Of a spreadsheet the line is
+{"sheets": {name: [[number of the row, its cells], ...]}}, of the sheet TABLE or of all. This file imports nothing of ours, for
+its start is most of what reading a file costs.
 
-Exit codes: 0 done, 3 the library refuses the file; its reason is the last line on the standard error.
+Exit codes: 0 done, 3 the file is refused: the last line on the standard error is JSON, [the reason, the remedy or null].
 """
 
 from __future__ import annotations
 
 import contextlib
+import datetime
 import json
+import logging
 import os
 import sys
-from collections.abc import Callable, Iterable, Mapping
+import zipfile
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from types import SimpleNamespace
 from typing import Any, NamedTuple, cast
 
@@ -24,6 +28,18 @@ import numpy as np
 
 REFUSED = 3
 UNIT_NAMES = ("unit", "units")
+# Of a spreadsheet, whose cells are texts in an archive [bytes].
+_UNPACKED = 1 << 28
+SHEETS = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
+# A segment of a TDMS file begins with a tag, its content's bits, a version, and the lengths of itself and of its description
+# [bytes].
+_TAG, _LEAD = b"TDSm", 28
+_UNKNOWN = 1 << 62
+_SHOWN = 4
+
+
+class Refused(Exception):
+    """What is wrong with a file, and the remedy."""
 
 
 class Column(NamedTuple):
@@ -113,6 +129,136 @@ def _matlab_text(item: Any) -> Column:
     return Column(None, 1, lambda: np.array([letters]))
 
 
+def parquet(file: str) -> Tables:
+    """The columns of a Parquet file; a field's metadata may hold its unit."""
+    # The system's own allocator keeps to the limit of memory; one core is all that a child has.
+    os.environ["ARROW_DEFAULT_MEMORY_POOL"] = "system"
+    from pyarrow import parquet as library
+
+    content = library.read_table(file, use_threads=False, pre_buffer=False)
+    columns: Columns = {}
+    for field, chunks in zip(content.schema, content.columns, strict=True):
+        metadata = {k.decode().lower(): v for k, v in (field.metadata or {}).items()}
+        values = np.asarray(chunks.to_numpy())
+        if values.dtype.kind == "O":
+            values = np.array(["" if v is None else v for v in values], dtype=object)
+        if found := vector(values, next((metadata[k] for k in UNIT_NAMES if k in metadata), None)):
+            columns[field.name] = found
+    return {"": columns}
+
+
+def tdms(file: str) -> tuple[Tables, str]:
+    """The columns of every group of a TDMS file, and a note on what is missing from them; "" for nothing.
+
+    Raises:
+        Refused: where the library does not know how a channel's values are scaled.
+    """
+    import nptdms
+
+    tables: Tables = {}
+    with _listening() as said, nptdms.TdmsFile.read(file) as content:
+        for group in content.groups():
+            columns: Columns = {}
+            for channel in group.channels():
+                if found := vector(np.asarray(channel[:]), channel.properties.get("unit_string")):
+                    columns[channel.name] = found
+            # A waveform has its clock in its properties instead of in a channel.
+            waves = [c for c in group.channels() if "wf_increment" in c.properties and len(c)]
+            clocks = {(c.properties["wf_increment"], c.properties.get("wf_start_offset", 0.0)) for c in waves}
+            if "time" not in {name.partition("[")[0].strip().lower() for name in columns} and len(clocks) == 1:
+                columns["time"] = Column("s", len(waves[0]), waves[0].time_track)
+            tables[group.name] = columns
+        cut = _cut(content.file_status, file)
+    if any(text.startswith("Unsupported scale") for text in said):
+        found = f"npTDMS cannot scale its values, {'; '.join(dict.fromkeys(said))[:200]}"
+        raise Refused(found, "write the scaled values to a new file, or to CSV")
+    return tables, cut
+
+
+@contextlib.contextmanager
+def _listening() -> Iterator[list[str]]:
+    """Within, what npTDMS says through loggers of its own is collected."""
+    said: list[str] = []
+
+    class Ear(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            said.append(record.getMessage())
+
+    from nptdms.log import log_manager
+
+    ear = Ear(logging.WARNING)
+    for logger in log_manager.loggers.values():
+        logger.addHandler(ear)
+    yield said
+
+
+def _cut(status: Any, file: str) -> str:
+    """What the last segment of a TDMS file lacks, as far as the file says it; "" where the file is whole."""
+    lacking = {
+        name.replace("'", "").strip("/"): one.expected_length - one.read_length
+        for name, one in (status.channel_statuses or {}).items()
+        if one.read_length < one.expected_length
+    }
+    beyond = _beyond_the_end(file)
+    if not (lacking or status.incomplete_final_segment or beyond):
+        return ""
+    named = [f"{count} of '{name[:40]}'" for name, count in list(lacking.items())[:_SHOWN]]
+    more = f" and of {len(lacking) - _SHOWN} more channels" if len(lacking) > _SHOWN else ""
+    # A writer that was ended has not put its segment's length in.
+    size = f"{beyond} bytes" if beyond and beyond < _UNKNOWN else "how many is not known"
+    what = f"at least {', '.join(named)}{more}" if named else size
+    return f"the file is cut off: values are missing at its end ({what})"
+
+
+def _beyond_the_end(file: str) -> int:
+    """How many bytes a TDMS file lacks, by the lengths that its segments state; 0 of a whole one."""
+    size, at = os.stat(file).st_size, 0
+    with open(file, "rb") as content:
+        while at < size:
+            content.seek(at)
+            lead = content.read(_LEAD)
+            if len(lead) < _LEAD or lead[:4] != _TAG:
+                return _UNKNOWN
+            # Bit 6 of the content: the numbers stand with the highest byte first.
+            order = "big" if lead[4] & 64 else "little"
+            at += _LEAD + int.from_bytes(lead[12:20], order)
+    return at - size
+
+
+def sheets(file: str, wanted: str) -> dict[str, list]:
+    """Rows that hold something, by the name of their sheet: [number, cells]. Of other sheets than ``wanted`` none.
+
+    Values as they were last calculated; formulas and macros are not run. Between the first and the last cell that holds
+    something the library keeps every cell of a sheet, whatever little the file holds of them.
+    """
+    import python_calamine
+
+    if zipfile.is_zipfile(file):
+        with zipfile.ZipFile(file) as archive:
+            size = sum(part.file_size for part in archive.infolist())
+        if size > _UNPACKED:
+            large = f"it unpacks to {size / 2**20:.3g} MB, more than the {_UNPACKED / 2**20:.3g} MB read here"
+            raise Refused(large, "write it as Parquet or HDF5")
+    with python_calamine.CalamineWorkbook.from_path(file) as book:
+        names = book.sheet_names
+        read = [wanted] if wanted in names else [] if wanted != "*" else names
+        found: dict[str, list] = {name: [] for name in names}
+        for name in read:
+            rows = book.get_sheet_by_name(name).to_python(skip_empty_area=False)
+            numbered = ([k, list(map(_cell, row))] for k, row in enumerate(rows, 1))
+            found[name] = [row for row in numbered if any(cell not in ("", None) for cell in row[1])]
+    return found
+
+
+def _cell(cell: Any) -> Any:
+    """A cell as a text or a number: dates and times of day as texts, durations as seconds."""
+    if isinstance(cell, str):
+        return cell.strip()
+    if isinstance(cell, datetime.timedelta):
+        return cell.total_seconds()
+    return cell.isoformat() if isinstance(cell, (datetime.date, datetime.time)) else cell
+
+
 def _with_units(tables: Tables) -> Tables:
     """Units from a struct of texts named ``units`` inside a struct, which is then no table of its own."""
     united: Tables = {}
@@ -141,7 +287,7 @@ def limit(size: int, seconds: int) -> None:
                 resource.setrlimit(what, most)
 
 
-def write(tables: Tables, wanted: str) -> None:
+def write(tables: Tables, wanted: str, note: str = "") -> None:
     """Write the columns to the standard output."""
     filled = [name for name, columns in tables.items() if columns]
     wanted = filled[0] if wanted == "" and len(filled) == 1 else wanted
@@ -152,7 +298,7 @@ def write(tables: Tables, wanted: str) -> None:
             index.append((table, name, column.unit, column.size, values is not None))
             arrays += [] if values is None else [values]
     with os.fdopen(os.dup(1), "wb") as out:
-        out.write(json.dumps(index).encode() + b"\n")
+        out.write(json.dumps({"tables": index, "note": note}).encode() + b"\n")
         for values in arrays:
             # To NumPy a file is one that has positions, which a pipe has not.
             np.lib.format.write_array(cast(Any, SimpleNamespace(write=out.write)), values, allow_pickle=False)
@@ -171,17 +317,26 @@ def main() -> int:
     """Limit this process, then read the file that it was given."""
     file, wanted, size, seconds = sys.argv[1:]
     limit(int(size), int(seconds))
+    kind = os.path.splitext(file)[1].lower()
     try:
-        if file.lower().endswith(".mat") and not _is_hdf5(file):
+        if kind in SHEETS:
+            print(json.dumps({"sheets": sheets(file, wanted)}))
+        elif kind in (".parquet", ".pq"):
+            write(parquet(file), wanted)
+        elif kind == ".tdms":
+            tables, note = tdms(file)
+            write(tables, wanted, note)
+        elif kind == ".mat" and not _is_hdf5(file):
             write(mat(file), wanted)
         else:
             import h5py
 
             with h5py.File(file, "r") as content:
                 write(hdf5(content, h5py), wanted)
-    # Libraries raise what they please on a broken file.
-    except Exception as error:
-        print(f"{type(error).__name__}: {str(error)[:400]}".split("\n")[0], file=sys.stderr)
+    # Libraries raise what they please on a broken file; a panic in Rust is no Exception.
+    except BaseException as error:
+        said = error.args if isinstance(error, Refused) else (f"{type(error).__name__}: {str(error)[:400]}", None)
+        print(json.dumps([said[0].split("\n")[0], said[1]]), file=sys.stderr)
         return REFUSED
     return 0
 

@@ -1,8 +1,9 @@
-"""MATLAB and HDF5 files are read by a process of its own (``child``), whose end is put into words here.
+"""Binary files are read by a process of its own (``child``), whose end is put into words here.
 
 SciPy checks neither the types nor the sizes that a MATLAB file states: one changed bit crashes the process that reads it, or asks
-for all its memory; it has no safe way to read. The HDF5 library may search a damaged file without end. Neither can be caught in
-the process where it happens, so a child with limits of memory and time reads them.
+for all its memory; it has no safe way to read. The HDF5 library may search a damaged file without end. A spreadsheet of 5 kB
+may hold one cell in its first row and one in its last column and row, and a Parquet file of 2 MB may hold two columns of 2e8
+zeros. None of this can be caught in the process where it happens, so a child with limits of memory and time reads them.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import subprocess
 import sys
 from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,33 +28,51 @@ from calibration.data import child
 
 # What a child may have: of memory, room for its libraries and for values that were packed thirtyfold; of a core, seconds.
 _BYTES, _BYTES_A_BYTE = 1024 * MEGABYTE, 32
-_SECONDS, _SECONDS_A_MEGABYTE = 2, 0.5
+_SECONDS, _SECONDS_A_MEGABYTE = 4, 2.0
 # On a machine that is busy, or where the system knows no such limits, the clock on the wall decides.
 _WAIT = 15
 # Of a smaller file every table is read, for the next entry of a calibration often names another of its tables.
 _SMALL = 32 * MEGABYTE
 
 
-def tables(path: Path, where: str, inside: str | None) -> child.Tables:
+# Which library reads a kind of file that comes with the extra ``io``.
+_LIBRARIES = {
+    **dict.fromkeys(child.SHEETS, "python_calamine"), **dict.fromkeys((".parquet", ".pq"), "pyarrow.parquet"),
+    **dict.fromkeys((".h5", ".hdf5", ".mat"), "h5py"), ".tdms": "nptdms",
+}  # fmt: skip
+# Numbered rows of cells by the name of their sheet.
+Sheets = dict[str, list[tuple[int, list]]]
+
+
+class Found(NamedTuple):
+    """What a file holds: its tables, or its sheets; and what it lacks, "" for nothing."""
+
+    tables: child.Tables
+    note: str = ""
+    sheets: Sheets = {}
+
+
+def read(path: Path, where: str, inside: str | None) -> Found:
     """The columns of a file by table; of a large file only the table that is meant has values.
 
     Args:
-        path: a .mat, .h5 or .hdf5.
+        path: of a kind that ``child`` knows.
         where: place in the problem file, for messages.
         inside: which table; None: the only one.
 
     Raises:
         InputError: where the file cannot be read, or crashes or exceeds the process that reads it.
     """
-    found = path.stat()
-    wanted = "*" if found.st_size < _SMALL else (inside or "").strip("/")
+    found, kind = path.stat(), path.suffix.lower()
+    small = found.st_size < _SMALL or (inside is None and kind in child.SHEETS)
+    wanted = "*" if small else (inside or "").strip("/")
     try:
-        return _tables(path.absolute(), wanted, found.st_mtime_ns, found.st_size)
+        return _read(path.absolute(), wanted, found.st_mtime_ns, found.st_size)
     except _Unreadable as error:
         how, remedy = error.args
         if how.startswith("ModuleNotFoundError"):
-            library("h5py", where, "io")
-        raise InputError(where, f"{clip(str(path))} cannot be read as {path.suffix.lower()} ({how})", remedy) from None
+            library(_LIBRARIES[kind], where, "io")
+        raise InputError(where, f"{clip(str(path))} cannot be read as {kind} ({how})", remedy) from None
 
 
 class _Unreadable(Exception):
@@ -60,8 +80,9 @@ class _Unreadable(Exception):
 
 
 @lru_cache(maxsize=1)
-def _tables(path: Path, wanted: str, changed: int, size: int) -> child.Tables:
+def _read(path: Path, wanted: str, changed: int, size: int) -> Found:
     del changed
+    kind = path.suffix.lower()
     seconds = int(_SECONDS + _SECONDS_A_MEGABYTE * size / MEGABYTE)
     # ``-P``: a module beside the data, or beside the child, must not stand in for a library's.
     command = [sys.executable, "-P", "-W", "ignore", child.__file__, str(path), wanted]
@@ -77,24 +98,37 @@ def _tables(path: Path, wanted: str, changed: int, size: int) -> child.Tables:
             timeout=_WAIT * seconds + _WAIT,
         )
     except subprocess.TimeoutExpired:
-        raise _damaged(f"it took longer than {_WAIT * seconds + _WAIT} s") from None
+        raise _damaged(kind, f"it took longer than {_WAIT * seconds + _WAIT} s") from None
     said = done.stderr.decode("utf-8", "replace").strip().splitlines()
     if done.returncode == child.REFUSED and said:
-        if "MemoryError" in said[-1]:
-            raise _damaged("it states sizes that its length cannot hold")
-        raise _Unreadable(clip(said[-1]), "write the file again, or give it the extension of its kind")
+        how, remedy = json.loads(said[-1])
+        if "MemoryError" in how:
+            raise _oversize(kind)
+        raise _Unreadable(clip(how), remedy or "write the file again, or give it the extension of its kind")
+    if any("memory allocation of" in line for line in said):
+        raise _oversize(kind)
     if done.returncode:
-        raise _damaged(_ended(done.returncode, seconds))
-    content, read = io.BytesIO(done.stdout), {}
-    for table, name, unit, length, follows in json.loads(content.readline()):
+        raise _damaged(kind, _ended(done.returncode, seconds))
+    content, tables = io.BytesIO(done.stdout), {}
+    head = json.loads(content.readline())
+    for table, name, unit, length, follows in head.get("tables", ()):
         values = np.lib.format.read_array(content, allow_pickle=False) if follows else np.zeros(0)
         values.flags.writeable = False
-        read.setdefault(table, {})[name] = child.Column(unit, length, lambda values=values: values)
-    return read
+        tables.setdefault(table, {})[name] = child.Column(unit, length, lambda values=values: values)
+    return Found(tables, head.get("note", ""), head.get("sheets", {}))
 
 
-def _damaged(how: str) -> _Unreadable:
-    return _Unreadable(f"{how}: it is damaged", "save it again, a .mat with -v7.3, or write it as CSV")
+def _oversize(kind: str) -> _Unreadable:
+    """More is to be kept of a file than its child may have."""
+    if kind in child.SHEETS:
+        how = "between its first and its last cell there are too many cells to be kept"
+        return _Unreadable(how, "delete the cells that stand far from the table, or write it as CSV")
+    return _damaged(kind, "it states sizes that its length cannot hold")
+
+
+def _damaged(kind: str, how: str) -> _Unreadable:
+    version = ", with -v7.3" if kind == ".mat" else ""
+    return _Unreadable(f"{how}: it is damaged", f"save it again{version}, or write it as CSV")
 
 
 def _ended(code: int, seconds: int) -> str:

@@ -12,7 +12,6 @@ A file may hold several tables: groups and structs, named by their path, as in "
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,11 +19,10 @@ import numpy as np
 
 from bcfj_jax import InputError, nearest
 from bcfj_jax.core.errors import clip
-from bcfj_jax.core.extras import library
 from bcfj_jax.io import opening
 from bcfj_jax.io.units import column
-from calibration.data import isolated, tdms, textfile, workbook
-from calibration.data.child import UNIT_NAMES, Columns, Tables, vector
+from calibration.data import isolated, textfile, workbook
+from calibration.data.child import Tables
 from calibration.data.table import Table
 from calibration.data.textfile import Stated
 
@@ -54,18 +52,16 @@ def read(path: Path, where: str, inside: str | None = None, stated: Stated | Non
         return textfile.read(path, where, stated)
     if kind not in workbook.KINDS and (keys := [k for k, v in vars(stated).items() if v is not None]):
         raise InputError(f"{where} {keys[0]}", f"{path} is no text", "take the key out")
+    if kind in workbook.KINDS:
+        opening.check(path, opening.LARGEST_TEXT, where, missing, "write it as Parquet or HDF5")
+        return workbook.read(path, where, inside, stated)
+    read = isolated.read(path, where, inside)
     try:
-        if kind in workbook.KINDS:
-            opening.check(path, opening.LARGEST_TEXT, where, missing, "write it as Parquet or HDF5")
-            return workbook.read(path, where, inside, stated, library("python_calamine", where, "io"))
-        return _READERS[kind](path, where, inside)
-    except InputError:
+        return replace(_chosen(read.tables, path, where, inside), found=read.note)
+    except InputError as error:
+        if read.note:
+            raise InputError(where, f"{path}: {read.note}; {error.found}", "record or export the file again") from None
         raise
-    # Libraries raise what they please on a broken file; to the user all of it is one thing.
-    except Exception as error:
-        reason = clip(f"{type(error).__name__}: {error}".splitlines()[0])
-        remedy = "write the file again, or give it the extension of its kind"
-        raise InputError(where, f"{path} cannot be read as {kind} ({reason})", remedy) from error
 
 
 def _chosen(tables: Tables, path: Path, where: str, inside: str | None) -> Table:
@@ -100,45 +96,6 @@ def _chosen(tables: Tables, path: Path, where: str, inside: str | None) -> Table
     return Table(path, tuple(header), arrays, lines, "row", wanted if len(tables) > 1 or inside else "")
 
 
-def _parquet(path: Path, where: str, inside: str | None) -> Table:
-    parquet = library("pyarrow.parquet", where, "io")
-    content = parquet.read_table(path)
-    columns: Columns = {}
-    for field, chunks in zip(content.schema, content.columns, strict=True):
-        metadata = {k.decode().lower(): v for k, v in (field.metadata or {}).items()}
-        values = np.asarray(chunks.to_numpy())
-        if values.dtype.kind == "O":
-            values = np.array(["" if v is None else v for v in values], dtype=object)
-        found = vector(values, next((metadata[k] for k in UNIT_NAMES if k in metadata), None))
-        if found:
-            columns[field.name] = found
-    return _chosen({"": columns}, path, where, inside)
-
-
-def _tdms(path: Path, where: str, inside: str | None) -> Table:
-    nptdms = library("nptdms", where, "io")
-    tables, cut = tdms.read(path, where, nptdms)
-    try:
-        return replace(_chosen(tables, path, where, inside), found=cut)
-    except InputError as error:
-        if cut:
-            raise InputError(where, f"{path}: {cut}; {error.found}", "record or export the file again") from None
-        raise
-
-
-def _isolated(path: Path, where: str, inside: str | None) -> Table:
-    if path.suffix.lower() != ".mat":
-        library("h5py", where, "io")
-    return _chosen(isolated.tables(path, where, inside), path, where, inside)
-
-
 _TEXTS = (".csv", ".txt", ".tsv", ".tab", ".dat", ".asc", ".prn")
-_READERS: dict[str, Callable[[Path, str, str | None], Table]] = {
-    ".parquet": _parquet,
-    ".pq": _parquet,
-    ".h5": _isolated,
-    ".hdf5": _isolated,
-    ".mat": _isolated,
-    ".tdms": _tdms,
-}
-_KINDS = (*_TEXTS, *workbook.KINDS, *_READERS)
+_BINARY = (".parquet", ".pq", ".h5", ".hdf5", ".mat", ".tdms")
+_KINDS = (*_TEXTS, *workbook.KINDS, *_BINARY)

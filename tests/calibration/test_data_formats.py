@@ -11,6 +11,7 @@ import pytest
 
 from bcfj_jax import InputError
 from bcfj_jax.io.plots import COLOURS
+from calibration.data import child
 from calibration.data.plot import data
 from calibration.data.preparation import Recipe, prepare
 from calibration.data.readers import read
@@ -144,6 +145,11 @@ def test_a_library_that_is_missing_is_named(module, tmp_path, monkeypatch):
     kind = {"pyarrow.parquet": ".parquet", "h5py": ".h5", "nptdms": ".tdms"}[module]
     FORMATS[kind](tmp_path / f"record{kind}")
     monkeypatch.setitem(sys.modules, module, None)
+    # In the process that reads, too.
+    without = tmp_path / "child.py"
+    source = Path(child.__file__).read_text(encoding="utf-8")
+    without.write_text(source.replace("def main()", f"sys.modules[{module!r}] = None\n\n\ndef main()"))
+    monkeypatch.setattr(child, "__file__", str(without))
     with pytest.raises(InputError, match=r'not installed; pip install "bcfj-jax\[io\]"'):
         read(tmp_path / f"record{kind}", "here")
 

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import resource
+import subprocess
+import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from bcfj_jax import InputError
+from benchmarks.robustness import records
 from calibration.data import child, isolated
 from calibration.data.readers import read
 
@@ -36,7 +41,7 @@ def test_a_file_that_crashes_its_reader_is_refused(whole):
     # The type of the values, 9, becomes 8, which is none: SciPy follows a null pointer.
     flip(whole, 256, 0, 9)
     with pytest.raises(
-        InputError, match=r"here: .*record\.mat .*SIG.*; save it again, a .mat with -v7\.3, or write it as CSV"
+        InputError, match=r"here: .*record\.mat .*SIG.*; save it again, with -v7\.3, or write it as CSV"
     ):
         read(whole, "here")
 
@@ -88,7 +93,7 @@ def test_what_is_in_a_file_arrives_bit_for_bit(tmp_path):
         {"x": {"y": {**numbers, **left_out, **texts}, "who": "ö"}, "alone": 3.0},
         do_compression=True,
     )
-    found = isolated.tables(tmp_path / "a.mat", "here", None)
+    found = isolated.read(tmp_path / "a.mat", "here", None).tables
     assert {name: set(columns) for name, columns in found.items()} == {
         "": {"alone"}, "x": {"who"}, "x/y": {*numbers, *texts},
     }  # fmt: skip
@@ -106,7 +111,7 @@ def test_of_a_large_file_only_the_table_that_is_meant_has_values(tmp_path, monke
     np.testing.assert_array_equal(
         read(tmp_path / "a.h5", "here", "/b").numbers("force", "N", "here", False), 2.0 * FORCE
     )
-    assert isolated.tables(tmp_path / "a.h5", "here", "b")["a"]["force [N]"].values().size == 0
+    assert isolated.read(tmp_path / "a.h5", "here", "b").tables["a"]["force [N]"].values().size == 0
     with pytest.raises(InputError, match=r"holds 2 tables; choose with table = .*'a', 'b'"):
         read(tmp_path / "a.h5", "here")
 
@@ -114,3 +119,55 @@ def test_of_a_large_file_only_the_table_that_is_meant_has_values(tmp_path, monke
 def test_the_child_knows_nothing_of_ours():
     # Its start is most of what a file costs; the front door of the package imports JAX.
     assert "bcfj_jax" not in SOURCE and "calibration" not in SOURCE
+
+
+def _spreadsheet(path):
+    import openpyxl
+
+    book = openpyxl.Workbook()
+    book.active["A1"], book.active["XFD1048576"] = "time [ms]", 1.0
+    book.save(path)
+
+
+def _parquet(path):
+    import pyarrow
+    from pyarrow import parquet
+
+    zeros = np.zeros(1 << 24)
+    with parquet.ParquetWriter(path, pyarrow.schema([("a", "f8"), ("b", "f8")]), compression="zstd") as writer:
+        for _ in range(8):
+            writer.write_table(pyarrow.table({"a": zeros, "b": zeros}))
+
+
+def _hdf5(path):
+    with h5py.File(path, "w") as file:
+        for name in "ab":
+            file.create_dataset(name, shape=(1 << 40,), dtype="f8", chunks=(1 << 20,), compression="gzip")
+
+
+@pytest.mark.parametrize("make", [_spreadsheet, _parquet, _hdf5], ids=lambda make: make.__name__)
+def test_a_small_file_that_holds_more_than_memory_is_refused(make, tmp_path):
+    suffix = {"_spreadsheet": ".xlsx", "_parquet": ".parquet", "_hdf5": ".h5"}[make.__name__]
+    path = tmp_path / f"small{suffix}"
+    make(path)
+    assert path.stat().st_size < 2 << 20
+    with pytest.raises(InputError, match=r"here: .*small.*(too many cells|sizes that its length cannot hold)"):
+        read(path, "here")
+    children = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024**2
+    assert children < 2.0, "gigabytes of the largest process that has read a file"
+
+
+def test_every_kind_of_binary_file_is_read_by_the_other_process():
+    # In this one no library of theirs is imported.
+    code = (
+        "import sys; from pathlib import Path; import calibration; from calibration.data.readers import read\n"
+        "for name in sys.argv[1:]: assert read(Path(name), 'here').columns\n"
+        "print(sorted({'python_calamine', 'pyarrow', 'h5py', 'nptdms', 'scipy.io'} & set(sys.modules)))"
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        names = []
+        for suffix in (".xlsx", ".parquet", ".h5", ".mat", ".tdms"):
+            names.append(str(Path(folder) / f"a{suffix}"))
+            Path(names[-1]).write_bytes(records.FORMATS[suffix]())
+        done = subprocess.run([sys.executable, "-W", "ignore", "-c", code, *names], capture_output=True, text=True)
+    assert done.stdout.strip() == "[]", done.stderr

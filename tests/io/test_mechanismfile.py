@@ -479,3 +479,20 @@ def test_numpy_follows_loops_branches_and_slices():
     found = host.evaluate(jax.make_jaxpr(function)(x), [x])
     for mine, compiled in zip(found, jax.jit(function)(x), strict=True):
         np.testing.assert_allclose(mine, compiled, rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ('[quantity]\nrod = "z"\n', r"\[quantity\.rod\]: 'z' is not accepted; give a table"),
+        ("[quantity]\nrod = [1.0]\n", r"\[quantity\.rod\]: \[1\.0\] is not accepted; give a table"),
+        ("[[contact]]\nname = 'c'\nbetween = ['ground', 'm']\ngap = { kind = ['a'] }\n", r"gap: no gap '\['a'\]'"),
+        ("[time]\nlongest_step = [1, 2]\n", r"\[time\]: longest_step has shape \(2,\); give one number"),
+    ],
+)
+def test_a_value_of_another_kind_is_refused_in_words(table, said, tmp_path):
+    file = tmp_path / "scene.toml"
+    body = '[scene]\nkind = "mechanism"\n[[body]]\nname = "m"\njoint = "slide"\nmass = 1.0\n'
+    file.write_text(body + table)
+    with pytest.raises(bj.InputError, match=said):
+        scenefile.load(file)

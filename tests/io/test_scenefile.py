@@ -269,7 +269,7 @@ REFUSED = [
     ('laws = { cage_ball = "herz" }\n', ["[scene] laws", "cage_ball", "did you mean 'hertz'?"]),
     ('laws = { cage_bal = "hertz" }\n', ["[scene] laws", "did you mean 'cage_ball'?"]),
     ('contacts = ["seat_ball"]\n', ["[scene] contacts", "without head_ball"]),
-    ("balls = 2\n", ["[scene] balls", "3 or more"]),
+    ("balls = 2\n", ["[scene] balls", "from 3 to 1000"]),
 ]
 
 

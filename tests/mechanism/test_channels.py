@@ -10,6 +10,9 @@ from joints import plain_joint
 
 import bcfj_jax as bj
 from bcfj_jax import InputError, reading_history, scenes, simulate
+from bcfj_jax.mechanism.bodies import JOINTS
+from bcfj_jax.mechanism.bodies import unit_of as start_unit
+from bcfj_jax.mechanism.channels import unit_of
 
 TIMES = np.linspace(0.0, 2e-3, 401)
 READ = (
@@ -165,3 +168,33 @@ def test_axes_that_are_not_known_are_refused():
     scene = plain_joint(spin=True)
     with pytest.raises(InputError, match=r"rotation of '.*' is not computed"):
         simulate(scene, scene.parameters(), np.linspace(0.0, 0.01, 3), read=("seat_cage.force.x in ball",))
+
+
+@pytest.mark.parametrize("joint", [name for name in JOINTS if name != "fixed"])
+def test_what_a_start_names_is_a_reading(joint):
+    """One vocabulary: a run reads at time 0 what its start was given, by the same names."""
+    names = (*(plain := bj.Body("b", joint)).coordinates, *plain.rates)
+    start = {name: 0.1 * (k + 1) for k, name in enumerate(names)}
+    if "q0" in start:
+        start |= {"q0": 0.8, "q1": 0.0, "q2": 0.6, "q3": 0.0}
+    scene = bj.Mechanism("test", (bj.Body("b", joint, start=start, mass=1.0, inertia=1.0),))
+    read = [f"b.{name}" for name in start]
+    found = reading_history(scene, scene.parameters(), np.linspace(0.0, 1e-3, 3), read)
+    for name, value in start.items():
+        assert float(found[f"b.{name}"][0]) == pytest.approx(value, rel=1e-12), name
+        assert unit_of(f"b.{name}") == start_unit(name)
+
+
+@pytest.mark.parametrize("joint", ["slide", "hinge"])
+def test_a_driven_body_reads_its_drive_and_starts_by_it(joint):
+    place, speed = ("position", "velocity") if joint == "slide" else ("angle", "speed")
+    body = bj.Body("b", joint, drive=bj.Drive(speed=3.0, start=0.25), mass=1.0, inertia=1.0)
+    scene, times = bj.Mechanism("test", (body, bj.Body("c", "slide", mass=1.0))), np.linspace(0.0, 1e-3, 3)
+    found = reading_history(scene, scene.parameters(), times, [f"b.{place}", f"b.{speed}"])
+    np.testing.assert_allclose(found[f"b.{place}"], 0.25 + 3.0 * times, rtol=1e-12)
+    np.testing.assert_allclose(found[f"b.{speed}"], 3.0, rtol=1e-12)
+    with pytest.raises(InputError, match=r"body .b. start: .*its drive says where it is; give the drive.s own .start."):
+        bj.Body("b", joint, start={place: 0.1}, drive=bj.Drive(speed=3.0))
+    other = "angle" if joint == "slide" else "position"
+    with pytest.raises(InputError, match=f"the joint of 'b' has no {other}; .*{place}"):
+        reading_history(scene, scene.parameters(), times, [f"b.{other}"])

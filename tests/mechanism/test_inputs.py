@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import bcfj_jax as bj
+import calibration
 from bcfj_jax.core import programs
 from bcfj_jax.core.quantities import whole
 from bcfj_jax.core.status import OK
@@ -164,3 +165,61 @@ def test_whole_numbers():
     for bad in (True, 0, 1.0, "1", None, 10**12):
         with pytest.raises(bj.InputError, match="whole number"):
             whole("n", bad)
+
+
+OUT_OF_RANGE = {
+    "mass": -1.0,
+    "stiffness": -1e9,
+    "exponent": 0.5,
+    "approach_speed": -1.0,
+    "clearance_contact": -1e-6,
+    "damping": -1.0,
+}
+
+
+@pytest.mark.parametrize("name", OUT_OF_RANGE)
+def test_traced_parameters_out_of_range_make_all_of_a_run_nan(name):
+    """No value, no reading and no derivative is a plausible number, and the lanes beside it do not know of it."""
+    scene, times = bj.scenes.impact(), np.linspace(0.0, 60e-6, 13)
+    params = scene.parameters()
+
+    def forces(x):
+        return bj.force_history(scene, {**params, name: x}, times)["contact"]
+
+    def place(x):
+        return bj.reading_history(scene, {**params, name: x}, times, ["body.place.x"])["body.place.x"]
+
+    good = float(params[name])
+    lanes = np.asarray(jax.vmap(forces)(jnp.array([good, OUT_OF_RANGE[name], good])))
+    assert np.isnan(lanes[1]).all()
+    np.testing.assert_array_equal(lanes[0], lanes[2])
+    np.testing.assert_allclose(lanes[0], forces(good), rtol=1e-9, atol=1e-9 * np.abs(lanes[0]).max())
+    assert np.isnan(jax.jit(place)(OUT_OF_RANGE[name])).all()
+    assert np.isnan(jax.jacfwd(lambda x: jnp.sum(forces(x)))(OUT_OF_RANGE[name]))
+    with pytest.raises(bj.InputError, match="out of range"):
+        forces(OUT_OF_RANGE[name])
+
+
+def test_a_model_shows_itself_on_a_screen():
+    for kind in ("impact", "chain", "joint", "four_bar", "slider_guide"):
+        lines = repr(getattr(bj.scenes, kind)()).splitlines()
+        assert len(lines) <= 24 and max(map(len, lines)) <= 100, kind
+        assert f"'{kind}'" in lines[0] or kind in lines[0]
+
+
+def test_dir_holds_public_names_alone():
+    for module in (bj, calibration):
+        names = dir(module)
+        assert len(names) == len(set(names)) and all(hasattr(module, name) for name in names)
+        assert [name for name in names if name.startswith("_")] == ["__version__"]
+    assert {"simulate", "scenes", "Mechanism"} <= set(dir(bj)) and not {"annotations", "importlib", "core"} & set(
+        dir(bj)
+    )
+
+
+def test_programs_run_where_jit_is_disabled():
+    scene, times = bj.scenes.impact(), np.linspace(0.0, 60e-6, 13)
+    usual = bj.simulate(scene, scene.parameters(), times)
+    with jax.disable_jit():
+        found = bj.simulate(scene, scene.parameters(), times)
+    np.testing.assert_array_equal(found.force["contact"], usual.force["contact"])

@@ -26,7 +26,8 @@ def every(tmp_path_factory):
     return folder, fuzz.targets(4 * COUNT, folder)
 
 
-NAMES = ("scene", "calibration", "study", *fuzz.records.FORMATS, *fuzz.kept.KINDS)
+WHOLE = ("scene values", "calibration values", "study values", "design values")
+NAMES = ("scene", "calibration", "study", *WHOLE, *fuzz.records.FORMATS, *fuzz.kept.KINDS)
 
 
 @pytest.mark.full
@@ -34,7 +35,7 @@ NAMES = ("scene", "calibration", "study", *fuzz.records.FORMATS, *fuzz.kept.KIND
 @pytest.mark.parametrize("name", NAMES)
 def test_damaged_files_are_refused_in_words_or_read(name, every):
     folder, targets = every
-    how = targets[name]._replace(count=COUNT)
+    how = targets[name]._replace(count=40 * COUNT if name in WHOLE else COUNT)
     faults = [
         f"case {k}: {c.outcome}: {c.detail}" for k, c in fuzz.cases(name, how, folder, 11) if c.outcome not in GOOD
     ]

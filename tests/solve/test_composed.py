@@ -9,6 +9,8 @@ import pytest
 from jax.sharding import Mesh, PartitionSpec
 
 import bcfj_jax as bj
+from bcfj_jax.solve import named
+from bcfj_jax.solve.plan import plan
 
 SCENE = bj.scenes.impact()
 PARAMS = SCENE.parameters(mass=0.5)
@@ -45,8 +47,53 @@ def test_hessians_are_differences_of_gradients(mode):
     np.testing.assert_allclose(found, (ends[0] - ends[1]) / (2 * step), rtol=2e-3)
 
 
+DERIVATIVES = {"grad": jax.grad, "jacfwd": jax.jacfwd, "jacrev": jax.jacrev, "jvp": lambda f: lambda x: jax.jvp(f, (x,), (x,))[1],
+               "hessian": jax.hessian}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "name", ["jacfwd", *(pytest.param(n, marks=pytest.mark.full) for n in DERIVATIVES if n != "jacfwd")]
+)
+def test_derivatives_of_a_batch_are_those_of_its_runs(name):
+    """vmap of a derivative and the derivative of a vmap, compiled and not, against one run after the other."""
+    x, derivative = jnp.array([[0.5, 0.1], [0.3, 0.2]]), DERIVATIVES[name](lambda x: total(x, "auto"))
+    one = jnp.stack([jax.jit(derivative)(row) for row in x])
+    np.testing.assert_allclose(jax.vmap(derivative)(x), one, rtol=1e-6)
+    np.testing.assert_allclose(jax.jit(jax.vmap(derivative))(x), one, rtol=1e-6)
+    if name in ("jacfwd", "jacrev"):
+        both = DERIVATIVES[name](lambda x: jax.vmap(lambda row: total(row, "auto"))(x))(x)
+        np.testing.assert_allclose(jnp.stack([both[i, i] for i in range(2)]), one, rtol=1e-6)
+
+
 @pytest.mark.full
 def test_reverse_alone_names_the_mode_to_use():
     for use in (jax.jacfwd, jax.hessian):
         with pytest.raises(bj.InputError, match=r"mode: 'reverse' has gradients alone.*use mode='auto', or 'forward'"):
             use(lambda x: total(x, "reverse"))(jnp.array([0.5, 0.1]))
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("solver", [None, *named.NOT_STIFF])
+def test_derivatives_after_a_contact_are_those_of_the_motion(solver):
+    """At "balanced", of every explicit solver and both directions: a body leaves a linear spring after T = pi sqrt(m/K).
+
+    From then on x = x_0 - v (t - t_0 - T), so that dx/dK = v dT/dK = -v T/(2 K).
+    """
+    stiffness, mass = 1e7, 0.1
+    given = {"exponent": 1.0, "damping": 0.0, "smoothing": 0.0, "mass": mass, "approach_speed": 1.0}
+    params = SCENE.parameters({**given, "clearance_contact": 1e-5})
+    period = np.pi * np.sqrt(mass / stiffness)
+    times = 1e-5 + period + np.array([1e-4, 3e-4])
+    how = plan(SCENE, "balanced", solver=solver)
+
+    def place(k, mode="forward"):
+        values = {**params, "stiffness": k}
+        return bj.reading_history(SCENE, values, times, ["body.position"], accuracy=how, mode=mode)["body.position"]
+
+    exact = -period / (2.0 * stiffness)
+    np.testing.assert_allclose(jax.jacfwd(place)(stiffness), exact, rtol=5e-3)
+    for mode in ("forward", "reverse"):
+        np.testing.assert_allclose(jax.grad(lambda k, m=mode: place(k, m)[-1])(stiffness), exact, rtol=5e-3)
+    if solver is None:
+        with pytest.raises(bj.InputError, match="'auto' is of force_history alone"):
+            place(stiffness, "auto")

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from bcfj_jax.analysis import plausibility
 from bcfj_jax.analysis.derivatives import pictures
 from bcfj_jax.analysis.derivatives.certificate import BROKEN, TRUSTED
 from bcfj_jax.analysis.derivatives.names import complete, default_features, derivative_unit, feature, feature_unit
@@ -78,17 +79,22 @@ def run(
         ends.append([_end(found, name) for name in found.wrt])
         if ends[-1:] != ends[-2:-1]:
             write_histories(folder / "sensitivity.csv", given.scene, found)
-        outputs.write_json(folder / "certificate.json", certificate_json(found, params, given.scene))
+        content = certificate_json(found, params, given.scene) | {"plausibility": plausibility.content(absurd)}
+        outputs.write_json(folder / "certificate.json", content)
         return _tables(found, params)
 
     def first(found: Sensitivity) -> None:
         seen.append(write(found))
         first = f"Before the comparison with central differences: {said(found)}"
-        show("\n\n".join([*_driven(found, params), *_texts(seen[0]), first]) + "\n")
+        show("\n\n".join([*first_said, *_driven(found, params), *_texts(seen[0]), first]) + "\n")
         say(f"comparing with central differences, for {budget:g} s at most")
 
     say(f"differentiating {what} by {', '.join(names)}: {len(given.times)} samples to {given.times[-1]:.6g} s")
     plots.get_ready()
+    absurd = plausibility.at(given.scene, params, given.times)
+    first_said = [plausibility.headline(absurd)] if absurd else []
+    for doubt in first_said:
+        say(f"warning: {doubt}")
     found = sensitivity(
         given.scene, params, given.times, names, accuracy=given.accuracy, features=features, mode="forward",
         certify=certify, max_steps=given.max_steps, steady=True, budget=budget, tell=first,
@@ -102,7 +108,7 @@ def run(
     certificate = [("Certificate", certificate_rows(found.certificate))] if found.certificate else []
     # Shown already, unless the comparison has changed it.
     again = [] if seen == [tables] else tables
-    parts = [*(_driven(found, params) if again else []), said(found), *_texts([*certificate, *again])]
+    parts = [*first_said, *(_driven(found, params) if again else []), said(found), *_texts([*certificate, *again])]
     parts.append(f"results in {folder}")
     with stage("drawing"):
         ranked = ranking(found, params)
@@ -112,7 +118,7 @@ def run(
         )
     report.write(
         folder,
-        page(f"Sensitivity of {stem}", found, ranked, drivers(found, params), tables, drawn),
+        page(f"Sensitivity of {stem}", found, ranked, drivers(found, params), tables, drawn, absurd),
         given.scene.model_form,
     )
     keep_asked()
@@ -126,6 +132,7 @@ def page(
     sentences: Sequence[str],
     tables: Sequence[tuple[str, list[list[str]]]],
     drawn: tuple[Picture, ...],
+    absurd: Sequence[plausibility.Finding] = (),
 ) -> Page:
     """The report: which parameter drives which feature, and how far the derivatives can be trusted.
 
@@ -135,6 +142,7 @@ def page(
         sentences: which parameter drives which feature, as on the screen.
         tables: of features, as on the screen.
         drawn: the pictures.
+        absurd: what is not plausible of the run itself.
     """
     certificate = found.certificate
     shown = [
@@ -146,7 +154,8 @@ def page(
         note += "Tangent growth: how much a small change grows over the run."
         shown.append(Table("Certificate of the histories' derivatives", certificate_rows(certificate), note))
     solver = report.solver_table(found.stats, [["solves", str(found.stats["levels"])]])
-    return Page(title, answer(found, ranked, sentences), drawn, tables=tuple(shown), folded=(solver,))
+    verdict = plausibility.judged(absurd, answer(found, ranked, sentences))
+    return Page(title, verdict, drawn, tables=tuple(shown), folded=(solver,))
 
 
 def _strongest(title: str, rows: list[list[str]], note: str) -> Table:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import fnmatch
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 from jax import Array
@@ -127,13 +127,19 @@ def complete(scene: AbstractModel, params: Params, wrt: Sequence[str]) -> tuple[
             raise InputError("wrt", f"'{name}' is an array of shape {shape}", remedy)
         if names.count(name) > 1:
             raise InputError("wrt", f"'{name}' is named twice", "name it once")
-        shared = name.rpartition(".")[2]
-        if name not in full and shared not in full:
-            own = [known for known in full if known.endswith(f".{name}")]
+        own = in_its_place(full, name)
+        if own is not None:
             remedy = f"name {' or '.join(own)}" if own else f"give one: scene.parameters({{'{name}': ...}})"
             raise InputError("wrt", f"'{name}' has no value here", remedy)
-        full[name] = full[name] if name in full else full[shared]
+        full[name] = full[name] if name in full else full[name.rpartition(".")[2]]
     return full, names
+
+
+def in_its_place(params: Collection[str], name: str) -> list[str] | None:
+    """Names of the parameters that have a value where this one has none; None where it has one, its own or the shared."""
+    if name in params or name.rpartition(".")[2] in params:
+        return None
+    return [known for known in params if known.endswith(f".{name}")]
 
 
 def feature(name: str, contacts: Mapping[str, int]) -> Feature:

@@ -32,6 +32,7 @@ from bcfj_jax.analysis.designs.result import (
 )
 from bcfj_jax.analysis.designs.space import Free, Space, space
 from bcfj_jax.analysis.designs.tolerance import DISTRIBUTIONS, robust, robustness
+from bcfj_jax.core import limits
 from bcfj_jax.core.errors import InputError, nearest, quoted, texts
 from bcfj_jax.core.progress import stage
 from bcfj_jax.core.quantities import Quantity, increasing, number, real, scalar, whole
@@ -107,7 +108,9 @@ def design(
     t = increasing(times, 2)
     params = inputs.parameters(inputs.of_numbers(scene), params, traced=False)
     kappa = scalar("kappa", _KAPPA, kappa)
-    sign = _sign(sense, distribution, samples, starts, norms, iterations)
+    sign = _sign(sense, distribution, norms)
+    samples, iterations = whole("samples", samples, most=limits.RUNS), whole("iterations", iterations, most=limits.RUNS)
+    starts, seed = whole("starts", starts, most=limits.STARTS), whole("seed", seed, least=0)
     if scene.traits.open:
         raise InputError(
             f"scene '{scene.kind}' fidelity", f"'{scene.title}' leaves the choice of the model open", "give one by name"
@@ -187,7 +190,7 @@ _KAPPA = Quantity("kappa", "1", "weight of the linear worst change", 0.0)
 _NORM = Quantity("norms", "1", "exponent of a norm", 1.0, open_low=True)
 
 
-def _sign(sense: str, distribution: str, samples: int, starts: int, norms: Any, iterations: int) -> float:
+def _sign(sense: str, distribution: str, norms: Any) -> float:
     """1 for least, -1 for most; options that are not right raise ``InputError``."""
     if not isinstance(sense, str) or sense not in SENSES:
         raise InputError("sense", f"no sense {quoted(sense)}", nearest(sense, SENSES))
@@ -195,8 +198,6 @@ def _sign(sense: str, distribution: str, samples: int, starts: int, norms: Any, 
         raise InputError(
             "distribution", f"no distribution {quoted(distribution)}", nearest(distribution, DISTRIBUTIONS)
         )
-    for what, count in (("samples", samples), ("starts", starts), ("iterations", iterations)):
-        whole(what, count)
     for q in np.ravel(real("norms", "norms", [] if norms is None else norms)):
         number("norms", _NORM, q)
     return SENSES[sense]

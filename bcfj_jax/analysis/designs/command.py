@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from bcfj_jax.analysis import plausibility
 from bcfj_jax.analysis.derivatives.names import complete
 from bcfj_jax.analysis.designs import pictures
 from bcfj_jax.analysis.designs.api import design
@@ -74,7 +75,9 @@ def run(what: str, more: Mapping[str, Any], out: Path | None, say: Callable[[str
     say(f"{sentence(asked)}: {asked.search.starts} starts, {len(asked.times)} times to {asked.times[-1]:.6g} s")
     plots.get_ready()
     found = found_of(asked)
-    outputs.write_json(folder / "design.json", found.content())
+    best = {**asked.given.params, **found.values} if found.status != FAILED else asked.given.params
+    absurd = plausibility.at(asked.scene, best, asked.times)
+    outputs.write_json(folder / "design.json", found.content() | {"plausibility": plausibility.content(absurd)})
     values, facts = value_rows(found), fact_rows(found)
     drawn: list[Picture] = []
     with stage("drawing"):
@@ -87,10 +90,17 @@ def run(what: str, more: Mapping[str, Any], out: Path | None, say: Callable[[str
             shows = "The objective along each parameter, the others at the optimum; bounds and tolerances are marked."
             drawn.insert(0, Picture("slices.png", "The objective about the optimum", shows))
     report.write(
-        folder, page(f"Design of {stem}", found, asked.note, values, facts, drawn), asked.given.scene.model_form
+        folder, page(f"Design of {stem}", found, asked.note, values, facts, drawn, absurd), asked.given.scene.model_form
     )
     keep_asked()
-    parts = [f"{verdict(found)} {reason(found)}", report.text(values), report.text(facts), f"results in {folder}"]
+    first = [f"At the design that was found {plausibility.headline(absurd)}"] if absurd else []
+    parts = [
+        *first,
+        f"{verdict(found)} {reason(found)}",
+        report.text(values),
+        report.text(facts),
+        f"results in {folder}",
+    ]
     return "\n\n".join(parts), found.status != FAILED
 
 
@@ -138,7 +148,15 @@ def reason(found: Design) -> str:
     return f"{found.reason[:1].upper()}{found.reason[1:]}."
 
 
-def page(title: str, found: Design, note: str, values: report.Rows, facts: report.Rows, drawn: list[Picture]) -> Page:
+def page(
+    title: str,
+    found: Design,
+    note: str,
+    values: report.Rows,
+    facts: report.Rows,
+    drawn: list[Picture],
+    absurd: Sequence[plausibility.Finding] = (),
+) -> Page:
     """The report: what the objective became, by which values, and how far that is to be trusted."""
     kind = GOOD if found.status == "ok" else BAD if found.status == FAILED else FAIR
     word = "Improved" if found.status == "ok" else found.status[:1].upper() + found.status[1:]
@@ -150,7 +168,7 @@ def page(title: str, found: Design, note: str, values: report.Rows, facts: repor
             f"{name} {shown(x, quantities[name]).replace(' u', ' µ')}" for name, x in found.values.items()
         )
         sentence = f"{found.objective} goes from {ends}{found.change}, at {place}."
-    answer = Verdict(kind, word, sentence)
+    answer = plausibility.judged(absurd, Verdict(kind, word, sentence))
     tables = (Table("Design", values, reason(found)), Table("Objective", facts))
     rows = [["search", "value"], *([name, f"{value:.4g}"] for name, value in found.stats.items())]
     folded = (Table("Search", rows),)

@@ -18,6 +18,7 @@ import numpy as np
 import pydantic
 
 from bcfj_jax.analysis.designs.space import Free
+from bcfj_jax.core import limits
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.io import scenefile, tables
 from bcfj_jax.io.scenefile import SceneFile
@@ -53,11 +54,11 @@ class _Objective(tables.Table):
 class Search(tables.Table):
     """[search]: options of ``design``, with its defaults."""
 
-    starts: int = pydantic.Field(default=8, ge=1, le=1000)
+    starts: int = pydantic.Field(default=8, ge=1, le=limits.STARTS)
     kappa: float = pydantic.Field(default=0.0, ge=0.0)
     distribution: Literal["normal", "uniform"] = "normal"
-    samples: int = pydantic.Field(default=64, ge=1, le=100_000)
-    iterations: int = pydantic.Field(default=60, ge=1, le=100_000)
+    samples: int = pydantic.Field(default=64, ge=1, le=limits.RUNS)
+    iterations: int = pydantic.Field(default=60, ge=1, le=limits.RUNS)
     seed: int = pydantic.Field(default=0, ge=0)
     confirm: bool = True
     certify: bool = True

@@ -17,8 +17,9 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from bcfj_jax.analysis.nonlinear.sections import Period, drive_period, impacts, revolutions_to_keep
+from bcfj_jax.core import limits
 from bcfj_jax.core.errors import InputError, nearest
-from bcfj_jax.core.quantities import real
+from bcfj_jax.core.quantities import real, whole
 from bcfj_jax.core.status import OK, reason
 from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.model import AbstractModel, Params, Reading, Solution
@@ -67,6 +68,8 @@ def map_bifurcation(
     Returns:
         The states, like ``start``, with leading axes (P, N).
     """
+    transients = whole("transients", transients, least=0, most=limits.SAMPLES)
+    kept = whole("kept", kept, most=limits.SAMPLES)
 
     def orbit(value: Array) -> Any:
         begun = jax.tree.map(lambda x: jnp.asarray(x, float), start)
@@ -158,7 +161,7 @@ def impact_bifurcation(
     if contact not in known:
         raise InputError(f"scene '{scene.kind}'", f"no contact '{contact}'", nearest(contact, known))
     batch, each = _batch(scene, params, scene.canonical(name), values)
-    grid = np.linspace(0.0, 1.0, samples)
+    grid, kept = np.linspace(0.0, 1.0, whole("samples", samples, least=2, most=limits.SAMPLES)), whole("kept", kept)
     ends = np.full(len(each), float(end))
     found, seen = _solve(scene, batch, ends, grid, (accuracy, max_steps, places))
     reasons, read = _reasons(found, max_steps), seen[contact]
@@ -192,8 +195,9 @@ def _solve(
     budget: tuple[str | float, int, int],
 ) -> tuple[Solution, dict[str, Reading]]:
     accuracy, max_steps, places = budget
-    how = plan(scene, accuracy, max_steps)
-    return jax.device_get(_run(scene, batch, jnp.asarray(ends), jnp.asarray(grid), how.tolerance, max_steps, places))
+    how, places = plan(scene, accuracy, max_steps), whole("places", places, most=limits.MEMBERS)
+    grids = jnp.asarray(ends), jnp.asarray(grid)
+    return jax.device_get(_run(scene, batch, *grids, how.tolerance, how.max_steps, places))
 
 
 @partial(jax.jit, static_argnums=(0, 5, 6))

@@ -21,6 +21,7 @@ import numpy as np
 from jax import Array
 from jax.flatten_util import ravel_pytree
 
+from bcfj_jax.core import limits
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.quantities import whole
 
@@ -64,16 +65,17 @@ def from_growth(growth: np.ndarray, interval: float, batches: int, reason: str =
     return Exponent(float(mean[-1]), error, mean, growth, interval, reason)
 
 
-def check_counts(iterations: int, transients: int, batches: int) -> None:
-    """Refuse numbers that make no mean.
+def counts(iterations: int, transients: int, batches: int, seed: int) -> tuple[int, int, int, int]:
+    """The numbers that make a mean, as ``int``.
 
     Raises:
-        InputError: for no iterations, negative transients, or more batches than iterations.
+        InputError: for no iterations, negative transients or seeds, or more batches than iterations.
     """
-    whole("iterations", iterations)
-    whole("transients", transients, least=0)
+    iterations = whole("iterations", iterations, most=limits.SAMPLES)
+    transients = whole("transients", transients, least=0, most=limits.SAMPLES)
     if whole("batches", batches, least=0) > iterations:
         raise InputError("batches", f"{batches} of {iterations} iterations", "give no more batches than iterations")
+    return iterations, transients, int(batches), whole("seed", seed, least=0)
 
 
 def map_exponent(
@@ -102,9 +104,9 @@ def map_exponent(
         The exponent; -inf for a superstable orbit, whose tangent vanishes.
 
     Raises:
-        InputError: ``check_counts``.
+        InputError: ``counts``.
     """
-    check_counts(iterations, transients, batches)
+    iterations, transients, batches, seed = counts(iterations, transients, batches, seed)
     start, rebuild = ravel_pytree(jax.tree.map(lambda x: jnp.asarray(x, float), state))
 
     def flat(y: Array) -> Array:
@@ -147,9 +149,9 @@ def flow_exponent(
         batches, seed: as ``map_exponent``.
 
     Raises:
-        InputError: ``check_counts``.
+        InputError: ``counts``.
     """
-    check_counts(intervals, transients, batches)
+    intervals, transients, batches, seed = counts(intervals, transients, batches, seed)
 
     def both(t: Array, rows: Array) -> Array:
         return jnp.stack(jax.jvp(lambda y: field(t, y), (rows[0],), (rows[1],)))
@@ -205,9 +207,9 @@ def two_trajectories(
         step, state, iterations, transients, interval, batches, seed: as ``map_exponent``.
 
     Raises:
-        InputError: ``check_counts``, or a separation that is not positive.
+        InputError: ``counts``, or a separation that is not positive.
     """
-    check_counts(iterations, transients, batches)
+    iterations, transients, batches, seed = counts(iterations, transients, batches, seed)
     if not separation > 0.0:
         raise InputError("separation", f"{separation:g}", "give more than 0")
     start, rebuild = ravel_pytree(jax.tree.map(lambda x: jnp.asarray(x, float), state))
@@ -246,6 +248,7 @@ def flow_step(field: Field, interval: float, tolerance: float = 1e-7, max_steps:
     Args:
         field, interval, tolerance, max_steps: as ``flow_exponent``; what cannot be solved is NaN.
     """
+    max_steps = whole("max_steps", max_steps)
 
     def step(y: Array) -> Array:
         solution = dfx.diffeqsolve(

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.analysis.nonlinear.exponents import Exponent, check_counts, from_growth
+from bcfj_jax.analysis.nonlinear.exponents import Exponent, counts, from_growth
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.quantities import Quantity, scalar
 from bcfj_jax.core.status import OK, reason
@@ -74,7 +74,7 @@ def scene_exponent(
             for times that are not positive, and as ``simulate``.
     """
     params = inputs.parameters(inputs.model(scene), params, traced=False)
-    check_counts(intervals, 0, batches)
+    intervals, _, batches, seed = counts(intervals, 0, batches, seed)
     if scene.traits.turning and (interval is None or settle is None):
         turn, pitch = scene.period(params)
         interval = pitch if interval is None else interval
@@ -88,10 +88,10 @@ def scene_exponent(
         found = f"{settle:g} s, but the load rises for {settled - interval:g} s"
         raise InputError("settle", found, "give a longer settle")
     scene.check(params)
-    tolerance = plan(scene, accuracy, max_steps).tolerance
+    how = plan(scene, accuracy, max_steps)
     turning = -(-intervals // 10)
-    values = jnp.asarray(settle), jnp.asarray(interval), tolerance
-    growth, codes = jax.device_get(_growth(scene, dict(params), *values, max_steps, turning, intervals, seed))
+    values = jnp.asarray(settle), jnp.asarray(interval), how.tolerance
+    growth, codes = jax.device_get(_growth(scene, dict(params), *values, how.max_steps, turning, intervals, seed))
     bad = np.flatnonzero(codes != OK)
     why = reason(int(codes[bad[0]]), max_steps) if bad.size else ""
     return from_growth(growth[turning:] if not why else np.full(intervals, np.nan), interval, batches, why)

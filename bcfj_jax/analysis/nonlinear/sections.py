@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bcfj_jax.analysis.features import contact_times
+from bcfj_jax.core import limits
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.quantities import Quantity, scalar, whole
 from bcfj_jax.mechanism import inputs
@@ -79,7 +80,9 @@ def revolutions_to_keep(revolutions: int, transients: int, phase: float) -> np.n
         InputError: for a phase outside [0, 2 pi), a negative number of transients, and for nothing to keep.
     """
     phase = scalar("section", _PHASE, phase)
-    if whole("revolutions", revolutions) < max(whole("transients", transients, least=0), 1):
+    revolutions = whole("revolutions", revolutions, most=limits.SAMPLES)
+    transients = whole("transients", transients, least=0)
+    if revolutions < max(transients, 1):
         found = f"{revolutions} revolutions, of which {transients} are transients"
         raise InputError("revolutions", found, "give more revolutions than transients")
     first = max(transients, 0 if phase > 0.0 else 1)
@@ -168,7 +171,7 @@ def period_number(values: ArrayLike, tolerance: float, most: int = 16) -> int:
     Returns:
         p, or 0 where there is none: a longer period, quasi-periodic, chaotic, or a section that failed.
     """
-    x = np.asarray(values, dtype=float)
+    x, most = np.asarray(values, dtype=float), whole("most", most)
     for p in range(1, min(most, len(x) // 2) + 1):
         # NaN compares false, so that a failed section has no period.
         if np.all(np.abs(x[p:] - x[:-p]) <= tolerance):

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from bcfj_jax.analysis import balance, features
+from bcfj_jax.analysis.plausibility import Finding, headline, judged
 from bcfj_jax.analysis.simulation import pictures, views
 from bcfj_jax.analysis.simulation.views import Turning
 from bcfj_jax.core.errors import InputError
@@ -91,11 +92,19 @@ def drawn(
     return [one for one in found if one is not None]
 
 
-def verdict(run: Run, content: Mapping[str, Any]) -> Verdict:
-    """The highest force, where and when, and its measured error; first what contradicts it.
+def verdict(run: Run, content: Mapping[str, Any], absurd: Sequence[Finding] = ()) -> Verdict:
+    """The highest force, where and when, and its measured error; first what contradicts it, and what cannot be.
 
-    "Finished" stands only where no balance is missed and the error is as asked where it was measured.
+    "Finished" stands only where no balance is missed, the error is as asked where it was measured, and penetrations and
+    pressures are those of solid bodies (``plausibility``).
     """
+    found = _verdict(run, content)
+    if run.status == "failed":
+        return Verdict(found.kind, found.word, f"{found.sentence} {headline(absurd)}".strip())
+    return judged(absurd, found)
+
+
+def _verdict(run: Run, content: Mapping[str, Any]) -> Verdict:
     accuracy = content.get("accuracy") or {}
     until = accuracy.get("agree_until")
     apart = until is not None and math.isfinite(until)
@@ -310,7 +319,7 @@ def whole_table(content: Mapping[str, Any]) -> list[Table]:
     """What the summary says of the model as a whole: every group of numbers that is neither contacts nor solver."""
     rows = [["quantity", "value"]]
     for group, values in content.items():
-        aside = ("contacts", "accuracy", "solver", "units", "fidelity", "engineering", "balance")
+        aside = ("contacts", "accuracy", "solver", "units", "fidelity", "engineering", "balance", "plausibility")
         if group in aside or not isinstance(values, Mapping):
             continue
         units = values.get("units", {})
@@ -324,7 +333,7 @@ def whole_table(content: Mapping[str, Any]) -> list[Table]:
 
 def made(
     title: str, run: Run, scene: AbstractModel, content: Mapping[str, Any], shown: Sequence[Picture], more: Sequence[Table],
-    readings: Rows, choice: str = "",
+    readings: Rows, choice: str = "", absurd: Sequence[Finding] = (),
 ) -> Page:  # fmt: skip
     """The page of a run.
 
@@ -336,8 +345,9 @@ def made(
         more: tables to fold away.
         readings: what [[read]] asks for, as rows; none without.
         choice: which level of the model was chosen, in a sentence.
+        absurd: what is not plausible.
     """
-    answer = verdict(run, content)
+    answer = verdict(run, content, absurd)
     if choice:
         answer = Verdict(answer.kind, answer.word, f"{answer.sentence} {choice}")
     found = tables(scene, content)

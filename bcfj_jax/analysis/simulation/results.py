@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from bcfj_jax.analysis import balance, envelope, features, histories
+from bcfj_jax.analysis import balance, envelope, features, histories, plausibility
 from bcfj_jax.analysis.simulation import page, pictures
 from bcfj_jax.io import outputs, report
 from bcfj_jax.io.page import Table, model_form
@@ -311,11 +311,12 @@ def _readings_rows(given: SceneFile, run: Run, digits: int = 6) -> list[list[str
 
 
 class Written(NamedTuple):
-    """What ``write`` has written: the results in words, what to warn of, and ``summary.json``."""
+    """What ``write`` has written: the results in words, what to warn of, ``summary.json``, and what is not plausible."""
 
     text: str
     warnings: list[str]
     content: dict[str, Any]
+    absurd: Sequence[plausibility.Finding] = ()
 
 
 def write(folder: Path, given: SceneFile, run: Run, stem: str, framed: Sequence[Channel] = ()) -> Written:
@@ -340,7 +341,11 @@ def write(folder: Path, given: SceneFile, run: Run, stem: str, framed: Sequence[
     judged = balance.of_run(given.scene, given.params, run, force_error(given.accuracy))
     if judged.verdict == balance.MISSED:
         warnings.insert(0, judged.reason)
-    content = summary(run, given.scene.traits.turning) | {"balance": judged.content()} | whole
+    absurd = plausibility.of_run(given.scene, given.params, run)
+    absurd += plausibility.of_engineers(whole) if not absurd else []
+    warnings = [*filter(None, [plausibility.headline(absurd)]), *warnings]
+    found = {"balance": judged.content(), "plausibility": plausibility.content(absurd)}
+    content = summary(run, given.scene.traits.turning) | found | whole
     warnings += filter(None, [whole.get("engineering", {}).get("warning")])
     content |= {"warnings": warnings}
     outputs.write_json(folder / "summary.json", content)
@@ -349,7 +354,7 @@ def write(folder: Path, given: SceneFile, run: Run, stem: str, framed: Sequence[
         tables.append(rows)
     if given.reads:
         tables.append(_readings_rows(given, run))
-    answer = page.verdict(run, content)
+    answer = page.verdict(run, content, absurd)
     said = (
         f"{answer.word}. {answer.sentence} {choice_sentence(run)}".strip() if run.status != "failed" else verdict(run)
     )
@@ -360,7 +365,7 @@ def write(folder: Path, given: SceneFile, run: Run, stem: str, framed: Sequence[
         accuracy = f"{accuracy}Model form: {model_form(given.scene.model_form)}\n"
     # What is missed stands first.
     balanced = "" if judged.verdict == balance.MISSED else f"{judged.sentence()}\n"
-    return Written(f"{text}\n\n{balanced}{accuracy}", warnings, content)
+    return Written(f"{text}\n\n{balanced}{accuracy}", warnings, content, absurd)
 
 
 def draw(folder: Path, given: SceneFile, run: Run, stem: str, written: Written, animations: Sequence[str] = ()) -> None:
@@ -369,7 +374,7 @@ def draw(folder: Path, given: SceneFile, run: Run, stem: str, written: Written, 
     found = page.made(
         f"Simulation of {stem}", run, given.scene, written.content, shown,
         [Table("Input: values and what they mean", input_rows(given))],
-        _readings_rows(given, run, 3) if given.reads else (), choice_sentence(run),
+        _readings_rows(given, run, 3) if given.reads else (), choice_sentence(run), written.absurd,
     )  # fmt: skip
     from bcfj_jax.io.view import animation, export
 

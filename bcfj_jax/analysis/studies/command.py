@@ -5,13 +5,14 @@ from __future__ import annotations
 import contextlib
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from bcfj_jax.analysis.derivatives.names import feature_unit
+from bcfj_jax.analysis.plausibility import Finding, at, headline, judged
 from bcfj_jax.analysis.studies import api, local, pictures, specification
 from bcfj_jax.analysis.studies.block import Blocks, compute
 from bcfj_jax.analysis.studies.specification import Study
@@ -185,14 +186,36 @@ def write(result: api.Result, study: Study, stem: str) -> str:
         values = values[np.isfinite(values)]
         ends = (np.min(values), np.median(values), np.max(values)) if values.size else (None,) * 3
         rows.append([name, *(brief(x, units.get(name, "1")) for x in ends)])
+    absurd = _absurd(result, study)
     with stage("drawing"):
         drawn = pictures.overview(study, result, result.folder)
-    report.write(result.folder, page(f"Study {stem}", result, study, drawn), study.given.scene.model_form)
+    report.write(result.folder, page(f"Study {stem}", result, study, drawn, absurd), study.given.scene.model_form)
+    first = [f"At its {place} {headline(findings)}" for place, findings in absurd.items()]
     more = [f"  {text}: {count}" for text, count in found["reasons"].items()]
-    return "\n".join([said, *more, "", report.text(rows)])
+    return "\n".join([*first, said, *more, "", report.text(rows)])
 
 
-def page(title: str, result: api.Result, study: Study, drawn: Sequence[Picture]) -> Page:
+def _absurd(result: api.Result, study: Study) -> dict[str, list[Finding]]:
+    """What is not plausible at the points of the least and of the largest value of the first feature, run again alone."""
+    name = study.features[0].name
+    values = np.where(result.column("status") == "ok", result.column(name), np.nan)
+    if not np.isfinite(values).any():
+        return {}
+    found = {}
+    for word, k in (("largest", int(np.nanargmax(values))), ("least", int(np.nanargmin(values)))):
+        params = {key: float(x[0]) for key, x in study.params(study.points[k : k + 1]).items()}
+        times = study.given.times * (study.ends[k] / study.given.times[-1])
+        found[f"{word} {name}, point {k},"] = at(study.given.scene, params, times)
+    return {place: findings for place, findings in found.items() if findings}
+
+
+def page(
+    title: str,
+    result: api.Result,
+    study: Study,
+    drawn: Sequence[Picture],
+    absurd: Mapping[str, list[Finding]] | None = None,
+) -> Page:
     """The report: which parameter moves which feature most, the range of every feature, and points that failed."""
     good = result.column("status") == "ok"
     rows = [["feature", "least", "median", "largest"]]
@@ -212,7 +235,8 @@ def page(title: str, result: api.Result, study: Study, drawn: Sequence[Picture])
         warnings.append(share)
         reasons = [[text, str(count)] for text, count in result.state["reasons"].items()]
         tables.append(Table("Failures", [["reason", "points"], *reasons]))
-    return Page(title, _answer(result, study, good), tuple(drawn), tuple(warnings), tuple(tables))
+    verdict = judged([one for findings in (absurd or {}).values() for one in findings], _answer(result, study, good))
+    return Page(title, verdict, tuple(drawn), tuple(warnings), tuple(tables))
 
 
 def _answer(result: api.Result, study: Study, good: np.ndarray) -> Verdict:

@@ -19,12 +19,12 @@ from bcfj_jax.contact.gaps.base import (
     Face,
     Frame,
     Look,
+    counted,
     direction,
     one_of,
 )
 from bcfj_jax.contact.gaps.guides import between
 from bcfj_jax.core import shapes
-from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.numerics import smooth_step
 from bcfj_jax.core.vectors import Vector, add, cross, dot, length, plus, scale, subtract, times, turned, unit
 
@@ -59,11 +59,7 @@ class BallBetweenPlanes(AbstractGap):
     needs: ClassVar[tuple[str, ...]] = ("clearance", "ball_radius")
     signed: ClassVar[bool] = True
     axis: Any = eqx.field(static=True, default="z", converter=direction)
-    windows: int = eqx.field(static=True, default=0)
-
-    def __check_init__(self):
-        if not isinstance(self.windows, int) or isinstance(self.windows, bool) or self.windows < 0:
-            raise InputError("gap, option 'windows'", f"{self.windows!r} windows", "give a whole number >= 0")
+    windows: int = eqx.field(static=True, default=0, converter=lambda n: counted("windows", n))
 
     @property
     def members(self) -> int:
@@ -123,15 +119,13 @@ class BallInGroove(AbstractGap):
         section: "gothic", two faces, or "circular", one face.
     """
 
-    tracks: int = eqx.field(static=True, default=0)
+    tracks: int = eqx.field(static=True, default=0, converter=lambda n: counted("tracks", n))
     side: str = eqx.field(static=True, default="outer")
     section: str = eqx.field(static=True, default="gothic")
 
     def __check_init__(self):
         one_of("side", self.side, ("outer", "inner"))
         one_of("section", self.section, ("gothic", "circular"))
-        if not isinstance(self.tracks, int) or isinstance(self.tracks, bool) or self.tracks < 0:
-            raise InputError("gap, option 'tracks'", f"{self.tracks!r} tracks", "give a whole number >= 0")
 
     @property
     def needs(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]

@@ -23,14 +23,19 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.contact.part import Part
+from bcfj_jax.core import limits
 from bcfj_jax.core.errors import InputError, nearest
-from bcfj_jax.core.quantities import Quantity
+from bcfj_jax.core.quantities import Quantity, whole
 from bcfj_jax.core.shapes import Mesh
 from bcfj_jax.core.vectors import ZERO, Axes, Number, Vector, array, seen, subtract, turned
 
 Coefficients = Mapping[str, Array]
 # Lengths are sqrt(v . v + ROUND^2) [m]: coincident centres have no direction, no force and finite derivatives.
 ROUND = 1e-12
+
+
+# Lengths of bodies among the sizes that gaps read.
+_OF_BODIES = ("radius", "radius_a", "radius_b", "ball_radius", "half_length", "half_width")
 
 
 class Frame(NamedTuple):
@@ -138,6 +143,15 @@ class Ground(bj.gaps.AbstractGap):
         del c
         return Bends(0.0)
 
+    def size(self, c: Mapping[str, float]) -> float | None:
+        """Least length of a body that it reads [m], a radius or half a side; None where it reads none. ``c`` holds numbers."""
+        return min((c[name] for name in self.needs if name in _OF_BODIES), default=None)
+
+    def radius(self, c: Mapping[str, float]) -> float | None:
+        """Relative radius R of bodies that touch at a point of two equal curvatures, 1/R = 1/R_1 + 1/R_2 [m]; else None."""
+        del c
+        return None
+
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
         """Direction that a force's axial component is read along, less its part along the normal: a's z axis.
 
@@ -210,6 +224,15 @@ def one_of(option: str, value: Any, known: Iterable[str]) -> None:
     known = tuple(known)
     if value not in known:
         raise InputError(f"gap, option '{option}'", f"no {option} '{value}'", nearest(str(value), known))
+
+
+def counted(option: str, value: Any) -> int:
+    """A number of members as an ``int``; 0 leaves it to the bodies.
+
+    Raises:
+        InputError: for what is none.
+    """
+    return whole(f"gap, option '{option}'", value, least=0, most=limits.MEMBERS)
 
 
 def yes_or_no(option: str, value: Any) -> None:

@@ -124,6 +124,10 @@ class SphereOnPlane(PointOnPlane):
         down = negative(up)
         return (Face(c["radius"] - _above(a, b, up, c, self.clearance), down, scale(c["radius"], down)),)
 
+    def radius(self, c: Mapping[str, float]) -> float | None:
+        """The sphere's."""
+        return c["radius"]
+
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
         """A plate and a sphere."""
         return (self._plate(c, look, max(1.4 * c["radius"], 0.3 * look.size)),), (shapes.ball(c["radius"]),)
@@ -153,6 +157,10 @@ class SphereOnSphere(AbstractGap):
     def bends(self, c: Coefficients) -> Bends:
         """Over the distance of the centres in contact."""
         return Bends(c["radius_a"] + c["radius_b"], np.inf)
+
+    def radius(self, c: Mapping[str, float]) -> float | None:
+        """That of two spheres side by side."""
+        return 1.0 / (1.0 / c["radius_a"] + 1.0 / c["radius_b"])
 
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
         """Two spheres."""

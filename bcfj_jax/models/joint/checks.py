@@ -14,9 +14,9 @@ from collections.abc import Callable, Collection, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from jax.core import Tracer
 
 from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.inside import Tracer
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint import deflection
 from bcfj_jax.models.joint.deflection import Fault, shown

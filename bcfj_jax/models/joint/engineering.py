@@ -14,14 +14,13 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from bcfj_jax.contact.stiffness import ISO_76
 from bcfj_jax.core.programs import ask
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint.coefficients import patch
 from bcfj_jax.models.joint.scene import Joint
 from bcfj_jax.models.joint.validity import LIMIT
 
-# ISO 76: largest pressure of a ball's static load rating [Pa]; a lasting dent of 1e-4 of the ball's diameter.
-ISO_76 = 4.2e9
 UNITS = {"force": "N", "pressure": "Pa", "half_axes": "m", "power": "W"}
 TITLES = {"pressure": "Hertz pressure", "half_axes": "half-axes of patch", "power": "friction power"}
 NOTE = (

@@ -17,11 +17,13 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from bcfj_jax.contact import laws as normal_laws
+from bcfj_jax.core import limits, quantities
 from bcfj_jax.core.errors import InputError, nearest, quoted
 from bcfj_jax.core.shapes import Drawing
 from bcfj_jax.core.status import OK, UNBALANCED
 from bcfj_jax.mechanism.model import (
     AbstractModel,
+    Bodies,
     BodyMotion,
     Coarser,
     Flows,
@@ -285,6 +287,11 @@ class JointModel(Joint):
         """``validity.warnings``."""
         return validity.warnings(self, params, run)
 
+    def bodies_at(self, params: Params, contact: str) -> Bodies:
+        """A ball, which is the smallest body at every contact that it has, and thinner than any other at the rest."""
+        del contact
+        return Bodies(float(params["ball_radius"]))
+
     def settled_from(self, params: Params) -> float:
         """When the load has risen and a ball's pitch has passed."""
         return risen(self, params, 1)
@@ -463,8 +470,7 @@ def joint(
     for name, value in given.items():
         if value not in choices[name]:
             raise InputError(f"{where} {name}", f"no {name} '{value}'", nearest(value, choices[name]))
-    if balls < 3:
-        raise InputError(f"{where} balls", f"{balls} balls", "give 3 or more")
+    balls = quantities.whole(f"{where} balls", balls, least=3, most=limits.MEMBERS)
     names = tuple(contacts) if contacts is not None else USUAL[1:] if cage == "fixed" else USUAL
     # Who lists contacts has listed those of the windows.
     ends = contacts is None if window_ends is None else window_ends
