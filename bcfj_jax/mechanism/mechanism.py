@@ -347,10 +347,6 @@ class Mechanism(AbstractModel):
             raise raised(f"contact '{c.name}' gap {type(c.gap).__name__}", error) from error
         found = []
         for face, own in zip(faces, memory, strict=True):
-            if not self.turning(c.between[1]):
-                # A body that does not turn is met beside its marker: force, moment and power then balance exactly.
-                depth = scale(dot(face.lever, face.normal), face.normal)
-                face = face._replace(lever=subtract(face.lever, depth))
             point = add(frames[1].place, face.lever)
             velocity = subtract(
                 second.velocity_at(subtract(point, second.place)), first.velocity_at(subtract(point, first.place))
@@ -361,10 +357,9 @@ class Mechanism(AbstractModel):
                 continue
             c_values = coefficients | dict(zip(c.memory, own, strict=True))
             bristle = (own[-3], own[-2], own[-1]) if c.bristles else None
+            turn = c.gap.carried(first.spin, second.spin)
             try:
-                touch = press(
-                    c.law, c.friction, c_values, face, velocity, bristle, first.spin, own[-1] if c.lags else None
-                )
+                touch = press(c.law, c.friction, c_values, face, velocity, bristle, turn, own[-1] if c.lags else None)
             except Exception as error:
                 raise raised(f"contact '{c.name}' law {type(c.law).__name__}", error) from error
             found.append((face, touch))

@@ -191,7 +191,7 @@ def test_rate_is_the_closing_speed_at_the_point_of_contact(key):
 
 @every
 def test_point_of_contact(key):
-    """It lies on b's surface, on its far side along the normal; in a socket, on the socket."""
+    """It lies on b's surface, on its far side along the normal; in a socket, on the socket; between two spheres."""
     case, s = CASES[key], CASES[key].sizes
     (_, start, other, place), (depth, normal, lever, _) = look(case, 1)
     if case.name in ("point_on_plane", "two_sided_stop"):
@@ -201,6 +201,10 @@ def test_point_of_contact(key):
         assert np.allclose(np.linalg.norm(point, axis=-1), s["radius"], rtol=1e-14)
         inner = s["radius"] - s["clearance"]
         assert np.allclose(np.linalg.norm(lever, axis=-1), inner - depth, rtol=1e-12)
+    elif case.name == "sphere_on_sphere":
+        # As far inside of either sphere.
+        reach = [np.linalg.norm(place + lever - centre, axis=-1) for centre in (start, place)]
+        assert np.allclose([s["radius_a"] - reach[0], s["radius_b"] - reach[1]], 0.5 * depth, rtol=0, atol=1e-15)
     elif case.name == "slider_in_guide":
         corners = lever @ other
         size = [s["half_length"], s["half_width"], 0.0]

@@ -2,9 +2,10 @@
 
 A gap reads two frames, markers on a first body a and a second body b, in world components (``core.vectors``), and gives
 faces. A face's normal n is the way in which b has moved into a: the derivative of the penetration by b's place. The
-contact pushes b along -n and a along +n, at the point ``lever`` away from b's marker. Velocities are the mechanism's
-business (``contact.wrench``): the rate of the penetration is n . (v_b - v_a) at the point of contact, because the point
-of contact slides along surfaces but not across them.
+contact pushes b along -n and a along +n, friction included, at one point in space, ``lever`` away from b's marker, where the
+surfaces touch: on one of them or between them. Velocities are the mechanism's business (``contact.wrench``): those of the
+material of a and of b at that point, whatever holds the bodies. The rate of the penetration is n . (v_b - v_a) there,
+because the point of contact slides along surfaces but not across them.
 
 To add a gap in a file of your own: ``from_depth(function)`` of one line, or a module with ``needs`` and ``faces``. The
 rate above holds for every gap whose penetration reads b's place in a's axes alone and whose lever is along n, and for
@@ -132,6 +133,11 @@ class Ground(bj.gaps.AbstractGap):
             a, b: markers on the first and on the second body.
             c: the coefficients named by ``needs``, SI; each a scalar, or (k,) over members.
         """
+
+    def carried(self, a: Vector, b: Vector) -> Vector:
+        """Angular velocity with which bristles turn, from those of a and b: a's, which holds the plane or the hollow."""
+        del b
+        return a
 
     def bends(self, c: Coefficients) -> Bends:
         """What bends the penetration's course near contact (``Bends``); where not known, every step is looked at."""
