@@ -39,7 +39,7 @@ SIZES = {
     "cam_radius": 0.03, "throw": 0.005,
 }  # fmt: skip
 SHARED = {
-    "stiffness": 1e8, "exponent": 1.5, "damping": 0.05, "restitution": 0.7, "smoothing": 1e-5, "friction_static": 0.3,
+    "stiffness": 1e7, "exponent": 1.5, "damping": 0.05, "restitution": 0.7, "smoothing": 1e-5, "friction_static": 0.3,
     "friction_dynamic": 0.2, "friction_speed": 0.3, "bristle_stiffness": 3e3, "bristle_damping": 1.0,
     "friction_memory": 1e-3, "friction_viscous": 0.02, "relaxation": 0.4, "relaxation_time": 1e-3,
 }  # fmt: skip

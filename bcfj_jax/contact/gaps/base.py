@@ -24,6 +24,7 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.contact.part import Part
+from bcfj_jax.core import shapes
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.core.shapes import Mesh
@@ -184,6 +185,34 @@ class FromDepth(AbstractGap):
         depth, slope = self._depth_and_slope(place, {name: c[name] for name in self.reads})
         local = (slope[..., 0], slope[..., 1], slope[..., 2])
         return (Face(depth, turned(a.axes, local)),)
+
+    def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
+        """Where the penetration is 0 about the marker's travel, as a wall; and a small ball at the marker.
+
+        The wall lies along that axis of a on which the penetration depends least.
+        """
+        reach = 1.4 * float(np.max(look.half)) or 0.25 * look.size
+        values = {name: np.asarray(c[name], float) for name in self.reads}
+        corners = look.middle + reach * np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3), -1).reshape(-1, 3)
+        slopes = np.abs(self._on_host(corners, values)[1]).mean(axis=0)
+        along = min((2, 1, 0), key=lambda k: (round(float(slopes[k]), 6), look.half[k]))
+        i, j = (k for k in range(3) if k != along)
+        ticks = np.linspace(-reach, reach, 81)
+        grid = np.tile(look.middle, (81, 81, 1))
+        grid[..., i] += ticks[:, None]
+        grid[..., j] += ticks
+        depth = self._on_host(grid.reshape(-1, 3), values)[0].reshape(81, 81)
+        lines = shapes.level(grid, depth)
+        if not len(lines):
+            return (), (shapes.ball(0.05 * reach),)
+        outward = -self._on_host(lines.mean(axis=1), values)[1]
+        return (shapes.wall(lines, outward, 0.2 * reach * np.eye(3)[along]),), (shapes.ball(0.05 * reach),)
+
+    def _on_host(self, places: np.ndarray, c: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+        """Penetrations (k,) and slopes (k, 3) at places (k, 3)."""
+        one = jax.jit(jax.vmap(jax.value_and_grad(self.function), (0, None)))
+        depth, slope = one(places, dict(c))
+        return np.asarray(depth), np.asarray(slope)
 
     def _depth_and_slope(self, place: Array, c: dict[str, Array]) -> tuple[Array, Array]:
         one = jax.value_and_grad(self.function)
