@@ -558,6 +558,17 @@ class Mechanism(AbstractModel):
 
         return suspects(self, params)
 
+    def misread(self, params: Params, run: Any) -> list[str]:
+        """Contacts whose penetration says that their gap was written otherwise than it is meant (``AbstractGap.misread``)."""
+        found = []
+        for c in self.contacts:
+            depth = np.asarray(run.penetration.get(c.name, np.zeros(0)))
+            deepest = float(np.max(depth, initial=0.0, where=np.isfinite(depth)))
+            sizes = {name: float(np.max(x)) for name, x in c.coefficients(params).items() if np.ndim(x) < 2}
+            if said := c.gap.misread(sizes, deepest):
+                found.append(f"contact '{c.name}' gap: {said}")
+        return found
+
     def orbits(self, params: Params, run: Any) -> dict[str, Orbit]:
         """``orbits.orbits``."""
         from bcfj_jax.mechanism.orbits import orbits

@@ -218,7 +218,8 @@ def _with_integrals(problem: Problem, channels: int) -> Problem:
 
     def more(t: Any, y: Array, args: tuple[AbstractModel, Any]) -> Array:
         seen = look(args[0], t, y[:size], args[1])
-        return jnp.concatenate([field(t, y[:size], args), seen.force, jnp.abs(seen.force) * seen.rate])
+        pushed = jnp.abs(seen.force)
+        return jnp.concatenate([field(t, y[:size], args), pushed, pushed * seen.rate])
 
     start, scales = (
         jnp.concatenate([x, jnp.full(2 * channels, y)]) for x, y in ((problem.start, 0.0), (problem.scales, 1.0))

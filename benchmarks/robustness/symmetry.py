@@ -34,7 +34,7 @@ from benchmarks.common import save
 
 LIMIT = 1e-9
 SIZES = {
-    "radius": 0.05, "radius_a": 0.05, "radius_b": 0.04, "half_length": 0.03, "half_width": 0.02, "clearance": 0.01,
+    "radius": 0.05, "radius_a": 0.05, "radius_b": 0.04, "half_length": 0.004, "half_width": 0.003, "clearance": 0.01,
     "ball_radius": 0.008, "pitch_radius": 0.0355, "offset": 0.0045, "contact_angle": 0.7, "conformity": 0.53,
     "cam_radius": 0.03, "throw": 0.005,
 }  # fmt: skip
@@ -239,8 +239,10 @@ def apart(name: str, depth: float, turned: np.ndarray, planar: bool, rng: np.ran
     if name == "from_depth":
         return np.array([*((SIZES["cam_radius"] - depth) * around + [0.0, SIZES["throw"]]), p[2]])
     if name == "slider_in_guide":
-        corners = turned @ np.array([[-0.03, 0.03], [0.02, 0.02], [0.0, 0.0]])
-        return np.array([p[0], 0.02 + play - corners[1].max(), p[2]])
+        # So small a block that it meets one wall, however it is turned.
+        long, wide = SIZES["half_length"], SIZES["half_width"]
+        corners = turned @ np.array([[-long, long], [wide, wide], [0.0, 0.0]])
+        return np.array([p[0], wide + play - corners[1].max(), p[2]])
     if "groove" in name:
         outer, gothic = name == "ball_in_groove", name == "ball_in_groove"
         centre, turn = np.array([0.0, 0.0, SIZES["offset"] * (1 if outer else -1)]), rng.uniform(-0.5, 0.5)

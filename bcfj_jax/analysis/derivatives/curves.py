@@ -66,10 +66,9 @@ def summits(model: AbstractModel, params: Params, whole: Continuous, first: Arra
     return jax.vmap(one)(jnp.arange(whole.time.size), *whole[:4])
 
 
-def known(kind: str, curve: Any, highest: Any) -> Any:
-    """Which of peaks are those of the continuous curve: of ``peak`` or ``largest``, whose greatest sample is given."""
-    xp = jnp if isinstance(curve, Array) else np
-    size = xp.abs(curve) if kind == "largest" else curve
+def known(curve: Any, highest: Any) -> Any:
+    """Which of peaks are those of the continuous curve, by the size of the greatest sample."""
+    size = (jnp if isinstance(curve, Array) else np).abs(curve)
     return (size > 0) & (highest <= (1.0 + _HIGHER) * size)
 
 

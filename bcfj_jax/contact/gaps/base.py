@@ -153,6 +153,11 @@ class Ground(bj.gaps.AbstractGap):
         del b, c
         return a.axes[2]
 
+    def misread(self, c: Mapping[str, float], deepest: float) -> str:
+        """What the greatest penetration of a run [m] says against how the gap was written; "" for nothing. On the host."""
+        del c, deepest
+        return ""
+
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
         """What it looks like; nothing by default. ``c`` holds numbers. On the host."""
         del c, look
