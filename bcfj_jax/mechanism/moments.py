@@ -9,8 +9,8 @@ from jax import Array
 
 class Continuous(NamedTuple):
     """Of each of C channels, whatever the samples: (C,) time [s] and (C, n) state of the step's end at which its force was
-    greatest, (C,) lengths of the steps before and after it [s], and integrals (C,) of its normal force's size by the time [N s] and
-    by the penetration [J].
+    greatest, (C,) lengths of the steps before and after it [s], and integrals (C,) of the size of its normal force by the
+    time [N s] and by the penetration [J].
     """
 
     time: Array

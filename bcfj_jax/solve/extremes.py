@@ -32,7 +32,7 @@ class Extremes(NamedTuple):
         end: when they last parted [s]; infinite where they touch at the end of the run, or never did.
         count: number of contacts.
         touching: time in contact [s].
-        impulse: integral of the size of the normal force [N s]; coarse: by how much Simpson's and the trapezium rule differ [N s].
+        impulse: integral of the size of the normal force; coarse: by how much Simpson's and the trapezium rule differ [N s].
         work: integral of the size of the normal force over the penetration [J].
         deepest: greatest penetration [m]; negative is the least gap.
     """

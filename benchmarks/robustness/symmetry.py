@@ -1,10 +1,10 @@
 """Does it matter which body is written first, or on which side of a mirror a machine stands? It must not.
 
 Machines have contacts of several gaps, friction laws and normal laws between bodies of every kind: driven, turning, sliding,
-free, and a base that holds them all. Each is run three times over its first contacts: as it is; with the two bodies of every contact
-exchanged and its gap with them (``Exchanged``); and as its image in a mirror. Numbers are drawn (places, directions, speeds,
-coefficients); few programs are compiled. Runge and Kutta's method of order 4 with a fixed step integrates all alike, so that
-what differs is the equations of motion. Compared are all forces, over the largest.
+free, and a base that holds them all. Each is run three times over its first contacts: as it is; with the two bodies of every
+contact exchanged and its gap with them (``Exchanged``); and as its image in a mirror. Places, masses and speeds are drawn;
+few programs are compiled. Runge and Kutta's method of order 4 with a fixed step integrates all alike, so that what differs is
+the equations of motion. Compared are all forces, and slips, over the largest.
 
     python -m benchmarks.robustness.symmetry [--draws N]     symmetry.json
 """
@@ -173,7 +173,9 @@ def bodies(rng: np.random.Generator, still: np.random.Generator, planar: bool, t
     axis = lambda: "z" if planar else three(still, 1.0)  # noqa: E731
     lean = ("z" if planar else three(still, 1.0), turned)
     free = "planar" if planar else "free"
-    ball = {k: float(0.2 * rng.normal()) for k in (("x", "y", "angle") if planar else ("x", "y", "z", "q1", "q2", "q3"))}
+    ball = {
+        k: float(0.2 * rng.normal()) for k in (("x", "y", "angle") if planar else ("x", "y", "z", "q1", "q2", "q3"))
+    }
     rates = ("vx", "vy") if planar else ("vx", "vy", "vz")
     spins = ("speed",) if planar else ("wx", "wy", "wz")
     ball |= {k: float(0.5 * rng.normal()) for k in rates} | {k: float(5.0 * rng.normal()) for k in spins}

@@ -53,7 +53,9 @@ def test_features_and_their_derivatives_are_those_of_the_size(signs):
         return Histories(table, depth[:, None], rate[:, None], None)
 
     plain, signed = histories(force), histories(sign * force)
-    by = [Histories(x.force[None], 0.0 * depth[None, :, None], 0.0 * rate[None, :, None], None) for x in (plain, signed)]
+    by = [
+        Histories(x.force[None], 0.0 * depth[None, :, None], 0.0 * rate[None, :, None], None) for x in (plain, signed)
+    ]
     ours, theirs = (measure(TIMES, x, d, wanted, contacts, False) for x, d in zip((plain, signed), by, strict=True))
     for a, b in zip(ours, theirs, strict=True):
         assert np.allclose(a, b, rtol=1e-12, atol=0, equal_nan=True)
@@ -133,4 +135,7 @@ def test_a_slot_across_the_stroke_is_said():
     run = bj.simulate(scene, params, np.linspace(0.0, 0.02, 101))
     (said,) = scene.misread(params, run)
     assert "pin" in said and "lies across the pin's travel" in said and "(1, 0, 0)" in said
-    assert "across" in page.verdict(run, {"misread": [said]}).sentence and page.verdict(run, {"misread": [said]}).kind == page.BAD
+    assert (
+        "across" in page.verdict(run, {"misread": [said]}).sentence
+        and page.verdict(run, {"misread": [said]}).kind == page.BAD
+    )

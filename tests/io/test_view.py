@@ -81,7 +81,9 @@ def yoke():
     ]
     pin = bj.Contact("pin", ("yoke", "crank"), bj.gaps.PinInSlot(axis="y"), at=((0, 0, 0), (0.05, 0, 0)))
     given = {"stiffness": 1e8, "exponent": 1.5, "damping": 0.3, "radius": 0.008, "clearance_pin": 5e-5}
-    return bj.Mechanism("yoke", bodies, [pin], [bj.loads.Force("push", "yoke", "-x", size=200.0)], given=given, end=0.05)
+    return bj.Mechanism(
+        "yoke", bodies, [pin], [bj.loads.Force("push", "yoke", "-x", size=200.0)], given=given, end=0.05
+    )
 
 
 SHOWN = {

@@ -1,10 +1,10 @@
-"""Contacts are the same machine whichever body is written first, seen in a mirror, and turned; forces act where surfaces touch."""
+"""Which body of a contact is first does not matter, nor a mirror, nor a turn; forces act where the surfaces touch."""
 
 from __future__ import annotations
 
 import functools
+from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -21,7 +21,6 @@ from benchmarks.robustness.symmetry import (
     LIMIT,
     MIRROR,
     RUBS,
-    SHARED,
     SIZES,
     WAYS,
     compared,
@@ -33,11 +32,17 @@ from benchmarks.robustness.symmetry import (
 )
 
 M = np.array(MIRROR)
+
+
+def _tier(k: int, roll: int) -> list[Any]:
+    return [] if (k, roll) == (4, 4) else [pytest.mark.full if roll == k else pytest.mark.slow]
+
+
 # Every gap with some friction laws; of the slow tier, with all.
 EVERY = pytest.mark.parametrize(
     ("names", "planar", "roll"),
     [
-        pytest.param(names, planar, roll, marks=[] if (k, roll) == (4, 4) else [pytest.mark.full if roll == k else pytest.mark.slow], id=f"{names[0]}-{planar}-{roll}")
+        pytest.param(names, planar, roll, marks=_tier(k, roll), id=f"{names[0]}-{planar}-{roll}")
         for k, (names, planar) in enumerate(structures())
         for roll in range(len(RUBS))
     ],
@@ -172,7 +177,9 @@ def touches(name, p, a, b):
         n = np.sign(local[0]) * a[:, 0]
         return [(n, {"pin_in_slot": s["radius"], "ball_between_planes": s["ball_radius"]}.get(name, 0.0) * n)]
     if name == "slider_in_guide":
-        corners = [b @ [i * s["half_length"], j * s["half_width"], 0.0] for i, j in ((-1, 1), (1, 1), (-1, -1), (1, -1))]
+        corners = [
+            b @ [i * s["half_length"], j * s["half_width"], 0.0] for i, j in ((-1, 1), (1, 1), (-1, -1), (1, -1))
+        ]
         return [(k * a[:, 1], corner) for k, corner in zip((1, 1, -1, -1), corners, strict=True)]
     if name == "from_depth":
         away = local * [1.0, 1.0, 0.0] - [0.0, s["throw"], 0.0]
@@ -198,7 +205,8 @@ def test_forces_act_where_the_surfaces_touch(names, planar, roll):
     for c, name in zip(scene.contacts, names, strict=True):
         members = scene.members[c.name] or 1
         (first, second), marks = c.between, c.at
-        (pa, a, va, wa), (pb, b, vb, wb) = (_marker(scene, moved, body, m) for body, m in ((first, marks[0]), (second, marks[1])))
+        ends = ((first, marks[0]), (second, marks[1]))
+        (pa, a, va, wa), (pb, b, vb, wb) = (_marker(scene, moved, body, m) for body, m in ends)
         for k, (n, lever) in enumerate(touches(name, pb - pa, a, b)):
             force, normal, slip = one.force[at + k], one.normal[at + k], one.slip[at + k]
             point = pb + lever
@@ -227,7 +235,9 @@ def test_forces_act_where_the_surfaces_touch(names, planar, roll):
     wanted = pin @ (twist["rocker"] - np.cross(hinge, pull["rocker"]))
     assert inertia * (pin @ moved["rocker"].spin_rate) == pytest.approx(wanted, rel=1e-9)
     along = _axis(scene, moved, "slider")
-    assert scene.body("slider").mass * (along @ moved["slider"].acceleration) == pytest.approx(along @ pull["slider"], rel=1e-9)
+    assert scene.body("slider").mass * (along @ moved["slider"].acceleration) == pytest.approx(
+        along @ pull["slider"], rel=1e-9
+    )
     ball = scene.body("ball")
     near(pull["ball"] * (M * M if not planar else [1.0, 1.0, 0.0]), ball.mass * moved["ball"].acceleration, 1e-9)
     near((twist["ball"] - np.cross(moved["ball"].place, pull["ball"])) * ([1, 1, 1] if not planar else [0, 0, 1]),
@@ -244,9 +254,9 @@ def _turn(moved, body):
 
 
 def _marker(scene, moved, body, mark):
-    place, axes = _origin(scene, moved, body), _turn(moved, body)
-    spin = np.zeros(3) if moved[body].spin is None else moved[body].spin
-    return place + axes @ np.array(mark), axes, moved[body].velocity + np.cross(spin, place + axes @ np.array(mark) - moved[body].place), spin
+    axes, spin = _turn(moved, body), np.zeros(3) if moved[body].spin is None else moved[body].spin
+    place = _origin(scene, moved, body) + axes @ np.array(mark)
+    return place, axes, moved[body].velocity + np.cross(spin, place - moved[body].place), spin
 
 
 def _axis(scene, moved, body):
@@ -294,5 +304,3 @@ def test_runs_over_the_first_contact_are_alike():
     assert np.all(got["peaks"] > 1.0)
     for way in WAYS:
         assert np.max(got[way]) <= LIMIT
-
-

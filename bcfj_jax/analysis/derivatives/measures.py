@@ -1,8 +1,8 @@
 """Features of histories and their derivatives along the histories' tangents.
 
 ``vector`` is in JAX, for whatever differentiates through it. ``measure`` is the same in NumPy with derivatives by hand,
-so that a finished run's features compile nothing. Both take the size of a contact's force first (``sizes``). A period's derivative comes from what defines it: a root of the
-penetration, or the best correlation of a history with itself.
+so that a finished run's features compile nothing. Both take the size of a contact's force first (``sizes``). A period's
+derivative comes from what defines it: a root of the penetration, or the best correlation of a history with itself.
 """
 
 from __future__ import annotations

@@ -13,7 +13,15 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
-from bcfj_jax.contact.gaps import AbstractGap, BallBetweenPlanes, BallInGroove, Coefficients, Face, Frame, SphereInSocket
+from bcfj_jax.contact.gaps import (
+    AbstractGap,
+    BallBetweenPlanes,
+    BallInGroove,
+    Coefficients,
+    Face,
+    Frame,
+    SphereInSocket,
+)
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
 from bcfj_jax.core.vectors import ZERO
