@@ -158,18 +158,17 @@ def rotation(axis: Any, angle: float) -> np.ndarray:
     return np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * k @ k
 
 
-def attitude(q: Sequence[float]) -> np.ndarray:
-    """Matrix of a quaternion, scalar first."""
-    q = np.asarray(q) / np.linalg.norm(q)
-    angle = 2.0 * np.arctan2(np.linalg.norm(q[1:]), q[0])
-    return rotation(q[1:], angle) if np.any(q[1:]) else np.eye(3)
+def attitude(q: Any) -> np.ndarray:
+    """Matrix of a quaternion of length 1 and more, scalar first."""
+    scalar, vector = q[0], np.array(q[1:])
+    return rotation(vector, 2.0 * np.arctan2(np.linalg.norm(vector), scalar)) if np.any(vector) else np.eye(3)
 
 
 def bodies(rng: np.random.Generator, still: np.random.Generator, planar: bool, turned: float) -> list[Body]:
     """A base that is turned, and what moves on it: numbers by ``rng``, directions of axes by ``still``."""
     flat = np.array([1.0, 1.0, 0.0 if planar else 1.0])
     three = lambda rng, size: tuple((size * flat * rng.normal(size=3)).tolist())  # noqa: E731
-    own = lambda: {"mass": float(rng.uniform(0.5, 2.0)), "inertia": float(rng.uniform(2e-3, 8e-3))}  # noqa: E731
+    own: Any = lambda: {"mass": float(rng.uniform(0.5, 2.0)), "inertia": float(rng.uniform(2e-3, 8e-3))}  # noqa: E731
     axis = lambda: "z" if planar else three(still, 1.0)  # noqa: E731
     lean = ("z" if planar else three(still, 1.0), turned)
     free = "planar" if planar else "free"
@@ -193,7 +192,7 @@ def bodies(rng: np.random.Generator, still: np.random.Generator, planar: bool, t
     ]
 
 
-def poses(made: Sequence[Body]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def poses(made: Sequence[Any]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Axes as columns, and place, of every body at the start."""
     found = {GROUND: (np.eye(3), np.zeros(3))}
     for b in made:
@@ -205,7 +204,7 @@ def poses(made: Sequence[Body]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         if b.joint == "slide":
             place = place + turn @ way * start["position"]
         elif b.joint == "hinge":
-            turn = turn @ rotation(way, b.drive.start if b.drive else start["angle"])  # pyright: ignore[reportArgumentType]
+            turn = turn @ rotation(way, b.drive.start if b.drive else start["angle"])
         elif b.joint != "fixed":
             place = place + turn @ np.array([start.get(k, 0.0) for k in "xyz"])
             turn = turn @ (
@@ -302,13 +301,13 @@ def machine(
     return Mechanism("machine", made, contacts, given={k: x for k, x in SHARED.items() if k in read}, end=1e-3)
 
 
-def _image(b: Body) -> Body:
+def _image(b: Any) -> Body:
     back = _BACKWARDS[b.joint]
-    start = {key: -x if key in back else x for key, x in b.start}  # pyright: ignore[reportOperatorIssue]
-    tilt = None if b.tilt is None else (reflected(_way(b.tilt[0])), -b.tilt[1])  # pyright: ignore[reportOperatorIssue]
+    start = {key: -x if key in back else x for key, x in b.start}
+    tilt = None if b.tilt is None else (reflected(_way(b.tilt[0])), -b.tilt[1])
     drive = b.drive
     if drive is not None:
-        drive = dataclasses.replace(drive, speed=-drive.speed, start=-drive.start)  # pyright: ignore
+        drive = dataclasses.replace(drive, speed=-drive.speed, start=-drive.start)
     axis = b.axis if isinstance(b.axis, str) and b.axis == "z" else reflected(_way(b.axis))
     return dataclasses.replace(
         b, at=reflected(b.at), center=reflected(b.center), axis=axis, tilt=tilt, start=tuple(start.items()), drive=drive
@@ -394,7 +393,7 @@ def unlike(names: Sequence[str], ours: Seen, theirs: Seen, way: str) -> np.ndarr
 
 
 def compared(
-    names: Sequence[str], planar: bool, seeds: Sequence[int], end: float = 1.5e-3, steps: int = 300, roll: int = 0
+    names: Sequence[str], planar: bool, seeds: Sequence[int], end: float = 1.5e-3, steps: int = 1200, roll: int = 0
 ) -> dict[str, np.ndarray]:
     """A machine beside itself exchanged and mirrored: by way the greatest difference of each draw; peak forces [N]."""
     ours = jax.device_get(runs(*drawn(names, planar, seeds, roll=roll), end, steps))
