@@ -40,12 +40,13 @@ SIZES = {
 }  # fmt: skip
 SHARED = {
     "stiffness": 1e7, "exponent": 1.5, "damping": 0.05, "restitution": 0.7, "smoothing": 1e-5, "friction_static": 0.3,
-    "friction_dynamic": 0.2, "friction_speed": 0.3, "bristle_stiffness": 3e3, "bristle_damping": 1.0,
+    "friction_dynamic": 0.2, "friction_speed": 3.0, "bristle_stiffness": 3e3, "bristle_damping": 0.1,
     "friction_memory": 1e-3, "friction_viscous": 0.02, "relaxation": 0.4, "relaxation_time": 1e-3,
 }  # fmt: skip
-# No friction, and every friction law; normal laws without and with a memory or a state.
+# No friction, and every friction law; normal laws without and with a state. An approach speed that is remembered settles at
+# rates that no fixed step can follow, and so does friction of a small ``friction_speed`` at the end of a long arm.
 RUBS = (None, *FRICTION)
-LAWS = ("memory_free", "hertz", "flores", "standard_linear_solid")
+LAWS = ("memory_free", "hertz", "standard_linear_solid")
 # (first, second) of every contact: of what holds them all, the ground or a base that is turned, and of each other.
 PAIRS = (
     ("base", "wheel"), ("wheel", "slider"), ("slider", "ball"), ("ball", "rocker"), ("rocker", "slider"),
@@ -393,7 +394,7 @@ def unlike(names: Sequence[str], ours: Seen, theirs: Seen, way: str) -> np.ndarr
 
 
 def compared(
-    names: Sequence[str], planar: bool, seeds: Sequence[int], end: float = 1.5e-3, steps: int = 1200, roll: int = 0
+    names: Sequence[str], planar: bool, seeds: Sequence[int], end: float = 1.5e-3, steps: int = 600, roll: int = 0
 ) -> dict[str, np.ndarray]:
     """A machine beside itself exchanged and mirrored: by way the greatest difference of each draw; peak forces [N]."""
     ours = jax.device_get(runs(*drawn(names, planar, seeds, roll=roll), end, steps))

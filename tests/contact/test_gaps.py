@@ -338,3 +338,16 @@ def test_what_is_zero_leaves_the_program():
         for face in CASES[key].gap.faces(a, b, numbers(CASES[key].sizes)):
             assert isinstance(face.normal[2], float) and face.normal[2] == 0.0, key
             assert isinstance(face.lever[2], float) and face.lever[2] == 0.0, key
+
+
+def test_two_spheres_may_be_exchanged():
+    """With their radii: the same penetration and the same point in space, the opposite normal, and bristles that turn alike."""
+    case = CASES["spheres"]
+    axes, start, other, place = placed(case, 7)
+    s = case.sizes
+    back = {"radius_a": s["radius_b"], "radius_b": s["radius_a"]}
+    depth, normal, lever, _ = found(case.gap, frame(start, axes), frame(place, other), numbers(s))
+    again = found(case.gap, frame(place, other), frame(start, axes), numbers(back))
+    assert np.allclose(again[0], depth, rtol=0, atol=1e-16) and np.allclose(again[1], -normal, rtol=0, atol=1e-15)
+    assert np.allclose(start + again[2], place + lever, rtol=0, atol=1e-15)
+    assert case.gap.carried((1.0, 2.0, 3.0), (5.0, 0.0, 1.0)) == case.gap.carried((5.0, 0.0, 1.0), (1.0, 2.0, 3.0))
