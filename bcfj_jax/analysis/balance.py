@@ -109,7 +109,9 @@ def of_run(model: AbstractModel, params: Params, run: Run, asked: float) -> Bala
             UNKNOWN, "The balance is not known: the model has no inertia, and every instant is solved for itself."
         )
     arguments = dict(params), run.times, run.trajectory
-    samples = jax.device_get(program("accounts", sampled, (model,), arguments)[0](*arguments))
+    # Run once: to compile quickly matters more than to run quickly.
+    quick = {"xla_backend_optimization_level": 0}
+    samples = jax.device_get(program("accounts", sampled, (model,), arguments, quick)[0](*arguments))
     depth, rate = channels(run.penetration), channels(run.rate)
     hidden = [name for name in depth if len(features.unseen(depth[name], rate[name]))]
     tops = {name: np.max(np.abs(force[..., 0]), axis=0) for name, force in run.force.items()}

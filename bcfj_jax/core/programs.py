@@ -98,8 +98,7 @@ def program(
             what ``static`` says.
         static: hashable structure: models, names, numbers, None.
         arguments: pytrees of arrays and numbers; only their shapes matter here.
-        options: of XLA's compiler; one name stands for one set of options, too. Not ``xla_backend_optimization_level`` 0,
-            whose programs gave wrong forces (jaxlib 0.10.1, on a CPU).
+        options: of XLA's compiler; one name stands for one set of options, too.
 
     Returns:
         A function of arguments of the same shapes; it gives the result as NumPy arrays.

@@ -23,7 +23,7 @@ def orbits(model: Mechanism, params: Params, run: Any) -> dict[str, Orbit]:
     if not names or run.trajectory is None:
         return {}
     arguments = (dict(params), run.times, run.trajectory)
-    apart = program("orbits", _paths, (model,), arguments)[0](*arguments)
+    apart = program("orbits", _paths, (model,), arguments, {"xla_backend_optimization_level": 0})[0](*arguments)
     found = {}
     for name in names:
         contact = model.contact(name)

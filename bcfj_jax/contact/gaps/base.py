@@ -186,7 +186,9 @@ class FromDepth(AbstractGap):
 
     def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
         """One face."""
-        place = array(seen(a.axes, subtract(b.place, a.place)))
+        # Computed once: where XLA computes it again with other roundings, |x| = max(|x|, |y|) is false for both, and the
+        # slope of jnp.hypot, or of any maximum, is lost.
+        place = jax.lax.optimization_barrier(array(seen(a.axes, subtract(b.place, a.place))))
         depth, slope = self._depth_and_slope(place, {name: c[name] for name in self.reads})
         local = (slope[..., 0], slope[..., 1], slope[..., 2])
         return (Face(depth, turned(a.axes, local)),)

@@ -148,7 +148,8 @@ def animation(model: AbstractModel, params: Params, run: Run, title: str = "", c
     # As many as were asked for, so that one program serves every run.
     full = np.concatenate([picked, np.full(max(0, min(count, len(run.times)) - picked.size), picked[-1])])
     arguments = (dict(params), np.maximum(run.times[full], 0.0), run.trajectory[full])
-    found = program("scenery", _scenery, (model,), arguments)[0](*arguments)
+    quick = {"xla_backend_optimization_level": 0}
+    found = program("scenery", _scenery, (model,), arguments, quick)[0](*arguments)
     found = jax.tree.map(lambda x: np.asarray(x)[: picked.size], found)
     tracks, index = _tracks(model, found)
     arrows = _forces(model, found, index)

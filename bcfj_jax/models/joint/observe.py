@@ -200,7 +200,9 @@ class Whole(NamedTuple):
 def whole(scene: Joint, params: Params, times: Array, states: Array) -> Whole:
     """Everything in ``Whole``, of flat states (T, n) at the times [s]; NaN where a state is. On the host."""
     arguments = (dict(params), times, states)
-    return program("whole", _whole, (scene,), arguments)[0](*arguments)
+    # Run once on a few thousand states: to compile quickly matters more than to run quickly.
+    quick = {"xla_backend_optimization_level": 0}
+    return program("whole", _whole, (scene,), arguments, quick)[0](*arguments)
 
 
 def _whole(scene: Joint, params: Params, times: Array, states: Array) -> Whole:
