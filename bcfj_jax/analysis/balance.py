@@ -203,7 +203,7 @@ def _stepped_over(
     """What samples show and no step of the solver has met, in sentences."""
     found, most = [], max((_top(x) for x in tops.values()), default=0.0)
     for name in extremes:
-        met = np.maximum(np.abs(extremes[name].peak), np.abs(extremes[name].least))
+        met = np.asarray(extremes[name].peak)
         beyond = tops[name] > _BEYOND * met + asked * most
         if np.any(beyond):
             k = np.unravel_index(int(np.argmax(np.where(beyond, tops[name], -np.inf))), beyond.shape)

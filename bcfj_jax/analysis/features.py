@@ -4,6 +4,9 @@ The features are ``peak``, ``mean``, ``impulse``, ``period``, ``dissipated_work`
 ``contact_fraction`` and ``ripple``, and of a pair ``delay``; ``period`` and ``delay`` are those of ``histories``, which
 says what a window is and which errors those that take one raise.
 
+A normal force that is read has a sign where a contact pushes both ways; a feature is of its size |F|, and ``side`` says
+which way it is where it is greatest: ``summary``, ``of_steps`` and ``derivatives.measures`` take the size before all else.
+
 All but ``period``, ``unseen``, ``contact_times`` and what counts these are pure and differentiable and take arrays of shape
 (T,); ``vmap`` them over members and batches. They see samples only: what happens between two samples is not in them, but in
 ``of_steps``.
@@ -39,6 +42,7 @@ UNITS = {
     "contact_start": "s",
     "contact_end": "s",
     "peak_penetration": "m",
+    "side": "1",
 }
 
 
@@ -68,6 +72,11 @@ def _numpy(*values: ArrayLike) -> Any:
 def peak(values: ArrayLike) -> Array:
     """Greatest sample of a force, max F [N], or of a penetration, max d [m]."""
     return _numpy(values).max(values)
+
+
+def side(greatest: float, least: float) -> float:
+    """On which side a contact pushes hardest, from its greatest and least normal force: 1, -1, or 0 without a force."""
+    return float(np.sign(greatest if greatest >= -least else least))
 
 
 def impulse(times: ArrayLike, force: ArrayLike) -> Array:
@@ -267,6 +276,7 @@ def of_steps(end: float, steps: Mapping[str, float]) -> dict[str, float]:
         "contact_start": steps["onset"] if steps["count"] else float("nan"),
         "contact_end": steps["end"] if parted else float("nan"),
         "peak_penetration": steps["deepest"],
+        "side": side(steps["peak"] if steps["least"] != -steps["peak"] else 0.0, steps["least"]),
     }
 
 
@@ -276,18 +286,19 @@ def summary(times: ArrayLike, force: ArrayLike, penetration: ArrayLike, rate: Ar
     The surfaces touch ``contact_count`` times: first from ``contact_start`` on, last until ``contact_end``, which is NaN
     where they still touch at the end of the history. The period is ``contact_interval``.
     """
-    contacts = contact_times(times, penetration, rate)
+    contacts, signed = contact_times(times, penetration, rate), _numpy(force).asarray(force)
+    force = _numpy(force).abs(signed)
     start, end = (contacts[0][0], contacts[-1][1]) if contacts else (float("nan"), float("nan"))
     return {
         "peak": float(peak(force)),
         "mean": float(mean(times, force)),
         "period": contact_interval(times, penetration, rate),
         "impulse": float(impulse(times, force)),
-        # A reading that is signed, of a contact with two sides, is negative where the other side presses.
-        "dissipated_work": float(dissipated_work(np.abs(force), penetration)),
+        "dissipated_work": float(dissipated_work(force, penetration)),
         "contact_fraction": float(contact_fraction(times, penetration)),
         "contact_count": float(len(contacts)),
         "contact_start": start,
         "contact_end": end,
         "peak_penetration": float(peak(penetration)),
+        "side": side(float(peak(signed)), -float(peak(-signed))),
     }

@@ -10,9 +10,9 @@ has its force by their part in the contact plane,  b = z - n (n . z),  and they 
 
     f = -N n - N (s b + m u)        z' = W x z + (1 - o) (u - k z) - o z/tau
 
-W is a's angular velocity, so that a bristle turns with a. o rises from 0 to 1 over a gap of 1 um beyond the regularisation and
-tau is 1e-5 s, so that nothing is remembered from one touch to the next. Friction that lags (``friction.Memory``) has its mobility
-by the slip speed of late besides, a number that each face keeps.
+W is the angular velocity with which the gap says that bristles turn (``AbstractGap.carried``). o rises from 0 to 1 over a gap
+of 1 um beyond the regularisation and tau is 1e-5 s, so that nothing is remembered from one touch to the next. Friction that
+lags (``friction.Memory``) has its mobility by the slip speed of late besides, a number that each face keeps.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def press(
         face: where it touches.
         velocity: of b less that of a at the point of contact [m/s], world.
         bristle: deflection z [m], world; without it every friction law acts by its steady slip.
-        spin: angular velocity of a [rad/s], world; read with bristles only.
+        spin: with which bristles turn [rad/s], world; read with bristles only.
         late: slip speed of late [m/s], of friction that lags.
     """
     rate = dot(face.normal, velocity)

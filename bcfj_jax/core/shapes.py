@@ -178,3 +178,33 @@ def box(half: Any) -> Mesh:
 def with_slack(mesh: Mesh, slack: Any) -> Mesh:
     """A mesh all of whose points move away alike, by ``slack`` (3,) [m]."""
     return mesh._replace(slack=np.broadcast_to(np.asarray(slack, float), mesh.points.shape).copy())
+
+
+def level(grid: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Pieces of the line on which a function is 0, (k, 2, 3) [m], from its values (n, m) at the points (n, m, 3) of a grid.
+
+    Each cell is two triangles, in which the function is taken to be linear.
+    """
+    n, m = values.shape
+    index = np.arange(n * m).reshape(n, m)
+    a, b, c, d = (x.ravel() for x in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
+    corners = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    points, at = grid.reshape(-1, 3)[corners], values.ravel()[corners]
+    next_points, next_at = np.roll(points, -1, axis=1), np.roll(at, -1, axis=1)
+    crossed = ((at > 0) != (next_at > 0)) & np.isfinite(at) & np.isfinite(next_at)
+    share = at / np.where(crossed, at - next_at, 1.0)
+    both = crossed.sum(axis=1) == 2
+    where = points + share[..., None] * (next_points - points)
+    return where[both][crossed[both]].reshape(-1, 2, 3)
+
+
+def wall(lines: np.ndarray, outward: np.ndarray, half: np.ndarray) -> Mesh:
+    """A wall through pieces of a line (k, 2, 3) [m], whose outside is along (k, 3); ``half`` (3,) of its width [m]."""
+    first, second = lines[:, 0], lines[:, 1]
+    points = np.stack([first - half, second - half, second + half, first + half], axis=1).reshape(-1, 3)
+    side = np.cross(second - first, half)
+    size = np.linalg.norm(side, axis=1, keepdims=True)
+    side = side / np.where(size > 0, size, 1.0) * np.sign(np.sum(side * outward, axis=1, keepdims=True))
+    corner = 4 * np.arange(len(lines))[:, None]
+    triangles = np.concatenate([corner + [0, 1, 2], corner + [0, 2, 3]])
+    return facing(Mesh(points, np.repeat(side, 4, axis=0), triangles))

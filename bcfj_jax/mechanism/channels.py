@@ -2,6 +2,7 @@
 
     <contact>.normal | axial | tangential        force in the contact's own frame [N]
     <contact>.penetration | rate | slip          [m], [m/s], [m/s]
+    <contact>.side                               on which side a contact that pushes both ways pushes: 1, -1, or 0
     <contact>.force.x | y | z                    whole force on the second body, world axes [N]
     <body>.place | velocity | acceleration.x|y|z of the centre of mass, world axes [m, m/s, m/s^2]
     <body>.spin | spin_rate.x|y|z                [rad/s, rad/s^2]
@@ -30,7 +31,7 @@ from bcfj_jax.mechanism.bodies import unit_of as unit_of_start
 from bcfj_jax.mechanism.model import AbstractModel, BodyMotion, Params, Reading
 
 _OWN = {"normal": 0, "axial": 1, "tangential": 2}
-_SCALARS = {"penetration": "m", "rate": "m/s", "slip": "m/s"}
+_SCALARS = {"penetration": "m", "rate": "m/s", "slip": "m/s", "side": "1"}
 _VECTORS = {"place": "m", "velocity": "m/s", "acceleration": "m/s^2", "spin": "rad/s", "spin_rate": "rad/s^2"}
 _DRIVEN = {"torque": "N m", "drive": "N"}
 # The names that a body's start has.
@@ -143,6 +144,8 @@ def _value(c: Channel, contacts: Mapping[str, Reading], bodies: Mapping[str, Bod
         found = contacts[c.part]
         if c.what in _OWN:
             return found.force[..., _OWN[c.what]]
+        if c.what == "side":
+            return jnp.sign(found.force[..., 0])
         return _component(c, found.world, bodies) if c.axis else _there(c, getattr(found, c.what))
     motion = bodies[c.part]
     if c.what in _DRIVEN:

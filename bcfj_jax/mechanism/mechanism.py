@@ -351,10 +351,6 @@ class Mechanism(AbstractModel):
             raise raised(f"contact '{c.name}' gap {type(c.gap).__name__}", error) from error
         found = []
         for face, own in zip(faces, memory, strict=True):
-            if not self.turning(c.between[1]):
-                # A body that does not turn is met beside its marker: force, moment and power then balance exactly.
-                depth = scale(dot(face.lever, face.normal), face.normal)
-                face = face._replace(lever=subtract(face.lever, depth))
             point = add(frames[1].place, face.lever)
             velocity = subtract(
                 second.velocity_at(subtract(point, second.place)), first.velocity_at(subtract(point, first.place))
@@ -365,10 +361,9 @@ class Mechanism(AbstractModel):
                 continue
             c_values = coefficients | dict(zip(c.memory, own, strict=True))
             bristle = (own[-3], own[-2], own[-1]) if c.bristles else None
+            turn = c.gap.carried(first.spin, second.spin)
             try:
-                touch = press(
-                    c.law, c.friction, c_values, face, velocity, bristle, first.spin, own[-1] if c.lags else None
-                )
+                touch = press(c.law, c.friction, c_values, face, velocity, bristle, turn, own[-1] if c.lags else None)
             except Exception as error:
                 raise raised(f"contact '{c.name}' law {type(c.law).__name__}", error) from error
             found.append((face, touch))
@@ -583,6 +578,17 @@ class Mechanism(AbstractModel):
         from bcfj_jax.mechanism.checks import suspects
 
         return suspects(self, params)
+
+    def misread(self, params: Params, run: Any) -> list[str]:
+        """Contacts whose penetration says that their gap was written otherwise than it is meant (``AbstractGap.misread``)."""
+        found = []
+        for c in self.contacts:
+            depth = np.asarray(run.penetration.get(c.name, np.zeros(0)))
+            deepest = float(np.max(depth, initial=0.0, where=np.isfinite(depth)))
+            sizes = {name: float(np.max(x)) for name, x in c.coefficients(params).items() if np.ndim(x) < 2}
+            if said := c.gap.misread(sizes, deepest):
+                found.append(f"contact '{c.name}' gap: {said}")
+        return found
 
     def orbits(self, params: Params, run: Any) -> dict[str, Orbit]:
         """``orbits.orbits``."""

@@ -578,6 +578,11 @@ class AbstractModel(eqx.Module):
         del params, contact
         return Bodies()
 
+    def misread(self, params: Params, run: Any) -> list[str]:
+        """What a run (``solve.simulation.Run``) shows that was written otherwise than it is meant; said before all else."""
+        del params, run
+        return []
+
     def settled_from(self, params: Params) -> float:
         """Time [s] from which the promised error holds: 0 unless the model forgets its start first.
 

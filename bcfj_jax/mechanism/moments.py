@@ -8,9 +8,12 @@ from jax import Array
 
 
 class Continuous(NamedTuple):
-    """Of each of C channels, whatever the samples: (2, C) time [s] and (2, C, n) state of the steps' ends at which its force was
-    greatest, and least; (2, C) lengths of the steps before and after these [s]; and integrals (C,) of its normal force by the
-    time [N s] and by the penetration [J].
+    """Of each of C channels, whatever the samples: of its greatest force and its least, and integrals of its size.
+
+    Attributes:
+        time: (2, C) [s], state: (2, C, n) of the ends of the steps at which it was greatest, and least.
+        before, after: (2, C) lengths of the steps before and after these [s].
+        impulse, work: (C,) integrals of the size by the time [N s] and by the penetration [J]; a reading keeps its sign.
     """
 
     time: Array

@@ -25,14 +25,14 @@ class Extremes(NamedTuple):
     """Of one contact, () or of its members (k,), from time 0 to the end of the run.
 
     Attributes:
-        peak, least: greatest and least normal force [N]; the least is a peak, too, where a contact has two sides.
+        peak: greatest size of the normal force [N]; least: least normal force [N], below 0 where a contact pushes back.
         peak_time, least_time: when they were [s].
         onset: when the surfaces first touched [s]; infinite where they have not.
         first, latest: when they first and last began to touch after time 0 [s]; infinite likewise.
         end: when they last parted [s]; infinite where they touch at the end of the run, or never did.
         count: number of contacts.
         touching: time in contact [s].
-        impulse: integral of the normal force [N s]; coarse: by how much Simpson's and the trapezium rule differ [N s].
+        impulse: integral of the size of the normal force; coarse: by how much Simpson's and the trapezium rule differ [N s].
         work: integral of the size of the normal force over the penetration [J].
         deepest: greatest penetration [m]; negative is the least gap.
     """
@@ -131,7 +131,7 @@ def begun(t: Any, look: Look) -> Extremes:
     at, none, zero = (jnp.full_like(look.force, x) for x in (t, jnp.inf, 0.0))
     pressed = look.penetration > 0
     return Extremes(
-        look.force, at, look.force, at, jnp.where(pressed, at, none), none, none, none, jnp.where(pressed, 1.0, zero),
+        jnp.abs(look.force), at, look.force, at, jnp.where(pressed, at, none), none, none, none, jnp.where(pressed, 1.0, zero),
         zero, zero, zero, zero, look.penetration,
     )  # fmt: skip
 
@@ -192,10 +192,14 @@ def after(known: Extremes, t0: Any, t1: Any, before: Look, middle: Look, end: Lo
     top, high = crest(before.force, middle.force, end.force)
     bottom, low = crest(-before.force, -middle.force, -end.force)
     width = t1 - t0
-    higher, lower = top > known.peak, -bottom < known.least
+    lower = -bottom < known.least
+    # On whichever side the contact pushes.
+    top, high = jnp.maximum(top, bottom), jnp.where(top >= bottom, high, low)
+    higher = top > known.peak
     deepest, _ = crest(before.penetration, middle.penetration, end.penetration)
-    pushed, coarse = simpson(width, before.force, middle.force, end.force)
-    worked, _ = simpson(width, *(jnp.abs(look.force) * look.rate for look in (before, middle, end)))
+    sizes = [jnp.abs(look.force) for look in (before, middle, end)]
+    pushed, coarse = simpson(width, *sizes)
+    worked, _ = simpson(width, *(size * look.rate for size, look in zip(sizes, (before, middle, end), strict=True)))
     known = _touched(known, t0, 0.5 * width, before, middle)
     return _touched(known, t0 + 0.5 * width, 0.5 * width, middle, end)._replace(
         peak=jnp.where(higher, top, known.peak),

@@ -35,6 +35,7 @@ from jax import Array
 
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.status import NOT_FINITE, OK, SOLVER, STEPS
+from bcfj_jax.mechanism.channels import is_reading
 from bcfj_jax.mechanism.model import AbstractModel, Continuous, Params, Solution
 from bcfj_jax.solve import adjoint, bdf, named
 from bcfj_jax.solve.batched_jvp import lane_by_lane, still, together
@@ -219,11 +220,14 @@ def _landed(
 
 def _with_integrals(problem: Problem, channels: int) -> Problem:
     """With the integrals of every channel's force by time and penetration behind the states; they have no say in the steps."""
-    size, field, norm = problem.start.size, problem.field, problem.norm
+    size, field, norm, model = problem.start.size, problem.field, problem.norm, problem.args[0]
+    # A contact's integrals are of the force's size, those of a reading in a contact's place keep its sign.
+    signed = np.array([is_reading(c.name) for c in model.contacts for _ in range(max(1, model.members[c.name]))])
 
     def more(t: Any, y: Array, args: tuple[AbstractModel, Any]) -> Array:
         seen = look(args[0], t, y[:size], args[1])
-        return jnp.concatenate([field(t, y[:size], args), seen.force, jnp.abs(seen.force) * seen.rate])
+        pushed = jnp.where(signed, seen.force, jnp.abs(seen.force))
+        return jnp.concatenate([field(t, y[:size], args), pushed, pushed * seen.rate])
 
     start, scales = (
         jnp.concatenate([x, jnp.full(2 * channels, y)]) for x, y in ((problem.start, 0.0), (problem.scales, 1.0))

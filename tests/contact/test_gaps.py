@@ -191,7 +191,7 @@ def test_rate_is_the_closing_speed_at_the_point_of_contact(key):
 
 @every
 def test_point_of_contact(key):
-    """It lies on b's surface, on its far side along the normal; in a socket, on the socket."""
+    """It lies on b's surface, on its far side along the normal; in a socket, on the socket; between two spheres."""
     case, s = CASES[key], CASES[key].sizes
     (_, start, other, place), (depth, normal, lever, _) = look(case, 1)
     if case.name in ("point_on_plane", "two_sided_stop"):
@@ -201,6 +201,10 @@ def test_point_of_contact(key):
         assert np.allclose(np.linalg.norm(point, axis=-1), s["radius"], rtol=1e-14)
         inner = s["radius"] - s["clearance"]
         assert np.allclose(np.linalg.norm(lever, axis=-1), inner - depth, rtol=1e-12)
+    elif case.name == "sphere_on_sphere":
+        # As far inside of either sphere.
+        reach = [np.linalg.norm(place + lever - centre, axis=-1) for centre in (start, place)]
+        assert np.allclose([s["radius_a"] - reach[0], s["radius_b"] - reach[1]], 0.5 * depth, rtol=0, atol=1e-15)
     elif case.name == "slider_in_guide":
         corners = lever @ other
         size = [s["half_length"], s["half_width"], 0.0]
@@ -334,3 +338,16 @@ def test_what_is_zero_leaves_the_program():
         for face in CASES[key].gap.faces(a, b, numbers(CASES[key].sizes)):
             assert isinstance(face.normal[2], float) and face.normal[2] == 0.0, key
             assert isinstance(face.lever[2], float) and face.lever[2] == 0.0, key
+
+
+def test_two_spheres_may_be_exchanged():
+    """With their radii: the same penetration and the same point in space, the opposite normal, and bristles that turn alike."""
+    case = CASES["spheres"]
+    axes, start, other, place = placed(case, 7)
+    s = case.sizes
+    back = {"radius_a": s["radius_b"], "radius_b": s["radius_a"]}
+    depth, normal, lever, _ = found(case.gap, frame(start, axes), frame(place, other), numbers(s))
+    again = found(case.gap, frame(place, other), frame(start, axes), numbers(back))
+    assert np.allclose(again[0], depth, rtol=0, atol=1e-16) and np.allclose(again[1], -normal, rtol=0, atol=1e-15)
+    assert np.allclose(start + again[2], place + lever, rtol=0, atol=1e-15)
+    assert case.gap.carried((1.0, 2.0, 3.0), (5.0, 0.0, 1.0)) == case.gap.carried((5.0, 0.0, 1.0), (1.0, 2.0, 3.0))

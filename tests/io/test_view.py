@@ -9,6 +9,7 @@ from html.parser import HTMLParser
 from itertools import pairwise
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from joints import plain_joint
@@ -53,6 +54,78 @@ def test_shapes_face_outwards_and_have_their_sizes():
     corners = ball.points[ball.triangles]
     volume = np.einsum("mi,mi->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
     assert volume == pytest.approx(4.0 / 3.0 * np.pi * 0.125, rel=0.01)
+
+
+def cam(r, c):
+    return c["cam_radius"] - jnp.hypot(r[0] - c["throw"], r[1])
+
+
+def camshaft():
+    """A cam of one's own: its outline is known to the function of its gap alone."""
+    sizes = (bj.Quantity("cam_radius", "m", "radius of the cam", 0.0), bj.Quantity("throw", "m", "of the cam", 0.0))
+    bodies = [
+        bj.Body("camshaft", "hinge", mass=0.5, inertia=1e-4, drive=bj.Drive("constant", speed=40.0)),
+        bj.Body("follower", "slide", axis="y", mass=0.2, start={"position": 0.0302}),
+    ]
+    gap = bj.gaps.from_depth(cam, ("cam_radius", "throw"), sizes)
+    tip = bj.Contact("tip", ("camshaft", "follower"), gap, friction="coulomb")
+    given = {"stiffness": 1e8, "exponent": 1.5, "damping": 0.5, "friction_dynamic": 0.2, "friction_speed": 1e-2}
+    push = bj.loads.Force("push", "follower", "-y", size=200.0)
+    return bj.Mechanism("cam", bodies, [tip], [push], given=given | {"cam_radius": 0.03, "throw": 0.005}, end=0.05)
+
+
+def yoke():
+    bodies = [
+        bj.Body("crank", "hinge", mass=0.3, inertia=1e-4, drive=bj.Drive("constant", speed=30.0)),
+        bj.Body("yoke", "slide", axis="x", mass=2.0, start={"position": 0.05}),
+    ]
+    pin = bj.Contact("pin", ("yoke", "crank"), bj.gaps.PinInSlot(axis="y"), at=((0, 0, 0), (0.05, 0, 0)))
+    given = {"stiffness": 1e8, "exponent": 1.5, "damping": 0.3, "radius": 0.008, "clearance_pin": 5e-5}
+    return bj.Mechanism(
+        "yoke", bodies, [pin], [bj.loads.Force("push", "yoke", "-x", size=200.0)], given=given, end=0.05
+    )
+
+
+SHOWN = {
+    "cam": camshaft, "yoke": yoke, "slider_crank": bj.scenes.slider_crank, "slider_guide": bj.scenes.slider_guide,
+    "four_bar": bj.scenes.four_bar, "backlash": bj.scenes.backlash, "chain": bj.scenes.chain,
+    "bounce": bj.scenes.bounce, "oblique_impact": bj.scenes.oblique_impact, "impact": bj.scenes.impact,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SHOWN)
+def test_pictures_show_the_tables_numbers(name):
+    """Every arrow is as long as the force of its sample in forces.csv, and points as its readings in the world's axes."""
+    scene = SHOWN[name]()
+    params = scene.parameters()
+    times = np.linspace(0.0, float(scene.horizon(params)), 201)
+    asked = [f"{c.name}.force.{x}" for c in scene.contacts for x in "xyz"]
+    run = bj.simulate(scene, params, times, accuracy=1e-3, read=asked)
+    of = animation.animation(scene, params, run, count=60)
+    at, some = picked(of, run), False
+    back = {c.name: -1.0 if c.between[1] == "ground" else 1.0 for c in scene.contacts}
+    for force in of.forces:
+        pick = (at, force.member - 1) if force.member else (at,)
+        world = np.stack([run.readings[f"{force.contact}.force.{x}"][pick] for x in "xyz"], axis=-1)
+        top = np.max(np.abs(world))
+        some = some or top > 0
+        assert np.allclose(force.force, back[force.contact] * world, rtol=0, atol=1e-9 * top)
+        # Components in the contact's own axes have the same size; those of several members are each their own.
+        table = run.force[force.contact][pick]
+        assert np.allclose(np.linalg.norm(table, axis=-1), np.linalg.norm(world, axis=-1), rtol=0, atol=1e-9 * top)
+    assert some and of.peak == pytest.approx(max(np.linalg.norm(f.force, axis=1).max() for f in of.forces), rel=1e-12)
+    # Every body can be seen.
+    assert {track for track, *_ in of.parts} >= set(range(len(of.tracks)))
+
+
+def test_a_gap_of_ones_own_is_drawn_where_its_penetration_is_zero():
+    gap = bj.gaps.from_depth(cam, ("cam_radius", "throw"))
+    look = bj.gaps.Look(0.1, np.array([-0.03, -0.03, 0.0]), np.array([0.04, 0.03, 0.0]))
+    (wall,), _ = gap.drawn({"cam_radius": 0.03, "throw": 0.005}, look)
+    away = wall.points[:, :2] - [0.005, 0.0]
+    assert np.allclose(np.linalg.norm(away, axis=1), 0.03, atol=1e-4)
+    assert np.ptp(np.arctan2(away[:, 1], away[:, 0])) > 6.0
+    assert np.all(np.sum(wall.normals[:, :2] * away, axis=1) > 0.0)
 
 
 def test_turns_and_their_vectors():

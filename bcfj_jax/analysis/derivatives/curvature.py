@@ -12,6 +12,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from bcfj_jax.analysis.derivatives.jacobian import channel_names, histories
+from bcfj_jax.analysis.derivatives.measures import sizes
 from bcfj_jax.analysis.derivatives.measures import vector as feature_vector
 from bcfj_jax.analysis.derivatives.names import Feature, complete, event
 from bcfj_jax.analysis.derivatives.names import feature as named
@@ -79,7 +80,7 @@ def _product(
         values = {**params, **{name: theta[k] for k, name in enumerate(names)}}
         found, _ = histories(scene, values, times, how)
         if wanted.kind == "peak":
-            return _smooth_peak(found.force[:, place, 0])
+            return _smooth_peak(sizes(found, dict(contacts)).force[:, place, 0])
         return feature_vector(np.frombuffer(samples), found, [wanted], dict(contacts), {})[0]
 
     theta = jnp.stack([params[name] for name in names])

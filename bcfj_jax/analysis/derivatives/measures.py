@@ -1,14 +1,15 @@
 """Features of histories and their derivatives along the histories' tangents.
 
 ``vector`` is in JAX, for whatever differentiates through it. ``measure`` is the same in NumPy with derivatives by hand,
-so that a finished run's features compile nothing. A period's derivative comes from what defines it: a root of the
-penetration, or the best correlation of a history with itself.
+so that a finished run's features compile nothing. Both take the size of a contact's force first (``sizes``). A period's
+derivative comes from what defines it: a root of the penetration, or the best correlation of a history with itself.
 """
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -20,11 +21,12 @@ from bcfj_jax.analysis import features
 from bcfj_jax.analysis import histories as comparison
 from bcfj_jax.analysis.derivatives import curves
 from bcfj_jax.analysis.derivatives.certificate import apart
-from bcfj_jax.analysis.derivatives.curves import COLUMNS, IMPULSE, WORK, quartic
+from bcfj_jax.analysis.derivatives.curves import COLUMNS, IMPULSE, LEAST, PEAK, WORK, quartic
 from bcfj_jax.analysis.derivatives.jacobian import Histories, channel_names
 from bcfj_jax.analysis.derivatives.names import Feature, event, members
 from bcfj_jax.analysis.derivatives.starting import START, of_members, starting
 from bcfj_jax.analysis.histories import correlations, crest_lags, shifts
+from bcfj_jax.mechanism.channels import is_reading
 
 _FEWEST = 11  # samples: a residual of order 9 over fewer is rounding
 _FEW = 6  # samples: of fewer in a contact the loop of force against penetration is not known
@@ -32,8 +34,31 @@ _FEW = 6  # samples: of fewer in a contact the loop of force against penetration
 _INTEGRALS = {"mean": IMPULSE, "impulse": IMPULSE, "dissipated_work": WORK}
 
 
+def sizes(found: Histories, contacts: Mapping[str, int], of: Histories | None = None) -> Histories:
+    """Histories of contacts with the size of the normal force in its place; what is read in a contact's place keeps its sign.
+
+    ``of``: the histories whose derivatives ``found`` are; without it ``found`` are values. Pure, in JAX or NumPy.
+    """
+    value = of or found
+    xp = jnp if isinstance(value.force, Array) else np
+    plain = np.array([is_reading(name) for name in channel_names(contacts)], dtype=bool)
+
+    def turned(part: Any, values: Any) -> Any:
+        return part * xp.where(plain | (values >= 0) | xp.isnan(values), 1.0, -1.0)
+
+    normal = turned(found.force[..., 0], value.force[..., 0])
+    force = xp.concatenate([normal[..., None], found.force[..., 1:]], axis=-1)
+    curve = found.curve
+    if curve is not None and value.curve is not None:
+        # The greatest size is that of the least force where this is larger.
+        lower = ~plain & xp.asarray(curves.top("largest", xp.moveaxis(value.curve, -1, 0), 0.0)[0] == LEAST)
+        peak = xp.where(lower, -curve[..., LEAST], curve[..., PEAK])
+        curve = xp.concatenate([peak[..., None], curve[..., PEAK + 1 :]], axis=-1)
+    return found._replace(force=force, curve=curve)
+
+
 def channel_features(times: np.ndarray, force: Array, depth: Array, curve: Array | None = None) -> dict[str, Array]:
-    """Features of one channel, (T,) normal force [N] and penetration [m], that JAX differentiates. Pure.
+    """Features of one channel, (T,) size of the normal force [N] and penetration [m], that JAX differentiates. Pure.
 
     ``curve``: (4,) what is known of the continuous curve (``Histories``).
     """
@@ -78,7 +103,7 @@ def vector(
         wanted, contacts: which features, and the members of each contact.
         periods: by channel, the period [s] within which a delay is sought; without one, or NaN: the whole history.
     """
-    place = {name: i for i, name in enumerate(channel_names(contacts))}
+    place, found = {name: i for i, name in enumerate(channel_names(contacts))}, sizes(found, contacts)
     normal = found.force[:, :, 0]
     curve = jnp.full((normal.shape[1], len(COLUMNS)), jnp.nan) if found.curve is None else found.curve
     each = jax.vmap(lambda f, d, c: channel_features(times, f, d, c), in_axes=(1, 1, 0))
@@ -127,6 +152,7 @@ def measure(
             interval between contacts.
     """
     names = channel_names(contacts)
+    value, derivative = sizes(value, contacts), sizes(derivative, contacts, value)
     place = {name: i for i, name in enumerate(names)}
     needed = {
         m for f in wanted if f.kind in ("period", "delay", "settling") for c in f.contacts for m in members(c, contacts)
@@ -179,6 +205,7 @@ def sampling(
     a contact, on average. ``values`` (P,) are the parameters'.
     """
     found = np.zeros((len(wanted), len(values)))
+    value, derivative = sizes(value, contacts), sizes(derivative, contacts, value)
     place = {name: i for i, name in enumerate(channel_names(contacts))}
     for i, f in enumerate(wanted):
         if f.kind in ("peak", "largest"):

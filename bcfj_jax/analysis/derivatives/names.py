@@ -103,6 +103,11 @@ class Feature(NamedTuple):
     kind: str
     contacts: tuple[str, ...]
 
+    @property
+    def of_size(self) -> bool:
+        """Whether it is of the size of a history: all are that are of contacts, and ``largest`` of a reading."""
+        return self.kind == "largest" or not is_reading(self.contacts[0])
+
 
 def complete(scene: AbstractModel, params: Params, wrt: Sequence[str]) -> tuple[dict[str, Array], tuple[str, ...]]:
     """Parameters in which every name of ``wrt`` has a value of its own, and the names, checked.

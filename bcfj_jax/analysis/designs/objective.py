@@ -133,11 +133,14 @@ def measured(
             return vector(times, found, [feature], contacts, {})[0]
         index = np.array([names.index(m) for m in members(feature.contacts[0], contacts)])
         values = (found.penetration if feature.kind == "peak_penetration" else found.force[:, :, 0])[:, index]
-        values = jnp.abs(values) if feature.kind == "largest" else values
+        if feature.of_size and feature.kind != "peak_penetration":
+            values = jnp.where(values < 0, -values, values)
         high = jnp.max(values)
         # Of a force the summit of the continuous curve, where the run knows it.
         curve = jnp.full((index.size, len(COLUMNS)), jnp.nan) if found.curve is None else found.curve[index]
-        column, there = jax.vmap(lambda c: top(feature.kind, c, high))(jax.lax.stop_gradient(curve))
+        column, there = jax.vmap(lambda c: top("largest" if feature.of_size else feature.kind, c, high))(
+            jax.lax.stop_gradient(curve)
+        )
         sizes = jnp.abs(jnp.take_along_axis(curve, column[:, None], 1)[:, 0])
         summit = jnp.max(jnp.where(there, sizes, -jnp.inf))
         given = jnp.any(there) & (feature.kind != "peak_penetration")
@@ -164,7 +167,7 @@ def sampled(
     index = np.array([names.index(m) for m in members(feature.contacts[0], contacts)])
     k = int(feature.kind == "peak_penetration")
     values, slopes = read[k][:, index], read[2 + k][:, index] * stretch
-    if feature.kind == "largest":
+    if feature.of_size and not k:
         values, slopes = np.concatenate([values, -values], axis=1), np.concatenate([slopes, -slopes], axis=1)
     beside = np.pad(values, ((1, 1), (0, 0)), constant_values=-np.inf)
     peaks = (values >= beside[:-2]) & (values >= beside[2:])

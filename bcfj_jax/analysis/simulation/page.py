@@ -120,6 +120,8 @@ def _verdict(run: Run, content: Mapping[str, Any]) -> Verdict:
         return Verdict(
             BAD, "Forces and motion contradict each other", " ".join(filter(None, (found["reason"], differs, said)))
         )
+    if content.get("misread"):
+        return Verdict(BAD, "A gap is not what it is meant to be", " ".join(filter(None, (*content["misread"], said))))
     if run.status != "ok":
         return Verdict(BAD, run.status.capitalize(), " ".join(filter(None, (f"{run.reason}.", differs, said))))
     if measured and not worst <= accuracy["asked"]:
@@ -180,7 +182,8 @@ def _rows(
     which would not fit on a screen: by heading a cell a contact.
     """
     there = {key for _, group in groups for one in group for key in one} - set(without)
-    known = [(key, unit) for key, unit in features.UNITS.items() if key in there]
+    backwards = any(one.get("side") == -1.0 for _, group in groups for one in group)
+    known = [(key, unit) for key, unit in features.UNITS.items() if key in there and (key != "side" or backwards)]
     known += [(BETWEEN, "1")] if between else []
     rows = [["contact", *(key.replace("_", " ") for key, _ in known)]]
     for name, group in groups:

@@ -29,7 +29,7 @@ _CARRIES = 0.005
 
 
 class Peak(NamedTuple):
-    """The highest force of a contact: value [N], time [s], the member's number from 1 (0 for a contact without)."""
+    """The highest force of a contact: size [N], time [s], the member's number from 1 (0 for a contact without)."""
 
     force: float
     time: float
@@ -40,7 +40,7 @@ def peaks(run: Run) -> dict[str, Peak]:
     """The highest normal force of every contact, of the solver's steps where they were looked at; NaN: nothing is known."""
     found = {}
     for name, history in run.force.items():
-        values, times = history[..., 0].reshape(len(run.times), -1), run.times[:, None]
+        values, times = np.abs(history[..., 0]).reshape(len(run.times), -1), run.times[:, None]
         if steps := run.extremes.get(name):
             values, times = (np.reshape(x, (1, -1)) for x in (steps.peak, steps.peak_time))
         known = np.where(np.isfinite(values), values, -np.inf)

@@ -178,7 +178,7 @@ def summary(run: Run, turning: bool) -> dict[str, Any]:
     }
     if turning:
         for name, force in outputs.channels(run.force, 1).items():
-            found = histories.settled_period(run.times, force[:, 0]) if run.status == "ok" else float("nan")
+            found = histories.settled_period(run.times, np.abs(force[:, 0])) if run.status == "ok" else float("nan")
             contacts[name]["period"] = found
     for name, depth in penetration.items():
         contacts[name][page.BETWEEN] = len(features.unseen(depth, rate[name]))
@@ -321,7 +321,8 @@ class Written(NamedTuple):
 
 def write(folder: Path, given: SceneFile, run: Run, stem: str, framed: Sequence[Channel] = ()) -> Written:
     """Write the numbers of a run: of ``files`` all but pictures and report, less tables that the level does not have."""
-    warnings = resolution_warnings(run) + work_warnings(run)
+    misread = given.scene.misread(given.params, run)
+    warnings = [*misread, *resolution_warnings(run), *work_warnings(run)]
     warnings += envelope.warnings(given.scene, given.params, run.times)
     warnings += envelope.of_the_start(given.scene, given.params, run.times, run.force)
     warnings += given.scene.warnings(given.params, run)
@@ -346,6 +347,7 @@ def write(folder: Path, given: SceneFile, run: Run, stem: str, framed: Sequence[
     warnings = [*filter(None, [plausibility.headline(absurd)]), *warnings]
     found = {"balance": judged.content(), "plausibility": plausibility.content(absurd)}
     content = summary(run, given.scene.traits.turning) | found | whole
+    content |= {"misread": misread} if misread else {}
     warnings += filter(None, [whole.get("engineering", {}).get("warning")])
     content |= {"warnings": warnings}
     outputs.write_json(folder / "summary.json", content)

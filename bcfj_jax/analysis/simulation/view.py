@@ -51,7 +51,7 @@ def _rows(found: Run) -> list[list[str]]:
     for name, force in found.force.items():
         # Of the solver's steps where they were looked at.
         steps = found.extremes.get(name) if found.status != "failed" else None
-        top, deep = (steps.peak, steps.deepest) if steps else (force[..., 0], found.penetration[name])
+        top, deep = (steps.peak, steps.deepest) if steps else (np.abs(force[..., 0]), found.penetration[name])
         row = [name, _si(_known(np.nanmax, top), "N"), _si(_known(np.nanmax, deep), "m")]
         whole = float(found.times[-1])
         row.append(percent(float(np.mean(steps.touching)) / whole if steps and whole > 0.0 else _share(found, name)))

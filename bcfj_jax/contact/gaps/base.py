@@ -2,9 +2,10 @@
 
 A gap reads two frames, markers on a first body a and a second body b, in world components (``core.vectors``), and gives
 faces. A face's normal n is the way in which b has moved into a: the derivative of the penetration by b's place. The
-contact pushes b along -n and a along +n, at the point ``lever`` away from b's marker. Velocities are the mechanism's
-business (``contact.wrench``): the rate of the penetration is n . (v_b - v_a) at the point of contact, because the point
-of contact slides along surfaces but not across them.
+contact pushes b along -n and a along +n, friction included, at one point in space, ``lever`` away from b's marker, where the
+surfaces touch: on one of them or between them. Velocities are the mechanism's business (``contact.wrench``): those of the
+material of a and of b at that point, whatever holds the bodies. The rate of the penetration is n . (v_b - v_a) there,
+because the point of contact slides along surfaces but not across them.
 
 To add a gap in a file of your own: ``from_depth(function)`` of one line, or a module with ``needs`` and ``faces``. The
 rate above holds for every gap whose penetration reads b's place in a's axes alone and whose lever is along n, and for
@@ -23,7 +24,7 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.contact.part import Part
-from bcfj_jax.core import limits
+from bcfj_jax.core import limits, shapes
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.quantities import Quantity, whole
 from bcfj_jax.core.shapes import Mesh
@@ -138,6 +139,11 @@ class Ground(bj.gaps.AbstractGap):
             c: the coefficients named by ``needs``, SI; each a scalar, or (k,) over members.
         """
 
+    def carried(self, a: Vector, b: Vector) -> Vector:
+        """Angular velocity with which bristles turn, from those of a and b: a's, which holds the plane or the hollow."""
+        del b
+        return a
+
     def bends(self, c: Coefficients) -> Bends:
         """What bends the penetration's course near contact (``Bends``); where not known, every step is looked at."""
         del c
@@ -159,6 +165,11 @@ class Ground(bj.gaps.AbstractGap):
         """
         del b, c
         return a.axes[2]
+
+    def misread(self, c: Mapping[str, float], deepest: float) -> str:
+        """What the greatest penetration of a run [m] says against how the gap was written; "" for nothing. On the host."""
+        del c, deepest
+        return ""
 
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
         """What it looks like; nothing by default. ``c`` holds numbers. On the host."""
@@ -188,10 +199,40 @@ class FromDepth(AbstractGap):
 
     def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
         """One face."""
-        place = array(seen(a.axes, subtract(b.place, a.place)))
+        # Computed once: where XLA computes it again with other roundings, |x| = max(|x|, |y|) is false for both, and the
+        # slope of jnp.hypot, or of any maximum, is lost.
+        place = jax.lax.optimization_barrier(array(seen(a.axes, subtract(b.place, a.place))))
         depth, slope = self._depth_and_slope(place, {name: c[name] for name in self.reads})
         local = (slope[..., 0], slope[..., 1], slope[..., 2])
         return (Face(depth, turned(a.axes, local)),)
+
+    def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
+        """Where the penetration is 0 about the marker's travel, as a wall; and a small ball at the marker.
+
+        The wall lies along that axis of a on which the penetration depends least.
+        """
+        reach = 1.4 * float(np.max(look.half)) or 0.25 * look.size
+        values = {name: np.asarray(c[name], float) for name in self.reads}
+        corners = look.middle + reach * np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3), -1).reshape(-1, 3)
+        slopes = np.abs(self._on_host(corners, values)[1]).mean(axis=0)
+        along = min((2, 1, 0), key=lambda k: (round(float(slopes[k]), 6), look.half[k]))
+        i, j = (k for k in range(3) if k != along)
+        ticks = np.linspace(-reach, reach, 81)
+        grid = np.tile(look.middle, (81, 81, 1))
+        grid[..., i] += ticks[:, None]
+        grid[..., j] += ticks
+        depth = self._on_host(grid.reshape(-1, 3), values)[0].reshape(81, 81)
+        lines = shapes.level(grid, depth)
+        if not len(lines):
+            return (), (shapes.ball(0.05 * reach),)
+        outward = -self._on_host(lines.mean(axis=1), values)[1]
+        return (shapes.wall(lines, outward, 0.2 * reach * np.eye(3)[along]),), (shapes.ball(0.05 * reach),)
+
+    def _on_host(self, places: np.ndarray, c: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+        """Penetrations (k,) and slopes (k, 3) at places (k, 3)."""
+        one = jax.jit(jax.vmap(jax.value_and_grad(self.function), (0, None)))
+        depth, slope = one(places, dict(c))
+        return np.asarray(depth), np.asarray(slope)
 
     def _depth_and_slope(self, place: Array, c: dict[str, Array]) -> tuple[Array, Array]:
         one = jax.value_and_grad(self.function)

@@ -127,7 +127,8 @@ class PinInSlot(AbstractGap):
     Coefficients: ``clearance`` [m], half of slot width less pin diameter; ``radius`` of the pin [m].
 
     Attributes:
-        axis: direction of the slot in a's axes, across z: "x", "y", "-x", "-y", or three numbers, the last 0.
+        axis: direction of the slot in a's axes, across z: "x", "y", "-x", "-y", or three numbers, the last 0. The pin slides
+            freely along it and is held across it: the slot of a yoke that slides along x has the axis "y".
     """
 
     needs: ClassVar[tuple[str, ...]] = ("clearance", "radius")
@@ -148,13 +149,25 @@ class PinInSlot(AbstractGap):
         del b, c
         return turned(a.axes, self.axis)
 
+    def misread(self, c: Mapping[str, float], deepest: float) -> str:
+        """A pin whose axis goes beyond a wall travels across the slot."""
+        if not deepest > c["radius"]:
+            return ""
+        way = ", ".join(f"{x:g}" for x in self.axis)
+        return (
+            f"the pin goes {deepest:.3g} m into a wall of the slot, more than its own radius of {c['radius']:.3g} m: the slot "
+            f"lies across the pin's travel. It runs along its axis, here ({way}) of the first body, and holds the pin across"
+        )
+
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
         """Two walls and a pin."""
         axes, radius = shapes.frame((0.0, 0.0, 1.0), self.axis), c["radius"]
         half = (np.abs(axes[:, 0]) @ look.half + 1.5 * radius, 0.3 * radius, 0.8 * radius)
         middle = (look.middle @ axes[:, 0]) * axes[:, 0]
         walls = _walls(axes, radius + c["clearance"], c["clearance"], half, middle)
-        return walls, (shapes.cylinder(radius, 1.2 * radius),)
+        # Its centre line is its axis, whatever is drawn of its walls.
+        line = shapes.rod(middle - half[0] * axes[:, 0], middle + half[0] * axes[:, 0], 0.04 * radius)
+        return (*walls, line), (shapes.cylinder(radius, 1.2 * radius),)
 
 
 class PinInBearing(AbstractGap):

@@ -22,7 +22,7 @@ from bcfj_jax.contact.gaps.base import (
     yes_or_no,
 )
 from bcfj_jax.core import shapes
-from bcfj_jax.core.vectors import Axes, Number, Vector, dot, length, negative, scale, subtract, turned
+from bcfj_jax.core.vectors import Axes, Number, Vector, add, dot, length, negative, scale, subtract, turned
 
 Direction = tuple[float, float, float]
 
@@ -137,7 +137,8 @@ class SphereOnSphere(AbstractGap):
     """Two spheres, centres at the markers:  d = radius_a + radius_b - |p|,  n = -p/|p|,  p from a's centre to b's.
 
     |p| is sqrt(p . p + (1e-12 m)^2): coincident centres have no direction, and derivatives are finite there. The point
-    of contact is on b's sphere, ``radius_b`` along n. Exact, for every rotation of both bodies.
+    of contact is midway between the surfaces, (radius_b - d/2) n from b's centre. Exact, for every rotation of both bodies.
+    Bristles turn with the mean of both angular velocities. Neither body differs from the other: a and b may be exchanged.
     Source: physics sheet 4 (B1, B3, B7).
 
     Directions: normal is along the line of centres, from b to a. Axial is a's z axis less its part along the normal: it
@@ -152,7 +153,12 @@ class SphereOnSphere(AbstractGap):
         apart = subtract(b.place, a.place)
         distance = length(apart, ROUND)
         normal = scale(-1.0 / distance, apart)
-        return (Face(c["radius_a"] + c["radius_b"] - distance, normal, scale(c["radius_b"], normal)),)
+        middle = 0.5 * (c["radius_b"] - c["radius_a"] + distance)
+        return (Face(c["radius_a"] + c["radius_b"] - distance, normal, scale(middle, normal)),)
+
+    def carried(self, a: Vector, b: Vector) -> Vector:
+        """The mean of both."""
+        return scale(0.5, add(a, b))
 
     def bends(self, c: Coefficients) -> Bends:
         """Over the distance of the centres in contact."""

@@ -13,9 +13,18 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
-from bcfj_jax.contact.gaps import AbstractGap, BallBetweenPlanes, BallInGroove, SphereInSocket
+from bcfj_jax.contact.gaps import (
+    AbstractGap,
+    BallBetweenPlanes,
+    BallInGroove,
+    Coefficients,
+    Face,
+    Frame,
+    SphereInSocket,
+)
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
+from bcfj_jax.core.vectors import ZERO
 from bcfj_jax.mechanism.bodies import Body, Drive
 from bcfj_jax.mechanism.contacts import Contact
 from bcfj_jax.mechanism.loads import AbstractLoad, Force, JointSpring, Torque
@@ -110,16 +119,32 @@ def _balls(joint: Joint) -> Body:
     return Body("ball", held, mass="ball_mass", inertia=_solid, start=start, members=n)
 
 
+def _at_centre(faces: tuple[Face, ...]) -> tuple[Face, ...]:
+    """The plain joint's balls are particles: forces act, and slip is that of the race or cage, at their centres."""
+    return tuple(face._replace(lever=ZERO) for face in faces)
+
+
+class _GrooveOfParticle(BallInGroove):
+    def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
+        return _at_centre(super().faces(a, b, c))
+
+
+class _WindowOfParticle(BallBetweenPlanes):
+    def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
+        return _at_centre(super().faces(a, b, c))
+
+
 def _contact(joint: Joint, contact: JointContact) -> Contact:
     """One kind of contact; the force that is read acts on the second body."""
     name, tracks = contact.name, {"tracks": joint.balls, "section": joint.track}
+    window, groove = (BallBetweenPlanes, BallInGroove) if joint.spin else (_WindowOfParticle, _GrooveOfParticle)
     gaps: dict[str, AbstractGap] = {
         "seat_cage": SphereInSocket(axis_of="b"),
         "head_cage": SphereInSocket(axis_of="a"),
-        "cage_ball": BallBetweenPlanes(),
-        WINDOW_END: BallBetweenPlanes(axis="y", windows=joint.balls),
-        "seat_ball": BallInGroove(side="outer", **tracks),
-        "head_ball": BallInGroove(side="inner", **tracks),
+        "cage_ball": window(),
+        WINDOW_END: window(axis="y", windows=joint.balls),
+        "seat_ball": groove(side="outer", **tracks),
+        "head_ball": groove(side="inner", **tracks),
     }
     between = {"head_cage": ("cage", "head"), WINDOW_END: ("cage", "ball")}
     sizes: dict[str, Size] = {key: key for key in gaps[name].needs if key != "clearance"}
