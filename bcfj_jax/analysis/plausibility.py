@@ -33,16 +33,22 @@ _NAMED = 3
 
 
 class Finding(NamedTuple):
-    """What of a contact cannot be: its name, ``PENETRATION`` or ``PRESSURE``, the number [m or Pa] and its largest sound one."""
+    """What of a contact cannot be: its name, ``PENETRATION`` or ``PRESSURE``, the number [m or Pa] and its largest sound one.
+
+    ``cause``: what the gap itself says of it, in words (``AbstractGap.misread``).
+    """
 
     contact: str
     what: str
     value: float
     most: float
+    cause: str = ""
 
     @property
     def sentence(self) -> str:
         """In words."""
+        if self.cause:
+            return f"{self.contact}: {self.cause}"
         if self.what == PENETRATION:
             share = f"{self.value * DEEPEST / self.most:.2g} of the smallest body's size ({brief(self.most / DEEPEST, 'm')})"
             return f"{self.contact} is pressed {brief(self.value, 'm')} deep, {share}: the bodies pass into each other"
@@ -71,9 +77,9 @@ def of_contact(
     """As ``of_run``, of penetrations [m] and normal forces [N] of one contact."""
     known = [x for x in np.ravel(depth) if np.isfinite(x) and x > 0.0]
     deepest = max(known, default=0.0)
-    bodies = model.bodies_at(params, contact)
+    bodies = model.bodies_at(params, contact, float(deepest))
     if bodies.size is not None and deepest > DEEPEST * bodies.size:
-        return [Finding(contact, PENETRATION, float(deepest), DEEPEST * bodies.size)]
+        return [Finding(contact, PENETRATION, float(deepest), DEEPEST * bodies.size, bodies.misread)]
     highest = float(np.max(force, initial=0.0, where=np.isfinite(force)))
     if bodies.radius is None or not deepest:
         return []

@@ -579,17 +579,6 @@ class Mechanism(AbstractModel):
 
         return suspects(self, params)
 
-    def misread(self, params: Params, run: Any) -> list[str]:
-        """Contacts whose penetration says that their gap was written otherwise than it is meant (``AbstractGap.misread``)."""
-        found = []
-        for c in self.contacts:
-            depth = np.asarray(run.penetration.get(c.name, np.zeros(0)))
-            deepest = float(np.max(depth, initial=0.0, where=np.isfinite(depth)))
-            sizes = {name: float(np.max(x)) for name, x in c.coefficients(params).items() if np.ndim(x) < 2}
-            if said := c.gap.misread(sizes, deepest):
-                found.append(f"contact '{c.name}' gap: {said}")
-        return found
-
     def orbits(self, params: Params, run: Any) -> dict[str, Orbit]:
         """``orbits.orbits``."""
         from bcfj_jax.mechanism.orbits import orbits
@@ -617,12 +606,12 @@ class Mechanism(AbstractModel):
             raise InputError(f"scene '{self.kind}'", found, "give the period, or interval and settle")
         return super().period(params)
 
-    def bodies_at(self, params: Params, contact: str) -> Bodies:
-        """By the sizes that the contact's gap reads."""
+    def bodies_at(self, params: Params, contact: str, deepest: float) -> Bodies:
+        """By the sizes that the contact's gap reads, and by ``AbstractGap.misread``."""
         found = next(one for one in self.contacts if one.name == contact)
         read = found.coefficients(params)
         c = {name: float(np.min(np.asarray(read[name]))) for name in found.gap.needs}
-        return Bodies(found.gap.size(c), found.gap.radius(c))
+        return Bodies(found.gap.size(c), found.gap.radius(c), found.gap.misread(c, deepest))
 
     def coordinates(self) -> dict[str, tuple[int, int]]:
         """By ``<body>.<coordinate>``; a body of one coordinate by its name."""

@@ -100,10 +100,12 @@ class Bodies(NamedTuple):
     Attributes:
         size: least length of the bodies at the contact, a radius or half a side [m].
         radius: relative radius, 1/R = 1/R_1 + 1/R_2, of bodies that touch at a point of two equal curvatures [m].
+        misread: what a penetration says against how the gap was written; "" for nothing.
     """
 
     size: float | None = None
     radius: float | None = None
+    misread: str = ""
 
 
 class Pose(NamedTuple):
@@ -573,15 +575,10 @@ class AbstractModel(eqx.Module):
         del params, run
         return []
 
-    def bodies_at(self, params: Params, contact: str) -> Bodies:
-        """How large the bodies at a contact are, as far as the model reads it. On the host."""
-        del params, contact
+    def bodies_at(self, params: Params, contact: str, deepest: float) -> Bodies:
+        """How large the bodies at a contact are that is so deep at most [m], as far as the model reads it. On the host."""
+        del params, contact, deepest
         return Bodies()
-
-    def misread(self, params: Params, run: Any) -> list[str]:
-        """What a run (``solve.simulation.Run``) shows that was written otherwise than it is meant; said before all else."""
-        del params, run
-        return []
 
     def settled_from(self, params: Params) -> float:
         """Time [s] from which the promised error holds: 0 unless the model forgets its start first.

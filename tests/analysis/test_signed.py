@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import bcfj_jax as bj
-from bcfj_jax.analysis import features
+from bcfj_jax.analysis import features, plausibility
 from bcfj_jax.analysis.derivatives.jacobian import Histories
 from bcfj_jax.analysis.derivatives.measures import measure, sampling, vector
 from bcfj_jax.analysis.derivatives.names import feature
@@ -125,7 +125,7 @@ def test_a_yoke_that_is_pushed_either_way():
         found = bj.sensitivity(scene, params, times, wrt=("stiffness",), features=("pin.peak", "pin.mean"))
         assert found.features["pin.peak"] == pytest.approx(top, rel=1e-3)
         assert found.features["pin.mean"] == pytest.approx(one["mean"], rel=1e-3)
-        assert not scene.misread(params, run)
+        assert not plausibility.of_run(scene, params, run)
 
 
 @pytest.mark.full
@@ -133,9 +133,10 @@ def test_a_slot_across_the_stroke_is_said():
     scene = yoke("-x", axis="x")
     params = scene.parameters()
     run = bj.simulate(scene, params, np.linspace(0.0, 0.02, 101))
-    (said,) = scene.misread(params, run)
+    (found,) = plausibility.of_run(scene, params, run)
+    said = found.sentence
     assert "pin" in said and "lies across the pin's travel" in said and "(1, 0, 0)" in said
-    assert (
-        "across" in page.verdict(run, {"misread": [said]}).sentence
-        and page.verdict(run, {"misread": [said]}).kind == page.BAD
-    )
+    verdict = page.verdict(run, {}, [found])
+    assert "across" in verdict.sentence and verdict.kind == page.BAD
+    # Every command says it: here what sensitivities and designs ask.
+    assert plausibility.at(scene, params, np.linspace(0.0, 0.02, 101))[0].cause == found.cause

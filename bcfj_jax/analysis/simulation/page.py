@@ -120,8 +120,6 @@ def _verdict(run: Run, content: Mapping[str, Any]) -> Verdict:
         return Verdict(
             BAD, "Forces and motion contradict each other", " ".join(filter(None, (found["reason"], differs, said)))
         )
-    if content.get("misread"):
-        return Verdict(BAD, "A gap is not what it is meant to be", " ".join(filter(None, (*content["misread"], said))))
     if run.status != "ok":
         return Verdict(BAD, run.status.capitalize(), " ".join(filter(None, (f"{run.reason}.", differs, said))))
     if measured and not worst <= accuracy["asked"]:

@@ -321,8 +321,7 @@ class Written(NamedTuple):
 
 def write(folder: Path, given: SceneFile, run: Run, stem: str, framed: Sequence[Channel] = ()) -> Written:
     """Write the numbers of a run: of ``files`` all but pictures and report, less tables that the level does not have."""
-    misread = given.scene.misread(given.params, run)
-    warnings = [*misread, *resolution_warnings(run), *work_warnings(run)]
+    warnings = resolution_warnings(run) + work_warnings(run)
     warnings += envelope.warnings(given.scene, given.params, run.times)
     warnings += envelope.of_the_start(given.scene, given.params, run.times, run.force)
     warnings += given.scene.warnings(given.params, run)
@@ -347,7 +346,6 @@ def write(folder: Path, given: SceneFile, run: Run, stem: str, framed: Sequence[
     warnings = [*filter(None, [plausibility.headline(absurd)]), *warnings]
     found = {"balance": judged.content(), "plausibility": plausibility.content(absurd)}
     content = summary(run, given.scene.traits.turning) | found | whole
-    content |= {"misread": misread} if misread else {}
     warnings += filter(None, [whole.get("engineering", {}).get("warning")])
     content |= {"warnings": warnings}
     outputs.write_json(folder / "summary.json", content)
