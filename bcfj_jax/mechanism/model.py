@@ -26,146 +26,22 @@ from bcfj_jax.core.programs import ask
 from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.core.shapes import Drawing
 from bcfj_jax.mechanism import inputs
+from bcfj_jax.mechanism.moments import Account as Account
 from bcfj_jax.mechanism.moments import Approaches as Approaches
+from bcfj_jax.mechanism.moments import Arrow as Arrow
+from bcfj_jax.mechanism.moments import Bodies as Bodies
+from bcfj_jax.mechanism.moments import BodyMotion as BodyMotion
 from bcfj_jax.mechanism.moments import Continuous as Continuous
+from bcfj_jax.mechanism.moments import Flows as Flows
+from bcfj_jax.mechanism.moments import Pose as Pose
+from bcfj_jax.mechanism.moments import Proximity as Proximity
+from bcfj_jax.mechanism.moments import Reading as Reading
+from bcfj_jax.mechanism.moments import Scenery as Scenery
 from bcfj_jax.mechanism.structure import AbstractStructure, Dense
 
 Params = Mapping[str, Array]
 # Names of the implicit solvers of ``solve``, which ask a model for its structure.
 IMPLICIT_SOLVERS = ("rodas3", "sdirk2", "bdf")
-
-
-class Reading(NamedTuple):
-    """What one contact does at one instant (or at each of T instants).
-
-    Attributes:
-        force: (..., 3) normal, axial, tangential force [N]; a contact with members has (..., k, 3), and (..., k) below.
-        penetration: (...,) overlap of the undeformed surfaces [m]; negative is the gap.
-        rate: (...,) rate of the penetration [m/s], positive while approaching.
-        slip: (...,) sliding speed [m/s]; None in models that only approach.
-        world: (..., 3) the whole force on the second body in world axes [N]; None where a model has no world axes.
-    """
-
-    force: Array
-    penetration: Array
-    rate: Array
-    slip: Array | None = None
-    world: Array | None = None
-
-
-class Proximity(NamedTuple):
-    """How near the surfaces of every face are in one state, and how their bodies move past each other; (C,) each.
-
-    Attributes:
-        depth: penetration [m], of a regularised contact from where its force begins; negative is the gap.
-        rate: rate of the penetration [m/s].
-        speed: of the relative motion that the penetration depends on [m/s]: at least its rate.
-        turn: rate of the rotation that it depends on, over the angle in which its course bends [1/s].
-        bends: relative motion [m] over which the penetration's course bends; infinite between planes, 0 where not known.
-    """
-
-    depth: Array
-    rate: Array
-    speed: Array
-    turn: Array
-    bends: Array
-
-
-class BodyMotion(NamedTuple):
-    """Where a body is and how it moves, in world axes; a body with members has (k, ...).
-
-    Attributes:
-        place, velocity, acceleration: (..., 3) of its centre of mass [m, m/s, m/s^2].
-        axes: (..., 3, 3) its axes as columns; None for a body that does not turn.
-        spin, spin_rate: (..., 3) angular velocity and its rate [rad/s, rad/s^2]; None likewise.
-        angle: (...,) turn of a body that has one axis [rad]; None for the rest.
-        drive: (...,) force or torque of its drive [N, N m]; None for a body without one.
-        joint: (...,) coordinates of its joint and their rates, by the names that a start has for them.
-    """
-
-    place: Array
-    velocity: Array
-    acceleration: Array
-    axes: Array | None = None
-    spin: Array | None = None
-    spin_rate: Array | None = None
-    angle: Array | None = None
-    drive: Array | None = None
-    joint: Mapping[str, Array] = {}
-
-
-class Bodies(NamedTuple):
-    """Lengths of the bodies at a contact; None where they are not known.
-
-    Attributes:
-        size: least length of the bodies at the contact, a radius or half a side [m].
-        radius: relative radius, 1/R = 1/R_1 + 1/R_2, of bodies that touch at a point of two equal curvatures [m].
-        misread: what a penetration says against how the gap was written; "" for nothing.
-    """
-
-    size: float | None = None
-    radius: float | None = None
-    misread: str = ""
-
-
-class Pose(NamedTuple):
-    """Where a body is drawn: (..., 3) its origin [m], (..., 3, 3) its axes as columns; a body with members has (k, ...)."""
-
-    place: Array
-    axes: Array
-
-
-class Arrow(NamedTuple):
-    """The force of a contact as it is drawn: (..., 3) where it acts [m], (..., 3) the force on ``body`` [N], world axes."""
-
-    point: Array
-    force: Array
-
-
-class Scenery(NamedTuple):
-    """What moves in a drawing, in one state.
-
-    Attributes:
-        poses: by body.
-        ideal: by body, where it would be if every contact just closed without play or penetration; what a viewer
-            exaggerates is the difference.
-        arrows: by contact; a contact with members has (k, 3).
-        offsets: by contact, (3,) marker of its second body in the axes of the first, from the marker of the first [m]; by
-            body that slides, (3,) its place in the axes of its parent, from the joint's place.
-    """
-
-    poses: dict[str, Pose]
-    ideal: dict[str, Pose]
-    arrows: dict[str, Arrow]
-    offsets: dict[str, Array]
-
-
-class Flows(NamedTuple):
-    """The energy balance in one state.
-
-    Attributes:
-        given: by source, power into the system [W].
-        taken: by sink, power out of it [W]: loads, friction, damping.
-        stored: by store, energy [J].
-    """
-
-    given: dict[str, Array]
-    taken: dict[str, Array]
-    stored: dict[str, Array]
-
-
-class Account(NamedTuple):
-    """A quantity in one state that changes at a known rate, () or of a body's members (k,).
-
-    Attributes:
-        value: momentum [N s], angular momentum [N m s] or energy [J].
-        rate: its rate by forces, torques and powers [N, N m, W].
-        size: sum of the sizes of the rate's terms, in the same unit.
-    """
-
-    value: Array
-    rate: Array
-    size: Array
 
 
 class ModelTraits(NamedTuple):
