@@ -211,7 +211,9 @@ def sampling(
         if f.kind in ("peak", "largest"):
             own = [_peak(f.kind, times, value, derivative, place[m]) for m in members(f.contacts[0], contacts)]
             number, by, error = own[int(np.argmax([x for x, *_ in own]))]
-            found[i] = apart((by + error)[None], by[None], np.array([number]), values)[0]
+            known = np.isfinite(error)
+            off = apart((by + np.where(known, error, 0.0))[None], by[None], np.array([number]), values)[0]
+            found[i] = np.where(known, off, error)
     works = [i for i, f in enumerate(wanted) if f.kind in _INTEGRALS and not _continuous(f, value, place, contacts)]
     if not works or len(times) < 4:
         return found

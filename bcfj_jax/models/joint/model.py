@@ -287,9 +287,9 @@ class JointModel(Joint):
         """``validity.warnings``."""
         return validity.warnings(self, params, run)
 
-    def bodies_at(self, params: Params, contact: str) -> Bodies:
+    def bodies_at(self, params: Params, contact: str, deepest: float) -> Bodies:
         """A ball, which is the smallest body at every contact that it has, and thinner than any other at the rest."""
-        del contact
+        del contact, deepest
         return Bodies(float(params["ball_radius"]))
 
     def settled_from(self, params: Params) -> float:
@@ -470,7 +470,9 @@ def joint(
     for name, value in given.items():
         if value not in choices[name]:
             raise InputError(f"{where} {name}", f"no {name} '{value}'", nearest(value, choices[name]))
-    balls = quantities.whole(f"{where} balls", balls, least=3, most=limits.MEMBERS)
+    balls = quantities.whole(f"{where} balls", balls, least=0, most=limits.MEMBERS)
+    if balls < 3:
+        raise InputError(f"{where} balls", f"{balls} balls", "give 3 or more")
     names = tuple(contacts) if contacts is not None else USUAL[1:] if cage == "fixed" else USUAL
     # Who lists contacts has listed those of the windows.
     ends = contacts is None if window_ends is None else window_ends
