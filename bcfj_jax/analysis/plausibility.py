@@ -27,8 +27,11 @@ from bcfj_jax.solve.simulation import Run, simulate
 # Deepest penetration beside the least length of the bodies.
 DEEPEST = 0.1
 PENETRATION, PRESSURE = "penetration", "pressure"
-# What makes bodies pass into each other in a file that means something else.
-_CAUSES = "check the unit of the stiffness, the masses, and the direction of the gap"
+# What makes bodies pass into each other in a file that means something else, and what a yielding surface means.
+_CAUSES = {
+    PENETRATION: "check the unit of the stiffness, the masses, and the direction of the gap",
+    PRESSURE: "forces are those of surfaces that stay elastic; check the load, the radii and the unit of the stiffness",
+}
 _NAMED = 3
 
 
@@ -111,7 +114,7 @@ def headline(found: Sequence[Finding]) -> str:
     first, *others = sorted(found, key=lambda one: (one.what != PENETRATION, -one.value / one.most))
     more = ", ".join(one.contact for one in others[:_NAMED])
     more += f" and {len(others) - _NAMED} more" if len(others) > _NAMED else ""
-    return f"{first.sentence}{f'; so do those of {more}' if more else ''}; {_CAUSES}."
+    return f"{first.sentence}{f'; so do those of {more}' if more else ''}; {_CAUSES[first.what]}."
 
 
 def judged(found: Sequence[Finding], otherwise: Verdict) -> Verdict:
