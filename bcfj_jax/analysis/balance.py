@@ -93,6 +93,25 @@ class Balance(NamedTuple):
         }  # fmt: skip
 
 
+class Summed(NamedTuple):
+    """What a run's samples and its solver's steps add up to.
+
+    Attributes:
+        duration: of the run [s].
+        samples, steps: by account, of the samples and of the solver's steps; no steps where they were not looked at.
+        tops: by contact, greatest size of the normal force at a sample [N].
+        extremes: by contact, of the steps; nothing likewise.
+        hidden: contacts that begin and end between two samples.
+    """
+
+    duration: float
+    samples: Mapping[str, Totals]
+    steps: Mapping[str, Totals]
+    tops: Mapping[str, np.ndarray]
+    extremes: Mapping[str, Extremes]
+    hidden: list[str]
+
+
 def of_run(model: AbstractModel, params: Params, run: Run, asked: float) -> Balance:
     """The balances of a run.
 
@@ -115,28 +134,12 @@ def of_run(model: AbstractModel, params: Params, run: Run, asked: float) -> Bala
     depth, rate = channels(run.penetration), channels(run.rate)
     hidden = [name for name in depth if len(features.unseen(depth[name], rate[name]))]
     tops = {name: np.max(np.abs(force[..., 0]), axis=0) for name, force in run.force.items()}
-    return judged(asked, float(run.times[-1]), samples, run.totals, tops, run.extremes, hidden)
+    return judged(asked, Summed(float(run.times[-1]), samples, run.totals, tops, run.extremes, hidden))
 
 
-def judged(
-    asked: float,
-    duration: float,
-    samples: Mapping[str, Totals],
-    steps: Mapping[str, Totals],
-    tops: Mapping[str, np.ndarray],
-    extremes: Mapping[str, Extremes],
-    hidden: list[str],
-) -> Balance:
-    """The balances of what was summed up.
-
-    Args:
-        asked: force error, a fraction of the peak.
-        duration: of the run [s].
-        samples, steps: by account, of the samples and of the solver's steps; no steps where they were not looked at.
-        tops: by contact, greatest size of the normal force at a sample [N].
-        extremes: by contact, of the steps; nothing likewise.
-        hidden: contacts that begin and end between two samples.
-    """
+def judged(asked: float, summed: Summed) -> Balance:
+    """The balances of what was summed up; ``asked``: force error, a fraction of the peak."""
+    samples, steps, hidden = summed.samples, summed.steps, summed.hidden
     if not samples:
         return Balance(UNKNOWN, "The balance is not known: the model has neither momenta nor an energy balance.")
     quadrature = "steps" if steps else "samples"
@@ -152,7 +155,7 @@ def judged(
         errors.setdefault(body, {})[what] = one
         if not one.closed:
             said.append(_missed(body, what, worst, one))
-    over = _stepped_over(asked, duration, samples, steps, tops, extremes)
+    over = _stepped_over(asked, summed)
     if over or (said and (steps or not hidden)):
         return Balance(MISSED, " ".join([*over, *said][:1]), quadrature, errors)
     if said or (few and not steps):
@@ -192,15 +195,9 @@ def _missed(body: str, what: str, row: Totals, error: Error) -> str:
     )
 
 
-def _stepped_over(
-    asked: float,
-    duration: float,
-    samples: Mapping[str, Totals],
-    steps: Mapping[str, Totals],
-    tops: Mapping[str, np.ndarray],
-    extremes: Mapping[str, Extremes],
-) -> list[str]:
+def _stepped_over(asked: float, summed: Summed) -> list[str]:
     """What samples show and no step of the solver has met, in sentences."""
+    duration, samples, steps, tops, extremes, _ = summed
     found, most = [], max((_top(x) for x in tops.values()), default=0.0)
     for name in extremes:
         met = np.asarray(extremes[name].peak)
