@@ -140,3 +140,17 @@ def test_a_slot_across_the_stroke_is_said():
     assert "across" in verdict.sentence and verdict.kind == page.BAD
     # Every command says it: here what sensitivities and designs ask.
     assert plausibility.at(scene, params, np.linspace(0.0, 0.02, 101))[0].cause == found.cause
+
+
+@pytest.mark.full
+def test_integrals_of_a_reading_keep_its_sign():
+    """A body that falls: the mean of its velocity is -g t/2, by gravity -t/2, whatever contacts are of the size of."""
+    body = bj.Body("b", "slide", axis="y", mass=1.0, start={"position": 1.0})
+    floor = bj.Contact(
+        "c", ("ground", "b"), bj.gaps.PointOnPlane("y"), law="hertz", elastic="linear", values={"stiffness": 1e6}
+    )
+    scene = bj.Mechanism("falling", [body], [floor], [bj.loads.Gravity("-y")], end=0.4)
+    times, name = np.linspace(0.0, 0.4, 41), "b.velocity.y.mean"
+    found = bj.sensitivity(scene, scene.parameters(), times, ["gravity"], features=[name])
+    assert found.features[name] == pytest.approx(-9.81 * 0.2, rel=1e-6)
+    assert found.feature_derivatives["gravity"][name] == pytest.approx(-0.2, rel=1e-6)
