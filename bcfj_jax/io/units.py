@@ -45,6 +45,12 @@ _COMMON = {(prefix + unit, unit): float(f"1e{power}") for unit in _PREFIXABLE fo
     ("g", "kg"): 1e-3, ("kg", "kg"): 1.0, ("kg/m^3", "kg/m^3"): 1.0, ("m/s^2", "m/s^2"): 1.0, ("%", "1"): 0.01,
     ("deg", "rad"): math.pi / 180.0, ("rad", "rad"): 1.0, ("rad/s", "rad/s"): 1.0, ("r/min", "rad/s"): math.pi / 30.0,
 }  # fmt: skip
+# Accelerations in multiples of 9.80665 m/s^2, as headers write them; elsewhere g is a gram and G a gauss.
+GRAVITIES = {"g": 9.80665, "G": 9.80665, "gn": 9.80665, "g_n": 9.80665, "g's": 9.80665, "gs": 9.80665, "mg": 9.80665e-3}
+_IN_GRAVITIES = re.compile(
+    rf"(.*?[^\s,_/(])(?:\s*\(\s*|\s*,\s*|\s+in\s+|[\s_]+)({'|'.join(sorted(GRAVITIES, reverse=True))})\s*\)?"
+)
+_ACCELERATION = re.compile(r"(?i).*(?:acc(?:$|[^a-z]|el)|beschl|(?:^|[^a-z])a[xyz]?$)")
 _EXAMPLES = {
     "1": 'a plain number such as 0.9 or "90 %"',
     "m": 'a length such as "1.2 mm"',
@@ -53,7 +59,7 @@ _EXAMPLES = {
     "N": 'a force such as "1.5 kN"',
     "N m": 'a torque such as "1.8 kN m"',
     "m/s": 'a speed such as "1.5 m/s"',
-    "m/s^2": 'an acceleration such as "9.81 m/s^2"',
+    "m/s^2": 'an acceleration such as "9.81 m/s^2" or "12 g"',
     "s/m": 'a damping such as "0.11 s/m"',
     "N s/m": 'a viscous coefficient such as "50 N s/m"',
     "Pa": 'a pressure or modulus such as "207 GPa"',
@@ -110,7 +116,8 @@ def scale_of(unit_text: str, si_unit: str, where: str, *, exponent: float | None
 
 
 def _factor(unit_text: str, si_unit: str, where: str, exponent: float | None, given: str) -> float:
-    common = _COMMON.get((unit_text, si_unit))
+    common = GRAVITIES.get(unit_text) if si_unit == "m/s^2" else None
+    common = _COMMON.get((unit_text, si_unit)) if common is None else common
     return _by_pint(unit_text, si_unit, where, exponent, given) if common is None else common
 
 
@@ -309,11 +316,18 @@ def column(header: str) -> tuple[str, str | None]:
         return match[1], match[2]
     if (match := _LAST_WORD.fullmatch(plain)) and match[2] in _PLAIN:
         return match[1], match[2]
+    if (match := _IN_GRAVITIES.fullmatch(plain)) and accelerates(match[1]):
+        return match[1], match[2]
     for pattern in (_ROUND, _BEHIND_SLASH):
         match = None if _RATE.fullmatch(plain) else pattern.fullmatch(plain)
         if match and match[2] not in _LETTERS and not match[2].isdigit() and known(match[2]):
             return match[1], match[2]
     return plain, None
+
+
+def accelerates(name: str) -> bool:
+    """Whether a column's name is that of an acceleration, whose g is 9.80665 m/s^2 and no gram."""
+    return bool(_ACCELERATION.match(name.strip()))
 
 
 def known(text: str) -> bool:

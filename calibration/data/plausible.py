@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from bcfj_jax import InputError
-from bcfj_jax.io.units import column, format_si, scale_of
+from bcfj_jax.io.units import GRAVITIES, accelerates, column, format_si, scale_of
 from calibration.data.events import contacts
 from calibration.data.preparation import Prepared
 from calibration.data.table import Table
@@ -100,7 +100,9 @@ def other_body(record: Prepared, part: Table, observe: Mapping[str, str], mass: 
 
 
 def _is_acceleration(header: str) -> bool:
-    unit = column(header)[1]
+    name, unit = column(header)
+    if unit in GRAVITIES:
+        return accelerates(name)
     try:
         return bool(unit) and bool(scale_of(str(unit), "m/s^2", header))
     except InputError:

@@ -14,7 +14,7 @@ import numpy as np
 
 from bcfj_jax import InputError
 from bcfj_jax.core.errors import Faults
-from bcfj_jax.io.units import column, scale_of
+from bcfj_jax.io.units import GRAVITIES, accelerates, column, scale_of
 from calibration.data.events import Event, contacts, rest, telling
 from calibration.data.inspection import check_clock
 from calibration.data.numbers import is_missing, is_number
@@ -197,13 +197,22 @@ def _name(header: str) -> str:
 
 
 def _columns(table: Table) -> dict[str, str]:
-    """Headers by unit: those that state one, then those whose name says what they are."""
+    """Headers by unit: those that state one, then those whose name says what they are.
+
+    A column that is one number in each run, such as a drop height, is no reading. Of several accelerations the one that
+    changes most is taken: a hit is on one axis.
+    """
     found: dict[str, str] = {}
     numeric = [h for h, c in zip(table.header, table.columns, strict=True) if h and _is_numeric(c)]
-    numeric = [h for h in numeric if _name(h) not in RUN_COLUMNS]
+    numeric = [h for h in numeric if _name(h) not in RUN_COLUMNS and not _is_fixed(table, h)]
     stated = {h: u for h in numeric if (u := _unit(h))}
+
+    def later(header: str) -> tuple[bool, float]:
+        unit = stated[header]
+        return _name(header) not in _NAMES[unit], -_range(table, header) if unit == "m/s^2" else 0.0
+
     # A column named as what it is goes before another of its unit; a second force is a tangential one only by its name.
-    for h in sorted(stated, key=lambda h: _name(h) not in _NAMES[stated[h]]):
+    for h in sorted(stated, key=later):
         unit = stated[h]
         unit = "tangential" if unit == "N" and _TANGENTIAL & set(re.split(r"[\W\d_]+", _name(h))) else unit
         found.setdefault(unit, h)
@@ -215,10 +224,33 @@ def _columns(table: Table) -> dict[str, str]:
     return found
 
 
+def _range(table: Table, header: str) -> float:
+    """Largest less least reading of a column, SI; 0 where it has none."""
+    try:
+        values = table.numbers(header, _unit(header) or "1", table.name, True)
+    except InputError:
+        return 0.0
+    return float(np.ptp(values[np.isfinite(values)])) if np.isfinite(values).any() else 0.0
+
+
+def _is_fixed(table: Table, header: str) -> bool:
+    """Whether a column is one number in each of several runs."""
+    run = next((h for h in table.header if _name(h) in RUN_COLUMNS), "")
+    if not run:
+        return False
+    column_of = dict(zip(table.header, table.columns, strict=True))
+    seen: dict[str, set[str]] = {}
+    for label, cell in zip(column_of[run].tolist(), column_of[header].tolist(), strict=True):
+        seen.setdefault(str(label), set()).add(str(cell))
+    return len(seen) > 1 and all(len(cells) == 1 for cells in seen.values())
+
+
 def _unit(header: str) -> str | None:
     """The SI unit of ``_KINDS`` that a header's unit converts to."""
-    text = column(header)[1]
+    name, text = column(header)
     for unit in _KINDS if text else ():
+        if text in GRAVITIES and not (unit == "m/s^2" and accelerates(name)):
+            continue
         try:
             scale_of(str(text), unit, header)
         except InputError:

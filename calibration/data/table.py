@@ -17,7 +17,7 @@ from bcfj_jax.io.units import column, scale_of
 from calibration.data.numbers import parsed
 
 # An unfiltered column of one of these names numbers runs: each of its values is an experiment.
-RUN_COLUMNS = ("run", "experiment", "trial")
+RUN_COLUMNS = ("run", "experiment", "trial", "drop", "hit", "shot", "test", "versuch", "messung", "schlag")
 # Cells of one fault that a message quotes.
 _QUOTED = 5
 

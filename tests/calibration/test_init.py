@@ -229,3 +229,33 @@ def test_a_german_lab_file_goes_to_a_verdict_in_two_commands(here):
     for name, true in (("stiffness", 8e5), ("exponent", 1.4), ("approach_speed", 1.1)):
         low, high = found[name]["ci95"]
         assert low < true < high, name
+
+
+@pytest.mark.parametrize("axis", ["x", "y", "z"])
+def test_of_three_axes_the_one_that_is_hit_is_taken(axis, here):
+    clock = np.arange(200) * 1e-4
+    hit = np.where((clock > 5e-3) & (clock < 1e-2), -250.0 * np.sin(np.pi * (clock - 5e-3) / 5e-3), 0.0)
+    rng = np.random.default_rng(4)
+    names = [f"Acceleration {a} (m/s^2)" for a in "xyz"]
+    columns = [rng.normal(scale=0.5, size=clock.size) + (hit if a == axis else 0.0) for a in "xyz"]
+    np.savetxt(
+        "axes.csv",
+        np.column_stack([clock, *columns]),
+        delimiter=",",
+        header=",".join(["Time (s)", *names]),
+        comments="",
+    )
+    (experiment,) = written("axes.csv")["experiment"]
+    assert f"Acceleration {axis}" in experiment["observe"]["body.acceleration.x"]
+
+
+@pytest.mark.parametrize("name", ["Drop", "hit", "Test"])
+def test_a_column_that_is_one_number_in_each_run_is_no_reading(name, here):
+    clock = np.arange(200) * 1e-4
+    rows = []
+    for run, height in ((1, 50.0), (2, 100.0), (3, 200.0)):
+        hit = np.where((clock > 5e-3) & (clock < 1e-2), np.sqrt(height) * np.sin(np.pi * (clock - 5e-3) / 5e-3), 0.0)
+        rows += [[run, 1e3 * t, height, a] for t, a in zip(clock, -hit, strict=True)]
+    np.savetxt("drops.csv", rows, delimiter=",", header=f"{name},time [ms],height [mm],acceleration [g]", comments="")
+    (experiment,) = written("drops.csv")["experiment"]
+    assert list(experiment["observe"]) == ["body.acceleration.x"]

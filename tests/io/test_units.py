@@ -199,3 +199,17 @@ from_table({
 assert "pint" not in sys.modules
 """
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize("text", ["g", "G", "gn", "g's", "gs", "g_n"])
+@pytest.mark.parametrize("name", ["acceleration", "Accel", "acc_z", "ax", "Beschleunigung", "Acceleration y"])
+@pytest.mark.parametrize("way", ["{} [{}]", "{} ({})", "{} in {}", "{}_{}"])
+def test_an_acceleration_in_g_is_one_of_the_standard_gravity(name, text, way):
+    found, unit = column(way.format(name, text))
+    assert found == name and scale_of(str(unit), "m/s^2", "here") == 9.80665
+
+
+def test_grams_stay_grams():
+    assert scale_of("g", "kg", "here") == 1e-3 and quantity("12 g", "kg", "here") == 0.012
+    assert column("mass_g") == ("mass_g", None) and not units.accelerates("mass")
+    assert quantity("2 g", "m/s^2", "here") == 2 * 9.80665
