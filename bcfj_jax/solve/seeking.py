@@ -81,14 +81,15 @@ def allowed(
     high, low = cubic.extremes()
     # What both ends know; of surfaces that part at the end a damped law may not.
     known = jnp.maximum(jnp.maximum(a.depth, jnp.where(b.rate >= 0.0, b.depth, 0.0)), near)
-    deeper = high.depth + band > _DEEPER * known
-    parts = (a.depth > near) & (b.depth > near) & (low.depth - band < -near)
+    deeper = high.depth + _doubt(high, band, h * a.rate, h * b.rate) > _DEEPER * known
+    parts = (a.depth > near) & (b.depth > near) & (low.depth - _doubt(low, band, -h * a.rate, -h * b.rate) < -near)
     if blind:
         deeper = deeper | (~inside & (b.depth > 4.0 * near))
     touches = ~inside & (high.depth > 2.0 * near)
     there = jnp.where(touches, _touch(cubic, high, 2.0 * near, blind), jnp.where(deeper, 0.95 * high.at, low.at))
-    # Where the band alone says so, the cubic does not know where.
-    there = jnp.where((there > 0.0) & (there < 0.95), there, jnp.where(touches, there, 0.5))
+    # Where the band alone says so, the cubic does not know where; and what is hardly shorter would be as long.
+    unsure = jnp.where(touches, there if blind else 0.9, 0.5)
+    there = jnp.where((there > 0.0) & (there < 0.95), there, unsure)
     share = jnp.where(small, jnp.where(deeper | parts, there, 1.0), jnp.minimum(fit, 0.9))
     share = jnp.min(jnp.where(apart | ~jnp.isfinite(b.depth), 1.0, share), initial=1.0)
     # A step towards surfaces that are far away, as long as errors allow, would be taken again.
@@ -107,6 +108,15 @@ class Extreme(NamedTuple):
 
     depth: Array
     at: Array
+
+
+def _doubt(extreme: Extreme, band: Array, p: Array, q: Array) -> Array:
+    """By how much a course may go beyond a cubic's extreme (C,) [m]; p, q: slopes at both ends, per step, outwards.
+
+    The course leaves the cubic by 16 band s^2 (1 - s)^2 at most, and not at the ends: nowhere where that is less steep.
+    """
+    steep = jnp.where(extreme.at >= 1.0, q, jnp.where(extreme.at <= 0.0, -p, 0.0))
+    return jnp.where(steep >= 8.0 * band, 0.0, band)
 
 
 class _Cubic(NamedTuple):
