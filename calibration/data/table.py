@@ -165,7 +165,7 @@ def split(table: Table, rows: Mapping[str, object], where: str) -> list[tuple[st
         values = list(choice) if isinstance(choice, list) else [choice]
         values = list(dict.fromkeys(found)) if choice is None else values
         parts = [
-            (f"{label} {name} {value}".strip() if len(values) > 1 or choice is None or name in unasked else label, part)
+            (f"{label} {name} {value}".strip() if len(values) > 1 or choice is None else label, part)
             for label, whole in parts
             for value in values
             for part in [whole.where(whole.holds(name, value, where))]

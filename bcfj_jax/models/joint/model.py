@@ -470,9 +470,9 @@ def joint(
     for name, value in given.items():
         if value not in choices[name]:
             raise InputError(f"{where} {name}", f"no {name} '{value}'", nearest(value, choices[name]))
-    balls = quantities.whole(f"{where} balls", balls, least=0, most=limits.MEMBERS)
-    if balls < 3:
-        raise InputError(f"{where} balls", f"{balls} balls", "give 3 or more")
+    balls = quantities.whole(f"{where} balls", balls, least=0)
+    if not 3 <= balls <= limits.MEMBERS:
+        raise InputError(f"{where} balls", f"{balls} balls", f"give 3 or more, from 3 to {limits.MEMBERS}")
     names = tuple(contacts) if contacts is not None else USUAL[1:] if cage == "fixed" else USUAL
     # Who lists contacts has listed those of the windows.
     ends = contacts is None if window_ends is None else window_ends
