@@ -5,10 +5,13 @@ in grams. A contact law is one of small penetrations d beside the bodies' size L
 
     d <= 0.1 L,     p_0 = 3 F/(2 pi R d) <= 4.2 GPa
 
-L is the least length of the bodies that the contact's gap reads (``AbstractGap.size``). p_0 is Hertz's pressure at the centre of
+L is the least length of the bodies that the contact's gap reads (``AbstractGap.size``). Where it reads none, the limit is
+d <= (m/rho)^(1/3), the edge of a cube as heavy as the heavier body and as dense as water, rho = 1000 kg/m^3: most materials of
+machines are denser. p_0 is Hertz's pressure at the centre of
 a patch of half-width sqrt(R d), of bodies that touch at a point of two equal curvatures (``AbstractGap.radius``). At d = 0.1 L
 the patch of a sphere of radius L is 0.3 L wide, the limit of Hertz's theory; 4.2 GPa is the static limit of balls of hardened
-steel (ISO 76). Where a scene says no sizes, nothing is judged. NumPy, on the host.
+steel (ISO 76). Where a scene says neither sizes nor masses, nothing is judged. A patch of convex bodies is narrower than they are while
+d <= 0.1 L. NumPy, on the host.
 """
 
 from __future__ import annotations
@@ -26,6 +29,7 @@ from bcfj_jax.solve.simulation import Run, simulate
 
 # Deepest penetration beside the least length of the bodies.
 DEEPEST = 0.1
+WATER = 1000.0
 PENETRATION, PRESSURE = "penetration", "pressure"
 # What makes bodies pass into each other in a file that means something else, and what a yielding surface means.
 _CAUSES = {
@@ -83,6 +87,10 @@ def of_contact(
     bodies = model.bodies_at(params, contact, float(deepest))
     if bodies.size is not None and deepest > DEEPEST * bodies.size:
         return [Finding(contact, PENETRATION, float(deepest), DEEPEST * bodies.size, bodies.misread)]
+    if bodies.size is None and bodies.mass and deepest > (edge := (bodies.mass / WATER) ** (1.0 / 3.0)):
+        pressed = f"pressed {brief(float(deepest), 'm')} deep, more than a cube of {brief(bodies.mass, 'kg')} of water is wide"
+        cause = bodies.misread or f"{pressed} ({brief(edge, 'm')})"
+        return [Finding(contact, PENETRATION, float(deepest), edge, cause)]
     highest = float(np.max(force, initial=0.0, where=np.isfinite(force)))
     if bodies.radius is None or not deepest:
         return []

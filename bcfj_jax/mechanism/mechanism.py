@@ -607,11 +607,14 @@ class Mechanism(AbstractModel):
         return super().period(params)
 
     def bodies_at(self, params: Params, contact: str, deepest: float) -> Bodies:
-        """By the sizes that the contact's gap reads, and by ``AbstractGap.misread``."""
+        """By the sizes that the contact's gap reads, its ``misread``, and the masses."""
         found = next(one for one in self.contacts if one.name == contact)
         read = found.coefficients(params)
         c = {name: float(np.min(np.asarray(read[name]))) for name in found.gap.needs}
-        return Bodies(found.gap.size(c), found.gap.radius(c), found.gap.misread(c, deepest))
+        # A driven body's mass has no bearing on its motion and may be anything.
+        bodies = [b for b in self.bodies if b.name in found.between and b.drive is None]
+        mass = max((float(np.min(sizes.value(b.mass, b.name, "mass", params))) for b in bodies), default=None)
+        return Bodies(found.gap.size(c), found.gap.radius(c), found.gap.misread(c, deepest), mass)
 
     def coordinates(self) -> dict[str, tuple[int, int]]:
         """By ``<body>.<coordinate>``; a body of one coordinate by its name."""

@@ -99,11 +99,13 @@ class Bodies(NamedTuple):
         size: least length of the bodies at the contact, a radius or half a side [m].
         radius: relative radius, 1/R = 1/R_1 + 1/R_2, of bodies that touch at a point of two equal curvatures [m].
         misread: what a penetration says against how the gap was written; "" for nothing.
+        mass: largest mass of the bodies at the contact [kg].
     """
 
     size: float | None = None
     radius: float | None = None
     misread: str = ""
+    mass: float | None = None
 
 
 class Pose(NamedTuple):

@@ -64,7 +64,24 @@ def test_a_stiffness_in_another_unit_is_said_with_its_cause():
     assert "the bodies pass into each other" in text and "unit of the stiffness" in text
 
 
-def test_nothing_is_said_where_a_scene_has_no_sizes_or_is_sound():
+@pytest.mark.parametrize("scale", [1e-2, 1.0, 1e2])
+@pytest.mark.parametrize(("stiffness", "sound"), [(1e10, True), (1e7, True), (10.0, False)])
+def test_without_sizes_a_depth_is_judged_by_the_mass(scale, stiffness, sound):
+    """Lengths x s, masses x s^3, K/s^(1/2): the same depth d = (5 m v^2/(4 K))^(2/5) by the edge of a cube of water."""
+    mass, speed = 0.5 * scale**3, 3.0
+    scene = bj.scenes.impact(law="hertz", smoothing=False)
+    params = scene.parameters(mass=mass, stiffness=stiffness * scale**0.5, exponent=1.5, approach_speed=speed)
+    depth = (1.25 * mass * speed**2 / (stiffness * scale**0.5)) ** 0.4
+    edge = (mass / 1000.0) ** (1.0 / 3.0)
+    assert (depth < edge) == sound
+    times = np.linspace(0.0, 4.0 * depth / speed, 201)
+    said = plausibility.of_run(scene, params, bj.simulate(scene, params, times))
+    assert bool(said) != sound
+    if said:
+        assert said[0].most == pytest.approx(edge) and "cube of" in plausibility.headline(said)
+
+
+def test_nothing_is_said_where_a_scene_is_sound():
     assert not found(bj.scenes.impact())
     for kind in ("oblique_impact", "slider_crank"):
         scene = getattr(bj.scenes, kind)()
