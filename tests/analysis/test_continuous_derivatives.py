@@ -56,7 +56,7 @@ def test_a_crest_between_samples_states_its_error():
     assert flat[0] == 2.0 and flat[1][0] == 3.0 and flat[2][0] == 0.0
 
 
-@pytest.mark.parametrize("law", [*IMPULSE])
+@pytest.mark.parametrize("law", [pytest.param(x, marks=() if x == "flores" else pytest.mark.slow) for x in IMPULSE])
 @pytest.mark.full
 def test_remembering_laws_in_a_sensitivity(law):
     scene = bj.scenes.bounce(law=law)
@@ -71,7 +71,9 @@ def test_remembering_laws_in_a_sensitivity(law):
     assert set(check.feature_verdicts.values()) == {"trusted"} and max(check.features.values()) < 1e-4
 
 
-@pytest.mark.parametrize("law", [pytest.param(x, marks=() if x == "flores" else pytest.mark.full) for x in REMEMBERING])
+@pytest.mark.parametrize(
+    "law", [pytest.param(x, marks=() if x in ("flores", "exact") else pytest.mark.slow) for x in REMEMBERING]
+)
 def test_a_memory_passes_the_touch(law):
     # Without gravity in the contact e does not depend on the speed: v' = e' sqrt(2 g h), so that d ln v'/d ln h = 1/2.
     scene = bj.scenes.bounce(law=law, smoothing=False)
@@ -141,7 +143,7 @@ def test_derivatives_land_at_every_accuracy():
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("contacts", [7, 17])
+@pytest.mark.parametrize("contacts", [7, pytest.param(17, marks=pytest.mark.slow)])
 def test_walton_braun_through_many_contacts(contacts):
     # Each flight is e times the one before: begins are t1 (1 + 2 e + 2 e^2 + ...) but for the contacts' own lengths.
     scene = bj.scenes.bounce(law="walton_braun", smoothing=False)

@@ -24,7 +24,7 @@ def total(x, mode):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("mode", ["auto", "forward", "reverse"])
+@pytest.mark.parametrize("mode", ["auto", *(pytest.param(m, marks=pytest.mark.slow) for m in ("forward", "reverse"))])
 def test_gradients_among_devices_and_exported(mode):
     x = jnp.array([[0.5, 0.1]])
     slope = jax.grad(lambda x: total(x, mode))
@@ -52,7 +52,8 @@ DERIVATIVES = {"grad": jax.grad, "jacfwd": jax.jacfwd, "jacrev": jax.jacrev, "jv
 
 
 @pytest.mark.parametrize(
-    "name", ["jacfwd", *(pytest.param(n, marks=pytest.mark.full) for n in DERIVATIVES if n != "jacfwd")]
+    "name",
+    [pytest.param(n, marks={"jacfwd": (), "jacrev": pytest.mark.full}.get(n, pytest.mark.slow)) for n in DERIVATIVES],
 )
 def test_derivatives_of_a_batch_are_those_of_its_runs(name):
     """vmap of a derivative and the derivative of a vmap, compiled and not, against one run after the other."""
@@ -73,7 +74,7 @@ def test_reverse_alone_names_the_mode_to_use():
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("solver", [None, *named.NOT_STIFF])
+@pytest.mark.parametrize("solver", [None, *(pytest.param(s, marks=pytest.mark.slow) for s in named.NOT_STIFF)])
 def test_derivatives_after_a_contact_are_those_of_the_motion(solver):
     """At "balanced", of every explicit solver and both directions: a body leaves a linear spring after T = pi sqrt(m/K).
 
