@@ -17,7 +17,7 @@ from bcfj_jax.core.quantities import Quantity, check_order, real, scalar
 from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.channels import channel as reading
 from bcfj_jax.mechanism.channels import unit_of
-from bcfj_jax.mechanism.model import AbstractModel
+from bcfj_jax.mechanism.model import AbstractModel, of_numbers
 from bcfj_jax.mechanism.observed import observing
 from calibration import given
 from calibration.filters import Filter
@@ -291,7 +291,7 @@ class Problem:
         where = given.text("problem", self.where, "leave 'where' out")
         parts = {"experiments": Experiment, "free": Free}
         listed = {key: given.all_of(f"{where}: {key}", getattr(self, key), kind) for key, kind in parts.items()}
-        given.fill(self, {"scene": inputs.of_numbers(self.scene), **listed})
+        given.fill(self, {"scene": of_numbers(self.scene), **listed})
         # <contact>.clearance and clearance_<contact> are one parameter.
         one = self.scene.canonical
         names = [seen.feature for e in self.experiments for seen in e.features]

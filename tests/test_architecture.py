@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -75,6 +76,16 @@ def test_imports_point_down(path):
         # ``from bcfj_jax import simulate`` names a public function of the front door, which is in no layer.
         if first == package and second in order:
             assert order.index(second) <= order.index(here), f"{here} may not import {name}"
+
+
+def test_no_files_import_each_other():
+    """In no way round: at the top, inside functions, or for types alone."""
+    files = {".".join(p.relative_to(ROOT).with_suffix("").parts): p for p in FRONT}
+    graph = {}
+    for name, path in files.items():
+        known = ({n, n.rpartition(".")[0]} & files.keys() for n in imports(path))
+        graph[name] = {max(found, key=len) for found in known if found} - {name}
+    TopologicalSorter(graph).prepare()
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=named)

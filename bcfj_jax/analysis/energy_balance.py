@@ -20,7 +20,7 @@ from jax.typing import ArrayLike
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.quantities import Quantity, increasing, scalar
 from bcfj_jax.mechanism import inputs
-from bcfj_jax.mechanism.model import AbstractModel, Flows, Params
+from bcfj_jax.mechanism.model import AbstractModel, Flows, Params, as_model
 from bcfj_jax.solve.integrate import integrate
 from bcfj_jax.solve.plan import Plan, plan
 
@@ -101,7 +101,7 @@ def balance(
     Raises:
         InputError: for a model that has no energy balance, and for times or a step that cannot be used.
     """
-    params = inputs.parameters(inputs.model(model), params, traced=False)
+    params = inputs.parameters(as_model(model), params, traced=False)
     t = increasing(times, 2)
     if t[0] < 0:
         raise InputError("times", f"times[0] = {t[0]:g}", "give times from 0 on: the run starts there")

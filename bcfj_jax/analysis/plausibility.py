@@ -10,8 +10,7 @@ d <= (m/rho)^(1/3), the edge of a cube as heavy as the heavier body and as dense
 machines are denser. p_0 is Hertz's pressure at the centre of
 a patch of half-width sqrt(R d), of bodies that touch at a point of two equal curvatures (``AbstractGap.radius``). At d = 0.1 L
 the patch of a sphere of radius L is 0.3 L wide, the limit of Hertz's theory; 4.2 GPa is the static limit of balls of hardened
-steel (ISO 76). Where a scene says neither sizes nor masses, nothing is judged. A patch of convex bodies is narrower than they are while
-d <= 0.1 L. NumPy, on the host.
+steel (ISO 76). Where a scene says neither sizes nor masses, nothing is judged. NumPy, on the host.
 """
 
 from __future__ import annotations

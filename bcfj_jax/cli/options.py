@@ -91,7 +91,7 @@ def of_design(options: Mapping[str, Any], wanted: Sequence[Change]) -> contextli
     from bcfj_jax.io import tables
 
     if "objective" in tables.read(path):
-        return changes.changing_both(path, wanted, changes.DESIGN)
+        return tables.changing_both(path, wanted, changes.DESIGN)
     return changes.changing(path, wanted)
 
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import contextlib
 import difflib
-import os
 import re
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
@@ -103,34 +102,6 @@ def changing(
         raise InputError(changes[blamed].text[:200], error.found, remedy) from None
     finally:
         _changed[where] = before
-
-
-@contextlib.contextmanager
-def changing_both(path: Path, wanted: Sequence[Change], own: Sequence[str]) -> Iterator[None]:
-    """Within, a file and the scene that it names, or holds as a table, read as changed.
-
-    Args:
-        path: a study's or a design's file.
-        wanted: changes; those of a table in ``own`` are the file's, others the scene's.
-        own: tables of such a file.
-
-    Raises:
-        InputError: as ``changing``, and for what is no such file.
-    """
-    from bcfj_jax.io import tables
-
-    mine = [change for change in wanted if change.words[0] in own]
-    others = [change for change in wanted if change.words[0] not in own]
-    with contextlib.ExitStack() as stack:
-        stack.enter_context(changing(path, mine, own))
-        scene = tables.read(path).get("scene") if others else None
-        if isinstance(scene, str):
-            beside = path.parent / scene
-            target = beside if scene.endswith(".toml") and os.path.exists(beside) else scene
-            stack.enter_context(changing(target, others))
-        elif scene is not None:
-            stack.enter_context(changing(path, others, inside="scene"))
-        yield
 
 
 def as_options() -> str:

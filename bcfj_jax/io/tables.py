@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import re
 import tomllib
 import typing
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -71,6 +73,32 @@ def read(path: Path) -> dict[str, Any]:
     except ValueError as error:  # An integer of more digits than Python converts, a date that does not exist.
         raise InputError(shown, f"not TOML: {clip(str(error))}", "write numbers as 4e10") from None
     return changes.applied(path, table)
+
+
+@contextlib.contextmanager
+def changing_both(path: Path, wanted: Sequence[changes.Change], own: Sequence[str]) -> Iterator[None]:
+    """Within, a file and the scene that it names, or holds as a table, read as changed.
+
+    Args:
+        path: a study's or a design's file.
+        wanted: changes; those of a table in ``own`` are the file's, others the scene's.
+        own: tables of such a file.
+
+    Raises:
+        InputError: as ``changing``, and for what is no such file.
+    """
+    mine = [change for change in wanted if change.words[0] in own]
+    others = [change for change in wanted if change.words[0] not in own]
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(changes.changing(path, mine, own))
+        scene = read(path).get("scene") if others else None
+        if isinstance(scene, str):
+            beside = path.parent / scene
+            target = beside if scene.endswith(".toml") and os.path.exists(beside) else scene
+            stack.enter_context(changes.changing(target, others))
+        elif scene is not None:
+            stack.enter_context(changes.changing(path, others, inside="scene"))
+        yield
 
 
 def _bytes(path: Path, shown: str, right: str) -> bytes:

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from bcfj_jax.mechanism.contacts import SLOWEST
+from bcfj_jax.mechanism.dynamics import Dynamics
 from bcfj_jax.mechanism.equations import flat
 from bcfj_jax.mechanism.model import Approaches
-
-if TYPE_CHECKING:
-    from bcfj_jax.mechanism.mechanism import Mechanism
-    from bcfj_jax.mechanism.sizes import Params
-
+from bcfj_jax.mechanism.sizes import Params
 
 # A remembered speed that is off by this share is said to be.
 OFF = 0.05
@@ -24,7 +21,7 @@ OFF = 0.05
 _FLIGHT = 5
 
 
-def places(scene: Mechanism) -> tuple[int, ...]:
+def places(scene: Dynamics) -> tuple[int, ...]:
     """Indices in the state of the approach speeds (``contacts.Approach``), in the order of ``approaches``."""
     found: list[int] = []
     at, members = sum(k or 1 for *_, k in (*scene._placed, *scene._free)), scene.members
@@ -36,7 +33,7 @@ def places(scene: Mechanism) -> tuple[int, ...]:
     return tuple(found)
 
 
-def approaches(scene: Mechanism, t: Array, y: Array, p: Params) -> Approaches:
+def approaches(scene: Dynamics, t: Array, y: Array, p: Params) -> Approaches:
     """As ``AbstractModel.approaches``; the memory of a regularised contact stays from the regularisation on."""
     now, members = scene.instant(t, y, p, laws=False), scene.members
     rows, counts = [], []
@@ -51,7 +48,7 @@ def approaches(scene: Mechanism, t: Array, y: Array, p: Params) -> Approaches:
 
 
 def doubt(
-    scene: Mechanism, params: Mapping[str, Any], times: np.ndarray, depth: Mapping[str, np.ndarray],
+    scene: Dynamics, params: Mapping[str, Any], times: np.ndarray, depth: Mapping[str, np.ndarray],
     rate: Mapping[str, np.ndarray], states: np.ndarray,
 ) -> tuple[str, float]:  # fmt: skip
     """Why a run's restitution is not the one asked for, and from when on [s]: a contact remembers another speed than it met.

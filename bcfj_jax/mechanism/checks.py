@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,11 +19,10 @@ from bcfj_jax.core.numerics import positive
 from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.arrays import refuse_traced
 from bcfj_jax.mechanism.bodies import GROUND, refuse_impossible
+from bcfj_jax.mechanism.dynamics import Dynamics
 from bcfj_jax.mechanism.loads import JointSpring, checked
-
-if TYPE_CHECKING:
-    from bcfj_jax.mechanism.mechanism import Mechanism
-    from bcfj_jax.mechanism.sizes import Params
+from bcfj_jax.mechanism.scales import expected
+from bcfj_jax.mechanism.sizes import Params
 
 # Bodies that overlap at the start by more than so many times the penetration that is to be expected were not placed
 # there; an overlap below the second [m] is rounding.
@@ -32,7 +31,7 @@ _DEEP, _TOUCH = 20.0, 1e-9
 _SPHERE, _FREE = "sphere: its rotation is not computed", "give it joint = 'free', or put this part on the other body"
 
 
-def check_structure(scene: Mechanism) -> None:
+def check_structure(scene: Dynamics) -> None:
     """Refuse bodies, contacts and loads that do not make a mechanism.
 
     Raises:
@@ -125,7 +124,7 @@ def _check_static(where: str, part: Any) -> None:
 class _Recorder(Mapping):
     """Parameters that remember which of them were read, and say which is missing."""
 
-    def __init__(self, values: Mapping[str, Array], scene: Mechanism, where: str) -> None:
+    def __init__(self, values: Mapping[str, Array], scene: Dynamics, where: str) -> None:
         self.values_, self.scene, self.where, self.read = values, scene, where, set()
 
     def __getitem__(self, name: str) -> Array:
@@ -164,7 +163,7 @@ class _Recorder(Mapping):
 
 
 @lru_cache(maxsize=256)
-def _read(scene: Mechanism, names: tuple[str, ...], where: str) -> frozenset[str]:
+def _read(scene: Dynamics, names: tuple[str, ...], where: str) -> frozenset[str]:
     """Names that the equations read, of parameters that have a value; traced abstractly, not compiled."""
     seen: set[str] = set()
 
@@ -182,12 +181,12 @@ def _read(scene: Mechanism, names: tuple[str, ...], where: str) -> frozenset[str
     return frozenset(seen)
 
 
-def names_read(scene: Mechanism, params: Params, where: str) -> frozenset[str]:
+def names_read(scene: Dynamics, params: Params, where: str) -> frozenset[str]:
     """Names of the parameters that the mechanism's equations read."""
     return _read(scene, tuple(params), where)
 
 
-def check_inertia(scene: Mechanism, params: Params, where: str) -> None:
+def check_inertia(scene: Dynamics, params: Params, where: str) -> None:
     """Refuse three moments of inertia that no body has; traced and batched ones pass.
 
     Raises:
@@ -199,7 +198,7 @@ def check_inertia(scene: Mechanism, params: Params, where: str) -> None:
             refuse_impossible(f"{where} body '{body.name}' inertia", tuple(map(float, moments)))
 
 
-def check_values(scene: Mechanism, params: Params, where: str = "") -> None:
+def check_values(scene: Dynamics, params: Params, where: str = "") -> None:
     """Refuse values that no run can answer; batched and traced ones pass.
 
     Raises:
@@ -219,7 +218,7 @@ def check_values(scene: Mechanism, params: Params, where: str = "") -> None:
     _check_start(scene, dict(params), where)
 
 
-def suspects(scene: Mechanism, params: Params) -> np.ndarray:
+def suspects(scene: Dynamics, params: Params) -> np.ndarray:
     """Which of N runs ``check_values`` must look at one by one, (N,): it finds no fault with the others.
 
     Args:
@@ -241,7 +240,7 @@ def suspects(scene: Mechanism, params: Params) -> np.ndarray:
     return every & ~(deepest <= np.maximum(_DEEP * np.asarray(expected), _TOUCH))
 
 
-def _check_start(scene: Mechanism, params: dict[str, Array], where: str) -> None:
+def _check_start(scene: Dynamics, params: dict[str, Array], where: str) -> None:
     _check_regularisation(scene, params, where)
     depths, expected, speed = asked(_at_start, scene, params)
     deep = []
@@ -266,7 +265,7 @@ def _check_start(scene: Mechanism, params: dict[str, Array], where: str) -> None
             raise InputError(f"{where} contact '{name}'", found, remedy)
 
 
-def _check_regularisation(scene: Mechanism, params: dict[str, Array], where: str) -> None:
+def _check_regularisation(scene: Dynamics, params: dict[str, Array], where: str) -> None:
     """Refuse a body that the contact regularisation pushes away before it has arrived.
 
     A law whose damping goes by the approach speed is rigid to a body that leaves faster than that.
@@ -284,36 +283,32 @@ def _check_regularisation(scene: Mechanism, params: dict[str, Array], where: str
             raise InputError(f"{where} smoothing", found, remedy)
 
 
-def _stored_energy(scene: Mechanism, params: dict[str, Array]) -> tuple[dict[str, Array], dict[str, Array]]:
+def _stored_energy(scene: Dynamics, params: dict[str, Array]) -> tuple[dict[str, Array], dict[str, Array]]:
     """Penetration of each contact at time 0, and whether more is stored there than its approach brings."""
-    from bcfj_jax.mechanism.scales import expected
-
     depths, _ = _faces(scene, jnp.zeros(()), scene.initial_state(params), params)
     found = expected(scene, params)
     deepest = {name: jnp.max(depth) for name, depth in depths.items()}
     return deepest, {name: found.stored[name] > found.brought[name] for name in depths}
 
 
-def asked(what: Callable[..., Any], scene: Mechanism, params: dict[str, Array]) -> Any:
+def asked(what: Callable[..., Any], scene: Dynamics, params: dict[str, Array]) -> Any:
     """A function of mechanism and parameters, answered without compiling, so that a bad mechanism is refused at once."""
     return programs.ask(what.__name__.strip("_"), what, (scene,), (params,))
 
 
-def _at_start(scene: Mechanism, params: dict[str, Array]) -> tuple[dict[str, Array], Array, Array]:
+def _at_start(scene: Dynamics, params: dict[str, Array]) -> tuple[dict[str, Array], Array, Array]:
     """Penetration of each contact at time 0, and the one and the speed that are to be expected of motion and loads."""
-    from bcfj_jax.mechanism.scales import expected
-
     depths, _ = _faces(scene, jnp.zeros(()), scene.initial_state(params), params)
     found = expected(scene, params, inside=False)
     return {name: jnp.max(depth) for name, depth in depths.items()}, found.depth, found.speed
 
 
-def _starts(scene: Mechanism, params: dict[str, Array]) -> tuple[dict[str, Array], Array, Array]:
+def _starts(scene: Dynamics, params: dict[str, Array]) -> tuple[dict[str, Array], Array, Array]:
     """``_at_start`` of N runs."""
     return jax.vmap(lambda one: _at_start(scene, one))(params)
 
 
-def _thrown(scene: Mechanism, params: dict[str, Array]) -> dict[str, Array]:
+def _thrown(scene: Dynamics, params: dict[str, Array]) -> dict[str, Array]:
     """Speed [m/s] at which each contact throws its bodies apart from their start, to a factor of about 1."""
     t, y = jnp.zeros(()), scene.initial_state(params)
     motion = (jnp.ones(()), scene.vector_field(t, y, scene.prepare(params)))
@@ -322,7 +317,7 @@ def _thrown(scene: Mechanism, params: dict[str, Array]) -> dict[str, Array]:
     return {name: jnp.max(jnp.sqrt(positive(-gains[name]) * positive(depths[name]))) for name in depths}
 
 
-def _faces(scene: Mechanism, t: Array, y: Array, params: Params) -> tuple[dict[str, Array], dict[str, Array]]:
+def _faces(scene: Dynamics, t: Array, y: Array, params: Params) -> tuple[dict[str, Array], dict[str, Array]]:
     """Penetration and its rate of every face of each contact."""
     now = scene.instant(t, y, params, laws=False)
     depths, rates = {}, {}

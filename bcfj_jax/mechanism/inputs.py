@@ -8,7 +8,7 @@ the same numbers in another type would be another program.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import jax.numpy as jnp
 import numpy as np
@@ -20,45 +20,25 @@ from bcfj_jax.core.inside import Tracer
 from bcfj_jax.core.quantities import CATALOGUE, Quantity, check_order, number
 from bcfj_jax.mechanism.arrays import expanded
 
-if TYPE_CHECKING:
-    from bcfj_jax.mechanism.model import AbstractModel
+
+class Described(Protocol):
+    """What is read of a model here; ``AbstractModel`` is one, and tells what each is."""
+
+    if TYPE_CHECKING:
+
+        @property
+        def kind(self) -> str: ...  # noqa: D102
+        @property
+        def title(self) -> str: ...  # noqa: D102
+        @property
+        def quantities(self) -> dict[str, Quantity]: ...  # noqa: D102
+        @property
+        def defaults(self) -> tuple[tuple[str, Any], ...]: ...  # noqa: D102
+        def canonical(self, name: str) -> str: ...  # noqa: D102
+        def require(self, params: Mapping[str, Array], where: str = "") -> None: ...  # noqa: D102
 
 
-def model(given: Any) -> AbstractModel:
-    """What was given as a model, if it is one.
-
-    Raises:
-        InputError: for anything else.
-    """
-    from bcfj_jax.mechanism.model import AbstractModel
-
-    if isinstance(given, AbstractModel):
-        return given
-    remedy = (
-        f"give bj.scenes.{given}()" if isinstance(given, str) and given.isidentifier() else "give bj.scenes.impact()"
-    )
-    if isinstance(given, type) or callable(given):
-        remedy = "call it: it makes the model"
-    elif isinstance(given, Mapping):
-        remedy = "the model comes first, then the parameters, then the times"
-    raise InputError("scene", f"{quoted(given)} is no model", remedy)
-
-
-def of_numbers(given: Any) -> AbstractModel:
-    """As ``model``, of what varies or fits numbers: a batch of points has no place for parameters that are arrays.
-
-    Raises:
-        InputError: as ``model``, and naming the parameters that are arrays.
-    """
-    found = model(given)
-    arrays = [name for name, quantity in found.quantities.items() if quantity.shape]
-    if arrays:
-        remedy = "vary it by bj.force_history and jax.vmap, train it by jax.grad; or close over its arrays as constants"
-        raise InputError(f"scene '{found.kind}'", f"has parameters that are arrays: {', '.join(arrays)}", remedy)
-    return found
-
-
-def named(scene: AbstractModel, given: Any, where: str) -> dict[str, Any]:
+def named(scene: Described, given: Any, where: str) -> dict[str, Any]:
     """Values by the scene's own names of parameters; of two names of one parameter the last counts.
 
     Raises:
@@ -84,7 +64,7 @@ def exponents_first(name: str) -> bool:
     return not name.endswith("exponent")
 
 
-def exponent(scene: AbstractModel, name: str, *tables: Mapping[str, Any]) -> float | None:
+def exponent(scene: Described, name: str, *tables: Mapping[str, Any]) -> float | None:
     """The exponent that goes with a parameter: its contact's, or the shared one; of a law without one 1.
 
     None where it is traced, or one of many: then the unit itself says it.
@@ -103,7 +83,7 @@ def exponent(scene: AbstractModel, name: str, *tables: Mapping[str, Any]) -> flo
     return None if isinstance(value, Tracer) or np.ndim(value) else float(value)
 
 
-def values(scene: AbstractModel, given: Any, where: str = "") -> dict[str, Any]:
+def values(scene: Described, given: Any, where: str = "") -> dict[str, Any]:
     """Values of some of the scene's parameters: float64, SI, each in its range; arrays stand for a batch.
 
     Args:
@@ -127,7 +107,7 @@ def values(scene: AbstractModel, given: Any, where: str = "") -> dict[str, Any]:
     return {name: found[name] for name in by_name}
 
 
-def parameters(scene: AbstractModel, given: Any, where: str = "", traced: bool = True) -> dict[str, Array]:
+def parameters(scene: Described, given: Any, where: str = "", traced: bool = True) -> dict[str, Array]:
     """All parameters of one run: ``values``, each a scalar, and none missing.
 
     Args:
@@ -152,7 +132,7 @@ def parameters(scene: AbstractModel, given: Any, where: str = "", traced: bool =
     return found
 
 
-def poison(scene: AbstractModel, given: Mapping[str, Array]) -> ArrayLike:
+def poison(scene: Described, given: Mapping[str, Array]) -> ArrayLike:
     """What the values of one run and all that comes of them are multiplied by: NaN where a traced one is out of range, else 1.
 
     Under jit and vmap nothing can be refused. A run whose parameters are not finite ends in some twenty attempts.
@@ -166,7 +146,7 @@ def _misshapen(where: str, name: str, shape: tuple[int, ...], remedy: str) -> In
     return InputError(where, f"{name} has shape {shape}", remedy)
 
 
-def require_defaults(scene: AbstractModel, given: Mapping[str, Any], where: str) -> None:
+def require_defaults(scene: Described, given: Mapping[str, Any], where: str) -> None:
     """Refuse parameters among which one with a default has no value, neither its own nor the shared one.
 
     Raises:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -31,20 +30,18 @@ from bcfj_jax.core.vectors import (
 from bcfj_jax.mechanism import equations
 from bcfj_jax.mechanism.bodies import JOINTS, RATES
 from bcfj_jax.mechanism.contacts import Contact
+from bcfj_jax.mechanism.dynamics import Dynamics, Instant
 from bcfj_jax.mechanism.loads import AbstractLoad, JointSpring
 from bcfj_jax.mechanism.model import Account, BodyMotion, Flows, Params, Reading
 
-if TYPE_CHECKING:
-    from bcfj_jax.mechanism.mechanism import Instant, Mechanism
 
-
-def observe(m: Mechanism, t: Array, y: Array, p: Params) -> dict[str, Reading]:
+def observe(m: Dynamics, t: Array, y: Array, p: Params) -> dict[str, Reading]:
     """``AbstractModel.observe``: the force on each contact's second body, from the law, never from interpolation."""
     now = m.instant(t, y, p)
     return {c.name: _reading(m, c, now, p) for c in m.contacts}
 
 
-def _reading(m: Mechanism, c: Contact, now: Instant, p: Params) -> Reading:
+def _reading(m: Dynamics, c: Contact, now: Instant, p: Params) -> Reading:
     first, second = c.frames(now.bodies.parts, p)
     touching = now.faces[c.name]
     normals = [touch.normal for _, touch in touching]
@@ -84,7 +81,7 @@ def _deepest(touching: list[tuple[Face, ContactForce]]) -> tuple[Number, Number,
     return depth, rate, slip
 
 
-def motions(m: Mechanism, t: Array, y: Array, p: Params) -> dict[str, BodyMotion]:
+def motions(m: Dynamics, t: Array, y: Array, p: Params) -> dict[str, BodyMotion]:
     """``AbstractModel.motions``: centres of mass, axes, accelerations and the drives' forces."""
     now = m.instant(t, y, p)
     gathered = m.assembled(t, now, p)
@@ -113,7 +110,7 @@ def motions(m: Mechanism, t: Array, y: Array, p: Params) -> dict[str, BodyMotion
     return found
 
 
-def flows(m: Mechanism, t: Array, y: Array, p: Params) -> Flows:
+def flows(m: Dynamics, t: Array, y: Array, p: Params) -> Flows:
     """``AbstractModel.flows``: power of drives and loads, what friction and damping take, kinetic and elastic energy.
 
     What a law's states lose, by relaxation or plastic deformation, is damping, too.
@@ -156,7 +153,7 @@ def flows(m: Mechanism, t: Array, y: Array, p: Params) -> Flows:
     )
 
 
-def _power(m: Mechanism, load: AbstractLoad, t: Array, now: Instant, p: Params) -> Number:
+def _power(m: Dynamics, load: AbstractLoad, t: Array, now: Instant, p: Params) -> Number:
     if isinstance(load, JointSpring):
         j, force = m.sprung(load, t, now, p)
         return force * now.v[j]
@@ -184,7 +181,7 @@ class _Forces(equations.Equations):
         self.sizes[j] = plus(self.sizes[j], equations.total(jnp.abs(jnp.asarray(force)), self.members[j]))
 
 
-def momenta(m: Mechanism, t: Array, y: Array, p: Params) -> dict[str, Account]:
+def momenta(m: Dynamics, t: Array, y: Array, p: Params) -> dict[str, Account]:
     """Generalised momentum of every free velocity u_j, and what changes it, from forces alone.
 
     With Kane's partial velocities v_j (of the centres of mass) and w_j (``equations``), summed over the bodies,

@@ -9,44 +9,25 @@ contacts remember; a driven body has none.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from bcfj_jax.contact.gaps import AbstractGap, Face
+from bcfj_jax.contact.gaps import AbstractGap
 from bcfj_jax.contact.normal import IMPERFECT, AbstractLaw, Imperfect
-from bcfj_jax.contact.wrench import ContactForce, press
-from bcfj_jax.core import limits
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.core.quantities import CATALOGUE, Quantity, whole
 from bcfj_jax.core.shapes import Drawing
-from bcfj_jax.core.status import OK
-from bcfj_jax.core.vectors import (
-    ZERO,
-    Number,
-    Vector,
-    add,
-    dot,
-    negative,
-    scale,
-    subtract,
-    turned,
-)  # fmt: skip
-from bcfj_jax.mechanism import approaches, arrays, equations, instruments, sizes, stepping
-from bcfj_jax.mechanism.bodies import GROUND, STILL, Body, Part, carried, quaternion_rate
-from bcfj_jax.mechanism.contacts import Contact, raised
-from bcfj_jax.mechanism.equations import Equations, flat
-from bcfj_jax.mechanism.loads import AbstractLoad, JointSpring, Moving, checked_action, kept, quantities
+from bcfj_jax.mechanism import approaches, checks, instruments, orbits, scenery, sizes, stepping, stiff
+from bcfj_jax.mechanism.bodies import GROUND
+from bcfj_jax.mechanism.dynamics import Dynamics
 from bcfj_jax.mechanism.model import (
     IMPLICIT_SOLVERS,
-    AbstractModel,
     Account,
     Approaches,
     Bodies,
@@ -58,32 +39,16 @@ from bcfj_jax.mechanism.model import (
     Proximity,
     Reading,
     Scenery,
-    Solution,
 )
+from bcfj_jax.mechanism.scales import DEPTH, SPEED, expected_scale
 
-# Fields of loads, and of drives, that may be a parameter's name.
-_OF_LOADS = (
-    "size", "ramp", "amplitude", "frequency", "reversal", "reversal_ramp",
-    "stiffness", "damping", "rest", "free_length", "turning_damping", "at",
-)  # fmt: skip
-_OF_DRIVES = ("speed", "over", "start", "first")
 # Local error a step, in units of ``error_scale``, per unit of force error asked for: of explicit methods, derived by
 # benchmarks/solve/levels.py on random impacts and bounces; of implicit ones, by benchmarks/solve/mechanisms.py.
 EXPLICIT, IMPLICIT, LOOSEST = 5e-4, 1e-2, 1e-3
 
 
-class Instant(NamedTuple):
-    """Everything at one instant: coordinates, velocities, bodies, and each contact's faces and touches."""
-
-    q: list[Number]
-    v: list[Number]
-    bodies: Moving
-    faces: dict[str, list[tuple[Face, ContactForce]]]
-    memory: dict[str, list[Any]]
-
-
-class Mechanism(AbstractModel):
-    """Static structure of a mechanism.
+class Mechanism(Dynamics):
+    """A mechanism, from its parts.
 
     Attributes:
         kind: its name.
@@ -99,123 +64,23 @@ class Mechanism(AbstractModel):
         implicit: whether an implicit solver takes it (``mechanism.stiff``); None: as its default values say.
     """
 
-    kind: str = eqx.field(static=True)
-    # Static, as functions within them are: a model has no leaves, and goes through every transformation as it is.
-    bodies: tuple[Body, ...] = eqx.field(static=True, converter=tuple)
-    contacts: tuple[Contact, ...] = eqx.field(static=True, converter=tuple, default=())
-    loads: tuple[AbstractLoad, ...] = eqx.field(static=True, converter=lambda x: tuple(map(kept, x)), default=())
-    own: tuple[tuple[Quantity, Any], ...] = eqx.field(static=True, converter=lambda x: quantities("own", x), default=())
-    given: tuple[tuple[str, float], ...] = eqx.field(static=True, converter=lambda x: _sorted(x), default=())
-    end: Any = sizes.field("end", default=1.0)
-    samples: int = eqx.field(
-        static=True, default=2001, converter=lambda n: whole("samples", n, least=2, most=limits.SAMPLES)
-    )
-    scale: Callable[..., Array] | None = eqx.field(static=True, default=None)
-    more: Callable[..., dict[str, float]] | None = eqx.field(static=True, default=None)
-    implicit: bool | None = eqx.field(static=True, default=None)
-    touch: Callable[[Mapping[str, float]], float | None] | None = eqx.field(static=True, default=None)
-    longest_step: float | None = eqx.field(static=True, default=None)
-
     def __check_init__(self):
-        from bcfj_jax.mechanism.checks import check_structure
-
-        check_structure(self)
+        checks.check_structure(self)
 
     # What it is.
 
     @property
     def traits(self) -> ModelTraits:
         """Implicit as ``implicit`` says, else as default values do; a period is the drive's where something is driven."""
-        from bcfj_jax.mechanism.stiff import implicit_by_default
-
-        stiff = implicit_by_default(self) if self.implicit is None else self.implicit
+        implicit = stiff.implicit_by_default(self) if self.implicit is None else self.implicit
         driven = any(b.drive is not None for b in self.bodies)
-        return ModelTraits(stiff=stiff, history=bool(self._free or self._memory), turning=driven, rough=driven)
+        return ModelTraits(stiff=implicit, history=bool(self._free or self._memory), turning=driven, rough=driven)
 
     def suited(self, params: Params, end: float, solver: str | None = None) -> Mechanism:
         """With ``implicit`` as the solver that is named is, or as these values say."""
-        from bcfj_jax.mechanism.stiff import implicit
-
         if solver is not None:
             return replace(self, implicit=solver in IMPLICIT_SOLVERS)
-        return self if self.implicit is not None else replace(self, implicit=implicit(self, params, end))
-
-    @cached_property
-    def ordered(self) -> tuple[Body, ...]:
-        """Bodies, each after the one that it hangs on."""
-        found: list[Body] = []
-        names = {GROUND}
-        while len(found) < len(self.bodies):
-            found += [b for b in self.bodies if b.name not in names and b.parent in names]
-            names |= {b.name for b in found}
-        return tuple(found)
-
-    def body(self, name: str) -> Body:
-        """A body by name."""
-        return next(b for b in self.bodies if b.name == name)
-
-    def contact(self, name: str) -> Contact:
-        """A contact by name."""
-        return next(c for c in self.contacts if c.name == name)
-
-    @property
-    def members(self) -> dict[str, int]:
-        """Of a contact the members of its bodies, or of its gap; 0 for one."""
-        count = {GROUND: 0} | {b.name: b.members for b in self.bodies}
-        return {c.name: c.gap.members or max(count[name] for name in c.between) for c in self.contacts}
-
-    def turning(self, name: str) -> bool:
-        """Whether anything turns a body: its own joint or one that it hangs on."""
-        return name != GROUND and (self.body(name).turns or self.turning(self.body(name).parent))
-
-    @property
-    def quantities(self) -> dict[str, Quantity]:
-        """Every parameter: shared coefficients, each contact's own, clearances, bodies, drives, loads, the user's."""
-        return {name: quantity for name, (quantity, _) in self._parameters.items()}
-
-    @cached_property
-    def _parameters(self) -> dict[str, tuple[Quantity, float | None]]:
-        found: dict[str, tuple[Quantity, float | None]] = {}
-        parts = [c.parameters() for c in self.contacts]
-        shared = {n: x for part in parts for n, x in part.items() if "." not in n and not n.startswith("clearance_")}
-        for part in (shared, *parts, *(b.parameters(self.turning(b.name)) for b in self.bodies)):
-            found |= {name: x for name, x in part.items() if found.get(name, (None, None))[1] is None}
-        for load in self.loads:
-            turns = isinstance(load, JointSpring) and self.body(load.body).joint == "hinge"
-            found |= load.parameters(turns) if isinstance(load, JointSpring) else load.parameters()
-        found |= {quantity.name: (quantity, arrays.plain(default)) for quantity, default in self.own}
-        for name in self._named():
-            if name not in found and name in CATALOGUE:
-                found[name] = (CATALOGUE[name], None)
-        return found
-
-    def _named(self) -> list[str]:
-        """Names that sizes give in place of numbers."""
-        found: list[Any] = []
-        for b in self.bodies:
-            found += [*b.at, *b.center, b.mass, *(s for _, s in b.start), b.tilt[1] if b.tilt else None]
-            found += list(b.inertia) if isinstance(b.inertia, tuple) else [b.inertia]
-            found += [getattr(b.drive, name) for name in _OF_DRIVES] if b.drive else []
-        for c in self.contacts:
-            found += [*(s for _, s in c.values), *c.at[0], *c.at[1]]
-        for load in self.loads:
-            for name in _OF_LOADS:
-                part = getattr(load, name, None)
-                found += list(_flattened(part)) if isinstance(part, tuple) else [part]
-            drive = getattr(load, "drive", None)
-            found += [getattr(drive, name) for name in _OF_DRIVES] if drive else []
-        return [x.removeprefix("-") for x in found if isinstance(x, str)]
-
-    @property
-    def defaults(self) -> tuple[tuple[str, Any], ...]:
-        """Default values, numbers or arrays: the mechanism's, then its parts'; ``smoothing`` is 0 where nobody says."""
-        found = {name: default for name, (_, default) in self._parameters.items() if default is not None}
-        if "smoothing" in self._parameters:
-            found.setdefault("smoothing", 0.0)
-        known, canonical = self._parameters, self.canonical
-        given = {canonical(name): arrays.plain(value) for name, value in self.given}
-        values = {**found, **given}
-        return tuple((name, values[name]) for name in known if name in values)
+        return self if self.implicit is not None else replace(self, implicit=stiff.implicit(self, params, end))
 
     def only_law(self) -> AbstractLaw | None:
         """As ``AbstractModel``."""
@@ -238,218 +103,6 @@ class Mechanism(AbstractModel):
         if not self.contacts or any(set(IMPERFECT) & set(c.law.needs) for c in self.contacts):
             return None
         return replace(self, contacts=tuple(replace(c, law=Imperfect(c.law)) for c in self.contacts))
-
-    def horizon(self, params: Params) -> Array:
-        """``end``."""
-        return jnp.asarray(
-            self.end if isinstance(self.end, (int, float)) else sizes.value(self.end, self.kind, "end", params)
-        )
-
-    # The state.
-
-    @cached_property
-    def _free(self) -> tuple[tuple[str, str, int], ...]:
-        """(body, velocity, members) of every free velocity, in order."""
-        return tuple((b.name, rate, b.members) for b in self.ordered for rate in b.rates)
-
-    @cached_property
-    def _placed(self) -> tuple[tuple[str, str, int], ...]:
-        """(body, coordinate, members) of every coordinate, in order."""
-        return tuple((b.name, key, b.members) for b in self.ordered for key in b.coordinates)
-
-    @cached_property
-    def _driven(self) -> tuple[Body, ...]:
-        return tuple(b for b in self.ordered if b.drive is not None)
-
-    @cached_property
-    def _members(self) -> tuple[int, ...]:
-        """Members by velocity, driven ones last."""
-        return (*(k for *_, k in self._free), *(b.members for b in self._driven))
-
-    @cached_property
-    def _memory(self) -> tuple[tuple[str, int], ...]:
-        """(contact, members) of every number that contacts remember, in order: ``Contact.memory`` of each face."""
-        found, members = [], self.members
-        for c in self.contacts:
-            each = len(c.memory)
-            found += [(c.name, members[c.name])] * (each * c.faces if each else 0)
-        return tuple(found)
-
-    def initial_state(self, params: Params) -> Array:
-        """Coordinates and velocities as the bodies start; contacts remember the rate at which they close."""
-        q, v = [], []
-        for b in self.ordered:
-            places, rates = b.starting(params)
-            q, v = q + places, v + rates
-        moving = [*flat(q, [k for *_, k in self._placed]), *flat(v, [k for *_, k in self._free])]
-        start = jnp.stack(moving) if moving else jnp.zeros(0)
-        if not self._memory:
-            return start
-        unknown = jnp.zeros(sum(k or 1 for _, k in self._memory))
-        found = self.instant(jnp.zeros(()), jnp.concatenate([start, unknown]), params, laws=False)
-        memory: list[Number] = []
-        for c in self.contacts:
-            for face, touch in found.faces.get(c.name, []):
-                memory += c.first(face, touch, params)
-        return jnp.concatenate([start, flat(memory, [k for _, k in self._memory])])
-
-    def instants(self, params: Params, times: Array, near: Any = None, rates: bool = True) -> tuple[Solution, Any]:
-        """Of a mechanism whose every joint is driven, and whose contacts remember nothing: nothing is integrated."""
-        del params
-        nothing = jnp.zeros((times.shape[0], 0))
-        return Solution(nothing, jnp.asarray(OK), times[-1], jnp.asarray(0), jnp.asarray(0)), near
-
-    # The equations.
-
-    def moving(self, t: Array, q: list[Number], v: list[Number], p: Params) -> Moving:
-        """All bodies from coordinates and velocities."""
-        parts: dict[str, Part] = {GROUND: STILL}
-        mass: dict[str, Number] = {}
-        center: dict[str, Vector] = {}
-        at, first, driven = 0, 0, len(self._free)
-        for b in self.ordered:
-            n, m = len(b.coordinates), len(b.rates)
-            part = carried(b, parts[b.parent], q[at : at + n], v[first : first + m], first, driven, t, p)
-            at, first, driven = at + n, first + m, driven + (b.drive is not None)
-            parts[b.name] = part
-            mass[b.name] = sizes.value(b.mass, b.name, "mass", p)
-            arm = tuple(sizes.length(s, b.name, f"center_{k}", p) for k, s in zip("xyz", b.center, strict=True))
-            center[b.name] = turned(part.axes, arm)
-        return Moving(parts, mass, center)
-
-    def inertia(self, body: Body, p: Params) -> Any:
-        """About the centre of mass; None of a body that nothing turns."""
-        if not self.turning(body.name):
-            return None
-        if isinstance(body.inertia, tuple):
-            return tuple(sizes.value(s, body.name, f"inertia_{k}", p) for k, s in zip("xyz", body.inertia, strict=True))
-        return sizes.value(body.inertia, body.name, "inertia", p)
-
-    def instant(self, t: Array, y: Array, p: Params, laws: bool = True) -> Instant:
-        """Everything at one instant; without ``laws`` no force, for what reads geometry and rates alone."""
-        places, rates = [k for *_, k in self._placed], [k for *_, k in self._free]
-        numbers = equations.apart(y, [*places, *rates, *(k for _, k in self._memory)])
-        q, v = numbers[: len(places)], numbers[len(places) : len(places) + len(rates)]
-        kept = numbers[len(places) + len(rates) :]
-        bodies = self.moving(t, list(q), list(v), p)
-        faces, memory = {}, {}
-        for c in self.contacts:
-            each = len(c.memory)
-            own, kept = kept[: each * c.faces], kept[each * c.faces :]
-            memory[c.name] = [own[each * i : each * (i + 1)] for i in range(c.faces)]
-            faces[c.name] = self._touching(c, bodies, memory[c.name], p, laws)
-        return Instant(list(q), list(v), bodies, faces, memory)
-
-    def _touching(
-        self, c: Contact, bodies: Moving, memory: list[list[Number]], p: Params, laws: bool
-    ) -> list[tuple[Face, ContactForce]]:
-        first, second = (bodies.parts[name] for name in c.between)
-        frames, coefficients = c.frames(bodies.parts, p), c.coefficients(p)
-        try:
-            faces = c.gap.faces(*frames, coefficients)
-        except Exception as error:
-            raise raised(f"contact '{c.name}' gap {type(c.gap).__name__}", error) from error
-        found = []
-        for face, own in zip(faces, memory, strict=True):
-            point = add(frames[1].place, face.lever)
-            velocity = subtract(
-                second.velocity_at(subtract(point, second.place)), first.velocity_at(subtract(point, first.place))
-            )
-            if not laws:
-                rate = dot(face.normal, velocity)
-                found.append((face, ContactForce(ZERO, ZERO, 0.0, rate, subtract(velocity, scale(rate, face.normal)))))
-                continue
-            c_values = coefficients | dict(zip(c.memory, own, strict=True))
-            bristle = (own[-3], own[-2], own[-1]) if c.bristles else None
-            turn = c.gap.carried(first.spin, second.spin)
-            try:
-                touch = press(c.law, c.friction, c_values, face, velocity, bristle, turn, own[-1] if c.lags else None)
-            except Exception as error:
-                raise raised(f"contact '{c.name}' law {type(c.law).__name__}", error) from error
-            found.append((face, touch))
-        return found
-
-    def assembled(self, t: Array, now: Instant, p: Params, pressing: bool = True) -> Equations:
-        """Mass matrix and forces; without ``pressing`` no contact force."""
-        found = Equations(self._members)
-        parts = now.bodies.parts
-        for b in self.ordered:
-            found.body(parts[b.name], now.bodies.center[b.name], now.bodies.mass[b.name], self.inertia(b, p))
-        for load in self.loads:
-            self._loaded(found, load, t, now, p)
-        if pressing:
-            self._pressed(found, now, p)
-        return found
-
-    def _pressed(self, found: Equations, now: Instant, p: Params) -> None:
-        for c in self.contacts:
-            first, second = (now.bodies.parts[name] for name in c.between)
-            place = c.place(1, second, p)
-            for face, touch in now.faces[c.name]:
-                point = add(place, face.lever)
-                found.act(second, subtract(point, second.place), touch.force)
-                found.act(first, subtract(point, first.place), negative(touch.force))
-
-    def _loaded(self, found: Equations, load: AbstractLoad, t: Array, now: Instant, p: Params) -> None:
-        if isinstance(load, JointSpring):
-            found.push(*self.sprung(load, t, now, p))
-            return
-        try:
-            actions = load.actions(t, now.bodies, p)
-        except Exception as error:
-            raise raised(f"load '{load.name}'", error) from error
-        for given in actions:
-            action = checked_action(f"load '{load.name}'", given, now.bodies.parts)
-            part = now.bodies.parts[action.body]
-            found.act(part, turned(part.axes, action.at), action.force, action.torque)
-
-    def loaded(self, loads: Sequence[AbstractLoad], t: Array, y: Array, p: Params) -> Array:
-        """Forces of some loads on the velocities, driven ones last."""
-        now, found = self.instant(t, y, p, laws=False), Equations(self._members)
-        for load in loads:
-            self._loaded(found, load, t, now, p)
-        return flat(found.forces, self._members)
-
-    def sprung(self, load: JointSpring, t: Array, now: Instant, p: Params) -> tuple[int, Number]:
-        """Which velocity a spring in a joint acts on, and its force [N, N m]."""
-        j = next(j for j, (body, *_) in enumerate(self._free) if body == load.body)
-        i = next(i for i, (body, *_) in enumerate(self._placed) if body == load.body)
-        return j, load.on_coordinate(t, now.q[i], now.v[j], p)
-
-    def motion(self, t: Array, y: Array, p: Params) -> Array:
-        """Rates of coordinates and velocities without contact forces; of what contacts remember 0."""
-        now, count = self.instant(t, y, p, laws=False), len(self._free)
-        out = [*self._rates(now), *self.assembled(t, now, p, pressing=False).accelerations(count)]
-        moved = flat(out, [*(k for *_, k in self._placed), *self._members[:count]])
-        return jnp.concatenate([moved, jnp.zeros(y.size - moved.size)])
-
-    def vector_field(self, t: Array, y: Array, prepared: Params) -> Array:
-        """Newton's law, and what contacts remember."""
-        now = self.instant(t, y, prepared)
-        count = len(self._free)
-        accelerations = self.assembled(t, now, prepared).accelerations(count)
-        rates = self._rates(now)
-        out = [*rates, *accelerations, *self._remembered(now, prepared)]
-        return flat(out, [*(k for *_, k in self._placed), *self._members[:count], *(k for _, k in self._memory)])
-
-    def _rates(self, now: Instant) -> list[Number]:
-        """Rates of the coordinates: the velocities, but for attitudes."""
-        found, at, first = [], 0, 0
-        for b in self.ordered:
-            q, v = now.q[at : at + len(b.coordinates)], now.v[first : first + len(b.rates)]
-            at, first = at + len(q), first + len(v)
-            plain = len(q) - (4 if "q0" in b.coordinates else 0)
-            found += v[:plain]
-            if plain < len(q):
-                found += quaternion_rate(q[plain:], v[plain : plain + 3])
-        return found
-
-    def _remembered(self, now: Instant, p: Params) -> list[Number]:
-        found: list[Number] = []
-        for c in self.contacts:
-            for (face, touch), own in zip(now.faces[c.name], now.memory[c.name], strict=True):
-                found += c.learning(face, touch, own, p)
-        return found
 
     @property
     def shows_proximity(self) -> bool:
@@ -529,9 +182,7 @@ class Mechanism(AbstractModel):
         self, params: Params, size: float = 1.0, travel: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None
     ) -> Drawing:
         """``scenery.drawing``."""
-        from bcfj_jax.mechanism.scenery import drawing
-
-        return drawing(self, params, size, travel)
+        return scenery.drawing(self, params, size, travel)
 
     def carriers(self) -> dict[str, str]:
         """The second body, or the first where that is the ground."""
@@ -539,22 +190,16 @@ class Mechanism(AbstractModel):
 
     def scenery(self, t: Array, y: Array, params: Params) -> Scenery:
         """``scenery.scenery``."""
-        from bcfj_jax.mechanism.scenery import scenery
-
-        return scenery(self, t, y, params)
+        return scenery.scenery(self, t, y, params)
 
     # Accuracy.
 
     def error_scale(self, params: Params, end: ArrayLike = jnp.inf) -> Array:
         """Places by the penetration that the contacts are to expect, velocities by the speed (``mechanism.scales``)."""
-        from bcfj_jax.mechanism.scales import expected_scale
-
         return self.scale(self, params, end) if self.scale is not None else expected_scale(self, params)
 
     def first_step(self, params: Params, scales: Array) -> Array:
         """A hundredth of the time in which the expected speed crosses the expected penetration."""
-        from bcfj_jax.mechanism.scales import DEPTH, SPEED
-
         del params
         first = sum(k or 1 for *_, k in self._placed)
         if not first:
@@ -569,29 +214,21 @@ class Mechanism(AbstractModel):
 
     def check(self, params: Params, where: str = "") -> None:
         """Missing values, parameters that nothing reads, bodies that start deep inside each other, code that raises."""
-        from bcfj_jax.mechanism.checks import check_values
-
-        check_values(self, params, where)
+        checks.check_values(self, params, where)
 
     def suspects(self, params: Params) -> np.ndarray:
         """Those whose bodies do not start apart from each other, and all where a contact is regularised."""
-        from bcfj_jax.mechanism.checks import suspects
-
-        return suspects(self, params)
+        return checks.suspects(self, params)
 
     def orbits(self, params: Params, run: Any) -> dict[str, Orbit]:
         """``orbits.orbits``."""
-        from bcfj_jax.mechanism.orbits import orbits
-
-        return orbits(self, params, run)
+        return orbits.orbits(self, params, run)
 
     def require(self, params: Params, where: str = "") -> None:
         """What the equations read and nobody gave."""
-        from bcfj_jax.mechanism.checks import check_inertia, names_read
-
         where = where or f"scene '{self.kind}'"
-        names_read(self, params, where)
-        check_inertia(self, params, where)
+        checks.names_read(self, params, where)
+        checks.check_inertia(self, params, where)
 
     def period(self, params: Params) -> tuple[float, float]:
         """One turn of the first driven hinge."""
@@ -634,12 +271,3 @@ class Mechanism(AbstractModel):
     def envelope(self, params: Params, times: np.ndarray) -> tuple[dict[str, float], list[str]]:
         """What the scene knows of its place among those on which its promise was measured."""
         return (self.more(self, params, times) if self.more is not None else {}), []
-
-
-def _sorted(values: Any) -> tuple[tuple[str, Any], ...]:
-    items = values.items() if isinstance(values, Mapping) else values
-    return tuple((name, arrays.number(f"given {name}", value)) for name, value in items)
-
-
-def _flattened(part: tuple) -> list[Any]:
-    return [x for item in part for x in (_flattened(item) if isinstance(item, tuple) else [item])]

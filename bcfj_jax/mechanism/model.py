@@ -21,7 +21,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from bcfj_jax.contact.normal import AbstractLaw
-from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.errors import InputError, quoted
 from bcfj_jax.core.programs import ask
 from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.core.shapes import Drawing
@@ -31,12 +31,15 @@ from bcfj_jax.mechanism.moments import Approaches as Approaches
 from bcfj_jax.mechanism.moments import Arrow as Arrow
 from bcfj_jax.mechanism.moments import Bodies as Bodies
 from bcfj_jax.mechanism.moments import BodyMotion as BodyMotion
+from bcfj_jax.mechanism.moments import Coarser as Coarser
 from bcfj_jax.mechanism.moments import Continuous as Continuous
 from bcfj_jax.mechanism.moments import Flows as Flows
+from bcfj_jax.mechanism.moments import Orbit as Orbit
 from bcfj_jax.mechanism.moments import Pose as Pose
 from bcfj_jax.mechanism.moments import Proximity as Proximity
 from bcfj_jax.mechanism.moments import Reading as Reading
 from bcfj_jax.mechanism.moments import Scenery as Scenery
+from bcfj_jax.mechanism.moments import Variant as Variant
 from bcfj_jax.mechanism.structure import AbstractStructure, Dense
 
 Params = Mapping[str, Array]
@@ -99,41 +102,6 @@ class Choice(NamedTuple):
     budget: float
     errors: dict[str, float]
     reason: str
-
-
-class Orbit(NamedTuple):
-    """How far the centre of a contact's inner body is from that of its outer one, across the contact's axis.
-
-    Attributes:
-        x, y: (T,) [m].
-        clearance: radius of the circle within which the bodies do not touch [m].
-        what: the two bodies in words, "cage in seat".
-        axes: what x and y are called on a picture.
-        along: (T,) the same along the axis [m]; None where the bodies cannot move there.
-    """
-
-    x: np.ndarray
-    y: np.ndarray
-    clearance: float
-    what: str
-    axes: tuple[str, str] = ("x", "y")
-    along: np.ndarray | None = None
-
-
-class Coarser(NamedTuple):
-    """A cheaper model of the same thing: its name, the options of the scene file that give it, what it leaves out."""
-
-    name: str
-    options: dict[str, Any]
-    physics: str
-
-
-class Variant(NamedTuple):
-    """Another choice for the same thing, none of them the truth: its name, changes to a scene file by section, words."""
-
-    name: str
-    change: dict[str, dict[str, Any]]
-    physics: str
 
 
 class AbstractModel(eqx.Module):
@@ -568,6 +536,38 @@ class AbstractModel(eqx.Module):
         """The one name of a parameter: ``<contact>.clearance`` is ``clearance_<contact>``."""
         contact, _, own = name.rpartition(".")
         return f"clearance_{contact}" if own == "clearance" and contact else name
+
+
+def as_model(given: Any) -> AbstractModel:
+    """What was given as a model, if it is one.
+
+    Raises:
+        InputError: for anything else.
+    """
+    if isinstance(given, AbstractModel):
+        return given
+    remedy = (
+        f"give bj.scenes.{given}()" if isinstance(given, str) and given.isidentifier() else "give bj.scenes.impact()"
+    )
+    if isinstance(given, type) or callable(given):
+        remedy = "call it: it makes the model"
+    elif isinstance(given, Mapping):
+        remedy = "the model comes first, then the parameters, then the times"
+    raise InputError("scene", f"{quoted(given)} is no model", remedy)
+
+
+def of_numbers(given: Any) -> AbstractModel:
+    """As ``as_model``, of what varies or fits numbers: a batch of points has no place for parameters that are arrays.
+
+    Raises:
+        InputError: as ``as_model``, and naming the parameters that are arrays.
+    """
+    found = as_model(given)
+    arrays = [name for name, quantity in found.quantities.items() if quantity.shape]
+    if arrays:
+        remedy = "vary it by bj.force_history and jax.vmap, train it by jax.grad; or close over its arrays as constants"
+        raise InputError(f"scene '{found.kind}'", f"has parameters that are arrays: {', '.join(arrays)}", remedy)
+    return found
 
 
 def horizon(model: AbstractModel, params: Params) -> float:

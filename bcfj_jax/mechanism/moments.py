@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import numpy as np
 from jax import Array
 
 
@@ -166,3 +167,38 @@ class Account(NamedTuple):
     value: Array
     rate: Array
     size: Array
+
+
+class Orbit(NamedTuple):
+    """How far the centre of a contact's inner body is from that of its outer one, across the contact's axis.
+
+    Attributes:
+        x, y: (T,) [m].
+        clearance: radius of the circle within which the bodies do not touch [m].
+        what: the two bodies in words, "cage in seat".
+        axes: what x and y are called on a picture.
+        along: (T,) the same along the axis [m]; None where the bodies cannot move there.
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    clearance: float
+    what: str
+    axes: tuple[str, str] = ("x", "y")
+    along: np.ndarray | None = None
+
+
+class Coarser(NamedTuple):
+    """A cheaper model of the same thing: its name, the options of the scene file that give it, what it leaves out."""
+
+    name: str
+    options: dict[str, Any]
+    physics: str
+
+
+class Variant(NamedTuple):
+    """Another choice for the same thing, none of them the truth: its name, changes to a scene file by section, words."""
+
+    name: str
+    change: dict[str, dict[str, Any]]
+    physics: str

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -11,13 +11,11 @@ from jax import Array
 
 from bcfj_jax.core.programs import program
 from bcfj_jax.core.vectors import dot, subtract
+from bcfj_jax.mechanism.dynamics import Dynamics
 from bcfj_jax.mechanism.model import Orbit, Params
 
-if TYPE_CHECKING:
-    from bcfj_jax.mechanism.mechanism import Mechanism
 
-
-def orbits(model: Mechanism, params: Params, run: Any) -> dict[str, Orbit]:
+def orbits(model: Dynamics, params: Params, run: Any) -> dict[str, Orbit]:
     """Of contacts whose gap is round, without members: the second body's marker seen from the first's."""
     names = _round(model)
     if not names or run.trajectory is None:
@@ -35,15 +33,15 @@ def orbits(model: Mechanism, params: Params, run: Any) -> dict[str, Orbit]:
     return found
 
 
-def _round(model: Mechanism) -> list[str]:
+def _round(model: Dynamics) -> list[str]:
     return [c.name for c in model.contacts if c.gap.round and not model.members[c.name]]
 
 
-def _paths(model: Mechanism, params: Params, times: Array, states: Array) -> dict[str, tuple[Array, Array]]:
+def _paths(model: Dynamics, params: Params, times: Array, states: Array) -> dict[str, tuple[Array, Array]]:
     return jax.vmap(lambda t, y: _apart(model, t, y, params))(times, states)
 
 
-def _apart(model: Mechanism, t: Array, y: Array, p: Params) -> dict[str, tuple[Array, Array]]:
+def _apart(model: Dynamics, t: Array, y: Array, p: Params) -> dict[str, tuple[Array, Array]]:
     """By contact with a round gap, its markers' distance [m] along the first body's x and y axes."""
     parts, found = model.instant(t, y, p, laws=False).bodies.parts, {}
     for name in _round(model):

@@ -12,7 +12,7 @@ The scale is a guess; every run can measure its own error (``simulate``).
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,12 +21,10 @@ from jax import Array
 from bcfj_jax.contact.normal import regularised_force
 from bcfj_jax.core.numerics import positive, smooth_ramp
 from bcfj_jax.core.vectors import ZERO, Number, Vector, add, dot, plus, scale, subtract, times, unit
+from bcfj_jax.mechanism.contacts import Contact
+from bcfj_jax.mechanism.dynamics import Dynamics
 from bcfj_jax.mechanism.equations import Equations, flat, solved
-
-if TYPE_CHECKING:
-    from bcfj_jax.mechanism.contacts import Contact
-    from bcfj_jax.mechanism.mechanism import Mechanism
-    from bcfj_jax.mechanism.sizes import Params
+from bcfj_jax.mechanism.sizes import Params
 
 # Where nothing is known: a penetration of a micrometre [m], a speed of a millimetre a second [m/s].
 DEPTH, SPEED = 1e-6, 1e-3
@@ -52,7 +50,7 @@ class Expected(NamedTuple):
     flight: dict[str, Array]
 
 
-def expected(scene: Mechanism, params: Params, inside: bool = True) -> Expected:
+def expected(scene: Dynamics, params: Params, inside: bool = True) -> Expected:
     """What the first instant says (module docstring); ``inside``: with what bodies store that start in each other."""
     t = jnp.zeros(())
     now = scene.instant(t, scene.initial_state(params), params, laws=False)
@@ -112,7 +110,7 @@ def expected(scene: Mechanism, params: Params, inside: bool = True) -> Expected:
     return Expected(depth, jnp.maximum(jnp.maximum(speed, swing), SPEED), lengths, brought, stored, flight)
 
 
-def expected_scale(scene: Mechanism, params: Params) -> Array:
+def expected_scale(scene: Dynamics, params: Params) -> Array:
     """Error scale (n,): a coordinate by the expected penetration over its lever, a velocity by the speed over it.
 
     With friction the speed is no more than friction's transition speed over its coefficient: a fraction of that is as

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -23,10 +23,8 @@ from bcfj_jax.core.vectors import add, array, scale, seen, spread, stacked, subt
 from bcfj_jax.mechanism import sizes
 from bcfj_jax.mechanism.bodies import GROUND, Body, Part
 from bcfj_jax.mechanism.contacts import Contact
+from bcfj_jax.mechanism.dynamics import Dynamics
 from bcfj_jax.mechanism.model import Arrow, Params, Pose, Scenery
-
-if TYPE_CHECKING:
-    from bcfj_jax.mechanism.mechanism import Mechanism
 
 # Of the scene's size: radius of a bar, of a line along which something slides, of a pin.
 _BAR, _LINE, _PIN = 0.013, 0.004, 0.024
@@ -38,7 +36,7 @@ _NOTES = (
 )
 
 
-def drawing(m: Mechanism, params: Params, size: float, travel: Mapping[str, Any] | None) -> Drawing:
+def drawing(m: Dynamics, params: Params, size: float, travel: Mapping[str, Any] | None) -> Drawing:
     """``AbstractModel.drawing`` of a mechanism."""
     p: Any = {name: np.asarray(value) for name, value in params.items()}
     still = (np.zeros(3), np.zeros(3))
@@ -62,12 +60,12 @@ def _marker(c: Contact, which: int, p: Params) -> np.ndarray:
     return np.array([float(np.max(x)) for x in c.marker(which, p)])
 
 
-def _touching(m: Mechanism, body: str) -> list[tuple[Contact, int]]:
+def _touching(m: Dynamics, body: str) -> list[tuple[Contact, int]]:
     """A body's contacts, and which of their two bodies it is."""
     return [(c, i) for c in m.contacts for i, name in enumerate(c.between) if name == body]
 
 
-def _ground(m: Mechanism, p: Params, size: float) -> list[Shape]:
+def _ground(m: Dynamics, p: Params, size: float) -> list[Shape]:
     """A line between the places on the ground about which bodies turn."""
     points = [_at(b, p) for b in m.ordered if b.parent == GROUND and b.joint == "hinge"]
     points += [_marker(c, i, p) for c, i in _touching(m, GROUND) if m.turning(c.between[1 - i])]
@@ -109,7 +107,7 @@ def _basis(b: Body, p: Params) -> np.ndarray:
     return (np.eye(3) + np.sin(angle) * skew + (1.0 - np.cos(angle)) * skew @ skew) @ shapes.frame(n)
 
 
-def _joint(m: Mechanism, b: Body, p: Params, size: float, own: list[Shape], travel: Any) -> list[Shape]:
+def _joint(m: Dynamics, b: Body, p: Params, size: float, own: list[Shape], travel: Any) -> list[Shape]:
     """Its ideal joint on the parent: a pin about a hinge's axis; a line along a slide, with a block where arms hang on it."""
     place, basis = _at(b, p), _basis(b, p)
     if b.joint == "hinge":
@@ -142,7 +140,7 @@ def _joint(m: Mechanism, b: Body, p: Params, size: float, own: list[Shape], trav
     return parts
 
 
-def _bars(m: Mechanism, b: Body, p: Params, size: float) -> list[Shape]:
+def _bars(m: Dynamics, b: Body, p: Params, size: float) -> list[Shape]:
     """Bars of a body that turns, from end to end of what hangs on it and touches it."""
     if not m.turning(b.name):
         return []
@@ -157,7 +155,7 @@ def _bars(m: Mechanism, b: Body, p: Params, size: float) -> list[Shape]:
     return [Shape(b.name, shapes.rod(a, c, _BAR * size), "body") for a, c in pairs]
 
 
-def scenery(m: Mechanism, t: Array, y: Array, p: Params) -> Scenery:
+def scenery(m: Dynamics, t: Array, y: Array, p: Params) -> Scenery:
     """``AbstractModel.scenery`` of a mechanism."""
     now = m.instant(t, y, p)
     arrows, offsets = {}, {}
@@ -181,7 +179,7 @@ def scenery(m: Mechanism, t: Array, y: Array, p: Params) -> Scenery:
     return Scenery(_poses(m, now.bodies.parts), _poses(m, _closed(m, t, y, p)), arrows, offsets)
 
 
-def _poses(m: Mechanism, parts: Mapping[str, Part]) -> dict[str, Pose]:
+def _poses(m: Dynamics, parts: Mapping[str, Part]) -> dict[str, Pose]:
     found = {}
     for b in m.ordered:
         part, k = parts[b.name], b.members
@@ -189,7 +187,7 @@ def _poses(m: Mechanism, parts: Mapping[str, Part]) -> dict[str, Pose]:
     return found
 
 
-def _closed(m: Mechanism, t: Array, y: Array, p: Params) -> Mapping[str, Part]:
+def _closed(m: Dynamics, t: Array, y: Array, p: Params) -> Mapping[str, Part]:
     """Bodies in the nearest state in which every contact just closes: no play, no penetration. Drives keep their places."""
     count = sum(k or 1 for *_, k in m._placed)
     rest = y[count:]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,10 +9,8 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from bcfj_jax.core.vectors import length, plus, spread, subtract, times
+from bcfj_jax.mechanism.dynamics import Dynamics
 from bcfj_jax.mechanism.model import Params, Proximity
-
-if TYPE_CHECKING:
-    from bcfj_jax.mechanism.mechanism import Mechanism
 
 # A function of time of the user's own is looked at so many times in a run, and steps end at so many instants of it.
 _LOOKS, _ENDS = 2**14, 64
@@ -24,7 +20,7 @@ _CLOSE = 1e-12
 _ROUNDING = 1e-10
 
 
-def proximity(m: Mechanism, t: Array, y: Array, p: Params) -> Proximity:
+def proximity(m: Dynamics, t: Array, y: Array, p: Params) -> Proximity:
     """``AbstractModel.proximity``: of every face, members apart, in the order of contacts.
 
     A gap is a function of the place of b's marker in a's axes and, unless rotations do not bend it (``AbstractGap.bends``),
@@ -56,7 +52,7 @@ def proximity(m: Mechanism, t: Array, y: Array, p: Params) -> Proximity:
     return Proximity(*(jnp.concatenate(part) for part in zip(*rows, strict=True)))
 
 
-def breaks(m: Mechanism, p: Params, end: ArrayLike) -> Array | None:
+def breaks(m: Dynamics, p: Params, end: ArrayLike) -> Array | None:
     """``AbstractModel.breaks``: of loads and drives what they say of themselves, and of functions what looks find."""
     drives = [(b.name, b.drive) for b in m.ordered if b.drive is not None]
     said = [(drive, drive.kinks(name, p)) for name, drive in drives] + [(load, load.kinks(p)) for load in m.loads]

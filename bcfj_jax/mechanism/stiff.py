@@ -19,7 +19,6 @@ Damping within contacts acts for the time of a contact, which has to be resolved
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -30,11 +29,9 @@ from bcfj_jax.contact.normal import AbstractLaw
 from bcfj_jax.core import host
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.mechanism.checks import asked
+from bcfj_jax.mechanism.dynamics import Dynamics
 from bcfj_jax.mechanism.scales import expected
-
-if TYPE_CHECKING:
-    from bcfj_jax.mechanism.mechanism import Mechanism
-    from bcfj_jax.mechanism.sizes import Params
+from bcfj_jax.mechanism.sizes import Params
 
 # Relaxations in a run that an explicit solver may follow, in some 10 000 steps.
 STEEP = 3e4
@@ -42,7 +39,7 @@ STEEP = 3e4
 STIFF, LONG = 50.0, 1e6
 
 
-def implicit(scene: Mechanism, params: Params, end: float) -> bool:
+def implicit(scene: Dynamics, params: Params, end: float) -> bool:
     """Whether a run of these parameters until ``end`` [s] needs an implicit solver. Not under a trace."""
     if (known := _known(scene)) is not None:
         return known
@@ -51,7 +48,7 @@ def implicit(scene: Mechanism, params: Params, end: float) -> bool:
 
 
 @lru_cache(maxsize=256)
-def implicit_by_default(scene: Mechanism) -> bool:
+def implicit_by_default(scene: Dynamics) -> bool:
     """The same of the default values and horizon, by NumPy alone: under a trace, too.
 
     Where a value is missing, of which ``check`` tells, or NumPy is not enough, friction is stiff.
@@ -72,7 +69,7 @@ def implicit_by_default(scene: Mechanism) -> bool:
     return _slow(jacobian, rate, frequency, float(end[0] if end else scene.end))
 
 
-def _known(scene: Mechanism) -> bool | None:
+def _known(scene: Dynamics) -> bool | None:
     """What needs no numbers: bristles are stiff; without friction, states of laws and dampers nothing is."""
     frictions = [c.friction for c in scene.contacts if c.friction is not None]
     if any(friction.bristles for friction in frictions):
@@ -93,7 +90,7 @@ def _slow(jacobian: np.ndarray, rate: np.ndarray, frequency: np.ndarray, end: fl
     return fastest * end > STEEP and fastest > float(np.max(np.abs(found.imag), initial=0.0))
 
 
-def _rates(scene: Mechanism, params: Params) -> tuple[Array, Array, Array]:
+def _rates(scene: Dynamics, params: Params) -> tuple[Array, Array, Array]:
     """J (n, n) at the start, of loads that damp; the fastest relaxation in contacts and a contact's frequency [1/s]."""
     t, y = jnp.zeros(()), scene.initial_state(params)
     jacobian = jnp.zeros((0, 0))

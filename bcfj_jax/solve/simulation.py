@@ -22,7 +22,7 @@ from bcfj_jax.core.status import NO_FORCE, OK, reason
 from bcfj_jax.core.threads import together
 from bcfj_jax.mechanism import channels, inputs
 from bcfj_jax.mechanism.channels import Channel, channel
-from bcfj_jax.mechanism.model import AbstractModel, Choice, Params, Reading, Solution
+from bcfj_jax.mechanism.model import AbstractModel, Choice, Params, Reading, Solution, as_model
 from bcfj_jax.mechanism.readings import contact_states
 from bcfj_jax.solve.forward_reverse import forward_and_reverse, reverse_only
 from bcfj_jax.solve.measured_error import Accuracy, measured
@@ -199,8 +199,8 @@ def _given(
 ) -> tuple[tuple[dict[str, Array], Array, Plan], ArrayLike]:
     """What a pure function was given, checked where it is concrete, and what it is multiplied by (``inputs.poison``)."""
     make_room()
-    how = accuracy if isinstance(accuracy, Plan) else plan(inputs.model(scene), accuracy)
-    found = inputs.parameters(inputs.model(scene), params)
+    how = accuracy if isinstance(accuracy, Plan) else plan(as_model(scene), accuracy)
+    found = inputs.parameters(as_model(scene), params)
     factor = inputs.poison(scene, found)
     return ({name: jnp.asarray(value) * factor for name, value in found.items()}, instants(times), how), factor
 
@@ -253,7 +253,7 @@ def simulate(
     """
     check_bits()
     values = increasing(times)
-    params = inputs.parameters(inputs.model(scene), params, traced=False)
+    params = inputs.parameters(as_model(scene), params, traced=False)
     scene.check(params)
     scene = scene.suited(params, float(values[-1]), solver)
     tolerance = plan(scene, accuracy, max_steps, solver).tolerance

@@ -17,7 +17,7 @@ import time
 import numpy as np
 
 import bcfj_jax as bj
-from bcfj_jax.analysis.designs import pictures
+from bcfj_jax.analysis.designs import result
 from bcfj_jax.analysis.designs.confirm import confirm
 from bcfj_jax.analysis.designs.objective import objective
 from bcfj_jax.models.joint.scene import PLAIN
@@ -60,8 +60,8 @@ def main(names: list[str]) -> None:
         print(f"  {found.values}\n  {found.confirmation}\n  {other}\n  {found.robustness}")
         images = ROOT / "docs" / "images"
         if name == OBJECTIVES[0]:
-            pictures.starts(found, images / "design_starts.png")
-            pictures.slices(found, images / "design.png")
+            result.draw_starts(found, images / "design_starts.png")
+            result.draw_slices(found, images / "design.png")
         results[name] = {**found.content(), "by_sdirk2": other._asdict(), "seconds": wall}
     # Objectives may be run apart.
     kept = load("design")["designs"] if (RESULTS / "design.json").exists() else {}

@@ -10,7 +10,7 @@ import pytest
 
 import bcfj_jax as bj
 from bcfj_jax.mechanism.arrays import Held
-from bcfj_jax.mechanism.inputs import of_numbers
+from bcfj_jax.mechanism.model import of_numbers
 
 TIMES = np.linspace(0.0, 6e-3, 31)
 

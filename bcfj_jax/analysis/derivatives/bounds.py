@@ -25,6 +25,7 @@ from bcfj_jax.analysis.derivatives import certificate as verdicts
 from bcfj_jax.analysis.derivatives.certificate import Comparison
 from bcfj_jax.analysis.derivatives.jacobian import Level, level
 from bcfj_jax.analysis.derivatives.norms import Difference
+from bcfj_jax.analysis.derivatives.trains import STIFF
 from bcfj_jax.core.progress import stage
 from bcfj_jax.core.threads import together
 from bcfj_jax.io.stop import OutOfTime, within
@@ -38,8 +39,6 @@ INF = float("inf")
 # By whether the model is stiff: solves that a bound takes; the ratio of their tolerances; the tightest that there is.
 NEEDED, APART = {False: 3, True: 2}, {False: 16.0, True: 40.0}
 _TIGHTEST = {False: 1e-14, True: 2.5e-13}
-# Force error at which a stiff model's solves begin: BDF's tangents are not good at looser ones.
-STIFF = 1e-4
 T = TypeVar("T")
 
 

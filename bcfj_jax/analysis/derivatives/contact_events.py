@@ -31,7 +31,7 @@ from bcfj_jax.core.programs import program
 from bcfj_jax.core.quantities import increasing
 from bcfj_jax.core.status import OK, reason
 from bcfj_jax.mechanism import inputs
-from bcfj_jax.mechanism.model import AbstractModel, Params
+from bcfj_jax.mechanism.model import AbstractModel, Params, as_model
 from bcfj_jax.solve.plan import MAX_STEPS, Plan, check_bits, plan
 
 # Contacts of a channel that are looked at, and of a run.
@@ -150,7 +150,7 @@ def contact_events(
     """
     check_bits()
     t = increasing(times)
-    params = inputs.parameters(inputs.model(scene), params, traced=False)
+    params = inputs.parameters(as_model(scene), params, traced=False)
     scene.check(params)
     scene = scene.suited(params, float(t[-1]))
     full, names = complete(scene, params, wrt) if len(wrt) else (dict(params), ())

@@ -21,7 +21,7 @@ from bcfj_jax.core.errors import InputError, texts
 from bcfj_jax.core.programs import program
 from bcfj_jax.core.quantities import increasing, real
 from bcfj_jax.mechanism import inputs
-from bcfj_jax.mechanism.model import AbstractModel, Params
+from bcfj_jax.mechanism.model import AbstractModel, Params, as_model
 from bcfj_jax.solve.plan import MAX_STEPS, Plan, plan
 
 
@@ -50,7 +50,7 @@ def hessian_vector(
         InputError: for a stiff model, whose implicit solver is differentiated once only; for unknown names; and for a
             vector that does not have one finite number a parameter.
     """
-    params = inputs.parameters(inputs.model(scene), params, traced=False)
+    params = inputs.parameters(as_model(scene), params, traced=False)
     if scene.traits.stiff:
         found = "its equations are stiff: no second derivatives"
         raise InputError(f"scene '{scene.kind}'", found, "take a model without friction, such as impact or bounce")

@@ -14,7 +14,7 @@ from bcfj_jax.analysis.derivatives.sensitivity import Sensitivity, sensitivity
 from bcfj_jax.core.errors import InputError, nearest, quoted
 from bcfj_jax.core.quantities import scalar
 from bcfj_jax.mechanism import inputs
-from bcfj_jax.mechanism.model import AbstractModel, Params
+from bcfj_jax.mechanism.model import AbstractModel, Params, as_model
 from bcfj_jax.solve.plan import MAX_STEPS
 
 KNOBS = ("smoothing", "friction_speed")
@@ -70,7 +70,7 @@ def smoothing_ladder(
     Raises:
         InputError: as ``sensitivity``; and for a knob the scene does not have, or a width out of range.
     """
-    params = inputs.parameters(inputs.model(scene), params, traced=False)
+    params = inputs.parameters(as_model(scene), params, traced=False)
     if knob not in KNOBS:
         raise InputError("knob", f"no knob {quoted(knob)}", nearest(knob, KNOBS))
     if knob not in scene.quantities:

@@ -44,7 +44,7 @@ from bcfj_jax.core.status import OK, reason
 from bcfj_jax.core.threads import ahead
 from bcfj_jax.io.stop import OutOfTime
 from bcfj_jax.mechanism import inputs
-from bcfj_jax.mechanism.model import AbstractModel, Params
+from bcfj_jax.mechanism.model import AbstractModel, Params, as_model
 from bcfj_jax.mechanism.observed import observing
 from bcfj_jax.solve.plan import MAX_STEPS, Plan, check_bits, force_error, plan
 from bcfj_jax.solve.simulation import compiled
@@ -155,7 +155,7 @@ def sensitivity(
     """
     check_bits()
     t = increasing(times)
-    params = inputs.parameters(inputs.model(scene), params, traced=False)
+    params = inputs.parameters(as_model(scene), params, traced=False)
     scene.check(params)
     scene = scene.suited(params, float(t[-1]))
     full, names = complete(scene, params, wrt)

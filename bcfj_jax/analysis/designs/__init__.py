@@ -2,5 +2,5 @@
 
 The verb is ``api.design``, public as ``bcfj_jax.design``. Reading order: ``space`` (what is free), ``objective`` (what
 is made least), ``evaluate`` (both in one compiled batch), ``descent`` and ``newton`` (to the optimum), ``tolerance``
-(what manufacture makes of it), ``confirm`` (a run that knows nothing of all that), ``result``, ``pictures``.
+(what manufacture makes of it), ``confirm`` (a run that knows nothing of all that), ``result``.
 """

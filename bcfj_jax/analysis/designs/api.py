@@ -37,7 +37,7 @@ from bcfj_jax.core.errors import InputError, nearest, quoted, texts
 from bcfj_jax.core.progress import stage
 from bcfj_jax.core.quantities import Quantity, increasing, number, real, scalar, whole
 from bcfj_jax.mechanism import inputs
-from bcfj_jax.mechanism.model import AbstractModel, Params
+from bcfj_jax.mechanism.model import AbstractModel, Params, of_numbers
 from bcfj_jax.mechanism.observed import observing
 from bcfj_jax.solve.plan import MAX_STEPS, plan
 
@@ -106,7 +106,7 @@ def design(
         InputError: for names, bounds, tolerances and options that are not right.
     """
     t = increasing(times, 2)
-    params = inputs.parameters(inputs.of_numbers(scene), params, traced=False)
+    params = inputs.parameters(of_numbers(scene), params, traced=False)
     kappa = scalar("kappa", _KAPPA, kappa)
     sign = _sign(sense, distribution, norms)
     samples, iterations = whole("samples", samples, most=limits.RUNS), whole("iterations", iterations, most=limits.RUNS)

@@ -9,7 +9,7 @@ from typing import Any
 
 from bcfj_jax.analysis import plausibility
 from bcfj_jax.analysis.derivatives.names import complete
-from bcfj_jax.analysis.designs import pictures
+from bcfj_jax.analysis.designs import result
 from bcfj_jax.analysis.designs.api import design
 from bcfj_jax.analysis.designs.designfile import Question, load
 from bcfj_jax.analysis.designs.objective import objective
@@ -82,11 +82,11 @@ def run(what: str, more: Mapping[str, Any], out: Path | None, say: Callable[[str
     drawn: list[Picture] = []
     with stage("drawing"):
         if found.status != FAILED:
-            pictures.starts(found, folder / "starts.png")
+            result.draw_starts(found, folder / "starts.png")
             shows = f"The best value of every start so far against its evaluations; {found.agree} of {len(found.starts)} agree."
             drawn.append(Picture("starts.png", "What every start came to", shows))
         if found.slices:
-            pictures.slices(found, folder / "slices.png")
+            result.draw_slices(found, folder / "slices.png")
             shows = "The objective along each parameter, the others at the optimum; bounds and tolerances are marked."
             drawn.insert(0, Picture("slices.png", "The objective about the optimum", shows))
     report.write(

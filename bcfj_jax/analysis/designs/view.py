@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bcfj_jax.analysis.designs import pictures
+from bcfj_jax.analysis.designs import result
 from bcfj_jax.analysis.designs.result import FAILED, Design
 from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.io.show import Dataset, Told
@@ -72,5 +72,5 @@ def figures(found: Design) -> dict[str, Callable[[Any], Any]]:
     """The objective along each parameter, and what every start did."""
     if found.status == FAILED or not any(np.isfinite(way.value) for way in found.starts):
         return {}
-    drawn: dict[str, Callable[[Any], Any]] = {"slices": partial(pictures.slices, found)} if found.slices else {}
-    return drawn | {"starts": partial(pictures.starts, found)}
+    drawn: dict[str, Callable[[Any], Any]] = {"slices": partial(result.draw_slices, found)} if found.slices else {}
+    return drawn | {"starts": partial(result.draw_starts, found)}

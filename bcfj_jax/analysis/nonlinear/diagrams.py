@@ -22,7 +22,7 @@ from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.quantities import real, whole
 from bcfj_jax.core.status import OK, reason
 from bcfj_jax.mechanism import inputs
-from bcfj_jax.mechanism.model import AbstractModel, Params, Reading, Solution
+from bcfj_jax.mechanism.model import AbstractModel, Params, Reading, Solution, as_model
 from bcfj_jax.solve.plan import MAX_STEPS, Plan, plan
 from bcfj_jax.solve.simulation import readings
 from bcfj_jax.solve.work_queue import integrate_queue
@@ -175,7 +175,7 @@ def impact_bifurcation(
 
 def _batch(scene: AbstractModel, params: Params, name: str, values: ArrayLike) -> tuple[dict[str, Array], list[Params]]:
     """Parameters with leaves (P,), and one by one; ``name`` is a canonical one."""
-    params = inputs.parameters(inputs.model(scene), params, traced=False)
+    params = inputs.parameters(as_model(scene), params, traced=False)
     if name not in params:
         raise InputError(f"scene '{scene.kind}'", f"no parameter '{name}'", nearest(name, params))
     some = real(name, "values", values)

@@ -24,7 +24,7 @@ from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.quantities import Quantity, scalar
 from bcfj_jax.core.status import OK, reason
 from bcfj_jax.mechanism import inputs
-from bcfj_jax.mechanism.model import AbstractModel, Params
+from bcfj_jax.mechanism.model import AbstractModel, Params, as_model
 from bcfj_jax.solve.integrate import Problem, code_of, controller, integrate, problem, seeker
 from bcfj_jax.solve.plan import MAX_STEPS, Plan, plan
 from bcfj_jax.solve.sdirk import Sdirk
@@ -73,7 +73,7 @@ def scene_exponent(
         InputError: for a scene without a drive and no interval and settle given, for a joint that has no dynamics,
             for times that are not positive, and as ``simulate``.
     """
-    params = inputs.parameters(inputs.model(scene), params, traced=False)
+    params = inputs.parameters(as_model(scene), params, traced=False)
     intervals, _, batches, seed = counts(intervals, 0, batches, seed)
     if scene.traits.turning and (interval is None or settle is None):
         turn, pitch = scene.period(params)

@@ -20,7 +20,7 @@ from bcfj_jax.core import limits
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.quantities import Quantity, scalar, whole
 from bcfj_jax.mechanism import inputs
-from bcfj_jax.mechanism.model import AbstractModel, Params
+from bcfj_jax.mechanism.model import AbstractModel, Params, as_model
 from bcfj_jax.solve.plan import MAX_STEPS
 from bcfj_jax.solve.simulation import simulate
 
@@ -115,7 +115,7 @@ def stroboscopic(
     Raises:
         InputError: ``drive_period``, ``revolutions_to_keep``, ``simulate``.
     """
-    params = inputs.parameters(inputs.model(scene), params, traced=False)
+    params = inputs.parameters(as_model(scene), params, traced=False)
     times = revolutions_to_keep(revolutions, transients, phase) * drive_period(scene, params, period)
     run = simulate(scene, params, times, accuracy=accuracy, max_steps=max_steps)
     assert run.trajectory is not None

@@ -19,7 +19,7 @@ from bcfj_jax.analysis.studies.specification import Study
 from bcfj_jax.analysis.studies.store import Store, facts_of, fault_of
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.progress import stage
-from bcfj_jax.io import changes, report
+from bcfj_jax.io import changes, report, tables
 from bcfj_jax.io.changes import Change
 from bcfj_jax.io.page import BAD, FAIR, GOOD, Page, Picture, Table, Verdict, brief, counted, span
 from bcfj_jax.io.stop import heeded
@@ -51,7 +51,7 @@ def changing(what: str, wanted: Sequence[Change]) -> Iterator[None]:
         InputError: as ``changes.changing``, and for what is no study file.
     """
     path = {path.stem: path for path in BUILT_IN.glob("*.toml")}.get(what, Path(what))
-    with changes.changing_both(path, wanted, changes.STUDY):
+    with tables.changing_both(path, wanted, changes.STUDY):
         yield
 
 

@@ -33,7 +33,7 @@ from bcfj_jax.core.quantities import CATALOGUE, scalar
 from bcfj_jax.io import scenefile, tables
 from bcfj_jax.io.scenefile import SceneFile
 from bcfj_jax.mechanism import inputs
-from bcfj_jax.mechanism.model import AbstractModel
+from bcfj_jax.mechanism.model import AbstractModel, of_numbers
 from bcfj_jax.mechanism.observed import observing
 from bcfj_jax.models import scenes
 
@@ -160,7 +160,7 @@ def from_table(table: Mapping[str, Any], where: str = "study", beside: Path = Pa
         table["vary"] = tables.nested(table["vary"], _Axis)
     file = tables.validated(_File, table, where)
     given, own_end = _scene(file.scene, where, beside)
-    inputs.of_numbers(given.scene)
+    of_numbers(given.scene)
     kind = file.design.kind
     if kind not in KINDS:
         raise InputError(f"{where}: [design] kind", f"no design '{kind}'", nearest(kind, KINDS))
