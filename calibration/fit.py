@@ -76,6 +76,15 @@ class Optimum:
     series: list[Series] = field(default_factory=list)
 
 
+@dataclass(frozen=True)
+class Conditional:
+    """What a fit says on a condition that its record leaves open: "if ``condition``", with the intervals that hold then."""
+
+    condition: str
+    parameters: dict[str, Parameter]
+    reference: Reference | None
+
+
 @dataclass(frozen=True, repr=False)
 class Fit:
     """Outcome of a calibration; ``verdict`` first, then the answers behind it (``diagnostics.answers``).
@@ -83,7 +92,8 @@ class Fit:
     ``noise`` is what was estimated of it: by channel its "sigma" (SI) and "correlation" [s]. ``check`` is what could be
     said before the solve (``influence.at_start``). ``notes`` say what a reader must know though nothing failed.
     ``systematic``: errors that no residual shows, and what the estimates move by (``diagnostics.systematic``); None
-    where no estimate is determined or no channel is read.
+    where no estimate is determined or no channel is read. ``conditional``: the intervals of a fit that gives none since it hangs
+    on what the record does not show.
     """
 
     verdict: str
@@ -108,6 +118,7 @@ class Fit:
     optimum: Optimum
     systematic: Budget | None = None
     evidence: Evidence = field(default_factory=Evidence)
+    conditional: Conditional | None = None
 
     _view = "calibration.report.view"
     __repr__ = presented.text
@@ -154,7 +165,7 @@ def fit(
     check_kind(intervals)
     influence.refuse_data(problem)
     for doubt in problem.doubts:
-        log.info("before the fit: %s", doubt)
+        log.info("before the fit: %s", doubt.text)
     fitted = tuple(e for e in problem.experiments if not e.hold_out)
     model = build(problem, fitted)
     ahead(partial(evaluation, model))
@@ -176,9 +187,15 @@ def fit(
         raise AllStartsFailed(f"all {len(ends)} starts failed: {why}")
     model, ends, noise = settle(model, fitted, ends, found.log_depth, problem.accuracy)
     assessed = _assess(problem, fitted, labels, model, ends, found.log_depth, noise, seed, checked, intervals)
-    if problem.doubts:
-        assessed = _refused(assessed, "; ".join(problem.doubts))
-    return with_budget(problem, assessed) if systematic else assessed
+    return with_budget(problem, assessed) if systematic else _doubted(problem, assessed)
+
+
+def _doubted(problem: Problem, found: Fit) -> Fit:
+    """A fit that gives no interval where the record contradicts what was given, or does not show it."""
+    if not problem.doubts or found.conditional is not None:
+        return found
+    conditions = dict.fromkeys(doubt.condition for doubt in problem.doubts)
+    return _refused(found, "; ".join(doubt.text for doubt in problem.doubts), " and ".join(conditions))
 
 
 def with_budget(problem: Problem, found: Fit) -> Fit:
@@ -189,15 +206,27 @@ def with_budget(problem: Problem, found: Fit) -> Fit:
     """
     model = found.optimum.model
     if found.optimum.spread.covariance is None or not model.channels:
-        return found
+        return _doubted(problem, found)
     found = _with_filters(problem, found)
     allowed = _systematic(problem, found)
-    parameters = {
-        name: replace(p, with_budget=widened(axis, p, partial(allowed.widened, name)))
-        for axis, (name, p) in zip(model.coordinates, found.parameters.items(), strict=True)
-    }
+
+    def wider(parameters: dict[str, Parameter]) -> dict[str, Parameter]:
+        axes = dict(zip(found.labels, model.coordinates, strict=True))
+        return {
+            name: replace(p, with_budget=widened(axes[name], p, partial(allowed.widened, name)))
+            for name, p in parameters.items()
+        }
+
     reference = found.reference and found.reference.widened(partial(allowed.widened, REFERENCE))
-    return replace(found, systematic=allowed, parameters=parameters, reference=reference)
+    conditional = found.conditional
+    if conditional:
+        own = conditional.reference and conditional.reference.widened(partial(allowed.widened, REFERENCE))
+        conditional = replace(conditional, parameters=wider(conditional.parameters), reference=own)
+    parameters = wider(found.parameters)
+    found = replace(
+        found, systematic=allowed, parameters=parameters, reference=reference, conditional=conditional
+    )  # fmt: skip
+    return _doubted(problem, found)
 
 
 def _with_filters(problem: Problem, found: Fit) -> Fit:
@@ -230,14 +259,16 @@ def _with_filters(problem: Problem, found: Fit) -> Fit:
         return found
     kept = [k for k, axis in enumerate(model.coordinates) if axis.name not in NUISANCES and axis.experiment is None]
     if open_.decisive:
-        values, moved = model.values(open_.best.point, at.log_depth), []
+        values, moved, there = model.values(open_.best.point, at.log_depth), [], {}
         for k in kept:
             name, p = found.labels[k], found.parameters[found.labels[k]]
             ends = open_.ends(k, (float(values[k]), float(values[k])), model.coordinates[k])
+            there[name] = replace(p, value=float(values[k]), ci95=ends, headline=unstated_filter.KIND)
             moved.append(
                 f"{name} {brief(ends[0], p.unit)} to {brief(ends[1], p.unit)} in place of {brief(p.value, p.unit)}"
             )
-        return _refused(found, f"{unstated_filter.seen(open_)}: {', '.join(moved)}. {unstated_filter.REMEDY}")
+        text = f"{unstated_filter.seen(open_)}: {', '.join(moved)}. {unstated_filter.REMEDY}"
+        return replace(_refused(found, text, ""), conditional=Conditional(unstated_filter.there(open_), there, None))
     parameters, wide = dict(found.parameters), []
     for k in kept:
         axis, name = model.coordinates[k], found.labels[k]
@@ -251,21 +282,24 @@ def _with_filters(problem: Problem, found: Fit) -> Fit:
         elif half(ends, axis.log) > half(p.ci95, axis.log):
             parameters[name] = replace(parameters[name], ci95=ends, headline=unstated_filter.KIND)
     if wide:
-        return _refused(found, f"{unstated_filter.hidden(open_)}: {', '.join(wide)}. {unstated_filter.REMEDY}")
+        text = f"{unstated_filter.hidden(open_)}: {', '.join(wide)}. {unstated_filter.REMEDY}"
+        return _refused(found, text, unstated_filter.NONE)
     if reference and reference.ci95:
         reference = replace(reference, ci95=open_.ends(-1, reference.ci95))
     return replace(found, parameters=parameters, reference=reference)
 
 
-def _refused(found: Fit, text: str) -> Fit:
-    """A fit whose record does not tell the law from what else it may show: no interval is given."""
+def _refused(found: Fit, text: str, condition: str) -> Fit:
+    """A fit whose record does not tell the law from what else it may show: no interval is given but on a condition."""
+    before = found.conditional or Conditional("", found.parameters, found.reference)
+    conditional = replace(before, condition=" and ".join(filter(None, (before.condition, condition))))
     parameters = {n: replace(p, ci95=None, headline="", intervals={}) for n, p in found.parameters.items()}
     reference = found.reference and replace(found.reference, ci95=None)
     of_data = Answer("partly" if found.data.answer == "determined" else found.data.answer, [text, *found.data.because])
     verdict = answers.verdict(found.search, of_data, found.law)
     return replace(
         found, verdict=verdict, reasons=[text, *found.reasons], data=of_data, parameters=parameters,
-        reference=reference, evidence=found.evidence.withheld(f"no profile is given: {verdict}"),
+        reference=reference, evidence=found.evidence.withheld(f"no profile is given: {verdict}"), conditional=conditional,
     )  # fmt: skip
 
 
@@ -545,7 +579,7 @@ def _wide_notes(model: Model, parameters: dict[str, Parameter]) -> list[str]:
 def _bent_notes(bent: list[fit_tests.Test]) -> list[str]:
     if not bent:
         return []
-    worst = max(bent, key=lambda t: abs(np.log(t.value)))
+    worst = max(bent, key=lambda t: abs(np.log(max(t.value, 1e-300))))
     others = f", and of {len(bent) - 1} more" if len(bent) > 1 else ""
     return [
         f"intervals take the cost for a parabola, but {worst.reason}{others}: --intervals profile walks along the cost"

@@ -19,6 +19,7 @@ from bcfj_jax.io.outputs import create
 from bcfj_jax.io.units import column, format_si, quantity
 from calibration import problemfile
 from calibration.data.inspection import clock_note
+from calibration.data.plausible import effective
 from calibration.data.proposal import Sizes, Understood, sizes, understood
 from calibration.data.readers import read
 from calibration.data.textfile import Stated
@@ -42,8 +43,11 @@ _ANY_SPEED = (0.01, 100.0)
 _EXPONENTS = (1.0, 2.5)
 _BODY = (
     "Force over acceleration is {}, the mass of the body with that sensor: it is the mass of the contact only where the other "
-    "body is held. Of two free bodies give mass (what strikes) and struck_mass"
+    "body is fixed. Of two free bodies give mass (what strikes) and struck_mass"
 )
+# The one question of a record with a force and the acceleration of a body: what the other body is.
+_FIXED = "fixed"
+_STRUCK = 'QUESTION that the record leaves open: take the first # away where the struck body cannot move, else give its mass, "4.8 kg"'
 
 
 class _Line(NamedTuple):
@@ -67,7 +71,7 @@ class _Known(NamedTuple):
 
 def run(
     record: Path, out: Path | None, scene: str, mass: str | None, speed: str | None, table: str | None,
-    say: Callable[[str], None], stated: Stated | None = None,
+    say: Callable[[str], None], stated: Stated | None = None, struck: str | None = None,
 ) -> int:  # fmt: skip
     """Write RECORD's problem file; never over another.
 
@@ -79,6 +83,7 @@ def run(
         table: which table inside the file.
         say: prints.
         stated: how the record is written, where it is not to be found; the problem file then says so, too.
+        struck: mass of the body that is struck, with a unit, or "fixed".
 
     Raises:
         InputError: for a file that holds no clock, no reading or no contact, and where the problem file is there already.
@@ -90,9 +95,13 @@ def run(
         raise InputError("--scene", f"no problem file is proposed for the scene '{kind}'", nearest(kind, SCENES))
     given = [None if text is None else quantity(text, unit, f"--{key}") for key, unit, text in
              (("mass", "kg", mass), ("speed", "m/s", speed))]  # fmt: skip
+    if struck is not None and struck != _FIXED:
+        quantity(struck, "kg", "--struck-mass")
+    if struck is not None and kind != "impact":
+        raise InputError("--struck-mass", f"the scene is '{kind}'", "give it of an impact")
     folder, name = out or Path("."), f"{record.stem}.toml"
     relative = Path(os.path.relpath(record, folder)).as_posix()
-    text, missing = _text(found, kind, given[0], given[1], relative, name, stated)
+    text, missing = _text(found, kind, given[0], given[1], relative, name, stated, struck)
     path = folder / name
     create(path, text)
     if missing:
@@ -111,6 +120,8 @@ def run(
         path.unlink()
         raise
     say(f"wrote {path}")
+    if _asks(found, kind, given[1], struck):
+        say(f'one question is left in {path}, struck_mass: "{_FIXED}", or the mass of the body that is struck')
     say(f"next: bcfj calibrate {quote(str(path))}")
     return 0
 
@@ -125,14 +136,25 @@ def _kind(found: Understood) -> str:
 
 
 def _text(
-    found: Understood, kind: str, mass: float | None, speed: float | None, file: str, name: str, stated: Stated
+    found: Understood,
+    kind: str,
+    mass: float | None,
+    speed: float | None,
+    file: str,
+    name: str,
+    stated: Stated,
+    struck: str | None,
 ) -> tuple[str, list[str]]:
     """The file, and the keys that are left to fill in."""
     s = sizes(found)
-    known = _bounced(s, mass, speed, found) if kind == "bounce" else _known(s, mass, speed, found)
+    # What a contact feels of two free bodies is their effective mass.
+    other = None if struck in (None, _FIXED) else quantity(struck, "kg", "--struck-mass")
+    felt = None if mass is None else effective(mass, other)
+    known = _bounced(s, mass, speed, found) if kind == "bounce" else _known(s, felt, speed, found)
     doubt = _doubt(s, known)
     elastic = kind == "impact" and _ratio(s, known) > 1.0 + _ELASTIC
-    parameters, missing = _parameters(known, kind, elastic)
+    own = known if mass is None else known._replace(mass=mass)
+    parameters, missing = _parameters(own, kind, elastic, struck, _asks(found, kind, speed, struck))
     lines = [
         f"# A contact law from {found.path.name}, proposed by bcfj init calibration. Next: bcfj calibrate {quote(name)}",
         *([f"# Read as {found.said}."] if found.said else []),
@@ -151,15 +173,22 @@ def _text(
         _observed(found, kind),
         _Line('noise = "estimate"', 'or what the sensor is known to: "0.1 N", "2 %"'),
         *_window(s, kind),
-        *([parameters] if parameters else []),
+        *parameters,
         "[free]",
         *_free(s, known, kind, found, elastic),
     ]
     return "\n".join(map(str, lines)) + "\n", missing
 
 
-def _parameters(known: _Known, kind: str, elastic: bool) -> tuple[_Line | None, list[str]]:
-    """What is known of every record, and the keys that are left to fill in."""
+def _asks(found: Understood, kind: str, speed: float | None, struck: str | None) -> bool:
+    """Whether a record of a force and one body's acceleration leaves open what the other body is."""
+    return kind == "impact" and struck is None and speed is None and {"N", "m/s^2"} <= found.columns.keys()
+
+
+def _parameters(
+    known: _Known, kind: str, elastic: bool, struck: str | None, asks: bool
+) -> tuple[list[_Line], list[str]]:
+    """What is known of every record, with the question of the struck body, and the keys that are left to fill in."""
     entries: list[tuple[str, float | None, str, str]] = []
     if not isinstance(known.mass, tuple):
         entries.append(("mass", known.mass, "kg", known.mass_from))
@@ -170,10 +199,17 @@ def _parameters(known: _Known, kind: str, elastic: bool) -> tuple[_Line | None, 
     if elastic:
         entries.append(("damping", 0.0, "s/m", "the impulse says that nothing is lost: no damping is searched"))
     missing = [key for key, value, *_ in entries if value is None]
-    text = ", ".join(f'{k} = "{"?" if value is None else f"{value:.4g}"} {unit}"' for k, value, unit, _ in entries)
+    texts = {k: f'"{"?" if value is None else f"{value:.4g}"} {unit}"' for k, value, unit, _ in entries}
+    texts |= {"struck_mass": _quoted(struck)} if struck else {}
     origins = dict.fromkeys(origin for _, value, _, origin in entries if value is not None and origin)
     note = "FILL IN the question marks" if missing else "; ".join(origins)
-    return (_Line(f"parameters = {{ {text} }}", note) if entries else None), missing
+    if asks:  # A line each: one of them is to be taken in.
+        lines = [
+            _Line(f"parameters.{key} = {text}", note if k == 0 else "") for k, (key, text) in enumerate(texts.items())
+        ]
+        return [*lines, _Line(f'# parameters.struck_mass = "{_FIXED}"', _STRUCK)], missing
+    text = ", ".join(f"{key} = {text}" for key, text in texts.items())
+    return ([_Line(f"parameters = {{ {text} }}", note)] if texts else []), missing
 
 
 def _quoted(text: str) -> str:

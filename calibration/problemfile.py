@@ -52,10 +52,22 @@ from calibration.data.sensor import Sensor
 from calibration.data.table import Table, split
 from calibration.data.textfile import Stated
 from calibration.filters import HIGHEST, Filter
-from calibration.problem import ADEQUATE, NUISANCES, OFFSETS, Channel, Experiment, Free, Problem, nuisances, units_of
+from calibration.problem import (
+    ADEQUATE,
+    NUISANCES,
+    OFFSETS,
+    Channel,
+    Doubt,
+    Experiment,
+    Free,
+    Problem,
+    nuisances,
+    units_of,
+)
 
 # Options of scenes that a parameter's name asks for.
-_NAMED = {"impact": {"struck_mass": "struck", "gravity": "gravity"}}
+_STRUCK, _HELD = "struck_mass", "fixed"
+_NAMED = {"impact": {_STRUCK: "struck", "gravity": "gravity"}}
 
 
 class _Experiment(tables.Table):
@@ -82,6 +94,16 @@ class _Experiment(tables.Table):
     encoding: str | None = None
     header: int | list[int] | None = None
     bounds: dict[str, list[Any]] = {}
+
+    @property
+    def held(self) -> bool:
+        """Whether it says that the body which is struck is fixed."""
+        return self.parameters.get(_STRUCK) == _HELD
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """Its parameters that are quantities."""
+        return {name: value for name, value in self.parameters.items() if not (name == _STRUCK and self.held)}
 
 
 class _Filter(tables.Table):
@@ -153,6 +175,11 @@ def load_with_records(path: str | Path) -> tuple[Problem, list[Prepared]]:
             entry.parameters.setdefault("cutoff", file.filter.cutoff)
     known = {**base.scene.quantities, **nuisances(o for entry in file.experiment for o in entry.observe)}
     one = base.scene.canonical
+    for k, entry in enumerate(file.experiment):
+        if entry.held and (_STRUCK in known or base.scene.kind != "impact"):
+            found = f'{_STRUCK} = "{_HELD}", where the scene '
+            found += "has that mass" if _STRUCK in known else f"is of the kind '{base.scene.kind}'"
+            raise InputError(f"{path}: [[experiment]] {k + 1} parameters", found, "give its mass, or leave it out")
     records, parts = _records(file, path, base)
     experiments = [
         _experiment(entry, record, f"{path}: [[experiment]] {k + 1}", known, one) for k, entry, record in records
@@ -307,9 +334,7 @@ def _scene(file: _File, path: Path) -> scenefile.SceneFile:
         raise InputError(f"{path}: scene", f"no scene '{file.scene}'", nearest(file.scene, scenes.SCENES))
     if file.scene.endswith(".toml"):
         return scenefile.load(beside)
-    options = options_of(
-        file.scene, {name for entry in file.experiment for name in entry.parameters} | file.free.keys()
-    )
+    options = options_of(file.scene, {name for entry in file.experiment for name in entry.given} | file.free.keys())
     return (
         scenefile.from_table({"scene": {"kind": file.scene, **options}}, None)
         if options
@@ -319,7 +344,7 @@ def _scene(file: _File, path: Path) -> scenefile.SceneFile:
 
 def _doubts(
     problem: Problem, file: _File, records: list[tuple[_Experiment, Prepared | None]], parts: list[Table | None]
-) -> tuple[str, ...]:
+) -> tuple[Doubt, ...]:
     """Why given masses and speeds of single impacts may be wrong, by their records (``data.plausible``)."""
     names, free = problem.scene.quantities, {f.name: f for f in problem.free}
     if not {"mass", "approach_speed"} <= names.keys() or "mass" in free or len(problem.scene.members) != 1:
@@ -335,10 +360,13 @@ def _doubts(
         speed, known = free.get("approach_speed"), "mass" in e.tolerances
         usual = (speed.lower, speed.upper) if speed else (own["approach_speed"], own["approach_speed"])
         bounds: tuple[float, float] = e.bounds.get("approach_speed", usual)
-        said = plausible.impulse(record, mass, bounds)
-        if not said and speed and not known and "struck_mass" not in names and set(entry.observe) == {"contact.normal"}:
-            said = plausible.other_body(record, part, entry.observe, mass)
-        found += [said] if said else []
+        if said := plausible.impulse(record, mass, bounds):
+            found.append(Doubt(said, "mass, speed and gain are right as they are given"))
+            continue
+        open_ = speed and not known and not entry.held and _STRUCK not in names
+        open_ = open_ and set(entry.observe) == {"contact.normal"}
+        if open_ and (said := plausible.other_body(record, part, entry.observe, mass)):
+            found.append(Doubt(said, "the struck body is fixed"))
     return tuple(dict.fromkeys(found))
 
 
@@ -422,7 +450,7 @@ def _experiment(
     entry: _Experiment, record: Prepared | None, where: str, known: dict[str, Quantity], one: Callable[[str], str]
 ) -> Experiment:
     fixed, tolerances = {}, {}
-    for name, value in ((one(name), value) for name, value in entry.parameters.items()):
+    for name, value in ((one(name), value) for name, value in entry.given.items()):
         if name not in known:
             raise InputError(f"{where} parameters", f"the scene has no parameter '{name}'", ", ".join(known))
         fixed[name], tolerance = toleranced(value, known[name].unit, f"{where} parameters.{name}")

@@ -193,11 +193,35 @@ def test_what_cannot_be_proposed_is_said(columns, options, words, here):
 
 @pytest.mark.slow
 def test_the_file_calibrates_at_once(here):
+    """After the answer to the one question; without it the numbers stand there on its condition."""
     drop()
     written("drop.csv")
-    done = CliRunner().invoke(app, ["calibrate", "drop.toml", "--starts", "4", "--out", "fit"])
+    question = '# parameters.struck_mass = "fixed"'
+    assert Path("drop.toml").read_text().count(question) == 1
+    command = ["calibrate", "drop.toml", "--starts", "4", "--out"]
+    asked = CliRunner().invoke(app, [*command, "asked"])
+    assert asked.exit_code == 4 and "verdict: not_identified" in asked.stdout, asked.output
+    Path("drop.toml").write_text(Path("drop.toml").read_text().replace(question, question[2:]))
+    done = CliRunner().invoke(app, [*command, "fit"])
     assert done.exit_code == 0, done.output
     assert "verdict: identified" in done.stdout
+    open_, known = (json.loads(Path(f"{name}/fit.json").read_text()) for name in ("asked", "fit"))
+    assert known["conditional"] is None and open_["conditional"]["condition"] == "the struck body is fixed"
+    for name, true in TRUTH.items():
+        (low, high), own = known["parameters"][name]["with_budget"], open_["conditional"]["parameters"][name]
+        assert low < true < high and open_["parameters"][name]["ci95"] is None
+        np.testing.assert_allclose(own["with_budget"], (low, high), rtol=1e-6)
+
+
+def test_the_struck_body_may_be_given_to_init(here):
+    drop()
+    assert written("drop.csv", "--struck-mass", "fixed")["experiment"][0]["parameters"]["struck_mass"] == "fixed"
+    assert not load("drop.toml").doubts
+    Path("drop.toml").unlink()
+    written("drop.csv", "--struck-mass", "4.8 kg")
+    assert load("drop.toml").experiments[0].fixed["struck_mass"] == 4.8
+    Path("drop.toml").unlink()
+    assert "--struck-mass: 'heavy'" in init("drop.csv", "--struck-mass", "heavy").output
 
 
 LAB = Path(__file__).resolve().parents[2] / "examples" / "lab_drop.csv"
