@@ -47,6 +47,8 @@ from calibration.uncertainty.law_miss import NEXT_RUN, clustered, discrepancy, i
 
 log = logging.getLogger("calibration")
 
+# Estimates that are held one after the other until what is left has an interval.
+_HELD = 3
 # Failed points of a design that are asked why.
 _ASKED = 16
 
@@ -400,6 +402,12 @@ def _assess(
         given and not any(p.at_bound for p in parameters.values()) and (of_law.answer == "consistent" or bool(misses))
     )
     parameters, reference = _headlined(model, labels, best, log_depth, misses, parameters, reference, given)
+    conditional = None
+    # Without a whole contact, or a clearance that is crossed, no value means anything.
+    if verdict == "not_identified" and all(t.passed for t in others) and not any(p.ci95 for p in parameters.values()):
+        conditional = _with_some_held(
+            model, labels, best, log_depth, series, parameters, noise, samples, exact, rivals.passed
+        )
     if verdict not in ("identified", "adequate"):
         evidence = evidence.withheld(f"no profile is given: {verdict}")
     # The same as before the fit, now with the moves at the estimates.
@@ -449,7 +457,46 @@ def _assess(
         + _bent_notes(bent)
         + _overstated_notes(series, best.residuals),
         evidence=evidence,
+        conditional=conditional,
     )
+
+
+def _with_some_held(
+    model: Model, labels: tuple[str, ...], best: End, log_depth: float, series: list[Series],
+    parameters: dict[str, Parameter], noise: Estimate, samples: int, exact: bool, alone: bool,
+) -> Conditional | None:  # fmt: skip
+    """What a fit knows on the condition that some estimates are right: those at a bound, then the least determined.
+
+    Args:
+        model, labels, best, log_depth, series: of the optimum.
+        parameters: its estimates, none with an interval.
+        noise, samples: what was found of it, from so many samples.
+        exact: whether residuals are the noise.
+        alone: whether no other optimum fits alike.
+    """
+    fixed = np.array([bool(parameters[name].at_bound) for name in labels])
+    own = np.array([axis.name not in NUISANCES for axis in model.coordinates])
+    for _ in range(_HELD):
+        if fixed[own].all():
+            break
+        part, rest = fit_tests.held(best, fixed, samples, noise.moved, model.loss)
+        spread = fit_tests.padded(part, fixed)
+        if spread.covariance is not None:
+            misses = {} if exact else _misses(model, series, rest, part)
+            if not (exact or misses):
+                return None
+            kinds = {kind: fit_tests.padded(one, fixed) for kind, one in misses.items()}
+            found, reference, _ = estimates(model, labels, best, log_depth, spread, bool(noise.integrator))
+            found, reference = _headlined(model, labels, best, log_depth, kinds, found, reference, True)
+            for name in np.array(labels)[fixed]:
+                found[name] = replace(found[name], ci95=None, headline="", intervals={})
+            if any(found[name].ci95 for name in np.array(labels)[own & ~fixed]):
+                said = [f"{n} is {brief(parameters[n].value, parameters[n].unit)}" for n in np.array(labels)[fixed]]
+                said += [] if alone else ["no other optimum is the right one"]
+                return Conditional(" and ".join(said), found, reference) if said else None
+        weakest = np.where(own & ~fixed, np.abs(spread.weakest), -1.0)
+        fixed[int(np.argmax(weakest))] = True
+    return None
 
 
 def _misses(model: Model, series: list[Series], best: End, spread: fit_tests.Spread) -> dict[str, fit_tests.Spread]:
