@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bcfj_jax import InputError, nearest
+from bcfj_jax.core.quantities import GRAVITY
 from bcfj_jax.io.outputs import create
 from bcfj_jax.io.units import column, format_si, quantity
 from calibration import problemfile
@@ -31,7 +32,6 @@ _SAID = {
     "oblique_impact": f"a sphere with friction and spin; {_FILE}",
 }
 SCENES, _ALIGN = tuple(_SAID), "onset"
-_GRAVITY = 9.81
 # Depth of a half sine over speed and duration; a restitution where no reading gives it.
 _DEPTH, _USUAL = 3.2, 0.7
 # Restitution from the impulse above which no damping is searched.
@@ -47,7 +47,7 @@ _BODY = (
 )
 # The one question of a record with a force and the acceleration of a body: what the other body is.
 _FIXED = "fixed"
-_STRUCK = 'QUESTION that the record leaves open: take the first # away where the struck body cannot move, else give its mass, "4.8 kg"'
+_STRUCK = 'QUESTION: take the first # away where the struck body cannot move, else give its mass, "4.8 kg"'
 
 
 class _Line(NamedTuple):
@@ -61,12 +61,16 @@ class _Line(NamedTuple):
 
 
 class _Known(NamedTuple):
-    """Mass and speed, SI, with where they are from: a pair is bounds to search between, None is not known."""
+    """Mass and speed, SI, with where they are from: a pair is bounds to search between, None is not known.
+
+    ``by_column``: whether a column gives the speed of each run, of which the pair is the least and the largest.
+    """
 
     mass: float | tuple[float, float] | None
     speed: float | tuple[float, float] | None
     mass_from: str
     speed_from: str
+    by_column: bool = False
 
 
 def run(
@@ -154,7 +158,9 @@ def _text(
     doubt = _doubt(s, known)
     elastic = kind == "impact" and _ratio(s, known) > 1.0 + _ELASTIC
     own = known if mass is None else known._replace(mass=mass)
-    parameters, missing = _parameters(own, kind, elastic, struck, _asks(found, kind, speed, struck))
+    # A drop from a height goes on falling in contact.
+    falls = kind == "impact" and known.by_column and found.given[1] == "m"
+    parameters, missing = _parameters(own, kind, elastic, falls, struck, _asks(found, kind, speed, struck))
     lines = [
         f"# A contact law from {found.path.name}, proposed by bcfj init calibration. Next: bcfj calibrate {quote(name)}",
         *([f"# Read as {found.said}."] if found.said else []),
@@ -162,7 +168,7 @@ def _text(
         *(f"# {text}." for text in _other(found, kind)),
         *([f"# CHECK: {doubt}."] if doubt else []),
         *([f"# {_BODY.format(format_si(s.mass, 'kg', 3))}."] if s.mass and not s.speed and mass is None else []),
-        _Line(f'scene = "{kind}"', _SAID[kind]),
+        _Line(f'scene = "{kind}"', f"one contact under the gravity below; {_FILE}" if falls else _SAID[kind]),
         _Line('sensor = "free"', 'each record\'s clock and zero are found, too; "exact" holds them at 0'),
         "[[experiment]]",
         _Line(f"file = {_quoted(file)}", f"every {found.runs[0]} is a record" if found.runs[0] else ""),
@@ -173,6 +179,7 @@ def _text(
         _observed(found, kind),
         _Line('noise = "estimate"', 'or what the sensor is known to: "0.1 N", "2 %"'),
         *_window(s, kind),
+        *_columned(found, known, kind),
         *parameters,
         "[free]",
         *_free(s, known, kind, found, elastic),
@@ -186,7 +193,7 @@ def _asks(found: Understood, kind: str, speed: float | None, struck: str | None)
 
 
 def _parameters(
-    known: _Known, kind: str, elastic: bool, struck: str | None, asks: bool
+    known: _Known, kind: str, elastic: bool, falls: bool, struck: str | None, asks: bool
 ) -> tuple[list[_Line], list[str]]:
     """What is known of every record, with the question of the struck body, and the keys that are left to fill in."""
     entries: list[tuple[str, float | None, str, str]] = []
@@ -198,6 +205,8 @@ def _parameters(
         entries += [("impact_angle", None, "deg", ""), ("radius", None, "mm", "")]
     if elastic:
         entries.append(("damping", 0.0, "s/m", "the impulse says that nothing is lost: no damping is searched"))
+    if falls:
+        entries.append(("gravity", GRAVITY, "m/s^2", "a drop has its weight in contact, too"))
     missing = [key for key, value, *_ in entries if value is None]
     texts = {k: f'"{"?" if value is None else f"{value:.4g}"} {unit}"' for k, value, unit, _ in entries}
     texts |= {"struck_mass": _quoted(struck)} if struck else {}
@@ -210,6 +219,17 @@ def _parameters(
         return [*lines, _Line(f'# parameters.struck_mass = "{_FIXED}"', _STRUCK)], missing
     text = ", ".join(f"{key} = {text}" for key, text in texts.items())
     return ([_Line(f"parameters = {{ {text} }}", note)] if texts else []), missing
+
+
+def _columned(found: Understood, known: _Known, kind: str) -> list[_Line]:
+    """The line by which a column gives the speed of every run."""
+    if not known.by_column:
+        return []
+    header, unit = found.given
+    key = "drop_height" if unit == "m" else "approach_speed"
+    how = "of each run, which strikes at sqrt(2 g h)" if unit == "m" and kind != "bounce" else "of each run"
+    note = f'{how}; CHECK, and say how well it is known: "{header} +- 2 %"'
+    return [_Line(f"columns = {{ {key} = {_quoted(header)} }}", note)]
 
 
 def _quoted(text: str) -> str:
@@ -240,6 +260,8 @@ def _known(s: Sizes, mass: float | None, speed: float | None, found: Understood)
     mass_from = speed_from = "as given"
     v: float | tuple[float, float] | None = speed
     m: float | tuple[float, float] | None = mass
+    if v is None and found.speeds:
+        return _with_speeds(s, mass, found)
     if v is None and s.speed:
         v, speed_from = (s.speed[0] / _MARGIN, s.speed[1] * _MARGIN), "from the motion before contact"
     if m is None and s.mass and s.mass > 0 and s.speed:
@@ -258,18 +280,31 @@ def _known(s: Sizes, mass: float | None, speed: float | None, found: Understood)
     return _Known(m, v if v is not None else _ANY_SPEED, mass_from, speed_from)
 
 
+def _with_speeds(s: Sizes, mass: float | None, found: Understood) -> _Known:
+    """Where a column gives the speed of each run: the mass follows from each run's own impulse."""
+    ends = min(found.speeds), max(found.speeds)
+    if mass is not None or "N" not in found.columns:
+        return _Known(mass, ends, "as given", "", True)
+    masses = [r.impulse() / v for r, v in zip(found.records, found.speeds, strict=True)]
+    masses = [m for m in masses if m > 0.0]
+    if not masses:
+        return _Known(None, ends, "", "", True)
+    return _Known((min(masses) / 2.0 / _MARGIN, max(masses) * _MARGIN), ends, "", "", True)
+
+
 def _bounced(s: Sizes, mass: float | None, speed: float | None, found: Understood) -> _Known:
     """Mass and speed of a drop: a flight of length t ends the impact at g t/2, and the next begins with that."""
     if not s.flights:
         remedy = "take --scene impact, or a record of two contacts"
         raise InputError("--scene", "bounce, but no record holds two contacts", remedy)
-    after = 0.5 * _GRAVITY * s.flights[0]
+    after = 0.5 * GRAVITY * s.flights[0]
     kept = min(max(s.flights[1] / s.flights[0], 0.2), 0.99) if len(s.flights) > 1 else _USUAL
     v = speed if speed is not None else after / kept
     m: float | tuple[float, float] | None = mass
     if m is None and "N" in found.columns:
         m = (s.impulse / (v + after) / 2.0, s.impulse / (v + after) * 2.0)
-    return _Known(m, v, "as given", "from the flights between contacts" if speed is None else "about the speed given")
+    origin = "from the flights between contacts" if speed is None else "about the speed given"
+    return _Known(m, v, "as given", origin, speed is None and found.given[1] == "m")
 
 
 def _middle(value: float | tuple[float, float] | None) -> float | None:
@@ -369,14 +404,14 @@ def _free(s: Sizes, known: _Known, kind: str, found: Understood, elastic: bool) 
         lines.append(_box("damping", (f"{low:.2g}", f"{high:.2g}"), "s/m; 0.01 to 5 over the speed"))
     if isinstance(known.mass, tuple):
         lines.append(_box("mass", (f'"{x:.3g} kg"' for x in known.mass), "from the impulse and the speed"))
-    if kind == "bounce":
-        height = (v or 1.0) ** 2 / (2.0 * _GRAVITY)
+    if kind == "bounce" and not known.by_column:
+        height = (v or 1.0) ** 2 / (2.0 * GRAVITY)
         # Runs may be of several heights, whose flights are as the speeds.
         given = known.speed_from == "as given" or not s.flights
         ends = [height] * 2 if given else [height * (t / s.flights[0]) ** 2 for t in s.after]
         box = (f'"{x:.3g} m"' for x in (0.5 * ends[0], 2.0 * ends[1]))
         lines.append(_box("drop_height", box, known.speed_from, each))
-    elif isinstance(known.speed, tuple):
+    elif kind != "bounce" and isinstance(known.speed, tuple) and not known.by_column:
         note = "any: the mass is not known yet" if open_scale else known.speed_from
         lines.append(_box("approach_speed", (f'"{x:.3g} m/s"' for x in known.speed), note, each))
     return lines

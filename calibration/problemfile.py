@@ -39,7 +39,7 @@ import pydantic
 
 from bcfj_jax import InputError, nearest
 from bcfj_jax.core.errors import Faults
-from bcfj_jax.core.quantities import Quantity
+from bcfj_jax.core.quantities import GRAVITY, Quantity
 from bcfj_jax.io import scenefile, tables
 from bcfj_jax.io.units import format_si, quantity, toleranced
 from bcfj_jax.mechanism.channels import channel, unit_of
@@ -85,6 +85,7 @@ class _Experiment(tables.Table):
     rows: dict[str, Any] = {}
     hold_out: bool | list[str] = False
     parameters: dict[str, Any] = {}
+    columns: dict[str, str] = {}
     align: Literal["onset"] | None = None
     window: list[Any] | None = None
     resample: Any = None
@@ -405,14 +406,50 @@ def _records(
             # Results go by name, so that no two records may share one.
             name += f" ({k + 1})" if name in (r.name for _, _, r in records if r) else ""
             with faults:
+                own = _by_columns(entry, part, base, where, label)
                 record = prepare(name, part, entry.time, entry.observe, recipe, where)
-                records.append((k, entry, replace(record, notes=(said, *record.notes) if said else record.notes)))
+                records.append((k, own, replace(record, notes=(said, *record.notes) if said else record.notes)))
                 rows.append(part)
                 said = ""  # Of a file, not of each of its runs.
         with broken:
             faults.refuse(whole.name)
     broken.refuse(str(path))
     return records, rows
+
+
+def _by_columns(entry: _Experiment, part: Table, base: scenefile.SceneFile, where: str, label: str) -> _Experiment:
+    """An entry for one record, with the parameters that columns of its rows give.
+
+    The height h of a drop is the speed sqrt(2 g h) in a scene that has no height.
+
+    Raises:
+        InputError: for a parameter that there is not or that is given twice, and a column that changes within the record.
+    """
+    found, known = {}, base.scene.quantities
+    for said, text in entry.columns.items():
+        name, here = base.scene.canonical(said), f"{where} columns.{said}"
+        falls = name == "drop_height" and name not in known and "approach_speed" in known
+        if not falls and name not in known:
+            raise InputError(here, f"the scene has no parameter '{said}'", ", ".join(known))
+        target = "approach_speed" if falls else name
+        if target in {base.scene.canonical(n) for n in entry.parameters} | found.keys():
+            raise InputError(here, f"'{target}' is given twice", "give it once, as a value or by a column")
+        unit = "m" if falls else known[name].unit
+        header, _, tolerance = (part_.strip() for part_ in text.partition("+-"))
+        values = part.numbers(header, unit, here, blank=False)
+        if np.ptp(values) > 1e-9 * np.abs(values).max():
+            span = f"{format_si(float(values.min()), unit)} to {format_si(float(values.max()), unit)}"
+            remedy = "name a column that is one number in each run, and one that numbers the runs in rows"
+            raise InputError(here, f"'{header}' goes from {span} within {label}", remedy)
+        value = float(values[0])
+        known_to = toleranced(f"{value!r} {unit} +- {tolerance}", unit, here)[1] if tolerance else None
+        if falls:
+            if not value > 0.0:
+                raise InputError(here, f"a height of {format_si(value, unit)}", "give one above 0")
+            speed = float(np.sqrt(2.0 * GRAVITY * value))
+            value, known_to, unit = speed, None if known_to is None else 0.5 * known_to / value * speed, "m/s"
+        found[target] = f"{value!r} {unit}" + ("" if known_to is None else f" +- {known_to!r} {unit}")
+    return entry.model_copy(update={"parameters": {**entry.parameters, **found}}) if found else entry
 
 
 def _recipe(entry: _Experiment, where: str, impact: bool, offset: bool) -> Recipe:

@@ -14,6 +14,7 @@ import numpy as np
 
 from bcfj_jax import InputError
 from bcfj_jax.core.errors import Faults
+from bcfj_jax.core.quantities import GRAVITY
 from bcfj_jax.io.units import GRAVITIES, accelerates, column, scale_of
 from calibration.data.events import Event, contacts, rest, telling
 from calibration.data.inspection import check_clock
@@ -29,6 +30,14 @@ _NAMES = {
     "m/s": ("velocity", "speed", "v", "vel", "geschwindigkeit"),
     "m": ("position", "displacement", "x", "y", "z", "height", "place", "weg"),
 }
+# Columns that are one number in each run: how high a body fell, or how fast it struck.
+_GIVEN = {
+    "m": ("height", "drop height", "drop_height", "fall height", "fallhoehe", "fallhöhe", "hoehe", "höhe", "h", "hauteur"),
+    "m/s": (
+        "speed", "velocity", "v", "v0", "approach speed", "approach_speed", "impact speed", "impact velocity",
+        "geschwindigkeit", "aufprallgeschwindigkeit", "vitesse",
+    ),
+}  # fmt: skip
 _TANGENTIAL = {
     "tangential",
     "friction",
@@ -98,6 +107,8 @@ class Understood:
         records: every run, at most 50.
         rows: which value of a column of text its readings stand beside.
         said: how the file is written, in words.
+        given: the column of heights [m] or speeds [m/s] of the runs, and its unit; "" for none.
+        speeds: of each record [m/s], by that column.
     """
 
     path: Path
@@ -109,6 +120,8 @@ class Understood:
     records: list[Record]
     rows: dict[str, str] = field(default_factory=dict)
     said: str = ""
+    given: tuple[str, str] = ("", "")
+    speeds: tuple[float, ...] = ()
 
 
 def understood(table: Table) -> Understood:
@@ -159,11 +172,32 @@ def understood(table: Table) -> Understood:
                 where, f"{label}: no contact is found in '{found[unit]}'", "choose a record that holds one"
             )
         records.append(Record(label, clock, turned, events))
+    given, speeds = _speeds(table, [part for _, part in parts[:_MOST_RUNS]])
     shown = {u: ("-" if signs.get(u, 1.0) < 0 else "") + h for u, h in found.items()}
-    known = {time, run, *found.values(), *rows}
+    known = {time, run, given[0], *found.values(), *rows}
     others = [h for h in table.header if h and h not in known]
     many = (run, len(parts) if run else 1)
-    return Understood(table.path, table.inside, time, shown, others, many, records, rows, table.found)
+    return Understood(
+        table.path, table.inside, time, shown, others, many, records, rows, table.found, given, speeds
+    )  # fmt: skip
+
+
+def _speeds(table: Table, parts: list[Table]) -> tuple[tuple[str, str], tuple[float, ...]]:
+    """The column that gives heights or speeds of runs, with its unit, and the speed of each run [m/s]; speeds go before heights."""
+    for unit in ("m/s", "m"):
+        for header in table.header:
+            if not header or _name(header) not in _GIVEN[unit] or not _is_fixed(table, header):
+                continue
+            if column(header)[1] is not None and _unit(header) != unit:
+                continue
+            try:
+                values = np.array([part.numbers(header, unit, table.name, False)[0] for part in parts])
+            except InputError:
+                continue
+            if (values > 0.0).all():
+                speeds = values if unit == "m/s" else np.sqrt(2.0 * GRAVITY * values)
+                return (header, unit), tuple(speeds.tolist())
+    return ("", ""), ()
 
 
 def _filtered(table: Table, time: str) -> tuple[dict[str, str], Table]:
@@ -234,15 +268,15 @@ def _range(table: Table, header: str) -> float:
 
 
 def _is_fixed(table: Table, header: str) -> bool:
-    """Whether a column is one number in each of several runs."""
+    """Whether a column is one number in each of several runs; of a table without runs, one that is named as such a number."""
     run = next((h for h in table.header if _name(h) in RUN_COLUMNS), "")
-    if not run:
-        return False
     column_of = dict(zip(table.header, table.columns, strict=True))
+    labels = column_of[run].tolist() if run else [""] * table.lines.size
     seen: dict[str, set[str]] = {}
-    for label, cell in zip(column_of[run].tolist(), column_of[header].tolist(), strict=True):
+    for label, cell in zip(labels, column_of[header].tolist(), strict=True):
         seen.setdefault(str(label), set()).add(str(cell))
-    return len(seen) > 1 and all(len(cells) == 1 for cells in seen.values())
+    named = any(_name(header) in names for names in _GIVEN.values())
+    return (len(seen) > 1 or named) and all(len(cells) == 1 for cells in seen.values())
 
 
 def _unit(header: str) -> str | None:
