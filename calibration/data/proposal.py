@@ -183,7 +183,7 @@ def understood(table: Table) -> Understood:
 
 
 def _speeds(table: Table, parts: list[Table]) -> tuple[tuple[str, str], tuple[float, ...]]:
-    """The column that gives heights or speeds of runs, with its unit, and the speed of each run [m/s]; speeds go before heights."""
+    """The column that gives speeds, or else heights, of runs, with its unit, and the speed of each run [m/s]."""
     for unit in ("m/s", "m"):
         for header in table.header:
             if not header or _name(header) not in _GIVEN[unit] or not _is_fixed(table, header):
