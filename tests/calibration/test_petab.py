@@ -15,8 +15,8 @@ from bcfj_jax import InputError
 from bcfj_jax.cli import app
 from bcfj_jax.io import scenefile
 from calibration import problemfile
-from calibration.petab import export, load
 from calibration.filters import Filter
+from calibration.petab import export, load
 from calibration.problem import Channel, Doubt, Experiment, Free, Observation, Problem
 
 # Not imported here: every worker of pytest collects every file.
