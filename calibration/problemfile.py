@@ -177,9 +177,9 @@ def load_with_records(path: str | Path) -> tuple[Problem, list[Prepared]]:
     known = {**base.scene.quantities, **nuisances(o for entry in file.experiment for o in entry.observe)}
     one = base.scene.canonical
     for k, entry in enumerate(file.experiment):
-        if entry.held and (_STRUCK in known or base.scene.kind != "impact"):
+        if entry.held and (_STRUCK in known or "approach_speed" not in known):
             found = f'{_STRUCK} = "{_HELD}", where the scene '
-            found += "has that mass" if _STRUCK in known else f"is of the kind '{base.scene.kind}'"
+            found += "has that mass" if _STRUCK in known else "has no body that strikes"
             raise InputError(f"{path}: [[experiment]] {k + 1} parameters", found, "give its mass, or leave it out")
     records, parts = _records(file, path, base)
     experiments = [
