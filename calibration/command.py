@@ -165,7 +165,7 @@ def text(result: Fit) -> str:
     for question, found in _answers(result):
         lines += [f"{question}: {found.answer}", *(f"  - {reason}" for reason in found.because)]
     lines += ["", *_on_condition(result), report.text([_head(result), *_rows(result)])]
-    if any(len(p.intervals) > 1 and p.headline for p in result.parameters.values()):
+    if any(len(p.intervals) > 1 and p.headline for p in _shown(result).values()):
         lines += ["", "every kind of interval:", report.text(_kinds(result))]
     if result.reference:
         lines += [
@@ -211,6 +211,11 @@ def _on_condition(result: Fit) -> list[str]:
     return [f"if {found.condition}: {'; '.join(known)}", ""]
 
 
+def _shown(result: Fit) -> dict[str, Parameter]:
+    """The estimates, with the intervals that hold on a condition where there are none without."""
+    return {**result.parameters, **(result.conditional.parameters if result.conditional else {})}
+
+
 def _head(result: Fit) -> list[str]:
     return [_IF_SO if result.conditional and cell == _HEAD[2] else cell for cell in _HEAD]
 
@@ -221,10 +226,11 @@ def _answers(result: Fit) -> list[tuple[str, Answer]]:
 
 def _kinds(result: Fit) -> list[list[str]]:
     """Every interval by its kind, the headline marked."""
-    kinds = [k for k in MEANING if any(k in p.intervals for p in result.parameters.values())]
+    every = _shown(result)
+    kinds = [k for k in MEANING if any(k in p.intervals for p in every.values())]
     rows = [["parameter", *kinds]]
     for name in _shared(result):
-        p = result.parameters[name]
+        p = every[name]
         shown = {k: _ends(ends, p.unit) + (" *" if k == p.headline else "") for k, ends in p.intervals.items()}
         rows.append([name, *(shown.get(k, "") for k in kinds)])
     return rows
@@ -271,8 +277,7 @@ def _interval(thing: Any, unit: str) -> str:
 
 def _rows(result: Fit) -> list[list[str]]:
     rows = []
-    found = result.conditional.parameters if result.conditional else {}
-    for name, p in {**result.parameters, **found}.items():
+    for name, p in _shown(result).items():
         ends = _ends(p.ci95, p.unit), MEANING.get(p.headline, ""), _ends(p.with_budget, p.unit)
         rows.append([name, *bounded([p.value], p.ci95 or (), p.unit), *ends, _remark(p)])
     return rows

@@ -74,7 +74,7 @@ class Trial:
 class Diagnosis:
     """Suspects, the named one first; their lines by name; the fits with them, the best first where there are any.
 
-    ``agreed``: the elastic force that laws of loss agree on, where a loss is a likely suspect.
+    ``agreed``: the elastic force that laws of loss agree on, where another loss is named.
     """
 
     found: list[Found]
@@ -110,7 +110,8 @@ def rank(problem: Problem, result: Fit) -> Diagnosis | None:
         return None
     ranking = _ranked(problem, result, scene)
     losses = [f for f in ranking.found if f.name in _LOSSES and f.likely]
-    return replace(ranking, agreed=agreement.of_signatures(result, _PLAIN, losses) if losses else None)
+    agreed = agreement.of_signatures(result, _PLAIN, losses) if {*ranking.named} & {*_LOSSES} else None
+    return replace(ranking, agreed=agreed)
 
 
 def diagnose(problem: Problem, result: Fit, seed: int = 0) -> Diagnosis | None:
@@ -143,7 +144,8 @@ def diagnose(problem: Problem, result: Fit, seed: int = 0) -> Diagnosis | None:
     if pairs and max(pairs)[0] > ranking.found[0].explained + _MORE:
         _, first, second, text = max(pairs)
         trials.append(_trial(problem, result, (first, second), text, seed))
-    return _confirmed(Diagnosis(ranking.found, ranking.lines, trials, agreement.of_fits(losses)))
+    found = _confirmed(Diagnosis(ranking.found, ranking.lines, trials))
+    return replace(found, agreed=agreement.of_fits(losses)) if {*found.named} & {*_LOSSES} else found
 
 
 def _scene(problem: Problem, result: Fit) -> Scene | None:

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.signal import lsim
 
 from bcfj_jax import scenes
 from calibration import Channel, Experiment, Fit, Free, Problem, command, fit
@@ -43,13 +44,19 @@ def contact(speed: float, share: float, power: float, times: np.ndarray) -> tupl
 
 
 def calibrated(
-    law: str, share: float, power: float, speeds: tuple[float, ...] = SPEEDS, noise: float = 0.005, jitter: float = 0.0
+    law: str,
+    share: float,
+    power: float,
+    speeds: tuple[float, ...] = SPEEDS,
+    noise: float = 0.005,
+    jitter: float = 0.0,
+    change=lambda force: force,
 ) -> tuple[Problem, Fit]:
     rng, runs = np.random.default_rng(1), []
     scene = scenes.impact(law=law, smoothing=False)
     for k, speed in enumerate(speeds):
         force, _ = contact(speed, share, power, TIMES + jitter * rng.standard_normal(TIMES.size))
-        values = force + noise * force.max() * rng.standard_normal(TIMES.size)
+        values = change(force) + noise * force.max() * rng.standard_normal(TIMES.size)
         fixed = {"approach_speed": speed, "mass": MASS}
         runs.append(Experiment(f"run {k}", TIMES + 2e-4, (Channel("contact.normal", values, None),), fixed=fixed))
     free = (Free("stiffness", 1e6, 1e9), Free("exponent", 1.0, 2.5), COEFFICIENT[law], Free("time_offset", 0.0, 4e-4))
@@ -86,6 +93,29 @@ def test_a_loss_that_goes_otherwise_is_named_before_jitter(law, power):
     np.testing.assert_allclose(agreed.spread, np.ptp(every, axis=0) / every.mean(axis=0))
     assert any("elastic force" in heading for heading, _ in sections(found, plain))
     json.dumps(as_json(found, plain))
+
+
+def behind(numerator: list[float], denominator: list[float], force: np.ndarray) -> np.ndarray:
+    return lsim((numerator, denominator), force, TIMES - TIMES[0])[1]
+
+
+CELL = 2.0 * np.pi * 3e3
+SENSORS = {
+    "resonance": lambda f: behind([CELL**2], [1.0, 0.1 * CELL, CELL**2], f),
+    "bandwidth": lambda f: behind([1.0], [3.0 / CELL, 1.0], f),
+    "drift": lambda f: f + 20.0 * f.max() * (TIMES - TIMES[0]),
+    "gain bend": lambda f: f * (1.0 + 4e-5 * f),
+    "hum": lambda f: f + 20.0 * np.sin(2.0 * np.pi * 700.0 * TIMES),
+}
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("speeds", [(0.6, 1.2), SPEEDS])
+@pytest.mark.parametrize("kind", SENSORS)
+def test_a_sensor_that_errs_at_several_speeds_is_no_loss(kind, speeds):
+    """Each bends the loops of all runs, too, and is named by what it is."""
+    found = rank(*calibrated("memory_free", 0.1, 1.0, speeds, change=SENSORS[kind]))
+    assert found is not None and found.named == [kind], found.found
 
 
 def test_jitter_stays_jitter():
