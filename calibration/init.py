@@ -36,6 +36,8 @@ SCENES, _ALIGN = tuple(_SAID), "onset"
 _DEPTH, _USUAL = 3.2, 0.7
 # Restitution from the impulse above which no damping is searched.
 _ELASTIC = 0.98
+# Below this exponent of the speed the loss of a contact does not grow as that of a damping.
+_GROWS = 0.5
 # Bounds beyond what the record says: of a stiffness, a damping times the speed, a speed or mass from an impulse.
 _WIDE, _LOSS, _MARGIN = 30.0, (0.01, 5.0), 1.4
 # Speeds that a mass which is not known yet leaves open [m/s].
@@ -399,6 +401,12 @@ def _free(s: Sizes, known: _Known, kind: str, found: Understood, elastic: bool) 
     ]
     if kind == "oblique_impact":
         lines += [_box("friction_dynamic", ("0.01", "1.0"), ""), _box("restitution", ("0.1", "1.0"), "")]
+    elif kind == "bounce" and s.loss is not None and s.loss.exponent + 2.0 * s.loss.deviation < _GROWS:
+        most, least = s.loss.kept.max(), s.loss.kept.min()
+        ends = f"{max(1.0 - 2.0 * (1.0 - least), 0.05):.3g}", f"{1.0 - 0.5 * (1.0 - most):.3g}"
+        lines.append(
+            _box("restitution", ends, f"{least:.3g} to {most:.3g} by the flights, whatever the speed: law of Flores")
+        )
     elif not elastic:
         low, high = _LOSS[0] / max(speeds), _LOSS[1] / min(speeds)
         lines.append(_box("damping", (f"{low:.2g}", f"{high:.2g}"), "s/m; 0.01 to 5 over the speed"))

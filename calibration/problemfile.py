@@ -46,6 +46,8 @@ from bcfj_jax.mechanism.channels import channel, unit_of
 from bcfj_jax.models import scenes
 from calibration import given
 from calibration.data import plausible, sensor, stated, trains
+from calibration.data.events import contacts
+from calibration.data.flights import contradicted
 from calibration.data.preparation import Prepared, Recipe, prepare
 from calibration.data.readers import read
 from calibration.data.sensor import Sensor
@@ -67,7 +69,10 @@ from calibration.problem import (
 
 # Options of scenes that a parameter's name asks for.
 _STRUCK, _HELD = "struck_mass", "fixed"
-_NAMED = {"impact": {_STRUCK: "struck", "gravity": "gravity"}}
+_NAMED: dict[str, dict[str, dict[str, Any]]] = {
+    "impact": {_STRUCK: {"struck": True}, "gravity": {"gravity": True}, "restitution": {"law": "flores"}},
+    "bounce": {"restitution": {"law": "flores"}},
+}
 
 
 class _Experiment(tables.Table):
@@ -317,9 +322,12 @@ def _proposed(name: str, found: Sensor, file: _File, path: Path, known: dict[str
     return free_of(name, table, path, known)
 
 
-def options_of(scene: str, named: Collection[str]) -> dict[str, bool]:
+def options_of(scene: str, named: Collection[str]) -> dict[str, Any]:
     """Options of a built-in scene for physics that is there only where a parameter of it is named."""
-    return {option: True for name, option in _NAMED.get(scene, {}).items() if name in named}
+    found: dict[str, Any] = {}
+    for name, options in _NAMED.get(scene, {}).items():
+        found |= options if name in named else {}
+    return found
 
 
 def base_of(path: Path) -> scenefile.SceneFile:
@@ -348,9 +356,11 @@ def _doubts(
 ) -> tuple[Doubt, ...]:
     """Why given masses and speeds of single impacts may be wrong, by their records (``data.plausible``)."""
     names, free = problem.scene.quantities, {f.name: f for f in problem.free}
+    if "drop_height" in names:
+        return _dropped(problem, records)
     if not {"mass", "approach_speed"} <= names.keys() or "mass" in free or len(problem.scene.members) != 1:
         return ()
-    if {"impact_angle", "struck_mass"} & free.keys() or "impact_angle" in names or "drop_height" in names:
+    if {"impact_angle", "struck_mass"} & free.keys() or "impact_angle" in names:
         return ()
     found = []
     for e, (entry, record), part in zip(problem.experiments, records, parts, strict=True):
@@ -368,6 +378,20 @@ def _doubts(
         open_ = open_ and set(entry.observe) == {"contact.normal"}
         if open_ and (said := plausible.other_body(record, part, entry.observe, mass)):
             found.append(Doubt(said, "the struck body is fixed"))
+    return tuple(dict.fromkeys(found))
+
+
+def _dropped(problem: Problem, records: list[tuple[_Experiment, Prepared | None]]) -> tuple[Doubt, ...]:
+    """Why the law of a drop cannot lose what its records show, by their flights (``data.flights``)."""
+    middle = {f.name: float(np.sqrt(f.lower * f.upper)) for f in problem.free if f.log}
+    found = []
+    for e, (_, record) in zip(problem.experiments, records, strict=True):
+        reading = record.readings.get("contact.normal") if record else None
+        if record is None or reading is None:
+            continue
+        events = contacts("contact.normal", record.times, reading.values)
+        if said := contradicted(e.name, events, problem.scene.only_law(), {**problem.params, **e.fixed, **middle}):
+            found.append(Doubt(said, "the law's loss is right"))
     return tuple(dict.fromkeys(found))
 
 

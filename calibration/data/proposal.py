@@ -17,6 +17,7 @@ from bcfj_jax.core.errors import Faults
 from bcfj_jax.core.quantities import GRAVITY
 from bcfj_jax.io.units import GRAVITIES, accelerates, column, scale_of
 from calibration.data.events import Event, contacts, rest, telling
+from calibration.data.flights import Loss, loss
 from calibration.data.inspection import check_clock
 from calibration.data.numbers import is_missing, is_number
 from calibration.data.table import RUN_COLUMNS, Table, split
@@ -342,6 +343,7 @@ class Sizes:
     Of records without a force, peak and impulse are per mass; ``impulses`` and ``after``: the least and the largest impulse, and
     time to the second contact [s], of all records. ``speed`` and ``restitution`` from a velocity or position,
     ``mass`` from the impulse over the change of the speed, or from force over acceleration; None where no reading gives them.
+    ``loss``: what flights say.
     """
 
     peak: float
@@ -357,6 +359,7 @@ class Sizes:
     begin: float
     impulses: tuple[float, float]
     after: tuple[float, float]
+    loss: Loss | None
 
 
 def sizes(found: Understood) -> Sizes:
@@ -394,6 +397,7 @@ def sizes(found: Understood) -> Sizes:
         begin=float(longest.events[0].begin),
         impulses=(min(pushed, default=np.nan), max(pushed, default=np.nan)),
         after=(min(flown, default=np.nan), max(flown, default=np.nan)),
+        loss=loss(longest.events),
     )
 
 
