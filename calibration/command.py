@@ -29,7 +29,7 @@ from calibration.report import plots_uncertainty
 from calibration.report.diagnosis import as_json as diagnosis_json
 from calibration.report.diagnosis import sections
 from calibration.search.starts import Interrupted
-from calibration.selection import choice, diagnosis
+from calibration.selection import agreement, choice, diagnosis
 from calibration.selection.alternatives import Outcome, solve
 from calibration.selection.next_experiment import as_json as candidates_json
 from calibration.selection.next_experiment import table as candidates_table
@@ -56,6 +56,8 @@ MEANING = {
 }
 _BUDGET = "Errors of the sensor and of fixed values that residuals do not show: how far each moves the estimates"
 _HEAD = ["parameter", "value", "95 % interval", "which allows for", "with the errors below", "remark"]
+# Of intervals that hold on a condition.
+_IF_SO = "95 % interval, if so"
 
 
 def run(
@@ -162,8 +164,8 @@ def text(result: Fit) -> str:
     lines = [f"verdict: {result.verdict}"]
     for question, found in _answers(result):
         lines += [f"{question}: {found.answer}", *(f"  - {reason}" for reason in found.because)]
-    lines += ["", report.text([_HEAD, *_rows(result)])]
-    if any(len(p.intervals) > 1 and p.headline for p in result.parameters.values()):
+    lines += ["", *_on_condition(result), report.text([_head(result), *_rows(result)])]
+    if any(len(p.intervals) > 1 and p.headline for p in _shown(result).values()):
         lines += ["", "every kind of interval:", report.text(_kinds(result))]
     if result.reference:
         lines += [
@@ -192,16 +194,43 @@ def text(result: Fit) -> str:
     return "\n".join([*lines, *(f"note: {note}" for note in result.notes)])
 
 
+def _on_condition(result: Fit) -> list[str]:
+    """In words what holds on a condition that the record leaves open."""
+    found = result.conditional
+    if found is None or not any(p.ci95 for p in found.parameters.values()):
+        return []
+    known = [
+        f"{name} {_interval(p, p.unit)}" for name, p in found.parameters.items() if p.ci95 and name in _shared(result)
+    ]
+    reference = found.reference
+    known += (
+        [f"force at {brief(reference.penetration, 'm')} {_interval(reference, 'N')}"]
+        if reference and reference.ci95
+        else []
+    )
+    return [f"if {found.condition}: {'; '.join(known)}", ""]
+
+
+def _shown(result: Fit) -> dict[str, Parameter]:
+    """The estimates, with the intervals that hold on a condition where there are none without."""
+    return {**result.parameters, **(result.conditional.parameters if result.conditional else {})}
+
+
+def _head(result: Fit) -> list[str]:
+    return [_IF_SO if result.conditional and cell == _HEAD[2] else cell for cell in _HEAD]
+
+
 def _answers(result: Fit) -> list[tuple[str, Answer]]:
     return [("search", result.search), ("data", result.data), ("law", result.law)]
 
 
 def _kinds(result: Fit) -> list[list[str]]:
     """Every interval by its kind, the headline marked."""
-    kinds = [k for k in MEANING if any(k in p.intervals for p in result.parameters.values())]
+    every = _shown(result)
+    kinds = [k for k in MEANING if any(k in p.intervals for p in every.values())]
     rows = [["parameter", *kinds]]
     for name in _shared(result):
-        p = result.parameters[name]
+        p = every[name]
         shown = {k: _ends(ends, p.unit) + (" *" if k == p.headline else "") for k, ends in p.intervals.items()}
         rows.append([name, *(shown.get(k, "") for k in kinds)])
     return rows
@@ -248,7 +277,7 @@ def _interval(thing: Any, unit: str) -> str:
 
 def _rows(result: Fit) -> list[list[str]]:
     rows = []
-    for name, p in result.parameters.items():
+    for name, p in _shown(result).items():
         ends = _ends(p.ci95, p.unit), MEANING.get(p.headline, ""), _ends(p.with_budget, p.unit)
         rows.append([name, *bounded([p.value], p.ci95 or (), p.unit), *ends, _remark(p)])
     return rows
@@ -307,8 +336,20 @@ def as_json(result: Fit) -> dict[str, Any]:
         if result.correlation is None
         else {"labels": list(result.labels), "matrix": result.correlation},
         "seed": result.seed,
+        "conditional": _conditional(result),
         **uncertainty.as_json(result.evidence),
     }
+
+
+def _conditional(result: Fit) -> dict[str, Any] | None:
+    """``conditional`` of ``fit.json``: the intervals that hold on a condition which the record leaves open."""
+    found = result.conditional
+    if found is None:
+        return None
+    own = {n: {k: getattr(p, k) for k in ("value", "unit", "ci95", "with_budget")} for n, p in found.parameters.items()}
+    r = found.reference
+    reference = r and {k: getattr(r, k) for k in ("penetration", "force", "ci95", "with_budget")}
+    return {"condition": found.condition, "parameters": own, "reference": reference}
 
 
 def _comparisons(outcome: Outcome) -> list[tuple[str, list[list[str]]]]:
@@ -316,6 +357,8 @@ def _comparisons(outcome: Outcome) -> list[tuple[str, list[list[str]]]]:
     found = []
     if outcome.choice:
         found.append((f"Models: {'; '.join(outcome.choice.reasons)}", choice.table(outcome.choice)))
+        if agreed := agreement.of_choice(outcome.choice):
+            found.append((agreement.heading(agreed), agreement.rows(agreed)))
     if outcome.gains:
         heading = "The next experiment: width of each interval after it, over that before (* shrinks most)"
         found.append((heading, candidates_table(outcome.gains)))
@@ -355,7 +398,9 @@ def _write(
     outputs.write_json(folder / "environment.json", outputs.environment(seed=result.seed, data=data))
     if outcome.choice:
         outputs.write_json(folder / "models.json", choice.as_json(outcome.choice))
-    said = {"diagnosis": diagnosis_json(diagnosed, result)} if diagnosed else {}
+    said: dict[str, Any] = {"diagnosis": diagnosis_json(diagnosed, result)} if diagnosed else {}
+    agreed = (outcome.choice and agreement.of_choice(outcome.choice)) or (diagnosed and diagnosed.agreed)
+    said |= {"elastic_force": agreement.as_json(agreed)} if agreed else {}
     outputs.write_json(
         folder / "fit.json",
         {
@@ -389,7 +434,8 @@ def _draw(
         *plots_uncertainty.draw(result, folder),
     ]
     notes = [[record.name, note] for record in understood for note in record.notes]
-    found = [Table("Parameters", [_HEAD, *_rows(result)], "* in the table below marks the kind that is printed here.",
+    note = " ".join([*_on_condition(result)[:1], "* in the table below marks the kind that is printed here."])
+    found = [Table("Parameters", [_head(result), *_rows(result)], note,
                    (Table("Every kind of interval (* the one printed)", _kinds(result)),))]  # fmt: skip
     answers = [["question", "answer", "because"], *_answer_rows(result)]
     answers = answers if any(row[2] for row in answers[1:]) else [row[:2] for row in answers]

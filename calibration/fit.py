@@ -47,6 +47,8 @@ from calibration.uncertainty.law_miss import NEXT_RUN, clustered, discrepancy, i
 
 log = logging.getLogger("calibration")
 
+# Estimates that are held one after the other until what is left has an interval.
+_HELD = 3
 # Failed points of a design that are asked why.
 _ASKED = 16
 
@@ -76,6 +78,15 @@ class Optimum:
     series: list[Series] = field(default_factory=list)
 
 
+@dataclass(frozen=True)
+class Conditional:
+    """What a fit says on a condition that its record leaves open: "if ``condition``", with the intervals that hold then."""
+
+    condition: str
+    parameters: dict[str, Parameter]
+    reference: Reference | None
+
+
 @dataclass(frozen=True, repr=False)
 class Fit:
     """Outcome of a calibration; ``verdict`` first, then the answers behind it (``diagnostics.answers``).
@@ -83,7 +94,8 @@ class Fit:
     ``noise`` is what was estimated of it: by channel its "sigma" (SI) and "correlation" [s]. ``check`` is what could be
     said before the solve (``influence.at_start``). ``notes`` say what a reader must know though nothing failed.
     ``systematic``: errors that no residual shows, and what the estimates move by (``diagnostics.systematic``); None
-    where no estimate is determined or no channel is read.
+    where no estimate is determined or no channel is read. ``conditional``: the intervals of a fit that gives none since it hangs
+    on what the record does not show.
     """
 
     verdict: str
@@ -108,6 +120,7 @@ class Fit:
     optimum: Optimum
     systematic: Budget | None = None
     evidence: Evidence = field(default_factory=Evidence)
+    conditional: Conditional | None = None
 
     _view = "calibration.report.view"
     __repr__ = presented.text
@@ -154,7 +167,7 @@ def fit(
     check_kind(intervals)
     influence.refuse_data(problem)
     for doubt in problem.doubts:
-        log.info("before the fit: %s", doubt)
+        log.info("before the fit: %s", doubt.text)
     fitted = tuple(e for e in problem.experiments if not e.hold_out)
     model = build(problem, fitted)
     ahead(partial(evaluation, model))
@@ -176,9 +189,15 @@ def fit(
         raise AllStartsFailed(f"all {len(ends)} starts failed: {why}")
     model, ends, noise = settle(model, fitted, ends, found.log_depth, problem.accuracy)
     assessed = _assess(problem, fitted, labels, model, ends, found.log_depth, noise, seed, checked, intervals)
-    if problem.doubts:
-        assessed = _refused(assessed, "; ".join(problem.doubts))
-    return with_budget(problem, assessed) if systematic else assessed
+    return with_budget(problem, assessed) if systematic else _doubted(problem, assessed)
+
+
+def _doubted(problem: Problem, found: Fit) -> Fit:
+    """A fit that gives no interval where the record contradicts what was given, or does not show it."""
+    if not problem.doubts or found.conditional is not None:
+        return found
+    conditions = dict.fromkeys(doubt.condition for doubt in problem.doubts)
+    return _refused(found, "; ".join(doubt.text for doubt in problem.doubts), " and ".join(conditions))
 
 
 def with_budget(problem: Problem, found: Fit) -> Fit:
@@ -189,15 +208,27 @@ def with_budget(problem: Problem, found: Fit) -> Fit:
     """
     model = found.optimum.model
     if found.optimum.spread.covariance is None or not model.channels:
-        return found
+        return _doubted(problem, found)
     found = _with_filters(problem, found)
     allowed = _systematic(problem, found)
-    parameters = {
-        name: replace(p, with_budget=widened(axis, p, partial(allowed.widened, name)))
-        for axis, (name, p) in zip(model.coordinates, found.parameters.items(), strict=True)
-    }
+
+    def wider(parameters: dict[str, Parameter]) -> dict[str, Parameter]:
+        axes = dict(zip(found.labels, model.coordinates, strict=True))
+        return {
+            name: replace(p, with_budget=widened(axes[name], p, partial(allowed.widened, name)))
+            for name, p in parameters.items()
+        }
+
     reference = found.reference and found.reference.widened(partial(allowed.widened, REFERENCE))
-    return replace(found, systematic=allowed, parameters=parameters, reference=reference)
+    conditional = found.conditional
+    if conditional:
+        own = conditional.reference and conditional.reference.widened(partial(allowed.widened, REFERENCE))
+        conditional = replace(conditional, parameters=wider(conditional.parameters), reference=own)
+    parameters = wider(found.parameters)
+    found = replace(
+        found, systematic=allowed, parameters=parameters, reference=reference, conditional=conditional
+    )  # fmt: skip
+    return _doubted(problem, found)
 
 
 def _with_filters(problem: Problem, found: Fit) -> Fit:
@@ -230,14 +261,16 @@ def _with_filters(problem: Problem, found: Fit) -> Fit:
         return found
     kept = [k for k, axis in enumerate(model.coordinates) if axis.name not in NUISANCES and axis.experiment is None]
     if open_.decisive:
-        values, moved = model.values(open_.best.point, at.log_depth), []
+        values, moved, there = model.values(open_.best.point, at.log_depth), [], {}
         for k in kept:
             name, p = found.labels[k], found.parameters[found.labels[k]]
             ends = open_.ends(k, (float(values[k]), float(values[k])), model.coordinates[k])
+            there[name] = replace(p, value=float(values[k]), ci95=ends, headline=unstated_filter.KIND)
             moved.append(
                 f"{name} {brief(ends[0], p.unit)} to {brief(ends[1], p.unit)} in place of {brief(p.value, p.unit)}"
             )
-        return _refused(found, f"{unstated_filter.seen(open_)}: {', '.join(moved)}. {unstated_filter.REMEDY}")
+        text = f"{unstated_filter.seen(open_)}: {', '.join(moved)}. {unstated_filter.REMEDY}"
+        return replace(_refused(found, text, ""), conditional=Conditional(unstated_filter.there(open_), there, None))
     parameters, wide = dict(found.parameters), []
     for k in kept:
         axis, name = model.coordinates[k], found.labels[k]
@@ -251,21 +284,24 @@ def _with_filters(problem: Problem, found: Fit) -> Fit:
         elif half(ends, axis.log) > half(p.ci95, axis.log):
             parameters[name] = replace(parameters[name], ci95=ends, headline=unstated_filter.KIND)
     if wide:
-        return _refused(found, f"{unstated_filter.hidden(open_)}: {', '.join(wide)}. {unstated_filter.REMEDY}")
+        text = f"{unstated_filter.hidden(open_)}: {', '.join(wide)}. {unstated_filter.REMEDY}"
+        return _refused(found, text, unstated_filter.NONE)
     if reference and reference.ci95:
         reference = replace(reference, ci95=open_.ends(-1, reference.ci95))
     return replace(found, parameters=parameters, reference=reference)
 
 
-def _refused(found: Fit, text: str) -> Fit:
-    """A fit whose record does not tell the law from what else it may show: no interval is given."""
+def _refused(found: Fit, text: str, condition: str) -> Fit:
+    """A fit whose record does not tell the law from what else it may show: no interval is given but on a condition."""
+    before = found.conditional or Conditional("", found.parameters, found.reference)
+    conditional = replace(before, condition=" and ".join(filter(None, (before.condition, condition))))
     parameters = {n: replace(p, ci95=None, headline="", intervals={}) for n, p in found.parameters.items()}
     reference = found.reference and replace(found.reference, ci95=None)
     of_data = Answer("partly" if found.data.answer == "determined" else found.data.answer, [text, *found.data.because])
     verdict = answers.verdict(found.search, of_data, found.law)
     return replace(
         found, verdict=verdict, reasons=[text, *found.reasons], data=of_data, parameters=parameters,
-        reference=reference, evidence=found.evidence.withheld(f"no profile is given: {verdict}"),
+        reference=reference, evidence=found.evidence.withheld(f"no profile is given: {verdict}"), conditional=conditional,
     )  # fmt: skip
 
 
@@ -366,6 +402,12 @@ def _assess(
         given and not any(p.at_bound for p in parameters.values()) and (of_law.answer == "consistent" or bool(misses))
     )
     parameters, reference = _headlined(model, labels, best, log_depth, misses, parameters, reference, given)
+    conditional = None
+    # Without a whole contact, or a clearance that is crossed, no value means anything.
+    if verdict == "not_identified" and all(t.passed for t in others) and not any(p.ci95 for p in parameters.values()):
+        conditional = _with_some_held(
+            model, labels, best, log_depth, series, parameters, noise, samples, exact, rivals.passed
+        )
     if verdict not in ("identified", "adequate"):
         evidence = evidence.withheld(f"no profile is given: {verdict}")
     # The same as before the fit, now with the moves at the estimates.
@@ -415,7 +457,46 @@ def _assess(
         + _bent_notes(bent)
         + _overstated_notes(series, best.residuals),
         evidence=evidence,
+        conditional=conditional,
     )
+
+
+def _with_some_held(
+    model: Model, labels: tuple[str, ...], best: End, log_depth: float, series: list[Series],
+    parameters: dict[str, Parameter], noise: Estimate, samples: int, exact: bool, alone: bool,
+) -> Conditional | None:  # fmt: skip
+    """What a fit knows on the condition that some estimates are right: those at a bound, then the least determined.
+
+    Args:
+        model, labels, best, log_depth, series: of the optimum.
+        parameters: its estimates, none with an interval.
+        noise, samples: what was found of it, from so many samples.
+        exact: whether residuals are the noise.
+        alone: whether no other optimum fits alike.
+    """
+    fixed = np.array([bool(parameters[name].at_bound) for name in labels])
+    own = np.array([axis.name not in NUISANCES for axis in model.coordinates])
+    for _ in range(_HELD):
+        if fixed[own].all():
+            break
+        part, rest = fit_tests.held(best, fixed, samples, noise.moved, model.loss)
+        spread = fit_tests.padded(part, fixed)
+        if spread.covariance is not None:
+            misses = {} if exact else _misses(model, series, rest, part)
+            if not (exact or misses):
+                return None
+            kinds = {kind: fit_tests.padded(one, fixed) for kind, one in misses.items()}
+            found, reference, _ = estimates(model, labels, best, log_depth, spread, bool(noise.integrator))
+            found, reference = _headlined(model, labels, best, log_depth, kinds, found, reference, True)
+            for name in np.array(labels)[fixed]:
+                found[name] = replace(found[name], ci95=None, headline="", intervals={})
+            if any(found[name].ci95 for name in np.array(labels)[own & ~fixed]):
+                said = [f"{n} is {brief(parameters[n].value, parameters[n].unit)}" for n in np.array(labels)[fixed]]
+                said += [] if alone else ["no other optimum is the right one"]
+                return Conditional(" and ".join(said), found, reference) if said else None
+        weakest = np.where(own & ~fixed, np.abs(spread.weakest), -1.0)
+        fixed[int(np.argmax(weakest))] = True
+    return None
 
 
 def _misses(model: Model, series: list[Series], best: End, spread: fit_tests.Spread) -> dict[str, fit_tests.Spread]:
@@ -545,7 +626,7 @@ def _wide_notes(model: Model, parameters: dict[str, Parameter]) -> list[str]:
 def _bent_notes(bent: list[fit_tests.Test]) -> list[str]:
     if not bent:
         return []
-    worst = max(bent, key=lambda t: abs(np.log(t.value)))
+    worst = max(bent, key=lambda t: abs(np.log(max(t.value, 1e-300))))
     others = f", and of {len(bent) - 1} more" if len(bent) > 1 else ""
     return [
         f"intervals take the cost for a parabola, but {worst.reason}{others}: --intervals profile walks along the cost"

@@ -15,10 +15,12 @@ from typing import NamedTuple
 import numpy as np
 
 from bcfj_jax import InputError, nearest
+from bcfj_jax.core.quantities import GRAVITY
 from bcfj_jax.io.outputs import create
 from bcfj_jax.io.units import column, format_si, quantity
 from calibration import problemfile
 from calibration.data.inspection import clock_note
+from calibration.data.plausible import effective
 from calibration.data.proposal import Sizes, Understood, sizes, understood
 from calibration.data.readers import read
 from calibration.data.textfile import Stated
@@ -30,11 +32,12 @@ _SAID = {
     "oblique_impact": f"a sphere with friction and spin; {_FILE}",
 }
 SCENES, _ALIGN = tuple(_SAID), "onset"
-_GRAVITY = 9.81
 # Depth of a half sine over speed and duration; a restitution where no reading gives it.
 _DEPTH, _USUAL = 3.2, 0.7
 # Restitution from the impulse above which no damping is searched.
 _ELASTIC = 0.98
+# Below this exponent of the speed the loss of a contact does not grow as that of a damping.
+_GROWS = 0.5
 # Bounds beyond what the record says: of a stiffness, a damping times the speed, a speed or mass from an impulse.
 _WIDE, _LOSS, _MARGIN = 30.0, (0.01, 5.0), 1.4
 # Speeds that a mass which is not known yet leaves open [m/s].
@@ -42,8 +45,11 @@ _ANY_SPEED = (0.01, 100.0)
 _EXPONENTS = (1.0, 2.5)
 _BODY = (
     "Force over acceleration is {}, the mass of the body with that sensor: it is the mass of the contact only where the other "
-    "body is held. Of two free bodies give mass (what strikes) and struck_mass"
+    "body is fixed. Of two free bodies give mass (what strikes) and struck_mass"
 )
+# The one question of a record with a force and the acceleration of a body: what the other body is.
+_FIXED = "fixed"
+_STRUCK = 'QUESTION: take the first # away where the struck body cannot move, else give its mass, "4.8 kg"'
 
 
 class _Line(NamedTuple):
@@ -57,17 +63,21 @@ class _Line(NamedTuple):
 
 
 class _Known(NamedTuple):
-    """Mass and speed, SI, with where they are from: a pair is bounds to search between, None is not known."""
+    """Mass and speed, SI, with where they are from: a pair is bounds to search between, None is not known.
+
+    ``by_column``: whether a column gives the speed of each run, of which the pair is the least and the largest.
+    """
 
     mass: float | tuple[float, float] | None
     speed: float | tuple[float, float] | None
     mass_from: str
     speed_from: str
+    by_column: bool = False
 
 
 def run(
     record: Path, out: Path | None, scene: str, mass: str | None, speed: str | None, table: str | None,
-    say: Callable[[str], None], stated: Stated | None = None,
+    say: Callable[[str], None], stated: Stated | None = None, struck: str | None = None,
 ) -> int:  # fmt: skip
     """Write RECORD's problem file; never over another.
 
@@ -79,6 +89,7 @@ def run(
         table: which table inside the file.
         say: prints.
         stated: how the record is written, where it is not to be found; the problem file then says so, too.
+        struck: mass of the body that is struck, with a unit, or "fixed".
 
     Raises:
         InputError: for a file that holds no clock, no reading or no contact, and where the problem file is there already.
@@ -90,9 +101,13 @@ def run(
         raise InputError("--scene", f"no problem file is proposed for the scene '{kind}'", nearest(kind, SCENES))
     given = [None if text is None else quantity(text, unit, f"--{key}") for key, unit, text in
              (("mass", "kg", mass), ("speed", "m/s", speed))]  # fmt: skip
+    if struck is not None and struck != _FIXED:
+        quantity(struck, "kg", "--struck-mass")
+    if struck is not None and kind != "impact":
+        raise InputError("--struck-mass", f"the scene is '{kind}'", "give it of an impact")
     folder, name = out or Path("."), f"{record.stem}.toml"
     relative = Path(os.path.relpath(record, folder)).as_posix()
-    text, missing = _text(found, kind, given[0], given[1], relative, name, stated)
+    text, missing = _text(found, kind, given[0], given[1], relative, name, stated, struck)
     path = folder / name
     create(path, text)
     if missing:
@@ -111,6 +126,8 @@ def run(
         path.unlink()
         raise
     say(f"wrote {path}")
+    if _asks(found, kind, given[1], struck):
+        say(f'one question is left in {path}, struck_mass: "{_FIXED}", or the mass of the body that is struck')
     say(f"next: bcfj calibrate {quote(str(path))}")
     return 0
 
@@ -125,14 +142,27 @@ def _kind(found: Understood) -> str:
 
 
 def _text(
-    found: Understood, kind: str, mass: float | None, speed: float | None, file: str, name: str, stated: Stated
+    found: Understood,
+    kind: str,
+    mass: float | None,
+    speed: float | None,
+    file: str,
+    name: str,
+    stated: Stated,
+    struck: str | None,
 ) -> tuple[str, list[str]]:
     """The file, and the keys that are left to fill in."""
     s = sizes(found)
-    known = _bounced(s, mass, speed, found) if kind == "bounce" else _known(s, mass, speed, found)
+    # What a contact feels of two free bodies is their effective mass.
+    other = None if struck in (None, _FIXED) else quantity(struck, "kg", "--struck-mass")
+    felt = None if mass is None else effective(mass, other)
+    known = _bounced(s, mass, speed, found) if kind == "bounce" else _known(s, felt, speed, found)
     doubt = _doubt(s, known)
     elastic = kind == "impact" and _ratio(s, known) > 1.0 + _ELASTIC
-    parameters, missing = _parameters(known, kind, elastic)
+    own = known if mass is None else known._replace(mass=mass)
+    # A drop from a height goes on falling in contact.
+    falls = kind == "impact" and known.by_column and found.given[1] == "m"
+    parameters, missing = _parameters(own, kind, elastic, falls, struck, _asks(found, kind, speed, struck))
     lines = [
         f"# A contact law from {found.path.name}, proposed by bcfj init calibration. Next: bcfj calibrate {quote(name)}",
         *([f"# Read as {found.said}."] if found.said else []),
@@ -140,7 +170,7 @@ def _text(
         *(f"# {text}." for text in _other(found, kind)),
         *([f"# CHECK: {doubt}."] if doubt else []),
         *([f"# {_BODY.format(format_si(s.mass, 'kg', 3))}."] if s.mass and not s.speed and mass is None else []),
-        _Line(f'scene = "{kind}"', _SAID[kind]),
+        _Line(f'scene = "{kind}"', f"one contact under the gravity below; {_FILE}" if falls else _SAID[kind]),
         _Line('sensor = "free"', 'each record\'s clock and zero are found, too; "exact" holds them at 0'),
         "[[experiment]]",
         _Line(f"file = {_quoted(file)}", f"every {found.runs[0]} is a record" if found.runs[0] else ""),
@@ -151,15 +181,23 @@ def _text(
         _observed(found, kind),
         _Line('noise = "estimate"', 'or what the sensor is known to: "0.1 N", "2 %"'),
         *_window(s, kind),
-        *([parameters] if parameters else []),
+        *_columned(found, known, kind),
+        *parameters,
         "[free]",
         *_free(s, known, kind, found, elastic),
     ]
     return "\n".join(map(str, lines)) + "\n", missing
 
 
-def _parameters(known: _Known, kind: str, elastic: bool) -> tuple[_Line | None, list[str]]:
-    """What is known of every record, and the keys that are left to fill in."""
+def _asks(found: Understood, kind: str, speed: float | None, struck: str | None) -> bool:
+    """Whether a record of a force and one body's acceleration leaves open what the other body is."""
+    return kind == "impact" and struck is None and speed is None and {"N", "m/s^2"} <= found.columns.keys()
+
+
+def _parameters(
+    known: _Known, kind: str, elastic: bool, falls: bool, struck: str | None, asks: bool
+) -> tuple[list[_Line], list[str]]:
+    """What is known of every record, with the question of the struck body, and the keys that are left to fill in."""
     entries: list[tuple[str, float | None, str, str]] = []
     if not isinstance(known.mass, tuple):
         entries.append(("mass", known.mass, "kg", known.mass_from))
@@ -169,11 +207,31 @@ def _parameters(known: _Known, kind: str, elastic: bool) -> tuple[_Line | None, 
         entries += [("impact_angle", None, "deg", ""), ("radius", None, "mm", "")]
     if elastic:
         entries.append(("damping", 0.0, "s/m", "the impulse says that nothing is lost: no damping is searched"))
+    if falls:
+        entries.append(("gravity", GRAVITY, "m/s^2", "a drop has its weight in contact, too"))
     missing = [key for key, value, *_ in entries if value is None]
-    text = ", ".join(f'{k} = "{"?" if value is None else f"{value:.4g}"} {unit}"' for k, value, unit, _ in entries)
+    texts = {k: f'"{"?" if value is None else f"{value:.4g}"} {unit}"' for k, value, unit, _ in entries}
+    texts |= {"struck_mass": _quoted(struck)} if struck else {}
     origins = dict.fromkeys(origin for _, value, _, origin in entries if value is not None and origin)
     note = "FILL IN the question marks" if missing else "; ".join(origins)
-    return (_Line(f"parameters = {{ {text} }}", note) if entries else None), missing
+    if asks:  # A line each: one of them is to be taken in.
+        lines = [
+            _Line(f"parameters.{key} = {text}", note if k == 0 else "") for k, (key, text) in enumerate(texts.items())
+        ]
+        return [*lines, _Line(f'# parameters.struck_mass = "{_FIXED}"', _STRUCK)], missing
+    text = ", ".join(f"{key} = {text}" for key, text in texts.items())
+    return ([_Line(f"parameters = {{ {text} }}", note)] if texts else []), missing
+
+
+def _columned(found: Understood, known: _Known, kind: str) -> list[_Line]:
+    """The line by which a column gives the speed of every run."""
+    if not known.by_column:
+        return []
+    header, unit = found.given
+    key = "drop_height" if unit == "m" else "approach_speed"
+    how = "of each run, which strikes at sqrt(2 g h)" if unit == "m" and kind != "bounce" else "of each run"
+    note = f'{how}; CHECK, and say how well it is known: "{header} +- 2 %"'
+    return [_Line(f"columns = {{ {key} = {_quoted(header)} }}", note)]
 
 
 def _quoted(text: str) -> str:
@@ -204,6 +262,8 @@ def _known(s: Sizes, mass: float | None, speed: float | None, found: Understood)
     mass_from = speed_from = "as given"
     v: float | tuple[float, float] | None = speed
     m: float | tuple[float, float] | None = mass
+    if v is None and found.speeds:
+        return _with_speeds(s, mass, found)
     if v is None and s.speed:
         v, speed_from = (s.speed[0] / _MARGIN, s.speed[1] * _MARGIN), "from the motion before contact"
     if m is None and s.mass and s.mass > 0 and s.speed:
@@ -222,18 +282,31 @@ def _known(s: Sizes, mass: float | None, speed: float | None, found: Understood)
     return _Known(m, v if v is not None else _ANY_SPEED, mass_from, speed_from)
 
 
+def _with_speeds(s: Sizes, mass: float | None, found: Understood) -> _Known:
+    """Where a column gives the speed of each run: the mass follows from each run's own impulse."""
+    ends = min(found.speeds), max(found.speeds)
+    if mass is not None or "N" not in found.columns:
+        return _Known(mass, ends, "as given", "", True)
+    masses = [r.impulse() / v for r, v in zip(found.records, found.speeds, strict=True)]
+    masses = [m for m in masses if m > 0.0]
+    if not masses:
+        return _Known(None, ends, "", "", True)
+    return _Known((min(masses) / 2.0 / _MARGIN, max(masses) * _MARGIN), ends, "", "", True)
+
+
 def _bounced(s: Sizes, mass: float | None, speed: float | None, found: Understood) -> _Known:
     """Mass and speed of a drop: a flight of length t ends the impact at g t/2, and the next begins with that."""
     if not s.flights:
         remedy = "take --scene impact, or a record of two contacts"
         raise InputError("--scene", "bounce, but no record holds two contacts", remedy)
-    after = 0.5 * _GRAVITY * s.flights[0]
+    after = 0.5 * GRAVITY * s.flights[0]
     kept = min(max(s.flights[1] / s.flights[0], 0.2), 0.99) if len(s.flights) > 1 else _USUAL
     v = speed if speed is not None else after / kept
     m: float | tuple[float, float] | None = mass
     if m is None and "N" in found.columns:
         m = (s.impulse / (v + after) / 2.0, s.impulse / (v + after) * 2.0)
-    return _Known(m, v, "as given", "from the flights between contacts" if speed is None else "about the speed given")
+    origin = "from the flights between contacts" if speed is None else "about the speed given"
+    return _Known(m, v, "as given", origin, speed is None and found.given[1] == "m")
 
 
 def _middle(value: float | tuple[float, float] | None) -> float | None:
@@ -328,19 +401,25 @@ def _free(s: Sizes, known: _Known, kind: str, found: Understood, elastic: bool) 
     ]
     if kind == "oblique_impact":
         lines += [_box("friction_dynamic", ("0.01", "1.0"), ""), _box("restitution", ("0.1", "1.0"), "")]
+    elif kind == "bounce" and s.loss is not None and s.loss.exponent + 2.0 * s.loss.deviation < _GROWS:
+        most, least = s.loss.kept.max(), s.loss.kept.min()
+        ends = f"{max(1.0 - 2.0 * (1.0 - least), 0.05):.3g}", f"{1.0 - 0.5 * (1.0 - most):.3g}"
+        lines.append(
+            _box("restitution", ends, f"{least:.3g} to {most:.3g} by the flights, whatever the speed: law of Flores")
+        )
     elif not elastic:
         low, high = _LOSS[0] / max(speeds), _LOSS[1] / min(speeds)
         lines.append(_box("damping", (f"{low:.2g}", f"{high:.2g}"), "s/m; 0.01 to 5 over the speed"))
     if isinstance(known.mass, tuple):
         lines.append(_box("mass", (f'"{x:.3g} kg"' for x in known.mass), "from the impulse and the speed"))
-    if kind == "bounce":
-        height = (v or 1.0) ** 2 / (2.0 * _GRAVITY)
+    if kind == "bounce" and not known.by_column:
+        height = (v or 1.0) ** 2 / (2.0 * GRAVITY)
         # Runs may be of several heights, whose flights are as the speeds.
         given = known.speed_from == "as given" or not s.flights
         ends = [height] * 2 if given else [height * (t / s.flights[0]) ** 2 for t in s.after]
         box = (f'"{x:.3g} m"' for x in (0.5 * ends[0], 2.0 * ends[1]))
         lines.append(_box("drop_height", box, known.speed_from, each))
-    elif isinstance(known.speed, tuple):
+    elif kind != "bounce" and isinstance(known.speed, tuple) and not known.by_column:
         note = "any: the mass is not known yet" if open_scale else known.speed_from
         lines.append(_box("approach_speed", (f'"{x:.3g} m/s"' for x in known.speed), note, each))
     return lines

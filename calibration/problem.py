@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -256,6 +256,13 @@ class Free:
         return self.name in OWN if self.each is None else self.each
 
 
+class Doubt(NamedTuple):
+    """Why values that were given may be wrong, in words, and on what condition an estimate holds: "if ``condition``"."""
+
+    text: str
+    condition: str
+
+
 @dataclass(frozen=True)
 class Problem:
     """Scene, fixed parameter values, experiments and free parameters.
@@ -266,8 +273,8 @@ class Problem:
     adequate (``diagnostics.answers``). ``tolerances`` (SI): how well fixed values are known, as limits of 95 %; without
     one, 1 % of the value (``diagnostics.systematic``). ``filter``: what the readings passed between sensor and record, whose
     ``cutoff`` is free or given; "none"; or "unknown": where the record's clock is free, too, a fit asks whether the record
-    tells one from the law (``uncertainty.unstated_filter``). ``doubts``: why given values may be wrong, in words; a fit with
-    one identifies nothing.
+    tells one from the law (``uncertainty.unstated_filter``). ``doubts``: why given values may be wrong; a fit with one
+    identifies nothing, and says what holds on the condition that they are right.
 
     Raises:
         InputError: on construction, for a free parameter the scene does not have, bounds the wrong way
@@ -285,7 +292,7 @@ class Problem:
     adequate: float = ADEQUATE
     tolerances: dict[str, float] = field(default_factory=dict)
     filter: Filter | Literal["none", "unknown"] = "unknown"
-    doubts: tuple[str, ...] = ()
+    doubts: tuple[Doubt, ...] = ()
 
     def __post_init__(self) -> None:
         where = given.text("problem", self.where, "leave 'where' out")

@@ -39,23 +39,40 @@ import pydantic
 
 from bcfj_jax import InputError, nearest
 from bcfj_jax.core.errors import Faults
-from bcfj_jax.core.quantities import Quantity
+from bcfj_jax.core.quantities import GRAVITY, Quantity
 from bcfj_jax.io import scenefile, tables
 from bcfj_jax.io.units import format_si, quantity, toleranced
 from bcfj_jax.mechanism.channels import channel, unit_of
 from bcfj_jax.models import scenes
 from calibration import given
 from calibration.data import plausible, sensor, stated, trains
+from calibration.data.events import contacts
+from calibration.data.flights import contradicted
 from calibration.data.preparation import Prepared, Recipe, prepare
 from calibration.data.readers import read
 from calibration.data.sensor import Sensor
 from calibration.data.table import Table, split
 from calibration.data.textfile import Stated
 from calibration.filters import HIGHEST, Filter
-from calibration.problem import ADEQUATE, NUISANCES, OFFSETS, Channel, Experiment, Free, Problem, nuisances, units_of
+from calibration.problem import (
+    ADEQUATE,
+    NUISANCES,
+    OFFSETS,
+    Channel,
+    Doubt,
+    Experiment,
+    Free,
+    Problem,
+    nuisances,
+    units_of,
+)
 
 # Options of scenes that a parameter's name asks for.
-_NAMED = {"impact": {"struck_mass": "struck", "gravity": "gravity"}}
+_STRUCK, _HELD = "struck_mass", "fixed"
+_NAMED: dict[str, dict[str, dict[str, Any]]] = {
+    "impact": {_STRUCK: {"struck": True}, "gravity": {"gravity": True}, "restitution": {"law": "flores"}},
+    "bounce": {"restitution": {"law": "flores"}},
+}
 
 
 class _Experiment(tables.Table):
@@ -73,6 +90,7 @@ class _Experiment(tables.Table):
     rows: dict[str, Any] = {}
     hold_out: bool | list[str] = False
     parameters: dict[str, Any] = {}
+    columns: dict[str, str] = {}
     align: Literal["onset"] | None = None
     window: list[Any] | None = None
     resample: Any = None
@@ -82,6 +100,16 @@ class _Experiment(tables.Table):
     encoding: str | None = None
     header: int | list[int] | None = None
     bounds: dict[str, list[Any]] = {}
+
+    @property
+    def held(self) -> bool:
+        """Whether it says that the body which is struck is fixed."""
+        return self.parameters.get(_STRUCK) == _HELD
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """Its parameters that are quantities."""
+        return {name: value for name, value in self.parameters.items() if not (name == _STRUCK and self.held)}
 
 
 class _Filter(tables.Table):
@@ -153,6 +181,11 @@ def load_with_records(path: str | Path) -> tuple[Problem, list[Prepared]]:
             entry.parameters.setdefault("cutoff", file.filter.cutoff)
     known = {**base.scene.quantities, **nuisances(o for entry in file.experiment for o in entry.observe)}
     one = base.scene.canonical
+    for k, entry in enumerate(file.experiment):
+        if entry.held and (_STRUCK in known or "approach_speed" not in known):
+            found = f'{_STRUCK} = "{_HELD}", where the scene '
+            found += "has that mass" if _STRUCK in known else "has no body that strikes"
+            raise InputError(f"{path}: [[experiment]] {k + 1} parameters", found, "give its mass, or leave it out")
     records, parts = _records(file, path, base)
     experiments = [
         _experiment(entry, record, f"{path}: [[experiment]] {k + 1}", known, one) for k, entry, record in records
@@ -289,9 +322,12 @@ def _proposed(name: str, found: Sensor, file: _File, path: Path, known: dict[str
     return free_of(name, table, path, known)
 
 
-def options_of(scene: str, named: Collection[str]) -> dict[str, bool]:
+def options_of(scene: str, named: Collection[str]) -> dict[str, Any]:
     """Options of a built-in scene for physics that is there only where a parameter of it is named."""
-    return {option: True for name, option in _NAMED.get(scene, {}).items() if name in named}
+    found: dict[str, Any] = {}
+    for name, options in _NAMED.get(scene, {}).items():
+        found |= options if name in named else {}
+    return found
 
 
 def base_of(path: Path) -> scenefile.SceneFile:
@@ -307,9 +343,7 @@ def _scene(file: _File, path: Path) -> scenefile.SceneFile:
         raise InputError(f"{path}: scene", f"no scene '{file.scene}'", nearest(file.scene, scenes.SCENES))
     if file.scene.endswith(".toml"):
         return scenefile.load(beside)
-    options = options_of(
-        file.scene, {name for entry in file.experiment for name in entry.parameters} | file.free.keys()
-    )
+    options = options_of(file.scene, {name for entry in file.experiment for name in entry.given} | file.free.keys())
     return (
         scenefile.from_table({"scene": {"kind": file.scene, **options}}, None)
         if options
@@ -319,12 +353,14 @@ def _scene(file: _File, path: Path) -> scenefile.SceneFile:
 
 def _doubts(
     problem: Problem, file: _File, records: list[tuple[_Experiment, Prepared | None]], parts: list[Table | None]
-) -> tuple[str, ...]:
+) -> tuple[Doubt, ...]:
     """Why given masses and speeds of single impacts may be wrong, by their records (``data.plausible``)."""
     names, free = problem.scene.quantities, {f.name: f for f in problem.free}
+    if "drop_height" in names:
+        return _dropped(problem, records)
     if not {"mass", "approach_speed"} <= names.keys() or "mass" in free or len(problem.scene.members) != 1:
         return ()
-    if {"impact_angle", "struck_mass"} & free.keys() or "impact_angle" in names or "drop_height" in names:
+    if {"impact_angle", "struck_mass"} & free.keys() or "impact_angle" in names:
         return ()
     found = []
     for e, (entry, record), part in zip(problem.experiments, records, parts, strict=True):
@@ -335,10 +371,27 @@ def _doubts(
         speed, known = free.get("approach_speed"), "mass" in e.tolerances
         usual = (speed.lower, speed.upper) if speed else (own["approach_speed"], own["approach_speed"])
         bounds: tuple[float, float] = e.bounds.get("approach_speed", usual)
-        said = plausible.impulse(record, mass, bounds)
-        if not said and speed and not known and "struck_mass" not in names and set(entry.observe) == {"contact.normal"}:
-            said = plausible.other_body(record, part, entry.observe, mass)
-        found += [said] if said else []
+        if said := plausible.impulse(record, mass, bounds):
+            found.append(Doubt(said, "mass, speed and gain are right as they are given"))
+            continue
+        open_ = speed and not known and not entry.held and _STRUCK not in names
+        open_ = open_ and set(entry.observe) == {"contact.normal"}
+        if open_ and (said := plausible.other_body(record, part, entry.observe, mass)):
+            found.append(Doubt(said, "the struck body is fixed"))
+    return tuple(dict.fromkeys(found))
+
+
+def _dropped(problem: Problem, records: list[tuple[_Experiment, Prepared | None]]) -> tuple[Doubt, ...]:
+    """Why the law of a drop cannot lose what its records show, by their flights (``data.flights``)."""
+    middle = {f.name: float(np.sqrt(f.lower * f.upper)) for f in problem.free if f.log}
+    found = []
+    for e, (_, record) in zip(problem.experiments, records, strict=True):
+        reading = record.readings.get("contact.normal") if record else None
+        if record is None or reading is None:
+            continue
+        events = contacts("contact.normal", record.times, reading.values)
+        if said := contradicted(e.name, events, problem.scene.only_law(), {**problem.params, **e.fixed, **middle}):
+            found.append(Doubt(said, "the law's loss is right"))
     return tuple(dict.fromkeys(found))
 
 
@@ -377,14 +430,50 @@ def _records(
             # Results go by name, so that no two records may share one.
             name += f" ({k + 1})" if name in (r.name for _, _, r in records if r) else ""
             with faults:
+                own = _by_columns(entry, part, base, where, label)
                 record = prepare(name, part, entry.time, entry.observe, recipe, where)
-                records.append((k, entry, replace(record, notes=(said, *record.notes) if said else record.notes)))
+                records.append((k, own, replace(record, notes=(said, *record.notes) if said else record.notes)))
                 rows.append(part)
                 said = ""  # Of a file, not of each of its runs.
         with broken:
             faults.refuse(whole.name)
     broken.refuse(str(path))
     return records, rows
+
+
+def _by_columns(entry: _Experiment, part: Table, base: scenefile.SceneFile, where: str, label: str) -> _Experiment:
+    """An entry for one record, with the parameters that columns of its rows give.
+
+    The height h of a drop is the speed sqrt(2 g h) in a scene that has no height.
+
+    Raises:
+        InputError: for a parameter that there is not or that is given twice, and a column that changes within the record.
+    """
+    found, known = {}, base.scene.quantities
+    for said, text in entry.columns.items():
+        name, here = base.scene.canonical(said), f"{where} columns.{said}"
+        falls = name == "drop_height" and name not in known and "approach_speed" in known
+        if not falls and name not in known:
+            raise InputError(here, f"the scene has no parameter '{said}'", ", ".join(known))
+        target = "approach_speed" if falls else name
+        if target in {base.scene.canonical(n) for n in entry.parameters} | found.keys():
+            raise InputError(here, f"'{target}' is given twice", "give it once, as a value or by a column")
+        unit = "m" if falls else known[name].unit
+        header, _, tolerance = (part_.strip() for part_ in text.partition("+-"))
+        values = part.numbers(header, unit, here, blank=False)
+        if np.ptp(values) > 1e-9 * np.abs(values).max():
+            span = f"{format_si(float(values.min()), unit)} to {format_si(float(values.max()), unit)}"
+            remedy = "name a column that is one number in each run, and one that numbers the runs in rows"
+            raise InputError(here, f"'{header}' goes from {span} within {label}", remedy)
+        value = float(values[0])
+        known_to = toleranced(f"{value!r} {unit} +- {tolerance}", unit, here)[1] if tolerance else None
+        if falls:
+            if not value > 0.0:
+                raise InputError(here, f"a height of {format_si(value, unit)}", "give one above 0")
+            speed = float(np.sqrt(2.0 * GRAVITY * value))
+            value, known_to, unit = speed, None if known_to is None else 0.5 * known_to / value * speed, "m/s"
+        found[target] = f"{value!r} {unit}" + ("" if known_to is None else f" +- {known_to!r} {unit}")
+    return entry.model_copy(update={"parameters": {**entry.parameters, **found}}) if found else entry
 
 
 def _recipe(entry: _Experiment, where: str, impact: bool, offset: bool) -> Recipe:
@@ -422,7 +511,7 @@ def _experiment(
     entry: _Experiment, record: Prepared | None, where: str, known: dict[str, Quantity], one: Callable[[str], str]
 ) -> Experiment:
     fixed, tolerances = {}, {}
-    for name, value in ((one(name), value) for name, value in entry.parameters.items()):
+    for name, value in ((one(name), value) for name, value in entry.given.items()):
         if name not in known:
             raise InputError(f"{where} parameters", f"the scene has no parameter '{name}'", ", ".join(known))
         fixed[name], tolerance = toleranced(value, known[name].unit, f"{where} parameters.{name}")

@@ -101,6 +101,7 @@ def init(
     scene: Annotated[str, typer.Option(help="Of a calibration: impact, bounce or oblique_impact.")] = "",
     mass: Annotated[str | None, typer.Option(help='Of a calibration, if it is known: "0.55 kg".')] = None,
     speed: Annotated[str | None, typer.Option(help='Of a calibration, if it is known: "0.86 m/s".')] = None,
+    struck_mass: Annotated[str | None, typer.Option(help='Of the body that is struck: "4.8 kg", or fixed.')] = None,
     table: Annotated[str | None, typer.Option(help="Which table or sheet of a record that holds several.")] = None,
     separator: Annotated[str | None, typer.Option(help="Of a text: comma, semicolon, tab, pipe or blank.")] = None,
     decimal: Annotated[str | None, typer.Option(help='Of a text: "." or ",".')] = None,
@@ -116,7 +117,7 @@ def init(
         from calibration.data.textfile import Stated
 
         stated = Stated(separator, decimal, encoding, header)
-        return proposal.run(record, out, scene, mass, speed, table, typer.echo, stated)
+        return proposal.run(record, out, scene, mass, speed, table, typer.echo, stated, struck_mass)
     if record is not None:
         raise InputError(
             "init", f"{record} after the scene '{what}'", "give one scene, or: bcfj init calibration RECORD"

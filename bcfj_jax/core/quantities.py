@@ -61,6 +61,8 @@ def _not_negative(name: str, unit: str, meaning: str) -> Quantity:
     return Quantity(name, unit, meaning, low=0.0)
 
 
+# Of the earth [m/s^2], where nothing else is given.
+GRAVITY = 9.81
 CATALOGUE: dict[str, Quantity] = {
     q.name: q
     for q in (

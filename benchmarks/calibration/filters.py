@@ -5,9 +5,9 @@ One contact by SciPy, behind a Butterworth or Bessel filter of order 1 to 8, cau
 The problem file says nothing of it, its kind, or its kind and cut-off, in turn. False is a verdict ``identified`` or
 ``adequate`` with a printed interval of a coefficient or the reference force that excludes the truth.
 
-    python -m benchmarks.calibration.filters [--records 200] [--minutes 5] [--stated nothing]
+    python -m benchmarks.calibration.filters [--records 200] [--first 0] [--minutes 5] [--stated nothing]
 
-keeps results/filters.json.
+adds to results/filters.json: a record that is run again replaces its row.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ from scipy import signal
 from scipy.integrate import solve_ivp
 
 from bcfj_jax import InputError
-from benchmarks.common import save
+from benchmarks.common import RESULTS, save
+from benchmarks.common import load as kept
 from calibration import Fit, fit
 from calibration.problemfile import load
 
@@ -143,19 +144,23 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--records", type=int, default=200)
+    parser.add_argument("--first", type=int, default=0, help="seed of the first record")
     parser.add_argument("--minutes", type=float, default=5.0)
     parser.add_argument("--stated", nargs="*", default=STATED, choices=STATED)
     options = parser.parse_args()
-    begin, rows = time.perf_counter(), []
+    before = kept("filters") if (RESULTS / "filters.json").exists() else {"seconds": 0.0, "rows": []}
+    rows = {(row["seed"], row["stated"]): row for row in before["rows"]}
+    begin = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
-        for seed in range(options.records):
-            rows.append(one(seed, Path(folder), options.stated[seed % len(options.stated)]))
-            print({k: v for k, v in rows[-1].items() if k != "seed"}, flush=True)
-            if time.perf_counter() - begin > 60.0 * options.minutes:
+        for seed in range(options.first, options.first + options.records):
+            how = options.stated[seed % len(options.stated)]
+            rows[seed, how] = one(seed, Path(folder), how)
+            print({k: v for k, v in rows[seed, how].items() if k != "values"}, flush=True)
+            seconds, every = time.perf_counter() - begin, list(rows.values())
+            save("filters", {"seconds": before["seconds"] + seconds, "summary": summary(every), "rows": every})
+            if seconds > 60.0 * options.minutes:
                 break
-    found = summary(rows)
-    print(found)
-    save("filters", {"seconds": time.perf_counter() - begin, "summary": found, "rows": rows})
+    print(summary(list(rows.values())))
 
 
 if __name__ == "__main__":

@@ -94,7 +94,7 @@ def other_body(record: Prepared, part: Table, observe: Mapping[str, str], mass: 
                 f"{record.name}: the mass given, {format_si(mass, 'kg', 3)}, is force over '{header}', the mass of the "
                 "body with that sensor, and forces alone do not show whether the other body is free: then the contact feels "
                 "m1 m2/(m1 + m2), and the stiffness is wrong by a power of it. Give mass and struck_mass (the mass of the "
-                'body that is struck), or say how well the mass is known, as in "4 kg +- 1 %", or give the speed'
+                'body that is struck, or "fixed"), or say how well the mass is known, as in "4 kg +- 1 %", or give the speed'
             )
     return ""
 

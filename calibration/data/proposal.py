@@ -14,8 +14,10 @@ import numpy as np
 
 from bcfj_jax import InputError
 from bcfj_jax.core.errors import Faults
+from bcfj_jax.core.quantities import GRAVITY
 from bcfj_jax.io.units import GRAVITIES, accelerates, column, scale_of
 from calibration.data.events import Event, contacts, rest, telling
+from calibration.data.flights import Loss, loss
 from calibration.data.inspection import check_clock
 from calibration.data.numbers import is_missing, is_number
 from calibration.data.table import RUN_COLUMNS, Table, split
@@ -29,6 +31,14 @@ _NAMES = {
     "m/s": ("velocity", "speed", "v", "vel", "geschwindigkeit"),
     "m": ("position", "displacement", "x", "y", "z", "height", "place", "weg"),
 }
+# Columns that are one number in each run: how high a body fell, or how fast it struck.
+_GIVEN = {
+    "m": ("height", "drop height", "drop_height", "fall height", "fallhoehe", "fallhöhe", "hoehe", "höhe", "h", "hauteur"),
+    "m/s": (
+        "speed", "velocity", "v", "v0", "approach speed", "approach_speed", "impact speed", "impact velocity",
+        "geschwindigkeit", "aufprallgeschwindigkeit", "vitesse",
+    ),
+}  # fmt: skip
 _TANGENTIAL = {
     "tangential",
     "friction",
@@ -98,6 +108,8 @@ class Understood:
         records: every run, at most 50.
         rows: which value of a column of text its readings stand beside.
         said: how the file is written, in words.
+        given: the column of heights [m] or speeds [m/s] of the runs, and its unit; "" for none.
+        speeds: of each record [m/s], by that column.
     """
 
     path: Path
@@ -109,6 +121,8 @@ class Understood:
     records: list[Record]
     rows: dict[str, str] = field(default_factory=dict)
     said: str = ""
+    given: tuple[str, str] = ("", "")
+    speeds: tuple[float, ...] = ()
 
 
 def understood(table: Table) -> Understood:
@@ -159,11 +173,32 @@ def understood(table: Table) -> Understood:
                 where, f"{label}: no contact is found in '{found[unit]}'", "choose a record that holds one"
             )
         records.append(Record(label, clock, turned, events))
+    given, speeds = _speeds(table, [part for _, part in parts[:_MOST_RUNS]])
     shown = {u: ("-" if signs.get(u, 1.0) < 0 else "") + h for u, h in found.items()}
-    known = {time, run, *found.values(), *rows}
+    known = {time, run, given[0], *found.values(), *rows}
     others = [h for h in table.header if h and h not in known]
     many = (run, len(parts) if run else 1)
-    return Understood(table.path, table.inside, time, shown, others, many, records, rows, table.found)
+    return Understood(
+        table.path, table.inside, time, shown, others, many, records, rows, table.found, given, speeds
+    )  # fmt: skip
+
+
+def _speeds(table: Table, parts: list[Table]) -> tuple[tuple[str, str], tuple[float, ...]]:
+    """The column that gives speeds, or else heights, of runs, with its unit, and the speed of each run [m/s]."""
+    for unit in ("m/s", "m"):
+        for header in table.header:
+            if not header or _name(header) not in _GIVEN[unit] or not _is_fixed(table, header):
+                continue
+            if column(header)[1] is not None and _unit(header) != unit:
+                continue
+            try:
+                values = np.array([part.numbers(header, unit, table.name, False)[0] for part in parts])
+            except InputError:
+                continue
+            if (values > 0.0).all():
+                speeds = values if unit == "m/s" else np.sqrt(2.0 * GRAVITY * values)
+                return (header, unit), tuple(speeds.tolist())
+    return ("", ""), ()
 
 
 def _filtered(table: Table, time: str) -> tuple[dict[str, str], Table]:
@@ -234,15 +269,15 @@ def _range(table: Table, header: str) -> float:
 
 
 def _is_fixed(table: Table, header: str) -> bool:
-    """Whether a column is one number in each of several runs."""
+    """Whether a column is one number in each of several runs; of a table without runs, one that is named as such a number."""
     run = next((h for h in table.header if _name(h) in RUN_COLUMNS), "")
-    if not run:
-        return False
     column_of = dict(zip(table.header, table.columns, strict=True))
+    labels = column_of[run].tolist() if run else [""] * table.lines.size
     seen: dict[str, set[str]] = {}
-    for label, cell in zip(column_of[run].tolist(), column_of[header].tolist(), strict=True):
+    for label, cell in zip(labels, column_of[header].tolist(), strict=True):
         seen.setdefault(str(label), set()).add(str(cell))
-    return len(seen) > 1 and all(len(cells) == 1 for cells in seen.values())
+    named = any(_name(header) in names for names in _GIVEN.values())
+    return (len(seen) > 1 or named) and all(len(cells) == 1 for cells in seen.values())
 
 
 def _unit(header: str) -> str | None:
@@ -308,6 +343,7 @@ class Sizes:
     Of records without a force, peak and impulse are per mass; ``impulses`` and ``after``: the least and the largest impulse, and
     time to the second contact [s], of all records. ``speed`` and ``restitution`` from a velocity or position,
     ``mass`` from the impulse over the change of the speed, or from force over acceleration; None where no reading gives them.
+    ``loss``: what flights say.
     """
 
     peak: float
@@ -323,6 +359,7 @@ class Sizes:
     begin: float
     impulses: tuple[float, float]
     after: tuple[float, float]
+    loss: Loss | None
 
 
 def sizes(found: Understood) -> Sizes:
@@ -360,6 +397,7 @@ def sizes(found: Understood) -> Sizes:
         begin=float(longest.events[0].begin),
         impulses=(min(pushed, default=np.nan), max(pushed, default=np.nan)),
         after=(min(flown, default=np.nan), max(flown, default=np.nan)),
+        loss=loss(longest.events),
     )
 
 

@@ -10,6 +10,7 @@ apart. So at most 1.4 % of fits of a right model with right noise are called ``m
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -122,6 +123,35 @@ def spread(end: End, samples: int, moved: list[tuple[np.ndarray, float]], loss: 
     changes = tuple((-covariance @ change @ covariance / factor, variance) for change, variance in moved)
     found = Spread(covariance, 0.0, freedom, directions[-1], condition, changes, factor * mean)
     return found._replace(quantile=max(found.quantile_of(unit) for unit in np.eye(count)))
+
+
+def held(
+    end: End, fixed: np.ndarray, samples: int, moved: list[tuple[np.ndarray, float]], loss: str
+) -> tuple[Spread, End]:
+    """The spread where some coordinates, ``fixed`` (P,), stay where they are, and the optimum of the others alone.
+
+    Arguments as ``spread``. The spread is of the others' coordinates (Q,); ``padded`` makes it one of all.
+    """
+    rest = np.flatnonzero(~fixed)
+    own = replace(end, jacobian=end.jacobian[:, rest], point=end.point[rest])
+    return spread(own, samples, [(change[np.ix_(rest, rest)], v) for change, v in moved], loss), own
+
+
+def padded(found: Spread, fixed: np.ndarray) -> Spread:
+    """A spread of the coordinates that are not ``fixed`` (P,) as one of all, those that are without any."""
+    rest = np.flatnonzero(~fixed)
+
+    def full(part: np.ndarray) -> np.ndarray:
+        whole = np.zeros((fixed.size, fixed.size))
+        whole[np.ix_(rest, rest)] = part
+        return whole
+
+    weakest = np.zeros(fixed.size)
+    weakest[rest] = found.weakest
+    return found._replace(
+        covariance=None if found.covariance is None else full(found.covariance), weakest=weakest,
+        moved=tuple((full(change), variance) for change, variance in found.moved),
+    )  # fmt: skip
 
 
 def shown(stated: Spread, end: End) -> Spread:

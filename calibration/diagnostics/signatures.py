@@ -31,7 +31,7 @@ class Motion(NamedTuple):
 
     Attributes:
         times: (T,) [s] of the model's clock.
-        depth, force: (T,) [m], [N].
+        depth, rate, force: (T,) [m], [m/s], [N].
         elastic: (T,) the force without its damping.
         deepest: (T,) largest depth since the contact began [m].
         flow: (T, 2, 2) the motion's fundamental matrix; None where it is not of one mass.
@@ -41,12 +41,19 @@ class Motion(NamedTuple):
 
     times: np.ndarray
     depth: np.ndarray
+    rate: np.ndarray
     force: np.ndarray
     elastic: np.ndarray
     deepest: np.ndarray
     flow: np.ndarray | None
     tangent: np.ndarray
     mass: float
+
+    @property
+    def begins(self) -> np.ndarray:
+        """Where contacts begin: (T,)."""
+        touching = self.depth > 0.0
+        return touching & ~np.r_[False, touching[:-1]]
 
     def reply(self, force: np.ndarray) -> np.ndarray:
         """Change of the force for a force (T,) beside it [N]."""
@@ -148,7 +155,7 @@ def _motion(model: Model, experiment: int, params: dict[str, float], name: str, 
         deepest[a:b] = np.maximum.accumulate(depth[a:b])
     mass = _one_mass(times, rate, force)
     flow = _flow(times, tangent / mass) if mass else None
-    return Motion(times, depth, force, force * np.exp(-damping * rate), deepest, flow, tangent, mass)
+    return Motion(times, depth, rate, force, force * np.exp(-damping * rate), deepest, flow, tangent, mass)
 
 
 def _one_mass(times: np.ndarray, rate: np.ndarray, force: np.ndarray) -> float:
@@ -317,3 +324,12 @@ def _branch(motion: Motion, time: float) -> np.ndarray:
 def plasticity(scene: Scene) -> np.ndarray:
     """Of an unloading that falls by 1 N/m more steeply than the loading rose."""
     return of_force(scene, [held and held[0].depth.clip(0.0) - held[0].deepest for held in scene.motions])
+
+
+def loss(scene: Scene, loss_exponent: float) -> np.ndarray:
+    """Of a loss f |d'|^p sign(d') beside the law's, f its elastic force: of the energy a share that goes as v^p."""
+    return of_force(scene, [held and held[0].elastic * _power(held[0].rate, loss_exponent) for held in scene.motions])
+
+
+def _power(rate: np.ndarray, exponent: float) -> np.ndarray:
+    return np.sign(rate) * np.abs(rate) ** exponent

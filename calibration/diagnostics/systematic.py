@@ -20,6 +20,7 @@ from typing import NamedTuple
 import equinox as eqx
 import numpy as np
 
+from bcfj_jax.core.quantities import GRAVITY
 from calibration.diagnostics.fit_tests import Spread
 from calibration.diagnostics.residual_tests import Series
 from calibration.diagnostics.signatures import weight
@@ -55,7 +56,6 @@ _STEP, _SHARE = 1e-2, 0.01
 _LAW = 0.05
 # Constants, which are known.
 _KNOWN = ("gravity",)
-_GRAVITY = 9.81
 # An error that moves no estimate by more than this share is not named.
 _NAMED = 1e-4
 _QUANTILE = 1.959964
@@ -215,7 +215,7 @@ def of_weight(model: Model, best: End, log_depth: float, series: list[Series]) -
     known = {axis.name for axis in model.coordinates} | model.data.fixed.keys()
     if "approach_speed" not in known or "gravity" in known or budget(model.scene).rough:
         return []
-    return [Error("gravity", f"of {_GRAVITY} m/s^2", 1.0, weight(model, series, best.point, log_depth, _GRAVITY))]
+    return [Error("gravity", f"of {GRAVITY} m/s^2", 1.0, weight(model, series, best.point, log_depth, GRAVITY))]
 
 
 def of_law(signatures: dict[str, dict[str, np.ndarray]]) -> list[Error]:

@@ -12,10 +12,23 @@ import numpy as np
 
 from bcfj_jax import InputError, nearest
 from bcfj_jax.analysis.derivatives.names import kind_unit
+from bcfj_jax.core.errors import quoted
 from bcfj_jax.core.extras import library
 from bcfj_jax.io import scenefile
 from bcfj_jax.mechanism.channels import is_reading
-from calibration.problem import NUISANCES, OFFSETS, OWN, Channel, Experiment, Free, Observation, Problem
+from calibration.filters import Filter
+from calibration.problem import (
+    ADEQUATE,
+    NUISANCES,
+    OFFSETS,
+    OWN,
+    Channel,
+    Doubt,
+    Experiment,
+    Free,
+    Observation,
+    Problem,
+)
 
 
 def load(path: str | Path, scene: str | Path | None = None) -> Problem:
@@ -53,7 +66,24 @@ def load(path: str | Path, scene: str | Path | None = None) -> Problem:
         accuracy=float(extension.get("accuracy", 0.0)),
         where=str(path),
         loss=extension.get("loss", "linear"),
+        adequate=float(extension.get("adequate", ADEQUATE)),
+        tolerances=extension.get("tolerances", {}),
+        filter=_filter(extension.get("filter", "unknown"), path),
+        doubts=tuple(Doubt(*doubt) for doubt in extension.get("doubts", [])),
     )
+
+
+def _filter(said: Any, path: Path) -> Any:
+    """The filter between sensor and record, as our part of the YAML has it.
+
+    Raises:
+        InputError: for what is no filter.
+    """
+    if said in ("none", "unknown"):
+        return said
+    if not isinstance(said, dict) or not said.keys() <= {*Filter._fields}:
+        raise InputError(f"{path}: filter", quoted(said), f"give {', '.join(Filter._fields)}, none or unknown")
+    return Filter(**said).checked(f"{path}: filter")
 
 
 def _read(v2: Any, path: Path) -> tuple[Any, Any]:
@@ -213,7 +243,10 @@ class _Reader:
             raise InputError(where, "features at several times", "give all the time that they were taken over")
         name, span = self.titles.get(label, label or "measurements"), next(iter(spans), None)
         own = self._bounds(changes)
-        return Experiment(name, times, tuple(channels), hold_out, fixed, where, tuple(features), span, bounds=own)
+        tolerances = self.extension.get("tolerances_of", {}).get(label, {})
+        return Experiment(
+            name, times, tuple(channels), hold_out, fixed, where, tuple(features), span, tolerances=tolerances, bounds=own
+        )  # fmt: skip
 
     def _reads(self, observable: str, fixed: dict[str, float]) -> str:
         """The channel or feature that an observable reads; a gain or offset in its formula goes to ``fixed``."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from bcfj_jax import InputError
 from bcfj_jax.core.extras import library
+from calibration.filters import Filter
 from calibration.problem import NEUTRAL, Experiment, Free, Problem, offsets_of, size
 
 FILES = {
@@ -147,6 +149,10 @@ def _add_free(petab: Any, problem: Problem, f: Free, label: str, own: tuple[floa
     petab.add_parameter(label, True, float(np.clip(nominal, lower, upper)), lower, upper)
 
 
+def _floats(values: Mapping[str, float]) -> dict[str, float]:
+    return {name: float(value) for name, value in values.items()}
+
+
 def _extension(problem: Problem, experiments: tuple[Experiment, ...]) -> dict[str, Any]:
     """What PEtab has no place for; ``required`` where another tool would compute another objective without it."""
     memory = {
@@ -154,12 +160,18 @@ def _extension(problem: Problem, experiments: tuple[Experiment, ...]) -> dict[st
         for k, e in enumerate(experiments, 1)
         if any(c.correlation != 0 for c in e.channels)
     }
+    passed = problem.filter._asdict() if isinstance(problem.filter, Filter) else problem.filter
     return {
         "version": "1.0.0",
-        "required": problem.loss != "linear" or bool(memory),
+        "required": problem.loss != "linear" or bool(memory) or isinstance(problem.filter, Filter),
         "loss": problem.loss,
         "accuracy": float(problem.accuracy),
         "correlation": memory,
+        "filter": passed,
+        "adequate": float(problem.adequate),
+        "tolerances": _floats(problem.tolerances),
+        "tolerances_of": {f"e{k}": own for k, e in enumerate(experiments, 1) if (own := _floats(e.tolerances))},
+        "doubts": [list(doubt) for doubt in problem.doubts],
         "scale": {f.name: f.scale for f in problem.free if f.scale},
         "start": {f.name: float(f.start) for f in problem.free if f.start is not None},
     }

@@ -6,6 +6,7 @@ from typing import Any
 
 from bcfj_jax.io.page import bounded
 from calibration.fit import Fit, Parameter
+from calibration.selection import agreement
 from calibration.selection.choice import DECISIVE
 from calibration.selection.diagnosis import SEEN, Diagnosis, Trial
 from calibration.selection.remedies import ADVICE
@@ -25,7 +26,7 @@ def rows(d: Diagnosis) -> list[list[str]]:
         chance = "" if f.name in SEEN else f"{f.chance:.1g}"
         advice = ADVICE[f.name] if f.name in d.named else ""
         table.append([("* " if f.named else "") + f.name, f"{f.explained:.0%}", chance, seen, advice])
-    return table + [[" and ".join(t.names), "", "", _said(t), ""] for t in d.trials if len(t.names) > 1]
+    return table + [[t.label, "", "", _said(t), ""] for t in d.trials if len(t.names) > 1 or t.law]
 
 
 def _said(trial: Trial | None) -> str:
@@ -40,7 +41,7 @@ def _said(trial: Trial | None) -> str:
 
 def values(d: Diagnosis, plain: Fit) -> list[list[str]]:
     """Estimates of the plain fit beside those of the fits with suspects."""
-    fits = [(" and ".join(t.names), t.fit) for t in d.trials if t.fit is not None]
+    fits = [(t.law or t.label, t.fit) for t in d.trials if t.fit is not None]
     names = dict.fromkeys([*plain.parameters, *(n for _, f in fits for n in f.parameters)])
     table = [["parameter", "plain", *(f"with {name}" for name, _ in fits)]]
     for name in names:
@@ -69,15 +70,24 @@ def sentence(d: Diagnosis) -> str:
         return f"{text}; run --diagnose to confirm by fits"
     best = next((t for t in d.trials if t.confirmed and t.fit), None)
     if best is None or best.fit is None:
-        return f"{text}; no fit confirms it"
+        return f"{text}{_laws(d) if d.trials[0].law else '; no fit confirms it'}"
+    if best.law:
+        text += _laws(d)
     text += (
-        f"; the fit with it is decisively better, and the law is {d.alone[0].fit.law.answer} then"
+        f"; the fit with {best.law or 'it'} is decisively better, and the law is {d.alone[0].fit.law.answer} then"
         if d.alone[0].fit
         else ""
     )
     pair = next((t for t in d.trials if len(t.names) > 1 and t.confirmed), None)
     text += f"; {' and '.join(pair.names)} together explain more" if pair and pair.gain > best.gain + DECISIVE else ""
     return text + (f"; the data do not distinguish it from {' or '.join(others)}" if others else "")
+
+
+def _laws(d: Diagnosis) -> str:
+    """What the fits with other laws of loss come to."""
+    tried = [t for t in d.trials if t.law and t.fit]
+    good = [t.law for t in tried if t.fit and t.fit.law.answer == "consistent"]
+    return f"; the law {' or '.join(good)} explains it" if good else f"; none of {len(tried)} other laws explains it"
 
 
 def _shown_lines(d: Diagnosis) -> list[tuple[str, str]]:
@@ -100,7 +110,8 @@ def as_json(d: Diagnosis, plain: Fit) -> dict[str, Any]:
         ],
         "fits": [
             {
-                "names": list(t.names), "lines": t.lines, "bic_change": -t.gain, "confirmed": t.confirmed,
+                "names": list(t.names), "with_law": t.law or None, "lines": t.lines,
+                "bic_change": -t.gain, "confirmed": t.confirmed,
                 "verdict": t.fit.verdict if t.fit else None, "law": t.fit.law.answer if t.fit else None,
                 "reason": t.reason or None,
                 "parameters": {
@@ -116,6 +127,8 @@ def as_json(d: Diagnosis, plain: Fit) -> dict[str, Any]:
 def sections(d: Diagnosis, plain: Fit) -> list[tuple[str, list[list[str]]]]:
     """Headings and tables for screen and report."""
     found = [(f"What would explain the miss: {sentence(d)}", rows(d))] if len(rows(d)) > 1 else []
+    if d.agreed:
+        found.append((agreement.heading(d.agreed), agreement.rows(d.agreed)))
     if d.trials:
         found.append(("Estimates with each", values(d, plain)))
     for name, text in _shown_lines(d):

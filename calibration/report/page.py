@@ -12,8 +12,12 @@ def verdict(result: Fit) -> Verdict:
     """The verdict, and the first parameter with the interval that is printed."""
     kind = _KINDS.get(result.verdict, BAD)
     word = result.verdict.replace("_", " ")
-    shown = [(name, p) for name, p in result.parameters.items() if p.ci95] or list(result.parameters.items())
-    sentence = " ".join(filter(None, [_known(*shown[0]) if shown else "", _unknown(result)]))
+    found = result.conditional
+    parameters = found.parameters if found else result.parameters
+    shown = [(name, p) for name, p in parameters.items() if p.ci95] or list(result.parameters.items())
+    known = _known(*shown[0]) if shown else ""
+    known = f"If {found.condition}, {known}" if found and shown[0][1].ci95 else known
+    sentence = " ".join(filter(None, [known, _unknown(result)]))
     return Verdict(kind, f"{word[0].upper()}{word[1:]}", sentence)
 
 

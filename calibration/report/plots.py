@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bcfj_jax import Run
-from bcfj_jax.analysis.simulation.pictures import loops
+from bcfj_jax.analysis.simulation.pictures import loops, sides
 from bcfj_jax.io.page import Picture, counted
 from bcfj_jax.io.plots import COLOURS, engineering, figure, label, plain, save, style
 from calibration.data.plot import reading_label
@@ -73,7 +73,10 @@ def _panel(upper: Axes, lower: Axes, record: Record, channel: str, run: Run) -> 
     # The curve lies over the data, and is light enough in a dense record to leave them to be seen.
     upper.plot(record.times * time_scale, data * scale, "o", ms=4, color=COLOURS[5], label="data")
     upper.plot((run.times + own["time_offset"]) * time_scale, curve * scale, color=colour, lw=1.6, label=name)
-    upper.set_title(f"{plain(record.name)}: {channel}" + (" (held out)" if record.held_out else ""))
+    # Its table speaks of the size of a contact's force; the record has its sign.
+    force = run.force.get(channel.removesuffix(".normal"))
+    signs = "" if force is None else sides(force[..., 0])
+    upper.set_title(f"{plain(record.name)}: {channel}{signs}" + (" (held out)" if record.held_out else ""))
     upper.set_ylabel(reading_label(channel, prefix))
     upper.legend(loc="upper right")
     strip = (data - record.prediction[channel]) / record.sigma[channel]

@@ -23,13 +23,17 @@ def told(found: Fit) -> Told:
     residual = found.residual
     size = f"{residual['samples']} samples, reduced chi2 {residual['reduced_chi2']:.3g}"
     rows = [["parameter", "value", "95 % interval", "allows for", "at bound"]]
-    for name, one in found.parameters.items():
+    given = found.conditional
+    if given:
+        rows[0][2] = "95 % interval, if so"
+    for name, one in {**found.parameters, **(given.parameters if given else {})}.items():
         ends = "not determined"
         if one.ci95 is not None:
             ends = " to ".join(format_si(float(x), one.unit, _DIGITS) for x in one.ci95)
         rows.append([name, format_si(one.value, one.unit, _DIGITS), ends, one.headline, one.at_bound])
     answers = f"search {found.search.answer}, data {found.data.answer}, law {found.law.answer}"
-    return Told(found.verdict, [clip(reason) for reason in found.reasons[:2]], rows, [answers, size])
+    reasons = [*found.reasons[:2], *([f"if {given.condition}"] if given else [])]
+    return Told(found.verdict, [clip(reason) for reason in reasons], rows, [answers, size])
 
 
 def frame(found: Fit) -> tuple[dict[str, Any], str]:

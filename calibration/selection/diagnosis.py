@@ -15,12 +15,14 @@ import numpy as np
 from bcfj_jax import InputError
 from calibration.diagnostics import suspects
 from calibration.diagnostics.signatures import Scene, scene_of
-from calibration.diagnostics.suspects import Found
+from calibration.diagnostics.suspects import LOSS, Found
 from calibration.fit import AllStartsFailed, Fit, fit
 from calibration.forward.model import predictions
 from calibration.problem import Problem
+from calibration.selection import agreement
+from calibration.selection.agreement import Agreement
 from calibration.selection.choice import DECISIVE, likelihood_of
-from calibration.selection.remedies import altered, joined, laws_of, lines, taken
+from calibration.selection.remedies import altered, joined, laws_of, lines, loss_models, taken
 from calibration.solver_budget import budget
 
 log = logging.getLogger("calibration")
@@ -31,6 +33,8 @@ _MOST, _NEAR, _STARTS = 3, 0.5, 4
 _MORE = 0.05
 # Samples of a record that say something of it, at least.
 _FEWEST = 4
+# Suspects that are another way to lose energy, and the name of the law that was fitted among theirs.
+_LOSSES, _PLAIN = (LOSS, "relaxation", "plasticity"), "as fitted"
 # What is seen in the readings themselves: a fit has nothing to add.
 SEEN = ("quantisation",)
 
@@ -45,6 +49,7 @@ class Trial:
         fit: None where it failed, or where there is nothing to fit.
         gain: by how much BIC falls against the plain fit.
         reason: why there is no fit.
+        law: of the laws that are fitted for one suspect, which.
     """
 
     names: tuple[str, ...]
@@ -52,6 +57,12 @@ class Trial:
     fit: Fit | None
     gain: float
     reason: str = ""
+    law: str = ""
+
+    @property
+    def label(self) -> str:
+        """The suspects, and the law that stands for them."""
+        return " and ".join(self.names) if not self.law else f"{' and '.join(self.names)}: {self.law}"
 
     @property
     def confirmed(self) -> bool:
@@ -61,17 +72,21 @@ class Trial:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Suspects, the named one first; their lines by name; the fits with them, the best first where there are any."""
+    """Suspects, the named one first; their lines by name; the fits with them, the best first where there are any.
+
+    ``agreed``: the elastic force that laws of loss agree on, where another loss is named.
+    """
 
     found: list[Found]
     lines: dict[str, str]
     trials: list[Trial]
+    agreed: Agreement | None = None
 
     @property
     def named(self) -> list[str]:
         """The suspect that is named, and after it those that the fits cannot tell from it; none where none explains."""
         first = [f.name for f in self.found if f.named]
-        return first + [t.names[0] for t in self.alone if t.names[0] not in first and self._as_good(t, first)]
+        return [*dict.fromkeys(first + [t.names[0] for t in self.alone if self._as_good(t, first)])]
 
     @property
     def alone(self) -> list[Trial]:
@@ -91,7 +106,12 @@ def rank(problem: Problem, result: Fit) -> Diagnosis | None:
         result: its fit.
     """
     scene = _scene(problem, result)
-    return None if scene is None else _ranked(problem, result, scene)
+    if scene is None:
+        return None
+    ranking = _ranked(problem, result, scene)
+    losses = [f for f in ranking.found if f.name in _LOSSES and f.likely]
+    agreed = agreement.of_signatures(result, _PLAIN, losses) if {*ranking.named} & {*_LOSSES} else None
+    return replace(ranking, agreed=agreed)
 
 
 def diagnose(problem: Problem, result: Fit, seed: int = 0) -> Diagnosis | None:
@@ -107,18 +127,25 @@ def diagnose(problem: Problem, result: Fit, seed: int = 0) -> Diagnosis | None:
     ranking = _ranked(problem, result, scene)
     likely = [f for f in ranking.found if f.likely and f.explained > _NEAR * ranking.found[0].explained]
     likely = [f for f in likely if ranking.lines[f.name] and f.name not in SEEN][:_MOST]
-    trials = [_trial(problem, result, (f.name,), ranking.lines[f.name], seed) for f in likely]
+    trials = [
+        _trial(problem, result, (f.name,), text, seed, law)
+        for f in likely
+        for law, text in (loss_models(scene, problem) if f.name == LOSS else {"": ranking.lines[f.name]}).items()
+    ]
     trials.sort(key=lambda t: (not t.confirmed, -t.gain))
     # Of two at once one may explain nothing alone: every suspect is tried as the first.
     pairs = [
         (1.0 - (1.0 - f.explained) * (1.0 - g.explained), f.name, g.name, text)
         for f in (ranking.found if trials else [])
         for g, text in _beside(problem, result, scene, f, ranking.lines[f.name])
+        if LOSS not in (f.name, g.name)
     ]
+    losses = {_PLAIN: result} | {t.law or t.label: t.fit for t in trials if t.names[0] in _LOSSES and t.fit}
     if pairs and max(pairs)[0] > ranking.found[0].explained + _MORE:
         _, first, second, text = max(pairs)
         trials.append(_trial(problem, result, (first, second), text, seed))
-    return _confirmed(Diagnosis(ranking.found, ranking.lines, trials))
+    found = _confirmed(Diagnosis(ranking.found, ranking.lines, trials))
+    return replace(found, agreed=agreement.of_fits(losses)) if {*found.named} & {*_LOSSES} else found
 
 
 def _scene(problem: Problem, result: Fit) -> Scene | None:
@@ -163,18 +190,18 @@ def _confirmed(d: Diagnosis) -> Diagnosis:
     return replace(d, found=sorted(found, key=lambda f: not f.named))
 
 
-def _trial(problem: Problem, plain: Fit, names: tuple[str, ...], text: str, seed: int) -> Trial:
-    log.info("diagnosis: a fit with %s", " and ".join(names))
+def _trial(problem: Problem, plain: Fit, names: tuple[str, ...], text: str, seed: int, law: str = "") -> Trial:
+    log.info("diagnosis: a fit with %s", law or " and ".join(names))
     try:
         other = altered(problem, text, plain)
         found = fit(other, seed=seed, starts=_STARTS, systematic=False)
     except (InputError, AllStartsFailed) as error:
-        return Trial(names, text, None, 0.0, str(error))
+        return Trial(names, text, None, 0.0, str(error), law)
     # On the samples that both have: those at a sensor's limit are dropped.
     weights = np.where(
         np.asarray(found.optimum.model.data.weights) > 0, np.asarray(plain.optimum.model.data.weights), 0
     )
-    return Trial(names, text, found, _bic(other, plain, weights) - _bic(other, found))
+    return Trial(names, text, found, _bic(other, plain, weights) - _bic(other, found), law=law)
 
 
 def _bic(problem: Problem, found: Fit, weights: np.ndarray | None = None) -> float:

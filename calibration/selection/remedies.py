@@ -15,11 +15,13 @@ from bcfj_jax.mechanism.channels import unit_of
 from bcfj_jax.mechanism.model import AbstractModel
 from calibration.data import stated
 from calibration.diagnostics.signatures import Scene
-from calibration.diagnostics.suspects import Found
+from calibration.diagnostics.suspects import LOSS, Found
 from calibration.fit import Fit
 from calibration.problem import OFFSETS, Channel, Free, Problem, units_of
 from calibration.problemfile import FreeTable, free_of
 
+# Laws that lose energy each in a way of its own: as the speed, at every speed alike, by a dent, by a dashpot, by creeping.
+_LOSSES = ("memory_free", "exact", "walton_braun", "elasto_gap", "standard_linear_solid")
 _RELAXING, _PLASTIC = "standard_linear_solid", "walton_braun"
 # What to do or to check first.
 ADVICE = {
@@ -33,6 +35,7 @@ ADVICE = {
     "stop": "Something stiffer is touched at depth: look for a second contact or a layer that bottoms out.",
     "relaxation": "The force relaxes under load: hold a load and record how it falls.",
     "plasticity": "Unloading is steeper than loading: look for a dent, and repeat at one place.",
+    LOSS: "The loss goes with the speed otherwise than the law's: try other laws of loss, or hand on the elastic force alone.",
     "clock jitter": "The noise grows with the slope: check the sampling clock.",
     "quantisation": "The readings have steps: use a smaller range of the converter.",
     "saturation": "The sensor is at its limit at the peak: use a larger range, and drop these samples.",
@@ -64,7 +67,7 @@ def laws_of(problem: Problem) -> tuple[str, ...]:
     found = ["stop"] if isinstance(getattr(law, "elastic", None), type(laws.ELASTIC["power"])) else []
     found += ["relaxation"] if isinstance(law, (laws.MemoryFree, laws.Hertz)) and _RELAXING in laws.LAWS else []
     found += ["plasticity"] if hasattr(law, "elastic") and _PLASTIC in laws.LAWS and not _plastic(law) else []
-    return tuple(found)
+    return (*found, LOSS)
 
 
 def _plastic(law: Any) -> bool:
@@ -101,6 +104,8 @@ def lines(f: Found, scene: Scene, problem: Problem, result: Fit) -> str:
         return _free("gain_bend", -0.4 / peak, 0.4 / peak, float(np.clip(v["gain_bend"], -0.3 / peak, 0.3 / peak)))
     if f.name in ("stop", "relaxation", "plasticity"):
         return _law_lines(f, scene)
+    if f.name == LOSS:
+        return "".join(['[[model]]\nname = "as fitted"\n', *loss_models(scene, problem).values()])
     return _record_lines(f, result)
 
 
@@ -128,6 +133,31 @@ def _law_lines(f: Found, scene: Scene) -> str:
         head = f'scene = {{ law = "{_PLASTIC}", elastic = "power" }}\n'
         own = _free("restitution", 0.05, 1.0, 0.9)
     return f'[[model]]\nname = "{f.name}"\n{head}' + own.replace("[free.", "[model.free.")
+
+
+def loss_models(scene: Scene, problem: Problem) -> dict[str, str]:
+    """``[[model]]`` lines by name: the laws of other loss with the same elastic part, each coefficient in a wide box."""
+    law: Any = problem.scene.only_law()
+    elastic = getattr(law, "elastic", None)
+    motions = [held[0] for held in scene.motions if held]
+    if elastic is None or not motions:
+        return {}
+    speeds = [float(np.abs(m.rate).max()) for m in motions]
+    stiff = max(float(m.force.max()) for m in motions) / max(speeds)
+    boxes = {
+        "damping": _free("damping", 1e-3 / max(speeds), 5.0 / min(speeds)),
+        "restitution": _free("restitution", 0.02, 1.0, scale="linear"),
+        "dashpot": _free("dashpot", 1e-4 * stiff, 10.0 * stiff),
+        "relaxation": _free("relaxation", 0.0, 3.0),
+        "relaxation_time": _free("relaxation_time", 0.005 * scene.contact, 6.0 * scene.contact),
+    }
+    found, named = {}, {f.name for f in problem.free}
+    for name in _LOSSES:
+        if type(laws.LAWS[name]) is not type(law):
+            own = [n for n in laws.LAWS[name].needs if n in boxes and n not in named]
+            text = "".join(boxes[n] for n in own).replace("[free.", "[model.free.")
+            found[name] = f'[[model]]\nname = "{name}"\nscene = {{ law = "{name}" }}\n{text}'
+    return found
 
 
 def _record_lines(f: Found, result: Fit) -> str:
@@ -193,7 +223,7 @@ def _swapped(problem: Problem, law: str | None = None, elastic: str | None = Non
 # Values of coefficients that a scene made for another law has no default of: their lines seek them.
 _DEFAULTS = {
     "bottoming_stiffness": 0.0, "bottoming_penetration": 1.0, "bottoming_width": 0.0, "relaxation": 0.0,
-    "relaxation_time": 1.0, "restitution": 0.9,
+    "relaxation_time": 1.0, "restitution": 0.9, "damping": 0.0, "dashpot": 0.0,
 }  # fmt: skip
 
 

@@ -287,11 +287,23 @@ REMEDY = (
 )
 
 
+# On what condition the estimates of a fit without a filter hold.
+NONE = "the record passed no low-pass"
+
+
+def there(found: Ambiguity) -> str:
+    """On what condition those of a fit with the best filter hold."""
+    return f"the record passed a low-pass like {_named(found.best)}"
+
+
+def _named(one: Tried) -> str:
+    return f"a {one.filter} at {format_si(one.cutoff, 'Hz', 2)}"
+
+
 def seen(found: Ambiguity) -> str:
     """Of a decisive one in words: the filter that explains the record better."""
-    one = found.best
     return (
-        f"the record shows a filter, or a law that looks like one: a {one.filter} at {format_si(one.cutoff, 'Hz', 2)} "
+        f"the record shows a filter, or a law that looks like one: {_named(found.best)} "
         "explains it decisively better than the law alone"
     )
 
@@ -299,5 +311,5 @@ def seen(found: Ambiguity) -> str:
 def hidden(found: Ambiguity) -> str:
     """Of one that is not decisive: the slowest filter that explains the record as well."""
     one = found.slowest
-    slow = f"a {one.filter} at {format_si(one.cutoff, 'Hz', 2)}" if one else "a filter"
+    slow = _named(one) if one else "a filter"
     return f"the record does not distinguish a filter from the law: {slow} explains it as well as none"

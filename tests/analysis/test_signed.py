@@ -108,7 +108,7 @@ def yoke(way, axis="y"):
 
 
 @pytest.mark.full
-def test_a_yoke_that_is_pushed_either_way():
+def test_a_yoke_that_is_pushed_either_way(tmp_path):
     """The other wall bears; the crank starts at its dead centre, so that peaks differ, and no number is 0 under a force."""
     for way, side in (("-x", -1.0), ("x", 1.0)):
         scene, times = yoke(way), np.linspace(0.0, 0.02, 401)
@@ -121,6 +121,10 @@ def test_a_yoke_that_is_pushed_either_way():
         assert one["side"] == side and one["peak"] == pytest.approx(top, rel=1e-3)
         assert one["impulse"] == pytest.approx(np.trapezoid(np.abs(normal), times), rel=1e-2)
         assert pictures.peaks(run)["pin"].force == pytest.approx(top, rel=1e-3)
+        # The picture has the sign; its words are those of the table.
+        shows = pictures.forces(run, tmp_path / "forces.png").shows
+        assert pictures.peaks(run)["pin"].side == side and ("on side -1" in shows) == (side < 0)
+        assert bool(pictures.sides(normal)) == (side < 0)
         assert view.told(run).rows[1][1] != "0 N" and "force 0 N" not in page.verdict(run, {}).sentence
         found = bj.sensitivity(scene, params, times, wrt=("stiffness",), features=("pin.peak", "pin.mean"))
         assert found.features["pin.peak"] == pytest.approx(top, rel=1e-3)

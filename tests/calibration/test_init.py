@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 from test_records import MASS, SPEED, TRUTH, drop, impact, law, table
 from typer.testing import CliRunner
 
+from bcfj_jax import InputError
 from bcfj_jax.cli import app
 from calibration import load
 
@@ -193,11 +194,35 @@ def test_what_cannot_be_proposed_is_said(columns, options, words, here):
 
 @pytest.mark.slow
 def test_the_file_calibrates_at_once(here):
+    """After the answer to the one question; without it the numbers stand there on its condition."""
     drop()
     written("drop.csv")
-    done = CliRunner().invoke(app, ["calibrate", "drop.toml", "--starts", "4", "--out", "fit"])
+    question = '# parameters.struck_mass = "fixed"'
+    assert Path("drop.toml").read_text().count(question) == 1
+    command = ["calibrate", "drop.toml", "--starts", "4", "--out"]
+    asked = CliRunner().invoke(app, [*command, "asked"])
+    assert asked.exit_code == 4 and "verdict: not_identified" in asked.stdout, asked.output
+    Path("drop.toml").write_text(Path("drop.toml").read_text().replace(question, question[2:]))
+    done = CliRunner().invoke(app, [*command, "fit"])
     assert done.exit_code == 0, done.output
     assert "verdict: identified" in done.stdout
+    open_, known = (json.loads(Path(f"{name}/fit.json").read_text()) for name in ("asked", "fit"))
+    assert known["conditional"] is None and open_["conditional"]["condition"] == "the struck body is fixed"
+    for name, true in TRUTH.items():
+        (low, high), own = known["parameters"][name]["with_budget"], open_["conditional"]["parameters"][name]
+        assert low < true < high and open_["parameters"][name]["ci95"] is None
+        np.testing.assert_allclose(own["with_budget"], (low, high), rtol=1e-6)
+
+
+def test_the_struck_body_may_be_given_to_init(here):
+    drop()
+    assert written("drop.csv", "--struck-mass", "fixed")["experiment"][0]["parameters"]["struck_mass"] == "fixed"
+    assert not load("drop.toml").doubts
+    Path("drop.toml").unlink()
+    written("drop.csv", "--struck-mass", "4.8 kg")
+    assert load("drop.toml").experiments[0].fixed["struck_mass"] == 4.8
+    Path("drop.toml").unlink()
+    assert "--struck-mass: 'heavy'" in init("drop.csv", "--struck-mass", "heavy").output
 
 
 LAB = Path(__file__).resolve().parents[2] / "examples" / "lab_drop.csv"
@@ -259,3 +284,93 @@ def test_a_column_that_is_one_number_in_each_run_is_no_reading(name, here):
     np.savetxt("drops.csv", rows, delimiter=",", header=f"{name},time [ms],height [mm],acceleration [g]", comments="")
     (experiment,) = written("drops.csv")["experiment"]
     assert list(experiment["observe"]) == ["body.acceleration.x"]
+
+
+SPEEDS = (0.6, 1.1, 1.1, 2.0)
+
+
+def several(header: str, values: tuple[float, ...], read: str = "force [N]", number: str = "run") -> None:
+    """Impacts at SPEEDS, each beside a number of its own in a column."""
+    clock, rows = np.arange(0.0, 0.05, 2.5e-4), []
+    rng = np.random.default_rng(6)
+    for run, (speed, value) in enumerate(zip(SPEEDS, values, strict=True), 1):
+        _, _, acceleration, force = impact(clock - 12e-3, speed)
+        seen = force if "force" in read else acceleration / 9.80665
+        seen = seen + 0.005 * np.ptp(seen) * rng.standard_normal(clock.size)
+        rows += [f"{run};{t:.9g};{value:.9g};{x:.9g}" for t, x in zip(clock, seen, strict=True)]
+    Path("runs.csv").write_text(f"{number};time [s];{header};{read}\n" + "\n".join(rows) + "\n", encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("header", "key", "scale", "read"),
+    [
+        ("height [mm]", "drop_height", 1e3, "force [N]"),
+        ("Fallhoehe [cm]", "drop_height", 1e2, "force [N]"),
+        ("drop height", "drop_height", 1.0, "acceleration [g]"),
+        ("speed [m/s]", "approach_speed", 1.0, "force [N]"),
+        ("v0 [km/h]", "approach_speed", 3.6, "acceleration [g]"),
+    ],
+)
+def test_heights_and_speeds_in_a_column_are_the_speed_of_each_run(header, key, scale, read, here):
+    """A height h is the speed sqrt(2 g h): what the problem has is the speed that SciPy's impacts had."""
+    values = tuple(scale * (v if key == "approach_speed" else v**2 / (2.0 * 9.81)) for v in SPEEDS)
+    several(header, values, read)
+    found = written("runs.csv", "--mass", f"{MASS} kg")
+    (entry,) = found["experiment"]
+    assert entry["columns"] == {key: header} and "approach_speed" not in found["free"]
+    # What falls from a height has its weight in contact, too.
+    assert ("gravity" in entry["parameters"]) == (key == "drop_height")
+    assert len(entry["observe"]) == 1 and "Not understood" not in Path("runs.toml").read_text()
+    problem = load("runs.toml")
+    assert [e.fixed["approach_speed"] for e in problem.experiments] == pytest.approx(SPEEDS, rel=1e-7)
+    assert not problem.doubts
+    bounds = {f.name: (f.lower, f.upper) for f in problem.free}
+    for name, true in TRUTH.items():
+        assert bounds[name][0] < true < bounds[name][1]
+    # How well a height is known: half its share is the speed's.
+    text = Path("runs.toml").read_text().replace(f"= {json.dumps(header)} }}", f'= "{header} +- 4 %" }}')
+    Path("runs.toml").write_text(text)
+    share = 0.04 if key == "approach_speed" else 0.02
+    for e in load("runs.toml").experiments:
+        assert e.tolerances["approach_speed"] == pytest.approx(share * e.fixed["approach_speed"], rel=1e-6)
+
+
+def test_a_wrong_height_is_said_before_the_fit(here):
+    """Heights in m that are taken for mm: the impulse contradicts the speed."""
+    several("height [mm]", tuple(v**2 / (2.0 * 9.81) for v in SPEEDS))
+    written("runs.csv", "--mass", f"{MASS} kg")
+    assert all("impulse / (mass x speed)" in doubt.text for doubt in load("runs.toml").doubts)
+    assert load("runs.toml").doubts
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ('columns = { drop_height = "force [N]" }', "force"),
+        ('columns = { heigth = "height [mm]" }', "no parameter 'heigth'"),
+        ('columns = { drop_height = "time [s]" }', "time"),
+        ('columns = { approach_speed = "height [mm]" }', "height"),
+        ('columns = { drop_height = "height [mm]", approach_speed = "height [mm]" }', "given twice"),
+    ],
+)
+def test_columns_that_give_no_parameter_are_refused(line, said, here):
+    several("height [mm]", tuple(1e3 * v**2 / (2.0 * 9.81) for v in SPEEDS))
+    written("runs.csv", "--mass", f"{MASS} kg")
+    text = "\n".join(line if x.startswith("columns") else x for x in Path("runs.toml").read_text().splitlines())
+    Path("runs.toml").write_text(text)
+    with pytest.raises(InputError, match=said):
+        load("runs.toml")
+
+
+def test_a_column_that_changes_within_a_run_is_refused(here):
+    several("height [mm]", tuple(1e3 * v**2 / (2.0 * 9.81) for v in SPEEDS), number="lauf")
+    lines = [
+        'scene = "impact"', "[[experiment]]", 'file = "runs.csv"', 'time = "time [s]"', "rows = { lauf = [2, 3] }",
+        'observe = { "contact.normal" = "force [N]" }', 'columns = { drop_height = "height [mm]" }',
+        'parameters = { mass = "0.4 kg" }', "[free]", "stiffness = [1e3, 1e7]",
+    ]  # fmt: skip
+    Path("p.toml").write_text("\n".join(lines))
+    assert [e.fixed["approach_speed"] for e in load("p.toml").experiments] == pytest.approx([1.1, 1.1], rel=1e-7)
+    Path("p.toml").write_text("\n".join(line for line in lines if not line.startswith("rows")))
+    with pytest.raises(InputError, match=r"'height \[mm\]' goes from 18.3\d* mm to 203.\d* mm within runs"):
+        load("p.toml")

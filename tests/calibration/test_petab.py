@@ -15,8 +15,9 @@ from bcfj_jax import InputError
 from bcfj_jax.cli import app
 from bcfj_jax.io import scenefile
 from calibration import problemfile
+from calibration.filters import Filter
 from calibration.petab import export, load
-from calibration.problem import Channel, Experiment, Free, Observation, Problem
+from calibration.problem import Channel, Doubt, Experiment, Free, Observation, Problem
 
 # Not imported here: every worker of pytest collects every file.
 pytestmark = [
@@ -59,6 +60,9 @@ def same(one: Problem, other: Problem) -> None:
     """The same scene, values, bounds and data; what no experiment was told it has from the scene."""
     assert other.scene == one.scene
     assert (other.loss, other.accuracy) == (one.loss, one.accuracy)
+    for key in ("filter", "adequate", "tolerances", "doubts"):
+        assert getattr(other, key) == getattr(one, key), key
+    assert [e.tolerances for e in other.experiments] == [e.tolerances for e in one.experiments]
     assert {f.name: f for f in other.free} == {f.name: f for f in one.free}
     assert [e.name for e in other.experiments] == [e.name for e in one.experiments]
     neutral = {"gain": 1.0, "force_offset": 0.0, "time_offset": 0.0}
@@ -80,6 +84,24 @@ def same(one: Problem, other: Problem) -> None:
 
 def test_a_problem_comes_back_the_same(tmp_path):
     same(problem(), load(export(problem(), BASE.resolved, tmp_path / "out")))
+
+
+def test_a_filter_and_what_is_known_of_values_come_back(tmp_path):
+    """PEtab has no place for them: the part of the file that is ours says so, and that the objective needs the filter."""
+    import yaml
+
+    told = experiment("run 1", fixed={"approach_speed": 0.7}, tolerances={"approach_speed": 0.014})
+    more = {"filter": Filter("bessel", 3, True), "adequate": 0.02, "tolerances": {"mass": 0.01}, "loss": "linear"}
+    more |= {"doubts": (Doubt("the mass is wrong", "the mass is right"),), "experiments": (told, experiment("run 2"))}
+    one = problem(**more, free=(*FREE, Free("cutoff", 100.0, 1e4)))
+    path = export(one, BASE.resolved, tmp_path / "out")
+    same(one, load(path))
+    content = yaml.safe_load(path.read_text())
+    assert content["extensions"]["bcfj"]["required"] is True
+    assert content["extensions"]["bcfj"]["filter"] == {"kind": "bessel", "order": 3, "zero_phase": True}
+    path.write_text(path.read_text().replace("bessel", "chebyshev"))
+    with pytest.raises(InputError, match="no filter 'chebyshev'"):
+        load(path)
 
 
 def test_bounds_of_each_record_come_back(tmp_path):

@@ -14,8 +14,10 @@ from scipy.integrate import solve_ivp
 from typer.testing import CliRunner
 
 import bcfj_jax as bj
+from bcfj_jax import InputError
 from bcfj_jax.cli import app
 from calibration import Channel, Experiment, Free, Problem, fit, load
+from calibration.command import text
 from calibration.data.events import alone, contacts
 from calibration.data.preparation import _first_contact as onset
 from calibration.diagnostics.signatures import weight
@@ -165,6 +167,7 @@ BLOCK = ",block acceleration [m/s^2]"
         ('mass = "3.5 kg"', SPEED_FREE, BLOCK, "block acceleration"),
         ('mass = "3.5 kg"', SPEED_FREE, "", ""),
         ('mass = "3.5 kg +- 1 %"', SPEED_FREE, BLOCK, ""),
+        ('mass = "3.5 kg", struck_mass = "fixed"', SPEED_FREE, BLOCK, ""),
         ('mass = "0.3 kg", struck_mass = "3.5 kg"', SPEED_FREE, BLOCK, ""),
         ('mass = "0.3 kg", struck_mass = "3.5 kg", approach_speed = "1.5 m/s"', "", BLOCK, ""),
         ('mass = "0.2763 kg", approach_speed = "1.5 m/s"', "", BLOCK, ""),
@@ -172,7 +175,7 @@ BLOCK = ",block acceleration [m/s^2]"
 )
 def test_masses_that_the_impulse_or_another_sensor_contradicts_are_said(tmp_path, known, more, columns, said):
     doubts = written(tmp_path, known, more, columns).doubts
-    assert bool(doubts) == bool(said) and all(said in doubt for doubt in doubts)
+    assert bool(doubts) == bool(said) and all(said in doubt.text for doubt in doubts)
 
 
 @pytest.mark.full
@@ -181,6 +184,15 @@ def test_with_a_doubt_nothing_is_identified_and_with_both_masses_the_law_is(tmp_
     assert wrong.verdict == "not_identified" and "struck_mass" in wrong.reasons[0]
     assert wrong.parameters["stiffness"].value > 10.0 * TRUTH["stiffness"]
     assert all(p.ci95 is None for p in wrong.parameters.values())
+    # What holds if the struck body is fixed is what a file says that states it.
+    told = fit(written(tmp_path, 'mass = "3.5 kg", struck_mass = "fixed"', SPEED_FREE, BLOCK))
+    assert wrong.conditional.condition == "the struck body is fixed" and told.conditional is None
+    for name, p in told.parameters.items():
+        for key in ("ci95", "with_budget"):
+            np.testing.assert_allclose(getattr(wrong.conditional.parameters[name], key), getattr(p, key))
+    printed = text(wrong)
+    assert "if the struck body is fixed: stiffness" in printed and "95 % interval, if so" in printed
+    assert " none " not in printed
     right = fit(written(tmp_path, 'mass = "0.3 kg", struck_mass = "3.5 kg", approach_speed = "1.5 m/s"', "", BLOCK))
     assert right.verdict == "identified"
     for name, true in TRUTH.items():
@@ -188,13 +200,19 @@ def test_with_a_doubt_nothing_is_identified_and_with_both_masses_the_law_is(tmp_
         assert low < true < high
 
 
+def test_a_struck_body_is_fixed_or_has_a_mass_of_an_impact(tmp_path):
+    with pytest.raises(InputError, match='struck_mass = "fixed", where the scene has that mass'):
+        written(tmp_path, 'mass = "3.5 kg", struck_mass = "fixed"', "struck_mass = [1.0, 9.0]")
+
+
 def test_init_takes_no_force_over_acceleration_for_the_mass_of_a_contact(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     written(tmp_path, 'mass = "1 kg", approach_speed = "1 m/s"', "", BLOCK)
     Path("run.toml").unlink()
     done = CliRunner().invoke(app, ["init", "calibration", "run.csv"])
-    text = Path("run.toml").read_text()
-    assert done.exit_code == 0 and 'mass = "? kg"' in text and "Force over acceleration is 3." in text
+    content = Path("run.toml").read_text()
+    assert done.exit_code == 0 and 'mass = "? kg"' in content and "Force over acceleration is 3." in content
+    assert '# parameters.struck_mass = "fixed"' in content
 
 
 def test_the_box_of_init_holds_the_speed_of_every_run(tmp_path, monkeypatch):

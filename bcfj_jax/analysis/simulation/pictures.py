@@ -29,11 +29,18 @@ _CARRIES = 0.005
 
 
 class Peak(NamedTuple):
-    """The highest force of a contact: size [N], time [s], the member's number from 1 (0 for a contact without)."""
+    """The highest force of a contact: size [N], time [s], the member's number from 1 (0 for a contact without), and the side.
+
+    ``side``: -1 where a contact that pushes both ways bears on its negative side there, else 1.
+    """
 
     force: float
     time: float
     member: int
+    side: float = 1.0
+
+    def __str__(self) -> str:
+        return f"{brief(self.force, 'N')}{' on side -1' if self.side < 0 else ''} at {brief(self.time, 's')}"
 
 
 def peaks(run: Run) -> dict[str, Peak]:
@@ -47,8 +54,17 @@ def peaks(run: Run) -> dict[str, Peak]:
         at, member = np.unravel_index(int(np.argmax(known)), known.shape)
         value, time = float(known[at, member]), np.broadcast_to(times, known.shape)[at, member]
         members = history.ndim == 3
-        found[name] = Peak(value if np.isfinite(value) else math.nan, float(time), int(member) + 1 if members else 0)
+        own = history[..., 0].reshape(len(run.times), -1)[:, member]
+        side = -1.0 if -np.nanmin(own, initial=0.0) > np.nanmax(own, initial=0.0) else 1.0
+        found[name] = Peak(
+            value if np.isfinite(value) else math.nan, float(time), int(member) + 1 if members else 0, side
+        )
     return found
+
+
+def sides(normal: np.ndarray) -> str:
+    """What the sign of a drawn normal force says: " (below 0: on side -1)"; "" of a contact that pushes one way."""
+    return " (below 0: on side -1)" if np.nanmin(normal, initial=0.0) < 0.0 else ""
 
 
 def _caption(run: Run) -> str:
@@ -70,14 +86,14 @@ def forces(run: Run, path: Path) -> Picture:
             first = normal[:, 0] if many else normal
             axis.plot(run.times * time_scale, first * scale, linewidth=1.2)
             members = f" (line: {name}_1, band: all {normal.shape[1]})" if many else ""
-            axis.set_title(f"{name}: normal force{members}{_caption(run)}")
+            axis.set_title(f"{name}: normal force{sides(normal)}{members}{_caption(run)}")
             axis.set_xlabel(label("time", "s", time_prefix))
             axis.set_ylabel(label("force", "N", prefix))
             axis.set_xlim(run.times[0] * time_scale, run.times[-1] * time_scale)
             if not np.nanmin(normal, initial=0.0) < 0:
                 axis.set_ylim(bottom=0.0)
     top = peaks(run)
-    highest = "; ".join(f"{name} {brief(p.force, 'N')} at {brief(p.time, 's')}" for name, p in top.items())
+    highest = "; ".join(f"{name} {p}" for name, p in top.items())
     return Picture(path.name, "Contact forces", f"Normal force against time. Highest: {highest}{_caption(run)}.")
 
 

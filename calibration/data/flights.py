@@ -1,0 +1,108 @@
+"""What the flights of a drop say of its contacts' loss, whatever the law: v = g t/2 at both ends of a flight of length t.
+
+The restitution of the contact between two flights is e = t_2/t_1. Over several contacts it says how the loss goes with the
+speed, 1 - e = c v^b: b is near 1 of a force K d^n (1 + a d'), and 0 of laws whose coefficient is a restitution.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from bcfj_jax.contact.normal import AbstractLaw
+from bcfj_jax.core.quantities import GRAVITY
+from bcfj_jax.io.units import format_si
+from calibration.data.events import Event
+
+# Flights from which on a loss can be told to grow with the speed or not; a loss within so many deviations is none.
+_FEWEST, _SEEN = 4, 3.0
+# Exponents further apart than this, and twice the deviation, contradict each other.
+_APART = 0.4
+# Steps of a contact by the law: in the time in which the approach speed crosses the elastic penetration, and at most.
+_STEPS, _MOST = 60, 2000
+# What a law has to read, and no more, for its loss to be foretold.
+_READ = {"stiffness", "exponent", "damping"}
+
+
+class Loss(NamedTuple):
+    """Restitutions (k,) of the contacts between flights, speeds (k,) before them [m/s], the exponent b and its deviation."""
+
+    kept: np.ndarray
+    speeds: np.ndarray
+    exponent: float
+    deviation: float
+
+
+def loss(events: Sequence[Event]) -> Loss | None:
+    """By least squares over ln(1 - e) and ln v, weighted by what instants known to half a sample leave of 1 - e.
+
+    None from fewer than four flights, and where nothing is lost.
+    """
+    flights = np.diff([0.5 * (one.begin + one.end) for one in events])
+    if flights.size < _FEWEST or np.any(flights <= 0.0):
+        return None
+    kept, speeds = flights[1:] / flights[:-1], 0.5 * GRAVITY * flights[:-1]
+    doubt = 0.5 * float(np.median([one.step for one in events])) * np.sqrt(2.0) / flights[:-1]
+    if np.any(1.0 - kept < _SEEN * doubt):
+        return None
+    weight = ((1.0 - kept) / doubt) ** 2
+    way = np.log(speeds)
+    way = way - np.average(way, weights=weight)
+    square = float(np.sum(weight * way**2))
+    return Loss(kept, speeds, float(np.sum(weight * way * np.log(1.0 - kept)) / square), square**-0.5)
+
+
+def restitutions(law: AbstractLaw, c: Mapping[str, float], mass: float, speeds: np.ndarray) -> np.ndarray:
+    """Of contacts (k,) by a law that reads penetration and rate alone, K d^n at rest: m d'' = -F, from d' = v to d = 0."""
+    place, rate = np.zeros(speeds.shape), speeds.astype(float)
+    n = c["exponent"]
+    depth = (0.5 * (n + 1.0) * mass * speeds**2 / c["stiffness"]) ** (1.0 / (n + 1.0))
+    h, left = depth / speeds / _STEPS, np.full(speeds.shape, np.nan)
+
+    def slope(d: np.ndarray, v: np.ndarray) -> np.ndarray:
+        return -np.asarray(law.force(np.maximum(d, 0.0), v, dict(c))) / mass
+
+    for _ in range(_MOST):
+        v2 = rate + 0.5 * h * slope(place, rate)
+        v3 = rate + 0.5 * h * slope(place + 0.5 * h * rate, v2)
+        v4 = rate + h * slope(place + 0.5 * h * v2, v3)
+        last = slope(place + h * v3, v4)
+        middle = slope(place + 0.5 * h * rate, v2) + slope(place + 0.5 * h * v2, v3)
+        rate, place = (
+            rate + h / 6.0 * (slope(place, rate) + 2.0 * middle + last),
+            place + h / 6.0 * (rate + 2.0 * v2 + 2.0 * v3 + v4),
+        )
+        left = np.where(np.isnan(left) & (place <= 0.0), -rate / speeds, left)
+        if np.all(np.isfinite(left)):
+            break
+    return left
+
+
+def contradicted(name: str, events: Sequence[Event], law: AbstractLaw | None, c: Mapping[str, float]) -> str:
+    """Why a law loses energy with the speed otherwise than a drop's flights do; "" where it does not, or nothing is known.
+
+    Args:
+        name: of the record.
+        events: its contacts.
+        law: of the contact.
+        c: coefficients to be expected, and ``mass``.
+    """
+    seen = loss(events)
+    if seen is None or law is None or set(law.needs) != _READ or not all(c[key] > 0.0 for key in (*_READ, "mass")):
+        return ""
+    ends = np.array([seen.speeds.min(), seen.speeds.max()])
+    lost = 1.0 - restitutions(law, c, c["mass"], ends)
+    if not np.all(lost > 0.0):
+        return ""
+    own = float(np.log(lost[1] / lost[0]) / np.log(ends[1] / ends[0]))
+    if abs(own - seen.exponent) < _APART + 2.0 * seen.deviation:
+        return ""
+    first, last = (f"{e:.3g} at {format_si(v, 'm/s', 3)}" for e, v in
+                   ((seen.kept[k], seen.speeds[k]) for k in (0, -1)))  # fmt: skip
+    return (
+        f"{name}: loss depends on speed otherwise: by the flights between contacts a restitution is {first} and {last}, so that "
+        f"1 - e grows as the speed^{seen.exponent:.2g}; by the law as speed^{own:.2g}. Free restitution in place of damping "
+        "takes a law that loses the same share at every speed"
+    )
