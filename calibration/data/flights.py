@@ -9,7 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
+from scipy.integrate import solve_ivp
 
 from bcfj_jax.contact.normal import AbstractLaw
 from bcfj_jax.core.quantities import GRAVITY
@@ -20,8 +22,8 @@ from calibration.data.events import Event
 _FEWEST, _SEEN = 4, 3.0
 # Exponents further apart than this, and twice the deviation, contradict each other.
 _APART = 0.4
-# Steps of a contact by the law: in the time in which the approach speed crosses the elastic penetration, and at most.
-_STEPS, _MOST = 60, 2000
+# A contact by the law lasts no longer, in times in which the approach speed crosses the elastic penetration.
+_LONGEST = 30.0
 # What a law has to read, and no more, for its loss to be foretold.
 _READ = {"stiffness", "exponent", "damping"}
 
@@ -56,28 +58,24 @@ def loss(events: Sequence[Event]) -> Loss | None:
 
 def restitutions(law: AbstractLaw, c: Mapping[str, float], mass: float, speeds: np.ndarray) -> np.ndarray:
     """Of contacts (k,) by a law that reads penetration and rate alone, K d^n at rest: m d'' = -F, from d' = v to d = 0."""
-    place, rate = np.zeros(speeds.shape), speeds.astype(float)
-    n = c["exponent"]
-    depth = (0.5 * (n + 1.0) * mass * speeds**2 / c["stiffness"]) ** (1.0 / (n + 1.0))
-    h, left = depth / speeds / _STEPS, np.full(speeds.shape, np.nan)
+    constants = {key: jnp.asarray(value) for key, value in c.items()}
 
-    def slope(d: np.ndarray, v: np.ndarray) -> np.ndarray:
-        return -np.asarray(law.force(np.maximum(d, 0.0), v, dict(c))) / mass
+    def slope(_: float, y: np.ndarray) -> list[float]:
+        force = law.force(jnp.maximum(y[0], 0.0), jnp.asarray(y[1]), constants)
+        return [y[1], -float(force) / mass]
 
-    for _ in range(_MOST):
-        v2 = rate + 0.5 * h * slope(place, rate)
-        v3 = rate + 0.5 * h * slope(place + 0.5 * h * rate, v2)
-        v4 = rate + h * slope(place + 0.5 * h * v2, v3)
-        last = slope(place + h * v3, v4)
-        middle = slope(place + 0.5 * h * rate, v2) + slope(place + 0.5 * h * v2, v3)
-        rate, place = (
-            rate + h / 6.0 * (slope(place, rate) + 2.0 * middle + last),
-            place + h / 6.0 * (rate + 2.0 * v2 + 2.0 * v3 + v4),
-        )
-        left = np.where(np.isnan(left) & (place <= 0.0), -rate / speeds, left)
-        if np.all(np.isfinite(left)):
-            break
-    return left
+    def parted(_: float, y: np.ndarray) -> float:
+        return y[0]
+
+    parted.terminal, parted.direction = True, -1.0  # pyright: ignore[reportFunctionMemberAccess]
+    left = []
+    for v in speeds:
+        n = c["exponent"]
+        crossed = (0.5 * (n + 1.0) * mass * v**2 / c["stiffness"]) ** (1.0 / (n + 1.0)) / v
+        ends = (0.0, _LONGEST * crossed)
+        found = solve_ivp(slope, ends, [0.0, v], events=parted, rtol=1e-6, atol=1e-6 * crossed * v, max_step=crossed)
+        left.append(-found.y[1, -1] / v if found.status == 1 else np.nan)
+    return np.array(left)
 
 
 def contradicted(name: str, events: Sequence[Event], law: AbstractLaw | None, c: Mapping[str, float]) -> str:
