@@ -12,6 +12,8 @@ from calibration.diagnostics.fit_tests import Spread
 from calibration.diagnostics.records import Record
 from calibration.diagnostics.residual_tests import Series, overstated, residual_tests
 from calibration.forward.coordinates import _logarithms, _reached
+from calibration.search.refinement import End
+from calibration.uncertainty import law_miss
 from calibration.uncertainty.law_miss import _power, block_length, clustered, discrepancy, in_blocks
 
 # One contact of 60 samples between 30 quiet ones on either side; peak 1, noise 0.002.
@@ -111,6 +113,80 @@ def test_the_clustered_covariance_is_that_of_statsmodels():
     covariance = theirs.get_robustcov_results("cluster", groups=names, use_correction=False).cov_params()
     found = clustered(names, -theirs.resid, jacobian, noise_of(jacobian))
     np.testing.assert_allclose(found["robust"].covariance, 7.0 / 6.0 * covariance, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("keep", "length"), [(0.0, None), (0.9, None), (0.0, 7)])
+def test_blocks_have_the_covariance_of_newey_and_west(keep, length, monkeypatch):
+    """Where scores are 0 for a block's length at both ends, sums of blocks weigh lags as Bartlett's window does."""
+    linear_model = pytest.importorskip("statsmodels.regression.linear_model")
+    rng, quiet, count = np.random.default_rng(11), 60, 400
+    jacobian = np.zeros((count + 2 * quiet, 2))
+    jacobian[quiet:-quiet] = rng.standard_normal((count, 2)) + 1.0
+    values = jacobian @ [1.0, 2.0] + remembering(rng, keep, len(jacobian))
+    theirs = linear_model.OLS(values, jacobian).fit()
+    noise, rows = noise_of(jacobian), np.arange(len(jacobian))
+    scores = theirs.resid[:, None] * jacobian @ noise.covariance
+    if length is None:
+        length = max(1, round(max(block_length(column) for column in scores.T)))
+        assert length < quiet and (length > 3) == (keep > 0.0)
+    else:
+        monkeypatch.setattr(law_miss, "block_length", lambda column: float(length))
+    one = Series(rows, rows >= 0, 1.0, clock=rows.astype(float), values=values, weights=np.ones(len(rows)))
+    # Twice the same record, whose covariance is a half; the prediction's errors have the other sign.
+    two = one._replace(rows=rows + len(rows))
+    found = in_blocks([one, two], np.tile(-theirs.resid, 2), np.tile(jacobian, (2, 1)), noise)
+    assert found is not None and found.covariance is not None
+    options = {"maxlags": length - 1, "use_correction": False}
+    wanted = theirs.get_robustcov_results("HAC", **options).cov_params() / 2.0
+    blocks = 2.0 * len(rows) / length
+    wanted = wanted * len(rows) / (len(rows) - length + 1) * blocks / (blocks - 1.0)
+    np.testing.assert_allclose(found.covariance, wanted, rtol=1e-9)
+    assert found.student == pytest.approx(blocks - 1.0) and found.moved == ()
+
+
+def test_fewer_than_three_blocks_say_nothing(monkeypatch):
+    rows = np.arange(30)
+    one = Series(rows, rows >= 0, 1.0, clock=rows.astype(float), values=rows, weights=np.ones(30))
+    residuals, jacobian = np.where(rows % 2, 1.0, -1.0), np.ones((30, 1))
+    for length, known in ((10.0, True), (11.0, False)):
+        monkeypatch.setattr(law_miss, "block_length", lambda column, length=length: length)
+        assert (in_blocks([one], residuals, jacobian, noise_of(jacobian)) is not None) == known
+    few = one._replace(rows=rows[:15])
+    assert in_blocks([few], residuals, jacobian, noise_of(jacobian)) is None
+
+
+@pytest.mark.parametrize("loss", ["soft_l1", "cauchy"])
+def test_the_covariance_of_a_robust_estimate_is_that_of_statsmodels(loss):
+    """Huber's, of a scale that is 1: H1 of its robust linear model."""
+    robust = pytest.importorskip("statsmodels.robust.robust_linear_model")
+    norms = pytest.importorskip("statsmodels.robust.norms")
+
+    class Norm(norms.RobustNorm):
+        def psi(self, z):
+            return z / np.sqrt(1.0 + z**2) if loss == "soft_l1" else z / (1.0 + z**2)
+
+        def psi_deriv(self, z):
+            return (1.0 + z**2) ** -1.5 if loss == "soft_l1" else (1.0 - z**2) / (1.0 + z**2) ** 2
+
+    rng = np.random.default_rng(12)
+    jacobian = np.column_stack([np.ones(40), rng.standard_normal((40, 2))])
+    residuals = stats.t.rvs(3.0, size=40, random_state=rng)
+    # Rows without information, as of samples that are not there, do not count.
+    end = End(np.zeros(3), np.zeros(3), 0.0, np.r_[residuals, 0.0], np.r_[jacobian, np.zeros((1, 3))], True)
+    found = fit_tests.spread(end, 40, [(np.eye(3), 0.5)], loss)
+    model = robust.RLM(-residuals, jacobian, M=Norm())
+    model.weights = np.ones(40)
+    theirs = robust.RLMResults(model, np.zeros(3), model.normalized_cov_params, 1.0)
+    np.testing.assert_allclose(found.covariance, theirs.bcov_scaled, rtol=1e-9)
+    # The cost, half of whose second derivative is the mean of psi', rises by so much at a deviation.
+    slope = np.mean(Norm().psi_deriv(residuals))
+    share = theirs.bcov_scaled[0, 0] / model.normalized_cov_params[0, 0]
+    assert found.rise == pytest.approx(share * slope, rel=1e-9)
+    # Of the information J^T J its covariance is share times the inverse.
+    ((change, variance),) = found.moved
+    inverse = np.linalg.inv(jacobian.T @ jacobian)
+    np.testing.assert_allclose(change, -share * inverse @ inverse, rtol=1e-9)
+    assert variance == 0.5
 
 
 def remembering(rng: np.random.Generator, keep: float, count: int) -> np.ndarray:
