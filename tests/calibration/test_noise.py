@@ -18,7 +18,7 @@ from calibration import Channel, Experiment, Free, Problem
 from calibration.diagnostics import fit_tests
 from calibration.diagnostics.residual_tests import Series, correlation_of, residual_tests
 from calibration.forward import model
-from calibration.forward.integration import errors
+from calibration.forward.integration import Limit, errors
 from calibration.forward.losses import influence, loss_of, straightened
 from calibration.noise import estimation, noise_model
 from calibration.noise.estimation import settle
@@ -334,6 +334,58 @@ def test_records_have_their_own_deviations_where_these_clearly_differ():
     )
     for others in ([one, two], [one, ten, 10.0 * slow + one], [0.0 * one, ten]):
         assert np.array_equal(noise_model._ratios(others), np.ones(len(others)))
+
+
+def record(
+    k: int, name: str, error: np.ndarray, design: np.ndarray, sigma=None, correlation: float | None = 0.0
+) -> Any:
+    channel = SimpleNamespace(observes=name, sigma=sigma, correlation=correlation)
+    count = error.size
+    deviation = np.full(count, sigma or 1.0)
+    return noise_model._Series((k, 0), channel, np.arange(count), np.ones(count - 1), error, design, deviation)
+
+
+def test_deviations_are_at_their_common_fixed_point():
+    """Each channel's square over its freedom, by weighted least squares over all; below the integrator's, that one's."""
+    rng = np.random.default_rng(15)
+    designs = [rng.standard_normal((n, 2)) + 1.0 for n in (12, 9, 30)]
+    sizes = (3.0, 0.2, 1.0)
+    series = [
+        record(k, name, size * rng.standard_normal(len(x)), x, 1.0 if name == "c" else None)
+        for k, (name, size, x) in enumerate(zip("abc", sizes, designs, strict=True))
+    ]
+    rest = (np.zeros(0), np.zeros((0, 2)))
+    start = {"a": 1.0, "b": 1.0}
+    for limits in ({}, {"b": Limit(5.0, 10.0)}):
+        found, rows = noise_model._converged(series, rest, start, {}, False, limits)
+        deviations = np.repeat([found["a"], found["b"], 1.0], [12, 9, 30])
+        white = np.concatenate(designs) / deviations[:, None]
+        hat = white @ np.linalg.inv(white.T @ white) @ white.T
+        error = np.concatenate([s.error for s in series]) / deviations
+        left = error - hat @ error
+        np.testing.assert_allclose(rows.residual, error, rtol=1e-12)
+        parts = {"a": slice(0, 12), "b": slice(12, 21)}
+        for name in ("a",) if limits else ("a", "b"):
+            freedom = parts[name].stop - parts[name].start - np.trace(hat[parts[name], parts[name]])
+            assert np.sum(left[parts[name]] ** 2) == pytest.approx(freedom, rel=1e-8)
+    assert found["b"] == 10.0
+
+
+def test_a_correlation_time_may_be_as_long_as_the_longest_record(monkeypatch):
+    rng = np.random.default_rng(16)
+    long, short = (autoregression(0.9, rng, n) for n in (1500, 3))
+    design = [np.ones((n, 1)) for n in (1500, 3)]
+    series = [
+        record(k, "f", x, d, correlation=None) for k, (x, d) in enumerate(zip((long, short), design, strict=True))
+    ]
+    rest = (np.zeros(0), np.zeros((0, 1)))
+    monkeypatch.setattr(noise_model, "_series", lambda *_: (series, rest))
+    monkeypatch.setattr(noise_model, "_reweighed", lambda model, *_: model)
+    model: Any = SimpleNamespace(loss="linear")
+    _, found = noise_model.estimate(model, (), np.zeros(1), 0.0)
+    # The deviation of phi is sqrt(0.19/1500) = 0.011, of the deviation 8 %.
+    assert np.exp(-1.0 / found.correlation["f"]) == pytest.approx(0.9, abs=0.035)
+    assert found.sigma["f"] == pytest.approx(1.0, rel=0.25)
 
 
 def weighed(weights, memory=(0.0, 0.0, 0.0), loss: str = "linear") -> Any:
