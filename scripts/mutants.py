@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parent.parent
-_UNCERTAINTY = ("law_miss", "systematic", "noise", "profile", "posterior", "filters", "pypesto")
+_UNCERTAINTY = ("law_miss", "systematic", "estimates", "unstated_filter", "noise", "profile", "posterior", "filters")
 # Sources and tests of each folder.
 FOLDERS = {
     "contact": (("bcfj_jax/contact",), ("tests/contact/test_[fgls]*.py", "tests/contact/test_re[gs]*.py")),

@@ -90,7 +90,9 @@ def discrepancy(
     most = float(np.log(_MOST * np.sqrt(np.sum(residuals[basis[:, 0] != 0.0] ** 2) / peaks)))
     for length in _LENGTHS:
         for start in (most - 2.0, most - 0.3):
-            options = {"xatol": 1e-3, "fatol": 1e-3}
+            # SciPy's own first steps are shares of the start, whose noise is about 1: none of its logarithm.
+            simplex = [[alone.x, start], [alone.x - 0.3, start], [alone.x, start + 0.3]]
+            options = {"xatol": 1e-3, "fatol": 1e-3, "initial_simplex": simplex}
             found = minimize(
                 cost,
                 [alone.x, start],
@@ -122,19 +124,17 @@ def _cosines(series: Sequence[Series], size: int) -> tuple[np.ndarray, int]:
     """
     basis, inside = np.zeros((size, _COSINES)), 0
     for s in series:
+        own = np.zeros((s.rows.size, _COSINES))
         edges = np.flatnonzero(np.diff(np.r_[False, s.touching, False].astype(int)))
         for first, last in zip(edges[::2], edges[1::2], strict=True):
             if last - first < 3:
                 continue
-            clock, rows = s.clock[first:last], s.rows[first:last]
+            clock, peak = s.clock[first:last], float(np.max(np.abs(s.values[first:last])))
             phase = (clock - clock[0]) / (clock[-1] - clock[0])
-            peak = float(np.max(np.abs(s.values[first:last]))) * s.weights[first:last]
-            basis[rows] = peak[:, None] * np.cos(np.pi * np.arange(_COSINES) * phase[:, None])
+            own[first:last] = peak * np.cos(np.pi * np.arange(_COSINES) * phase[:, None])
             inside += last - first
-        if s.memory:
-            kept = np.r_[0.0, np.exp(-np.diff(s.clock) / s.memory)][:, None]
-            own = basis[s.rows]
-            basis[s.rows] = (own - kept * np.roll(own, 1, axis=0)) / np.sqrt(1.0 - kept**2)
+        if own.any():
+            basis[s.rows] = s.white(own)
     return basis, inside
 
 

@@ -80,6 +80,87 @@ def test_without_a_miss_the_interval_is_that_of_the_noise():
     assert np.median(ratios) < 1.2 and np.quantile(ratios, 0.9) < 2.0, np.sort(ratios)
 
 
+@pytest.mark.parametrize("memory", [0.0, 2.0])
+def test_the_cosines_are_of_the_phase_of_each_contact(memory):
+    """Times its peak, in deviations, and freed of the noise's memory by the Cholesky factor of its correlation."""
+    rng = np.random.default_rng(17)
+    touching = np.zeros(40, bool)
+    touching[3:10] = touching[20:22] = touching[30:] = True
+    clock, weights = np.cumsum(rng.uniform(0.5, 1.5, 40)), rng.uniform(1.0, 3.0, 40)
+    values = np.where(touching, -rng.uniform(1.0, 5.0, 40), 0.0)
+    rows = 5 + np.arange(40)
+    one = Series(rows, touching, 1.0, clock=clock, values=values, weights=weights, memory=memory)
+    apart = one._replace(rows=50 + np.arange(40), touching=np.zeros(40, bool))
+    basis, inside = law_miss._cosines([one, apart], 95)
+    # The contact of two samples has no shape.
+    assert inside == 17
+    wanted = np.zeros((40, 24))
+    for some in (slice(3, 10), slice(30, 40)):
+        phase = np.linspace(0.0, 1.0, 1000)
+        shapes = np.cos(np.pi * np.arange(24) * phase[:, None])
+        at = (clock[some] - clock[some][0]) / np.ptp(clock[some])
+        wanted[some] = np.stack([np.interp(at, phase, shape) for shape in shapes.T], axis=1) * -values[some].min()
+    wanted *= weights[:, None]
+    if memory:
+        correlation = np.exp(-np.abs(clock[:, None] - clock) / memory)
+        wanted = np.linalg.solve(np.linalg.cholesky(correlation), wanted)
+    np.testing.assert_allclose(basis[rows], wanted, atol=3e-3 * np.abs(wanted).max())
+    assert not basis[:5].any() and not basis[45:].any()
+
+
+def dense(noise: float, power: np.ndarray, basis: np.ndarray, jacobian: np.ndarray, residuals: np.ndarray) -> float:
+    """- ln of the restricted likelihood of residuals with the covariance noise 1 + B power B^T, by its matrix."""
+    whole = noise * np.eye(len(basis)) + basis * power @ basis.T
+    inverse = np.linalg.inv(whole)
+    information = jacobian.T @ inverse @ jacobian
+    left = residuals - jacobian @ np.linalg.solve(information, jacobian.T @ inverse @ residuals)
+    sizes = np.linalg.slogdet(whole)[1] + np.linalg.slogdet(information)[1]
+    return 0.5 * float(sizes + left @ inverse @ left)
+
+
+def test_the_restricted_likelihood_is_that_of_its_dense_covariance():
+    rng = np.random.default_rng(18)
+    basis, jacobian, residuals = rng.standard_normal((30, 5)), rng.standard_normal((30, 2)), rng.standard_normal(30)
+    residuals -= jacobian @ np.linalg.lstsq(jacobian, residuals)[0]
+    products = (basis.T @ basis, basis.T @ jacobian, jacobian.T @ jacobian, basis.T @ residuals)
+    for noise, power in ((1.0, np.ones(5)), (0.3, rng.uniform(0.1, 4.0, 5)), (2.0, 1e-9 * np.ones(5))):
+        found = law_miss._restricted(noise, power, *products, float(residuals @ residuals), 30)
+        assert found == pytest.approx(dense(noise, power, basis, jacobian, residuals), rel=1e-9)
+
+
+@pytest.mark.parametrize(("seed", "share", "length"), [(19, 0.03, 0.12), (46, 0.003, 0.6)])
+def test_what_the_law_misses_is_the_most_likely_process(seed, share, length):
+    """Its size and the noise beside others, by dense matrices; the estimate's covariance, and how well that is known."""
+    rng = np.random.default_rng(seed)
+    error = process(rng, share, length) + SIGMA * rng.standard_normal(120)
+    _, noise, residuals, jacobian = fitted(error)
+    one = series(PULSE + error, np.full(120, 1.0 / SIGMA))
+    found = discrepancy([one], residuals, jacobian, noise)
+    assert found is not None and found.spread.covariance is not None
+    basis, inverse = law_miss._cosines([one], 120)[0], np.linalg.inv(jacobian.T @ jacobian)
+    (plain, first), (missed, second) = found.spread.moved
+    size = plain[0, 0] / inverse[0, 0]
+    np.testing.assert_allclose(plain, size * inverse, rtol=1e-12)
+    np.testing.assert_allclose(found.spread.covariance, plain + missed, rtol=1e-12)
+    power = found.share**2 * _power(found.length)
+    way = inverse @ jacobian.T @ basis
+    np.testing.assert_allclose(missed, way * power @ way.T, rtol=1e-9, atol=1e-12)
+    least = dense(size, power, basis, jacobian, residuals)
+    # No larger than twice the residuals in contact.
+    most = 2.0 * np.sqrt(np.sum(residuals[INSIDE] ** 2)) * SIGMA / (PULSE + error).max() / np.sqrt(60.0)
+    assert (found.share == pytest.approx(most, rel=1e-3)) == (share > 0.01)
+    for a, b in ((1.1, 1.0), (0.9, 1.0), (1.0, 0.85), *([(1.0, 1.15)] if share < 0.01 else [])):
+        assert dense(a * size, b * power, basis, jacobian, residuals) > least
+    for length in law_miss._LENGTHS:
+        if length != found.length:
+            assert dense(size, found.share**2 * _power(length), basis, jacobian, residuals) > least
+    assert first == pytest.approx(2.0 / 117.0, rel=1e-12)
+    # As many numbers as a smoother of the residuals has.
+    beside = np.eye(120) - jacobian @ inverse @ jacobian.T
+    seen = np.linalg.eigvalsh(beside @ (basis * power @ basis.T) @ beside)
+    assert second == pytest.approx(2.0 / np.sum(seen / (seen + size)), rel=1e-6)
+
+
 def test_runs_of_one_coefficient_have_the_interval_of_their_mean():
     """J = 1 for every sample: a run's estimate is its mean, and the interval Student's of the G means."""
     rng, runs, samples = np.random.default_rng(3), 6, 40

@@ -200,6 +200,22 @@ def test_a_single_error_is_what_a_fit_together_with_the_estimates_lets_pass():
     assert seen == 2
 
 
+def test_an_error_that_moves_one_estimate_alone_has_a_line():
+    linear = Linear(3)
+    linear.slopes = np.diag([1.0, 2.0])
+    left = np.linalg.lstsq(linear.jacobian, linear.signatures[:, 2])[0]
+    # Moves the second estimate, none, and the first.
+    linear.signatures = np.column_stack(
+        [linear.jacobian[:, 1], linear.signatures[:, 2] - linear.jacobian @ left, linear.jacobian[:, 0]]
+    )
+    _, end = linear.fitted(linear.rng.standard_normal(60))
+    lines = linear.budget(end).lines
+    assert [line.error for line in lines] == ["a", "c"]
+    # The residuals say nothing of either: each is as large as is called large.
+    assert [line.amplitude for line in lines] == [0.5, 0.1]
+    np.testing.assert_allclose([list(line.moves.values()) for line in lines], [[0.0, 1.0], [0.1, 0.0]], atol=1e-12)
+
+
 def test_the_correction_leads_back_to_the_truth():
     """Errors drawn as the budget takes them to be: corrected estimates are nearer, widened intervals hold the truth."""
     linear, plain, corrected, held, bare = Linear(2), 0.0, 0.0, 0, 0
