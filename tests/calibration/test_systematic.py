@@ -14,7 +14,9 @@ from shown import brief, drawn
 from bcfj_jax import InputError, scenes, simulate
 from bcfj_jax.io.units import toleranced
 from calibration import Channel, Experiment, Free, Problem, fit
+from calibration.diagnostics import systematic
 from calibration.diagnostics.fit_tests import Spread
+from calibration.diagnostics.residual_tests import Series
 from calibration.diagnostics.systematic import Budget, Error, budget_of
 from calibration.forward.coordinates import Coordinate
 from calibration.search.refinement import End
@@ -257,3 +259,41 @@ def test_each_side_of_an_interval_is_widened_by_its_own_half():
     force = Reference(1e-6, 2.0, (1.0, 4.0)).widened(reach).with_budget
     assert force == pytest.approx((0.5, 16.0))
     assert Reference(1e-6, 2.0, None).widened(reach).with_budget is None
+
+
+def test_errors_of_a_sensor_are_what_they_do_to_a_smooth_reading():
+    """By small steps of each in closed form: a bell of 10 N; a contact that lasts 2 ms, and none."""
+    clock = np.linspace(0.0, 0.01, 401)
+
+    def bell(t: np.ndarray) -> np.ndarray:
+        return 10.0 * np.exp(-0.5 * ((t - 0.005) / 1e-3) ** 2)
+
+    force, h = bell(clock), 1e-4
+    for longest, duration in ((2e-3, 2e-3), (np.inf, 0.01), (0.0, 0.01)):
+        rows = 3 + np.arange(401)
+        one = Series(rows, force > 1.0, 0.01, longest=longest, clock=clock, weights=np.full(401, 2.0))
+        data = SimpleNamespace(values=np.zeros((1, 1, 404)), features=np.zeros((1, 2)))
+        model: Any = SimpleNamespace(data=data, coordinates=(Coordinate("gain", None, True, 0.0, 1.0),))
+        readings = np.r_[0.0, 0.0, 0.0, force].reshape(1, 1, -1)
+        found = systematic._signatures(model, readings, [one])
+        curved = (bell(clock + h) - 2.0 * force + bell(clock - h)) / h**2
+        wanted = {
+            "gain": force,
+            "bend of the gain": force**2 / 10.0,
+            "lag": (bell(clock - 1e-4 * duration) - force) / 1e-4,
+            "resonance": -(duration**2) * curved,
+            "drift": 10.0 * (clock / 0.01 - 0.5),
+            "rest": np.full(401, 10.0),
+            # A sample is 25 us.
+            "clock": (bell(clock - 1e-3 * 2.5e-5) - force) / 1e-3,
+        }
+        assert set(found) == set(wanted)
+        for name, error in wanted.items():
+            assert found[name].shape == (406,) and not found[name][:3].any() and not found[name][404:].any()
+            np.testing.assert_allclose(
+                found[name][rows], 2.0 * error, atol=0.02 * np.abs(2.0 * error).max(), err_msg=name
+            )
+        errors = systematic.of_sensor(model, readings, [one], frozenset({"time_offset"}))
+        # What is fitted or stated is no error; neither is one of a record without a contact.
+        assert [e.name for e in errors] == ["bend of the gain", "lag", "resonance", "drift", "rest"]
+        assert not systematic.of_sensor(model, readings, [one._replace(touching=force > 99.0)], frozenset())
