@@ -146,11 +146,10 @@ def test_what_the_law_misses_is_the_most_likely_process(seed, share, length):
     way = inverse @ jacobian.T @ basis
     np.testing.assert_allclose(missed, way * power @ way.T, rtol=1e-9, atol=1e-12)
     least = dense(size, power, basis, jacobian, residuals)
-    # No larger than twice the residuals in contact.
-    most = 2.0 * np.sqrt(np.sum(residuals[INSIDE] ** 2)) * SIGMA / (PULSE + error).max() / np.sqrt(60.0)
-    assert (found.share == pytest.approx(most, rel=1e-3)) == (share > 0.01)
-    for a, b in ((1.1, 1.0), (0.9, 1.0), (1.0, 0.85), *([(1.0, 1.15)] if share < 0.01 else [])):
-        assert dense(a * size, b * power, basis, jacobian, residuals) > least
+    # Without a process the residuals have the variance 1.
+    assert size == pytest.approx(1.0, rel=1e-3)
+    for b in (0.85, 1.15):
+        assert dense(size, b * power, basis, jacobian, residuals) > least
     for length in law_miss._LENGTHS:
         if length != found.length:
             assert dense(size, found.share**2 * _power(length), basis, jacobian, residuals) > least
@@ -159,6 +158,21 @@ def test_what_the_law_misses_is_the_most_likely_process(seed, share, length):
     beside = np.eye(120) - jacobian @ inverse @ jacobian.T
     seen = np.linalg.eigvalsh(beside @ (basis * power @ basis.T) @ beside)
     assert second == pytest.approx(2.0 / np.sum(seen / (seen + size)), rel=1e-6)
+
+
+def test_the_misses_size_does_not_depend_on_how_large_the_noise_is_said_to_be():
+    rng = np.random.default_rng(20)
+    error = process(rng, 0.02, 0.12) + SIGMA * rng.standard_normal(120)
+    _, noise, residuals, jacobian = fitted(error)
+    one = series(PULSE + error, np.full(120, 1.0 / SIGMA))
+    known = discrepancy([one], residuals, jacobian, noise)
+    assert known is not None and known.spread.covariance is not None and known.share > 0.0
+    for scale in (0.5, 3.0):
+        stated = discrepancy([one._replace(weights=scale * one.weights)], scale * residuals, scale * jacobian, noise)
+        assert stated is not None and (stated.share, stated.length) == pytest.approx(
+            (known.share, known.length), rel=1e-2
+        )
+        np.testing.assert_allclose(stated.spread.covariance, known.spread.covariance, rtol=2e-2, atol=1e-9)
 
 
 def test_runs_of_one_coefficient_have_the_interval_of_their_mean():
