@@ -248,16 +248,17 @@ def _moved(
         gap = float(np.median(np.concatenate([series[k].gaps for k in own])))
         memory = np.exp(-gap / time)
         informations = []
+        # An estimated deviation follows so that the innovation's stays: the two are all but independent then.
+        free = series[own[0]].channel.sigma is None
         for step in (-0.05, 0.05):
             tried = _rows(series, rest, sigma, {**times, name: time * np.exp(step)}, robust=False)
             part = tried.jacobian[np.isin(tried.owner, own)]
-            # An estimated deviation follows so that the innovation's stays: the two are all but independent then.
             later = np.exp(-gap / (time * np.exp(step)))
-            free = series[own[0]].channel.sigma is None
             informations.append(part.T @ part * ((1.0 - later**2) / (1.0 - memory**2) if free else 1.0))
         freedom = max(np.sum(1.0 - leverage[inside]), 1.0)
-        # var(phi) = (1 - phi^2)/n of an autoregression, phi = exp(-gap/time).
+        # var(phi) = (1 - phi^2)/n of an autoregression, phi = exp(-gap/time); its deviation, where known, says more of it.
         variance = (1.0 - memory**2) / freedom / (memory * np.log(memory)) ** 2
+        variance *= 1.0 if free else (1.0 - memory**2) / (1.0 + memory**2)
         moved.append(((informations[1] - informations[0]) / 0.1, float(variance)))
     return moved
 

@@ -4,8 +4,9 @@ Least squares over residuals r with the Jacobian J: an estimate moves by d = -(J
 prediction. Its covariance is (J^T J)^-1 J^T S J (J^T J)^-1 with S that of e:
 
 - *discrepancy*: e = noise + what the law misses, a Gaussian process over the phase of a contact, the same in every
-  contact and proportional to its peak (Kennedy and O'Hagan, J. R. Statist. Soc. B 63, 2001). Its size, its length and
-  the noise maximise the restricted likelihood of the residuals, which sees nothing in the directions of J. The process
+  contact and proportional to its peak (Kennedy and O'Hagan, J. R. Statist. Soc. B 63, 2001). Its size and its length
+  maximise the restricted likelihood of the residuals, which sees nothing in the directions of J. The noise is the one
+  that is most likely without it: intervals by the joint maximum are narrower and hold the truth less often. The process
   is taken to be as large there as beside them, at most twice as large as the residuals in contact, and no longer
   than a third of a contact, since what is larger or longer is a coefficient.
 - *robust*: clustered by run, S from each run's own residuals (Liang and Zeger, Biometrika 73, 1986), times
@@ -21,7 +22,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize, minimize_scalar
+from scipy.optimize import minimize_scalar
 
 from calibration.diagnostics.fit_tests import Spread
 from calibration.diagnostics.residual_tests import Series
@@ -84,24 +85,20 @@ def discrepancy(
     # Without a process, and with one of each length.
     nothing = _power(_LENGTHS[0])
     alone: Any = minimize_scalar(lambda x: cost(np.array([x, _NOTHING]), nothing), bounds=_NOISE, method="bounded")
-    best = (float(alone.fun) - _SEEN, float(np.exp(alone.x)), 0.0, _LENGTHS[0])
+    best = (float(alone.fun) - _SEEN, 0.0, _LENGTHS[0])
     # No larger than what is seen: what coefficients could take up altogether would else have no bound.
     peaks = np.sum(basis[:, 0] ** 2)
     most = float(np.log(_MOST * np.sqrt(np.sum(residuals[basis[:, 0] != 0.0] ** 2) / peaks)))
+    deviation = float(np.exp(alone.x))
     for length in _LENGTHS:
-        for start in (most - 2.0, most - 0.3):
-            options = {"xatol": 1e-3, "fatol": 1e-3}
-            found = minimize(
-                cost,
-                [alone.x, start],
-                (_power(length),),
-                method="Nelder-Mead",
-                bounds=(_NOISE, (most - 8.0, most)),
-                options=options,
-            )
-            if found.fun < best[0]:
-                best = (float(found.fun), float(np.exp(found.x[0])), float(np.exp(found.x[1])), length)
-    _, deviation, share, length = best
+        power = _power(length)
+        found: Any = minimize_scalar(
+            lambda x, power=power: cost(np.array([alone.x, x]), power),
+            bounds=(most - 8.0, most), method="bounded", options={"xatol": 1e-3},
+        )  # fmt: skip
+        if found.fun < best[0]:
+            best = (float(found.fun), float(np.exp(found.x)), length)
+    _, share, length = best
     variance = share**2 * _power(length)
     inverse = np.linalg.inv(own)
     way = inverse @ cross.T
@@ -122,19 +119,17 @@ def _cosines(series: Sequence[Series], size: int) -> tuple[np.ndarray, int]:
     """
     basis, inside = np.zeros((size, _COSINES)), 0
     for s in series:
+        own = np.zeros((s.rows.size, _COSINES))
         edges = np.flatnonzero(np.diff(np.r_[False, s.touching, False].astype(int)))
         for first, last in zip(edges[::2], edges[1::2], strict=True):
             if last - first < 3:
                 continue
-            clock, rows = s.clock[first:last], s.rows[first:last]
+            clock, peak = s.clock[first:last], float(np.max(np.abs(s.values[first:last])))
             phase = (clock - clock[0]) / (clock[-1] - clock[0])
-            peak = float(np.max(np.abs(s.values[first:last]))) * s.weights[first:last]
-            basis[rows] = peak[:, None] * np.cos(np.pi * np.arange(_COSINES) * phase[:, None])
+            own[first:last] = peak * np.cos(np.pi * np.arange(_COSINES) * phase[:, None])
             inside += last - first
-        if s.memory:
-            kept = np.r_[0.0, np.exp(-np.diff(s.clock) / s.memory)][:, None]
-            own = basis[s.rows]
-            basis[s.rows] = (own - kept * np.roll(own, 1, axis=0)) / np.sqrt(1.0 - kept**2)
+        if own.any():
+            basis[s.rows] = s.white(own)
     return basis, inside
 
 

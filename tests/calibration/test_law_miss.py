@@ -12,6 +12,8 @@ from calibration.diagnostics.fit_tests import Spread
 from calibration.diagnostics.records import Record
 from calibration.diagnostics.residual_tests import Series, overstated, residual_tests
 from calibration.forward.coordinates import _logarithms, _reached
+from calibration.search.refinement import End
+from calibration.uncertainty import law_miss
 from calibration.uncertainty.law_miss import _power, block_length, clustered, discrepancy, in_blocks
 
 # One contact of 60 samples between 30 quiet ones on either side; peak 1, noise 0.002.
@@ -78,6 +80,101 @@ def test_without_a_miss_the_interval_is_that_of_the_noise():
     assert np.median(ratios) < 1.2 and np.quantile(ratios, 0.9) < 2.0, np.sort(ratios)
 
 
+@pytest.mark.parametrize("memory", [0.0, 2.0])
+def test_the_cosines_are_of_the_phase_of_each_contact(memory):
+    """Times its peak, in deviations, and freed of the noise's memory by the Cholesky factor of its correlation."""
+    rng = np.random.default_rng(17)
+    touching = np.zeros(40, bool)
+    touching[3:10] = touching[20:22] = touching[30:] = True
+    clock, weights = np.cumsum(rng.uniform(0.5, 1.5, 40)), rng.uniform(1.0, 3.0, 40)
+    values = np.where(touching, -rng.uniform(1.0, 5.0, 40), 0.0)
+    rows = 5 + np.arange(40)
+    one = Series(rows, touching, 1.0, clock=clock, values=values, weights=weights, memory=memory)
+    apart = one._replace(rows=50 + np.arange(40), touching=np.zeros(40, bool))
+    basis, inside = law_miss._cosines([one, apart], 95)
+    # The contact of two samples has no shape.
+    assert inside == 17
+    wanted = np.zeros((40, 24))
+    for some in (slice(3, 10), slice(30, 40)):
+        phase = np.linspace(0.0, 1.0, 1000)
+        shapes = np.cos(np.pi * np.arange(24) * phase[:, None])
+        at = (clock[some] - clock[some][0]) / np.ptp(clock[some])
+        wanted[some] = np.stack([np.interp(at, phase, shape) for shape in shapes.T], axis=1) * -values[some].min()
+    wanted *= weights[:, None]
+    if memory:
+        correlation = np.exp(-np.abs(clock[:, None] - clock) / memory)
+        wanted = np.linalg.solve(np.linalg.cholesky(correlation), wanted)
+    np.testing.assert_allclose(basis[rows], wanted, atol=3e-3 * np.abs(wanted).max())
+    assert not basis[:5].any() and not basis[45:].any()
+
+
+def dense(noise: float, power: np.ndarray, basis: np.ndarray, jacobian: np.ndarray, residuals: np.ndarray) -> float:
+    """- ln of the restricted likelihood of residuals with the covariance noise 1 + B power B^T, by its matrix."""
+    whole = noise * np.eye(len(basis)) + basis * power @ basis.T
+    inverse = np.linalg.inv(whole)
+    information = jacobian.T @ inverse @ jacobian
+    left = residuals - jacobian @ np.linalg.solve(information, jacobian.T @ inverse @ residuals)
+    sizes = np.linalg.slogdet(whole)[1] + np.linalg.slogdet(information)[1]
+    return 0.5 * float(sizes + left @ inverse @ left)
+
+
+def test_the_restricted_likelihood_is_that_of_its_dense_covariance():
+    rng = np.random.default_rng(18)
+    basis, jacobian, residuals = rng.standard_normal((30, 5)), rng.standard_normal((30, 2)), rng.standard_normal(30)
+    residuals -= jacobian @ np.linalg.lstsq(jacobian, residuals)[0]
+    products = (basis.T @ basis, basis.T @ jacobian, jacobian.T @ jacobian, basis.T @ residuals)
+    for noise, power in ((1.0, np.ones(5)), (0.3, rng.uniform(0.1, 4.0, 5)), (2.0, 1e-9 * np.ones(5))):
+        found = law_miss._restricted(noise, power, *products, float(residuals @ residuals), 30)
+        assert found == pytest.approx(dense(noise, power, basis, jacobian, residuals), rel=1e-9)
+
+
+@pytest.mark.parametrize(("seed", "share", "length"), [(19, 0.03, 0.12), (46, 0.003, 0.6)])
+def test_what_the_law_misses_is_the_most_likely_process(seed, share, length):
+    """Its size and the noise beside others, by dense matrices; the estimate's covariance, and how well that is known."""
+    rng = np.random.default_rng(seed)
+    error = process(rng, share, length) + SIGMA * rng.standard_normal(120)
+    _, noise, residuals, jacobian = fitted(error)
+    one = series(PULSE + error, np.full(120, 1.0 / SIGMA))
+    found = discrepancy([one], residuals, jacobian, noise)
+    assert found is not None and found.spread.covariance is not None
+    basis, inverse = law_miss._cosines([one], 120)[0], np.linalg.inv(jacobian.T @ jacobian)
+    (plain, first), (missed, second) = found.spread.moved
+    size = plain[0, 0] / inverse[0, 0]
+    np.testing.assert_allclose(plain, size * inverse, rtol=1e-12)
+    np.testing.assert_allclose(found.spread.covariance, plain + missed, rtol=1e-12)
+    power = found.share**2 * _power(found.length)
+    way = inverse @ jacobian.T @ basis
+    np.testing.assert_allclose(missed, way * power @ way.T, rtol=1e-9, atol=1e-12)
+    least = dense(size, power, basis, jacobian, residuals)
+    # Without a process the residuals have the variance 1.
+    assert size == pytest.approx(1.0, rel=1e-3)
+    for b in (0.85, 1.15):
+        assert dense(size, b * power, basis, jacobian, residuals) > least
+    for length in law_miss._LENGTHS:
+        if length != found.length:
+            assert dense(size, found.share**2 * _power(length), basis, jacobian, residuals) > least
+    assert first == pytest.approx(2.0 / 117.0, rel=1e-12)
+    # As many numbers as a smoother of the residuals has.
+    beside = np.eye(120) - jacobian @ inverse @ jacobian.T
+    seen = np.linalg.eigvalsh(beside @ (basis * power @ basis.T) @ beside)
+    assert second == pytest.approx(2.0 / np.sum(seen / (seen + size)), rel=1e-6)
+
+
+def test_the_misses_size_does_not_depend_on_how_large_the_noise_is_said_to_be():
+    rng = np.random.default_rng(20)
+    error = process(rng, 0.02, 0.12) + SIGMA * rng.standard_normal(120)
+    _, noise, residuals, jacobian = fitted(error)
+    one = series(PULSE + error, np.full(120, 1.0 / SIGMA))
+    known = discrepancy([one], residuals, jacobian, noise)
+    assert known is not None and known.spread.covariance is not None and known.share > 0.0
+    for scale in (0.5, 3.0):
+        stated = discrepancy([one._replace(weights=scale * one.weights)], scale * residuals, scale * jacobian, noise)
+        assert stated is not None and (stated.share, stated.length) == pytest.approx(
+            (known.share, known.length), rel=1e-2
+        )
+        np.testing.assert_allclose(stated.spread.covariance, known.spread.covariance, rtol=2e-2, atol=1e-9)
+
+
 def test_runs_of_one_coefficient_have_the_interval_of_their_mean():
     """J = 1 for every sample: a run's estimate is its mean, and the interval Student's of the G means."""
     rng, runs, samples = np.random.default_rng(3), 6, 40
@@ -111,6 +208,80 @@ def test_the_clustered_covariance_is_that_of_statsmodels():
     covariance = theirs.get_robustcov_results("cluster", groups=names, use_correction=False).cov_params()
     found = clustered(names, -theirs.resid, jacobian, noise_of(jacobian))
     np.testing.assert_allclose(found["robust"].covariance, 7.0 / 6.0 * covariance, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("keep", "length"), [(0.0, None), (0.9, None), (0.0, 7)])
+def test_blocks_have_the_covariance_of_newey_and_west(keep, length, monkeypatch):
+    """Where scores are 0 for a block's length at both ends, sums of blocks weigh lags as Bartlett's window does."""
+    linear_model = pytest.importorskip("statsmodels.regression.linear_model")
+    rng, quiet, count = np.random.default_rng(11), 60, 400
+    jacobian = np.zeros((count + 2 * quiet, 2))
+    jacobian[quiet:-quiet] = rng.standard_normal((count, 2)) + 1.0
+    values = jacobian @ [1.0, 2.0] + remembering(rng, keep, len(jacobian))
+    theirs = linear_model.OLS(values, jacobian).fit()
+    noise, rows = noise_of(jacobian), np.arange(len(jacobian))
+    scores = theirs.resid[:, None] * jacobian @ noise.covariance
+    if length is None:
+        length = max(1, round(max(block_length(column) for column in scores.T)))
+        assert length < quiet and (length > 3) == (keep > 0.0)
+    else:
+        monkeypatch.setattr(law_miss, "block_length", lambda column: float(length))
+    one = Series(rows, rows >= 0, 1.0, clock=rows.astype(float), values=values, weights=np.ones(len(rows)))
+    # Twice the same record, whose covariance is a half; the prediction's errors have the other sign.
+    two = one._replace(rows=rows + len(rows))
+    found = in_blocks([one, two], np.tile(-theirs.resid, 2), np.tile(jacobian, (2, 1)), noise)
+    assert found is not None and found.covariance is not None
+    options = {"maxlags": length - 1, "use_correction": False}
+    wanted = theirs.get_robustcov_results("HAC", **options).cov_params() / 2.0
+    blocks = 2.0 * len(rows) / length
+    wanted = wanted * len(rows) / (len(rows) - length + 1) * blocks / (blocks - 1.0)
+    np.testing.assert_allclose(found.covariance, wanted, rtol=1e-9)
+    assert found.student == pytest.approx(blocks - 1.0) and found.moved == ()
+
+
+def test_fewer_than_three_blocks_say_nothing(monkeypatch):
+    rows = np.arange(30)
+    one = Series(rows, rows >= 0, 1.0, clock=rows.astype(float), values=rows, weights=np.ones(30))
+    residuals, jacobian = np.where(rows % 2, 1.0, -1.0), np.ones((30, 1))
+    for length, known in ((10.0, True), (11.0, False)):
+        monkeypatch.setattr(law_miss, "block_length", lambda column, length=length: length)
+        assert (in_blocks([one], residuals, jacobian, noise_of(jacobian)) is not None) == known
+    few = one._replace(rows=rows[:15])
+    assert in_blocks([few], residuals, jacobian, noise_of(jacobian)) is None
+
+
+@pytest.mark.parametrize("loss", ["soft_l1", "cauchy"])
+def test_the_covariance_of_a_robust_estimate_is_that_of_statsmodels(loss):
+    """Huber's, of a scale that is 1: H1 of its robust linear model."""
+    robust = pytest.importorskip("statsmodels.robust.robust_linear_model")
+    norms = pytest.importorskip("statsmodels.robust.norms")
+
+    class Norm(norms.RobustNorm):
+        def psi(self, z):
+            return z / np.sqrt(1.0 + z**2) if loss == "soft_l1" else z / (1.0 + z**2)
+
+        def psi_deriv(self, z):
+            return (1.0 + z**2) ** -1.5 if loss == "soft_l1" else (1.0 - z**2) / (1.0 + z**2) ** 2
+
+    rng = np.random.default_rng(12)
+    jacobian = np.column_stack([np.ones(40), rng.standard_normal((40, 2))])
+    residuals = stats.t.rvs(3.0, size=40, random_state=rng)
+    # Rows without information, as of samples that are not there, do not count.
+    end = End(np.zeros(3), np.zeros(3), 0.0, np.r_[residuals, 0.0], np.r_[jacobian, np.zeros((1, 3))], True)
+    found = fit_tests.spread(end, 40, [(np.eye(3), 0.5)], loss)
+    model = robust.RLM(-residuals, jacobian, M=Norm())
+    model.weights = np.ones(40)
+    theirs = robust.RLMResults(model, np.zeros(3), model.normalized_cov_params, 1.0)
+    np.testing.assert_allclose(found.covariance, theirs.bcov_scaled, rtol=1e-9)
+    # The cost, half of whose second derivative is the mean of psi', rises by so much at a deviation.
+    slope = np.mean(Norm().psi_deriv(residuals))
+    share = theirs.bcov_scaled[0, 0] / model.normalized_cov_params[0, 0]
+    assert found.rise == pytest.approx(share * slope, rel=1e-9)
+    # Of the information J^T J its covariance is share times the inverse.
+    ((change, variance),) = found.moved
+    inverse = np.linalg.inv(jacobian.T @ jacobian)
+    np.testing.assert_allclose(change, -share * inverse @ inverse, rtol=1e-9)
+    assert variance == 0.5
 
 
 def remembering(rng: np.random.Generator, keep: float, count: int) -> np.ndarray:

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
-from scipy.linalg import cholesky, toeplitz
+from scipy.linalg import cholesky, solve_triangular, toeplitz
+from scipy.optimize import minimize
 
 from bcfj_jax import InputError, scenes
 from calibration import Channel, Experiment, Free, Problem
 from calibration.diagnostics import fit_tests
 from calibration.diagnostics.residual_tests import Series, correlation_of, residual_tests
 from calibration.forward import model
-from calibration.forward.integration import errors
+from calibration.forward.integration import Limit, errors
 from calibration.forward.losses import influence, loss_of, straightened
-from calibration.noise import noise_model
+from calibration.noise import estimation, noise_model
 from calibration.noise.estimation import settle
+from calibration.noise.scatter import scatter
 from calibration.search.refinement import End, finish
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -127,6 +133,81 @@ def test_whitening_is_that_of_the_correlation_matrix(force):
     np.testing.assert_allclose(spread.covariance, covariance, rtol=1e-6)
 
 
+def restricted(force, readings):
+    """Of the logarithms of deviation and correlation time: - ln of the restricted likelihood, by dense matrices."""
+    design = np.stack([force, np.ones(COUNT)], axis=1)
+    lags = toeplitz(TIMES - TIMES[0])
+
+    def parts(x):
+        return np.exp(2.0 * x[0] - lags / np.exp(x[1]))
+
+    def cost(x):
+        inverse = np.linalg.inv(parts(x))
+        information = design.T @ inverse @ design
+        left = readings - design @ np.linalg.solve(information, design.T @ inverse @ readings)
+        sizes = np.linalg.slogdet(parts(x))[1] + np.linalg.slogdet(information)[1]
+        return 0.5 * float(sizes + left @ inverse @ left)
+
+    return cost, parts, design
+
+
+@pytest.mark.parametrize("sigma", [None, 2.0])
+def test_memory_of_the_noise_is_that_of_the_restricted_likelihood(force, sigma):
+    """Deviation and correlation time by a search over dense matrices; their doubt by the information about them."""
+    step = TIMES[1] - TIMES[0]
+    readings = force + 2.0 * autoregression(0.6, np.random.default_rng(11))
+    settled, _, found, _ = solved(Channel("contact.normal", readings, sigma, correlation=None))
+    cost, parts, design = restricted(force, readings)
+    free = np.array([True, True]) if sigma is None else np.array([False, True])
+    start = np.log([2.0, 2.0 * step])
+    whole = lambda x: cost(np.where(free, np.insert(x, 0, 0.0)[-2:], start))  # noqa: E731
+    best = minimize(whole, start[free], method="Nelder-Mead", options={"xatol": 1e-7, "fatol": 1e-10}).x
+    best = np.where(free, np.insert(best, 0, 0.0)[-2:], start)
+    time = found.correlation["contact.normal"]
+    assert time == pytest.approx(np.exp(best[1]), rel=1e-3)
+    if sigma is None:
+        assert found.sigma["contact.normal"] == pytest.approx(np.exp(best[0]), rel=1e-3)
+    assert np.asarray(settled.data.weights)[0, 0] == pytest.approx(np.exp(-best[0]), rel=1e-3)
+    memory = np.asarray(settled.data.memory)[0, 0]
+    assert memory[0] == 0.0 and memory[1:] == pytest.approx(np.exp(-step / time), rel=1e-9)
+    # What is expected of the information about both logarithms, 1/2 tr(P dV P dV), P what the fit leaves of V^-1.
+    inverse = np.linalg.inv(parts(best))
+    fitted = inverse @ design @ np.linalg.solve(design.T @ inverse @ design, design.T @ inverse)
+    left, slopes = inverse - fitted, [2.0 * parts(best), parts(best) * toeplitz(TIMES) / np.exp(best[1])]
+    information = np.array([[0.5 * np.trace(left @ a @ left @ b) for b in slopes] for a in slopes])
+    doubt = np.linalg.inv(information)[1, 1] if sigma is None else 1.0 / information[1, 1]
+    *others, (change, variance) = found.moved
+    # Of 80 samples; the code has the formulas of many.
+    assert variance == pytest.approx(doubt, rel=0.2)
+    # How the information about gain and offset follows, an estimated deviation keeping that of the innovations.
+    box = np.array([1.0, 200.0])
+
+    def known(x):
+        kept = (1.0 - np.exp(-2.0 * step / np.exp(x))) / (1.0 - np.exp(-2.0 * step / time)) if sigma is None else 1.0
+        return np.outer(box, box) * (design.T @ np.linalg.solve(parts([best[0], x]), design)) * kept
+
+    wanted = (known(best[1] + 1e-4) - known(best[1] - 1e-4)) / 2e-4
+    np.testing.assert_allclose(change, wanted, rtol=0.02, atol=1e-3 * np.abs(wanted).max())
+    assert len(others) == (sigma is None)
+    for change, variance in others:
+        np.testing.assert_allclose(change, -2.0 * known(best[1]), rtol=2e-3)
+        assert variance == pytest.approx(0.5 / (COUNT - 2), rel=1e-9)
+
+
+def test_errors_freed_of_their_memory_are_white():
+    """Solved with the Cholesky factor of the covariance, samples at uneven times."""
+    rng = np.random.default_rng(12)
+    clock, weights = np.cumsum(rng.uniform(0.1, 2.0, 30)), rng.uniform(0.5, 2.0, 30)
+    errors, rows = rng.standard_normal((30, 3)), np.arange(30)
+    covariance = np.exp(-np.abs(clock[:, None] - clock) / 0.8) / np.outer(weights, weights)
+    series = Series(rows, rows >= 0, 1.0, memory=0.8, clock=clock, weights=weights)
+    for some in (errors, errors[:, 0]):
+        wanted = solve_triangular(cholesky(covariance, lower=True), some, lower=True)
+        np.testing.assert_allclose(series.white(some), wanted, rtol=1e-9, atol=1e-12)
+    white = series._replace(memory=0.0).white(errors)
+    np.testing.assert_allclose(white, weights[:, None] * errors, rtol=1e-15)
+
+
 @pytest.mark.slow
 def test_declared_correlation_keeps_its_coverage(force):
     """Memory 0.6 between samples, found with its deviation: 95 % intervals of the offset, where it matters most."""
@@ -231,6 +312,115 @@ def test_held_out_prediction_has_its_level():
         plain += stats.chi2.sf(r @ r, 12) < fit_tests.LEVEL
     assert failed <= 8  # 1e-3 of 2000 is 2
     assert plain > 200
+
+
+def test_scatter_is_the_deviation_of_white_noise_on_a_smooth_signal():
+    rng, t = np.random.default_rng(13), np.linspace(0.0, 1.0, 4000)
+    values = 1e3 * t**2 + 2.0 * rng.standard_normal(4000)
+    assert scatter(values) == pytest.approx(2.0, rel=0.06)
+    values[::40] += 100.0
+    assert scatter(values) == pytest.approx(2.0, rel=0.25)
+    assert scatter(values[:11]) == 0.0 < scatter(values[:12])
+
+
+def test_records_have_their_own_deviations_where_these_clearly_differ():
+    """By a factor of three, of errors that are scatter; else none is told from the others."""
+    rng, slow = np.random.default_rng(14), np.sin(np.linspace(0.0, 6.0, 2000))
+    one, two, ten = (k * rng.standard_normal(2000) for k in (1.0, 2.0, 10.0))
+    assert noise_model._ratios([one, ten]) == pytest.approx(10.0 ** np.array([-0.5, 0.5]), rel=0.08)
+    assert noise_model._ratios([two, one, ten]) == pytest.approx(np.array([2.0, 1.0, 10.0]) / 20 ** (1 / 3), rel=0.08)
+    assert noise_model._ratios([ten, one, 3.0 * slow + one]) == pytest.approx(
+        10.0 ** (np.array([2.0, -1.0, -1.0]) / 3.0), rel=0.08
+    )
+    for others in ([one, two], [one, ten, 10.0 * slow + one], [0.0 * one, ten]):
+        assert np.array_equal(noise_model._ratios(others), np.ones(len(others)))
+
+
+def record(
+    k: int, name: str, error: np.ndarray, design: np.ndarray, sigma=None, correlation: float | None = 0.0
+) -> Any:
+    channel = SimpleNamespace(observes=name, sigma=sigma, correlation=correlation)
+    count = error.size
+    deviation = np.full(count, sigma or 1.0)
+    return noise_model._Series((k, 0), channel, np.arange(count), np.ones(count - 1), error, design, deviation)
+
+
+def test_deviations_are_at_their_common_fixed_point():
+    """Each channel's square over its freedom, by weighted least squares over all; below the integrator's, that one's."""
+    rng = np.random.default_rng(15)
+    designs = [rng.standard_normal((n, 2)) + 1.0 for n in (12, 9, 30)]
+    sizes = (3.0, 0.2, 1.0)
+    series = [
+        record(k, name, size * rng.standard_normal(len(x)), x, 1.0 if name == "c" else None)
+        for k, (name, size, x) in enumerate(zip("abc", sizes, designs, strict=True))
+    ]
+    rest = (np.zeros(0), np.zeros((0, 2)))
+    start = {"a": 1.0, "b": 1.0}
+    for limits in ({}, {"b": Limit(5.0, 10.0)}):
+        found, rows = noise_model._converged(series, rest, start, {}, False, limits)
+        deviations = np.repeat([found["a"], found["b"], 1.0], [12, 9, 30])
+        white = np.concatenate(designs) / deviations[:, None]
+        hat = white @ np.linalg.inv(white.T @ white) @ white.T
+        error = np.concatenate([s.error for s in series]) / deviations
+        left = error - hat @ error
+        np.testing.assert_allclose(rows.residual, error, rtol=1e-12)
+        parts = {"a": slice(0, 12), "b": slice(12, 21)}
+        for name in ("a",) if limits else ("a", "b"):
+            freedom = parts[name].stop - parts[name].start - np.trace(hat[parts[name], parts[name]])
+            assert np.sum(left[parts[name]] ** 2) == pytest.approx(freedom, rel=1e-8)
+    assert found["b"] == 10.0
+
+
+def test_a_correlation_time_may_be_as_long_as_the_longest_record(monkeypatch):
+    rng = np.random.default_rng(16)
+    long, short = (autoregression(0.9, rng, n) for n in (1500, 3))
+    design = [np.ones((n, 1)) for n in (1500, 3)]
+    series = [
+        record(k, "f", x, d, correlation=None) for k, (x, d) in enumerate(zip((long, short), design, strict=True))
+    ]
+    rest = (np.zeros(0), np.zeros((0, 1)))
+    monkeypatch.setattr(noise_model, "_series", lambda *_: (series, rest))
+    monkeypatch.setattr(noise_model, "_reweighed", lambda model, *_: model)
+    model: Any = SimpleNamespace(loss="linear")
+    _, found = noise_model.estimate(model, (), np.zeros(1), 0.0)
+    # The deviation of phi is sqrt(0.19/1500) = 0.011, of the deviation 8 %.
+    assert np.exp(-1.0 / found.correlation["f"]) == pytest.approx(0.9, abs=0.035)
+    assert found.sigma["f"] == pytest.approx(1.0, rel=0.25)
+
+
+def weighed(weights, memory=(0.0, 0.0, 0.0), loss: str = "linear") -> Any:
+    data = SimpleNamespace(weights=np.array([*weights, 0.0]), memory=np.array([*memory, 0.0]))
+    return SimpleNamespace(data=data, loss=loss, observed_features=())
+
+
+def test_what_changes_of_the_noise_is_a_share_of_a_weight_or_a_memory():
+    plain, half = weighed((1.0, 2.0, 4.0)), weighed((0.5, 1.0, 2.0))
+    assert estimation._change(plain, half) == pytest.approx(0.5)
+    assert estimation._change(half, weighed((0.5, 1.5, 2.0))) == pytest.approx(0.5)
+    assert estimation._change(plain, weighed((1.0, 2.0, 4.0), (0.0, 0.7, 0.2))) == pytest.approx(0.7)
+    assert estimation._factor(plain, half) == 0.5 and estimation._factor(half, plain) == 2.0
+    others = (
+        weighed((0.5, 1.0, 2.1)),
+        weighed((0.5, 1.0, 2.0), (0.0, 0.1, 0.1)),
+        weighed((0.5, 1.0, 2.0), loss="cauchy"),
+    )
+    assert [estimation._factor(plain, other) for other in others] == [None] * 3
+
+
+def test_ends_follow_the_refined_one_beside_them():
+    """Where one factor is on all residuals, no optimum moves: costs alone do."""
+    refined = End(np.zeros(2), np.full(2, 0.5), 8.0, np.array([2.0, 2.0]), np.eye(2), True)
+    none = np.zeros((0, 2))
+    beside, apart = (End(np.zeros(2), np.full(2, 0.5 + d), 9.0, none[:, 0], none, True) for d in (5e-4, 2e-3))
+    stopped, failed = replace(beside, converged=False, cost=1.0), replace(beside, failure="no", cost=0.1)
+    ends = (refined, beside, apart, stopped, failed)
+    moved = list(estimation._all_moved(weighed((1.0, 1.0, 1.0)), ends, 0.0, 3.0))
+    assert [end.cost for end in moved] == pytest.approx([72.0, 72.0, 81.0, 9.0, 0.1])
+    assert np.array_equal(moved[0].residuals, [6.0, 6.0]) and np.array_equal(moved[0].jacobian, 3.0 * np.eye(2))
+    assert np.array_equal(moved[1].point, refined.point) and np.array_equal(moved[2].point, apart.point)
+    # The failed one last, whatever its cost.
+    last = estimation._ordered(weighed((1.0, 1.0, 1.0)), [failed, replace(apart, cost=99.0), refined], 0.0)
+    assert [end.cost for end in last] == [8.0, 99.0, 0.1]
 
 
 def bad(channel: Channel) -> str:

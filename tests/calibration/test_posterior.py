@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,7 +17,7 @@ from calibration.uncertainty.posterior import Chains
 
 pytest.importorskip("numpyro", reason="NumPyro is the extra uq")
 
-pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("error")]
+pytestmark = pytest.mark.filterwarnings("error")
 
 RNG = np.random.default_rng(1)
 MATRIX = 60 * RNG.standard_normal((12, 3)) @ np.array([[1.0, 0.9, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 3.0]])
@@ -28,6 +31,45 @@ def linear(u):
     return jnp.asarray(MATRIX) @ (u - BEST) + NOISE
 
 
+def test_the_density_is_that_of_stated_and_estimated_deviations():
+    """exp(-cost/2), and cost^(-n/2) of n samples of one unknown deviation; its slope by differences."""
+    owners = np.array([-1, 0, 1, -2, 1, 0, -1, 1, -2, 1, 0, 1])
+    for loss, rho in (("linear", lambda z: z), ("cauchy", np.log1p)):
+        energy = posterior._energy(linear, owners, loss)
+
+        def wanted(u, rho=rho):
+            cost = rho(np.asarray(linear(u)) ** 2)
+            first, second = cost[owners == 0], cost[owners == 1]
+            return 0.5 * (cost[owners == -1].sum() + 3 * np.log(first.sum()) + 5 * np.log(second.sum()))
+
+        at = BEST + [0.01, -0.02, 0.005]
+        assert float(energy(at)) == pytest.approx(wanted(at), rel=1e-12)
+        steps = 1e-6 * np.eye(3)
+        slope = [(wanted(at + step) - wanted(at - step)) / 2e-6 for step in steps]
+        assert np.asarray(jax.grad(energy)(at)) == pytest.approx(slope, rel=1e-6)
+    plain = posterior._energy(linear, None, "linear")
+    assert float(plain(BEST)) == pytest.approx(0.5 * NOISE @ NOISE)
+
+
+def test_whose_deviation_a_residual_has():
+    data = SimpleNamespace(weights=np.array([[[1.0, 0.0], [2.0, 2.0]]]), features=np.zeros((1, 1)))
+    model: Any = SimpleNamespace(channels=("f", "g"), data=data)
+    assert posterior._owners(model, ["g"]).tolist() == [-1, -2, 0, 0, -1]
+    assert posterior._owners(model, ["g", "f"]).tolist() == [1, -2, 0, 0, -1]
+
+
+def test_draws_have_the_ends_of_95_percent_unless_chains_disagree():
+    draws = np.random.default_rng(2).standard_normal((4, 2000, 2))
+    good = posterior._summary(("a", "b"), draws, 0)
+    for name in "ab":
+        assert good.intervals[name] == pytest.approx((-1.96, 1.96), abs=0.12)
+    assert not good.refusal
+    apart = posterior._summary(("a", "b"), draws + np.array([0.0, 1.0]) * np.arange(4)[:, None, None], 0)
+    assert apart.refusal.startswith("the chains disagree on b") and apart.intervals == {"a": None, "b": None}
+    assert "1 of 8000 transitions diverged" in posterior._summary(("a", "b"), draws, 1).refusal
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("estimated", [False, True], ids=["stated noise", "estimated noise"])
 def test_linear_problem_has_the_covariance_intervals(estimated):
     freedom, before = 12 - 3, jax.config.values.copy()
@@ -45,6 +87,7 @@ def test_linear_problem_has_the_covariance_intervals(estimated):
     assert jax.config.values == before
 
 
+@pytest.mark.slow
 def test_residuals_whose_tangents_come_together_can_be_sampled():
     def ahead(u, changes):
         return (linear(u), jnp.zeros(())), changes @ jnp.asarray(MATRIX).T
@@ -55,6 +98,7 @@ def test_residuals_whose_tangents_come_together_can_be_sampled():
     assert found.draws == pytest.approx(plain.draws, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_two_modes_are_refused():
     # Chains that begin on either side of a ridge of 200 sigma squared stay there.
     twin = lambda u: jnp.array([2000 * (u[0] - 0.4) * (u[0] - 0.6)])  # noqa: E731
@@ -63,6 +107,7 @@ def test_two_modes_are_refused():
     assert np.all(found.rhat > posterior.WORST_RHAT)
 
 
+@pytest.mark.slow
 def test_failing_simulations_are_refused():
     # A tenth of a sigma from the optimum nothing simulates.
     half = lambda u: jnp.where(u < 0.501, 100 * (u - 0.5), jnp.nan)  # noqa: E731

@@ -1,4 +1,4 @@
-"""Gaps beside the joint's closed forms of the same contacts: grooves, windows, pilots."""
+"""Gaps beside the joint's closed forms of the same contacts, and by hand: grooves, windows, pilots."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from gap_cases import ZERO, Case, R, found, frame, numbers, turned
+from gap_cases import CASES, ZERO, Case, R, found, frame, numbers, turned
 from joints import made, unit
 
 from bcfj_jax.contact.gaps import make_gap
@@ -62,6 +62,53 @@ def test_balls_in_windows_are_those_of_the_joint():
     # Either sign: the first face's force less the second's; its axial reference is outward.
     outward = array(gap.axial(frame(start, axes), frame(balls, np.eye(3)), sizes))
     assert gap.signed and np.allclose(outward, balls - start)
+
+
+@pytest.mark.parametrize(("axis", "windows"), [("y", 6), ("-x", 3), ((0.0, 0.6, 0.8), 5)])
+def test_windows_turn_around_the_cage_by_a_full_turn(axis, windows):
+    """Ball i is off the middle by its own way along e, turned by i/windows of a turn about z of the cage."""
+    rng = np.random.default_rng(14)
+    axes, start = turned(0.8, unit(rng)), rng.normal(size=3)
+    first = {"y": (0.0, 1.0, 0.0), "-x": (-1.0, 0.0, 0.0)}.get(axis, axis)
+    ways = np.array([turned(2 * np.pi * i / windows, np.array([0.0, 0.0, 1.0])) @ first for i in range(windows)])
+    off = 1e-4 * rng.normal(size=windows)
+    across = np.cross(ways, unit(rng, windows))
+    balls = start + (off[:, None] * ways + 0.03 * across) @ axes.T
+    gap = make_gap("ball_between_planes", axis=axis, windows=windows)
+    sizes = numbers({"clearance": 1e-5, "ball_radius": R})
+    depth, normal, lever, _ = found(gap, frame(start, axes), frame(balls, np.eye(3)), sizes)
+    assert np.allclose(depth, [off - 1e-5, -off - 1e-5], rtol=0, atol=1e-14)
+    assert np.allclose(normal, [ways @ axes.T, -ways @ axes.T], rtol=0, atol=1e-14)
+    assert np.allclose(lever, R * np.asarray(normal), rtol=0, atol=1e-16)
+
+
+@pytest.mark.parametrize("side", ["outer", "inner"])
+def test_a_flank_is_there_on_its_own_side_of_the_grooves_middle(side):
+    """A ball pressed out of the groove feels the flank of its side whole, the other one not; within 3 degrees, in part.
+
+    Both of the gap and of the joint's own contact.
+    """
+    case = CASES[f"groove-{side}-gothic-0"]
+    s, kappa = case.sizes, 1.0 if side == "outer" else -1.0
+    q = R * (2.0 * s["conformity"] - 1.0)
+    middle = np.array([q * np.sin(s["contact_angle"]), q * np.cos(s["contact_angle"])])
+    out = case.track(0) - [0.0, 0.0, kappa * s["offset"]]
+    out /= np.linalg.norm(out)
+    _, _, c = made()
+    for lean, share in ((0.5, 1.0), (np.arcsin(0.05), 1.0), (np.arcsin(0.025), 0.5), (0.0, 0.0), (-0.5, 0.0)):
+        for sign in (1.0, -1.0):
+            # From the centre of the circle of flank ``sign``, at an angle from the groove's middle.
+            aside = sign * (np.sin(lean) - np.sin(s["contact_angle"])) * q
+            high = kappa * (np.cos(lean) * q - middle[1])
+            place = case.track(0) + high * out + aside * np.array([0.0, 1.0, 0.0])
+            depth, _, _, gate = found(case.gap, frame(ZERO, np.eye(3)), frame(place, np.eye(3)), numbers(s))
+            face = 0 if sign > 0 else 1
+            assert depth[face] == pytest.approx(-s["clearance"], abs=1e-15)
+            assert gate[face] == pytest.approx(share, abs=1e-9)
+            race = 0 if side == "outer" else 1
+            both = np.broadcast_to(place - [0.0, 0.0, kappa * s["offset"]], (1, 2, 3))
+            at = jax.jit(contacts.grooves)(c.groove, both, np.broadcast_to([0.0, 1.0, 0.0], (1, 2, 3)))
+            assert at.gate is not None and at.gate[0, race, face] == pytest.approx(share, abs=1e-6)
 
 
 def test_pilots_are_those_of_the_joint():

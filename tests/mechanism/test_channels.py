@@ -13,6 +13,7 @@ from bcfj_jax import InputError, reading_history, scenes, simulate
 from bcfj_jax.mechanism.bodies import JOINTS
 from bcfj_jax.mechanism.bodies import unit_of as start_unit
 from bcfj_jax.mechanism.channels import unit_of
+from bcfj_jax.mechanism.observed import observing
 
 TIMES = np.linspace(0.0, 2e-3, 401)
 READ = (
@@ -198,3 +199,21 @@ def test_a_driven_body_reads_its_drive_and_starts_by_it(joint):
     other = "angle" if joint == "slide" else "position"
     with pytest.raises(InputError, match=f"the joint of 'b' has no {other}; .*{place}"):
         reading_history(scene, scene.parameters(), times, [f"b.{other}"])
+
+
+def test_a_period_is_one_turn_of_the_driven_hinge():
+    scene = scenes.slider_crank()
+    for speed in (30.0, -30.0):
+        period, settled = scene.period(scene.parameters(crank_speed=speed))
+        assert period == pytest.approx(2.0 * np.pi / 30.0, rel=1e-14) and settled == period
+    with pytest.raises(InputError, match=r"crank drive.*other than 0"):
+        scene.period(scene.parameters(crank_speed=0.0))
+
+
+def test_a_reading_of_which_a_feature_is_stands_in_a_contacts_place():
+    """Its value where a normal force does."""
+    scene = scenes.slider_crank()
+    params, shown = scene.parameters(), observing(scene, ["slider.velocity.x.peak"])
+    start = scene.initial_state(params)
+    found = jax.eval_shape(lambda y, p: shown.observe(jnp.zeros(()), y, shown.prepare(p)), start, params)
+    assert found["slider.velocity.x"].force.shape == (3,)

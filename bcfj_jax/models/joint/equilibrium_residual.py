@@ -3,7 +3,7 @@
 Massless parts, no friction, no damping. Arrays have the instants along their last axis, so that the processor's
 the batch is over instants. Unknown are displacements from the zero-clearance position [m]; angles are times the pitch
 radius. The derivative is an arrowhead: a 3 x 3 block a ball, and coupling coordinates of head and cage. It is the exact one, not
-symmetric where a flank's sector ends (``laws.sector``). Races, flanks, faces and pilots are axes of arrays and not
+symmetric where a flank's sector ends (``contact.gaps.balls.sector``). Races, flanks, faces and pilots are axes of arrays and not
 copies of the program, which would take the compiler as many times as long.
 """
 
@@ -16,10 +16,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from bcfj_jax.contact.gaps.balls import sector
 from bcfj_jax.core.kept import kept
 from bcfj_jax.models.joint.bands import depth
 from bcfj_jax.models.joint.constants import Constants
-from bcfj_jax.models.joint.law_pair import ContactLaws, LawPair, sector
+from bcfj_jax.models.joint.law_pair import ContactLaws, LawPair
 from bcfj_jax.models.joint.scene import Joint
 
 

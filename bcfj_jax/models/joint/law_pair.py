@@ -104,8 +104,3 @@ class LawPair(eqx.Module):
         depths = (jnp.take(penetration, jnp.array([i]), self.axis) for i in (0, 1))
         parts = [laws.apart(depth) for laws, depth in zip((self.first, self.second), depths, strict=True)]
         return jnp.concatenate(parts, self.axis)
-
-
-def sector(cosine: Array) -> Array:
-    """1 where a flank faces its ball, 0 where the ball is on the far side of the groove's middle; C1 between."""
-    return smooth_step(20.0 * cosine)

@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from joints import QUICK, SEEDS, constants, flows, noisy, plain_joint, solved
 from oracles import within
+from scipy.spatial.transform import Rotation
 
 import bcfj_jax as bj
 from bcfj_jax.core.errors import InputError
@@ -161,6 +162,18 @@ def test_the_azimuths_axes_turn_with_the_cage(seed):
     # Every one of the axes turns at the cage's own angular velocity.
     assert np.allclose(moving, np.cross(spin, np.asarray(found), axis=0), atol=1e-13 * np.linalg.norm(spin))
     assert np.allclose(by_axis, slope, atol=1e-13)
+
+
+def test_windows_stand_around_the_cage_at_their_azimuths():
+    """From y x b, by the azimuth about b: the middle of a window; its ends' normal is another quarter turn on."""
+    draw = np.random.default_rng(2)
+    axis = np.array([0.2, 0.1, 1.0]) / np.linalg.norm([0.2, 0.1, 1.0])
+    azimuths = draw.uniform(-9.0, 9.0, 7)
+    first = np.cross([0.0, 1.0, 0.0], axis) / np.linalg.norm(np.cross([0.0, 1.0, 0.0], axis))
+    turn = Rotation.from_rotvec((azimuths + 0.5 * np.pi)[:, None] * axis)
+    assert np.allclose(attitude.windows_around(axis, azimuths), turn.apply(first), rtol=0, atol=1e-14)
+    middle = Rotation.from_rotvec(azimuths[0] * axis).apply(first)
+    assert np.allclose(attitude.cage_axes(axis, azimuths[0])[:, 0], middle, rtol=0, atol=1e-14)
 
 
 def test_balls_swing_in_their_windows_as_the_check_says():

@@ -1,0 +1,157 @@
+"""Estimates on their scales, and the ends of their intervals: by differences and by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bcfj_jax import scenes
+from bcfj_jax.core.quantities import Quantity
+from calibration import Channel, Experiment, Free, Problem
+from calibration.diagnostics import fit_tests
+from calibration.diagnostics.fit_tests import Spread
+from calibration.forward import model
+from calibration.forward.coordinates import Coordinate
+from calibration.search.refinement import End
+from calibration.uncertainty import estimates, intervals, profile, unstated_filter
+from calibration.uncertainty.estimates import Parameter, Reference
+
+DEPTH = 2e-4
+FREE = (Free("stiffness", 1e7, 1e9), Free("exponent", 1.0, 2.5), Free("mass", 0.05, 0.2, scale="linear"))
+NAMES = ("stiffness", "exponent", "mass")
+
+
+@pytest.fixture(scope="module", params=["linear", "log"])
+def built(request):
+    """A model that searches a reference force in place of the stiffness; its exponent on either scale."""
+    scene = scenes.impact(smoothing=False)
+    params = {k: float(v) for k, v in scene.parameters(mass=0.1, approach_speed=1.0, stiffness=1e8).items()}
+    one = Experiment("a", np.linspace(0.0, 1e-3, 20), (Channel("contact.normal", np.ones(20), 1.0),))
+    free = (FREE[0], Free("exponent", 1.0, 2.5, scale=request.param), FREE[2])
+    found = model.build(Problem(scene, params, (one,), free), (one,))
+    assert found.referenced
+    return found
+
+
+def optimum(point) -> End:
+    return End(point, point, 0.0, np.zeros(3), np.eye(3), True)
+
+
+def spread(seed: int) -> Spread:
+    root = 0.004 * np.random.default_rng(seed).standard_normal((3, 3))
+    return Spread(root @ root.T, 1.96, 17, np.zeros(3), 1.0)
+
+
+def test_estimates_move_with_the_unit_box_as_their_scales_do(built):
+    point = np.array([0.4, 0.6, 0.3])
+
+    def scaled(u):
+        values = built.values(u, np.log(DEPTH))
+        return np.array([np.log(v) if a.log else v for v, a in zip(values, built.coordinates, strict=True)])
+
+    z, slopes = estimates.placed(built, optimum(point), np.log(DEPTH))
+    assert z == pytest.approx(scaled(point), rel=1e-12)
+    steps = 1e-6 * np.eye(3)
+    wanted = np.stack([(scaled(point + step) - scaled(point - step)) / 2e-6 for step in steps], axis=1)
+    np.testing.assert_allclose(slopes, wanted, rtol=1e-6, atol=1e-9)
+
+
+def test_intervals_are_about_the_estimates_on_their_scales(built):
+    """By a linear propagation of the covariance; the reference force at its penetration, K d^n."""
+    point, known = np.array([0.4, 0.6, 0.3]), spread(1)
+    values = built.values(point, np.log(DEPTH))
+    _, slopes = estimates.placed(built, optimum(point), np.log(DEPTH))
+    found, force = estimates.ends_of(built, NAMES, optimum(point), np.log(DEPTH), known)
+    halves = 1.959964 * np.sqrt(np.diag(slopes @ known.covariance @ slopes.T))
+    for name, axis, value, half in zip(NAMES, built.coordinates, values, halves, strict=True):
+        ends = value * np.exp([-half, half]) if axis.log else value + np.array([-half, half])
+        assert found[name] == pytest.approx(tuple(ends), rel=1e-6)
+    # ln F_ref = ln K + n ln d_ref.
+    log = built.coordinates[1].log
+    way = slopes[0] + np.log(DEPTH) * slopes[1] * (values[1] if log else 1.0)
+    half = 1.959964 * np.sqrt(way @ known.covariance @ way)
+    assert force == pytest.approx(tuple(values[0] * DEPTH ** values[1] * np.exp([-half, half])), rel=1e-6)
+    # What is not determined to a factor of two has none.
+    wide = known._replace(covariance=1e6 * known.covariance)
+    assert estimates.ends_of(built, NAMES, optimum(point), np.log(DEPTH), wide)[1] is None
+
+
+def test_ends_stay_where_the_quantity_can_be_and_within_the_bounds():
+    gap = Quantity("clearance", "m", "a gap", low=0.0)
+    axis = Coordinate("clearance", None, False, -1.0, 3e-5)
+    assert estimates._edges(axis, gap, 1e-5, 1e-5, 5e-6) == (pytest.approx((5e-6, 1.5e-5)), 1.0)
+    # A closed gap is no smaller; its interval has less than half of its width below.
+    assert estimates._edges(axis, gap, 1e-5, 1e-5, 4e-5) == (pytest.approx((0.0, 3e-5)), pytest.approx(0.25))
+    assert estimates._edges(axis, gap, 1e-5, 1e-5, np.inf)[1] == 1.0
+    decades = Coordinate("stiffness", None, True, np.log(0.5), np.log(8.0))
+    assert estimates._edges(decades, gap, 2.0, np.log(2.0), np.log(3.0)) == (pytest.approx((2.0 / 3.0, 6.0)), 1.0)
+    assert estimates._edges(decades, gap, 2.0, np.log(2.0), np.log(5.0))[0] == pytest.approx((0.5, 8.0))
+
+
+def test_half_the_length_of_an_interval_is_on_its_scale():
+    assert intervals.half((1.0, 4.0), False) == 1.5 and intervals.half((1.0, 4.0), True) == pytest.approx(np.log(2.0))
+    assert intervals.half(None, True) == np.inf
+
+
+def test_intervals_that_replace_others_bring_their_own_tests(built):
+    """One as wide as a factor of two, or as half of the range, is none."""
+    old = {name: Parameter(1.0, "", (0.9, 1.1), True, "") for name in NAMES}
+    force = Reference(DEPTH, 2.0, (1.0, 4.0))
+    ends = {"stiffness": (1e8, 3.9e8), "mass": (0.06, 0.22), "reference_force": (1.1, 4.0)}
+    found, reference = intervals._replaced("profile", built, NAMES, old, force, ends)
+    assert found["exponent"] == old["exponent"]
+    assert found["stiffness"].ci95 == ends["stiffness"] and found["stiffness"].interval_kind == "profile"
+    assert found["mass"].ci95 is None and not found["mass"].identifiable
+    assert reference.ci95 == ends["reference_force"] and reference.interval_kind == "profile"
+    wide = {"reference_force": (1.0, 4.1), "stiffness": None, "mass": (0.06, 0.2)}
+    found, reference = intervals._replaced("profile", built, NAMES, old, force, wide)
+    assert found["stiffness"].ci95 is None and found["mass"].ci95 == (0.06, 0.2) and reference.ci95 is None
+    tests = [
+        fit_tests.Test(name, 1.0, 1.0, False, "old")
+        for name in ("interval of mass", "mass determined", "weak direction", "x")
+    ]
+    again = {t.name: t for t in intervals._retested(built, NAMES, tests, wide, {"stiffness": "it is flat"})}
+    assert set(again) == {"weak direction", "x", "stiffness determined", "mass determined"}
+    assert again["mass determined"].passed and again["mass determined"].value == pytest.approx(0.07)
+    assert not again["stiffness determined"].passed and again["stiffness determined"].reason == "it is flat"
+    # Where every parameter is bounded no direction is weak.
+    whole = {"stiffness": (1e8, 3.9e8), "exponent": (1.4, 1.6), "mass": (0.06, 0.2)}
+    again = {t.name: t for t in intervals._retested(built, NAMES, tests, whole, {})}
+    assert "weak direction" not in again and all(again[f"{name} determined"].passed for name in NAMES)
+
+
+def test_deviations_behind_a_filter_are_those_of_its_jacobian(built):
+    """Of the estimates and, last, of the logarithm of the reference force; of residuals of variance 1."""
+    point, jacobian = np.array([0.4, 0.6, 0.3]), np.random.default_rng(2).standard_normal((9, 3)) * [1.0, 1e3, 1e-2]
+    one = unstated_filter.Tried(None, np.inf, point, 0.0, np.zeros(9), jacobian)
+    z, deviations = unstated_filter._scaled(built, one, optimum(np.full(3, 0.5)), np.log(DEPTH))
+    where, slopes = estimates.placed(built, optimum(point), np.log(DEPTH))
+    values = built.values(point, np.log(DEPTH))
+    assert z == pytest.approx([*where, np.log(values[0] * DEPTH ** values[1])], rel=1e-9)
+    covariance, width = np.linalg.inv(jacobian.T @ jacobian), built.box(np.log(DEPTH))[1]
+    wanted = np.sqrt([*np.diag(slopes @ covariance @ slopes.T), width[0] ** 2 * covariance[0, 0]])
+    np.testing.assert_allclose(deviations, wanted, rtol=1e-6)
+
+
+def test_what_a_profile_holds_is_the_value_of_its_name(built):
+    """The stiffness by a combination of reference force and exponent, between its own bounds; slopes by differences."""
+    rng, values = np.random.default_rng(3), {}
+    targets = profile._targets(built, np.log(DEPTH), NAMES)
+    assert [t.name for t in targets] == ["stiffness", "reference_force", "exponent", "mass"]
+    for point in rng.uniform(0.1, 0.9, (3, 3)):
+        values = dict(zip(NAMES, built.values(point, np.log(DEPTH)), strict=True))
+        values["reference_force"] = values["stiffness"] * DEPTH ** values["exponent"]
+        for t in targets:
+            shift, slope = t.shift(point)
+            assert t.physical(point[t.index] - shift) == pytest.approx(values[t.name], rel=1e-9)
+            steps = 1e-6 * np.eye(3)
+            wanted = [(t.shift(point + step)[0] - t.shift(point - step)[0]) / 2e-6 for step in steps]
+            assert slope == pytest.approx(wanted, rel=1e-6, abs=1e-9) and slope[t.index] == 0.0
+            assert t.log == (t.name != "mass" and (t.name != "exponent" or built.coordinates[1].log))
+    ends = {t.name: (t.physical(t.low), t.physical(t.high)) for t in targets}
+    assert ends["stiffness"] == pytest.approx((1e7, 1e9)) and ends["exponent"] == pytest.approx((1.0, 2.5))
+    assert ends["mass"] == pytest.approx((0.05, 0.2))
+    # The square of the interval's quantile, times what a robust loss makes of the rise.
+    known = spread(1)._replace(rise=1.5)
+    assert profile.rise_allowed(known)(np.ones(3)) == pytest.approx(1.5 * 1.959964**2)
+    assert profile.rise_allowed(known._replace(covariance=None, quantile=2.5))(np.ones(3)) == pytest.approx(1.5 * 6.25)
