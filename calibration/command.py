@@ -197,7 +197,7 @@ def text(result: Fit) -> str:
 def _on_condition(result: Fit) -> list[str]:
     """In words what holds on a condition that the record leaves open."""
     found = result.conditional
-    if found is None or not any(p.ci95 for p in found.parameters.values()):
+    if found is None:
         return []
     known = [
         f"{name} {_interval(p, p.unit)}" for name, p in found.parameters.items() if p.ci95 and name in _shared(result)

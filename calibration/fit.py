@@ -194,10 +194,10 @@ def fit(
 
 def _doubted(problem: Problem, found: Fit) -> Fit:
     """A fit that gives no interval where the record contradicts what was given, or does not show it."""
-    if not problem.doubts or found.conditional is not None:
+    text = "; ".join(doubt.text for doubt in problem.doubts)
+    if not text or text in found.reasons:
         return found
-    conditions = dict.fromkeys(doubt.condition for doubt in problem.doubts)
-    return _refused(found, "; ".join(doubt.text for doubt in problem.doubts), " and ".join(conditions))
+    return _refused(found, text, " and ".join(dict.fromkeys(doubt.condition for doubt in problem.doubts)))
 
 
 def with_budget(problem: Problem, found: Fit) -> Fit:
@@ -295,6 +295,7 @@ def _refused(found: Fit, text: str, condition: str) -> Fit:
     """A fit whose record does not tell the law from what else it may show: no interval is given but on a condition."""
     before = found.conditional or Conditional("", found.parameters, found.reference)
     conditional = replace(before, condition=" and ".join(filter(None, (before.condition, condition))))
+    conditional = conditional if any(p.ci95 for p in before.parameters.values()) else None
     parameters = {n: replace(p, ci95=None, headline="", intervals={}) for n, p in found.parameters.items()}
     reference = found.reference and replace(found.reference, ci95=None)
     of_data = Answer("partly" if found.data.answer == "determined" else found.data.answer, [text, *found.data.because])

@@ -107,6 +107,8 @@ def estimates(
         )
     if all(t.passed for t in tests):  # Else no interval is given, and the ends of most lie where nothing simulates.
         for slope, label, reach in zip(slopes, labels, reaches, strict=True):
+            if not spread.half_width(slope) > 0.0:  # It is held where it is.
+                continue
             ratio = _curvature(model, best, log_depth, spread, slope, (-reach, 1.0), rough)
             tests.append(fit_tests.curvature_test(label, ratio))
     tests.append(fit_tests.rank_test(spread))
@@ -138,7 +140,7 @@ def _edges(
 ) -> tuple[tuple[float, float], float]:
     """Ends of an interval of a half width on the search scale, SI, and how much of it lies below the estimate."""
     # No lower than the quantity can be: a clearance that may be closed.
-    reach = 1.0 if axis.log or not np.isfinite(half) else min(1.0, (value - quantity.low) / half)
+    reach = 1.0 if axis.log or not 0.0 < half < np.inf else min(1.0, (value - quantity.low) / half)
     # Nor outside of the bounds that were given.
     low, high = np.clip((z - reach * half, z + half), axis.lower, axis.upper)
     return (float(np.exp(low)), float(np.exp(high))) if axis.log else (float(low), float(high)), reach

@@ -47,6 +47,29 @@ def test_at_a_bound_the_others_are_given_as_if_it_were_stated(elastic):
     assert content["parameters"]["stiffness"]["ci95"] == ends[0]
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_bound_on_a_linear_scale_is_held_too(elastic):
+    """The exponent, whose bounds leave the truth out: the stiffness is given as if that exponent were stated."""
+    wide = Free("exponent", 1.45, 1.49, scale="linear")
+    found = fit(replace(elastic, free=(FREE[0], wide, FREE[2])), starts=4)
+    assert found.verdict == "not_identified" and found.conditional.condition == "exponent is 1.49"
+    known = {**elastic.params, "exponent": found.parameters["exponent"].value}
+    stated = fit(replace(elastic, params=known, free=(FREE[0], FREE[2])), starts=4)
+    np.testing.assert_allclose(told(found, ("stiffness",)), told(stated, ("stiffness",)), rtol=0.005)
+
+
+@pytest.mark.filterwarnings("error")
+def test_what_nothing_tells_apart_is_given_with_one_of_them_held(elastic):
+    """Of noise that is more than half the peak: no empty table."""
+    run = elastic.experiments[0]
+    loud = run.channels[0].values + 0.6 * run.channels[0].values.max() * np.random.default_rng(2).standard_normal(240)
+    other = replace(run, channels=(replace(run.channels[0], values=loud),))
+    found = fit(replace(elastic, experiments=(other,), free=(*FREE, Free("damping", 1e-4, 3.0))), starts=4)
+    assert found.verdict == "not_identified" and all(p.ci95 is None for p in found.parameters.values())
+    assert found.conditional is not None and any(p.ci95 for p in found.conditional.parameters.values())
+    assert " is " in found.conditional.condition and "95 % interval, if so" in text(found)
+
+
 def test_what_is_identified_has_no_condition(elastic):
     found = fit(elastic, starts=4)
     assert found.verdict == "identified" and found.conditional is None and "if so" not in text(found)

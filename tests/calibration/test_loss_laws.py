@@ -19,6 +19,8 @@ from bcfj_jax import scenes
 from calibration import Channel, Experiment, Fit, Free, Problem, command, fit
 from calibration.diagnostics.suspects import LOSS
 from calibration.report.diagnosis import as_json, sections
+from calibration.selection import agreement
+from calibration.selection.choice import decided, rival
 from calibration.selection.diagnosis import rank
 
 MASS, STIFFNESS, EXPONENT, SPEEDS = 0.5, 5e7, 1.5, (0.3, 0.6, 1.2, 2.4)
@@ -137,6 +139,20 @@ def test_one_speed_shows_no_dependence_on_it():
     problem, plain = calibrated("memory_free", 0.15, 0.2, speeds=(1.2, 1.2, 1.2))
     found = rank(problem, plain)
     assert found is not None and LOSS not in {f.name for f in found.found}
+
+
+def test_models_of_a_file_agree_on_an_elastic_force():
+    """Of two laws, neither of which has the loss: the truth lies between what they say, and a law that misses is left out."""
+    pairs = {law: calibrated(law, 0.15, 0.2) for law in COEFFICIENT}
+    choice = decided([rival(law, *pair) for law, pair in pairs.items()])
+    found = agreement.of_choice(choice)
+    assert found is not None and found.by == agreement.FITS and found.forces.keys() == pairs.keys()
+    true, every = STIFFNESS * found.penetrations**EXPONENT, np.stack(list(found.forces.values()))
+    assert (true > 0.98 * every.min(axis=0)).all() and (true < 1.02 * every.max(axis=0)).all()
+    assert found.missed == {law: f.residual["rms_of_peak"] for law, (_, f) in pairs.items()}
+    assert agreement.rows(found)[-1][0] == "spread" and len(agreement.rows(found)) == 5
+    best = min(pairs, key=lambda law: found.missed[law])
+    assert agreement.of_fits({best: pairs[best][1]}) is None
 
 
 @pytest.mark.slow
