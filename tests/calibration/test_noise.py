@@ -371,13 +371,12 @@ def test_deviations_are_at_their_common_fixed_point():
     assert found["b"] == 10.0
 
 
-def test_a_correlation_time_may_be_as_long_as_the_longest_record(monkeypatch):
+def test_a_correlation_time_is_between_the_finest_step_and_the_longest_record(monkeypatch):
+    """One long record, one of three samples, and one of samples so far apart that they know nothing of each other."""
     rng = np.random.default_rng(16)
-    long, short = (autoregression(0.9, rng, n) for n in (1500, 3))
-    design = [np.ones((n, 1)) for n in (1500, 3)]
-    series = [
-        record(k, "f", x, d, correlation=None) for k, (x, d) in enumerate(zip((long, short), design, strict=True))
-    ]
+    errors = autoregression(0.9, rng, 1500), autoregression(0.9, rng, 3), rng.standard_normal(3)
+    series = [record(k, "f", x, np.ones((x.size, 1)), correlation=None) for k, x in enumerate(errors)]
+    series[2] = series[2]._replace(gaps=np.full(2, 60.0))
     rest = (np.zeros(0), np.zeros((0, 1)))
     monkeypatch.setattr(noise_model, "_series", lambda *_: (series, rest))
     monkeypatch.setattr(noise_model, "_reweighed", lambda model, *_: model)
