@@ -104,6 +104,7 @@ def check(ways, name):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("law", [*SPEEDS])
+# That of the exact law takes a minute: another test of CI's tier takes it through a touch.
+@pytest.mark.parametrize("law", [pytest.param(x, marks=pytest.mark.slow if x == "exact" else ()) for x in SPEEDS])
 def test_laws_with_an_approach_speed(speeds, law):
     check(speeds, law)

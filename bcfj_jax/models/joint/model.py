@@ -472,7 +472,9 @@ def joint(
             raise InputError(f"{where} {name}", f"no {name} '{value}'", nearest(value, choices[name]))
     balls = quantities.whole(f"{where} balls", balls, least=0)
     if not 3 <= balls <= limits.MEMBERS:
-        raise InputError(f"{where} balls", f"{balls} balls", f"give 3 or more, from 3 to {limits.MEMBERS}")
+        raise InputError(
+            f"{where} balls", f"{balls} balls", f"give a whole number from 3 to {limits.MEMBERS}: a joint has 3 or more"
+        )
     names = tuple(contacts) if contacts is not None else USUAL[1:] if cage == "fixed" else USUAL
     # Who lists contacts has listed those of the windows.
     ends = contacts is None if window_ends is None else window_ends
