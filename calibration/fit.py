@@ -27,7 +27,6 @@ from calibration.diagnostics.scales import untold
 from calibration.diagnostics.solver_error import corrected
 from calibration.diagnostics.systematic import Budget
 from calibration.forward import integration
-from calibration.forward.coordinates import Coordinate
 from calibration.forward.model import Model, build, evaluation, predictions
 from calibration.forward.runs import Contact, commonest_failure, contacts, failure
 from calibration.noise.averaging import averaged, stepped
@@ -38,12 +37,12 @@ from calibration.search.evaluate import evaluator, loosened
 from calibration.search.refinement import End
 from calibration.search.starts import Screen, batch_size, by_cost, reference_depth, screen, search
 from calibration.solver_budget import budget
-from calibration.uncertainty import unstated_filter
-from calibration.uncertainty.estimates import REFERENCE, ends_of, estimates, placed, widened
+from calibration.uncertainty import notes, unstated_filter
+from calibration.uncertainty.estimates import REFERENCE, estimates, placed, widened
 from calibration.uncertainty.estimates import Parameter as Parameter
 from calibration.uncertainty.estimates import Reference as Reference
-from calibration.uncertainty.intervals import Evidence, check_kind, half, revised
-from calibration.uncertainty.law_miss import NEXT_RUN, clustered, discrepancy, in_blocks
+from calibration.uncertainty.intervals import Evidence, check_kind, half, headlined, revised
+from calibration.uncertainty.law_miss import clustered, discrepancy, in_blocks
 
 log = logging.getLogger("calibration")
 
@@ -402,7 +401,7 @@ def _assess(
     given = (
         given and not any(p.at_bound for p in parameters.values()) and (of_law.answer == "consistent" or bool(misses))
     )
-    parameters, reference = _headlined(model, labels, best, log_depth, misses, parameters, reference, given)
+    parameters, reference = headlined(model, labels, best, log_depth, misses, parameters, reference, given)
     conditional = None
     # Without a whole contact, or a clearance that is crossed, no value means anything.
     if verdict == "not_identified" and all(t.passed for t in others) and not any(p.ci95 for p in parameters.values()):
@@ -453,10 +452,10 @@ def _assess(
         optimum=Optimum(model, best, log_depth, spread, noise, series),
         notes=said
         + [f"{s['text']}. What helps: {s['remedy']}" for s in scales]
-        + _notes(noise)
-        + _wide_notes(model, parameters)
-        + _bent_notes(bent)
-        + _overstated_notes(series, best.residuals),
+        + notes.of_integrator(noise)
+        + notes.wide(model, parameters)
+        + notes.bent(bent)
+        + notes.overstated_noise(series, best.residuals),
         evidence=evidence,
         conditional=conditional,
     )
@@ -488,7 +487,7 @@ def _with_some_held(
                 return None
             kinds = {kind: fit_tests.padded(one, fixed) for kind, one in misses.items()}
             found, reference, _ = estimates(model, labels, best, log_depth, spread, bool(noise.integrator))
-            found, reference = _headlined(model, labels, best, log_depth, kinds, found, reference, True)
+            found, reference = headlined(model, labels, best, log_depth, kinds, found, reference, True)
             for name in np.array(labels)[fixed]:
                 found[name] = replace(found[name], ci95=None, headline="", intervals={})
             if any(found[name].ci95 for name in np.array(labels)[own & ~fixed]):
@@ -513,52 +512,6 @@ def _misses(model: Model, series: list[Series], best: End, spread: fit_tests.Spr
         found["robust"] = within
     process = discrepancy(series, best.residuals, best.jacobian, spread)
     return found | ({"discrepancy": process.spread} if process else {})
-
-
-def _headlined(
-    model: Model,
-    labels: tuple[str, ...],
-    best: End,
-    log_depth: float,
-    misses: dict[str, fit_tests.Spread],
-    parameters: dict[str, Parameter],
-    reference: Reference | None,
-    given: bool,
-) -> tuple[dict[str, Parameter], Reference | None]:
-    """Estimates with their intervals by kind, and the headline: the widest.
-
-    Args:
-        misses: spreads beside the noise's; none where the law is the noise.
-        given: whether there is one: not after a search that failed, nor where the data allow another answer.
-    """
-    kinds = {kind: ends_of(model, labels, best, log_depth, spread) for kind, spread in misses.items()}
-
-    def headline(by_kind: dict[str, tuple[float, float] | None]) -> tuple[Any, str]:
-        if not given or any(ends is None for ends in by_kind.values()):
-            return None, ""
-        by_kind = {kind: ends for kind, ends in by_kind.items() if kind != NEXT_RUN}
-        kind = max(by_kind, key=lambda k: by_kind[k][1] - by_kind[k][0])  # pyright: ignore[reportOptionalSubscript]
-        return by_kind[kind], kind
-
-    shown = {}
-    for axis, name in zip(model.coordinates, labels, strict=True):
-        p = parameters[name]
-        by_kind = {"noise": p.ci95, **{kind: ends[name] for kind, (ends, _) in kinds.items()}}
-        ends, kind = headline(by_kind)
-        if ends and _everything(ends, axis):
-            ends, kind = None, ""
-        shown[name] = replace(p, ci95=ends, headline=kind, intervals=by_kind if given else {})
-    if reference:
-        by_kind = {"noise": reference.ci95, **{kind: own for kind, (_, own) in kinds.items()}}
-        reference = replace(reference, ci95=headline(by_kind)[0])
-    return shown, reference
-
-
-def _everything(ends: tuple[float, float], axis: Coordinate) -> bool:
-    """Whether an interval is all that the bounds allow."""
-    low, high = np.log(ends) if axis.log else ends
-    margin = 1e-6 * (axis.upper - axis.lower)
-    return bool(low <= axis.lower + margin and high >= axis.upper - margin)
 
 
 def _systematic(problem: Problem, found: Fit) -> Budget:
@@ -603,46 +556,6 @@ def _noise_source(fitted: tuple[Experiment, ...]) -> str:
     """Where the noise comes from."""
     kinds = {"estimated" if c.sigma is None else "stated" for e in fitted for c in e.channels} or {"stated"}
     return kinds.pop() if len(kinds) == 1 else "partly estimated"
-
-
-def _notes(noise: Estimate) -> list[str]:
-    return [
-        f"the noise of {name} is the integrator's: residuals are no larger than what its own error may be, "
-        f"and count as {noise.sigma[name]:.2g} {unit_of(name)}"
-        for name in noise.integrator
-    ]
-
-
-def _wide_notes(model: Model, parameters: dict[str, Parameter]) -> list[str]:
-    """Of headlines that are wider than what is called determined, though the noise's interval is not."""
-    wide = [
-        name
-        for axis, (name, p) in zip(model.coordinates, parameters.items(), strict=True)
-        if p.intervals.get("noise") and (p.ci95 is None or half(p.ci95, axis.log) >= fit_tests.widest(axis))
-    ]
-    what = "with what the law misses and runs differ by allowed for, the data do not determine"
-    return [f"{what} {' and '.join(wide)} to a factor of two"] if wide else []
-
-
-def _bent_notes(bent: list[fit_tests.Test]) -> list[str]:
-    if not bent:
-        return []
-    worst = max(bent, key=lambda t: abs(np.log(max(t.value, 1e-300))))
-    others = f", and of {len(bent) - 1} more" if len(bent) > 1 else ""
-    return [
-        f"intervals take the cost for a parabola, but {worst.reason}{others}: --intervals profile walks along the cost"
-    ]
-
-
-def _overstated_notes(series: list[Series], residuals: np.ndarray) -> list[str]:
-    worst = min((np.sqrt(np.mean(residuals[s.rows] ** 2)) for s in series if overstated(s, residuals)), default=1.0)
-    return (
-        [
-            f"residuals are {worst:.2g} times the stated noise: it was stated too large, and intervals use what residuals show"
-        ]
-        if worst < 1.0
-        else []
-    )
 
 
 def _by_channel(noise: Estimate) -> dict[str, dict[str, float]]:

@@ -41,7 +41,7 @@ _NAMED = 3
 class Finding(NamedTuple):
     """What of a contact cannot be: its name, ``PENETRATION`` or ``PRESSURE``, the number [m or Pa] and its largest sound one.
 
-    ``cause``: what the gap itself says of it, in words (``AbstractGap.misread``).
+    ``cause``: in words, what the gap itself says of it (``AbstractGap.misread``), or a body's mass.
     """
 
     contact: str
@@ -87,8 +87,8 @@ def of_contact(
     if bodies.size is not None and deepest > DEEPEST * bodies.size:
         return [Finding(contact, PENETRATION, float(deepest), DEEPEST * bodies.size, bodies.misread)]
     if bodies.size is None and bodies.mass and deepest > (edge := (bodies.mass / WATER) ** (1.0 / 3.0)):
-        pressed = f"pressed {brief(float(deepest), 'm')} deep, more than a cube of {brief(bodies.mass, 'kg')} of water is wide"
-        cause = bodies.misread or f"{pressed} ({brief(edge, 'm')})"
+        cube = f"a cube of {brief(bodies.mass, 'kg')} of water is {brief(edge, 'm')} wide"
+        cause = bodies.misread or f"pressed {brief(float(deepest), 'm')} deep, more than its body can be large: {cube}"
         return [Finding(contact, PENETRATION, float(deepest), edge, cause)]
     highest = float(np.max(force, initial=0.0, where=np.isfinite(force)))
     if bodies.radius is None or not deepest:

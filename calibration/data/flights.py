@@ -88,7 +88,12 @@ def contradicted(name: str, events: Sequence[Event], law: AbstractLaw | None, c:
         c: coefficients to be expected, and ``mass``.
     """
     seen = loss(events)
-    if seen is None or law is None or set(law.needs) != _READ or not all(c[key] > 0.0 for key in (*_READ, "mass")):
+    if (
+        seen is None
+        or law is None
+        or set(law.needs) != _READ
+        or not all(c.get(key, 0.0) > 0.0 for key in (*_READ, "mass"))
+    ):
         return ""
     ends = np.array([seen.speeds.min(), seen.speeds.max()])
     lost = 1.0 - restitutions(law, c, c["mass"], ends)

@@ -11,10 +11,13 @@ import numpy as np
 from bcfj_jax import InputError
 from bcfj_jax.core.extras import library
 from calibration.diagnostics import fit_tests
+from calibration.forward.coordinates import Coordinate
 from calibration.forward.model import Model
+from calibration.search.refinement import End
 from calibration.solver_budget import budget
 from calibration.uncertainty import posterior, profile
-from calibration.uncertainty.estimates import Parameter, Reference
+from calibration.uncertainty.estimates import Parameter, Reference, ends_of
+from calibration.uncertainty.law_miss import NEXT_RUN
 from calibration.uncertainty.posterior import WORST_RHAT, Chains, Posterior
 from calibration.uncertainty.profile import Profile
 
@@ -173,3 +176,49 @@ def _retested(
     if set(labels) <= set(ends) and all(t.passed for t in changed):
         gone.add("weak direction")
     return [t for t in tests if t.name not in gone] + changed
+
+
+def headlined(
+    model: Model,
+    labels: tuple[str, ...],
+    best: End,
+    log_depth: float,
+    misses: dict[str, fit_tests.Spread],
+    parameters: dict[str, Parameter],
+    reference: Reference | None,
+    given: bool,
+) -> tuple[dict[str, Parameter], Reference | None]:
+    """Estimates with their intervals by kind, and the headline: the widest.
+
+    Args:
+        misses: spreads beside the noise's; none where the law is the noise.
+        given: whether there is one: not after a search that failed, nor where the data allow another answer.
+    """
+    kinds = {kind: ends_of(model, labels, best, log_depth, spread) for kind, spread in misses.items()}
+
+    def headline(by_kind: dict[str, tuple[float, float] | None]) -> tuple[Any, str]:
+        if not given or any(ends is None for ends in by_kind.values()):
+            return None, ""
+        by_kind = {kind: ends for kind, ends in by_kind.items() if kind != NEXT_RUN}
+        kind = max(by_kind, key=lambda k: by_kind[k][1] - by_kind[k][0])  # pyright: ignore[reportOptionalSubscript]
+        return by_kind[kind], kind
+
+    shown = {}
+    for axis, name in zip(model.coordinates, labels, strict=True):
+        p = parameters[name]
+        by_kind = {"noise": p.ci95, **{kind: ends[name] for kind, (ends, _) in kinds.items()}}
+        ends, kind = headline(by_kind)
+        if ends and _everything(ends, axis):
+            ends, kind = None, ""
+        shown[name] = replace(p, ci95=ends, headline=kind, intervals=by_kind if given else {})
+    if reference:
+        by_kind = {"noise": reference.ci95, **{kind: own for kind, (_, own) in kinds.items()}}
+        reference = replace(reference, ci95=headline(by_kind)[0])
+    return shown, reference
+
+
+def _everything(ends: tuple[float, float], axis: Coordinate) -> bool:
+    """Whether an interval is all that the bounds allow."""
+    low, high = np.log(ends) if axis.log else ends
+    margin = 1e-6 * (axis.upper - axis.lower)
+    return bool(low <= axis.lower + margin and high >= axis.upper - margin)

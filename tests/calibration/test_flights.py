@@ -65,6 +65,9 @@ def test_a_law_is_contradicted_by_flights_of_another_loss_alone():
         and "0.85 at 2.55 m/s" in said
         and "restitution in place of damping" in said
     )
+    # Of a scene that calls its mass otherwise nothing is foretold.
+    without = {name: x for name, x in VALUES.items() if name != "mass"}
+    assert contradicted("drop", drop(lambda v: 0.85, 3.0, 7), law, without) == ""
     assert contradicted("drop", drop(lambda v: 0.85, 3.0, 7), laws.make("flores"), VALUES | {"restitution": 0.8}) == ""
 
 
