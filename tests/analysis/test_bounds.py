@@ -8,9 +8,10 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from bcfj_jax.analysis.derivatives import bounds
+from bcfj_jax.analysis.derivatives import bounds, problem
 from bcfj_jax.analysis.derivatives.bounds import Budget, bounded, climb, feature_bounds
 from bcfj_jax.analysis.derivatives.jacobian import Histories, Level
+from bcfj_jax.analysis.derivatives.problem import Problem
 from bcfj_jax.core.status import OK, STEPS
 from bcfj_jax.solve.plan import Plan
 
@@ -43,12 +44,15 @@ class Solved:
 
 
 def climbed(monkeypatch, solved, stiff=False, tolerance=1e-5, levels=6, budget=None, max_steps=100_000, error=0.01):
-    monkeypatch.setattr(bounds, "level", solved)
+    monkeypatch.setattr(problem, "level", solved)
     monkeypatch.setattr(bounds, "plan", lambda *_: Plan(cast(Any, np.asarray(1e-5)), max_steps, True))
-    params = cast(Any, dict(zip("ab", VALUES, strict=True)))
     how = Plan(cast(Any, np.asarray(tolerance)), max_steps)
-    scene, spend = cast(Any, SCENE[stiff]), Budget(budget)
-    return climb(scene, params, TIMES, ("a", "b"), how, error, 0.0, levels, spend)
+    return climb(asked(stiff, error), how, levels, Budget(budget))
+
+
+def asked(stiff=False, error=0.01):
+    params = cast(Any, dict(zip("ab", VALUES, strict=True)))
+    return Problem(cast(Any, SCENE[stiff]), params, TIMES, ("a", "b"), (), error, 0.0, 100_000)
 
 
 @pytest.mark.parametrize(("stiff", "levels"), [(False, 3), (True, 2)])
@@ -57,9 +61,7 @@ def test_what_is_stated_is_the_error_and_no_less(monkeypatch, stiff, levels, ord
     found = climbed(monkeypatch, Solved(lambda tolerance: 0.01 * (tolerance / 1e-5) ** order), stiff)
     assert len(found.levels) == levels and found.last is found.levels[0] and not found.unchecked
     assert found.levels[0].tolerance / found.levels[-1].tolerance == pytest.approx(40.0 if stiff else 16.0**2)
-    for one, true, slope in zip(
-        bounded(TIMES, found, VALUES, 0.0), TRUE, found.last.derivative.force[..., 0, 0], strict=True
-    ):
+    for one, true, slope in zip(bounded(asked(), found), TRUE, found.last.derivative.force[..., 0, 0], strict=True):
         error = np.sqrt(np.trapezoid((slope - true) ** 2, TIMES) / np.trapezoid(true**2, TIMES))
         assert error < one.pointwise.relative < 2.0 * error and not one.unbounded
 
@@ -75,7 +77,7 @@ def test_it_goes_on_until_it_is_good_enough(monkeypatch):
 
 def test_what_does_not_converge_cannot_be_bounded(monkeypatch):
     found = climbed(monkeypatch, Solved(lambda tolerance: 0.05))
-    assert all(one.unbounded and one.pointwise.relative > 0.05 for one in bounded(TIMES, found, VALUES, 0.0))
+    assert all(one.unbounded and one.pointwise.relative > 0.05 for one in bounded(asked(), found))
 
 
 def test_a_bound_that_is_missing_is_named(monkeypatch):
@@ -91,7 +93,7 @@ def test_a_bound_that_is_missing_is_named(monkeypatch):
     assert not failed.bounded and failed.beside == (failed.levels[1], failed.levels[1])
     alone = climbed(monkeypatch, Solved(right, fails_below=5e-6))
     assert alone.beside is None and alone.last.good
-    assert all(np.isinf(one.average.relative) for one in bounded(TIMES, alone, VALUES, 0.0))
+    assert all(np.isinf(one.average.relative) for one in bounded(asked(), alone))
 
 
 def test_tolerances_end_above_rounding(monkeypatch):

@@ -108,7 +108,9 @@ def test_the_budget_ends_the_comparison_and_says_so():
     # At 1e-6 the direction of all is bad at this loose tolerance, so that each parameter is asked for.
     told = []
     found = bounced(0.5, levels=1, budget=0.0, tell=told.append)
-    assert [set(c.feature_verdicts) for c in told[0].certificate.parameters.values()] == [set(found.features)] * 3
+    first, bounded = told
+    assert first.certificate is None and first.feature_derivatives == found.feature_derivatives
+    assert [set(c.feature_verdicts) for c in bounded.certificate.parameters.values()] == [set(found.features)] * 3
     for check in found.certificate.parameters.values():
         assert "the budget of 0 s was spent" in check.unchecked
         assert len(check.compared_with) == 1

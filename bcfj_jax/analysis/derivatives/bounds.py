@@ -23,13 +23,14 @@ import numpy as np
 
 from bcfj_jax.analysis.derivatives import certificate as verdicts
 from bcfj_jax.analysis.derivatives.certificate import Comparison
-from bcfj_jax.analysis.derivatives.jacobian import Level, level
+from bcfj_jax.analysis.derivatives.jacobian import Level
 from bcfj_jax.analysis.derivatives.norms import Difference
+from bcfj_jax.analysis.derivatives.problem import Problem
 from bcfj_jax.analysis.derivatives.trains import STIFF
 from bcfj_jax.core.progress import stage
 from bcfj_jax.core.threads import together
 from bcfj_jax.io.stop import OutOfTime, within
-from bcfj_jax.mechanism.model import AbstractModel, Params
+from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve.plan import Plan, plan
 
 SAFETY = 1.2
@@ -71,6 +72,11 @@ class Climb(NamedTuple):
         """C and T, the same where there is one; None where there is none."""
         return (self._good[1], self._good[-1]) if len(self._good) > 1 else None
 
+    def uneven(self, count: int) -> np.ndarray:
+        """By how much the tightest solve's last pitch is off the one before, by parameter (P,); 0 of what was solved whole."""
+        found = (self.beside[-1] if self.beside else self.last).uneven[1:]
+        return found if found.size else np.zeros(count)
+
 
 class Budget:
     """Seconds for comparisons, compiling included: none is begun that is not expected to end within, by the quickest."""
@@ -111,38 +117,35 @@ def first_plan(scene: AbstractModel, how: Plan, error: float) -> Plan:
 
 
 def climb(
-    scene: AbstractModel,
-    params: Params,
-    times: np.ndarray,
-    names: tuple[str, ...],
-    how: Plan,
-    error: float,
-    width: float,
-    levels: int,
-    spend: Budget,
+    problem: Problem, how: Plan, levels: int, spend: Budget, first: Callable[[Level], None] = lambda level: None
 ) -> Climb:
     """Solve R, C and T, and go on until the averages of R are within ``target``, or nothing helps.
 
     Args:
-        scene, params, times, names, how: as ``level``; ``how`` is what was asked for.
-        error: force error that was asked for.
-        width: of the moving average [s].
+        problem: what is differentiated.
+        how: what was asked for.
         levels: most tightenings; 0 for R alone.
         spend: time for what is tighter than the first two.
+        first: receives the first solve as soon as it has ended, beside the second.
     """
-    values, stiff = np.array([float(params[name]) for name in names]), scene.traits.stiff
-    how = first_plan(scene, how, error) if levels else how
+    scene, stiff = problem.scene, problem.scene.traits.stiff
+    how = first_plan(scene, how, problem.error) if levels else how
     tolerances = _ladder(float(how.tolerance), stiff, levels)
 
     def solve(tolerance: float) -> Level:
         at: Any = np.asarray(tolerance)
-        return level(scene, params, times, names, Plan(at, how.max_steps, how.tangents))
+        return problem.solve(Plan(at, how.max_steps, how.tangents))
+
+    def told(tolerance: float) -> Level:
+        found = solve(tolerance)
+        first(found)
+        return found
 
     with stage("solving with derivatives at two tolerances" if levels else "solving with derivatives"):
-        found = list(together(*(partial(solve, each) for each in tolerances[:2])))
+        found = list(together(partial(told, tolerances[0]), *(partial(solve, each) for each in tolerances[1:2])))
     now, why = Climb(tuple(found), NEEDED[stiff]), ""
     for tolerance in tolerances[2:] if scene.traits.history else ():
-        if now.bounded and _enough(times, now, values, width, target(error)):
+        if now.bounded and _enough(problem, now):
             break
         longer = (found[-1].tolerance / tolerance) ** 0.2
         if not found[-1].good or 2.0 * longer * found[-1].steps > how.max_steps:
@@ -161,13 +164,13 @@ def climb(
     return now._replace(unchecked=f"no far tighter solve bounds its error: {why}")
 
 
-def _enough(times: np.ndarray, now: Climb, values: np.ndarray, width: float, limit: float) -> bool:
+def _enough(problem: Problem, now: Climb) -> bool:
     """Whether the averages of all that has influence are within the limit, or nothing is gained by going on."""
-    every = bounded(times, now, values, width)
+    times, values, every = problem.times, problem.values, bounded(problem, now)
     strong = verdicts.influences(times, now.last, values) > verdicts.INFLUENCE
     worst = max((c.average.relative for c, s in zip(every, strong, strict=True) if s), default=0.0)
     lost = worst > 0.5 and any(map(verdicts.chaotic, verdicts.growths(times, now.last, values), every))
-    return worst <= limit or lost
+    return worst <= target(problem.error) or lost
 
 
 def _ladder(tolerance: float, stiff: bool, levels: int) -> list[float]:
@@ -180,9 +183,9 @@ def _ladder(tolerance: float, stiff: bool, levels: int) -> list[float]:
     return [x for k, x in enumerate(ladder) if k < needed or x >= least]
 
 
-def bounded(times: np.ndarray, climb: Climb, values: np.ndarray, width: float) -> list[Comparison]:
+def bounded(problem: Problem, climb: Climb) -> list[Comparison]:
     """What bounds the error of R's histories, one comparison a parameter; infinite where R is alone."""
-    reported = climb.last
+    times, values, width, reported = problem.times, problem.values, problem.width, climb.last
     if climb.beside is None:
         alone = verdicts.between(times, reported, reported, values, width)
         # Nothing is known of R beyond the time at which a solve beside it failed.
@@ -192,10 +195,10 @@ def bounded(times: np.ndarray, climb: Climb, values: np.ndarray, width: float) -
     apart = verdicts.between(times, reported, tight, values, width)
     own = verdicts.between(times, between, tight, values, width)
     return [
-        _with(a, _bound(a.pointwise, b.pointwise), _bound(a.average, b.average))._replace(
+        _with(a, _bound(a.pointwise, b.pointwise, off), _bound(a.average, b.average, off))._replace(
             unbounded=b.average.relative > _WELL * a.average.relative
         )
-        for a, b in zip(apart, own, strict=True)
+        for a, b, off in zip(apart, own, climb.uneven(len(values)), strict=True)
     ]
 
 
@@ -208,8 +211,8 @@ def safer(found: Comparison) -> Comparison:
     return _with(found, *(x._replace(relative=SAFETY * x.relative) for x in (found.pointwise, found.average)))
 
 
-def _bound(apart: Difference, own: Difference) -> Difference:
-    return apart._replace(relative=SAFETY * apart.relative + own.relative)
+def _bound(apart: Difference, own: Difference, uneven: float) -> Difference:
+    return apart._replace(relative=SAFETY * apart.relative + own.relative + uneven)
 
 
 def feature_bounds(slopes: Sequence[np.ndarray], numbers: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -223,10 +226,12 @@ def luckless(climb: Climb, histories: Sequence[Comparison]) -> np.ndarray:
     """Least bounds (P,) of features' derivatives from those of their histories.
 
     One number of R and of T may agree by luck where there is no C; a history does not. Half of its bound is then the least.
+    What is read pitches earlier is off by what its last pitch is off the one before.
     """
+    uneven = climb.uneven(len(histories))
     if climb.needed > 2 or not climb.bounded:
-        return np.zeros(len(histories))
-    return np.array([0.5 * min(c.pointwise.relative, c.average.relative) for c in histories])
+        return uneven
+    return np.maximum(uneven, [0.5 * min(c.pointwise.relative, c.average.relative) for c in histories])
 
 
 def target(error: float) -> float:

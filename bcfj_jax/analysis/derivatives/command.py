@@ -37,6 +37,18 @@ from bcfj_jax.mechanism.observed import observing
 FILES = (
     "sensitivity.csv", "certificate.json", "tornado.png", "histories.png", *report.FILES, "run.toml", "environment.json",
 )  # fmt: skip
+# How far a result has come: what ``certificate.json`` holds, what is said below its tables, and what is done next.
+STEADY, UNCHECKED, BOUNDED, COMPLETE = "steady motion", "not checked yet", "bounded", "complete"
+_NEXT = {
+    STEADY: "Of steady motion; the run's own derivatives, its start among them, come next.",
+    UNCHECKED: "Not checked yet: far tighter solves come next.",
+    BOUNDED: "Before the comparison with central differences: {}",
+}
+_NOW = {
+    STEADY: "differentiating the run",
+    UNCHECKED: "bounding the errors by far tighter solves",
+    BOUNDED: "comparing with central differences, for {:g} s at most",
+}
 # Rows of the report's tables that are not folded.
 _MOST_ROWS = 12
 
@@ -75,19 +87,22 @@ def run(
     seen: list[list[Any]] = []
     ends: list[list[float]] = []
 
-    def write(found: Sensitivity) -> list[Any]:
+    def write(found: Sensitivity, stage: str) -> list[Any]:
         ends.append([_end(found, name) for name in found.wrt])
-        if ends[-1:] != ends[-2:-1]:
+        if found.derivative and ends[-1:] != ends[-2:-1]:
             write_histories(folder / "sensitivity.csv", given.scene, found)
         content = certificate_json(found, params, given.scene) | {"plausibility": plausibility.content(absurd)}
-        outputs.write_json(folder / "certificate.json", content)
+        outputs.write_json(folder / "certificate.json", {"stage": stage, **content})
         return _tables(found, params)
 
-    def first(found: Sensitivity) -> None:
-        seen.append(write(found))
-        first = f"Before the comparison with central differences: {said(found)}"
-        show("\n\n".join([*first_said, *_driven(found, params), *_texts(seen[0]), first]) + "\n")
-        say(f"comparing with central differences, for {budget:g} s at most")
+    def so_far(found: Sensitivity) -> None:
+        stage = BOUNDED if found.certificate else UNCHECKED if found.features else STEADY
+        tables = write(found, stage)
+        # What was shown is shown again where it has changed.
+        new = [table for table in tables if not seen or table not in seen[-1]]
+        seen.append(tables)
+        show("\n\n".join([*first_said, *_driven(found, params), *_texts(new), _NEXT[stage].format(said(found))]) + "\n")
+        say(_NOW[stage].format(budget))
 
     say(f"differentiating {what} by {', '.join(names)}: {len(given.times)} samples to {given.times[-1]:.6g} s")
     plots.get_ready()
@@ -97,17 +112,17 @@ def run(
         say(f"warning: {doubt}")
     found = sensitivity(
         given.scene, params, given.times, names, accuracy=given.accuracy, features=features, mode="forward",
-        certify=certify, max_steps=given.max_steps, steady=True, budget=budget, tell=first,
+        certify=certify, max_steps=given.max_steps, steady=True, budget=budget, tell=so_far,
     )  # fmt: skip
     stats = found.stats
     say(
         f"{counted(int(stats['levels']), 'solve')}, the last of {stats['accepted']} steps, {stats['wall_s']:.2f} s, "
         f"compiled in {stats['compile_s']:.1f} s"
     )
-    tables = write(found)
+    tables = write(found, COMPLETE)
     certificate = [("Certificate", certificate_rows(found.certificate))] if found.certificate else []
     # Shown already, unless the comparison has changed it.
-    again = [] if seen == [tables] else tables
+    again = [] if seen[-1:] == [tables] else tables
     parts = [*first_said, *(_driven(found, params) if again else []), said(found), *_texts([*certificate, *again])]
     parts.append(f"results in {folder}")
     with stage("drawing"):
@@ -192,7 +207,10 @@ def checked(what: str, wrt: Sequence[str], features: Sequence[str]) -> tuple[tup
 def _tables(found: Sensitivity, params: Any) -> list[tuple[str, list[list[str]]]]:
     """Of the run's features, and of those of steady motion."""
     head = f"Percent change of features per percent change of parameters. {legend(found)}".strip()
-    tables = [(head, ranked_rows(found.features, ranking(found, params), found.sampled))]
+    tables = []
+    if found.features:
+        mark = "" if found.certificate else UNCHECKED
+        tables.append((head, ranked_rows(found.features, ranking(found, params), found.sampled, mark)))
     if found.steady is not None and not found.steady.reason:
         turn = format_si(found.steady.turn, "s", 4)
         head = f"The same of steady motion, over one turn of {turn}, whatever the start"

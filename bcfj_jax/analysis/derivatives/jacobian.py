@@ -44,7 +44,8 @@ class Histories(NamedTuple):
 class Level(NamedTuple):
     """One solve with its derivatives: at which tolerance, what came out, what it cost, how it ended.
 
-    ``scale`` (n,): the states' natural sizes.
+    ``scale`` (n,): the states' natural sizes. ``uneven``: of a run that stands for a longer one (``repeating``), how far its
+    last pitch is from the one before, of forces and of their derivative by each parameter, (1 + P,); empty of any other.
     """
 
     tolerance: float
@@ -57,6 +58,7 @@ class Level(NamedTuple):
     wall_s: float
     compile_s: float
     scale: Any
+    uneven: np.ndarray = np.zeros(0)
 
     @property
     def steps(self) -> int:
@@ -104,10 +106,18 @@ def by_channel(scene: AbstractModel, readings: Mapping[str, Any]) -> tuple[Array
     return force, depth, rate
 
 
-def level(scene: AbstractModel, params: Params, times: np.ndarray, wrt: tuple[str, ...], how: Plan) -> Level:
-    """Solve once with the derivatives by all of ``wrt``, per SI unit."""
+def prepared(
+    scene: AbstractModel, params: Params, times: np.ndarray, wrt: tuple[str, ...], how: Plan
+) -> tuple[Callable[..., Any], tuple, float]:
+    """The program of a solve, its arguments, and the seconds [s] that getting it took."""
     arguments = (dict(params), np.asarray(times), how)
     solve, compile_s = program("jacobian", _jacobian, (scene, wrt), arguments)
+    return solve, arguments, compile_s
+
+
+def level(scene: AbstractModel, params: Params, times: np.ndarray, wrt: tuple[str, ...], how: Plan) -> Level:
+    """Solve once with the derivatives by all of ``wrt``, per SI unit."""
+    solve, arguments, compile_s = prepared(scene, params, times, wrt, how)
     begin = time.perf_counter()
     slopes, (value, (code, end, accepted, rejected)), scale = solve(*arguments)
     wall = time.perf_counter() - begin

@@ -70,18 +70,15 @@ def _ranked(features, derivatives, distance, wrt, known, values) -> Ranking:
     return Ranking([names[i] for i in rows], [parameters[k] for k in columns], table[at], apart[at])
 
 
-def ranked_rows(features: Mapping[str, float], ranked: Ranking, sampled: Collection[str] = ()) -> list[list[str]]:
-    """The table: features down with their values, parameters across; ``sampled`` ones have a star."""
-    rows = [["% per %", "value", *ranked.parameters]]
+def ranked_rows(
+    features: Mapping[str, float], ranked: Ranking, sampled: Collection[str] = (), mark: str = ""
+) -> list[list[str]]:
+    """The table: features down with their values, parameters across; ``sampled`` ones have a star, and every row a mark."""
+    rows = [["% per %", "value", *ranked.parameters, *([""] if mark else [])]]
     for name, *lines in zip(ranked.features, ranked.elasticity, ranked.apart, strict=True):
-        value = brief(features[name], feature_unit(name))
-        rows.append(
-            [
-                f"{name} *" if name in sampled else name,
-                value,
-                *(_cell(x, apart) for x, apart in zip(*lines, strict=True)),
-            ]
-        )
+        cells = [_cell(x, apart) for x, apart in zip(*lines, strict=True)]
+        starred = f"{name} *" if name in sampled else name
+        rows.append([starred, brief(features[name], feature_unit(name)), *cells, *([mark] if mark else [])])
     return rows
 
 
@@ -128,7 +125,7 @@ def drivers(found: Sensitivity, values: Mapping[str, Any]) -> list[str]:
     else:
         ranked, kind, size_of = ranking(found, values), "", found.features
     known = {name: k for k, name in enumerate(ranked.features)}
-    wanted = [name for name in found.features if name in known]
+    wanted = [name for name in found.features or ranked.features if name in known]
     sentences = []
     moved = np.abs(np.nan_to_num(ranked.elasticity)).max(axis=1, initial=0.0)
     peaks = [name for name in ranked.features if name.endswith(".peak")]

@@ -20,21 +20,20 @@ from bcfj_jax.analysis.derivatives.bounds import (
     feature_bounds,
     first_plan,
     luckless,
-    safer,
     target,
 )
-from bcfj_jax.analysis.derivatives.certificate import Certificate, Check, Comparison
-from bcfj_jax.analysis.derivatives.contact_events import BOUNDING, TIGHTER, check_followed, filled
-from bcfj_jax.analysis.derivatives.differences import against, scales
-from bcfj_jax.analysis.derivatives.differences import direction as random_direction
-from bcfj_jax.analysis.derivatives.jacobian import Histories, Level, forces, level
+from bcfj_jax.analysis.derivatives.certificate import Certificate
+from bcfj_jax.analysis.derivatives.checking import beside, certified, unasked
+from bcfj_jax.analysis.derivatives.contact_events import BOUNDING, TIGHTER, check_followed
+from bcfj_jax.analysis.derivatives.jacobian import Histories, Level
 from bcfj_jax.analysis.derivatives.measures import measure, sampling
 from bcfj_jax.analysis.derivatives.names import Feature, complete, default_features, event
 from bcfj_jax.analysis.derivatives.names import feature as named
-from bcfj_jax.analysis.derivatives.norms import norm
+from bcfj_jax.analysis.derivatives.problem import Problem
+from bcfj_jax.analysis.derivatives.repeating import settled
 from bcfj_jax.analysis.derivatives.reverse import Gradient, gradient, reversed_certificate, reversible
 from bcfj_jax.analysis.derivatives.steady import Steady, prepared
-from bcfj_jax.analysis.derivatives.steady import steady as of_steady
+from bcfj_jax.analysis.derivatives.steady import steady as steady_of
 from bcfj_jax.analysis.derivatives.witnesses import witnessed
 from bcfj_jax.core import presented
 from bcfj_jax.core.errors import InputError, nearest, quoted, texts
@@ -56,10 +55,8 @@ _AVERAGE = Quantity("average", "s", "width of the moving average", 0.0, open_low
 _BUDGET = Quantity("budget", "s", "time for far tighter solves and central differences", 0.0)
 # In reverse mode, by whether the model is stiff: ratio of the tolerances that a bound is from (Tsit5, BDF).
 _BACKWARD = {False: 64.0, True: 8.0}
-# Pitches of steady motion over which central differences are taken.
-_PITCHES = 4
-# Difference from central differences that is looked into.
-_SEEN = 1e-3
+# Share of the target that a pitch may be off the one before, of derivatives that are read pitches earlier.
+_UNEVEN = 0.3
 # Features that do not hang on where samples are, and samples in a turn that they need.
 _INTEGRATED, _TURN = ("mean", "impulse", "contact_fraction"), 100
 
@@ -148,7 +145,9 @@ def sensitivity(
         steady: whether to differentiate the steady motion too (``derivatives.steady``), of a model that knows a pitch.
         budget: seconds for far tighter solves and central differences, compiling included: none is begun that is not
             expected to end within, and one that does not is left behind, in a thread that may compute on; None: no end.
-        tell: receives the result before central differences are taken.
+        tell: receives what is known so far: derivatives of steady motion alone, where these were asked for and the run is
+            seen to repeat itself; the run's, which nothing was compared with (no certificate); those with bounds, before
+            central differences are taken.
 
     Raises:
         InputError: for names that are not known, with the nearest, and for times and options that are not right.
@@ -182,225 +181,162 @@ def sensitivity(
         ratios = _BACKWARD[scene.traits.stiff] ** -np.arange(3 if certify else 1)
         plans = [Plan(how.tolerance * x, max_steps, how.tangents) for x in ratios]
         solved = [gradient(scene, full, t, names, each, able, contacts) for each in plans]
-        return _reverse(t, names, _values(full, names), able, contacts, solved, max_steps)
+        return _reverse(t, names, np.array([float(full[n]) for n in names]), able, contacts, solved, max_steps)
     error = force_error(accuracy)
+    problem = Problem(scene, full, t, names, wanted, error, _width(t, average), max_steps)
     # Compiled beside the first solves.
-    if steady and scene.recurs(full) and t[-1] >= scene.settled_from(full):
+    if steady and scene.recurs(full):
         ahead(partial(prepared, scene, full, names, max_steps))
-    if certify and differences != "none" and budget != 0.0:
-        ahead(partial(compiled, scene, full, t, plan(scene, _fine(scene, error), MAX_STEPS)))
-    spend, values = Budget(budget), _values(full, names)
-    climbed = climb(scene, full, t, names, how, error, _width(t, average), levels if certify else 0, spend)
+    elif certify and differences != "none" and budget != 0.0:
+        ahead(partial(compiled, scene, full, t, Plan(how.tolerance)))
+    return _forward(problem, how, levels if certify else 0, differences, Budget(budget), steady, tell or _nobody)
+
+
+def _nobody(found: Sensitivity) -> None:
+    """Whom nobody tells of what there is so far."""
+
+
+def _forward(
+    problem: Problem, how: Plan, levels: int, differences: str, spend: Budget, steady: bool,
+    tell: Callable[[Sensitivity], None],
+) -> Sensitivity:  # fmt: skip
+    """Steady motion, then the run's derivatives, then their bounds, then central differences; each is told of."""
+    scene, t = problem.scene, problem.times
+    with stage("running until the motion repeats itself"):
+        short, orbit = settled(scene, problem.params, t, problem.names, how), None
+    if short is not None:
+        # A short run stands for the whole.
+        problem = problem._replace(fold=short[0])
+        ahead(partial(problem.compiled, first_plan(scene, how, problem.error) if levels else how))
+    if steady and short is not None:
+        orbit = _of_steady(problem, *short[1:])
+        if orbit is not None and not orbit.reason:
+            tell(_steady_alone(problem, orbit))
+    told: list[tuple[Level, Sensitivity]] = []
+
+    def first(level: Level) -> None:
+        if level.good and levels:
+            told[:] = [(level, _uncertified(problem, how, level, orbit))]
+            tell(told[0][1])
+
+    climbed = climb(problem, how, levels, spend, first)
+    if problem.fold and np.any(climbed.uneven(len(problem.names)) > _UNEVEN * target(problem.error)):
+        # Derivatives forget their start later than the motion does.
+        problem = problem._replace(fold=None)
+        climbed = climb(problem, how, levels, spend, first)
     last = climbed.last
-    turning = scene.traits.turning
-    numbers, slopes = measure(t, last.value, last.derivative, wanted, contacts, turning)
-    # What is of single contacts comes from runs of its own.
-    single = filled(scene, full, t[-1], names, how, wanted, numbers, slopes, TIGHTER)
-    failed = last.code != OK
-    found = Sensitivity(
-        t,
-        names,
-        _by_contact(last.value.force, contacts),
-        {name: _by_contact(last.derivative.force[k], contacts) for k, name in enumerate(names)},
-        {f.name: float(x) for f, x in zip(wanted, numbers, strict=True)},
-        {name: {f.name: float(slopes[i, k]) for i, f in enumerate(wanted)} for k, name in enumerate(names)},
-        None,
-        "failed" if failed else "ok",
-        reason(last.code, max_steps),
-        last.end if failed else float("nan"),
-        {
-            "accepted": last.accepted,
-            "rejected": last.rejected,
-            "tolerance": last.tolerance,
-            "wall_s": sum(r.wall_s for r in climbed.levels),
-            "compile_s": sum(r.compile_s for r in climbed.levels),
-            "levels": len(climbed.levels),
-        },
-        values={name: float(full[name]) for name in names},
-        reasons=single,
-    )
-    if steady and not failed:
-        end = last.value.state[-1] * np.asarray(last.scale)
-        found = found._replace(steady=of_steady(scene, full, end, float(t[-1]), names, wanted, max_steps))
-    if not certify:
+    if steady and orbit is None and last.good:
+        orbit = _of_steady(problem, last.value.state[-1] * np.asarray(last.scale), float(t[-1]))
+    known = told and told[0][0] is last
+    found = told[0][1] if known else _uncertified(problem, how, last, orbit)
+    found = found._replace(stats=found.stats | _spent(climbed.levels), steady=orbit)
+    if not levels:
         return found
-    histories = bounded(t, climbed, values, _width(t, average))
-    agree, here = np.full(slopes.shape, np.inf), np.full(len(wanted), np.nan)
-    if climbed.beside is not None:
-        (here, between), (_, tight) = (
-            measure(t, r.value, r.derivative, wanted, contacts, turning) for r in climbed.beside
-        )
-        for slope, share in zip((between, tight), BOUNDING[scene.traits.stiff], strict=True):
-            filled(scene, full, t[-1], names, how, wanted, numbers.copy(), slope, TIGHTER * share)
-        agree = feature_bounds([slopes, between, tight], numbers, values)
+    slopes = np.array([[found.feature_derivatives[n][f.name] for n in problem.names] for f in problem.wanted])
+    histories, agree = bounded(problem, climbed), _feature_bounds(problem, how, climbed, slopes)
     agree = np.maximum(agree, luckless(climbed, histories))
-    between_samples = sampling(t, last.value, last.derivative, wanted, contacts, values)
+    between_samples = sampling(t, last.value, last.derivative, problem.wanted, scene.members, problem.values)
     agree = agree + between_samples
-    found = found._replace(sampled=tuple(f.name for f, x in zip(wanted, between_samples, strict=True) if np.any(x)))
+    starred = tuple(f.name for f, x in zip(problem.wanted, between_samples, strict=True) if np.any(x))
+    found = found._replace(sampled=starred)
     if differences != "none" and climbed.beside is not None and scene.traits.history and not scene.traits.stiff:
-        finer = Plan(np.asarray(climbed.beside[0].tolerance), max_steps, True)  # pyright: ignore[reportArgumentType]
-
-        def features_at(at: np.ndarray) -> np.ndarray:
-            new = {**full, **{n: np.asarray(x) for n, x in zip(names, at, strict=True)}}
-            beside = level(scene, new, t, names, finer)
-            moved = measure(t, beside.value, beside.derivative, wanted, contacts, turning)[0]
-            return moved if beside.good else np.full(len(wanted), np.nan)
-
         with contextlib.suppress(OutOfTime):
-            agree = spend.on(lambda: witnessed(features_at, here, values, slopes, agree))
-    if found.steady is not None:
-        agree = np.maximum(agree, _off_steady(scene, full, t, last, found.steady, wanted, names))
-    table = {n: {f.name: float(agree[i, k]) for i, f in enumerate(wanted)} for k, n in enumerate(names)}
-    judge = partial(_certificate, scene, full, t, names, climbed, histories, error, average, table)
-    if tell is not None and differences != "none" and not failed:
-        tell(found._replace(certificate=judge("none", spend)))
-    return found._replace(certificate=judge(differences, spend))
+            agree = spend.on(partial(_witnessed, problem, climbed.beside[0], slopes, agree))
+    if orbit is not None:
+        agree = np.maximum(agree, _off_steady(problem, last, orbit))
+    judge = partial(certified, problem, climbed, histories, agree)
+    if differences == "none":
+        return found._replace(certificate=judge(unasked(problem)))
+    if last.good:
+        tell(found._replace(certificate=judge(unasked(problem))))
+    return found._replace(certificate=judge(beside(problem, climbed, histories, differences == "each", spend)))
 
 
-def _off_steady(scene, params, times, last: Level, steady: Steady, wanted, names: tuple[str, ...]) -> np.ndarray:
+def _of_steady(problem: Problem, state: np.ndarray, time: float) -> Steady | None:
+    return steady_of(problem.scene, problem.params, state, time, problem.names, problem.wanted, problem.max_steps)
+
+
+def _steady_alone(problem: Problem, orbit: Steady) -> Sensitivity:
+    """What is known before the run itself is differentiated."""
+    values = dict(zip(problem.names, map(float, problem.values), strict=True))
+    stats = {"wall_s": orbit.wall_s, "compile_s": orbit.compile_s, "accepted": orbit.steps, "rejected": 0, "levels": 0}
+    return Sensitivity(
+        problem.times, problem.names, {}, {}, {}, {n: {} for n in problem.names}, None, "ok", "", float("nan"), stats,
+        steady=orbit, values=values,
+    )  # fmt: skip
+
+
+def _uncertified(problem: Problem, how: Plan, last: Level, orbit: Steady | None) -> Sensitivity:
+    """Histories and features with their derivatives, as one solve has them."""
+    contacts, (numbers, slopes) = problem.scene.members, problem.measure(last)
+    # What is of single contacts comes from runs of its own.
+    single = problem.of_contacts(how, numbers, slopes, TIGHTER)
+    failed = not last.good
+    return Sensitivity(
+        problem.times, problem.names, _by_contact(last.value.force, contacts),
+        {name: _by_contact(last.derivative.force[k], contacts) for k, name in enumerate(problem.names)},
+        {f.name: float(x) for f, x in zip(problem.wanted, numbers, strict=True)}, problem.by_name(slopes), None,
+        "failed" if failed else "ok", reason(last.code, problem.max_steps), last.end if failed else float("nan"),
+        {"accepted": last.accepted, "rejected": last.rejected, "tolerance": last.tolerance, **_spent([last])},
+        steady=orbit, values=dict(zip(problem.names, map(float, problem.values), strict=True)), reasons=single,
+    )  # fmt: skip
+
+
+def _spent(levels: Sequence[Level]) -> dict[str, float]:
+    return {
+        "wall_s": sum(r.wall_s for r in levels),
+        "compile_s": sum(r.compile_s for r in levels),
+        "levels": len(levels),
+    }
+
+
+def _feature_bounds(problem: Problem, how: Plan, climbed: Climb, slopes: np.ndarray) -> np.ndarray:
+    """Bounds (F, P) of features' derivatives (F, P) from the solves."""
+    if climbed.beside is None:
+        return np.full(slopes.shape, np.inf)
+    numbers, _ = problem.measure(climbed.last)
+    (_, between), (_, tight) = map(problem.measure, climbed.beside)
+    for slope, share in zip((between, tight), BOUNDING[problem.scene.traits.stiff], strict=True):
+        problem.of_contacts(how, numbers, slope, TIGHTER * share)
+    return feature_bounds([slopes, between, tight], numbers, problem.values)
+
+
+def _witnessed(problem: Problem, between: Level, slopes: np.ndarray, bounds: np.ndarray) -> np.ndarray:
+    """Bounds (F, P) beside differences of the features themselves, of runs at C's tolerance."""
+    how = Plan(np.asarray(between.tolerance), problem.max_steps, True)  # pyright: ignore[reportArgumentType]
+    here, _ = problem.measure(between)
+
+    def features_at(at: np.ndarray) -> np.ndarray:
+        moved = problem._replace(params=problem.moved(at))
+        solved = moved.solve(how)
+        return moved.measure(solved)[0] if solved.good else np.full(len(here), np.nan)
+
+    return witnessed(features_at, here, problem.values, slopes, bounds)
+
+
+def _off_steady(problem: Problem, last: Level, steady: Steady) -> np.ndarray:
     """How far the last turn's derivatives of what is integrated are from those of steady motion (F, P); 0 for others.
 
     Two tolerances can agree about a number that both miss: loose steps damp the swing of a free ball.
     """
+    times, names, wanted = problem.times, problem.names, problem.wanted
     found = np.zeros((len(wanted), len(names)))
     late = times >= times[-1] - steady.turn * (1.0 + 1e-9)
     known = [i for i, f in enumerate(wanted) if f.kind in _INTEGRATED and f.name in steady.features]
-    if steady.reason or not known or times[-1] - steady.turn < scene.settled_from(params) or np.sum(late) < _TURN:
+    settled_from = problem.scene.settled_from(problem.params)
+    if steady.reason or not known or times[-1] - steady.turn < settled_from or np.sum(late) < _TURN:
         return found
     kept = [wanted[i] for i in known]
     value = Histories(*(x[late] for x in last.value[:3]), state=None)
     derivative = Histories(*(x[:, late] for x in last.derivative[:3]), state=None)
-    numbers, slopes = measure(times[late], value, derivative, kept, scene.members, True)
+    numbers, slopes = measure(times[late], value, derivative, kept, problem.scene.members, True)
     own = np.array([[steady.feature_derivatives[n][f.name] for n in names] for f in kept])
-    found[known] = verdicts.apart(slopes, own, numbers, _values(params, names))
+    found[known] = verdicts.apart(slopes, own, numbers, problem.values)
     return found
 
 
 def _width(times: np.ndarray, average: float) -> float:
     return min(average, 0.1 * float(times[-1] - times[0]))
-
-
-def _values(params: Params, names: Sequence[str]) -> np.ndarray:
-    return np.array([float(params[name]) for name in names])
-
-
-def _certificate(
-    scene: AbstractModel,
-    params: Params,
-    times: np.ndarray,
-    names: tuple[str, ...],
-    climbed: Climb,
-    histories: Sequence[Comparison],
-    error: float,
-    average: float,
-    features: Mapping[str, Mapping[str, float]],
-    differences: str,
-    spend: Budget,
-) -> Certificate:
-    values, width, last = _values(params, names), _width(times, average), climbed.last
-    found: list[list[Comparison]] = [[c] for c in histories]
-    grown, strength = verdicts.growths(times, last, values), verdicts.influences(times, last, values)
-    both, direction, also, unchecked = None, None, [""] * len(names), [climbed.unchecked] * len(names)
-    lost = any(verdicts.chaotic(g, c[0]) for g, c in zip(grown, found, strict=True))
-    if differences != "none" and last.good and not lost:
-        fine = _fine(scene, error * last.tolerance / climbed.levels[0].tolerance)
-        how = plan(scene, fine, last_budget(last.steps))
-        short, every = _shortened(scene, params, times)
-        count = len(short)
-        slopes = verdicts.flat(last.derivative.force)[:, :count]
-        size = last.value.force.reshape(len(times), -1)[:count]
-        step = np.array([scales(short, p, size, d) for p, d in zip(values, slopes, strict=True)])
-
-        def run(at: np.ndarray) -> np.ndarray:
-            new = {**params, **{n: np.asarray(x) for n, x in zip(names, at, strict=True)}}
-            return forces(scene, new, every, how).reshape(len(times), -1)[:count]
-
-        def along(what: str, way: np.ndarray, enough: float) -> Comparison:
-            slope = np.tensordot(way, slopes, 1)
-            with stage(f"comparing with {what}"):
-                compared = spend.on(lambda: against(what, short, run, values, way, slope, fine, width, enough))
-            early = count < len(times) and not np.isfinite(compared.until)
-            return compared._replace(what=f"{compared.what}, until {short[-1]:.4g} s") if early else compared
-
-        each = differences == "each"
-        way = step * random_direction(len(names))
-        if not each and np.any(step):
-            what = "central differences along one random direction of all parameters"
-            # What the levels know of needs no second witness.
-            sizes = np.abs(way) * norm(short, slopes) / max(float(norm(short, np.tensordot(way, slopes, 1))), 1e-300)
-            stated = [(c.pointwise.relative, c.average.relative) for (c,) in found]
-            known = np.maximum(np.nan_to_num(sizes @ np.array(stated), nan=np.inf), _SEEN)
-            try:
-                both = along(what, way, known[0])
-            except OutOfTime:
-                late = f"central differences do not check it: {spend.over}"
-                unchecked = [verdicts.joined(x, late) if s else x for x, s in zip(unchecked, step, strict=True)]
-        if both is not None:
-            direction = {"pointwise": both.pointwise.relative, "average": both.average.relative}
-            direction = None if both.vague else direction
-            each = bool(both.pointwise.relative > known[0] or both.average.relative > known[1]) and not both.vague
-            if np.isfinite(both.until) and not each:
-                late = f"central differences check nothing after {both.until:.4g} s: a run beside this one failed there"
-                unchecked = [verdicts.joined(x, late) for x in unchecked]
-            # A parameter at 0 was not moved.
-            also = [both.what if s and not each and not both.vague else "" for s in step]
-        # The strongest first: the budget may end.
-        for k in sorted(np.flatnonzero(step) if each else (), key=lambda k: -strength[k]):
-            unit = np.where(np.arange(len(names)) == k, step, 0.0)
-            try:
-                alone = along("central differences", unit, max(_SEEN, found[k][0].pointwise.relative))
-                found[k].append(safer(alone))
-            except OutOfTime:
-                unchecked[k] = verdicts.joined(unchecked[k], f"central differences do not check it alone: {spend.over}")
-    end = last.end if last.code != OK else float("nan")
-    checks: dict[str, Check] = {
-        name: verdicts.check(
-            found[k],
-            features[name],
-            grown[k],
-            float(strength[k]),
-            end,
-            also[k],
-            unchecked[k],
-            both is not None and both.vague,
-        )
-        for k, name in enumerate(names)
-    }
-    return Certificate(
-        verdicts.worst_verdict(checks), checks, width, target(error), tuple(r.tolerance for r in climbed.levels),
-        tuple(r.steps for r in climbed.levels), direction, last.tolerance,
-    )  # fmt: skip
-
-
-def _shortened(scene: AbstractModel, params: Params, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Times that differences are taken over, and as many times as there were, so that one program serves both.
-
-    What repeats itself after a pitch is compared until a few pitches after the start is forgotten.
-    """
-    if not scene.recurs(params):
-        return times, times
-    end = scene.settled_from(params) + _PITCHES * scene.period(params)[1]
-    count = int(np.searchsorted(times, end, side="right"))
-    if not 2 <= count < len(times):
-        return times, times
-    apart = 1e-9 * (times[count] - times[count - 1]) * np.arange(1, len(times) - count + 1) / len(times)
-    return times[:count], np.concatenate([times[:count], times[count - 1] + apart])
-
-
-def _fine(scene: AbstractModel, error: float) -> float:
-    """Error of the forces that differences are taken of: their noise is amplified by 1/h."""
-    return max(min(error, 1e-5 if scene.traits.stiff else 1e-7), 1e-9)
-
-
-def last_budget(steps: int) -> int:
-    """Steps allowed to the forces that differences are taken of: ten times those of the derivatives, or more.
-
-    Few different numbers, since each is a program of its own.
-    """
-    allowed = MAX_STEPS
-    while allowed < 10 * steps:
-        allowed *= 10
-    return allowed
 
 
 def _by_contact(force: np.ndarray, contacts: Mapping[str, int]) -> dict[str, np.ndarray]:

@@ -1,0 +1,79 @@
+"""What is differentiated, by what and how well: handed down as one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bcfj_jax.analysis.derivatives.contact_events import filled
+from bcfj_jax.analysis.derivatives.jacobian import Level, level, prepared
+from bcfj_jax.analysis.derivatives.measures import measure
+from bcfj_jax.analysis.derivatives.names import Feature
+from bcfj_jax.analysis.derivatives.repeating import Fold
+from bcfj_jax.mechanism.model import AbstractModel, Params
+from bcfj_jax.solve.plan import Plan
+
+
+class Problem(NamedTuple):
+    """A run whose histories and features are differentiated.
+
+    Attributes:
+        scene, params: the model, and its parameters with a value for every name.
+        times: (T,) [s].
+        names: of the parameters (P,).
+        wanted: features (F,).
+        error: force error that was asked for.
+        width: of the moving average [s].
+        max_steps: of every run.
+        fold: the short run that stands for this one (``repeating``), or None.
+    """
+
+    scene: AbstractModel
+    params: Params
+    times: np.ndarray
+    names: tuple[str, ...]
+    wanted: Sequence[Feature]
+    error: float
+    width: float
+    max_steps: int
+    fold: Fold | None = None
+
+    @property
+    def values(self) -> np.ndarray:
+        """(P,) of the parameters [SI]."""
+        return np.array([float(self.params[name]) for name in self.names])
+
+    @property
+    def solved_at(self) -> np.ndarray:
+        """Times of a solve [s]."""
+        return self.times if self.fold is None else self.fold.times
+
+    def compiled(self, how: Plan) -> None:
+        """Get the program of ``solve``."""
+        prepared(self.scene, self.params, self.solved_at, self.names, how)
+
+    def solve(self, how: Plan) -> Level:
+        """One solve with its derivatives."""
+        found = level(self.scene, self.params, self.solved_at, self.names, how)
+        return found if self.fold is None else self.fold.unfolded(found)
+
+    def measure(self, solved: Level) -> tuple[np.ndarray, np.ndarray]:
+        """Features (F,) of a solve and their derivatives (F, P)."""
+        scene = self.scene
+        return measure(self.times, solved.value, solved.derivative, self.wanted, scene.members, scene.traits.turning)
+
+    def of_contacts(self, how: Plan, numbers: np.ndarray, slopes: np.ndarray, tighter: float) -> dict[str, str]:
+        """Put what is of single contacts into features (F,) and derivatives (F, P); by name, why one is NaN."""
+        end = float(self.times[-1])
+        return filled(self.scene, self.params, end, self.names, how, self.wanted, numbers, slopes, tighter)
+
+    def by_name(self, table: np.ndarray) -> dict[str, dict[str, float]]:
+        """(F, P) by parameter and feature."""
+        return {n: {f.name: float(table[i, k]) for i, f in enumerate(self.wanted)} for k, n in enumerate(self.names)}
+
+    def moved(self, values: np.ndarray) -> Params:
+        """The parameters, with others (P,) in the places of those that are differentiated by."""
+        new: Any = {n: np.asarray(x) for n, x in zip(self.names, values, strict=True)}
+        return {**self.params, **new}

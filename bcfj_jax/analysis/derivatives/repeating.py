@@ -1,0 +1,148 @@
+"""Motion that repeats itself is solved until it does; later times are read a whole number of pitches earlier.
+
+A model that ``recurs`` does after a pitch T what it did before, its members renumbered, once it has forgotten its start. By
+parameters that leave T as it is, derivatives repeat themselves likewise, from when their own start is forgotten:
+
+    F_later(t) = F(t - k T),    dF_later/dp (t) = dF/dp (t - k T).
+
+Whether they do is not assumed but seen: in the states a pitch apart, of a run of values, which knows a slow drift from
+rest; then in forces and derivatives over the last pitch and the one before, whose difference is part of the bound.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from bcfj_jax.analysis.derivatives.jacobian import Level
+from bcfj_jax.mechanism.channels import is_reading
+from bcfj_jax.mechanism.model import AbstractModel, Params
+from bcfj_jax.solve.plan import Plan
+from bcfj_jax.solve.simulation import timed
+
+# Pitches that a short run has after the start is forgotten, at least.
+_LEAST = 3
+# Instants of a pitch that are compared with those of the pitch before.
+_PHASES = 24
+# A short run is this much shorter, or it is none.
+_SHORTER = 2.0
+# Share of the tolerance asked for at which motion is looked at.
+_FINER = 0.1
+# By how much a state may drift in all pitches that are left out, in units of its natural size.
+_DRIFT = 0.25
+# Instants that fall together are this far apart, as a share of the run, so that they still increase.
+_APART = 1e-12
+
+
+class Fold(NamedTuple):
+    """A short run that stands for a long one of T times.
+
+    Attributes:
+        times: (M,) increasing [s], M = T + 2 _PHASES: at which to solve.
+        index: (T,) which of them answers each time wanted; pitches (T,): how many pitches earlier.
+        before, last: the same phases of the last pitch but one and of the last.
+        later: (C,) which channel did a pitch ago what each does now.
+        end: of the short run [s].
+    """
+
+    times: np.ndarray
+    index: np.ndarray
+    pitches: np.ndarray
+    before: np.ndarray
+    last: np.ndarray
+    later: np.ndarray
+    end: float
+
+    def unfolded(self, level: Level) -> Level:
+        """A solve at ``times`` as one at the T times wanted; ``uneven`` says how well it repeats itself."""
+        force, slope = level.value.force, level.derivative.force
+        channel = np.stack([self._channels(k) for k in range(int(self.pitches.max(initial=0)) + 1)])[self.pitches]
+
+        def read(values: np.ndarray, axis: int) -> np.ndarray:
+            taken = np.take(values, self.index, axis)
+            shape = [1] * taken.ndim
+            shape[axis : axis + 2] = channel.shape
+            return np.take_along_axis(taken, channel.reshape(shape), axis + 1)
+
+        value, derivative = (
+            x._replace(
+                **{name: read(getattr(x, name), axis) for name in ("force", "penetration", "rate")},
+                state=np.take(x.state, self.index, axis),
+            )
+            for axis, x in ((0, level.value), (1, level.derivative))
+        )
+        uneven = [_off(by[self.last], by[self.before][:, self._channels(1)]) for by in (force, *slope)]
+        return level._replace(value=value, derivative=derivative, uneven=np.array(uneven))
+
+    def _channels(self, pitches: int) -> np.ndarray:
+        found = np.arange(len(self.later))
+        for _ in range(pitches):
+            found = found[self.later]
+        return found
+
+
+def _off(last: np.ndarray, before: np.ndarray) -> float:
+    """Relative difference of a pitch from the one before; 0 where both are 0."""
+    size = np.sqrt(np.mean(last**2))
+    return float(np.sqrt(np.mean((last - before) ** 2)) / size) if size > 0.0 else float(np.any(before))
+
+
+def fold(scene: AbstractModel, params: Params, times: np.ndarray, end: float) -> Fold:
+    """The short run until ``end`` [s] that stands for one at (T,) times."""
+    pitch = scene.period(params)[1]
+    late = np.maximum(0.0, np.ceil((times - end) / pitch))
+    phases = end - pitch * np.arange(_PHASES)[::-1] / _PHASES
+    every = np.concatenate([times - late * pitch, phases - pitch, phases])
+    order = np.argsort(every, kind="stable")
+    place = np.empty_like(order)
+    place[order] = np.arange(order.size)
+    ranks = _APART * max(end, float(times[-1] - times[0])) * np.arange(order.size)
+    rising = np.maximum.accumulate(every[order] - ranks) + ranks
+    first, second = place[times.size : times.size + _PHASES], place[times.size + _PHASES :]
+    return Fold(rising, place[: times.size], late.astype(int), first, second, _later(scene, params), end)
+
+
+def _later(scene: AbstractModel, params: Params) -> np.ndarray:
+    """Of every channel the one that did a pitch ago what it does now."""
+    found, turned = [], scene.turned(params)
+    for members in scene.members.values():
+        first = len(found)
+        found += [first + (j + turned) % members for j in range(members)] if members else [first]
+    return np.array(found, dtype=int)
+
+
+def settled(
+    scene: AbstractModel, params: Params, times: np.ndarray, names: tuple[str, ...], how: Plan
+) -> tuple[Fold, np.ndarray, float] | None:
+    """The short run that stands for the one wanted, and a late state and its time [s]; None where motion does not repeat itself.
+
+    Args:
+        scene, params, times: as ``sensitivity``.
+        names: of the parameters; by one that moves the pitch no derivative repeats itself.
+        how: of a run of values.
+    """
+    # What is read of a body that turns on does not repeat itself.
+    if not scene.recurs(params) or len(times) < 4 * _PHASES or any(map(is_reading, scene.members)):
+        return None
+    slope = jax.jacfwd(lambda p: scene.pitch({**params, **p}))({name: params[name] for name in names})
+    begin, pitch = scene.settled_from(params), scene.period(params)[1]
+    count = int((times[-1] - begin) / pitch) + 1
+    if any(np.any(x) for x in slope.values()) or not 2 * _LEAST <= count < len(times) // 2:
+        return None
+    ends = begin + pitch * np.arange(count)
+    # As many instants as are wanted: the program of ``simulate``; finer, so that its errors are no drift.
+    before = np.linspace(0.0, begin, len(times) - count, endpoint=False)
+    run = timed(scene, params, np.append(before, ends), Plan(_FINER * how.tolerance, how.max_steps))
+    if run.status != "ok" or run.trajectory is None:
+        return None
+    states = jax.numpy.asarray(run.trajectory[-count:])
+    ago = jax.vmap(lambda state: scene.pitch_before(params, state))(states[1:])
+    drift = np.max(np.abs(ago - states[:-1]) / scene.error_scale(params), axis=1)
+    uneven = np.flatnonzero(drift * np.arange(count - 2, -1, -1) > _DRIFT)
+    # One pitch that repeats the one before, and one more for derivatives.
+    last = max(int(uneven[-1]) + 1 if uneven.size else 0, _LEAST - 2) + 2
+    if _SHORTER * ends[min(last, count - 1)] > times[-1]:
+        return None
+    return fold(scene, params, times, float(ends[last])), run.trajectory[-1], float(ends[-1])
