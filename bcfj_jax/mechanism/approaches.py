@@ -41,7 +41,7 @@ def approaches(scene: Dynamics, t: Array, y: Array, p: Params) -> Approaches:
         if not c.remembers:
             continue
         width = c.coefficients(p).get("smoothing", 0.0)
-        for face, touch in now.faces[c.name]:
+        for face, touch in scene.faces_of(now, c.name):
             rows.append((face.depth + width, touch.rate, jnp.maximum(touch.rate, SLOWEST)))
             counts.append(members[c.name])
     return Approaches(*(flat(list(part), counts) for part in zip(*rows, strict=True)))

@@ -321,7 +321,7 @@ def _faces(scene: Dynamics, t: Array, y: Array, params: Params) -> tuple[dict[st
     """Penetration and its rate of every face of each contact."""
     now = scene.instant(t, y, params, laws=False)
     depths, rates = {}, {}
-    for name, touching in now.faces.items():
+    for name, touching in ((c.name, scene.faces_of(now, c.name)) for c in scene.contacts):
         depths[name] = jnp.stack(jnp.broadcast_arrays(*(jnp.asarray(face.depth) for face, _ in touching)))
         rates[name] = jnp.stack(jnp.broadcast_arrays(*(jnp.asarray(touch.rate, dtype=float) for _, touch in touching)))
         depths[name], rates[name] = jnp.broadcast_arrays(depths[name], rates[name])

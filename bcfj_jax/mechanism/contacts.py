@@ -119,6 +119,11 @@ class Contact(eqx.Module):
                 raise InputError(f"{where} values", found, f"they read {', '.join(self.reads)}")
 
     @property
+    def each(self) -> tuple[Contact, ...]:
+        """The contacts that it stands for (``mechanism.alike``): itself."""
+        return (self,)
+
+    @property
     def remembers(self) -> bool:
         """Whether its approach speed is a state."""
         return "approach_speed" in self.law.needs and self.approach != "parameter"

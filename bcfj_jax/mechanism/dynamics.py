@@ -30,7 +30,7 @@ from bcfj_jax.core.vectors import (
     subtract,
     turned,
 )  # fmt: skip
-from bcfj_jax.mechanism import arrays, equations, sizes
+from bcfj_jax.mechanism import alike, arrays, equations, sizes
 from bcfj_jax.mechanism.bodies import GROUND, STILL, Body, Part, carried, quaternion_rate
 from bcfj_jax.mechanism.contacts import Contact, raised
 from bcfj_jax.mechanism.equations import Equations, flat
@@ -50,13 +50,13 @@ _OF_DRIVES = ("speed", "over", "start", "first")
 
 
 class Instant(NamedTuple):
-    """Everything at one instant: coordinates, velocities, bodies, and each contact's faces and touches."""
+    """Everything at one instant: coordinates, velocities, bodies; faces and touches, and memory, by names of ``bundles``."""
 
     q: list[Number]
     v: list[Number]
     bodies: Moving
     faces: dict[str, list[tuple[Face, ContactForce]]]
-    memory: dict[str, list[Any]]
+    memory: dict[str, list[list[Number]]]
 
 
 class Dynamics(AbstractModel):
@@ -102,6 +102,20 @@ class Dynamics(AbstractModel):
         """Of a contact the members of its bodies, or of its gap; 0 for one."""
         count = {GROUND: 0} | {b.name: b.members for b in self.bodies}
         return {c.name: c.gap.members or max(count[name] for name in c.between) for c in self.contacts}
+
+    @cached_property
+    def bundles(self) -> tuple[Contact, ...]:
+        """The contacts, those that are alike as one (``mechanism.alike``)."""
+        return alike.bundled(self.contacts, self.members)
+
+    def side_by_side(self, c: Contact) -> int:
+        """Length of the axis of one of ``bundles``; 0 for none."""
+        return len(c.each) if len(c.each) > 1 else self.members[c.name]
+
+    def faces_of(self, now: Instant, name: str) -> list[tuple[Face, ContactForce]]:
+        """Faces and touches of one contact."""
+        c = next(c for c in self.bundles if any(one.name == name for one in c.each))
+        return alike.apart(c, now.faces[c.name])[name]
 
     def turning(self, name: str) -> bool:
         """Whether anything turns a body: its own joint or one that it hangs on."""
@@ -205,8 +219,8 @@ class Dynamics(AbstractModel):
         unknown = jnp.zeros(sum(k or 1 for _, k in self._memory))
         found = self.instant(jnp.zeros(()), jnp.concatenate([start, unknown]), params, laws=False)
         memory: list[Number] = []
-        for c in self.contacts:
-            for face, touch in found.faces.get(c.name, []):
+        for c in self.contacts if self._memory else ():
+            for face, touch in self.faces_of(found, c.name):
                 memory += c.first(face, touch, params)
         return jnp.concatenate([start, flat(memory, [k for _, k in self._memory])])
 
@@ -249,11 +263,17 @@ class Dynamics(AbstractModel):
         q, v = numbers[: len(places)], numbers[len(places) : len(places) + len(rates)]
         kept = numbers[len(places) + len(rates) :]
         bodies = self.moving(t, list(q), list(v), p)
-        faces, memory = {}, {}
+        apart: dict[str, list[list[Number]]] = {}
         for c in self.contacts:
             each = len(c.memory)
             own, kept = kept[: each * c.faces], kept[each * c.faces :]
-            memory[c.name] = [own[each * i : each * (i + 1)] for i in range(c.faces)]
+            apart[c.name] = [own[each * i : each * (i + 1)] for i in range(c.faces)]
+        faces, memory = {}, {}
+        for c in self.bundles:
+            memory[c.name] = apart[c.name]
+            if len(c.each) > 1 and c.memory:
+                every = zip(*(apart[one.name] for one in c.each), strict=True)
+                memory[c.name] = [[alike.side_by_side(x) for x in zip(*face, strict=True)] for face in every]
             faces[c.name] = self._touching(c, bodies, memory[c.name], p, laws)
         return Instant(list(q), list(v), bodies, faces, memory)
 
@@ -299,7 +319,7 @@ class Dynamics(AbstractModel):
         return found
 
     def _pressed(self, found: Equations, now: Instant, p: Params) -> None:
-        for c in self.contacts:
+        for c in self.bundles:
             first, second = (now.bodies.parts[name] for name in c.between)
             place = c.place(1, second, p)
             for face, touch in now.faces[c.name]:
@@ -362,11 +382,13 @@ class Dynamics(AbstractModel):
         return found
 
     def _remembered(self, now: Instant, p: Params) -> list[Number]:
-        found: list[Number] = []
-        for c in self.contacts:
+        found: dict[str, list[Number]] = {}
+        for c in self.bundles:
+            rates: list[Number] = []
             for (face, touch), own in zip(now.faces[c.name], now.memory[c.name], strict=True):
-                found += c.learning(face, touch, own, p)
-        return found
+                rates += c.learning(face, touch, own, p) if c.memory else []
+            found |= alike.apart(c, rates)
+        return [rate for c in self.contacts for rate in found[c.name]]
 
 
 def _sorted(values: Any) -> tuple[tuple[str, Any], ...]:

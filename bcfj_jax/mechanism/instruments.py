@@ -27,7 +27,7 @@ from bcfj_jax.core.vectors import (
     turned,
     unit,
 )  # fmt: skip
-from bcfj_jax.mechanism import equations
+from bcfj_jax.mechanism import alike, equations
 from bcfj_jax.mechanism.bodies import JOINTS, RATES
 from bcfj_jax.mechanism.contacts import Contact
 from bcfj_jax.mechanism.dynamics import Dynamics, Instant
@@ -37,8 +37,10 @@ from bcfj_jax.mechanism.model import Account, BodyMotion, Flows, Params, Reading
 
 def observe(m: Dynamics, t: Array, y: Array, p: Params) -> dict[str, Reading]:
     """``AbstractModel.observe``: the force on each contact's second body, from the law, never from interpolation."""
-    now = m.instant(t, y, p)
-    return {c.name: _reading(m, c, now, p) for c in m.contacts}
+    now, found = m.instant(t, y, p), {}
+    for c in m.bundles:
+        found |= alike.apart(c, _reading(m, c, now, p))
+    return {c.name: found[c.name] for c in m.contacts}
 
 
 def _reading(m: Dynamics, c: Contact, now: Instant, p: Params) -> Reading:
@@ -52,7 +54,7 @@ def _reading(m: Dynamics, c: Contact, now: Instant, p: Params) -> Reading:
     axial = c.gap.axial(first, second, c.coefficients(p))
     along = unit(subtract(axial, scale(dot(axial, way), way)))
     across = cross(way, along)
-    members = m.members[c.name]
+    members = m.side_by_side(c)
     depth, rate, slip = (spread(x, members) for x in _deepest(touching))
     whole, own = (stacked(v, members) for v in (force, (normal, dot(drag, along), dot(drag, across))))
     # A law clips NaN to no force; a state that failed must not read as one that is merely apart.
@@ -137,7 +139,7 @@ def flows(m: Dynamics, t: Array, y: Array, p: Params) -> Flows:
     friction: Number = jnp.zeros(())
     damping: Number = jnp.zeros(())
     elastic: Number = jnp.zeros(())
-    for c in m.contacts:
+    for c in m.bundles:
         for (face, touch), own in zip(now.faces[c.name], now.memory[c.name], strict=True):
             values = c.recalled(own, p)
             width = values.get("smoothing")

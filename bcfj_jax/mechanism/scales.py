@@ -12,6 +12,7 @@ The scale is a guess; every run can measure its own error (``simulate``).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -21,6 +22,7 @@ from jax import Array
 from bcfj_jax.contact.normal import regularised_force
 from bcfj_jax.core.numerics import positive, smooth_ramp
 from bcfj_jax.core.vectors import ZERO, Number, Vector, add, dot, plus, scale, subtract, times, unit
+from bcfj_jax.mechanism import alike
 from bcfj_jax.mechanism.contacts import Contact
 from bcfj_jax.mechanism.dynamics import Dynamics
 from bcfj_jax.mechanism.equations import Equations, flat, solved
@@ -61,8 +63,9 @@ def expected(scene: Dynamics, params: Params, inside: bool = True) -> Expected:
     parts = now.bodies.parts
     brought, stored, flight = {}, {}, {}
     forces, speeds, masses = [], [], []
-    for c in scene.contacts:
+    for c in scene.bundles:
         first, second = (parts[name] for name in c.between)
+        count_of = len(c.each)
         place = c.place(1, second, params)
         energies, held, flights = [], [], []
         for (face, touch), own in zip(now.faces[c.name], now.memory[c.name], strict=True):
@@ -88,14 +91,15 @@ def expected(scene: Dynamics, params: Params, inside: bool = True) -> Expected:
             if c.remembers:
                 # A contact that begins pressed knows of the fall that loads it so.
                 squared = jnp.maximum(squared, jnp.asarray(own[0]) ** 2)
-            energies.append(jnp.max(0.5 * mass * squared))
+            energies.append(_of_each(jnp.max, 0.5 * mass * squared, count_of))
             forces.append(jnp.max(mass * pull))
             speeds.append(jnp.max(jnp.sqrt(squared + 1e-300)))
             masses.append(jnp.min(jnp.where(mass > 0, mass, jnp.inf)))
-            held.append(jnp.max(_stored(c, jnp.asarray(face.depth), params)))
-            flights.append(jnp.min(2.0 * jnp.sqrt(squared + 1e-300) / jnp.maximum(pull, 1e-300)))
-        brought[c.name], stored[c.name] = jnp.max(jnp.stack(energies)), jnp.max(jnp.stack(held))
-        flight[c.name] = jnp.min(jnp.stack(flights))
+            held.append(_of_each(jnp.max, _stored(c, jnp.asarray(face.depth), params), count_of))
+            flights.append(_of_each(jnp.min, 2.0 * jnp.sqrt(squared + 1e-300) / jnp.maximum(pull, 1e-300), count_of))
+        brought |= alike.apart(c, jnp.max(jnp.stack(energies), axis=0))
+        stored |= alike.apart(c, jnp.max(jnp.stack(held), axis=0))
+        flight |= alike.apart(c, jnp.min(jnp.stack(flights), axis=0))
     found = [jnp.max(jnp.stack(x)) if x else jnp.ones(()) for x in levers]
     lengths: list[Number] = [jnp.where(x > 1e-9, x, 1.0) for x in found]
     if not scene.contacts:
@@ -105,7 +109,7 @@ def expected(scene: Dynamics, params: Params, inside: bool = True) -> Expected:
     force, mass = jnp.max(jnp.stack(forces)), jnp.min(jnp.stack(masses))
     mass = jnp.where(jnp.isfinite(mass), mass, 1.0)
     speed = jnp.maximum(jnp.max(jnp.stack(speeds)), jnp.sqrt(2.0 * energy / mass))
-    depth = jnp.min(jnp.stack([_depth(c, energy, force, speed, params) for c in scene.contacts]))
+    depth = jnp.min(jnp.stack([jnp.min(_depth(c, energy, force, speed, params)) for c in scene.bundles]))
     swing = jnp.sqrt(force * depth / mass)
     return Expected(depth, jnp.maximum(jnp.maximum(speed, swing), SPEED), lengths, brought, stored, flight)
 
@@ -118,11 +122,11 @@ def expected_scale(scene: Dynamics, params: Params) -> Array:
     """
     found = expected(scene, params)
     speed = found.speed
-    for c in scene.contacts:
+    for c in scene.bundles:
         values = c.coefficients(params) if c.friction is not None else {}
         if "friction_speed" in values:
             share = values.get("friction_static", values.get("friction_dynamic", jnp.ones(())))
-            speed = jnp.minimum(speed, values["friction_speed"] / jnp.clip(share, 1e-9, 1.0))
+            speed = jnp.minimum(speed, jnp.min(values["friction_speed"] / jnp.clip(share, 1e-9, 1.0)))
     places, at = [], 0
     for b in scene.ordered:
         own = found.levers[at : at + len(b.rates)]
@@ -135,6 +139,11 @@ def expected_scale(scene: Dynamics, params: Params) -> Array:
         kept += c.sizes(found.speed, found.depth, _coefficients(c, found.speed, params)) * c.faces if c.memory else []
     members = [*(k for *_, k in scene._placed), *(k for *_, k in scene._free), *(k for _, k in scene._memory)]
     return flat([*places, *(speed / x for x in found.levers), *kept], members)
+
+
+def _of_each(most: Callable[[Array], Array], values: Array, count: int) -> Array:
+    """The most, or least, of a contact's members; of contacts side by side each one's own."""
+    return jnp.broadcast_to(values, (count,)) if count > 1 else most(values)
 
 
 def _direction(normal: Vector, gain: Vector, moving: Vector) -> Vector:
@@ -188,7 +197,9 @@ def _depth(c: Contact, energy: Array, force: Array, speed: Array, params: Params
         enough = (push * depth > 2.0 * energy) & (push > force)
         return jnp.where(enough, low, middle), jnp.where(enough, middle, high)
 
-    bracket = (jnp.log(jnp.asarray(1e-15)), jnp.log(jnp.asarray(10.0)))
+    # As many as there are contacts side by side with coefficients of their own.
+    shape = jnp.broadcast_shapes(*(jnp.shape(x) for x in values.values()))
+    bracket = jnp.full(shape, jnp.log(1e-15)), jnp.full(shape, jnp.log(10.0))
     found = jnp.exp(jax.lax.fori_loop(0, 30, halve, bracket)[1])
     # Nothing that moves or pulls: nothing is known.
     return jnp.where((energy > 1e-30) | (force > _NOTHING), found, DEPTH)

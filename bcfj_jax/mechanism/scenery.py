@@ -163,7 +163,7 @@ def scenery(m: Dynamics, t: Array, y: Array, p: Params) -> Scenery:
         first, second = c.frames(now.bodies.parts, p)
         # The first member stands for all.
         offsets[c.name] = array(seen(first.axes, subtract(second.place, first.place))).reshape(-1, 3)[0]
-        faces, members = now.faces[c.name], m.members[c.name]
+        faces, members = m.faces_of(now, c.name), m.members[c.name]
         points = [stacked(add(second.place, face.lever), members) for face, _ in faces]
         force = jnp.sum(jnp.stack([stacked(touch.force, members) for _, touch in faces]), axis=0)
         normals = [spread(touch.normal, members) for _, touch in faces]

@@ -27,7 +27,7 @@ def proximity(m: Dynamics, t: Array, y: Array, p: Params) -> Proximity:
     of b's rotation. The speed is that of this place, in a's axes where a's rotation counts, and of what b's rotation carries.
     """
     now, rows = m.instant(t, y, p, laws=False), []
-    for c in m.contacts:
+    for c in m.bundles:
         first, second = (now.bodies.parts[name] for name in c.between)
         a, b = c.frames(now.bodies.parts, p)
         values = c.coefficients(p)
@@ -39,7 +39,7 @@ def proximity(m: Dynamics, t: Array, y: Array, p: Params) -> Proximity:
         )
         spin = plus(length(first.spin), length(second.spin)) if turns else 0.0
         speed = plus(length(moved), times(bends.arm, spin))
-        width, members = values.get("smoothing", 0.0), m.members[c.name]
+        width, members = values.get("smoothing", 0.0), m.side_by_side(c)
         for face, touch in now.faces[c.name]:
             row = (
                 face.depth + width,
@@ -49,7 +49,22 @@ def proximity(m: Dynamics, t: Array, y: Array, p: Params) -> Proximity:
                 bends.length,
             )
             rows.append([jnp.atleast_1d(spread(x, members)) for x in row])
-    return Proximity(*(jnp.concatenate(part) for part in zip(*rows, strict=True)))
+    return Proximity(*(jnp.concatenate(part)[_order(m)] for part in zip(*rows, strict=True)))
+
+
+def _order(m: Dynamics) -> np.ndarray | slice:
+    """Rows of ``bundles`` in the order of contacts, faces one after the other, members within."""
+    if len(m.bundles) == len(m.contacts):
+        return slice(None)
+    found: dict[str, list[np.ndarray]] = {c.name: [] for c in m.contacts}
+    at = 0
+    for c in m.bundles:
+        for _ in range(c.faces):
+            count = m.side_by_side(c) or 1
+            rows, at = np.arange(at, at + count), at + count
+            for one, own in zip(c.each, np.split(rows, len(c.each)), strict=True):
+                found[one.name].append(own)
+    return np.concatenate([row for rows in found.values() for row in rows])
 
 
 def breaks(m: Dynamics, p: Params, end: ArrayLike) -> Array | None:

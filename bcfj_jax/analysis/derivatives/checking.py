@@ -163,11 +163,11 @@ def finer(scene: AbstractModel, error: float) -> float:
 
 
 def last_budget(steps: int) -> int:
-    """Steps allowed to the forces that differences are taken of: ten times those of the derivatives, or more.
+    """Steps allowed to the forces that differences are taken of: four times those of the derivatives, or more.
 
     Few different numbers, since each is a program of its own.
     """
     allowed = MAX_STEPS
-    while allowed < 10 * steps:
+    while allowed < 4 * steps:
         allowed *= 10
     return allowed

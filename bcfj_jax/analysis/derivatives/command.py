@@ -86,6 +86,7 @@ def run(
     outputs.write_json(folder / "environment.json", outputs.environment(data=[given.source] if given.source else []))
     seen: list[list[Any]] = []
     ends: list[list[float]] = []
+    spoken: list[str] = []
 
     def write(found: Sensitivity, stage: str) -> list[Any]:
         ends.append([_end(found, name) for name in found.wrt])
@@ -101,7 +102,9 @@ def run(
         # What was shown is shown again where it has changed.
         new = [table for table in tables if not seen or table not in seen[-1]]
         seen.append(tables)
-        show("\n\n".join([*first_said, *_driven(found, params), *_texts(new), _NEXT[stage].format(said(found))]) + "\n")
+        drives = [text for text in _driven(found, params) if text not in spoken]
+        spoken.extend(drives)
+        show("\n\n".join([*first_said, *drives, *_texts(new), _NEXT[stage].format(said(found))]) + "\n")
         say(_NOW[stage].format(budget))
 
     say(f"differentiating {what} by {', '.join(names)}: {len(given.times)} samples to {given.times[-1]:.6g} s")

@@ -1,0 +1,108 @@
+"""Contacts that are alike are computed side by side: nothing that a mechanism answers may tell that they are."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bcfj_jax import Body, Contact, Mechanism, gaps
+from bcfj_jax.mechanism import alike, scales
+
+COEFFICIENTS = {
+    "stiffness": 1e6, "exponent": 1.5, "damping": 0.2, "restitution": 0.7, "radius": 2e-3, "smoothing": 1e-5,
+    "friction_static": 0.3, "friction_dynamic": 0.2, "friction_speed": 0.01, "friction_stribeck": 0.02,
+    "bristle_stiffness": 1e5, "bristle_damping": 1e-3,
+}  # fmt: skip
+LAWS = ["memory_free", "flores"]
+FRICTIONS = [None, "brown_mcphee", "lugre"]
+
+
+def tossed(law: str, friction: str | None) -> Mechanism:
+    """A body with corners on the ground and on a table, in any order, one of its own law, one stiffer than the others."""
+    rng = np.random.default_rng(3)
+    body = Body("cube", "free", mass=1.0, inertia=(1e-3, 2e-3, 3e-3), start={"z": -0.005, "vx": 0.5, "wy": 2.0})
+    table = Body("table", "slide", axis="x", mass=2.0)
+    marks = [tuple(float(x) for x in rng.uniform(-0.04, 0.04, 3)) for _ in range(7)]
+    options = {"law": law, "friction": friction}
+
+    def corner(k: int, below: str, **more) -> Contact:
+        return Contact(f"c{k}", (below, "cube"), gaps.SphereOnPlane(), at=((0, 0, 0), marks[k]), **(options | more))
+
+    contacts = [
+        corner(0, "ground"), corner(1, "table"), corner(2, "ground", law="kelvin_voigt"), corner(3, "ground"),
+        corner(4, "table"), corner(5, "ground"), corner(6, "ground", values={"stiffness": 3e6}),
+    ]  # fmt: skip
+    scene = Mechanism("tossed", [body, table], contacts)
+    bare = [name for name in scene.quantities if name not in dict(scene.defaults) and "." not in name]
+    return Mechanism("tossed", [body, table], contacts, given={name: COEFFICIENTS.get(name, 10.0) for name in bare})
+
+
+def answers(scene: Mechanism) -> dict:
+    """Everything that a mechanism answers from its contacts, in a state in which some of them press."""
+    params = scene.parameters()
+    y = scene.initial_state(params)
+    places = sum(k or 1 for *_, k in scene._placed)
+    y = y + 1e-3 * jnp.asarray(np.random.default_rng(1).uniform(0.5, 1.0, y.size))
+    t, prepared = jnp.zeros(()), scene.prepare(params)
+    field = lambda y: scene.vector_field(t, y, prepared)  # noqa: E731
+    found = {
+        "start": scene.initial_state(params), "field": field(y), "slope": jax.jvp(field, (y,), (jnp.ones_like(y),))[1],
+        "readings": scene.observe(t, y, prepared), "flows": scene.flows(t, y, prepared),
+        "proximity": scene.proximity(t, y, prepared), "accounts": scene.accounts(t, y, prepared),
+        "scale": scene.error_scale(params), "expected": scales.expected(scene, params), "places": places,
+        "suspects": scene.suspects({name: np.array([value, value]) for name, value in params.items()}),
+    }  # fmt: skip
+    return found | ({"approaches": scene.approaches(t, y, prepared)} if scene.remembered else {})
+
+
+@pytest.mark.parametrize("friction", FRICTIONS)
+@pytest.mark.parametrize("law", LAWS)
+def test_a_mechanism_does_not_tell_which_contacts_are_alike(law, friction, monkeypatch):
+    together = tossed(law, friction)
+    assert len(together.bundles) < len(together.contacts) == 7
+    # The order of contacts is the mechanism's, whatever is computed with what.
+    assert list(answers(together)["readings"]) == [c.name for c in together.contacts]
+    found = answers(together)
+    monkeypatch.setattr(alike, "bundled", lambda contacts, members: tuple(contacts))
+    apart = tossed(law, friction)
+    assert len(apart.bundles) == 7
+    other = answers(apart)
+    force = np.stack([reading.force for reading in other["readings"].values()])
+    assert np.count_nonzero(force[:, 0]) > 1
+    assert jax.tree.structure(found) == jax.tree.structure(other)
+    for one, two in zip(jax.tree.leaves(found), jax.tree.leaves(other), strict=True):
+        size = max(float(np.max(np.abs(np.nan_to_num(two, posinf=0.0)), initial=0.0)), 1e-30)
+        np.testing.assert_allclose(one, two, rtol=1e-9, atol=1e-11 * size)
+
+
+def test_users_own_code_is_not_given_more_than_a_scalar():
+    def flat(place):
+        assert jnp.shape(place[2]) == ()
+        return -place[2]
+
+    marks = [(0.01, 0.0, 0.0), (-0.01, 0.0, 0.0), (0.0, 0.01, 0.0)]
+    own = gaps.from_depth(flat)
+    contacts = [Contact(f"c{k}", ("ground", "cube"), own, at=((0, 0, 0), mark)) for k, mark in enumerate(marks)]
+    scene = Mechanism("own", [Body("cube", "free", mass=1.0, inertia=1e-3)], contacts)
+    assert scene.bundles == scene.contacts
+
+
+def test_a_program_grows_little_with_contacts_that_are_alike():
+    def size(count: int) -> int:
+        rng = np.random.default_rng(0)
+        body = Body("cube", "free", mass=1.0, inertia=1e-3, start={"z": 0.1})
+        marks = [tuple(float(x) for x in rng.uniform(-0.04, 0.04, 3)) for _ in range(count)]
+        contacts = [
+            Contact(f"c{k}", ("ground", "cube"), gaps.PointOnPlane(), at=((0, 0, 0), mark), friction="brown_mcphee")
+            for k, mark in enumerate(marks)
+        ]
+        scene = Mechanism("corners", [body], contacts)
+        given = {n: 1.0 for n in scene.quantities if n not in dict(scene.defaults)}
+        params = scene.parameters(**given)
+        prepared = scene.prepare(params)
+        y = scene.initial_state(params)
+        return len(jax.make_jaxpr(lambda y: scene.vector_field(0.0, y, prepared))(y).jaxpr.eqns)
+
+    assert size(32) < 1.3 * size(1)
