@@ -1,13 +1,14 @@
 """Contacts that are alike are computed side by side: a mechanism with many of them is no larger a program than with one.
 
 Contacts between the same two bodies that have one gap, law and friction differ in numbers alone: where their markers are, and
-coefficients of their own. Together they are one contact whose numbers are (k,), as those of a body with members are.
+coefficients of their own. Together they are one contact whose numbers are (k,), as those of a body with members are. So are
+contacts of a row, each between two bodies of its own; their bodies' places and velocities are then side by side, too.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -16,9 +17,12 @@ import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.core.vectors import Number
+from bcfj_jax.mechanism.bodies import Part
 from bcfj_jax.mechanism.contacts import Contact
 from bcfj_jax.mechanism.sizes import Params
 
+# Fewer contacts between different bodies are computed one by one.
+_FEW = 4
 _PACKAGE = __name__.partition(".")[0] + "."
 
 
@@ -36,10 +40,22 @@ class Alike(Contact):
         every = [c.coefficients(p) for c in self.each]
         return {name: side_by_side([one[name] for one in every]) for name in every[0]}
 
+    def parts(self, parts: Mapping[str, Part]) -> tuple[Part, Part]:
+        """Its bodies in motion, side by side where they are different ones; what velocities move them by is each one's own."""
+        if not scattered(self):
+            return super().parts(parts)
+        first, second = (_joined([parts[c.between[k]] for c in self.each]) for k in (0, 1))
+        return first, second
+
     def marker(self, which: int, p: Params) -> tuple[Number, Number, Number]:
         """Places of the markers in the body's axes."""
         x, y, z = map(side_by_side, zip(*(c.marker(which, p) for c in self.each), strict=True))
         return x, y, z
+
+
+def scattered(c: Contact) -> bool:
+    """Whether contacts side by side are between different bodies."""
+    return any(one.between != c.between for one in c.each)
 
 
 def side_by_side(numbers: Sequence[Number]) -> Number:
@@ -48,6 +64,13 @@ def side_by_side(numbers: Sequence[Number]) -> Number:
     if all(x is first for x in numbers) or all(isinstance(x, (int, float)) and x == first for x in numbers):
         return first
     return jnp.stack([jnp.asarray(x, dtype=jnp.float64) for x in numbers])
+
+
+def _joined(bodies: Sequence[Part]) -> Part:
+    """Bodies in motion as one with an axis over them; without partial velocities."""
+    bare = [(b.axes, b.place, b.velocity, b.spin, b.drift, b.swirl) for b in bodies]
+    axes, place, velocity, spin, drift, swirl = jax.tree.map(lambda *x: side_by_side(x), *bare)
+    return Part(axes, place, velocity, spin, {}, drift, swirl)
 
 
 def apart(c: Contact, found: Any) -> dict[str, Any]:
@@ -59,14 +82,27 @@ def apart(c: Contact, found: Any) -> dict[str, Any]:
     return {one.name: jax.tree.unflatten(tree, row) for one, row in zip(c.each, rows, strict=True)}
 
 
-def bundled(contacts: Sequence[Contact], members: Mapping[str, int]) -> tuple[Contact, ...]:
-    """Contacts in their order, those that are alike in the place of the first of them."""
-    groups: dict[Any, list[Contact]] = {}
+def bundled(contacts: Sequence[Contact], members: Mapping[str, int], kind: Callable[[str], Any]) -> tuple[Contact, ...]:
+    """Contacts in their order, those that are alike in the place of the first of them.
+
+    Args:
+        contacts, members: of a mechanism.
+        kind: of a body by name; contacts between different bodies are alike where these are of the same kinds.
+    """
+    pairs: dict[Any, list[Contact]] = {}
     for c in contacts:
         same = (c.between, c.gap, c.law, c.friction, c.smoothing, c.approach)
         alone = members[c.name] or not all(map(_ours, (c.gap, c.law, c.friction)))
-        groups.setdefault((c.name,) if alone else same, []).append(c)
-    return tuple(_together(group) if len(group) > 1 else group[0] for group in groups.values())
+        pairs.setdefault((c.name,) if alone else same, []).append(c)
+    groups: dict[Any, list[Contact]] = {}
+    for key, group in pairs.items():
+        single = len(group) == 1 and len(key) > 1
+        groups.setdefault((*map(kind, group[0].between), *key[1:]) if single else (key,), []).extend(group)
+    found: list[Contact] = []
+    for key, group in groups.items():
+        few = len(key) > 1 and len(group) < _FEW
+        found += group if few or len(group) == 1 else [_together(group)]
+    return tuple(found)
 
 
 def _ours(part: Any) -> bool:

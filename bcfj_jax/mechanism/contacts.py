@@ -236,9 +236,13 @@ class Contact(eqx.Module):
         """Place of a marker [m], world, of its body in motion."""
         return add(part.place, turned(part.axes, self.marker(which, p)))
 
+    def parts(self, parts: Mapping[str, Part]) -> tuple[Part, Part]:
+        """Its bodies in motion."""
+        return parts[self.between[0]], parts[self.between[1]]
+
     def frames(self, parts: Mapping[str, Part], p: Params) -> tuple[Frame, Frame]:
         """Frames of both markers, of bodies in motion."""
-        first, second = (parts[name] for name in self.between)
+        first, second = self.parts(parts)
         return Frame(self.place(0, first, p), first.axes), Frame(self.place(1, second, p), second.axes)
 
     @property

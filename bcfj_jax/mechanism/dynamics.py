@@ -106,7 +106,7 @@ class Dynamics(AbstractModel):
     @cached_property
     def bundles(self) -> tuple[Contact, ...]:
         """The contacts, those that are alike as one (``mechanism.alike``)."""
-        return alike.bundled(self.contacts, self.members)
+        return alike.bundled(self.contacts, self.members, lambda name: (name == GROUND, self.turning(name)))
 
     def side_by_side(self, c: Contact) -> int:
         """Length of the axis of one of ``bundles``; 0 for none."""
@@ -280,7 +280,7 @@ class Dynamics(AbstractModel):
     def _touching(
         self, c: Contact, bodies: Moving, memory: list[list[Number]], p: Params, laws: bool
     ) -> list[tuple[Face, ContactForce]]:
-        first, second = (bodies.parts[name] for name in c.between)
+        first, second = c.parts(bodies.parts)
         frames, coefficients = c.frames(bodies.parts, p), c.coefficients(p)
         try:
             faces = c.gap.faces(*frames, coefficients)
@@ -320,12 +320,15 @@ class Dynamics(AbstractModel):
 
     def _pressed(self, found: Equations, now: Instant, p: Params) -> None:
         for c in self.bundles:
-            first, second = (now.bodies.parts[name] for name in c.between)
-            place = c.place(1, second, p)
-            for face, touch in now.faces[c.name]:
-                point = add(place, face.lever)
-                found.act(second, subtract(point, second.place), touch.force)
-                found.act(first, subtract(point, first.place), negative(touch.force))
+            place = c.place(1, c.parts(now.bodies.parts)[1], p)
+            acting = [(add(place, face.lever), touch.force) for face, touch in now.faces[c.name]]
+            # A body of several contacts takes the sum of their forces; bodies that differ take each its own.
+            parted = alike.apart(c, acting) if alike.scattered(c) else {c.name: acting}
+            for one in c.each if alike.scattered(c) else (c,):
+                first, second = one.parts(now.bodies.parts)
+                for point, force in parted[one.name]:
+                    found.act(second, subtract(point, second.place), force)
+                    found.act(first, subtract(point, first.place), negative(force))
 
     def _loaded(self, found: Equations, load: AbstractLoad, t: Array, now: Instant, p: Params) -> None:
         if isinstance(load, JointSpring):

@@ -12,7 +12,7 @@ The scale is a guess; every run can measure its own error (``simulate``).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import jax
@@ -24,7 +24,7 @@ from bcfj_jax.core.numerics import positive, smooth_ramp
 from bcfj_jax.core.vectors import ZERO, Number, Vector, add, dot, plus, scale, subtract, times, unit
 from bcfj_jax.mechanism import alike
 from bcfj_jax.mechanism.contacts import Contact
-from bcfj_jax.mechanism.dynamics import Dynamics
+from bcfj_jax.mechanism.dynamics import Dynamics, Instant
 from bcfj_jax.mechanism.equations import Equations, flat, solved
 from bcfj_jax.mechanism.sizes import Params
 
@@ -63,12 +63,12 @@ def expected(scene: Dynamics, params: Params, inside: bool = True) -> Expected:
     parts = now.bodies.parts
     brought, stored, flight = {}, {}, {}
     forces, speeds, masses = [], [], []
-    for c in scene.bundles:
-        first, second = (parts[name] for name in c.between)
+    for c, faces, memory in _bundles(scene, now):
+        first, second = c.parts(parts)
         count_of = len(c.each)
         place = c.place(1, second, params)
         energies, held, flights = [], [], []
-        for (face, touch), own in zip(now.faces[c.name], now.memory[c.name], strict=True):
+        for (face, touch), own in zip(faces, memory, strict=True):
             point = add(place, face.lever)
             partials: dict[int, Vector] = {}
             arms = (subtract(point, first.place), subtract(point, second.place))
@@ -139,6 +139,16 @@ def expected_scale(scene: Dynamics, params: Params) -> Array:
         kept += c.sizes(found.speed, found.depth, _coefficients(c, found.speed, params)) * c.faces if c.memory else []
     members = [*(k for *_, k in scene._placed), *(k for *_, k in scene._free), *(k for _, k in scene._memory)]
     return flat([*places, *(speed / x for x in found.levers), *kept], members)
+
+
+def _bundles(scene: Dynamics, now: Instant) -> Iterator[tuple[Contact, list, list]]:
+    """Contacts that are alike with faces and memory; those between different bodies one by one."""
+    for c in scene.bundles:
+        if alike.scattered(c):
+            faces, memory = alike.apart(c, now.faces[c.name]), alike.apart(c, now.memory[c.name])
+            yield from ((one, faces[one.name], memory[one.name]) for one in c.each)
+        else:
+            yield c, now.faces[c.name], now.memory[c.name]
 
 
 def _of_each(most: Callable[[Array], Array], values: Array, count: int) -> Array:

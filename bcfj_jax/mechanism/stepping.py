@@ -28,7 +28,7 @@ def proximity(m: Dynamics, t: Array, y: Array, p: Params) -> Proximity:
     """
     now, rows = m.instant(t, y, p, laws=False), []
     for c in m.bundles:
-        first, second = (now.bodies.parts[name] for name in c.between)
+        first, second = c.parts(now.bodies.parts)
         a, b = c.frames(now.bodies.parts, p)
         values = c.coefficients(p)
         bends = c.gap.bends(values)
