@@ -65,7 +65,7 @@ def sensitivity(
     certify: Annotated[bool, typer.Option(help="Whether to say how good the derivatives are.")] = True,
     budget: Annotated[
         float, typer.Option(min=0.0, help="Seconds for comparing the derivatives with other runs, compiling included.")
-    ] = 60.0,
+    ] = 15.0,
     code: Code = None,
     out: Out = None,
     dry_run: Dry = False,
@@ -81,7 +81,7 @@ def sensitivity(
         rows = [
             ["derivatives", f"{len(found)}: {', '.join(found)}"],
             ["features", str(len(kept))],
-            ["solves", "2 or more, each at a quarter of the tolerance before it" if certify else "1"],
+            ["solves", "2 or more, each far tighter than the one before it" if certify else "1"],
             ["comparisons", f"{budget:g} s at most" if certify else "none"],
         ]
         return plan.of_scene("sensitivity", scene, out, rows)
