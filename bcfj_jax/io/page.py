@@ -15,6 +15,14 @@ from bcfj_jax.core.errors import InputError
 from bcfj_jax.io.units import engineering, format_si
 
 Rows = Sequence[Sequence[str]]
+
+
+def by_columns(*columns: tuple[str, Sequence[str]]) -> list[list[str]]:
+    """Rows of a table from its columns, each a title and its cells."""
+    titles, cells = zip(*columns, strict=True)
+    return [list(titles), *map(list, zip(*cells, strict=True))]
+
+
 # How a verdict is meant. It has a colour, and a sign for those who do not see the colour.
 GOOD, FAIR, BAD, PLAIN = "good", "fair", "bad", "plain"
 SIGNS = {GOOD: "✓", FAIR: "!", BAD: "✗", PLAIN: "→"}

@@ -209,17 +209,9 @@ def _assess(model: _Model, ends: list[tuple[float, np.ndarray]]) -> PeakFit:
         estimates[unknown.name] = Estimate(value, float(factor), verdict)
     costs = tuple(cost for cost, _ in ends)
     agreeing = sum(cost <= best + 0.01 * max(best, 0.5 * ERROR**2) for cost in costs)
+    determined = int(np.sum(singular > KNOWN))
     return PeakFit(
-        estimates,
-        found,
-        residual,
-        singular,
-        directions,
-        int(np.sum(singular > KNOWN)),
-        costs,
-        model.reach,
-        agreeing,
-        model.evaluations,
+        estimates, found, residual, singular, directions, determined, costs, model.reach, agreeing, model.evaluations
     )
 
 

@@ -50,16 +50,9 @@ def instants(params: Params, balls: int) -> np.ndarray:
 
 def _peaks(scene: Joint, params: Params, times: Array, found: Found) -> Array:
     force = quasistatic_forces(scene, params, times, found)
-    return jnp.stack(
-        [
-            jnp.max(force["seat_cage"]),
-            jnp.max(force["head_cage"]),
-            jnp.min(force["cage_ball"]),
-            jnp.max(force["cage_ball"]),
-            jnp.max(force["seat_ball"]),
-            jnp.max(force["head_ball"]),
-        ]
-    )
+    window = force["cage_ball"]
+    seat, head, into, out = (jnp.max(force[n]) for n in ("seat_cage", "head_cage", "seat_ball", "head_ball"))
+    return jnp.stack([seat, head, jnp.min(window), jnp.max(window), into, out])
 
 
 @eqx.filter_jit
