@@ -146,6 +146,13 @@ def label(name: str, unit: str, prefix: str = "") -> str:
     return f"{name} [{prefix.replace('u', 'µ')}{unit}]"
 
 
+def over_time(axis: Axes, times: np.ndarray) -> float:
+    """Name and limit an axis of times [s]; the scale of what is drawn along it."""
+    scale, prefix = engineering(times)
+    axis.set(xlabel=label("time", "s", prefix), xlim=(times[0] * scale, times[-1] * scale))
+    return scale
+
+
 class Kept:
     """In the place of a path: keeps the figure itself, for who shows it without a file."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from bcfj_jax.io.page import by_columns
@@ -215,10 +215,10 @@ def peak_rows(
     def of(found: Mapping[str, Measured] | None) -> list[float]:
         return [math.nan if found is None else found[id].values[part] for id, part in places]
 
-    def newtons(values: Sequence[float]) -> list[str]:
+    def newtons(values: Iterable[float]) -> list[str]:
         return [format_si(float(v), "N", 4) for v in values]
 
-    def misses(values: Sequence[float]) -> list[str]:
+    def misses(values: Iterable[float]) -> list[str]:
         return [f"{v / p - 1:+.1%}" if math.isfinite(v) else "-" for v, p in zip(values, wanted, strict=True)]
 
     return by_columns(
