@@ -47,8 +47,7 @@ SET_ALONE = {"set_": CHANGES["set_"]}
 # Of the verbs of a study, whose points may be drawn.
 CHANGES_DRAWN: dict[str, Any] = CHANGES | {
     "seed": Annotated[
-        int | None,
-        typer.Option("--seed", min=0, help="Seed of points that are drawn: short for --set design.seed=..."),
+        int | None, typer.Option("--seed", min=0, help="Seed of points that are drawn: short for --set design.seed=...")
     ]
 }
 _SHORT = {

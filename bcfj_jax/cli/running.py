@@ -24,8 +24,7 @@ def simulate(
         typer.Option(help="Also write animation.html, .glb, .mp4 or .gif: html, gltf, mp4 or gif, several by commas."),
     ] = "",
     frames: Annotated[
-        str,
-        typer.Option(help="Also write forces_in_frames.csv: forces in the axes of bodies, or world, by commas."),
+        str, typer.Option(help="Also write forces_in_frames.csv: forces in the axes of bodies, or world, by commas.")
     ] = "",
     code: Code = None,
     out: Out = None,

@@ -176,7 +176,7 @@ def test_the_ideal_mechanism_has_no_play(crank):
         s = 20.0
         apart = [animation.posed(by_name[n], k, s)[0] - animation.posed(by_name[n], k, 0.0)[0] for n in by_name]
         assert np.allclose(apart, [s * t.shift[k] for t in of.tracks])
-    assert of.exaggeration in fragment.steps(of) and of.exaggeration > 1.0
+    assert of.exaggeration in fragment.steps(of.most) and of.exaggeration > 1.0
 
 
 def test_play_that_is_seen_is_not_exaggerated():
@@ -275,7 +275,7 @@ def test_the_figure_stands_alone(crank):
     of = crank[3]
     text = fragment.fragment(of)
     assert text == fragment.fragment(of)
-    assert len(fragment.script().encode()) <= 30_000
+    assert len(fragment._text("viewer.js").encode()) <= 30_000
     assert len(text.encode()) < 150_000
     assert not re.search(r"https?:|//[a-z]+\.[a-z]|@import|\burl\(|\beval\b|new Function|console\.", text)
     page = Outline()

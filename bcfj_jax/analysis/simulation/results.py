@@ -30,14 +30,7 @@ _ROUNDING = 1e-6
 # A contact that is pressed in this share of the samples carries its load where samples show it: bounces between two
 # samples are counted in the table, and not warned of.
 _CARRIES = 0.5
-FILES = (
-    "forces.csv",
-    "contacts.csv",
-    "summary.json",
-    *report.FILES,
-    "run.toml",
-    "environment.json",
-)
+FILES = ("forces.csv", "contacts.csv", "summary.json", *report.FILES, "run.toml", "environment.json")
 # Of contacts, and of what [[read]] asks for.
 PICTURES, READINGS = (page.FORCES, page.LOOPS), ("readings.csv", page.READINGS)
 # Of forces in the axes of bodies, which are asked for.
