@@ -46,15 +46,9 @@ def text(rows: Rows) -> str:
 
 def solver_table(stats: Mapping[str, float], more: Sequence[Sequence[str]] = ()) -> Table:
     """What a solve cost: steps, wall time and compile time [s]."""
-    rows = [
-        ["solver", "value"],
-        *more,
-        ["steps accepted", str(stats["accepted"])],
-        ["steps rejected", str(stats["rejected"])],
-        ["wall time", brief(stats["wall_s"], "s")],
-        ["compile time", brief(stats["compile_s"], "s")],
-    ]
-    return Table("Solver", rows)
+    steps = [[f"steps {key}", str(stats[key])] for key in ("accepted", "rejected")]
+    times = [[f"{key} time", brief(stats[f"{key}_s"], "s")] for key in ("wall", "compile")]
+    return Table("Solver", [["solver", "value"], *more, *steps, *times])
 
 
 def write(folder: Path, page: Page, known: str = "") -> Path:
@@ -82,6 +76,7 @@ def html(page: Page, folder: Path, drawn: Path | None = None) -> str:
         InputError: for a picture whose name leaves the folder.
     """
     import jinja2
+    from markupsafe import Markup  # HTML and CSS of this package, which is not escaped
 
     missing: list[str] = []
 
@@ -100,8 +95,7 @@ def html(page: Page, folder: Path, drawn: Path | None = None) -> str:
 
     shown, more = inline(page.pictures), inline(page.more)
     lost = [f"The picture {name} is no longer in the result folder." for name in missing]
-    if lost:
-        page = replace(page, warnings=(*page.warnings, *lost))
+    page = replace(page, warnings=(*page.warnings, *lost))
     templates = jinja2.Environment(
         loader=jinja2.PackageLoader("bcfj_jax.io", "templates"), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
@@ -109,15 +103,8 @@ def html(page: Page, folder: Path, drawn: Path | None = None) -> str:
     style = resources.files("bcfj_jax.io").joinpath("templates", "report.css").read_text(encoding="utf-8")
     return templates.get_template("report.html").render(
         page=page, main_pictures=shown, more_pictures=more, folded=[*page.folded, *_files(folder)], version=version(),
-        sign=SIGNS[page.verdict.kind], style=_trusted(style), animation=_trusted(page.animation),
+        sign=SIGNS[page.verdict.kind], style=Markup(style), animation=Markup(page.animation),
     ).lstrip()  # fmt: skip
-
-
-def _trusted(text: str) -> Any:
-    """HTML and CSS of this package, which is not escaped."""
-    from markupsafe import Markup
-
-    return Markup(text)
 
 
 def _files(folder: Path) -> list[Listing]:
