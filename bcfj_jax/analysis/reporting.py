@@ -18,15 +18,8 @@ from bcfj_jax.io.page import Page, Picture
 def rebuild(folder: Path, say: Callable[[str], None] = lambda text: None) -> Path:
     """Write ``report.html`` of a result folder again; pictures that its numbers are enough for are drawn again.
 
-    Only ``report.html`` is replaced, as a whole. A picture that is missing is written; one that is there is kept as it
-    is, although the report shows it as this version draws it.
-
-    Args:
-        folder: of any command.
-        say: receives what could not be drawn again.
-
-    Returns:
-        The file written.
+    Only ``report.html`` is replaced, as a whole; the path of it. A picture that is missing is written; one that is there
+    is kept as it is, although the report shows it as this version draws it.
 
     Raises:
         InputError: for a folder that holds no results, or results that are not whole.

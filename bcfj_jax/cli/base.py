@@ -112,14 +112,9 @@ def verb(
 ) -> Callable[[Callable[..., int]], Callable[..., None]]:
     """Make a function a verb: its return value is the exit code, its docstring the help.
 
-    Bad input becomes a message instead of a traceback. The verb gets ``--quiet``, ``--verbose`` and ``--json``.
-
-    Args:
-        to: the application, or a group of it.
-        name: as it is typed; by default the function's own.
-        example: command lines for the help.
-        changed: where the verb takes ``--set`` and what is short for it: from the verb's arguments and the changes to
-            a context within which its file reads as changed.
+    Bad input becomes a message instead of a traceback. The verb gets ``--quiet``, ``--verbose`` and ``--json``; with
+    ``changed`` also ``--set`` and what is short for it: from the verb's arguments and the changes ``changed`` makes a
+    context within which its file reads as changed.
     """
 
     def added(function: Callable[..., int]) -> Callable[..., None]:

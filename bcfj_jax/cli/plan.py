@@ -30,11 +30,7 @@ def _name(command: str, given: scenefile.SceneFile) -> str:
 
 
 def of_scene(command: str, scene: str, out: Path | None, rows: Sequence[Sequence[str]]) -> int:
-    """Show what a verb would do with a scene; the exit code.
-
-    Args:
-        command, scene, out: the verb and its arguments.
-        rows: what of it is the verb's own: a name and a text.
+    """Show what a verb would do with a scene, in rows of which some are the verb's own; the exit code.
 
     Raises:
         InputError: for a scene that is not right, and a folder that cannot be used.

@@ -79,11 +79,7 @@ def changing(
 ) -> Iterator[None]:
     """Within, a file (or a built-in scene) reads as if it said what the changes say; run.toml then has them.
 
-    Args:
-        what: the file, or the scene's name.
-        changes: in their order.
-        tables: of a file of this kind.
-        inside: the table of the file that these tables are in.
+    ``tables`` are those of a file of this kind, which may be ``inside`` another table.
 
     Raises:
         InputError: of what is checked within; where a change is to blame, it names the change in the file's place.

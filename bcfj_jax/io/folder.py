@@ -76,12 +76,7 @@ class _Reserved:
 
 @dataclass
 class Session:
-    """Folders that a command has reserved.
-
-    Attributes:
-        kept: folders whose finished work the same command goes on with, where it was cut off.
-        reserved: folders that are this process's.
-    """
+    """Folders ``reserved`` for this process; those ``kept`` hold finished work that the same command goes on with."""
 
     kept: list[Path] = field(default_factory=list)
     reserved: list[_Reserved] = field(default_factory=list)
@@ -299,12 +294,7 @@ def _escaped(name: str) -> str:
 
 
 def inside(folder: Path, name: str, where: str) -> Path:
-    """The path of a file in a folder by a name that came from elsewhere: a worker, a file, a record.
-
-    Args:
-        folder: which it may not leave.
-        name: the name; parts are separated by "/".
-        where: where the name comes from, for the message.
+    """The path of a file in a folder by a name (parts separated by "/") that came from a worker, a file, a record.
 
     Raises:
         InputError: for an absolute name, one with "..", with a backslash, a colon or a control character, or too long.

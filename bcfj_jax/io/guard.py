@@ -19,10 +19,6 @@ def guarded(verb: Callable[[], int], say: Callable[[str], None]) -> int:
 
     Bad input and what the system refuses end with 2; with 5 where finished work was kept, so that the same command
     goes on. Ctrl-C and SIGTERM end with 5 where work was kept, else with 130 or 143, and the folder is as it was.
-
-    Args:
-        verb: what is run; its value is the exit code.
-        say: prints a line for the user.
     """
     held = Session()
     try:

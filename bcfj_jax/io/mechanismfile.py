@@ -51,12 +51,7 @@ M = TypeVar("M", bound=tables.Table)
 
 
 class Built(NamedTuple):
-    """A mechanism from a file.
-
-    Attributes:
-        scene: the mechanism.
-        resolved: its tables with every default, SI, which a file may hold again.
-    """
+    """A mechanism from a file, and its tables with every default, SI, which a file may hold again."""
 
     scene: Mechanism
     resolved: dict[str, Any]
@@ -76,12 +71,7 @@ class OneTurn:
 
 
 def build(content: Mapping[str, Any], where: str, given: Mapping[str, Any]) -> Built:
-    """The mechanism that the tables of a file list.
-
-    Args:
-        content: the tables, by name.
-        where: the file, for messages.
-        given: what [parameters] says, by name, as it is written.
+    """The mechanism that the tables of a file list; ``given`` is what its [parameters] say, as they are written.
 
     Raises:
         InputError: for anything that is not right, with the table, the entry and what would be.
@@ -218,13 +208,7 @@ class _Builder:
         return tuple(self._sized(x, unit, shape[1:], f"{place}[{k}]") for k, x in enumerate(value))
 
     def _numbers(self, entry: tables.Table, place: str, turns: bool = False) -> dict[str, Any]:
-        """The fields of an entry, those that have a unit in SI.
-
-        Args:
-            entry: as it was read.
-            place: before the key, for messages.
-            turns: whether a joint's coordinate is an angle.
-        """
+        """The fields of an entry, those that have a unit in SI; of a joint that turns in radians."""
         found = {key: getattr(entry, key) for key in type(entry).model_fields}
         for key, field in type(entry).model_fields.items():
             for unit, shape in (x for x in field.metadata if isinstance(x, keys.In)):

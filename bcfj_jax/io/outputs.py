@@ -135,9 +135,7 @@ def write_toml(path: Path, content: Mapping[str, Any], comment: str = "") -> Non
 def channels(history: Mapping[str, np.ndarray], components: int = 0) -> dict[str, np.ndarray]:
     """Histories by contact, members apart: (T, 6, 3) under ``seat_ball`` becomes ``seat_ball_1`` .. ``_6``.
 
-    Args:
-        history: per contact (T, ...) or, with members, (T, k, ...).
-        components: number of axes after those: 1 for forces, 0 for penetrations and rates.
+    ``components``: number of axes after time and members: 1 for forces, 0 for penetrations and rates.
     """
     apart: dict[str, np.ndarray] = {}
     for name, values in history.items():

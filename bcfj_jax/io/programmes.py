@@ -22,13 +22,9 @@ _REMEDY = 'give a CSV file with a head such as "time [s],torque [kN m]" and a ro
 
 
 def table(given: Any, unit: str, where: str, folder: Path | None = None) -> list[list[float]]:
-    """[[times], [values]] in SI.
+    """[[times], [values]] in SI, of such rows, whose numbers may be texts with a unit, or the name of a CSV file.
 
-    Args:
-        given: such rows, whose numbers may be texts with a unit, or the name of a CSV file.
-        unit: of the values.
-        where: place, for the message.
-        folder: of the scene file, from which a file's name counts; None: the working directory.
+    A name counts from the scene file's ``folder``; without one from the working directory.
 
     Raises:
         InputError: for a file that cannot be read, cells that are no numbers of the unit, and rows of unlike lengths.

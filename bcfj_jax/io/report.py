@@ -65,12 +65,9 @@ def write(folder: Path, page: Page, known: str = "") -> Path:
 
 
 def html(page: Page, folder: Path, drawn: Path | None = None) -> str:
-    """The page as one file: pictures of the folder inside, none of which is fetched.
+    """The page as one file: pictures of the folder, or before them of the folder ``drawn``, inside; none is fetched.
 
-    Args:
-        page: what to show; a picture that is not in the folder is left out, and a warning names it.
-        folder: of the results.
-        drawn: a folder whose pictures go before those of the folder.
+    A picture that is not there is left out, and a warning names it.
 
     Raises:
         InputError: for a picture whose name leaves the folder.

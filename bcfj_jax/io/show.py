@@ -27,14 +27,7 @@ MOST_ROWS = 9
 
 
 class Told(NamedTuple):
-    """A result in short.
-
-    Attributes:
-        verdict: how it ended, in a few words: the first line.
-        lines: sentences below it.
-        rows: a table of texts, its first row the heads; empty for none.
-        after: sentences below the table.
-    """
+    """A result in short: how it ended, in a few words; sentences; a table, titles first; sentences below it."""
 
     verdict: str
     lines: Sequence[str] = ()

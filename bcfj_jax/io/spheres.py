@@ -38,9 +38,6 @@ class Spheres(Table):
     def derived(self, where: str) -> dict[str, float]:
         """Stiffness (4/3) E* sqrt(R), exponent 1.5 and effective mass m1 m2/(m1 + m2) of a Hertz contact.
 
-        Args:
-            where: the table's place, for messages.
-
         Raises:
             InputError: for values out of range, two planes, or two rigid bodies.
         """

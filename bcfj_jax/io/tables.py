@@ -77,12 +77,9 @@ def read(path: Path) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def changing_both(path: Path, wanted: Sequence[changes.Change], own: Sequence[str]) -> Iterator[None]:
-    """Within, a file and the scene that it names, or holds as a table, read as changed.
+    """Within, a study's or a design's file and the scene that it names, or holds as a table, read as changed.
 
-    Args:
-        path: a study's or a design's file.
-        wanted: changes; those of a table in ``own`` are the file's, others the scene's.
-        own: tables of such a file.
+    Changes of a table in ``own`` are the file's, others the scene's.
 
     Raises:
         InputError: as ``changing``, and for what is no such file.
@@ -122,10 +119,7 @@ def flat(table: Mapping[str, Any], inside: str = "") -> dict[str, Any]:
 def nested(table: Mapping[str, Any], model: type[Table], inside: str = "") -> dict[str, Any]:
     """As ``flat``, of tables by name: ``[free.seat_ball.stiffness]`` is the table of ``seat_ball.stiffness``.
 
-    Args:
-        table: the tables.
-        model: what one of them may hold; a table of nothing but other keys, all tables, is a part of a name.
-        inside: that part.
+    A table of nothing but keys that ``model`` does not have, all tables, is a part of a name.
     """
     found: dict[str, Any] = {}
     for key, value in table.items():
@@ -137,13 +131,7 @@ def nested(table: Mapping[str, Any], model: type[Table], inside: str = "") -> di
 
 
 def validated(model: type[M], table: object, where: str, inside: str = "") -> M:
-    """A table checked against its model.
-
-    Args:
-        model: what the table may hold.
-        table: what it does hold.
-        where: file name, for the message.
-        inside: the table's own name, where it is part of a file.
+    """A table checked against its model; ``inside`` is its own name, where it is part of a file.
 
     Raises:
         InputError: for the first key that is unknown (with the nearest right one), missing or of a wrong type.

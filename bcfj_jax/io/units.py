@@ -101,13 +101,7 @@ def _times(value: float, factor: float) -> float:
 
 
 def scale_of(unit_text: str, si_unit: str, where: str, *, exponent: float | None = None) -> float:
-    """Factor that takes numbers in a unit to SI: ("kN", "N") -> 1000.
-
-    Args:
-        unit_text: the unit as the user wrote it; "" and "1" are dimensionless.
-        si_unit: the unit it must become; "1" is dimensionless, "N/m^n" a contact stiffness.
-        where: place, for the message.
-        exponent: n of a stiffness, where it is known.
+    """Factor that takes numbers in a unit to SI: ("kN", "N") -> 1000; further arguments as ``quantity``.
 
     Raises:
         InputError: for an unknown unit, a wrong dimension, and a unit with an offset (degC).

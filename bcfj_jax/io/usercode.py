@@ -72,14 +72,9 @@ _functions: dict[str, Callable[..., Any]] = {}
 
 
 def use_code(path: str | Path, sha256: str = "") -> ModuleType:
-    """Execute a Python file, once, and let scene files use what it defines (module docstring).
+    """Execute a Python file, once, and let scene files use what it defines (module docstring); the file as a module.
 
-    Args:
-        path: the file. Named again, it is executed again only where its content is another.
-        sha256: what its content must be, if that is known.
-
-    Returns:
-        The file as a module.
+    Named again, it is executed again only where its content is another. ``sha256``: what its content must be, if known.
 
     Raises:
         InputError: for a file that cannot be read, has another content, or raises; for a class that is not complete, and a
@@ -138,11 +133,7 @@ def hint() -> str:
 
 
 def same_as(kept: Iterable[Mapping[str, str]], where: str) -> None:
-    """Refuse to go on with a job that was begun with other code.
-
-    Args:
-        kept: what ``record`` was when it was begun.
-        where: place, for the message.
+    """Refuse to go on with a job that was begun with other code; ``kept`` is what ``record`` was then.
 
     Raises:
         InputError: naming the file.

@@ -163,12 +163,7 @@ def tightened(params: Params) -> Params:
 
 
 def run(out: Path | None, say: Callable[[str], None], end: float = END) -> tuple[str, bool]:
-    """Run the paper's case, fit, measure, draw and write.
-
-    Args:
-        out: folder for the results, None for one made up.
-        say: receives the progress.
-        end: time simulated [s]; the paper's, but for tests.
+    """Run the paper's case to ``end`` [s], fit, measure, draw and write.
 
     Returns:
         The results in words, and whether every simulation ended well.

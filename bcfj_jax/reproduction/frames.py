@@ -78,12 +78,9 @@ def slip(record: Record) -> float:
 
 
 def rhythm(times: np.ndarray, seat: np.ndarray, head: np.ndarray, turn: float) -> dict[str, tuple[float, ...]]:
-    """The claims of ``FRAMED`` from the forces of both pilots (T, 3) [N], in their units; NaN for what they do not show.
+    """The claims of ``FRAMED`` from the forces of both pilots in a frame (T, 3) [N], in their units.
 
-    Args:
-        times: (T,) [s].
-        seat, head: the components of a frame.
-        turn: time of one revolution [s].
+    NaN for what they do not show; ``turn`` is the time of one revolution [s].
     """
     window = later(times)
     periods = tuple(histories.period(times, seat[:, k], window) for k in range(3))

@@ -65,11 +65,7 @@ def resultant(force: np.ndarray) -> np.ndarray:
 def measure(run: Run, balance: Balance, turn: float, fine: Run | None = None) -> dict[str, Measured]:
     """Values for the figures Q17 to Q36, forces as each contact resolves them (``frames`` has other axes).
 
-    Args:
-        run: the joint's, at even times.
-        balance: of the cage.
-        turn: time of one revolution [s].
-        fine: the same run with more times in it, for peaks and onsets.
+    ``turn`` is the time of one revolution [s]; ``fine`` the same run with more times in it, for peaks and onsets.
     """
     fine = fine or run
     rest, whole = (float(np.linalg.norm(x)) for x in (balance.forces - balance.inertia, balance.forces))
@@ -160,13 +156,7 @@ def _start(run: Run, fine: Run, turn: float) -> dict[str, Measured]:
 
 
 def inequalities(run: Run, turn: float, tight: Run | None) -> list[Inequality]:
-    """The qualitative claims Q37, each as an inequality.
-
-    Args:
-        run: the joint's.
-        turn: time of one revolution [s].
-        tight: the same with smaller clearances, if it was run.
-    """
+    """The qualitative claims Q37, each as an inequality; ``tight`` is the run with smaller clearances."""
     rows = []
     for point, name in ((1, "seat_cage"), (2, "head_cage")):
         normal, *others = np.max(np.abs(run.force[name]), axis=0)

@@ -66,12 +66,9 @@ def _slopes(scene: Joint, params: Params, free: Params, times: Array, found: Fou
 
 
 def peaks(scene: Joint, params: Params, free: Params) -> tuple[np.ndarray, dict[str, np.ndarray], bool]:
-    """The numbers of ``TARGETS`` [N], their derivatives by each free parameter, and whether equilibrium was found.
+    """The numbers of ``TARGETS`` [N], their derivatives by each parameter in ``free``, and whether equilibrium was found.
 
-    Args:
-        scene: ``still_scene``.
-        params: all parameters.
-        free: those to differentiate by, which replace the ones in ``params``; stiffnesses follow (``tied``).
+    Those in ``free`` replace the ones in ``params``; stiffnesses follow (``tied``).
     """
     times = jnp.asarray(instants(params, scene.balls))
     free = {name: jnp.asarray(value, dtype=float) for name, value in free.items()}

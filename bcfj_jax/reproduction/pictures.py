@@ -37,12 +37,8 @@ def draw(
 ) -> list[Picture]:
     """Write every picture there are runs for.
 
-    Args:
-        folder: to write to.
-        runs: by name ("as given", "calibrated"), the first of them leading.
-        tight: the run with small clearances.
-        observed: what is looked at from several frames.
-        sudden: a sudden start, finely sampled.
+    The first of ``runs`` leads; ``tight`` has small clearances; ``observed`` is looked at from several frames; ``sudden``
+    is a sudden start, finely sampled.
     """
     written = []
     for point, (contact, name) in enumerate(zip(_POINTS, FILES, strict=False), 1):

@@ -66,13 +66,7 @@ def residual_series(fit: Fit) -> dict[str, np.ndarray]:
 
 
 def profiles(found: Sequence[Profile], units: Mapping[str, str], path: Path) -> None:
-    """Every profile with its threshold, its interval shaded, and the parabola that the covariance stands for.
-
-    Args:
-        found: profiles to draw.
-        units: SI unit by the profile's name.
-        path: of the PNG.
-    """
+    """Every profile with its threshold, its interval shaded, and the parabola that the covariance stands for."""
     with panels(len(found), 3, path, 4.2, 3.4) as axes:
         for axis, profile in zip(axes, found, strict=True):
             _profile(axis, profile, units[profile.name])
@@ -118,13 +112,7 @@ def _scale(values: np.ndarray, unit: str) -> tuple[float, str]:
 
 
 def posterior(found: Posterior, units: Mapping[str, str], path: Path) -> None:
-    """Marginals on the diagonal, with their 95 % interval, and pairs below it.
-
-    Args:
-        found: draws.
-        units: SI unit by label.
-        path: of the PNG.
-    """
+    """Marginals on the diagonal, with their 95 % interval, and pairs below it; units are SI, by label."""
     count = len(found.labels)
     draws = found.draws.reshape(-1, count)
     thinned = draws[:: max(1, len(draws) // 1000)]
@@ -180,12 +168,7 @@ def correlation(matrix: np.ndarray, labels: Sequence[str], path: Path) -> None:
 
 
 def residual_acf(series: Mapping[str, np.ndarray], path: Path) -> None:
-    """Autocorrelation of residuals by lag in samples, with the bounds that 95 % of white noise keeps.
-
-    Args:
-        series: white residuals (n,) in time order by name of record and channel.
-        path: of the PNG.
-    """
+    """Autocorrelation of white residuals (n,) by lag in samples, with the bounds that 95 % of white noise keeps."""
     with panels(len(series), 2, path, 6.0, 2.6) as axes:
         for axis, (name, residuals) in zip(axes, series.items(), strict=True):
             lags = min(40, residuals.size // 3)

@@ -69,12 +69,7 @@ def summary(folder: Path) -> dict[str, Any]:
 
 
 def read(folder: Path, given: SceneFile, known: dict[str, Any]) -> Run:
-    """The run of a folder: forces, penetrations, slips, states and peaks; rates are NaN, and there is no trajectory.
-
-    Args:
-        folder: of ``bcfj simulate``.
-        given: the scene of its ``run.toml``.
-        known: its ``summary.json``.
+    """The run of a folder from its ``summary.json``: forces, penetrations, slips, states and peaks; rates are NaN.
 
     Raises:
         InputError: for a file that does not hold what ``bcfj simulate`` writes.
@@ -148,12 +143,6 @@ def redrawn(folder: Path, place: Path) -> tuple[list[Picture], Run, SceneFile, d
 def page_of(
     title: str, shown: list[Picture], run: Run, given: SceneFile, known: dict[str, Any], rows: list[list[str]]
 ) -> Page:
-    """The page of a folder that keeps none, from its numbers.
-
-    Args:
-        title: its heading.
-        shown, run, given, known: as ``redrawn`` gives them.
-        rows: the table of the input.
-    """
+    """The page of a folder that keeps none, from what ``redrawn`` gives and the table of the input."""
     more = [Table("Input: values and what they mean", rows)]
     return page.made(title, run, given.scene, known, shown, more, [])

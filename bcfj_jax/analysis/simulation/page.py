@@ -59,14 +59,9 @@ def widths(scene: AbstractModel, params: Params) -> dict[str, float]:
 def drawn(
     folder: Path, run: Run, scene: AbstractModel, params: Params, reads: Sequence[Channel], contacts: Mapping[str, Any]
 ) -> list[Picture]:
-    """Draw all pictures of a run, those that matter first.
+    """Draw all pictures of a run, those that matter first; a run read from files has no trajectory, and no orbits.
 
-    Args:
-        folder: for the PNG files.
-        run: what was simulated; a run read from files has no trajectory, and no orbits.
-        scene, params: of what.
-        reads: what [[read]] asks for.
-        contacts: ``summary.json``'s, whose periods give the loading cycles in steady motion.
+    ``contacts`` are those of ``summary.json``: their periods give the loading cycles in steady motion.
     """
     drive = turning(scene, params)
     found: list[Picture | None] = []

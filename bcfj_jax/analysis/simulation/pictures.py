@@ -159,11 +159,7 @@ def loops(
 ) -> Picture:
     """Normal force against penetration over one loading cycle, one panel a contact; the area is the energy it takes.
 
-    Args:
-        run: what to draw.
-        path: of the PNG.
-        cycles: by contact, period of its load in steady motion [s], where it has one.
-        widths: by contact, the width of its regularisation [m], where it has one.
+    By contact, where it has them: ``cycles``, periods of the load in steady motion [s]; ``widths`` of regularisation [m].
     """
     said, count = [], len(run.force)
     with panels(count, 3 if count > 4 else 2, path, 4.0 if count > 1 else 6.0, 3.6, Margins()) as axes:

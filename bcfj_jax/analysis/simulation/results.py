@@ -38,11 +38,7 @@ FRAMED, WORLD = "forces_in_frames.csv", "world"
 
 
 def framed(scene: AbstractModel, frames: Sequence[str]) -> tuple[Channel, ...]:
-    """The whole force of every contact in the axes of bodies: its components as readings.
-
-    Args:
-        scene: whose contacts.
-        frames: names of bodies, or "world".
+    """The whole force of every contact in the axes of bodies, or "world": its components as readings.
 
     Raises:
         InputError: for a body that the scene has not, with the nearest that it has.

@@ -129,13 +129,9 @@ def _scenery(model: AbstractModel, params: Params, times: Array, states: Array) 
 
 
 def animation(model: AbstractModel, params: Params, run: Run, title: str = "", count: int = FRAMES) -> Animation | None:
-    """The animation of a run; None for a model that cannot be drawn, a run that ended at once, and hundreds of bodies.
+    """The animation of a run with its trajectory, of ``count`` frames at most.
 
-    Args:
-        model, params: what was simulated.
-        run: ``simulate``'s, with its trajectory.
-        title: what it is of; by default the model's.
-        count: of frames, at most.
+    None for a model that cannot be drawn, a run that ended at once, and hundreds of bodies.
     """
     numbers: Any = {name: np.asarray(value, float) for name, value in params.items()}
     model = model.level(run.choice.fidelity) if run.choice else model
