@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+import importlib
 import json
 from pathlib import Path
 from typing import Annotated, Any
@@ -28,10 +29,8 @@ def validate(
         from calibration import problemfile
 
         problem = problemfile.load(file)
-        kind, free, records = "calibration", [f.name for f in problem.free], len(problem.experiments)
-        text = (
-            f"a calibration of {', '.join(free)} from {counted(records, 'record')}, of the scene '{problem.scene.kind}'"
-        )
+        free, records = ", ".join(f.name for f in problem.free), counted(len(problem.experiments), "record")
+        kind, text = "calibration", f"a calibration of {free} from {records}, of the scene '{problem.scene.kind}'"
     elif "objective" in content:
         from bcfj_jax.analysis.designs import command, designfile
 
@@ -42,8 +41,8 @@ def validate(
         from bcfj_jax.analysis.studies import specification
 
         study = specification.load(file)
-        kind = "study"
-        text = f"a study of {', '.join(study.names)}: {study.count} points of the scene '{study.given.scene.kind}'"
+        varied = f"{', '.join(study.names)}: {study.count} points"
+        kind, text = "study", f"a study of {varied} of the scene '{study.given.scene.kind}'"
     else:
         given = scenefile.load(file)
         contacts = ", ".join(contact.name for contact in given.scene.contacts) or "none"
@@ -53,13 +52,14 @@ def validate(
     return DONE
 
 
-class Kind(enum.StrEnum):
-    """Files that have a schema."""
-
-    scene = "scene"
-    calibration = "calibration"
-    study = "study"
-    design = "design"
+# Files that have a schema, and the module that loads them.
+_LOADERS = {
+    "scene": "bcfj_jax.io.scenefile",
+    "calibration": "calibration.problemfile",
+    "study": "bcfj_jax.analysis.studies.specification",
+    "design": "bcfj_jax.analysis.designs.designfile",
+}
+Kind = enum.StrEnum("Kind", list(_LOADERS))
 
 
 @verb(app, example="bcfj schema scene > scene.schema.json")
@@ -74,21 +74,7 @@ def schema(kind: Annotated[Kind, typer.Argument(help="The kind of file.")]) -> i
 
 def schema_of(kind: str) -> dict[str, Any]:
     """The JSON Schema of a kind of file."""
-    if kind == "calibration":
-        from calibration import problemfile
-
-        return problemfile.schema()
-    if kind == "study":
-        from bcfj_jax.analysis.studies import specification
-
-        return specification.schema()
-    if kind == "design":
-        from bcfj_jax.analysis.designs import designfile
-
-        return designfile.schema()
-    from bcfj_jax.io import scenefile
-
-    return scenefile.schema()
+    return importlib.import_module(_LOADERS[kind]).schema()
 
 
 @verb(app, example="bcfj init impact\nbcfj init calibration examples/chung_ooi_test1_curve.csv")
@@ -119,9 +105,8 @@ def init(
         stated = Stated(separator, decimal, encoding, header)
         return proposal.run(record, out, scene, mass, speed, table, typer.echo, stated, struck_mass)
     if record is not None:
-        raise InputError(
-            "init", f"{record} after the scene '{what}'", "give one scene, or: bcfj init calibration RECORD"
-        )
+        found = f"{record} after the scene '{what}'"
+        raise InputError("init", found, "give one scene, or: bcfj init calibration RECORD")
     ready(None)
     from bcfj_jax.io.outputs import create
     from bcfj_jax.io.scenetemplate import template

@@ -21,12 +21,9 @@ def ended(command: str, scene: str, begin: float, good: bool) -> int:
     if not good:
         return SIMULATION_FAILED
     with contextlib.suppress(InputError):
-        programs.remember(_name(command, scenefile.load(scene)), time.perf_counter() - begin)
+        name = f"bcfj {command} {scenefile.load(scene).scene.kind}"
+        programs.remember(name, time.perf_counter() - begin)
     return DONE
-
-
-def _name(command: str, given: scenefile.SceneFile) -> str:
-    return f"bcfj {command} {given.scene.kind}"
 
 
 def of_scene(command: str, scene: str, out: Path | None, rows: Sequence[Sequence[str]]) -> int:
@@ -36,23 +33,17 @@ def of_scene(command: str, scene: str, out: Path | None, rows: Sequence[Sequence
         InputError: for a scene that is not right, and a folder that cannot be used.
     """
     given = scenefile.load(scene)
-    took = programs.seconds(_name(command, given))
-    time_text = [] if any(row[0] == "time" for row in rows) else [
-        ["time", f"about {took:.0f} s, as the last time with such a scene" if took else
-         "unknown: no such run was timed on this machine; the first compiles its programs, which are then kept"]
-    ]  # fmt: skip
-    show(
-        [
-            ["scene", given.scene.kind],
-            ["parameters", str(len(given.params))],
-            ["contacts", ", ".join(contact.name for contact in given.scene.contacts) or "none"],
-            ["simulated", f"{format_si(float(given.times[-1]), 's')}, {len(given.times)} samples"],
-            ["accuracy", str(given.accuracy)],
-            *rows,
-            *time_text,
-        ],
-        out,
-    )
+    took = programs.seconds(f"bcfj {command} {given.scene.kind}")
+    unknown = "unknown: no such run was timed on this machine; the first compiles its programs, which are then kept"
+    known = f"about {took:.0f} s, as the last time with such a scene" if took else unknown
+    first = [
+        ["scene", given.scene.kind],
+        ["parameters", str(len(given.params))],
+        ["contacts", ", ".join(contact.name for contact in given.scene.contacts) or "none"],
+        ["simulated", f"{format_si(float(given.times[-1]), 's')}, {len(given.times)} samples"],
+        ["accuracy", str(given.accuracy)],
+    ]
+    show([*first, *rows, *([] if any(row[0] == "time" for row in rows) else [["time", known]])], out)
     return DONE
 
 
