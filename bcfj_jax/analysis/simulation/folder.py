@@ -28,6 +28,9 @@ from bcfj_jax.solve.simulation import Run
 NEEDED = ("forces.csv", "contacts.csv", "summary.json", "run.toml")
 
 
+_AGAIN = "run bcfj simulate again in another folder"
+
+
 def _read(path: Path) -> str:
     raw = content(path, LARGEST_TEXT, str(path), "name the folder of a run", "it is larger than a run's file")
     return raw.decode("utf-8", errors="replace")
@@ -41,7 +44,7 @@ def _columns(path: Path) -> dict[str, list[str]]:
     """
     rows = list(csv.reader(io.StringIO(_read(path))))
     if len(rows) < 3 or any(len(row) != len(rows[0]) for row in rows):
-        raise InputError(str(path), "is no table of a run", "run bcfj simulate again in another folder")
+        raise InputError(str(path), "is no table of a run", _AGAIN)
     return dict(zip(rows[0], map(list, zip(*rows[1:], strict=True)), strict=True))
 
 
@@ -49,7 +52,14 @@ def _numbers(cells: list[str], where: str) -> np.ndarray:
     try:
         return np.array([float(cell) if cell else math.nan for cell in cells])
     except ValueError as error:
-        raise InputError(where, str(error), "run bcfj simulate again in another folder") from None
+        raise InputError(where, str(error), _AGAIN) from None
+
+
+def _codes(words: list[str], where: str) -> np.ndarray:
+    del where
+    # "sticking" is what older runs' files say of creeping.
+    number = {word: code for code, word in enumerate(STATES)} | {"sticking": CREEPING}
+    return np.array([number.get(word, UNKNOWN) for word in words], dtype=np.int8)
 
 
 def summary(folder: Path) -> dict[str, Any]:
@@ -76,36 +86,31 @@ def read(folder: Path, given: SceneFile, known: dict[str, Any]) -> Run:
     """
     forces, contacts = _columns(folder / "forces.csv"), _columns(folder / "contacts.csv")
     if "time [s]" not in forces or forces["time [s]"] != contacts.get("time [s]"):
-        found = "forces.csv and contacts.csv have no time [s] in common"
-        raise InputError(str(folder), found, "run bcfj simulate again in another folder")
-    times = _numbers(forces["time [s]"], "forces.csv")
+        raise InputError(str(folder), "forces.csv and contacts.csv have no time [s] in common", _AGAIN)
+    members = given.scene.members
 
-    def stacked(table: dict[str, list[str]], name: str, count: int, end: str, codes: bool = False) -> np.ndarray | None:
-        heads = [f"{name}_{k + 1}{end}" for k in range(count)] or [f"{name}{end}"]
-        if any(head not in table for head in heads):
-            return None
-        made = [_codes(table[h]) if codes else _numbers(table[h], h) for h in heads]
-        return np.stack(made, 1) if count else made[0]
+    def histories(table: dict[str, list[str]], end: str, read: Any = _numbers) -> dict[str, np.ndarray]:
+        """By contact the columns of this end, members side by side, where the table has them all."""
+        found = {}
+        for name, count in members.items():
+            heads = [f"{name}_{k + 1}{end}" for k in range(count)] or [f"{name}{end}"]
+            if all(head in table for head in heads):
+                each = [read(table[head], head) for head in heads]
+                found[name] = np.stack(each, 1) if count else each[0]
+        return found
 
-    force, depth, slip, state = {}, {}, {}, {}
-    for name, count in given.scene.members.items():
-        parts = [stacked(forces, name, count, f".{part} [N]") for part in COMPONENTS]
-        deep = stacked(contacts, name, count, ".penetration [m]")
-        if deep is None or any(part is None for part in parts):
-            raise InputError(str(folder), f"has no history of {name}", "run bcfj simulate again in another folder")
-        force[name], depth[name] = np.stack([p for p in parts if p is not None], -1), deep
-        slides, codes = (
-            stacked(contacts, name, count, ".sliding_speed [m/s]"),
-            stacked(contacts, name, count, ".state", True),
-        )
-        slip |= {} if slides is None else {name: slides}
-        state |= {} if codes is None else {name: codes}
-    stats = {**known["solver"], "wall_s": known.get("wall_s", math.nan), "compile_s": known.get("compile_s", math.nan)}
+    parts = [histories(forces, f".{part} [N]") for part in COMPONENTS]
+    depth = histories(contacts, ".penetration [m]")
+    if lost := [name for name in members if any(name not in part for part in (*parts, depth))]:
+        raise InputError(str(folder), f"has no history of {lost[0]}", _AGAIN)
+    force = {name: np.stack([part[name] for part in parts], -1) for name in members}
+    stats = {**known["solver"], **{key: known.get(key, math.nan) for key in ("wall_s", "compile_s")}}
     failure = known.get("failure_time")
     return Run(
-        times, force, depth, {name: np.full_like(x, np.nan) for name, x in depth.items()}, slip, known["status"],
-        known.get("reason", ""), math.nan if failure is None else failure, stats, state,
-        extremes=_extremes(given.scene.members, known["contacts"]),
+        _numbers(forces["time [s]"], "forces.csv"), force, depth, {n: np.full_like(x, np.nan) for n, x in depth.items()},
+        histories(contacts, ".sliding_speed [m/s]"), known["status"], known.get("reason", ""),
+        math.nan if failure is None else failure, stats, histories(contacts, ".state", _codes),
+        extremes=_extremes(members, known["contacts"]),
     )  # fmt: skip
 
 
@@ -120,12 +125,6 @@ def _extremes(members: Mapping[str, int], contacts: Mapping[str, Mapping[str, An
         columns: Any = [np.array([math.nan if x is None else x for x in column], float) for column in values]
         found[name] = Extremes(*(column if count else column[0] for column in columns))
     return found
-
-
-def _codes(words: list[str]) -> np.ndarray:
-    # "sticking" is what older runs' files say of creeping.
-    number = {word: code for code, word in enumerate(STATES)} | {"sticking": CREEPING}
-    return np.array([number.get(word, UNKNOWN) for word in words], dtype=np.int8)
 
 
 def redrawn(folder: Path, place: Path) -> tuple[list[Picture], Run, SceneFile, dict[str, Any]]:
