@@ -144,26 +144,21 @@ class _Builder:
 
     def built(self) -> Built:
         scene = _checked(keys.SceneTable, self.content["scene"], f"{self.where}: [scene]")
-        law = scene.law or (
-            "exact" if any(n.rpartition(".")[2] == "restitution" for n in self.given) else "memory_free"
-        )
-        options = scene.model_copy(update={"law": law})
+        returns = any(name.rpartition(".")[2] == "restitution" for name in self.given)
+        self.options = scene.model_copy(update={"law": scene.law or ("exact" if returns else "memory_free")})
         own, quantities = self._quantities()
-        parts: dict[str, list[Any]] = {"body": [], "contact": [], "load": []}
-        resolved: dict[str, list[dict[str, Any]]] = {"body": [], "contact": [], "load": []}
-        for table, one in (("body", self._body), ("contact", self._contact), ("load", self._load)):
-            for k, entry in enumerate(_listed(self.content, table, self.where)):
-                part, plain = one(entry, self._place(table, k, entry), options)
-                parts[table].append(part)
-                resolved[table].append(plain)
+        parts: list[tuple[Any, ...]] = []
+        resolved: dict[str, Any] = {"scene": _plain(self.options)}
+        for table, read in (("body", self._body), ("contact", self._contact), ("load", self._load)):
+            entries = enumerate(_listed(self.content, table, self.where))
+            found = [read(entry, self._place(table, k, entry)) for k, entry in entries]
+            parts.append(tuple(part for part, _ in found))
+            resolved[table] = [plain for _, plain in found]
         with placed(self.content, self.where):
-            mechanism = Mechanism(
-                KIND, tuple(parts["body"]), tuple(parts["contact"]), tuple(parts["load"]), own=own,
-                end=_end(parts["body"]),
-            )  # fmt: skip
+            mechanism = Mechanism(KIND, *parts, own=own, end=_end(parts[0]))
         self._look_up(mechanism)
-        tables_ = {"scene": _plain(options), **resolved, "quantity": quantities}
-        return Built(mechanism, {name: table for name, table in tables_.items() if table})
+        resolved["quantity"] = quantities
+        return Built(mechanism, {name: table for name, table in resolved.items() if table})
 
     def _place(self, table: str, k: int, entry: Mapping[str, Any]) -> str:
         name = entry.get("name")
@@ -257,8 +252,7 @@ class _Builder:
 
     # Parts.
 
-    def _body(self, table: Mapping[str, Any], place: str, options: keys.SceneTable) -> tuple[Body, dict[str, Any]]:
-        del options
+    def _body(self, table: Mapping[str, Any], place: str) -> tuple[Body, dict[str, Any]]:
         entry = _checked(keys.BodyTable, table, place)
         if isinstance(entry.parent, list):
             found = (
@@ -311,16 +305,14 @@ class _Builder:
         with _said_of("drive", place):
             return Drive(**given)
 
-    def _contact(
-        self, table: Mapping[str, Any], place: str, options: keys.SceneTable
-    ) -> tuple[Contact, dict[str, Any]]:
+    def _contact(self, table: Mapping[str, Any], place: str) -> tuple[Contact, dict[str, Any]]:
         entry = _checked(keys.ContactTable, table, place)
         gap, gap_table = _gap(entry.gap, f"{place} gap")
         # A law of its own has its own elastic part, whatever the other contacts have.
-        elastic = entry.elastic or (options.elastic if entry.law is None else None)
-        law = _named("law", entry.law or options.law, elastic, place)
-        friction = _friction(options.friction if entry.friction is None else entry.friction, place)
-        smoothing = options.smoothing if entry.smoothing is None else entry.smoothing
+        elastic = entry.elastic or (self.options.elastic if entry.law is None else None)
+        law = _named("law", entry.law or self.options.law, elastic, place)
+        friction = _friction(self.options.friction if entry.friction is None else entry.friction, place)
+        smoothing = self.options.smoothing if entry.smoothing is None else entry.smoothing
         if entry.approach not in ("memory", "parameter"):
             found = f"no approach '{entry.approach}'"
             raise InputError(f"{place} approach", found, nearest(entry.approach, ("memory", "parameter")))
@@ -354,10 +346,7 @@ class _Builder:
             found[key] = self._size(values[key], units[key], f"{place}.{key}", exponent)
         return found
 
-    def _load(
-        self, table: Mapping[str, Any], place: str, options: keys.SceneTable
-    ) -> tuple[AbstractLoad, dict[str, Any]]:
-        del options
+    def _load(self, table: Mapping[str, Any], place: str) -> tuple[AbstractLoad, dict[str, Any]]:
         kind, known = table.get("kind"), (*LOADS, *usercode.functions())
         if kind is None:
             raise InputError(f"{place} kind", "the key 'kind' is missing", f"give one of {', '.join(known)}")
@@ -406,22 +395,19 @@ def _listed(content: Mapping[str, Any], table: str, where: str) -> list[Mapping[
 
 def _checked(model: type[M], table: object, place: str) -> M:
     """``tables.validated`` with an entry's place in front of the key."""
-    try:
+
+    def key(where: str) -> str:
+        return re.sub(r"^@: (?:\[(.*?)\] )?", lambda m: f"{m[1]}." if m[1] else "", where)
+
+    with tables.placed(lambda where: f"{place} {key(where)}".rstrip()):
         return tables.validated(model, table, "@")
-    except InputError as error:
-        key = re.sub(r"^@: (?:\[(.*?)\] )?", lambda m: f"{m[1]}." if m[1] else "", error.where)
-        raise InputError(f"{place} {key}".rstrip(), error.found, error.remedy) from None
 
 
-@contextlib.contextmanager
-def _said_of(part: str, place: str) -> Iterator[None]:
+def _said_of(part: str, place: str) -> contextlib.AbstractContextManager[None]:
     """Within, what a part refuses of itself names the entry of the file."""
-    try:
-        yield
-    except InputError as error:
-        rest = error.where.removeprefix(part).strip()
-        raise InputError(error.where if error.where.startswith(place) else f"{place} {rest}".strip(), error.found,
-                         error.remedy) from error.__cause__  # fmt: skip
+    return tables.placed(
+        lambda where: where if where.startswith(place) else f"{place} {where.removeprefix(part).strip()}".strip()
+    )
 
 
 def _axis(axis: Any, place: str) -> Any:
@@ -453,10 +439,8 @@ def _named(what: str, name: str | None, elastic: str | None, place: str) -> Any:
     for key, value, known in ((what, name, laws.LAWS), ("elastic", elastic, laws.ELASTIC)):
         if value is not None and value not in known:
             raise InputError(f"{place} {key}", f"no such {key} '{value}'", nearest(value, known) + usercode.hint())
-    try:
+    with tables.placed(lambda where: f"{place} {where}"):
         return laws.make(name or "memory_free", elastic)
-    except InputError as error:
-        raise InputError(f"{place} {error.where}", error.found, error.remedy) from None
 
 
 def _friction(name: bool | str, place: str) -> Any:

@@ -168,7 +168,10 @@ def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
     end = _end(scene, params, file.time, where)
     samples = file.time.samples or scene.samples
     accuracy, solver = _accuracy(file.accuracy, where), file.accuracy.solver
-    if (longest := _longest(file.time, where)) is not None:
+    steps, peaks = file.accuracy.max_steps, file.accuracy.resolved_peaks
+    longest = file.time.longest_step
+    if longest is not None:
+        longest = scalar(f"{where}: [time]", LONGEST, longest)
         scene = replace(scene, longest_step=longest)  # pyright: ignore[reportArgumentType]
     scene = scene.suited(params, end, solver)
     named.check(solver, scene.traits.stiff, f"{where}: [accuracy] ")
@@ -176,31 +179,17 @@ def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
         **made_of,
         "parameters": {name: float(value) for name, value in params.items()},
         "time": {"end": end, "samples": samples} | ({} if longest is None else {"longest_step": longest}),
-        "accuracy": {
-            "level" if isinstance(accuracy, str) else "force_error": accuracy,
-            "max_steps": file.accuracy.max_steps,
-        }
+        "accuracy": {"level" if isinstance(accuracy, str) else "force_error": accuracy, "max_steps": steps}
         | ({"solver": solver} if solver else {})
-        | ({"resolved_peaks": True} if file.accuracy.resolved_peaks else {}),
+        | ({"resolved_peaks": True} if peaks else {}),
     } | ({"read": readings} if readings else {})
     times = np.linspace(0.0, end, samples)
     levels = scene.choice_options()
     free = bool(levels) and not set(levels) & set(file.scene)
-    steps = file.accuracy.max_steps
-    if file.accuracy.resolved_peaks and solver == "bdf":
+    if peaks and solver == "bdf":
         remedy = "leave the solver out, or take rodas3 or sdirk2"
         raise InputError(f"{where}: [accuracy] resolved_peaks", "with the solver 'bdf'", remedy)
-    peaks = file.accuracy.resolved_peaks
     return SceneFile(scene, params, times, accuracy, resolved, source, steps, solver, free, peaks, reads, tolerances)
-
-
-def _longest(time: _Time, where: str) -> float | None:
-    """The solver's longest step [s]; None where nothing is said.
-
-    Raises:
-        InputError: for what is no length of time above 0.
-    """
-    return None if time.longest_step is None else scalar(f"{where}: [time]", LONGEST, time.longest_step)
 
 
 def _plain(table: Mapping[str, Any]) -> dict[str, Any]:
@@ -266,21 +255,16 @@ def _scene(file: _File, where: str) -> tuple[AbstractModel, dict[str, Any], Sphe
         if options.get(name) is not None and options[name] not in known:
             hint = nearest(options[name], known) + usercode.hint()
             raise InputError(f"{place} {name}", f"no such {name} '{options[name]}'", hint)
-    try:
+    own = f"scene '{kind}'"
+    with tables.placed(lambda said: f"{place} {said.removeprefix(own).strip()}"):
         scene = scenes.make(kind, **options)
-    except InputError as error:
-        key = error.where.removeprefix(f"scene '{kind}'").strip()
-        raise InputError(f"{place} {key}", error.found, error.remedy) from None
     spheres = getattr(checked, "spheres", None)
     if spheres and _elastic_name(scene) != "power":
         found = f"spheres with elastic = '{_elastic_name(scene)}'"
         raise InputError(f"{place} elastic", found, "spheres are in Hertz contact: leave elastic out, or say 'power'")
-    return scene, {"scene": {"kind": kind} | _resolved_options(scene, options | _given(file, options))}, spheres
-
-
-def _given(file: _File, options: Mapping[str, Any]) -> dict[str, Any]:
-    """Options that the file gives, as it writes them."""
-    return {name: file.scene[name] for name in options if name in file.scene}
+    # Options that the file gives, as it writes them.
+    given_options = {name: file.scene.get(name, value) for name, value in options.items()}
+    return scene, {"scene": {"kind": kind} | _resolved_options(scene, given_options)}, spheres
 
 
 def _resolved_options(scene: AbstractModel, options: Mapping[str, Any]) -> dict[str, Any]:

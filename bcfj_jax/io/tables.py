@@ -7,7 +7,7 @@ import os
 import re
 import tomllib
 import typing
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -52,7 +52,12 @@ def read(path: Path) -> dict[str, Any]:
         InputError: when there is no such file, it is no text or no TOML; the last with its line.
     """
     shown, right = clip(str(path)), "give the path of a TOML file"
-    raw = _bytes(path, shown, right)
+    try:
+        raw = content(path, LARGEST_TOML, shown, right, "give a file of settings; data go in a file of their own")
+    except InputError as error:
+        # The path is the place already.
+        found = "there is no such file" if error.found.startswith("no file") else error.found
+        raise InputError(shown, found.removeprefix(f"{shown} "), error.remedy) from None
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -98,13 +103,13 @@ def changing_both(path: Path, wanted: Sequence[changes.Change], own: Sequence[st
         yield
 
 
-def _bytes(path: Path, shown: str, right: str) -> bytes:
+@contextlib.contextmanager
+def placed(place: Callable[[str], str]) -> Iterator[None]:
+    """Within, what is refused names another place, which is made of the one that it names itself."""
     try:
-        return content(path, LARGEST_TOML, shown, right, "give a file of settings; data go in a file of their own")
+        yield
     except InputError as error:
-        # The path is the place already.
-        found = "there is no such file" if error.found.startswith("no file") else error.found
-        raise InputError(shown, found.removeprefix(f"{shown} "), error.remedy) from None
+        raise InputError(place(error.where), error.found, error.remedy) from error.__cause__
 
 
 def flat(table: Mapping[str, Any], inside: str = "") -> dict[str, Any]:
@@ -152,10 +157,8 @@ def validated(model: type[M], table: object, where: str, inside: str = "") -> M:
         raise InputError(place, f"the key '{key}' is missing", "it must be given")
     tabled = problem["type"] in ("model_type", "model_attributes_type", "dict_type")
     message = "a table: keys and values" if tabled else problem["msg"].removeprefix("Input should be ")
-    given = problem["input"]
-    raise InputError(
-        place, f"{clip(repr(given) if isinstance(given, str) else given)} is not accepted", f"give {message}"
-    )
+    given = repr(problem["input"]) if isinstance(problem["input"], str) else problem["input"]
+    raise InputError(place, f"{clip(given)} is not accepted", f"give {message}")
 
 
 def _known(model: type[pydantic.BaseModel], loc: tuple[int | str, ...]) -> list[str]:

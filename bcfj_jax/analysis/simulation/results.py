@@ -300,13 +300,10 @@ def write(folder: Path, given: SceneFile, run: Run, stem: str, framed: Sequence[
     head = f"{source}, as it was run: every default, SI\n{choice_sentence(run)}".strip()
     outputs.write_toml(folder / "run.toml", given.resolved, head)
     outputs.write_json(folder / "environment.json", outputs.environment(data=[given.source] if given.source else []))
-    outputs.write_forces(folder / "forces.csv", run)
-    outputs.write_contacts(folder / "contacts.csv", run)
     whole, extra = scene.whole(params, run)
-    histories_ = {
-        name: _readings(reads, run) for name, reads in ((READINGS[0], given.reads), (FRAMED, framed)) if reads
-    }
-    for name, columns in {**histories_, **extra}.items():
+    found: dict[str, Any] = {"forces.csv": outputs.force_columns(run), "contacts.csv": outputs.contact_columns(run)}
+    found |= {name: _readings(reads, run) for name, reads in ((READINGS[0], given.reads), (FRAMED, framed)) if reads}
+    for name, columns in {**found, **extra}.items():
         outputs.write_histories(folder / name, run.times, columns)
     judged = balance.of_run(given.scene, given.params, run, force_error(given.accuracy))
     if judged.verdict == balance.MISSED:
