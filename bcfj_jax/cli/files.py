@@ -133,7 +133,7 @@ def report(
     if not (folder / "summary.json").is_file():
         kept(folder)
     ready(code)
-    from bcfj_jax.analysis.reporting import rebuild
+    from bcfj_jax.analysis.simulation.folder import rebuild
 
     typer.echo(f"report: {rebuild(folder, say)}")
     return DONE

@@ -12,7 +12,8 @@ import typer
 from bcfj_jax.cli.base import DONE, SIMULATION_FAILED, result
 from bcfj_jax.core import programs
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.io import outputs, report, scenefile
+from bcfj_jax.io import report, scenefile
+from bcfj_jax.io.folder import check_folder
 from bcfj_jax.io.units import format_si
 
 
@@ -54,6 +55,6 @@ def show(rows: Sequence[Sequence[str]], out: Path | None) -> None:
         InputError: for a folder that cannot be used.
     """
     if out is not None:
-        outputs.open_folder(out, "", "", [], lock=False)
+        check_folder(out)
     typer.echo(report.text([["dry run", "nothing is written"], *rows]))
     result({"dry_run": {row[0]: row[1] for row in rows}})

@@ -114,7 +114,7 @@ def session() -> Iterator[Session]:
 
 def open_folder(
     out: Path | None, verb: str, stem: str, will_write: Sequence[str], goes_on: str = "",
-    size: int = LEAST_FREE, wait_s: float = WAIT_S, lock: bool = True,
+    size: int = LEAST_FREE, wait_s: float = WAIT_S,
 ) -> Path:  # fmt: skip
     """The folder for a command's results. Within a ``session`` it is made, locked and tried here.
 
@@ -125,7 +125,6 @@ def open_folder(
         goes_on: name of the file that keeps finished work; a folder that holds it is gone on with.
         size: free space that the results need [bytes].
         wait_s: how long to wait for a folder that another process has [s].
-        lock: whether the folder is this process's alone until the session ends.
 
     Raises:
         InputError: if the folder asked for already holds one of the files, is no folder, cannot be written, has no
@@ -135,7 +134,7 @@ def open_folder(
     stop.check()
     asked, default = _Asked(verb, tuple(will_write), goes_on, size), Path("results") / f"{verb}-{stem}"
     try:
-        if not (_sessions and lock):
+        if not _sessions:
             if out is not None:
                 _refuse_what_is_there(out, asked)
             return out or next(folder for folder in _numbered(default) if not folder.exists())
@@ -151,6 +150,12 @@ def open_folder(
         where = "the folder results" if out is None else f"--out {str(out)[:200]}"
         raise unwritable(where, error) from None
     return folder
+
+
+def check_folder(out: Path, will_write: Sequence[str] = ()) -> None:
+    """Refuse what ``open_folder`` would refuse of a folder before it is made."""
+    stop.check()
+    _refuse_what_is_there(out, _Asked("", tuple(will_write), "", 0))
 
 
 def unwritable(where: str, error: Exception) -> InputError:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bcfj_jax.core.errors import escaped
-from bcfj_jax.io.folder import already_there, unwritable
+from bcfj_jax.io.folder import already_there, check_folder, unwritable
 from bcfj_jax.io.folder import inside as inside
 from bcfj_jax.io.folder import open_folder as open_folder
 from bcfj_jax.io.folder import session as session
@@ -71,7 +71,7 @@ def create(path: Path, text: str) -> None:
     Raises:
         InputError: if it is there already, or cannot be written.
     """
-    open_folder(path.parent, "init", "", [path.name], lock=False)
+    check_folder(path.parent, [path.name])
     try:
         with atomic(path, _new) as temporary:
             temporary.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")

@@ -1,7 +1,7 @@
 """``report.html``: one file that opens offline, the verdict first; and tables as text. Jinja2 loads on first use.
 
 Beside it lies ``report.json``, the same page without its pictures, which are PNG files of the folder.
-``analysis.reporting.rebuild`` makes the page again from both.
+``analysis.simulation.folder.rebuild`` makes the page again from both.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A run of ``bcfj simulate`` read back from its folder, for a report that is made again.
+"""``bcfj report``: the report of a folder made again; a run of ``bcfj simulate`` is read back for it.
 
 The files hold what pictures and tables need; the rates of penetration and the states of the solver are not in them.
 """
@@ -9,16 +9,20 @@ import csv
 import io
 import json
 import math
-from collections.abc import Mapping
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bcfj_jax.analysis.simulation import page
+from bcfj_jax.analysis.simulation import page as pages
+from bcfj_jax.analysis.simulation import results
 from bcfj_jax.core.errors import InputError
+from bcfj_jax.io import report
 from bcfj_jax.io.opening import LARGEST_TEXT, content
-from bcfj_jax.io.outputs import COMPONENTS
+from bcfj_jax.io.outputs import COMPONENTS, atomic, write_json, write_text
 from bcfj_jax.io.page import Page, Picture, Table
 from bcfj_jax.io.scenefile import SceneFile, load
 from bcfj_jax.mechanism.readings import CREEPING, STATES, UNKNOWN
@@ -127,21 +131,53 @@ def _extremes(members: Mapping[str, int], contacts: Mapping[str, Mapping[str, An
     return found
 
 
-def redrawn(folder: Path, place: Path) -> tuple[list[Picture], Run, SceneFile, dict[str, Any]]:
-    """Draw the pictures of a run's folder again, into another place: those that its files are enough for.
+def rebuild(folder: Path, say: Callable[[str], None] = lambda text: None) -> Path:
+    """Write ``report.html`` of any command's folder again; pictures of a run that its numbers are enough for are redrawn.
+
+    Only ``report.html`` is replaced, as a whole; the path of it. A picture that is missing is written; one that is there
+    is kept as it is, although the report shows it as this version draws it.
 
     Raises:
-        InputError: where the folder's files do not hold a run, or its scene cannot be made, as without its own code.
+        InputError: for a folder that holds no results, or results that are not whole.
     """
-    known = summary(folder)
-    given = load(folder / "run.toml")
-    run = read(folder, given, known)
-    return page.drawn(place, run, given.scene, given.params, (), known["contacts"]), run, given, known
+    is_run = folder.is_dir() and all((folder / name).is_file() for name in NEEDED)
+    page = report.kept(folder) if (folder / report.JSON).exists() or not is_run else None
+    with tempfile.TemporaryDirectory() as place:
+        drawn, fresh = Path(place), []
+        if is_run:
+            try:
+                known = summary(folder)
+                given = load(folder / "run.toml")
+                run = read(folder, given, known)
+                fresh = pages.drawn(drawn, run, given.scene, given.params, (), known["contacts"])
+                if page is None:
+                    page = _page(folder, pages.Ran(run, given.scene, known), fresh, given)
+            except InputError as error:
+                if page is None:
+                    raise
+                say(f"pictures are kept as they are: {error}")
+        assert page is not None
+        page = _with(page, fresh)
+        for one in fresh:
+            if not (folder / one.file).exists():
+                with atomic(folder / one.file) as temporary:
+                    temporary.write_bytes((drawn / one.file).read_bytes())
+        write_text(folder / report.HTML, report.html(page, folder, drawn))
+    return folder / report.HTML
 
 
-def page_of(
-    title: str, shown: list[Picture], run: Run, given: SceneFile, known: dict[str, Any], rows: list[list[str]]
-) -> Page:
-    """The page of a folder that keeps none, from what ``redrawn`` gives and the table of the input."""
-    more = [Table("Input: values and what they mean", rows)]
-    return page.made(title, run, given.scene, known, shown, more, [])
+def _page(folder: Path, of: pages.Ran, shown: list[Picture], given: SceneFile) -> Page:
+    """The page of a folder that keeps none, from its numbers; it is kept there."""
+    rows = Table("Input: values and what they mean", results.input_rows(given))
+    page = pages.made(f"Simulation of {given.scene.kind}", of, shown, [rows])
+    write_json(folder / report.JSON, page.content())
+    return replace(page, animation=report.animation(folder))
+
+
+def _with(page: Page, fresh: list[Picture]) -> Page:
+    """The page with pictures that were drawn again in place of its own, and new ones at the end."""
+    named = {one.file: one for one in fresh}
+    own = [one.file for one in (*page.pictures, *page.more)]
+    new = tuple(one for one in fresh if one.file not in own)
+    first, more = (tuple(named.get(one.file, one) for one in part) for part in (page.pictures, page.more))
+    return replace(page, pictures=first, more=(*more, *new))

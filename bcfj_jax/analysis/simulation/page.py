@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -308,30 +309,29 @@ def whole_table(content: Mapping[str, Any]) -> list[Table]:
     return [Table("The model as a whole", rows)] if len(rows) > 1 else []
 
 
-def made(
-    title: str, run: Run, scene: AbstractModel, content: Mapping[str, Any], shown: Sequence[Picture], more: Sequence[Table],
-    readings: Rows, choice: str = "", absurd: Sequence[Finding] = (),
-) -> Page:  # fmt: skip
-    """The page of a run.
+class Ran(NamedTuple):
+    """A run: of which scene, what ``summary.json`` says of it, and what of it is not plausible."""
 
-    Args:
-        title: its heading.
-        run, scene: what was simulated.
-        content: ``summary.json``.
-        shown: pictures, those that matter first.
-        more: tables to fold away.
-        readings: what [[read]] asks for, as rows; none without.
-        choice: which level of the model was chosen, in a sentence.
-        absurd: what is not plausible.
-    """
-    answer = verdict(run, content, absurd)
-    if choice:
-        answer = Verdict(answer.kind, answer.word, f"{answer.sentence} {choice}")
-    found = tables(scene, content)
+    run: Run
+    scene: AbstractModel
+    content: Mapping[str, Any]
+    absurd: Sequence[Finding] = ()
+
+
+def choice_sentence(run: Run) -> str:
+    """Which level of the model was chosen, and why; "" where nothing was to be chosen."""
+    return f"Fidelity {run.choice.fidelity}: {run.choice.reason}." if run.choice else ""
+
+
+def made(title: str, of: Ran, shown: Sequence[Picture], folded: Sequence[Table], readings: Rows = ()) -> Page:
+    """The page of a run, with its pictures, those that matter first, more tables to fold away, and what [[read]] asks for."""
+    content = of.content
+    answer = verdict(of.run, content, of.absurd)
+    found = tables(of.scene, content)
     if len(readings) > 1:
         found.append(Table("Readings", readings))
     return Page(
-        title=title, verdict=answer, pictures=tuple(shown[:2]), warnings=tuple(content.get("warnings", ())),
-        tables=tuple(found), more=tuple(shown[2:]),
-        folded=(*balances(content), *whole_table(content), *more, report.solver_table(run.stats)),
+        title, replace(answer, sentence=f"{answer.sentence} {choice_sentence(of.run)}".strip()), tuple(shown[:2]),
+        tuple(content.get("warnings", ())), tuple(found), tuple(shown[2:]),
+        (*balances(content), *whole_table(content), *folded, report.solver_table(of.run.stats)),
     )  # fmt: skip

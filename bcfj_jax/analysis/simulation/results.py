@@ -55,11 +55,6 @@ def files(given: SceneFile, framed: Sequence[Channel] = ()) -> tuple[str, ...]:
     return (*FILES, *drawn, *more, *given.scene.tables, *asked, *([FRAMED] if framed else []))
 
 
-def choice_sentence(run: Run) -> str:
-    """Which level of the model was chosen, and why; "" where nothing was to be chosen."""
-    return f"Fidelity {run.choice.fidelity}: {run.choice.reason}." if run.choice else ""
-
-
 def verdict(run: Run) -> str:
     """How the run went, in a sentence; when it and the finer run disagree."""
     if run.status == "failed":
@@ -297,7 +292,7 @@ def write(folder: Path, given: SceneFile, run: Run, stem: str, framed: Sequence[
     warnings = resolution_warnings(run) + work_warnings(run) + envelope.warnings(scene, params, run.times)
     warnings += envelope.of_the_start(scene, params, run.times, run.force) + given.scene.warnings(params, run)
     source = str(given.source) if given.source else f"the built-in scene '{stem}'"
-    head = f"{source}, as it was run: every default, SI\n{choice_sentence(run)}".strip()
+    head = f"{source}, as it was run: every default, SI\n{page.choice_sentence(run)}".strip()
     outputs.write_toml(folder / "run.toml", given.resolved, head)
     outputs.write_json(folder / "environment.json", outputs.environment(data=[given.source] if given.source else []))
     whole, extra = scene.whole(params, run)
@@ -322,7 +317,7 @@ def write(folder: Path, given: SceneFile, run: Run, stem: str, framed: Sequence[
     if given.reads:
         tables.append(_readings_rows(given, run))
     answer = page.verdict(run, content, absurd)
-    said = f"{answer.word}. {answer.sentence} {choice_sentence(run)}".strip()
+    said = f"{answer.word}. {answer.sentence} {page.choice_sentence(run)}".strip()
     said = verdict(run) if run.status == "failed" else said
     digits = [f"{page.note(content['contacts'])}All digits: summary.json."] if run.force else []
     text = "\n\n".join([said, *map(report.text, tables), *digits])
@@ -338,9 +333,9 @@ def draw(folder: Path, given: SceneFile, run: Run, stem: str, written: Written, 
     """The pictures of a run, its report, and files with the run in motion (``io.view.export``)."""
     shown = page.drawn(folder, run, given.scene, given.params, given.reads, written.content["contacts"])
     found = page.made(
-        f"Simulation of {stem}", run, given.scene, written.content, shown,
+        f"Simulation of {stem}", page.Ran(run, given.scene, written.content, written.absurd), shown,
         [Table("Input: values and what they mean", input_rows(given))],
-        _readings_rows(given, run, 3) if given.reads else (), choice_sentence(run), written.absurd,
+        _readings_rows(given, run, 3) if given.reads else (),
     )  # fmt: skip
     from bcfj_jax.io.view import animation, export, fragment
 
