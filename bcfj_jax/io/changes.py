@@ -54,9 +54,8 @@ def parse(text: str) -> Change:
     path, equals, given = (part.strip() for part in text.partition("="))
     words = tuple(word.strip().strip("\"'") for word in path.split("."))
     if not equals or not all(words) or not given:
-        raise InputError(
-            f"--set {text[:200]}", "this is no path=value", "write --set stiffness=4e10, or time.end='3 s'"
-        )
+        remedy = "write --set stiffness=4e10, or time.end='3 s'"
+        raise InputError(f"--set {text[:200]}", "this is no path=value", remedy)
     return Change(f"--set {text}", words, value(given))
 
 
@@ -150,19 +149,19 @@ def _set(table: dict[str, Any], words: tuple[str, ...], change: Change) -> dict[
 
 def _set_in_list(entries: list[Any], words: Sequence[str], change: Change) -> list[Any]:
     which, *rest = words
+    numbers = [str(k + 1) for k in range(len(entries))]
     names = [str(entry.get("name", "")) if isinstance(entry, dict) else "" for entry in entries]
-    if which in names:
-        k = names.index(which)
-    elif which in (numbers := [str(k + 1) for k in range(len(entries))]):
-        k = numbers.index(which)
+    for known in (names, numbers):
+        if which in known:
+            k = known.index(which)
+            break
     else:
-        known = [name or str(k + 1) for k, name in enumerate(names)]
-        raise InputError(change.text[:200], f"no entry '{which}'", nearest(which, known))
-    if not rest:
-        return [*entries[:k], change.value, *entries[k + 1 :]]
-    if not isinstance(entries[k], dict):
+        shown = [name or number for name, number in zip(names, numbers, strict=True)]
+        raise InputError(change.text[:200], f"no entry '{which}'", nearest(which, shown))
+    if rest and not isinstance(entries[k], dict):
         raise _no_table(which, entries[k], change)
-    return [*entries[:k], _set(entries[k], tuple(rest), change), *entries[k + 1 :]]
+    made = _set(entries[k], tuple(rest), change) if rest else change.value
+    return [*entries[:k], made, *entries[k + 1 :]]
 
 
 def _no_table(name: str, value: Any, change: Change) -> InputError:

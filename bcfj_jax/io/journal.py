@@ -151,10 +151,9 @@ def _piece(line: Mapping[str, Any]) -> dict[str, Any]:
 
 def _holds(line: Mapping[str, Any], said: Mapping[str, Any], key: Any) -> bool:
     """Whether a line says this, of the job of this key, and no more."""
-    try:
+    with contextlib.suppress(RecursionError):
         return line == {**said, "digest": _digest(key, said)}
-    except RecursionError:
-        return False
+    return False
 
 
 def _digest(key: Any, piece: Mapping[str, Any]) -> str:
@@ -163,10 +162,7 @@ def _digest(key: Any, piece: Mapping[str, Any]) -> str:
 
 
 def _parsed(line: bytes) -> dict[str, Any] | None:
-    if not line.endswith(b"\n"):
-        return None
-    try:
+    with contextlib.suppress(ValueError, RecursionError):
         piece = json.loads(line)
-    except (ValueError, RecursionError):
-        return None
-    return piece if isinstance(piece, dict) else None
+        return piece if line.endswith(b"\n") and isinstance(piece, dict) else None
+    return None

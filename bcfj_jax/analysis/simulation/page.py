@@ -273,12 +273,11 @@ def balances(content: Mapping[str, Any]) -> list[Table]:
         return []
     rows = [["body", "balance", "error", "allowed", "verdict"]]
     for body, one in found["of"].items():
-        for what, error in one.items():
-            if isinstance(error, Mapping):
-                cells = (percent(error[key], 2) for key in ("error", "allowed"))
-                rows.append([body, what.replace("_", " "), *cells, one["verdict"]])
-    by = f"Integrated over the {found['quadrature']}; shares of the largest term." if found["quadrature"] else ""
-    return [Table("Balances of momentum and energy", rows, f"{found['sentence']} {by}".strip())]
+        for what, error in ((what, error) for what, error in one.items() if isinstance(error, Mapping)):
+            cells = (percent(error[key], 2) for key in ("error", "allowed"))
+            rows.append([body, what.replace("_", " "), *cells, one["verdict"]])
+    by = f" Integrated over the {found['quadrature']}; shares of the largest term." if found["quadrature"] else ""
+    return [Table("Balances of momentum and energy", rows, f"{found['sentence']}{by}".strip())]
 
 
 def _accuracy(accuracy: Mapping[str, Any]) -> Table:

@@ -101,15 +101,11 @@ def _percent(share: float, digits: int) -> str:
 
 def _accuracy_json(accuracy: Accuracy) -> dict[str, Any]:
     return {
-        "asked": accuracy.asked,
-        "measured": measured_errors(accuracy),
-        "from": accuracy.begin,
-        "agree_until": accuracy.agree_until,
-        "differs": accuracy.differs or None,
-        "tolerance": accuracy.tolerance,
+        "asked": accuracy.asked, "measured": measured_errors(accuracy), "from": accuracy.begin,
+        "agree_until": accuracy.agree_until, "differs": accuracy.differs or None, "tolerance": accuracy.tolerance,
         "wall_s": accuracy.wall_s,
         "units": {"asked": "1", "measured": "1", "from": "s", "agree_until": "s", "wall_s": "s"},
-    }
+    }  # fmt: skip
 
 
 # Contacts.
@@ -218,19 +214,13 @@ def work_warnings(run: Run) -> list[str]:
         if work < -_ROUNDING * float(pushed.max() * np.abs(depth).max()):
             # The integral of F dd ends below 0 where less is stored at the end than at the start.
             (given_back if depth[0] > max(depth[-1], 0.0) else coarse).append(name)
-    found = []
-    if given_back:
-        found.append(
-            f"{_several(given_back)}: the dissipated work is below 0: the run begins with the contact pressed, and the "
-            "elastic energy that was stored then has come out"
-        )
+    begins = "the run begins with the contact pressed, and the elastic energy that was stored then has come out"
+    samples = (
+        "which no contact does: the samples do not resolve the force against the penetration: raise [time] samples"
+    )
+    found = [f"{_several(given_back)}: the dissipated work is below 0: {begins}"] if given_back else []
     # In the solver's steps that is the error of the energy balance, which is judged.
-    if coarse and not steps:
-        found.append(
-            f"{_several(coarse)}: the dissipated work is below 0, which no contact does: the samples do not resolve the "
-            "force against the penetration: raise [time] samples"
-        )
-    return found
+    return found + ([f"{_several(coarse)}: the dissipated work is below 0, {samples}"] if coarse and not steps else [])
 
 
 def _several(names: Iterable[str]) -> str:

@@ -170,16 +170,15 @@ def still(of: Animation) -> bytes:
 
 
 def _boxes(of: Animation) -> str:
-    contacts = list(dict.fromkeys(f.contact for f in of.forces))
-    bodies = list(dict.fromkeys(of.tracks[t].name.split(" ")[0] if t >= 0 else "ground" for t, *_ in of.parts))
+    contacts = dict.fromkeys(f.contact for f in of.forces)
+    bodies = dict.fromkeys(of.tracks[t].name.split(" ")[0] if t >= 0 else "ground" for t, *_ in of.parts)
     found = ""
     for title, letter, names in (("Forces of", "c", contacts), ("Bodies", "b", bodies)):
+        each = ""
+        for name in list(names)[:12]:
+            shown = html.escape(name.replace("_", " "))
+            each += f'<label><input type="checkbox" value="{letter}{html.escape(name)}" checked>{shown}</label>'
         if len(names) > 1:
-            each = "".join(
-                f'<label><input type="checkbox" value="{letter}{html.escape(n)}" checked>{html.escape(n.replace("_", " "))}'
-                "</label>"
-                for n in names[:12]
-            )
             found += f'<div class="row"><fieldset><legend>{title}</legend>{each}</fieldset></div>'
     return found
 
