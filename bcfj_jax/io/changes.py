@@ -114,7 +114,6 @@ def applied(what: str | Path, table: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _placed(change: Change, tables: Sequence[str]) -> Change:
-    """The change with the words of its place in the file."""
     first, *rest = change.words
     if first not in tables:
         if "parameters" not in tables:

@@ -271,7 +271,6 @@ def _locked(folder: Path, made: list[Path]) -> int | None:
 
 
 def _said(path: Path) -> dict:
-    """What a lock file says; nothing where it is damaged."""
     try:
         with path.open("rb") as file:
             found = json.loads(file.read(_MOST))

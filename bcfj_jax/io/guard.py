@@ -56,6 +56,5 @@ def _refused(error: OSError) -> str:
 
 
 def _place(error: BaseException) -> str:
-    """The function in which an error arose."""
     frames = traceback.extract_tb(error.__traceback__, limit=-1)
     return frames[-1].name if frames else "unknown"

@@ -157,7 +157,6 @@ def _holds(line: Mapping[str, Any], said: Mapping[str, Any], key: Any) -> bool:
 
 
 def _digest(key: Any, piece: Mapping[str, Any]) -> str:
-    """Of a line and its job."""
     return hashlib.sha256(json.dumps([key, piece], sort_keys=True).encode()).hexdigest()
 
 

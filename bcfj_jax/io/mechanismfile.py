@@ -16,7 +16,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import jax.numpy as jnp
@@ -79,24 +79,23 @@ def build(content: Mapping[str, Any], where: str, given: Mapping[str, Any]) -> B
     return _Builder(content, where, given).built()
 
 
-@contextlib.contextmanager
-def placed(content: Mapping[str, Any], where: str) -> Iterator[None]:
+def placed(content: Mapping[str, Any], where: str) -> contextlib.AbstractContextManager[None]:
     """Within, what is refused of a body, a contact or a load names the entry of the file."""
-    try:
-        yield
-    except InputError as error:
-        rest = error.where.removeprefix(where).strip()
+
+    def place(said: str) -> str:
+        rest = said.removeprefix(where).strip()
         match = _WHERE.fullmatch(rest)
-        found = _PART.fullmatch(match[1] if match else rest)
+        text = match[1] if match else rest
+        found = _PART.fullmatch(text)
         if found is None:
-            text = match[1] if match else rest
-            place = where if error.where.startswith(where) or match else ""
-            raise InputError(f"{place} {text}".strip(), error.found, error.remedy) from error.__cause__
+            return f"{where if said.startswith(where) or match else ''} {text}".strip()
         table, name, key = found[1], found[2], found[3]
         # The last of that name: of two, the first was right when it was read.
         numbers = [k for k, entry in enumerate(content.get(table, ())) if entry.get("name", entry.get("kind")) == name]
         entry = f"[[{table}]] {numbers[-1] + 1} '{name}'" if numbers else f"[[{table}]] '{name}'"
-        raise InputError(f"{where}: {entry} {key}".strip(), error.found, error.remedy) from error.__cause__
+        return f"{where}: {entry} {key}".strip()
+
+    return tables.placed(place)
 
 
 def refuse_unread(scene: Any, params: Mapping[str, Array], given: Mapping[str, Any], where: str) -> None:
@@ -377,13 +376,11 @@ class _Builder:
         return load, plain | ({"drive": _drive_table(drive, made["drive"])} if drive else {})
 
     def _joint(self, body: str) -> str:
-        """The joint of a body, as its table says."""
         found = (entry for entry in self.content.get("body", ()) if entry.get("name") == body)
         return next(found, {}).get("joint", "free")
 
 
 def _listed(content: Mapping[str, Any], table: str, where: str) -> list[Mapping[str, Any]]:
-    """The entries of [[table]]."""
     entries = content.get(table) or []
     for k, entry in enumerate(entries):
         if not isinstance(entry, Mapping):
@@ -435,7 +432,6 @@ def _gap(given: str | dict[str, Any], place: str) -> tuple[AbstractGap, Any]:
 
 
 def _named(what: str, name: str | None, elastic: str | None, place: str) -> Any:
-    """A law by its name and that of its elastic part."""
     for key, value, known in ((what, name, laws.LAWS), ("elastic", elastic, laws.ELASTIC)):
         if value is not None and value not in known:
             raise InputError(f"{place} {key}", f"no such {key} '{value}'", nearest(value, known) + usercode.hint())
@@ -470,5 +466,4 @@ def _plain(entry: tables.Table) -> dict[str, Any]:
 
 
 def _listing(x: Any) -> Any:
-    """Tuples as TOML writes them."""
     return [_listing(part) for part in x] if isinstance(x, (tuple, list)) else x

@@ -341,7 +341,6 @@ def _resolved_options(scene: AbstractModel, options: Mapping[str, Any]) -> dict[
 
 
 def _elastic_name(scene: AbstractModel) -> str | None:
-    """Name of the first contact's elastic part; None for a law that has none of these."""
     part = getattr(scene.contacts[0].law, "elastic", None)
     return next((name for name, known in laws.ELASTIC.items() if type(known) is type(part)), None)
 

@@ -68,7 +68,6 @@ def _view(found: Any) -> View:
 
 
 def _short(rows: Rows) -> tuple[list[Sequence[str]], int]:
-    """A table's first rows, and how many are left out."""
     left = max(0, len(rows) - 1 - MOST_ROWS)
     return list(rows[: len(rows) - left]), left
 

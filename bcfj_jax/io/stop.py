@@ -60,7 +60,6 @@ def _remember(number: int, frame: FrameType | None) -> None:
 
 
 def _importing(frame: FrameType | None) -> int:
-    """How many imports are under way in a stack."""
     count = 0
     while frame is not None:
         count += frame.f_code.co_filename == "<frozen importlib._bootstrap>"

@@ -162,7 +162,6 @@ def validated(model: type[M], table: object, where: str, inside: str = "") -> M:
 
 
 def _known(model: type[pydantic.BaseModel], loc: tuple[int | str, ...]) -> list[str]:
-    """Keys that the table at a place in the model may have."""
     for part in loc:
         field = model.model_fields.get(str(part))
         # A part that names no field is a position in a list or a free name in a table of tables.

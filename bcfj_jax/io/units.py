@@ -79,7 +79,6 @@ def _unit(text: str, where: str, given: str, remedy: str) -> pint.Unit:
 
 
 def _cased(text: str) -> str:
-    """A remedy for a unit in the wrong case, such as "KN"."""
     right = {known.lower(): known for known in _CASED}.get(text.strip().lower())
     return f"write {right}; case matters, as in mN and MN" if right else ""
 

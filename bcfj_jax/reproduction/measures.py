@@ -129,7 +129,6 @@ def six(run: Run, every: int = 1) -> np.ndarray:
 
 
 def _started(kind: str, times: np.ndarray, forces: np.ndarray, turn: float) -> float:
-    """A feature of ``starting`` [s] of the members' forces (T, k)."""
     none = np.zeros((0, times.size))
     return of_members(kind, [starting(kind, times, force, none, turn) for force in forces.T])[0]
 
@@ -142,7 +141,6 @@ def _parted(run: Run) -> float:
 
 
 def _start(run: Run, fine: Run, turn: float) -> dict[str, Measured]:
-    """Onsets, start-up window and settling."""
     first, second = (
         _started("onset", fine.times, resultant(fine.force[name]), turn) for name in ("seat_ball", "head_ball")
     )

@@ -68,7 +68,6 @@ def _legend(axis: Axes, columns: int) -> None:
 
 
 def _paper(axis: Axes, id: str) -> None:
-    """The paper's peaks as dashed lines."""
     for number, value in enumerate(claim(id).values):
         name = _printed(id) if number == 0 else None
         axis.axhline(value / 1e3, label=name, color="#222222", linewidth=1.0, linestyle="--")
@@ -79,7 +78,6 @@ def _printed(id: str) -> str:
 
 
 def _tops(runs: Iterable[tuple[str, Run]], contact: str) -> str:
-    """The highest normal force of each run, in words."""
     return ", ".join(f"{n} {brief(float(np.max(np.abs(r.force[contact][..., 0]))), 'N')}" for n, r in runs)
 
 
@@ -103,7 +101,6 @@ def _frames(path: Path, record: Record) -> Picture:
 
 
 def _sudden(path: Path, run: Run) -> Picture:
-    """The first milliseconds of the sudden start."""
     with sheet(path, len(_POINTS), width=_WIDE, height=1.7, colours=64) as axes:
         for axis, (contact, id) in zip(axes, _POINTS.items(), strict=True):
             for member in _size(run, contact).reshape(len(run.times), -1).T:

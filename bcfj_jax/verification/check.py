@@ -67,7 +67,6 @@ def carried_out(asked: Check) -> Row:
 
 
 def _apart(found: Any, expected: Any) -> tuple[np.ndarray, np.ndarray]:
-    """|found - expected| and |expected|, entry by entry."""
     found, expected = np.asarray(found, float), np.asarray(expected, float)
     if found.shape != expected.shape:
         raise ValueError(f"found {found.shape} numbers, expected {expected.shape}")

@@ -167,7 +167,6 @@ def rebuild(folder: Path, say: Callable[[str], None] = lambda text: None) -> Pat
 
 
 def _page(folder: Path, of: pages.Ran, shown: list[Picture], given: SceneFile) -> Page:
-    """The page of a folder that keeps none, from its numbers; it is kept there."""
     rows = Table("Input: values and what they mean", results.input_rows(given))
     page = pages.made(f"Simulation of {given.scene.kind}", of, shown, [rows])
     write_json(folder / report.JSON, page.content())

@@ -215,7 +215,6 @@ def _engineering(groups: Sequence[tuple[str, Any]], content: Mapping[str, Any]) 
 
 
 def _pair(value: Any, unit: str) -> str:
-    """A number, or two as "1.2 x 0.3 mm"."""
     if not isinstance(value, Sequence):
         return brief(value, unit)
     scale, prefix = engineering([x for x in value if x is not None], unit)

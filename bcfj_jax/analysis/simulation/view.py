@@ -66,7 +66,6 @@ def _known(what: Callable[[Any], Any], values: np.ndarray) -> float:
 
 
 def _share(found: Run, name: str) -> float:
-    """Share of the time in contact, the mean of members."""
     depth = found.penetration[name].reshape(len(found.times), -1)
     if len(found.times) < 2:
         return math.nan

@@ -77,7 +77,6 @@ def _mesh(blob: _Blob, mesh: Mesh) -> dict[str, Any]:
 
 
 def _rows(blob: _Blob, values: np.ndarray, kind: str) -> list[Any]:
-    """A table over frames; one row of what does not change."""
     still = np.all(values == values[0])
     return blob.put((values[:1] if still else values).ravel(), kind)
 
