@@ -17,7 +17,7 @@ from joints import plain_joint
 import bcfj_jax as bj
 from bcfj_jax.core import shapes
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.io.view import animation, fragment, gltf, movie, painter
+from bcfj_jax.io.view import animation, export, fragment, gltf, painter
 from bcfj_jax.models.joint.start import nominal
 
 pytestmark = pytest.mark.full
@@ -410,12 +410,12 @@ def test_gltf_reads_back(crank):
 def test_movies(crank, tmp_path, monkeypatch):
     from PIL import Image
 
-    monkeypatch.setattr(movie, "_GIF", (4, 12))
-    monkeypatch.setattr(movie, "_MP4", (6, 25))
+    monkeypatch.setattr(export, "_GIF", (4, 12))
+    monkeypatch.setattr(export, "_MP4", (6, 25))
     scene, params, run, _ = crank
     path = bj.animate(scene, params, run, tmp_path / "a.gif")
     with Image.open(path) as found:
-        assert found.size == movie.SIZE and getattr(found, "n_frames", 1) == 4
+        assert found.size == export.SIZE and getattr(found, "n_frames", 1) == 4
     mp4 = bj.animate(scene, params, run, tmp_path / "a.mp4").read_bytes()
     assert mp4[4:8] == b"ftyp" and len(mp4) > 2000
     page = bj.animate(scene, params, run, tmp_path / "a.html", "A < B").read_text()
