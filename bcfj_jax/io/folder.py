@@ -155,7 +155,10 @@ def open_folder(
 def check_folder(out: Path, will_write: Sequence[str] = ()) -> None:
     """Refuse what ``open_folder`` would refuse of a folder before it is made."""
     stop.check()
-    _refuse_what_is_there(out, _Asked("", tuple(will_write), "", 0))
+    try:
+        _refuse_what_is_there(out, _Asked("", tuple(will_write), "", 0))
+    except OSError as error:
+        raise unwritable(f"--out {str(out)[:200]}", error) from None
 
 
 def unwritable(where: str, error: Exception) -> InputError:
