@@ -17,7 +17,7 @@ import contextlib
 import dataclasses
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import jax.numpy as jnp
 from jax import Array
@@ -50,13 +50,6 @@ _DRIVES["speeds"] = ("start", "table")
 M = TypeVar("M", bound=tables.Table)
 
 
-class Built(NamedTuple):
-    """A mechanism from a file, and its tables with every default, SI, which a file may hold again."""
-
-    scene: Mechanism
-    resolved: dict[str, Any]
-
-
 @dataclasses.dataclass(frozen=True)
 class OneTurn:
     """Time in which a driven body turns once [s]: where a mechanism ends if nobody says."""
@@ -70,8 +63,10 @@ class OneTurn:
         return 2.0 * jnp.pi / jnp.maximum(speed, 1e-6)
 
 
-def build(content: Mapping[str, Any], where: str, given: Mapping[str, Any]) -> Built:
-    """The mechanism that the tables of a file list; ``given`` is what its [parameters] say, as they are written.
+def build(content: Mapping[str, Any], where: str, given: Mapping[str, Any]) -> tuple[Mechanism, dict[str, Any]]:
+    """The mechanism that the tables of a file list, and the tables with every default, SI, which a file may hold again.
+
+    ``given`` is what the file's [parameters] say, as they are written.
 
     Raises:
         InputError: for anything that is not right, with the table, the entry and what would be.
@@ -141,7 +136,7 @@ class _Builder:
         self.content, self.where, self.given = content, where, given
         self.named: list[tuple[str, str, str]] = []
 
-    def built(self) -> Built:
+    def built(self) -> tuple[Mechanism, dict[str, Any]]:
         scene = _checked(keys.SceneTable, self.content["scene"], f"{self.where}: [scene]")
         returns = any(name.rpartition(".")[2] == "restitution" for name in self.given)
         self.options = scene.model_copy(update={"law": scene.law or ("exact" if returns else "memory_free")})
@@ -157,7 +152,7 @@ class _Builder:
             mechanism = Mechanism(KIND, *parts, own=own, end=_end(parts[0]))
         self._look_up(mechanism)
         resolved["quantity"] = quantities
-        return Built(mechanism, {name: table for name, table in resolved.items() if table})
+        return mechanism, {name: table for name, table in resolved.items() if table}
 
     def _place(self, table: str, k: int, entry: Mapping[str, Any]) -> str:
         name = entry.get("name")
@@ -310,7 +305,10 @@ class _Builder:
         # A law of its own has its own elastic part, whatever the other contacts have.
         elastic = entry.elastic or (self.options.elastic if entry.law is None else None)
         law = _named("law", entry.law or self.options.law, elastic, place)
-        friction = _friction(self.options.friction if entry.friction is None else entry.friction, place)
+        try:
+            friction = laws.make_friction(self.options.friction if entry.friction is None else entry.friction)
+        except InputError as error:
+            raise InputError(f"{place} friction", error.found, error.remedy + usercode.hint()) from None
         smoothing = self.options.smoothing if entry.smoothing is None else entry.smoothing
         if entry.approach not in ("memory", "parameter"):
             found = f"no approach '{entry.approach}'"
@@ -437,13 +435,6 @@ def _named(what: str, name: str | None, elastic: str | None, place: str) -> Any:
             raise InputError(f"{place} {key}", f"no such {key} '{value}'", nearest(value, known) + usercode.hint())
     with tables.placed(lambda where: f"{place} {where}"):
         return laws.make(name or "memory_free", elastic)
-
-
-def _friction(name: bool | str, place: str) -> Any:
-    try:
-        return laws.make_friction(name)
-    except InputError as error:
-        raise InputError(f"{place} friction", error.found, error.remedy + usercode.hint()) from None
 
 
 def _end(bodies: Sequence[Body]) -> Any:

@@ -224,7 +224,10 @@ def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
     if listed:
         mechanismfile.refuse_unread(scene, params, file.parameters, where)
     readings, reads = mechanismfile.readings(table, scene, where)
-    end = _end(scene, params, file.time, where)
+    asked = file.time.end
+    end = horizon(scene, params) if asked is None else quantity(asked, "s", f"{where}: [time] end")
+    if not (math.isfinite(end) and end > 0):
+        raise InputError(f"{where}: [time] end", f"{end:g} s is out of range", "give a time > 0")
     samples = file.time.samples or scene.samples
     accuracy, solver = _accuracy(file.accuracy, where), file.accuracy.solver
     steps, peaks = file.accuracy.max_steps, file.accuracy.resolved_peaks
@@ -300,8 +303,7 @@ def _scene(file: _File, where: str) -> tuple[AbstractModel, dict[str, Any], Sphe
         raise InputError(f"{place} kind", f"no scene '{kind}'", nearest(str(kind), kinds) + usercode.hint())
     parts = {name: getattr(file, name) for name in mechanismfile.TABLES}
     if kind == mechanismfile.KIND:
-        built = mechanismfile.build({"scene": file.scene, **parts}, where, file.parameters)
-        return built.scene, built.resolved, None
+        return *mechanismfile.build({"scene": file.scene, **parts}, where, file.parameters), None
     if given := [name for name, entries in parts.items() if entries]:
         brackets = f"[quantity.{next(iter(file.quantity))}]" if given[0] == "quantity" else f"[[{given[0]}]]"
         remedy = f'say kind = "{mechanismfile.KIND}" to list parts of your own'
@@ -385,13 +387,6 @@ def _values(
             tolerances[name] = tolerance
     check_order(f"{where}: [parameters]", known, {**defaults, **values})
     return values, tolerances
-
-
-def _end(scene: AbstractModel, params: dict[str, Array], time: _Time, where: str) -> float:
-    end = horizon(scene, params) if time.end is None else quantity(time.end, "s", f"{where}: [time] end")
-    if not (math.isfinite(end) and end > 0):
-        raise InputError(f"{where}: [time] end", f"{end:g} s is out of range", "give a time > 0")
-    return end
 
 
 def _accuracy(table: _Accuracy, where: str) -> str | float:
