@@ -190,10 +190,10 @@ def resolution_warnings(run: Run) -> list[str]:
     more = f"raise [time] samples, or say --samples {10 * (len(run.times) - 1) + 1}"
     if missed:
         count = sum(missed.values())
-        contacts, them = ("1 short contact begins and ends", "it") if count == 1 else (
-            f"{count} short contacts begin and end", "them")  # fmt: skip
+        short = "1 short contact begins and ends" if count == 1 else f"{count} short contacts begin and end"
         what = "histories and pictures" if run.extremes else "peak, mean, impulse and work"
-        found.append(f"{_several(missed)}: {contacts} between two samples; {what} do not include {them}; {more}")
+        them = "it" if count == 1 else "them"
+        found.append(f"{_several(missed)}: {short} between two samples; {what} do not include {them}; {more}")
     if shortest:
         samples = counted(min(shortest.values()), "sample")
         coarse = "histories and pictures of it" if run.extremes else "its peak, impulse and work"
